@@ -1,0 +1,1 @@
+"""Haptether, bridge room."""

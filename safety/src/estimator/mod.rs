@@ -1,0 +1,34 @@
+//! Velocity and acceleration of the device from its sampled position.
+//!
+//! Each estimator is one file. All share one contract ([`Estimator`]); what sets them apart is how much of the
+//! encoder's quantisation they let through and how late they are.
+
+use crate::Axes;
+
+/// Velocity V in m/s and acceleration A in m/s² of the device at one tick (rad/s, rad/s² for joints).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion<const N: usize> {
+    /// V.
+    pub velocity: Axes<N>,
+    /// A, a weighted mean of the true acceleration over the last ticks.
+    pub acceleration: Axes<N>,
+}
+
+/// A causal estimator of velocity and acceleration.
+///
+/// Per tick n: first [`step`](Estimator::step) with x\[n\], then at most once
+/// [`align`](Estimator::align) with `F_device`\[n-1\].
+pub trait Estimator<const N: usize> {
+    /// Takes the position x\[n\] in m and gives V\[n\] and A\[n\].
+    fn step(&mut self, position: &Axes<N>) -> Motion<N>;
+
+    /// Passes the force held over the tick that ended with the newest position through the same kernel that
+    /// stands between the true acceleration and A.
+    ///
+    /// An estimate A\[n\] is late: it is a mean of the true acceleration over some past ticks. Eq. 4 subtracts a
+    /// force from m A, so the force must be the same mean, or every step of the device force would look like a hand.
+    fn align(&mut self, device_force: &Axes<N>) -> Axes<N>;
+
+    /// Forgets the past: the device has been at rest at `position`, without force.
+    fn reset(&mut self, position: &Axes<N>);
+}
