@@ -1,1 +1,31 @@
-//! Placeholder.
+//! Network impairment for teleoperation: what a bad network does to each packet, decided once for two
+//! drivers.
+//!
+//! A [`Link`] is one direction of the network: rules applied in a fixed order (loss, delay, jitter), each of
+//! which turns a [`Packet`] into a [`Verdict`]: deliver at a time, or drop with a cause. It reads no clock
+//! and owns no socket; a verdict is a pure function of (settings, seed, packet), in integers, so that it is
+//! the same on every platform. Randomness is counter-based, keyed by (seed, direction and impairment, packet
+//! index): switching one impairment on shifts no other. Delivered packets wait in an [`InFlight`] queue,
+//! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
+//! processes that know nothing of it.
+
+mod delay;
+mod in_flight;
+mod jitter;
+mod link;
+mod loss;
+mod proxy;
+mod random;
+mod rule;
+mod verdict;
+
+#[cfg(test)]
+mod tests;
+
+pub use in_flight::{DEFAULT_CAPACITY, InFlight};
+pub use link::{Link, LinkCounters, LinkError, LinkSettings, MAX_DELAY_S};
+pub use proxy::{
+    DirectionStatistics, MAX_DATAGRAM, Proxy, ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics,
+    SchedulingError,
+};
+pub use verdict::{Direction, DropCause, Packet, Verdict};

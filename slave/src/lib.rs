@@ -1,1 +1,30 @@
-//! Placeholder.
+//! The remote side: arm and environment models, advanced exactly in time.
+
+mod arm;
+mod environment;
+mod simulated;
+
+pub use arm::ArmParameters;
+pub use environment::{Pusher, Wall};
+pub use simulated::{SimulatedSlave, SlaveSample};
+
+/// A parameter that a model cannot have.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{name} = {seen}: must be {allowed}")]
+pub struct ModelError {
+    /// The field.
+    pub name: &'static str,
+    /// The value that was refused.
+    pub seen: f64,
+    /// What would have been accepted.
+    pub allowed: &'static str,
+}
+
+pub(crate) fn require(
+    name: &'static str,
+    seen: f64,
+    holds: bool,
+    allowed: &'static str,
+) -> Result<(), ModelError> {
+    if seen.is_finite() && holds { Ok(()) } else { Err(ModelError { name, seen, allowed }) }
+}

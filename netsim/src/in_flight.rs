@@ -1,0 +1,151 @@
+//! Packets on their way, in the order in which they arrive.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use crate::verdict::DropCause;
+
+/// Packets in flight that a queue holds unless told otherwise: a minute at 1 kHz.
+pub const DEFAULT_CAPACITY: usize = 65_536;
+
+/// A bounded queue ordered by (due time, order of entry), so that packets due together leave as they came.
+///
+/// Memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
+/// one should be a handle.
+#[derive(Debug)]
+pub struct InFlight<T> {
+    packets: BinaryHeap<Entry<T>>,
+    capacity: usize,
+    next_order: u64,
+    overflowed: u64,
+}
+
+impl<T> InFlight<T> {
+    /// An empty queue for at most `capacity` packets.
+    pub fn with_capacity(capacity: usize) -> Self {
+        Self { packets: BinaryHeap::with_capacity(capacity), capacity, next_order: 0, overflowed: 0 }
+    }
+
+    /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::QueueFull`].
+    pub fn push(&mut self, due_ns: u64, payload: T) -> Result<(), DropCause> {
+        if self.packets.len() >= self.capacity {
+            self.overflowed += 1;
+            return Err(DropCause::QueueFull);
+        }
+        self.packets.push(Entry { due_ns, order: self.next_order, payload });
+        self.next_order += 1;
+        Ok(())
+    }
+
+    /// When the next packet arrives.
+    pub fn next_due(&self) -> Option<u64> {
+        self.packets.peek().map(|next| next.due_ns)
+    }
+
+    /// The next packet that has arrived by `now_ns`, with its due time.
+    pub fn pop_due(&mut self, now_ns: u64) -> Option<(u64, T)> {
+        if self.next_due()? > now_ns {
+            return None;
+        }
+        self.packets.pop().map(|next| (next.due_ns, next.payload))
+    }
+
+    /// Packets on their way.
+    pub fn len(&self) -> usize {
+        self.packets.len()
+    }
+
+    /// Whether nothing is on its way.
+    pub fn is_empty(&self) -> bool {
+        self.packets.is_empty()
+    }
+
+    /// Packets dropped because the queue was full.
+    pub fn overflowed(&self) -> u64 {
+        self.overflowed
+    }
+}
+
+impl<T> Default for InFlight<T> {
+    fn default() -> Self {
+        Self::with_capacity(DEFAULT_CAPACITY)
+    }
+}
+
+#[derive(Debug)]
+struct Entry<T> {
+    due_ns: u64,
+    order: u64,
+    payload: T,
+}
+
+impl<T> Ord for Entry<T> {
+    /// Reversed, because the heap gives the greatest first.
+    fn cmp(&self, other: &Self) -> Ordering {
+        (other.due_ns, other.order).cmp(&(self.due_ns, self.order))
+    }
+}
+
+impl<T> PartialOrd for Entry<T> {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl<T> PartialEq for Entry<T> {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+
+impl<T> Eq for Entry<T> {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Few distinct times, so that most packets share theirs with others.
+        #[test]
+        fn packets_leave_by_due_time_and_then_as_they_came(dues in prop::collection::vec(0_u64..20, 0..200)) {
+            let mut queue = InFlight::default();
+            for (position, &due_ns) in dues.iter().enumerate() {
+                queue.push(due_ns, position).unwrap();
+            }
+            let mut expected: Vec<(u64, usize)> = dues.iter().copied().zip(0..).collect();
+            expected.sort_by_key(|&(due_ns, _)| due_ns);
+
+            let mut left = Vec::new();
+            for now_ns in 0..20 {
+                while let Some((due_ns, position)) = queue.pop_due(now_ns) {
+                    prop_assert_eq!(due_ns, now_ns);
+                    left.push((due_ns, position));
+                }
+            }
+            prop_assert_eq!(left, expected);
+            prop_assert!(queue.is_empty());
+        }
+    }
+
+    #[test]
+    fn nothing_leaves_before_it_is_due() {
+        let mut queue = InFlight::default();
+        queue.push(10, 'a').unwrap();
+        assert_eq!(queue.next_due(), Some(10));
+        assert_eq!(queue.pop_due(9), None);
+        assert_eq!(queue.pop_due(10), Some((10, 'a')));
+        assert_eq!(queue.pop_due(u64::MAX), None);
+    }
+
+    #[test]
+    fn a_full_queue_drops_the_newest_and_counts_it() {
+        let mut queue = InFlight::with_capacity(2);
+        queue.push(1, 'a').unwrap();
+        queue.push(2, 'b').unwrap();
+        assert_eq!(queue.push(0, 'c'), Err(DropCause::QueueFull));
+        assert_eq!((queue.len(), queue.overflowed()), (2, 1));
+        assert_eq!(queue.pop_due(5), Some((1, 'a')));
+        queue.push(3, 'd').unwrap();
+    }
+}

@@ -1,0 +1,317 @@
+//! The live driver on the loopback interface, between real threads.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use super::{ROUGH, delay, virtual_delays};
+use crate::{
+    Direction, Link, LinkSettings, MAX_DATAGRAM, Packet, Proxy, ProxyError, ProxySettings, ProxyStatistics,
+    Verdict,
+};
+
+const PATIENCE: Duration = Duration::from_secs(5);
+const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+
+fn socket() -> UdpSocket {
+    let socket = UdpSocket::bind(LOOPBACK).unwrap();
+    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    socket
+}
+
+fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings {
+    ProxySettings { listen: LOOPBACK, forward, forward_link: link, backward_link: link, seed: 11 }
+}
+
+/// A proxy on its own thread; stopping it gives its statistics and every verdict.
+struct Running {
+    address: SocketAddr,
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<(ProxyStatistics, Vec<(Packet, Verdict)>)>,
+}
+
+impl Running {
+    fn start(settings: &ProxySettings) -> Self {
+        let mut proxy = Proxy::bind(settings).unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let address = proxy.listen_address();
+        let stop_seen = Arc::clone(&stop);
+        let thread = thread::spawn(move || {
+            let mut log = Vec::new();
+            let statistics =
+                proxy.run_observed(&stop_seen, |packet, verdict| log.push((*packet, verdict))).unwrap();
+            (statistics, log)
+        });
+        Self { address, stop, thread }
+    }
+
+    fn stop(self) -> (ProxyStatistics, Vec<(Packet, Verdict)>) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().unwrap()
+    }
+}
+
+/// A peer that sends `count` datagrams back to where they came from.
+fn echo(count: usize) -> (SocketAddr, JoinHandle<()>) {
+    let peer = socket();
+    let address = peer.local_addr().unwrap();
+    let thread = thread::spawn(move || {
+        let mut buffer = [0; MAX_DATAGRAM];
+        for _ in 0..count {
+            let (length, source) = peer.recv_from(&mut buffer).unwrap();
+            peer.send_to(&buffer[..length], source).unwrap();
+        }
+    });
+    (address, thread)
+}
+
+fn receive_number(socket: &UdpSocket) -> u64 {
+    let mut number = [0; 8];
+    assert_eq!(socket.recv(&mut number).unwrap(), 8);
+    u64::from_be_bytes(number)
+}
+
+/// Sends `count` numbered datagrams, one per `period`, and gives the round-trip times, sorted.
+fn round_trips(proxy: SocketAddr, count: usize, period: Duration) -> Vec<Duration> {
+    let client = socket();
+    client.connect(proxy).unwrap();
+    let sender = client.try_clone().unwrap();
+    let sending = thread::spawn(move || {
+        (0..count)
+            .map(|number| {
+                let sent = Instant::now();
+                sender.send(&(number as u64).to_be_bytes()).unwrap();
+                thread::sleep(period);
+                sent
+            })
+            .collect::<Vec<_>>()
+    });
+    let arrivals: Vec<(u64, Instant)> =
+        (0..count).map(|_| (receive_number(&client), Instant::now())).collect();
+    let sent = sending.join().unwrap();
+    let mut times: Vec<_> = arrivals
+        .into_iter()
+        .map(|(number, arrived)| arrived - sent[usize::try_from(number).unwrap()])
+        .collect();
+    times.sort();
+    times
+}
+
+#[test]
+fn a_round_trip_takes_both_delays_and_never_less() {
+    let (peer, echoing) = echo(200);
+    let link = LinkSettings { delay_s: 0.02, ..LinkSettings::default() };
+    let proxy = Running::start(&settings(peer, link));
+    let times = round_trips(proxy.address, 200, Duration::from_millis(1));
+    echoing.join().unwrap();
+    let (statistics, _) = proxy.stop();
+
+    // Delivering at the exact time or later proves that the delay came from the rule: loopback takes
+    // microseconds.
+    assert!(times[0] >= Duration::from_millis(40), "{:?}", times[0]);
+    assert!(times[100] < Duration::from_millis(90), "{:?}", times[100]);
+    for direction in [statistics.forward, statistics.backward] {
+        assert_eq!(direction.received, 200);
+        assert_eq!(direction.released, 200);
+        assert_eq!(direction.in_flight(), 0);
+        assert_eq!(direction.overtaking, 0);
+    }
+    assert_eq!(statistics.scheduling_error.count, 400);
+}
+
+#[test]
+fn the_live_driver_applies_the_verdicts_of_the_virtual_one() {
+    const COUNT: u64 = 1000;
+    let link = LinkSettings { loss: 0.1, ..ROUGH };
+    let count_delivered = |delays: &[Option<u64>]| delays.iter().flatten().count();
+    let seed = settings(LOOPBACK, link).seed;
+    let forward = virtual_delays(Direction::Forward, seed, &link, COUNT);
+    let echoed = count_delivered(&forward);
+    let backward = virtual_delays(Direction::Backward, seed, &link, echoed as u64);
+
+    let (peer, echoing) = echo(echoed);
+    let proxy = Running::start(&settings(peer, link));
+    let client = socket();
+    client.connect(proxy.address).unwrap();
+    let sender = client.try_clone().unwrap();
+    let sending = thread::spawn(move || {
+        for number in 0..COUNT {
+            sender.send(&number.to_be_bytes()).unwrap();
+            thread::sleep(Duration::from_micros(200));
+        }
+    });
+    let arrived: Vec<u64> = (0..count_delivered(&backward)).map(|_| receive_number(&client)).collect();
+    sending.join().unwrap();
+    echoing.join().unwrap();
+    let (statistics, log) = proxy.stop();
+
+    let echoed_order = due_order(&log, Direction::Forward);
+    let cases = [
+        (Direction::Forward, forward, statistics.forward),
+        (Direction::Backward, backward, statistics.backward),
+    ];
+    for (direction, expected, statistics) in cases {
+        let log: Vec<_> = log.iter().filter(|(packet, _)| packet.direction == direction).collect();
+        let applied: Vec<_> = log.iter().map(|(packet, verdict)| delay(packet, *verdict)).collect();
+        assert_eq!(applied, expected);
+        // Fed the very packets, with their sending times, a fresh link gives the very verdicts.
+        let mut link = Link::new(direction, seed, &link).unwrap();
+        assert!(log.iter().all(|(packet, verdict)| link.judge(packet) == *verdict));
+        assert_eq!(statistics.overtaking, link.counters().overtaking);
+        assert_eq!(statistics.lost, link.counters().dropped);
+    }
+    // And the datagrams left by those verdicts: in order of due time, there and back.
+    let order: Vec<u64> = due_order(&log, Direction::Backward)
+        .into_iter()
+        .map(|index| echoed_order[usize::try_from(index).unwrap()])
+        .collect();
+    assert_eq!(arrived, order);
+}
+
+/// Indices of the packets to be delivered in one direction, in order of due time.
+fn due_order(log: &[(Packet, Verdict)], direction: Direction) -> Vec<u64> {
+    let mut due: Vec<(u64, u64)> = log
+        .iter()
+        .filter(|(packet, _)| packet.direction == direction)
+        .filter_map(|(packet, verdict)| match verdict {
+            Verdict::Deliver { at_ns } => Some((*at_ns, packet.index)),
+            Verdict::Drop { .. } => None,
+        })
+        .collect();
+    due.sort_unstable();
+    due.into_iter().map(|(_, index)| index).collect()
+}
+
+#[test]
+fn a_second_source_is_refused() {
+    let peer = socket();
+    let proxy = Running::start(&settings(peer.local_addr().unwrap(), LinkSettings::default()));
+    let [first, second] = [socket(), socket()];
+    let mut buffer = [0; 16];
+    first.send_to(b"first", proxy.address).unwrap();
+    let (_, upstream) = peer.recv_from(&mut buffer).unwrap();
+    second.send_to(b"second", proxy.address).unwrap();
+    first.send_to(b"again", proxy.address).unwrap();
+    let length = peer.recv(&mut buffer).unwrap();
+    assert_eq!(&buffer[..length], b"again");
+    // Nor does anyone but the peer reach the client.
+    let upstream = SocketAddr::new(LOOPBACK.ip(), upstream.port());
+    second.send_to(b"forged", upstream).unwrap();
+    peer.send_to(b"answer", upstream).unwrap();
+    let length = first.recv(&mut buffer).unwrap();
+    assert_eq!(&buffer[..length], b"answer");
+    let (statistics, _) = proxy.stop();
+    assert_eq!(statistics.forward.refused, 1);
+    assert_eq!(statistics.forward.received, 2);
+    assert_eq!(statistics.backward.received, 1);
+}
+
+#[test]
+fn a_peer_that_is_not_up_is_waited_for() {
+    let address = socket().local_addr().unwrap();
+    let proxy = Running::start(&settings(address, LinkSettings::default()));
+    let client = socket();
+    for _ in 0..20 {
+        client.send_to(b"early", proxy.address).unwrap();
+        thread::sleep(Duration::from_millis(1));
+    }
+    let peer = UdpSocket::bind(address).unwrap();
+    peer.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut buffer = [0; 16];
+    for _ in 0..20 {
+        client.send_to(b"late", proxy.address).unwrap();
+        let length = peer.recv(&mut buffer).unwrap();
+        assert_eq!(&buffer[..length], b"late");
+    }
+    let (statistics, _) = proxy.stop();
+    assert!(statistics.peer_unreachable > 0);
+    assert_eq!(statistics.forward.received, 40);
+}
+
+#[test]
+fn the_largest_datagram_passes_and_a_larger_one_is_counted() {
+    let peer = socket();
+    let proxy = Running::start(&settings(peer.local_addr().unwrap(), LinkSettings::default()));
+    let client = socket();
+    client.send_to(&[1; MAX_DATAGRAM + 1], proxy.address).unwrap();
+    client.send_to(&[2; 9000], proxy.address).unwrap();
+    client.send_to(&[3; MAX_DATAGRAM], proxy.address).unwrap();
+    let mut buffer = [0; 2 * MAX_DATAGRAM];
+    let length = peer.recv(&mut buffer).unwrap();
+    assert_eq!(buffer[..length], [3; MAX_DATAGRAM]);
+    let (statistics, _) = proxy.stop();
+    assert_eq!(statistics.forward.oversize, 2);
+    assert_eq!(statistics.forward.received, 1);
+}
+
+#[test]
+fn an_idle_proxy_stops_soon() {
+    let peer = socket();
+    let proxy = Running::start(&settings(peer.local_addr().unwrap(), ROUGH));
+    thread::sleep(Duration::from_millis(5));
+    let asked = Instant::now();
+    proxy.stop();
+    assert!(asked.elapsed() < Duration::from_millis(500), "{:?}", asked.elapsed());
+}
+
+#[test]
+fn statistics_are_read_while_the_proxy_runs() {
+    let peer = socket();
+    let mut proxy = Proxy::bind(&settings(peer.local_addr().unwrap(), LinkSettings::default())).unwrap();
+    let (monitor, address) = (proxy.monitor(), proxy.listen_address());
+    let stop = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let running = scope.spawn(|| proxy.run(&stop).unwrap());
+        socket().send_to(b"one", address).unwrap();
+        let asked = Instant::now();
+        while monitor.snapshot().forward.released == 0 && asked.elapsed() < PATIENCE {
+            thread::yield_now();
+        }
+        let seen = monitor.snapshot();
+        stop.store(true, Ordering::Relaxed);
+        assert_eq!(seen.forward.released, 1);
+        assert_eq!(running.join().unwrap().forward, seen.forward);
+    });
+}
+
+#[test]
+fn a_proxy_that_cannot_work_says_why() {
+    let peer = socket();
+    let forward = peer.local_addr().unwrap();
+    let bad_link = LinkSettings { loss: 2.0, ..LinkSettings::default() };
+    let perfect = settings(forward, LinkSettings::default());
+    let message = |settings| Proxy::bind(&settings).unwrap_err().to_string();
+    assert_eq!(
+        message(ProxySettings { backward_link: bad_link, ..perfect }),
+        "link.backward: loss = 2: must be a finite number from 0 to 1"
+    );
+    assert_eq!(
+        message(ProxySettings { forward: LOOPBACK, ..perfect }),
+        "forward = 127.0.0.1:0: must name a port from 1 to 65535"
+    );
+    let taken = message(ProxySettings { listen: forward, ..perfect });
+    assert!(taken.starts_with(&format!("listen = {forward}: ")), "{taken}");
+    drop(peer);
+    let any = SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), forward.port());
+    for listen in [forward, any] {
+        let own = Proxy::bind(&ProxySettings { listen, ..perfect }).unwrap_err();
+        assert!(matches!(own, ProxyError::Loop { .. }), "{own}");
+    }
+}
+
+/// Run by hand: `cargo test --release -p haptether-netsim scheduling_error_at -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement of this machine, not an assertion"]
+fn scheduling_error_at_one_kilohertz() {
+    const COUNT: usize = 10_000;
+    let (peer, echoing) = echo(COUNT);
+    let link = LinkSettings { loss: 0.0, ..ROUGH };
+    let proxy = Running::start(&settings(peer, link));
+    let times = round_trips(proxy.address, COUNT, Duration::from_millis(1));
+    echoing.join().unwrap();
+    let (statistics, _) = proxy.stop();
+    println!("{:?}", statistics.scheduling_error);
+    println!("round trip {:?} to {:?}", times[0], times[COUNT - 1]);
+}

@@ -1,0 +1,33 @@
+//! Tests of the crate as a whole, through its public names.
+
+mod live;
+mod verdicts;
+
+use crate::{Direction, Link, LinkSettings, Packet, Verdict};
+
+/// A kilohertz stream over 50 ms +-10 ms with 1 % loss.
+const ROUGH: LinkSettings = LinkSettings { delay_s: 0.05, jitter_s: 0.01, loss: 0.01 };
+
+/// Verdicts of the virtual driver on packets sent at 1 kHz: the delay of each in ns, `None` if lost.
+fn virtual_delays(
+    direction: Direction,
+    seed: u64,
+    settings: &LinkSettings,
+    packets: u64,
+) -> Vec<Option<u64>> {
+    let mut link = Link::new(direction, seed, settings).unwrap();
+    (0..packets)
+        .map(|index| {
+            let sent_ns = index * 1_000_000;
+            let packet = Packet { direction, sent_ns, size: 64, index };
+            delay(&packet, link.judge(&packet))
+        })
+        .collect()
+}
+
+fn delay(packet: &Packet, verdict: Verdict) -> Option<u64> {
+    match verdict {
+        Verdict::Deliver { at_ns } => Some(at_ns - packet.sent_ns),
+        Verdict::Drop { .. } => None,
+    }
+}

@@ -1,0 +1,69 @@
+//! Hand safety controller, HSC.
+
+use crate::{
+    Observation, ParameterError,
+    observer::HandGraspObserver,
+    parameter::{in_range, non_negative},
+};
+
+/// HSC: unsafe while `S_h > zeta` and `|F_v| > F_t`.
+///
+/// Source: paper Eq. 14 with the criterion of Eq. 8.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandGraspController {
+    observer: HandGraspObserver,
+    grasp_threshold: f64,
+    force_threshold_n: f64,
+}
+
+impl HandGraspController {
+    /// Grasp threshold zeta (above 1; the paper uses 1.5), force threshold `F_t` in N (>= 0).
+    pub fn new(
+        observer: HandGraspObserver,
+        grasp_threshold: f64,
+        force_threshold_n: f64,
+    ) -> Result<Self, ParameterError> {
+        Ok(Self {
+            observer,
+            grasp_threshold: in_range(
+                "grasp_threshold",
+                "zeta",
+                grasp_threshold,
+                1.0 + f64::EPSILON,
+                f64::MAX,
+                "finite and above 1",
+            )?,
+            force_threshold_n: non_negative("force_threshold_n", "F_t", force_threshold_n)?,
+        })
+    }
+
+    /// `S_h` and whether it is unsafe.
+    pub fn judge<const N: usize>(&self, seen: &Observation<N>) -> (f64, bool) {
+        let observed = self.observer.observe(seen);
+        let pushing = seen.rendered_force.norm() > self.force_threshold_n;
+        (observed, pushing && observed > self.grasp_threshold)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Axes;
+
+    #[test]
+    fn both_conditions_must_hold() {
+        let observer = HandGraspObserver::new(1e-3).unwrap();
+        let controller = HandGraspController::new(observer, 1.5, 1.0).unwrap();
+        for (rendered, grasp, trips) in
+            [(3.0, -3.0, false), (3.0, -1.9, true), (3.0, -2.1, false), (0.9, 0.0, false), (1.1, 0.0, true)]
+        {
+            let seen = Observation {
+                velocity: Axes::<1>::zeros(),
+                rendered_force: Axes::<1>::new(rendered),
+                grasp_force: Axes::<1>::new(grasp),
+            };
+            assert_eq!(controller.judge(&seen).1, trips, "{rendered} {grasp}");
+        }
+        assert!(HandGraspController::new(observer, 1.0, 1.0).is_err());
+    }
+}

@@ -1,0 +1,36 @@
+//! Safety controllers: when an observer calls the hand unsafe, take the push away and damp.
+
+mod combined;
+mod hand_grasp;
+mod passivity;
+mod velocity_force;
+mod windowed;
+
+pub use combined::{Intervention, SafetyController, SafetySettings, Tripped};
+pub use hand_grasp::HandGraspController;
+pub use passivity::{PassivityAction, PassivityController};
+pub use velocity_force::VelocityForceController;
+pub use windowed::WindowedSafetyController;
+
+use crate::{Axes, DeviceModel, Observation, ParameterError, parameter::in_range};
+
+/// `F_c = -F_v - mu V`: cancels the rendered force and damps the motion, so that the device renders `-mu V`.
+///
+/// Source: paper Eq. 2, 13 and 14, which share it.
+pub(crate) fn cancel_and_damp<const N: usize>(seen: &Observation<N>, damping: f64) -> Axes<N> {
+    -seen.rendered_force - seen.velocity * damping
+}
+
+/// Passes a damping mu in N s/m that a sampled loop can apply without feeding the motion.
+///
+/// Held over a tick, `-mu V` turns V into `V (1 - mu dT / m)`: above `m / dT` it reverses the motion.
+pub(crate) fn dampable<const N: usize>(
+    name: &'static str,
+    symbol: &'static str,
+    damping: f64,
+    device: &DeviceModel<N>,
+    period_s: f64,
+) -> Result<f64, ParameterError> {
+    let most = device.lightest_kg() / period_s;
+    in_range(name, symbol, damping, 0.0, most, "between 0 and m / dT")
+}

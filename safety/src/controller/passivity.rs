@@ -1,0 +1,115 @@
+//! Passivity controller, PC.
+
+use crate::{Axes, DeviceModel, Observation, ParameterError, controller::dampable, observer::SafetyObserver};
+
+/// What the passivity controller does at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PassivityAction<const N: usize> {
+    /// `E_so` in J.
+    pub energy_j: f64,
+    /// `F_pc` in N, against the motion.
+    pub force: Axes<N>,
+}
+
+/// PC: dissipates what the safety observer finds missing.
+///
+/// `F_pc = E_so / (V dT)` for `E_so < 0`, else 0; for vectors `F_pc = E_so V / (|V|² dT)`.
+///
+/// The paper prints `-E_so / (V dT)`: there a force counts against the motion, here a positive force pushes
+/// along +x (`docs/architecture.md`, signs). The division by V is bounded: the force never exceeds `alpha V` with
+/// alpha the largest damping that the sampled device stands, so it goes to zero with V instead of to infinity.
+/// What the bound leaves unpaid stays in `E_so` and is asked for again at the next tick.
+///
+/// Source: paper Eq. 12; Hannaford and Ryu 2002, section IV.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PassivityController<const N: usize> {
+    observer: SafetyObserver<N>,
+    period_s: f64,
+    max_damping: f64,
+}
+
+impl<const N: usize> PassivityController<N> {
+    /// Bound alpha in N s/m, between 0 and m / dT.
+    pub fn new(
+        observer: SafetyObserver<N>,
+        device: &DeviceModel<N>,
+        period_s: f64,
+        max_damping: f64,
+    ) -> Result<Self, ParameterError> {
+        let max_damping = dampable("max_damping", "alpha", max_damping, device, period_s)?;
+        Ok(Self { observer, period_s, max_damping })
+    }
+
+    /// `E_so` and `F_pc` after this tick.
+    pub fn step(&mut self, seen: &Observation<N>) -> PassivityAction<N> {
+        let energy_j = self.observer.step(seen);
+        let squared_speed = seen.velocity.norm_squared();
+        if energy_j >= 0.0 || squared_speed == 0.0 {
+            return PassivityAction { energy_j, force: Axes::zeros() };
+        }
+        let damping = (-energy_j / (squared_speed * self.period_s)).min(self.max_damping);
+        PassivityAction { energy_j, force: seen.velocity * -damping }
+    }
+
+    /// Energy in J that `E_so` asked for and the force `delivered` (N, after every limit) will not have
+    /// dissipated by the end of this tick.
+    pub fn owed_energy_j(&self, energy_j: f64, delivered: &Axes<N>, velocity: &Axes<N>) -> f64 {
+        let paid = (-delivered.dot(velocity) * self.period_s).max(0.0);
+        (-energy_j - paid).max(0.0)
+    }
+
+    /// Forgets all energy.
+    pub fn reset(&mut self) {
+        self.observer.reset();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: f64 = 1e-3;
+
+    fn controller(max_damping: f64) -> PassivityController<1> {
+        let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+        let observer = SafetyObserver::new(device, PERIOD, 0.5).unwrap();
+        PassivityController::new(observer, &device, PERIOD, max_damping).unwrap()
+    }
+
+    fn ejected(v: f64) -> Observation<1> {
+        Observation { velocity: Axes::<1>::new(v), rendered_force: Axes::zeros(), grasp_force: Axes::zeros() }
+    }
+
+    #[test]
+    fn pays_exactly_what_is_missing_when_it_may() {
+        // E = -m V² / (2 eta) = -0.157 V²; alpha = 0.157 / dT is just the bound m / dT.
+        let mut controller = controller(157.0);
+        let action = controller.step(&ejected(0.5));
+        assert!((action.energy_j + 0.157 * 0.25).abs() < 1e-15);
+        assert!((action.force[0] - action.energy_j / (0.5 * PERIOD)).abs() < 1e-10);
+        assert!(controller.owed_energy_j(action.energy_j, &action.force, &Axes::<1>::new(0.5)) < 1e-15);
+    }
+
+    #[test]
+    fn the_division_by_v_is_bounded_and_the_rest_is_owed() {
+        let mut controller = controller(20.0);
+        for v in [1e-300, 1e-9, 1e-3, -0.4, 1.4] {
+            controller.reset();
+            let action = controller.step(&ejected(v));
+            assert!(action.force[0].abs() <= 20.0 * v.abs() * (1.0 + 1e-15), "{v}");
+            assert!(action.force[0] * v <= 0.0, "against the motion at {v}");
+            let owed = controller.owed_energy_j(action.energy_j, &action.force, &Axes::<1>::new(v));
+            let expected = -action.energy_j - 20.0 * v * v * PERIOD;
+            assert!((owed - expected).abs() <= 1e-15, "{v}: {owed} {expected}");
+        }
+        controller.reset();
+        assert_eq!(controller.step(&ejected(0.0)).force[0], 0.0);
+    }
+
+    #[test]
+    fn a_damping_that_would_reverse_the_motion_is_refused() {
+        let device = DeviceModel::<1>::uniform(0.157, 0.0, 0.0).unwrap();
+        let observer = SafetyObserver::new(device, PERIOD, 0.5).unwrap();
+        assert!(PassivityController::new(observer, &device, PERIOD, 158.0).is_err());
+    }
+}

@@ -1,0 +1,223 @@
+//! First-order adaptive windowing: long windows when the hand is slow, short ones when it turns.
+
+use super::straight_line::{Fit, Series, slope, widest_line};
+use super::{Estimator, MAX_WINDOW, Motion};
+use crate::Axes;
+use crate::parameter::{ParameterError, in_range, positive};
+
+/// V is the slope of the longest straight line that stays within the noise bound d of every sample it spans.
+///
+/// The window i = 1, 2, ... grows until for the slope `b_i` of that window some sample j = 1 ... i fails
+/// |x\[n\] - x\[n-j\] - j dT `b_i`| <= d, or until it has its greatest length. All samples up to j together allow
+/// the slopes of one interval, the intersection of \[(x\[n\] - x\[n-j\] ± d) / (j dT)\], so each i costs one
+/// comparison and a tick costs O(window), not its square.
+///
+/// A is the slope of V found in the same way. There a sample is as uncertain as its own window leaves it: two
+/// positions, each wrong by d, give 2 d / (i dT); of the two samples compared the larger bound counts.
+/// Windows are chosen per axis, so no axis disturbs another.
+///
+/// **Alignment.** V is the slope over given windows of x, and A of V, so the force takes the same windows: it moves
+/// a unit mass, whose V and A are computed with the windows the device had at each tick. Adding a line to the
+/// path of that mass adds a constant to V and nothing to A; hence after each tick the line on which the mass
+/// would coast is subtracted from the remembered path. Under the force f of the newest tick this makes the value
+/// at lag l, with dT = 1, path\[l\] = path\[l-1\] + f (l - 1/2) and V\[l\] = V\[l-1\] - f: a window of forces and no
+/// running integral, thus nothing that could drift.
+///
+/// Source: Janabi-Sharifi, Hayward & Chen 2000, "Discrete-time adaptive windowing for velocity estimation", IEEE
+/// Trans. Control Systems Technology 8(6), section III (end-fit and best-fit FOAW); A and alignment derived above.
+#[derive(Clone, Debug)]
+pub struct AdaptiveWindow<const N: usize> {
+    period_s: f64,
+    rule: Rule,
+    axes: [Axis; N],
+    started: bool,
+}
+
+impl<const N: usize> AdaptiveWindow<N> {
+    /// An estimator for positions sampled every `period_s` with windows of up to `max_window` ticks (at most
+    /// [`MAX_WINDOW`]) and the noise bound d = `noise_bound_m`.
+    ///
+    /// For an encoder of quantum q, d = q lets every straight motion have the full window: the line joins two
+    /// rounded positions and passes a third, each wrong by q/2 at most. The paper's d = q/2 turns faster.
+    pub fn new(
+        period_s: f64,
+        noise_bound_m: f64,
+        max_window: usize,
+        fit: Fit,
+    ) -> Result<Self, ParameterError> {
+        positive("period_s", "dT", period_s)?;
+        positive("noise_bound_m", "d", noise_bound_m)?;
+        let longest = MAX_WINDOW as f64;
+        in_range("max_window", "n", max_window as f64, 1.0, longest, "1 to 128")?;
+        Ok(Self {
+            period_s,
+            rule: Rule { fit, bound: noise_bound_m, max_window },
+            axes: [Axis::at_rest(0.0, noise_bound_m, max_window); N],
+            started: false,
+        })
+    }
+}
+
+impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
+    fn step(&mut self, position: &Axes<N>) -> Motion<N> {
+        if !self.started {
+            self.reset(position);
+        }
+        for (axis, x) in self.axes.iter_mut().zip(position) {
+            axis.step(*x, &self.rule);
+        }
+        Motion {
+            velocity: Axes::from_fn(|i, _| self.axes[i].velocities[0] / self.period_s),
+            acceleration: Axes::from_fn(|i, _| self.axes[i].acceleration / (self.period_s * self.period_s)),
+        }
+    }
+
+    fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
+        Axes::from_fn(|i, _| self.axes[i].align(device_force[i], &self.rule))
+    }
+
+    fn reset(&mut self, position: &Axes<N>) {
+        let Rule { bound, max_window, .. } = self.rule;
+        self.axes = position.data.0[0].map(|x| Axis::at_rest(x, bound, max_window));
+        self.started = true;
+    }
+}
+
+/// How a window is chosen.
+#[derive(Clone, Copy, Debug)]
+struct Rule {
+    fit: Fit,
+    bound: f64,
+    max_window: usize,
+}
+
+/// One axis, in ticks: a velocity is in m per tick.
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    positions: Series,
+    velocities: Series,
+    /// By how much each velocity may be wrong.
+    velocity_bounds: Series,
+    acceleration: f64,
+    velocity_window: usize,
+    acceleration_window: usize,
+    /// Path and velocities of a unit mass under the force, seen from where it would coast now.
+    force_path: Series,
+    force_velocities: Series,
+}
+
+impl Axis {
+    fn at_rest(position: f64, bound: f64, max_window: usize) -> Self {
+        Self {
+            positions: [position; MAX_WINDOW + 1],
+            velocities: [0.0; MAX_WINDOW + 1],
+            velocity_bounds: [2.0 * bound / max_window as f64; MAX_WINDOW + 1],
+            acceleration: 0.0,
+            velocity_window: max_window,
+            acceleration_window: max_window,
+            force_path: [0.0; MAX_WINDOW + 1],
+            force_velocities: [0.0; MAX_WINDOW + 1],
+        }
+    }
+
+    fn step(&mut self, position: f64, rule: &Rule) {
+        let Rule { fit, bound, max_window } = *rule;
+        push(&mut self.positions, position, max_window);
+        let positions = &self.positions[..=max_window];
+        let (window, velocity) = widest_line(fit, positions, |_| bound);
+        self.velocity_window = window;
+        push(&mut self.velocities, velocity, max_window);
+        push(&mut self.velocity_bounds, 2.0 * bound / window as f64, max_window);
+        let bounds = &self.velocity_bounds;
+        let velocities = &self.velocities[..=max_window];
+        (self.acceleration_window, self.acceleration) =
+            widest_line(fit, velocities, |lag| bounds[0].max(bounds[lag]));
+    }
+
+    fn align(&mut self, force: f64, rule: &Rule) -> f64 {
+        let Rule { fit, max_window, .. } = *rule;
+        push(&mut self.force_path, 0.0, max_window);
+        for lag in 1..=max_window {
+            self.force_path[lag] += force * (lag as f64 - 0.5);
+        }
+        let velocity = slope(fit, &self.force_path, self.velocity_window);
+        for earlier in &mut self.force_velocities[..max_window] {
+            *earlier -= force;
+        }
+        push(&mut self.force_velocities, velocity, max_window);
+        slope(fit, &self.force_velocities, self.acceleration_window)
+    }
+}
+
+/// Puts `value` in front and lets the value at lag `max_window` fall out.
+fn push(series: &mut Series, value: f64, max_window: usize) {
+    series.copy_within(..max_window, 1);
+    series[0] = value;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD_S: f64 = 1e-3;
+    const BOUND_M: f64 = 2.3e-5;
+
+    fn estimator(fit: Fit) -> AdaptiveWindow<1> {
+        AdaptiveWindow::new(PERIOD_S, BOUND_M, 32, fit).unwrap()
+    }
+
+    fn window(estimator: &AdaptiveWindow<1>) -> usize {
+        estimator.axes[0].velocity_window
+    }
+
+    #[test]
+    fn a_ramp_is_exact_as_soon_as_the_window_lies_on_it() {
+        for fit in [Fit::End, Fit::Best] {
+            let mut estimator = estimator(fit);
+            for n in 0..200 {
+                let motion = estimator.step(&Axes::from([0.1 + 0.2 * n as f64 * PERIOD_S]));
+                // 0.2 mm per tick breaks every line that reaches back before the start.
+                assert!(n == 0 || window(&estimator) <= n);
+                // Positions below 0.2 m round to 3e-17 m; the shortest window divides by dT.
+                assert!(n == 0 || (motion.velocity[0] - 0.2).abs() < 4.0 * 3e-17 / PERIOD_S);
+                if n > 66 {
+                    assert!(motion.acceleration[0].abs() < 1e-10);
+                }
+            }
+            assert_eq!(window(&estimator), 32);
+        }
+    }
+
+    #[test]
+    fn noise_below_the_bound_leaves_the_window_full_and_noise_above_does_not() {
+        // Alternating noise is the worst case: neighbours differ by its full range.
+        for (amplitude_m, full) in [(0.49 * BOUND_M, true), (0.51 * BOUND_M, false)] {
+            let mut estimator = estimator(Fit::End);
+            let mut windows = Vec::new();
+            for n in 0..200 {
+                let noise = if n % 2 == 0 { amplitude_m } else { -amplitude_m };
+                estimator.step(&Axes::from([0.05 * f64::from(n) * PERIOD_S + noise]));
+                windows.push(window(&estimator));
+            }
+            assert_eq!(windows[100..].iter().all(|window| *window == 32), full);
+        }
+    }
+
+    #[test]
+    fn a_turn_shortens_the_window_at_once() {
+        let mut estimator = estimator(Fit::End);
+        let mut position = 0.0;
+        for n in 0..100 {
+            position += if n < 99 { 2e-4 } else { -2e-4 };
+            estimator.step(&Axes::from([position]));
+        }
+        assert_eq!(window(&estimator), 1);
+    }
+
+    #[test]
+    fn parameters_that_leave_no_window_are_refused() {
+        assert!(AdaptiveWindow::<1>::new(PERIOD_S, 0.0, 32, Fit::End).is_err());
+        assert!(AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, 0, Fit::End).is_err());
+        assert!(AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, 129, Fit::End).is_err());
+    }
+}

@@ -1,0 +1,96 @@
+//! Backward difference behind a first-order low-pass: what most haptic loops use.
+
+use std::f64::consts::TAU;
+
+use super::{BackwardDifference, Estimator, Motion};
+use crate::Axes;
+use crate::parameter::{ParameterError, in_range, positive};
+
+/// A first-order low-pass of cut-off `f_c` on the backward difference D\[n\] = (x\[n\] - x\[n-1\]) / dT:
+///
+/// V\[n\] = V\[n-1\] + beta (D\[n\] - V\[n-1\]), beta = 1 - exp(-2 pi `f_c` dT), A\[n\] = (V\[n\] - V\[n-1\]) / dT.
+///
+/// This beta puts the discrete pole where the continuous one, s = -2 pi `f_c`, goes over one period, so the step
+/// response is that of the continuous filter at the samples. A is not filtered again: it already is the same
+/// low-pass on the second difference, and V and A stay consistent (A sums up to V). Its kernel on the true
+/// acceleration is therefore the two-tick mean of [`BackwardDifference`] followed by the low-pass, and `align`
+/// runs just that. A is (1/beta) dT late.
+///
+/// Source: pole matching, Franklin, Powell & Workman 1998, "Digital Control of Dynamic Systems", section 6.2.
+#[derive(Clone, Debug)]
+pub struct LowPass<const N: usize> {
+    period_s: f64,
+    /// beta.
+    share: f64,
+    difference: BackwardDifference<N>,
+    velocity: Axes<N>,
+    aligned_force: Axes<N>,
+}
+
+impl<const N: usize> LowPass<N> {
+    /// An estimator for positions sampled every `period_s`, with a cut-off of at most half the sample rate.
+    pub fn new(period_s: f64, cutoff_hz: f64) -> Result<Self, ParameterError> {
+        let difference = BackwardDifference::new(period_s)?;
+        positive("cutoff_hz", "f_c", cutoff_hz)?;
+        let nyquist_hz = 0.5 / period_s;
+        let allowed = "at most half the sample rate";
+        in_range("cutoff_hz", "f_c", cutoff_hz, 0.0, nyquist_hz, allowed)?;
+        Ok(Self {
+            period_s,
+            // exp_m1 keeps the digits of a cut-off far below the sample rate.
+            share: -(-TAU * cutoff_hz * period_s).exp_m1(),
+            difference,
+            velocity: Axes::zeros(),
+            aligned_force: Axes::zeros(),
+        })
+    }
+}
+
+impl<const N: usize> Estimator<N> for LowPass<N> {
+    fn step(&mut self, position: &Axes<N>) -> Motion<N> {
+        let difference = self.difference.step(position).velocity;
+        let change = (difference - self.velocity) * self.share;
+        self.velocity += change;
+        Motion { velocity: self.velocity, acceleration: change / self.period_s }
+    }
+
+    fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
+        let mean = self.difference.align(device_force);
+        self.aligned_force += (mean - self.aligned_force) * self.share;
+        self.aligned_force
+    }
+
+    fn reset(&mut self, position: &Axes<N>) {
+        self.difference.reset(position);
+        self.velocity = Axes::zeros();
+        self.aligned_force = Axes::zeros();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_step_response_is_that_of_the_continuous_filter() {
+        let (period_s, cutoff_hz, speed) = (1e-3, 20.0, 0.25);
+        let mut estimator = LowPass::<1>::new(period_s, cutoff_hz).unwrap();
+        estimator.step(&Axes::from([0.0]));
+        for n in 1..=200 {
+            let time_s = f64::from(n) * period_s;
+            let motion = estimator.step(&Axes::from([speed * time_s]));
+            let expected = speed * (1.0 - (-TAU * cutoff_hz * time_s).exp());
+            // A position of at most 0.05 m rounds to 1e-17 m, which is 1e-14 m/s after the difference.
+            assert!((motion.velocity[0] - expected).abs() < 1e-13, "tick {n}");
+        }
+    }
+
+    #[test]
+    fn the_cutoff_is_between_zero_and_half_the_sample_rate() {
+        assert!(LowPass::<1>::new(1e-3, 500.0).is_ok());
+        for cutoff_hz in [0.0, -1.0, 501.0, f64::NAN, f64::INFINITY] {
+            let refused = LowPass::<1>::new(1e-3, cutoff_hz).unwrap_err();
+            assert_eq!(refused.name, "cutoff_hz");
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! For devices that measure velocity: only the acceleration is left to estimate.
+
+use super::Motion;
+use crate::Axes;
+use crate::parameter::{ParameterError, positive};
+
+/// V\[n\] as measured, A\[n\] = (V\[n\] - V\[n-1\]) / dT.
+///
+/// A is exactly the mean acceleration over the last tick, so it belongs to the force commanded at n-1 and that
+/// force needs no alignment. This is not an [`Estimator`](super::Estimator): it takes velocities, not positions.
+#[derive(Clone, Debug)]
+pub struct MeasuredVelocity<const N: usize> {
+    period_s: f64,
+    previous_velocity: Option<Axes<N>>,
+}
+
+impl<const N: usize> MeasuredVelocity<N> {
+    /// An estimator for velocities sampled every `period_s`.
+    pub fn new(period_s: f64) -> Result<Self, ParameterError> {
+        Ok(Self { period_s: positive("period_s", "dT", period_s)?, previous_velocity: None })
+    }
+
+    /// Takes the measured velocity V\[n\] in m/s and adds A\[n\]; the first velocity is taken to have been constant.
+    pub fn step(&mut self, velocity: &Axes<N>) -> Motion<N> {
+        let previous_velocity = self.previous_velocity.replace(*velocity).unwrap_or(*velocity);
+        Motion { velocity: *velocity, acceleration: (velocity - previous_velocity) / self.period_s }
+    }
+
+    /// Gives `F_device`\[n-1\] back unchanged: A is the mean over the very tick in which that force was held.
+    pub fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
+        *device_force
+    }
+
+    /// Forgets the past: the next velocity is again taken to have been constant.
+    pub fn reset(&mut self) {
+        self.previous_velocity = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn acceleration_is_that_of_the_last_tick_and_needs_no_alignment() {
+        let period_s = 1.0 / 1024.0;
+        let mut estimator = MeasuredVelocity::<1>::new(period_s).unwrap();
+        let mut velocity = Axes::from([3.0]);
+        assert_eq!(estimator.step(&velocity).acceleration, Axes::<1>::zeros());
+        for acceleration in [2.0, -7.5, 0.0, 16.0] {
+            velocity[0] += acceleration * period_s;
+            let motion = estimator.step(&velocity);
+            assert_eq!(motion.velocity, velocity);
+            assert_eq!(Axes::from([acceleration]), motion.acceleration);
+            assert_eq!(estimator.align(&Axes::from([acceleration])), motion.acceleration);
+        }
+    }
+
+    #[test]
+    fn reset_forgets_the_velocity() {
+        let mut estimator = MeasuredVelocity::<1>::new(1e-3).unwrap();
+        estimator.step(&Axes::from([3.0]));
+        estimator.reset();
+        assert_eq!(estimator.step(&Axes::from([5.0])).acceleration, Axes::<1>::zeros());
+    }
+}

@@ -1,0 +1,107 @@
+//! The hand grasp force model.
+
+use crate::{
+    Axes, ParameterError,
+    estimator::Motion,
+    parameter::{finite, non_negative, positive},
+};
+
+/// Dynamics of the haptic device as a point mass, per axis.
+///
+/// `m A + b V + c sign(V) = F_device + F_h`
+///
+/// For several axes `sign(V)` is the direction of motion `V / |V|`, so that a rotation of the frame rotates the
+/// friction with it.
+///
+/// Source: paper Eq. 3.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeviceModel<const N: usize> {
+    mass: Axes<N>,
+    viscous: Axes<N>,
+    coulomb: Axes<N>,
+}
+
+impl<const N: usize> DeviceModel<N> {
+    /// A device of mass m in kg (> 0), viscous friction b in N s/m (any sign) and Coulomb friction c in N (>= 0).
+    pub fn new(mass_kg: Axes<N>, viscous: Axes<N>, coulomb: Axes<N>) -> Result<Self, ParameterError> {
+        for axis in 0..N {
+            positive("mass_kg", "m", mass_kg[axis])?;
+            // The paper's own device has b = -0.005: its amplifiers over-compensate.
+            finite("viscous", "b", viscous[axis])?;
+            non_negative("coulomb", "c", coulomb[axis])?;
+        }
+        Ok(Self { mass: mass_kg, viscous, coulomb })
+    }
+
+    /// The same mass and friction on each axis.
+    pub fn uniform(mass_kg: f64, viscous: f64, coulomb: f64) -> Result<Self, ParameterError> {
+        Self::new(Axes::repeat(mass_kg), Axes::repeat(viscous), Axes::repeat(coulomb))
+    }
+
+    /// The paper's PHANTOM Desktop: m = 0.157 kg, b = -0.005 N s/m, c = 0.038 N (section 4.1).
+    pub fn phantom_desktop() -> Self {
+        Self { mass: Axes::repeat(0.157), viscous: Axes::repeat(-0.005), coulomb: Axes::repeat(0.038) }
+    }
+
+    /// m in kg.
+    pub fn mass_kg(&self) -> &Axes<N> {
+        &self.mass
+    }
+
+    /// The least of the masses: it bounds the damping that a sampled controller may apply.
+    pub fn lightest_kg(&self) -> f64 {
+        self.mass.min()
+    }
+
+    /// `F_h = m A + b V + c sign(V) - F_device`, in N.
+    ///
+    /// `aligned_device_force` is all the force that the device was told to exert (rendered plus safety), passed
+    /// through [`Estimator::align`](crate::estimator::Estimator::align), because A belongs to the past ticks that
+    /// the estimator averaged. The paper writes `F_v` for it, which is the same as long as no controller acts.
+    ///
+    /// Source: paper Eq. 4.
+    pub fn grasp_force(&self, motion: &Motion<N>, aligned_device_force: &Axes<N>) -> Axes<N> {
+        let speed = motion.velocity.norm();
+        let direction = if speed > 0.0 { motion.velocity / speed } else { Axes::zeros() };
+        self.mass.component_mul(&motion.acceleration)
+            + self.viscous.component_mul(&motion.velocity)
+            + self.coulomb.component_mul(&direction)
+            - aligned_device_force
+    }
+
+    /// Kinetic energy `V' M V / 2` in J.
+    pub fn kinetic_energy_j(&self, velocity: &Axes<N>) -> f64 {
+        0.5 * self.mass.component_mul(velocity).dot(velocity)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn balances_eq_3() {
+        let model =
+            DeviceModel::<1>::new(Axes::<1>::new(0.2), Axes::<1>::new(0.5), Axes::<1>::new(0.1)).unwrap();
+        let motion = Motion { velocity: Axes::<1>::new(-2.0), acceleration: Axes::<1>::new(3.0) };
+        let force = model.grasp_force(&motion, &Axes::<1>::new(1.5));
+        // 0.2*3 + 0.5*(-2) - 0.1 - 1.5
+        assert!((force[0] - (-2.0)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn at_rest_there_is_no_dynamic_friction() {
+        let model = DeviceModel::<3>::phantom_desktop();
+        let motion = Motion { velocity: Axes::zeros(), acceleration: Axes::zeros() };
+        let device_force = Axes::<3>::new(1.0, -2.0, 0.5);
+        assert_eq!(model.grasp_force(&motion, &device_force), -device_force);
+    }
+
+    #[test]
+    fn refuses_what_is_no_device() {
+        for (m, b, c) in [(0.0, 0.0, 0.0), (f64::NAN, 0.0, 0.0), (0.1, f64::INFINITY, 0.0), (0.1, 0.0, -1e-9)]
+        {
+            assert!(DeviceModel::<2>::uniform(m, b, c).is_err(), "{m} {b} {c}");
+        }
+    }
+}

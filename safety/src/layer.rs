@@ -1,0 +1,253 @@
+//! The whole chain of one master tick: from a device sample to the force it is told to exert.
+
+use crate::{
+    Axes, DeviceModel, Fault, Observation, ParameterError,
+    controller::{Intervention, SafetyController, SafetySettings},
+    estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
+    fault::Signal,
+    limiter::{Acted, Limiter, LimiterSettings},
+};
+
+/// How a safety layer is built.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LayerSettings<const N: usize> {
+    /// Dynamics of the device, for the grasp force and the kinetic energy.
+    pub device: DeviceModel<N>,
+    /// dT in s.
+    pub period_s: f64,
+    /// How V and A are had from positions, for a device that does not measure its velocity.
+    pub estimator: EstimatorKind,
+    /// Observers and controllers.
+    pub safety: SafetySettings,
+    /// Bounds on the device force.
+    pub limiter: LimiterSettings,
+}
+
+/// What the safety layer saw and decided at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SafetyTick<const N: usize> {
+    /// V and A.
+    pub motion: Motion<N>,
+    /// `F_h` in N; zero when no controller reads it.
+    pub grasp_force: Axes<N>,
+    /// `F_device` in N: what the device is to exert until the next tick.
+    pub device_force: Axes<N>,
+    /// `F_c` and the observers' values.
+    pub intervention: Intervention<N>,
+    /// Which bounds acted.
+    pub acted: Acted,
+    /// Energy in J that PC asked for and the bounds kept it from dissipating.
+    pub owed_energy_j: f64,
+    /// Why the force is zero, if it is so because of a bad number. Stays until [`SafetyLayer::reset`].
+    pub fault: Option<Fault>,
+}
+
+/// Estimator, grasp force, observers, controllers and limiter in one step.
+///
+/// Source: `DESIGN.md`, "One master tick", steps 2 and 5 to 7.
+#[derive(Clone, Debug)]
+pub struct SafetyLayer<const N: usize> {
+    device: DeviceModel<N>,
+    estimator: AnyEstimator<N>,
+    measured: MeasuredVelocity<N>,
+    controller: SafetyController<N>,
+    limiter: Limiter<N>,
+    device_force: Axes<N>,
+    fault: Option<Fault>,
+}
+
+impl<const N: usize> SafetyLayer<N> {
+    /// A layer for a device at rest, without force.
+    pub fn new(settings: &LayerSettings<N>) -> Result<Self, ParameterError> {
+        let LayerSettings { device, period_s, estimator, safety, limiter } = settings;
+        Ok(Self {
+            device: *device,
+            estimator: estimator.build(*period_s)?,
+            measured: MeasuredVelocity::new(*period_s)?,
+            controller: SafetyController::new(device, *period_s, safety)?,
+            limiter: Limiter::new(*period_s, *limiter)?,
+            device_force: Axes::zeros(),
+            fault: None,
+        })
+    }
+
+    /// One tick: position x in m, velocity V in m/s if the device measures it, `F_v` in N.
+    ///
+    /// A number that is not finite or absurd gives zero force at this tick and a fault that stays until
+    /// [`reset`](Self::reset).
+    pub fn tick(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        rendered_force: &Axes<N>,
+    ) -> SafetyTick<N> {
+        let door = match self.fault {
+            Some(fault) => Err(fault),
+            None => Signal::Position
+                .check(position)
+                .and_then(|()| velocity.map_or(Ok(()), |v| Signal::Velocity.check(v)))
+                .and_then(|()| Signal::RenderedForce.check(rendered_force)),
+        };
+        door.and_then(|()| self.act(position, velocity, rendered_force))
+            .unwrap_or_else(|fault| self.stop(fault))
+    }
+
+    fn act(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        rendered_force: &Axes<N>,
+    ) -> Result<SafetyTick<N>, Fault> {
+        let motion = match velocity {
+            Some(velocity) => self.measured.step(velocity),
+            None => self.estimator.step(position),
+        };
+        let grasp_force = if self.controller.needs_grasp_force() {
+            let aligned = match velocity {
+                Some(_) => self.measured.align(&self.device_force),
+                None => self.estimator.align(&self.device_force),
+            };
+            self.device.grasp_force(&motion, &aligned)
+        } else {
+            Axes::zeros()
+        };
+        let seen = Observation { velocity: motion.velocity, rendered_force: *rendered_force, grasp_force };
+        let intervention = self.controller.step(&seen)?;
+        let asked = rendered_force + intervention.safety_force;
+        let limited = self.limiter.step(&asked, &motion.velocity);
+        let delivered = limited.force - rendered_force;
+        let owed_energy_j = self.controller.owed_energy_j(&intervention, &delivered, &motion.velocity);
+        self.device_force = limited.force;
+        Ok(SafetyTick {
+            motion,
+            grasp_force,
+            device_force: limited.force,
+            intervention,
+            acted: limited.acted,
+            owed_energy_j,
+            fault: None,
+        })
+    }
+
+    fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
+        self.fault = Some(fault);
+        self.device_force = Axes::zeros();
+        self.limiter.reset();
+        SafetyTick {
+            motion: Motion { velocity: Axes::zeros(), acceleration: Axes::zeros() },
+            grasp_force: Axes::zeros(),
+            device_force: Axes::zeros(),
+            intervention: Intervention::none(),
+            acted: Acted::default(),
+            owed_energy_j: 0.0,
+            fault: Some(fault),
+        }
+    }
+
+    /// Clears a fault and the past: the device rests at `position`, and its force rises from zero again.
+    pub fn reset(&mut self, position: &Axes<N>) -> Result<(), Fault> {
+        Signal::Position.check(position)?;
+        self.estimator.reset(position);
+        self.measured.reset();
+        self.controller.reset();
+        self.limiter.reset();
+        (self.device_force, self.fault) = (Axes::zeros(), None);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: f64 = 1e-3;
+    const MASS: f64 = 0.157;
+
+    fn settings(safety: SafetySettings) -> LayerSettings<1> {
+        LayerSettings {
+            device: DeviceModel::uniform(MASS, 0.0, 0.0).unwrap(),
+            period_s: PERIOD,
+            estimator: EstimatorKind::default(),
+            safety,
+            limiter: LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() },
+        }
+    }
+
+    /// A free mass under the layer's force, with an encoder; `F_v` = 5 N from the start, nobody holds.
+    fn ejected_trips(force_seen_by_eq_4: impl Fn(&SafetyTick<1>, f64) -> f64) -> Vec<bool> {
+        let safety = SafetySettings { hsc: true, ..SafetySettings::default() };
+        let settings = settings(safety);
+        let mut controller = SafetyController::<1>::new(&settings.device, PERIOD, &safety).unwrap();
+        let mut estimator = settings.estimator.build::<1>(PERIOD).unwrap();
+        let mut layer = SafetyLayer::new(&settings).unwrap();
+        let (mut x, mut v) = (0.0_f64, 0.0);
+        let (mut force, rendered) = (0.0, Axes::<1>::new(5.0));
+        let mut last: Option<SafetyTick<1>> = None;
+        let mut trips = Vec::new();
+        for _ in 0..200 {
+            let encoded = Axes::<1>::new((x / 2.3e-5).round() * 2.3e-5);
+            // The same chain, with another idea of which force Eq. 4 subtracts.
+            let motion = estimator.step(&encoded);
+            let told = last.as_ref().map_or(0.0, |tick| force_seen_by_eq_4(tick, force));
+            let aligned = estimator.align(&Axes::<1>::new(told));
+            let grasp_force = settings.device.grasp_force(&motion, &aligned);
+            let seen = Observation { velocity: motion.velocity, rendered_force: rendered, grasp_force };
+            let step = controller.step(&seen).unwrap();
+            trips.push(step.tripped.any());
+            force = 5.0 + step.safety_force[0];
+            last = Some(layer.tick(&encoded, None, &rendered));
+            x += v * PERIOD + force / MASS * PERIOD * PERIOD / 2.0;
+            v += force / MASS * PERIOD;
+        }
+        trips
+    }
+
+    #[test]
+    fn with_f_v_alone_hsc_switches_itself_off() {
+        let all_told = ejected_trips(|_, told| told);
+        let rendered_only = ejected_trips(|_, _| 5.0);
+        let on = |trips: &[bool]| trips[50..].iter().filter(|&&on| on).count();
+        assert_eq!(on(&all_told), 150, "once nobody holds, HSC stays on");
+        // Its own damping cancels F_v; with F_v alone, that looks like a hand that pushes back with 5 N.
+        assert!(on(&rendered_only) < 100, "{}", on(&rendered_only));
+    }
+
+    #[test]
+    fn bad_numbers_stop_at_the_door_in_the_same_tick_and_stay_stopped() {
+        let good = Axes::<1>::new(0.0);
+        for (x, v, f, name) in [
+            (f64::NAN, 0.0, 0.0, "position is not a finite number"),
+            (2e3, 0.0, 0.0, "position exceeds 1000 m"),
+            (0.0, f64::INFINITY, 0.0, "velocity is not a finite number"),
+            (0.0, 0.0, f64::NAN, "rendered force is not a finite number"),
+            (0.0, 0.0, -2e4, "rendered force exceeds 10000 N"),
+        ] {
+            let mut layer = SafetyLayer::new(&settings(SafetySettings::default())).unwrap();
+            let push = Axes::<1>::new(1.0);
+            for _ in 0..5 {
+                layer.tick(&good, Some(&good), &push);
+            }
+            assert!(layer.tick(&good, Some(&good), &push).device_force[0] > 0.9);
+            let (x, v, f) = (Axes::<1>::new(x), Axes::<1>::new(v), Axes::<1>::new(f));
+            for _ in 0..3 {
+                let tick = layer.tick(&x, Some(&v), &f);
+                assert_eq!(tick.device_force[0], 0.0);
+                assert_eq!(tick.fault.unwrap().to_string(), name);
+            }
+            assert!(layer.tick(&good, Some(&good), &push).fault.is_some(), "latched");
+            layer.reset(&good).unwrap();
+            assert!(layer.tick(&good, Some(&good), &push).fault.is_none());
+        }
+    }
+
+    #[test]
+    fn without_a_controller_the_rendered_force_passes() {
+        let mut layer = SafetyLayer::new(&settings(SafetySettings::default())).unwrap();
+        let still = Axes::<1>::zeros();
+        for n in 0..10 {
+            let tick = layer.tick(&still, Some(&still), &Axes::<1>::new(0.3 * f64::from(n)));
+            assert!((tick.device_force[0] - 0.3 * f64::from(n)).abs() < 1e-12);
+            assert!(!tick.intervention.tripped.any());
+        }
+    }
+}

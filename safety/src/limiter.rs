@@ -1,0 +1,213 @@
+//! The last bounds before the device: norm, slew, power, ramp-in.
+
+use crate::{
+    Axes, ParameterError,
+    parameter::{in_range, positive},
+};
+
+/// Bounds on the force that a device is told to exert.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LimiterSettings {
+    /// Largest `|F|` in N.
+    pub max_force_n: f64,
+    /// Largest growth of the force in N/s. Unloading is free: a force may drop towards zero at once.
+    pub max_slew_n_per_s: f64,
+    /// Largest power in W that the device may put into the hand, F·V.
+    pub max_power_w: f64,
+    /// Time in s over which the force rises from zero after a reset.
+    pub ramp_in_s: f64,
+}
+
+impl Default for LimiterSettings {
+    /// A PHANTOM Desktop's 7.9 N; a force that rises from zero to it in 8 ms; 20 W, above what an unprotected
+    /// ejection of the paper reaches (7.8 N at 1.4 m/s is 11 W), so that the bound acts on faults only; 200 ms.
+    fn default() -> Self {
+        Self { max_force_n: 7.9, max_slew_n_per_s: 1000.0, max_power_w: 20.0, ramp_in_s: 0.2 }
+    }
+}
+
+/// Which bounds acted at a tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Acted(u8);
+
+impl Acted {
+    /// The norm was clipped.
+    pub const NORM: Self = Self(1);
+    /// The growth was limited.
+    pub const SLEW: Self = Self(2);
+    /// The power was limited.
+    pub const POWER: Self = Self(4);
+    /// The force is still rising from zero.
+    pub const RAMP: Self = Self(8);
+
+    /// Whether all of `other` is set.
+    pub fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// The bits, for records: norm 1, slew 2, power 4, ramp 8.
+    pub fn bits(self) -> u8 {
+        self.0
+    }
+}
+
+/// A limited force and what limited it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limited<const N: usize> {
+    /// The force in N.
+    pub force: Axes<N>,
+    /// The bounds that acted.
+    pub acted: Acted,
+}
+
+/// Keeps the device force inside its bounds, as a vector: no axis is clipped on its own, which would turn it.
+///
+/// In this order: ramp-in scales; the norm is clipped to `max_force_n`; the step from the last force is limited
+/// (to `max_slew dT` beyond the part that only unloads); the component along V is reduced so that
+/// `F·V <= max_power`. Norm and power therefore hold at every tick. The growth is exceeded only by what the power
+/// bound takes away.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limiter<const N: usize> {
+    settings: LimiterSettings,
+    step_n: f64,
+    ramp_ticks: u64,
+    ticks: u64,
+    last: Axes<N>,
+}
+
+impl<const N: usize> Limiter<N> {
+    /// Bounds for a loop of period `period_s`.
+    pub fn new(period_s: f64, settings: LimiterSettings) -> Result<Self, ParameterError> {
+        let period_s = positive("period_s", "dT", period_s)?;
+        positive("max_force_n", "F_max", settings.max_force_n)?;
+        let slew = positive("max_slew_n_per_s", "dF/dt", settings.max_slew_n_per_s)?;
+        positive("max_power_w", "P_max", settings.max_power_w)?;
+        let ramp = in_range("ramp_in_s", "-", settings.ramp_in_s, 0.0, 60.0, "between 0 and 60 s")?;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to 60 s of ticks fit
+        let ramp_ticks = (ramp / period_s).round() as u64;
+        Ok(Self { settings, step_n: slew * period_s, ramp_ticks, ticks: 0, last: Axes::zeros() })
+    }
+
+    /// Limits the force asked for at this tick, with V in m/s.
+    pub fn step(&mut self, asked: &Axes<N>, velocity: &Axes<N>) -> Limited<N> {
+        let mut acted = 0;
+        let mut force = *asked;
+        if self.ticks < self.ramp_ticks {
+            force *= self.ticks as f64 / self.ramp_ticks as f64;
+            self.ticks += 1;
+            acted |= Acted::RAMP.0;
+        }
+        let norm = force.norm();
+        if norm > self.settings.max_force_n {
+            force *= self.settings.max_force_n / norm;
+            acted |= Acted::NORM.0;
+        }
+        // The nearest point on the way from the last force to zero: getting there only unloads.
+        let unloaded = self.last * nearest_share(&self.last, &force);
+        let growth = force - unloaded;
+        if growth.norm() > self.step_n {
+            force = unloaded + growth * (self.step_n / growth.norm());
+            acted |= Acted::SLEW.0;
+        }
+        let power = force.dot(velocity);
+        if power > self.settings.max_power_w {
+            force -= velocity * ((power - self.settings.max_power_w) / velocity.norm_squared());
+            acted |= Acted::POWER.0;
+        }
+        self.last = force;
+        Limited { force, acted: Acted(acted) }
+    }
+
+    /// Zero force at once, and the ramp starts anew.
+    pub fn reset(&mut self) {
+        (self.last, self.ticks) = (Axes::zeros(), 0);
+    }
+}
+
+/// The share s in [0, 1] for which `s last` is nearest to `force`.
+fn nearest_share<const N: usize>(last: &Axes<N>, force: &Axes<N>) -> f64 {
+    let squared = last.norm_squared();
+    if squared > 0.0 { (last.dot(force) / squared).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const OPEN: LimiterSettings =
+        LimiterSettings { max_force_n: 1e3, max_slew_n_per_s: 1e9, max_power_w: 1e9, ramp_in_s: 0.0 };
+
+    #[test]
+    fn each_bound_reports_itself() {
+        let still = Axes::<1>::zeros();
+        let asked = Axes::<1>::new(10.0);
+        for (settings, velocity, force, bound) in [
+            (LimiterSettings { max_force_n: 4.0, ..OPEN }, still, 4.0, Acted::NORM),
+            (LimiterSettings { max_slew_n_per_s: 500.0, ..OPEN }, still, 0.5, Acted::SLEW),
+            (LimiterSettings { max_power_w: 3.0, ..OPEN }, Axes::<1>::new(2.0), 1.5, Acted::POWER),
+            (LimiterSettings { ramp_in_s: 0.01, ..OPEN }, still, 0.0, Acted::RAMP),
+            (OPEN, still, 10.0, Acted(0)),
+        ] {
+            let limited = Limiter::new(1e-3, settings).unwrap().step(&asked, &velocity);
+            assert!((limited.force[0] - force).abs() < 1e-12, "{settings:?}");
+            assert_eq!(limited.acted, bound, "{settings:?}");
+        }
+    }
+
+    #[test]
+    fn unloading_is_free_and_reversal_is_not() {
+        let settings = LimiterSettings { max_slew_n_per_s: 1000.0, ..OPEN };
+        let mut limiter = Limiter::<1>::new(1e-3, settings).unwrap();
+        let still = Axes::zeros();
+        for _ in 0..8 {
+            limiter.step(&Axes::<1>::new(8.0), &still);
+        }
+        assert!((limiter.step(&Axes::<1>::new(8.0), &still).force[0] - 8.0).abs() < 1e-12);
+        assert!((limiter.step(&Axes::<1>::new(0.5), &still).force[0] - 0.5).abs() < 1e-12);
+        assert!((limiter.step(&Axes::<1>::new(-8.0), &still).force[0] + 1.0).abs() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn cap_and_power_hold_at_every_tick(
+            ticks in prop::collection::vec(
+                (prop::array::uniform3(-50.0..50.0f64), prop::array::uniform3(-5.0..5.0f64)), 1..60),
+        ) {
+            let settings = LimiterSettings {
+                max_force_n: 7.9, max_slew_n_per_s: 1000.0, max_power_w: 5.0, ramp_in_s: 0.01,
+            };
+            let mut limiter = Limiter::<3>::new(1e-3, settings).unwrap();
+            let mut last = Axes::<3>::zeros();
+            for (asked, velocity) in ticks {
+                let (asked, velocity) = (Axes::from(asked), Axes::from(velocity));
+                let Limited { force, acted } = limiter.step(&asked, &velocity);
+                prop_assert!(force.norm() <= 7.9 * (1.0 + 1e-12));
+                prop_assert!(force.dot(&velocity) <= 5.0 + 1e-9);
+                if !acted.contains(Acted::POWER) {
+                    prop_assert!(force.norm() <= last.norm() + 1.0 + 1e-9);
+                }
+                last = force;
+            }
+        }
+
+        /// The limiter knows no axes: limiting a rotated force gives the rotated limited force.
+        #[test]
+        fn rotates_with_the_frame(
+            asked in prop::array::uniform2(-20.0..20.0f64),
+            velocity in prop::array::uniform2(-3.0..3.0f64),
+            angle in 0.0..6.3f64,
+        ) {
+            let rotation = nalgebra::Rotation2::new(angle);
+            let settings = LimiterSettings { max_power_w: 2.0, ramp_in_s: 0.0, ..LimiterSettings::default() };
+            let mut straight = Limiter::<2>::new(1e-3, settings).unwrap();
+            let mut turned = straight.clone();
+            let (asked, velocity) = (Axes::from(asked), Axes::from(velocity));
+            for _ in 0..12 {
+                let a = straight.step(&asked, &velocity).force;
+                let b = turned.step(&(rotation * asked), &(rotation * velocity)).force;
+                prop_assert!((rotation * a - b).norm() < 1e-9);
+            }
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! What an observer sees at one tick.
+
+use crate::{
+    Axes,
+    fault::{Fault, Signal},
+};
+
+/// The signals of one tick that observers and controllers read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation<const N: usize> {
+    /// V in m/s.
+    pub velocity: Axes<N>,
+    /// `F_v` in N: what the remote side asks to be felt.
+    pub rendered_force: Axes<N>,
+    /// `F_h` in N: estimated force of the hand on the device (Eq. 4).
+    pub grasp_force: Axes<N>,
+}
+
+impl<const N: usize> Observation<N> {
+    /// Refuses numbers that are not finite or absurd.
+    pub fn check(&self) -> Result<(), Fault> {
+        Signal::Velocity.check(&self.velocity)?;
+        Signal::RenderedForce.check(&self.rendered_force)?;
+        Signal::GraspForce.check(&self.grasp_force)
+    }
+}

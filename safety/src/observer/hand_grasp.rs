@@ -1,0 +1,44 @@
+//! Hand grasp observer, HGO.
+
+use crate::{Observation, ParameterError, parameter::positive};
+
+/// HGO: near 1 while the hand holds against the rendered force, large when nobody holds.
+///
+/// `S_h = |F_v| / (|F_h| + alpha)`
+///
+/// Source: paper Eq. 5.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandGraspObserver {
+    grasp_floor_n: f64,
+}
+
+impl HandGraspObserver {
+    /// The floor alpha in N (> 0) keeps the ratio finite; the paper uses 0.001 N.
+    pub fn new(grasp_floor_n: f64) -> Result<Self, ParameterError> {
+        Ok(Self { grasp_floor_n: positive("grasp_floor_n", "alpha", grasp_floor_n)? })
+    }
+
+    /// `S_h`, without unit; the grasp is safe up to zeta (Eq. 8).
+    pub fn observe<const N: usize>(&self, seen: &Observation<N>) -> f64 {
+        seen.rendered_force.norm() / (seen.grasp_force.norm() + self.grasp_floor_n)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Axes;
+
+    #[test]
+    fn holds_eq_6_and_7() {
+        let observer = HandGraspObserver::new(1e-3).unwrap();
+        let mut seen = Observation {
+            velocity: Axes::<2>::zeros(),
+            rendered_force: Axes::<2>::new(3.0, 4.0),
+            grasp_force: Axes::<2>::new(-3.0, -4.0),
+        };
+        assert!((observer.observe(&seen) - 5.0 / 5.001).abs() < 1e-15);
+        seen.grasp_force = Axes::zeros();
+        assert!((observer.observe(&seen) - 5000.0).abs() < 1e-9);
+    }
+}

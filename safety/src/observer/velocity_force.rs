@@ -1,0 +1,84 @@
+//! Velocity and force observer, VFO.
+
+use crate::{Observation, ParameterError, parameter::positive};
+
+/// How velocity and force are held against their thresholds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum VelocityForceForm {
+    /// `S_vf = V·F_v / (V_t F_t)`: Eq. 1 as printed. A large force trips it well below `V_t`.
+    #[default]
+    Product,
+    /// `S_vf = min(V/V_t, |F_v|/F_t)` with V the speed along `F_v`: what the paper's text says ("larger than the
+    /// thresholds at the same time") and what its Fig. 8 shows (tripped at `V_t`).
+    Both,
+}
+
+/// VFO: the device pushes the hand, and the hand moves along with the push.
+///
+/// Source: paper Eq. 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VelocityForceObserver {
+    velocity_threshold: f64,
+    force_threshold_n: f64,
+    form: VelocityForceForm,
+}
+
+impl VelocityForceObserver {
+    /// Thresholds `V_t` in m/s and `F_t` in N, both > 0.
+    pub fn new(
+        velocity_threshold: f64,
+        force_threshold_n: f64,
+        form: VelocityForceForm,
+    ) -> Result<Self, ParameterError> {
+        Ok(Self {
+            velocity_threshold: positive("velocity_threshold", "V_t", velocity_threshold)?,
+            force_threshold_n: positive("force_threshold_n", "F_t", force_threshold_n)?,
+            form,
+        })
+    }
+
+    /// `S_vf`, without unit; above 1 is unsafe. Negative while the hand pushes against the force.
+    pub fn observe<const N: usize>(&self, seen: &Observation<N>) -> f64 {
+        let power = seen.velocity.dot(&seen.rendered_force);
+        match self.form {
+            VelocityForceForm::Product => power / (self.velocity_threshold * self.force_threshold_n),
+            VelocityForceForm::Both => {
+                let force = seen.rendered_force.norm();
+                if force == 0.0 {
+                    return 0.0;
+                }
+                (power / force / self.velocity_threshold).min(force / self.force_threshold_n)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Axes;
+
+    fn seen(v: f64, f: f64) -> Observation<1> {
+        Observation {
+            velocity: Axes::<1>::new(v),
+            rendered_force: Axes::<1>::new(f),
+            grasp_force: Axes::zeros(),
+        }
+    }
+
+    #[test]
+    fn table() {
+        let product = VelocityForceObserver::new(0.6, 1.0, VelocityForceForm::Product).unwrap();
+        let both = VelocityForceObserver::new(0.6, 1.0, VelocityForceForm::Both).unwrap();
+        for (v, f, as_printed, as_told) in [
+            (0.6, 1.0, 1.0, 1.0),
+            (0.1, 7.8, 1.3, 1.0 / 6.0),
+            (3.0, 0.5, 2.5, 0.5),
+            (-1.0, 2.0, -2.0 / 0.6, -1.0 / 0.6),
+            (1.0, 0.0, 0.0, 0.0),
+        ] {
+            assert!((product.observe(&seen(v, f)) - as_printed).abs() < 1e-12, "{v} {f}");
+            assert!((both.observe(&seen(v, f)) - as_told).abs() < 1e-12, "{v} {f}");
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Windowed safety observer, WSO.
+
+use crate::{
+    DeviceModel, Observation, ParameterError,
+    parameter::{positive, ratio, whole},
+};
+
+/// WSO: the safety observer over the last w ticks only, so that energy from long ago hides nothing.
+///
+/// `E_wso(n) = dT sum_{i=max(1, n-w+1)..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
+///
+/// Each tick costs one addition and one subtraction, whatever w. A running sum alone would keep the rounding of
+/// every large sample that ever passed through; this one is replaced once per turn of the ring by a sum that was
+/// built up afresh during that turn, so an error lives for at most one window after its cause has left.
+///
+/// Source: paper Eq. 11, both branches: an empty ring holds zeros, which is the branch n < w.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WindowedSafetyObserver<const N: usize> {
+    device: DeviceModel<N>,
+    period_s: f64,
+    energy_ratio: f64,
+    power: Box<[f64]>,
+    next: usize,
+    /// Sum over the ring.
+    running: f64,
+    /// Sum over what this turn has written so far: becomes `running` when the turn ends.
+    fresh: f64,
+}
+
+impl<const N: usize> WindowedSafetyObserver<N> {
+    /// Longest window: an hour at 1 kHz.
+    pub const MAX_WINDOW: usize = 3_600_000;
+
+    /// Period dT in s (> 0), energy ratio eta in (0, 1], window w in ticks (1 to [`Self::MAX_WINDOW`]).
+    pub fn new(
+        device: DeviceModel<N>,
+        period_s: f64,
+        energy_ratio: f64,
+        window: usize,
+    ) -> Result<Self, ParameterError> {
+        whole("window", "w", window, 1, Self::MAX_WINDOW, "1 to 3600000 ticks")?;
+        Ok(Self {
+            device,
+            period_s: positive("period_s", "dT", period_s)?,
+            energy_ratio: ratio("energy_ratio", "eta", energy_ratio)?,
+            power: vec![0.0; window].into_boxed_slice(),
+            next: 0,
+            running: 0.0,
+            fresh: 0.0,
+        })
+    }
+
+    /// `E_wso` in J after this tick.
+    pub fn step(&mut self, seen: &Observation<N>) -> f64 {
+        let power = seen.grasp_force.dot(&seen.velocity);
+        self.push(power);
+        self.period_s * self.running - self.device.kinetic_energy_j(&seen.velocity) / self.energy_ratio
+    }
+
+    fn push(&mut self, power: f64) {
+        self.running += power - self.power[self.next];
+        self.fresh += power;
+        self.power[self.next] = power;
+        self.next += 1;
+        if self.next == self.power.len() {
+            self.next = 0;
+            self.running = self.fresh;
+            self.fresh = 0.0;
+        }
+    }
+
+    /// Forgets all energy.
+    pub fn reset(&mut self) {
+        self.power.fill(0.0);
+        (self.next, self.running, self.fresh) = (0, 0.0, 0.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Axes;
+    use proptest::prelude::*;
+
+    fn observer(window: usize) -> WindowedSafetyObserver<1> {
+        let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+        WindowedSafetyObserver::new(device, 1e-3, 0.5, window).unwrap()
+    }
+
+    fn seen(velocity: f64, force: f64) -> Observation<1> {
+        Observation {
+            velocity: Axes::<1>::new(velocity),
+            rendered_force: Axes::zeros(),
+            grasp_force: Axes::<1>::new(force),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn equals_eq_11(
+            samples in prop::collection::vec((-2.0..2.0f64, -10.0..10.0f64), 1..300),
+            window in 1usize..120,
+        ) {
+            let mut observer = observer(window);
+            for n in 0..samples.len() {
+                let (v, f) = samples[n];
+                let energy = observer.step(&seen(v, f));
+                let first = (n + 1).saturating_sub(window);
+                let sum: f64 = samples[first..=n].iter().map(|(v, f)| v * f).sum();
+                // |power| <= 20, at most 420 additions: 420 * 8400 * 2^-53 * dT.
+                prop_assert!((energy - (1e-3 * sum - 0.157 * v * v)).abs() < 1e-12);
+            }
+        }
+    }
+
+    /// SplitMix64 as noise: the test needs 1e8 draws quickly.
+    fn noise(state: &mut u64) -> f64 {
+        *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let z = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        #[allow(clippy::cast_possible_wrap)]
+        let signed = (z ^ (z >> 27)) as i64;
+        signed as f64 / 9.3e18
+    }
+
+    #[test]
+    fn does_not_drift_over_1e8_updates() {
+        const WINDOW: usize = 100;
+        const SPIKE_EVERY: usize = 1_000_000;
+        let mut observer = observer(WINDOW);
+        let mut plain = 0.0;
+        let mut plain_ring = [0.0; WINDOW];
+        let mut state = 1;
+        let mut worst: f64 = 0.0;
+        for n in 0..100_000_000 {
+            let size = if n % SPIKE_EVERY == 0 { 1e6 } else { 1.0 };
+            let power = 10.0 * size * noise(&mut state);
+            observer.push(power);
+            plain += power - plain_ring[n % WINDOW];
+            plain_ring[n % WINDOW] = power;
+            // The spike leaves the ring after WINDOW ticks; one further window is allowed.
+            if n % SPIKE_EVERY == 2 * WINDOW {
+                let sum: f64 = observer.power.iter().sum();
+                worst = worst.max(1e-3 * (observer.running - sum).abs());
+            }
+        }
+        assert!(worst < 1e-11, "{worst:e} J");
+        let sum: f64 = plain_ring.iter().sum();
+        assert!(1e-3 * (plain - sum).abs() > 1e-11, "the plain sum would have done");
+    }
+}

@@ -1,0 +1,110 @@
+//! Parameters that are refused: one error type for every part of this crate.
+
+use thiserror::Error;
+
+/// A parameter outside what its equation allows.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("{name} ({symbol}) = {seen}: must be {allowed}")]
+pub struct ParameterError {
+    /// Field name, as the caller wrote it.
+    pub name: &'static str,
+    /// Symbol in the equation.
+    pub symbol: &'static str,
+    /// The value that was refused.
+    pub seen: f64,
+    /// What would have been accepted.
+    pub allowed: &'static str,
+}
+
+/// Passes a finite value above zero.
+pub(crate) fn positive(name: &'static str, symbol: &'static str, value: f64) -> Result<f64, ParameterError> {
+    let allowed = "finite and above 0";
+    check(name, symbol, value, value.is_finite() && value > 0.0, allowed)
+}
+
+/// Passes a finite value of zero or more.
+pub(crate) fn non_negative(
+    name: &'static str,
+    symbol: &'static str,
+    value: f64,
+) -> Result<f64, ParameterError> {
+    let allowed = "finite and 0 or more";
+    check(name, symbol, value, value.is_finite() && value >= 0.0, allowed)
+}
+
+/// Passes a value of the closed interval from `low` to `high`; `allowed` says the interval in words.
+pub(crate) fn in_range(
+    name: &'static str,
+    symbol: &'static str,
+    value: f64,
+    low: f64,
+    high: f64,
+    allowed: &'static str,
+) -> Result<f64, ParameterError> {
+    // With an infinite bound the interval alone would let infinity through.
+    let inside = value.is_finite() && value >= low && value <= high;
+    check(name, symbol, value, inside, allowed)
+}
+
+/// Passes any finite value.
+pub(crate) fn finite(name: &'static str, symbol: &'static str, value: f64) -> Result<f64, ParameterError> {
+    check(name, symbol, value, value.is_finite(), "finite")
+}
+
+/// Passes a share above 0 and at most 1.
+pub(crate) fn ratio(name: &'static str, symbol: &'static str, value: f64) -> Result<f64, ParameterError> {
+    check(name, symbol, value, value > 0.0 && value <= 1.0, "above 0 and at most 1")
+}
+
+/// Passes a count between `low` and `high`; `allowed` says the interval in words.
+pub(crate) fn whole(
+    name: &'static str,
+    symbol: &'static str,
+    count: usize,
+    low: usize,
+    high: usize,
+    allowed: &'static str,
+) -> Result<usize, ParameterError> {
+    check(name, symbol, count as f64, (low..=high).contains(&count), allowed).map(|_| count)
+}
+
+fn check(
+    name: &'static str,
+    symbol: &'static str,
+    seen: f64,
+    accepted: bool,
+    allowed: &'static str,
+) -> Result<f64, ParameterError> {
+    if accepted { Ok(seen) } else { Err(ParameterError { name, symbol, seen, allowed }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bounds_are_those_of_the_name() {
+        assert_eq!(positive("mass_kg", "m", 0.1), Ok(0.1));
+        assert!(positive("mass_kg", "m", 0.0).is_err());
+        assert_eq!(non_negative("viscous", "b", 0.0), Ok(0.0));
+        assert!(non_negative("viscous", "b", -1e-300).is_err());
+        assert_eq!(in_range("degree", "d", 3.0, 2.0, 3.0, "2 or 3"), Ok(3.0));
+        assert!(in_range("degree", "d", 3.1, 2.0, 3.0, "2 or 3").is_err());
+        assert!(in_range("degree", "d", 1.9, 2.0, 3.0, "2 or 3").is_err());
+    }
+
+    #[test]
+    fn what_is_not_finite_is_refused() {
+        for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            assert!(positive("mass_kg", "m", value).is_err());
+            assert!(non_negative("viscous", "b", value).is_err());
+            assert!(in_range("mass_kg", "m", value, f64::NEG_INFINITY, f64::INFINITY, "finite").is_err());
+        }
+    }
+
+    #[test]
+    fn the_message_names_field_symbol_value_and_bound() {
+        let refused = positive("mass_kg", "m", -1.0).map_err(|error| error.to_string());
+        assert_eq!(refused, Err("mass_kg (m) = -1: must be finite and above 0".to_owned()));
+    }
+}

@@ -1,0 +1,241 @@
+//! A simulated slave: arm, wall and pusher, advanced exactly under a held command.
+
+use nalgebra::{Matrix2, Vector2};
+
+use crate::{ArmParameters, ModelError, Pusher, Wall, require};
+
+/// What the slave tells at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlaveSample {
+    /// Tool position in m.
+    pub position: f64,
+    /// Tool velocity in m/s.
+    pub velocity: f64,
+    /// `F_e` in N: wall and pusher on the tool.
+    pub environment_force: f64,
+}
+
+/// Arm, wall and pusher along one axis.
+///
+/// Between contact and release of the wall the motion is linear and time-invariant, `s' = A (s - s_rest)` with
+/// `s = (x, V)`, so a step is `s_rest + e^{A h} (s - s_rest)`: exact. Contact is located inside a step. Set position
+/// and push are held over a step of at most one millisecond.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedSlave {
+    arm: ArmParameters,
+    wall: Wall,
+    pusher: Option<Pusher>,
+    free: Regime,
+    touching: Regime,
+    state: Vector2<f64>,
+    commanded: f64,
+    set_position: f64,
+    now_ns: u64,
+    /// When the pusher's time began.
+    started_ns: Option<u64>,
+}
+
+/// Longest step in s: a push or a set position is sampled at least this often.
+const LONGEST_STEP: f64 = 1e-3;
+
+/// One of the two linear motions, with `e^{A h}` for the usual step at hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Regime {
+    stiffness: f64,
+    system: Matrix2<f64>,
+    usual: Matrix2<f64>,
+}
+
+impl Regime {
+    fn new(arm: &ArmParameters, wall_stiffness: f64) -> Self {
+        let stiffness = arm.stiffness() + wall_stiffness;
+        let system = Matrix2::new(0.0, 1.0, -stiffness / arm.mass_kg, -2.0 * arm.pole());
+        Self { stiffness, system, usual: (system * LONGEST_STEP).exp() }
+    }
+
+    fn advanced(&self, state: Vector2<f64>, rest: Vector2<f64>, h: f64) -> Vector2<f64> {
+        let transition = if h == LONGEST_STEP { self.usual } else { (self.system * h).exp() };
+        rest + transition * (state - rest)
+    }
+}
+
+impl SimulatedSlave {
+    /// An arm at rest at `position` in m, at time `now_ns`.
+    pub fn new(
+        arm: ArmParameters,
+        wall: Wall,
+        pusher: Option<Pusher>,
+        position: f64,
+        now_ns: u64,
+    ) -> Result<Self, ModelError> {
+        arm.check()?;
+        require("arm position", position, true, "finite")?;
+        Ok(Self {
+            arm,
+            wall,
+            pusher,
+            free: Regime::new(&arm, 0.0),
+            touching: Regime::new(&arm, wall.stiffness()),
+            state: Vector2::new(position, 0.0),
+            commanded: position,
+            set_position: position,
+            now_ns,
+            started_ns: None,
+        })
+    }
+
+    /// Starts the pusher's time, once.
+    pub fn start(&mut self, now_ns: u64) {
+        self.started_ns.get_or_insert(now_ns);
+    }
+
+    /// Commands a position in m; the set position moves there no faster than the arm may. What is not finite is
+    /// ignored.
+    pub fn write(&mut self, position: f64) {
+        if position.is_finite() {
+            self.commanded = position;
+        }
+    }
+
+    /// Advances to `now_ns` (monotonic) and tells what the arm measures there.
+    pub fn read(&mut self, now_ns: u64) -> SlaveSample {
+        let mut left = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
+        let mut time = self.pusher_time(self.now_ns);
+        self.now_ns = self.now_ns.max(now_ns);
+        while left > LONGEST_STEP * (1.0 + 1e-9) {
+            self.advance(time, LONGEST_STEP);
+            time += LONGEST_STEP;
+            left -= LONGEST_STEP;
+        }
+        if left > 0.0 {
+            // A tick of one millisecond reaches here with rounding in it: take the transition at hand.
+            let step = if (left - LONGEST_STEP).abs() < 1e-12 { LONGEST_STEP } else { left };
+            self.advance(time, step);
+        }
+        let push = self.push(self.pusher_time(self.now_ns));
+        SlaveSample {
+            position: self.state.x,
+            velocity: self.state.y,
+            environment_force: self.wall.force(self.state.x) + push,
+        }
+    }
+
+    fn pusher_time(&self, now_ns: u64) -> f64 {
+        match self.started_ns {
+            Some(started) if now_ns >= started => (now_ns - started) as f64 * 1e-9,
+            _ => f64::NEG_INFINITY,
+        }
+    }
+
+    fn push(&self, time: f64) -> f64 {
+        if time.is_finite() { self.pusher.map_or(0.0, |pusher| pusher.force(time)) } else { 0.0 }
+    }
+
+    fn advance(&mut self, time: f64, step: f64) {
+        let most = self.arm.max_speed * step;
+        self.set_position += (self.commanded - self.set_position).clamp(-most, most);
+        let pull = self.arm.stiffness() * self.set_position + self.push(time);
+        let mut left = step;
+        // In and out of a wall within one step is two crossings; more would need a pole above the step rate.
+        for _ in 0..4 {
+            let inside = self.state.x < self.wall.surface()
+                || (self.state.x == self.wall.surface() && self.state.y < 0.0);
+            let (regime, force) = if inside {
+                (&self.touching, pull + self.wall.stiffness() * self.wall.surface())
+            } else {
+                (&self.free, pull)
+            };
+            let rest = Vector2::new(force / regime.stiffness, 0.0);
+            let next = regime.advanced(self.state, rest, left);
+            let crossed = (next.x < self.wall.surface()) != inside;
+            if !crossed || self.wall.stiffness() == 0.0 {
+                self.state = next;
+                return;
+            }
+            let (mut before, mut after) = (0.0, left);
+            for _ in 0..52 {
+                let middle = 0.5 * (before + after);
+                let there = regime.advanced(self.state, rest, middle);
+                if (there.x < self.wall.surface()) == inside { before = middle } else { after = middle }
+            }
+            self.state = regime.advanced(self.state, rest, after);
+            self.state.x = self.wall.surface();
+            left -= after;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK_NS: u64 = 1_000_000;
+
+    fn slave(wall: Wall, pusher: Option<Pusher>) -> SimulatedSlave {
+        SimulatedSlave::new(ArmParameters::default(), wall, pusher, 0.02, 0).unwrap()
+    }
+
+    #[test]
+    fn a_step_command_is_tracked_as_the_closed_form_says() {
+        let wall = Wall::new(-1.0, 0.0).unwrap();
+        let mut slave = slave(wall, None);
+        slave.arm.max_speed = 1e6;
+        slave.write(0.03);
+        let w = slave.arm.pole();
+        for tick in 1..=50_u32 {
+            let sample = slave.read(u64::from(tick) * TICK_NS);
+            let t = f64::from(tick) * 1e-3;
+            let expected = 0.03 - 0.01 * (1.0 + w * t) * (-w * t).exp();
+            assert!((sample.position - expected).abs() < 1e-15, "{tick}");
+        }
+    }
+
+    #[test]
+    fn contact_settles_where_springs_in_series_do() {
+        let wall = Wall::new(0.0, 500.0).unwrap();
+        let mut slave = slave(wall, None);
+        slave.write(-0.03);
+        let sample = slave.read(2000 * TICK_NS);
+        let k = slave.arm.stiffness();
+        let force = 0.03 / (1.0 / k + 1.0 / 500.0);
+        assert!((sample.environment_force - force).abs() < 1e-9);
+    }
+
+    #[test]
+    fn contact_is_located_not_stepped_over() {
+        // The same motion read at once and every 0.1 ms: the crossing falls between reads in one of them.
+        let wall = Wall::new(0.0, 1e4).unwrap();
+        let (mut coarse, mut fine) = (slave(wall, None), slave(wall, None));
+        for slave in [&mut coarse, &mut fine] {
+            slave.arm.max_speed = 1e6; // the set position jumps, so both see the same command
+            slave.write(-0.01);
+        }
+        for step in 1..=400_u64 {
+            fine.read(step * TICK_NS / 10);
+        }
+        let (a, b) = (coarse.read(40 * TICK_NS), fine.read(40 * TICK_NS));
+        assert!((a.position - b.position).abs() < 1e-12);
+        assert!((a.velocity - b.velocity).abs() < 1e-10);
+    }
+
+    #[test]
+    fn a_push_is_felt_and_gives_way_by_its_compliance() {
+        let pusher = Pusher::new(1.0, 0.0, 5.0, 6.0).unwrap();
+        let mut slave = slave(Wall::new(-1.0, 0.0).unwrap(), Some(pusher));
+        slave.start(0);
+        assert_eq!(slave.read(999 * TICK_NS).environment_force, 0.0);
+        let sample = slave.read(3000 * TICK_NS);
+        assert_eq!(sample.environment_force, 6.0);
+        assert!((sample.position - 0.02 - 6.0 / slave.arm.stiffness()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_set_position_moves_no_faster_than_the_arm_may() {
+        let mut slave = slave(Wall::new(-9.0, 0.0).unwrap(), None);
+        slave.write(5.0);
+        let before = slave.read(900 * TICK_NS).position;
+        assert!((slave.read(1000 * TICK_NS).position - before - 0.1).abs() < 1e-9);
+        slave.write(f64::NAN);
+        assert!(slave.read(2000 * TICK_NS).position.is_finite());
+    }
+}
