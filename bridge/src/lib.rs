@@ -1,1 +1,27 @@
-//! Placeholder.
+//! The bridge: wire format, link, ladder, coupling and endpoints as pure state machines, and their two runners.
+//!
+//! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
+//! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
+
+pub mod coupling;
+mod endpoint;
+mod ladder;
+mod link;
+pub mod live;
+mod local_wall;
+mod plant;
+mod record;
+mod side;
+mod virtual_time;
+pub mod wire;
+
+pub use endpoint::{
+    EndpointError, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings, SlaveTick,
+};
+pub use ladder::{Ladder, LadderSettings, LadderState};
+pub use link::{FrameLink, LinkStatistics, Refusal};
+pub use local_wall::{LocalLoop, LocalRecord, RenderedForce, WallLoopError};
+pub use plant::{MasterPlant, SlavePlant};
+pub use record::{MasterRecord, SlaveRecord};
+pub use side::{MasterSide, Side, SlaveSide};
+pub use virtual_time::{VirtualSettings, run_virtual};

@@ -1,8 +1,25 @@
-//! The extension module `haptether._core`.
+//! The extension module `haptether._core`: thin classes over the crates. The stub `_core.pyi` documents them.
+
+// A Python call takes its arguments by value and by name, so these lints fight the signature the user sees.
+#![allow(clippy::needless_pass_by_value, clippy::too_many_arguments)]
+
 use pyo3::prelude::*;
+
+mod arrays;
+mod axes;
+mod bridge;
+mod bridge_trace;
+mod local;
+mod netsim;
+mod safety;
 
 /// Entry point of the module.
 #[pymodule(gil_used = true)]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("__version__", env!("CARGO_PKG_VERSION"))
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    safety::register(module)?;
+    local::register(module)?;
+    netsim::register(module)?;
+    bridge_trace::register(module)?;
+    bridge::register(module)
 }

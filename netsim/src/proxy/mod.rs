@@ -10,24 +10,28 @@ mod buffers;
 mod client;
 mod histogram;
 mod lane;
+mod settings;
+mod socket;
 mod statistics;
 
 use std::io;
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-use crate::link::{LinkError, LinkSettings};
+use crate::link::LinkSettings;
 use crate::verdict::{Direction, Packet, Verdict};
 use client::Client;
 use lane::Lane;
+use socket::{is_own, is_unreachable, open_listening, open_upstream, receive_from};
 use statistics::{Recorder, count};
 
 pub use buffers::MAX_DATAGRAM;
 pub use histogram::SchedulingError;
+pub use settings::{ProxyError, ProxySettings};
 pub use statistics::{DirectionStatistics, ProxyMonitor, ProxyStatistics};
 
 /// Awake for at most this long before a datagram is due.
@@ -36,59 +40,6 @@ const SPIN_NS: u64 = 100_000;
 const SLEEP_NS: u64 = 20_000_000;
 /// Datagrams received from each socket before what is due is looked at again.
 const BATCH: usize = 64;
-
-/// Where a proxy stands and what it does to the datagrams that pass.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ProxySettings {
-    /// Address the client (the master) sends to; port 0 lets the system choose one.
-    pub listen: SocketAddr,
-    /// Address of the peer (the slave): the only destination, and the only source of answers.
-    pub forward: SocketAddr,
-    /// Network from client to peer.
-    pub forward_link: LinkSettings,
-    /// Network from peer to client.
-    pub backward_link: LinkSettings,
-    /// Key of all random draws.
-    pub seed: u64,
-}
-
-/// A proxy that cannot be set up.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ProxyError {
-    /// A direction's settings describe no link.
-    #[error("link.{direction}: {source}")]
-    Link {
-        /// Which direction.
-        direction: Direction,
-        /// What is wrong with it.
-        source: LinkError,
-    },
-    /// The peer's address names no port.
-    #[error("forward = {forward}: must name a port from 1 to 65535")]
-    NoPort {
-        /// The address.
-        forward: SocketAddr,
-    },
-    /// The proxy would forward to itself.
-    #[error(
-        "forward = {forward}: must not be the proxy's own listen address, or datagrams would go round for ever"
-    )]
-    Loop {
-        /// The address.
-        forward: SocketAddr,
-    },
-    /// An address cannot be used.
-    #[error("{key} = {address}: {source}")]
-    Socket {
-        /// Name of the setting.
-        key: &'static str,
-        /// Its value.
-        address: SocketAddr,
-        /// What the operating system says.
-        source: io::Error,
-    },
-}
 
 /// A UDP proxy between one client and one peer.
 #[derive(Debug)]
@@ -265,62 +216,6 @@ impl Proxy {
         }
         Ok(true)
     }
-}
-
-fn open_listening(listen: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
-    let socket = UdpSocket::bind(listen)?;
-    socket.set_nonblocking(true)?;
-    let address = socket.local_addr()?;
-    Ok((socket, address))
-}
-
-/// A socket connected to the peer, and the address the kernel took it for.
-fn open_upstream(forward: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
-    let any: SocketAddr = match forward {
-        SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
-        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
-    };
-    let socket = UdpSocket::bind(any)?;
-    socket.set_nonblocking(true)?;
-    socket.connect(forward)?;
-    let peer = socket.peer_addr()?;
-    Ok((socket, peer))
-}
-
-/// Whether the proxy would be its own peer.
-fn is_own(listen: SocketAddr, peer: SocketAddr) -> bool {
-    let is_same_host = listen.ip() == peer.ip() || (listen.ip().is_unspecified() && peer.ip().is_loopback());
-    is_same_host && listen.port() == peer.port()
-}
-
-/// The next datagram of a socket; `None` if there is none. An absent peer is counted and passed over.
-fn receive_from(
-    socket: &UdpSocket,
-    buffer: &mut [u8],
-    unreachable: &AtomicU64,
-) -> io::Result<Option<(usize, SocketAddr)>> {
-    loop {
-        let received = socket.recv_from(buffer);
-        if is_unreachable(&received) {
-            count(unreachable);
-            continue;
-        }
-        match received {
-            Ok(datagram) => return Ok(Some(datagram)),
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-}
-
-/// Whether the socket reports, by ICMP, that an earlier datagram found no peer: no reason to stop, it may
-/// come up yet.
-fn is_unreachable<T>(result: &io::Result<T>) -> bool {
-    use io::ErrorKind::{ConnectionRefused, HostUnreachable, NetworkDown, NetworkUnreachable};
-    result.as_ref().is_err_and(|error| {
-        matches!(error.kind(), ConnectionRefused | HostUnreachable | NetworkUnreachable | NetworkDown)
-    })
 }
 
 /// The proxy's clock: monotonic ns since it was bound. It wraps after 584 years.

@@ -284,6 +284,11 @@ impl<const N: usize> SafetyController<N> {
         1.0 - self.fading_for as f64 / (self.ramp_ticks + 1) as f64
     }
 
+    /// Which of `S_vf`, `S_h`, `E_wso`, `E_so` are observed.
+    pub fn observed(&self) -> [bool; 4] {
+        [self.vfc.is_some(), self.hsc.is_some(), self.wsc.is_some(), self.pc.is_some()]
+    }
+
     /// Whether a controller reads the grasp force.
     pub fn needs_grasp_force(&self) -> bool {
         self.hsc.is_some() || self.wsc.is_some() || self.pc.is_some()

@@ -24,7 +24,7 @@ use crate::parameter::{ParameterError, in_range, positive};
 /// running integral, thus nothing that could drift.
 ///
 /// Source: Janabi-Sharifi, Hayward & Chen 2000, "Discrete-time adaptive windowing for velocity estimation", IEEE
-/// Trans. Control Systems Technology 8(6), section III (end-fit and best-fit FOAW); A and alignment derived above.
+/// Trans. Control Systems Technology 8(6) (end-fit and best-fit FOAW); A and alignment derived above.
 #[derive(Clone, Debug)]
 pub struct AdaptiveWindow<const N: usize> {
     period_s: f64,

@@ -26,7 +26,7 @@ use crate::parameter::{ParameterError, in_range, positive};
 /// bound, and a is the force passed through exactly the kernel that stands before A.
 ///
 /// Source: Bar-Shalom, Li & Kirubarajan 2001, "Estimation with Applications to Tracking and Navigation", section
-/// 6.2.3 (Wiener-process acceleration model), Eq. 6.2.3-9 for its process noise; alignment derived above.
+/// 6.2.3 (continuous Wiener-process acceleration model, discretised); alignment derived above.
 #[derive(Clone, Debug)]
 pub struct Kalman<const N: usize> {
     period_s: f64,

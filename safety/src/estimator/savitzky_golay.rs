@@ -23,7 +23,7 @@ type Weights = [f64; MAX_WINDOW];
 /// makes sum `g_l` = 1. `align` is this finite impulse response on the force, exact for every force held over ticks.
 ///
 /// Source: Savitzky & Golay 1964, Analytical Chemistry 36(8); for weights off the centre Gorry 1990, Analytical
-/// Chemistry 62(6), Eq. 8 (orthogonal polynomials).
+/// Chemistry 62(6) (orthogonal polynomials).
 #[derive(Clone, Debug)]
 pub struct SavitzkyGolay<const N: usize> {
     period_s: f64,

@@ -26,13 +26,15 @@ pub(super) fn widest_line(fit: Fit, series: &[f64], bound: impl Fn(usize) -> f64
     let mut widest = (1, newest - series[1]);
     for (lag, sample) in series.iter().enumerate().skip(1) {
         let ticks = lag as f64;
+        // One division a lag: they are what this loop costs.
+        let per_tick = 1.0 / ticks;
         let rise = newest - sample;
         let slope = match fit {
-            Fit::End => rise / ticks,
+            Fit::End => rise * per_tick,
             Fit::Best => sums.add(ticks, rise).least_squares_slope(ticks),
         };
-        lowest = lowest.max((rise - bound(lag)) / ticks);
-        highest = highest.min((rise + bound(lag)) / ticks);
+        lowest = lowest.max((rise - bound(lag)) * per_tick);
+        highest = highest.min((rise + bound(lag)) * per_tick);
         if !(lowest..=highest).contains(&slope) {
             break;
         }

@@ -1,0 +1,110 @@
+# Every target sets up what it needs from a clean clone: git, make, a C compiler, cargo and
+# Python >= 3.11 suffice, without root. Everything lands under the repository (.tools, .venv,
+# target). The exception is CARGO_HOME, which stays the user's own, because it holds the
+# configuration of their crate registry.
+
+PYTHON ?= python3
+PINNED_UV := .tools/uv/bin/uv
+# UV=/path/to/uv takes another than the pinned one.
+UV ?= $(CURDIR)/$(PINNED_UV)
+BIN := .venv/bin
+ENVIRONMENT := .venv/.requirements
+EXTENSION := python/haptether/_core.abi3.so
+
+export UV
+export UV_CACHE_DIR := $(CURDIR)/.tools/cache
+export UV_PYTHON_DOWNLOADS := never
+# The certificates of the machine, which pip and cargo go by as well.
+export UV_SYSTEM_CERTS ?= 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export VIRTUAL_ENV := $(CURDIR)/.venv
+export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
+
+CRATES := safety netsim master slave bridge python
+RUST_SOURCES := Cargo.toml Cargo.lock $(wildcard $(CRATES:%=%/Cargo.toml)) \
+    $(shell find $(CRATES:%=%/src) -type f)
+PYTHON_CODE := python/haptether \
+    $(foreach folder,tests benches examples,$(if $(wildcard $(folder)/*.py),$(folder)))
+
+# uv does not read pip's configuration: where that names a package index, uv is told of it.
+USE_INDEX = index=$${UV_DEFAULT_INDEX:-$${PIP_INDEX_URL:-$$( \
+    .tools/uv/bin/python -m pip config get global.index-url 2>/dev/null)}}; \
+    if [ -n "$$index" ]; then export UV_DEFAULT_INDEX="$$index"; fi
+COMPILE = "$(UV)" pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+    --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' $(UPGRADE)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+.PHONY: help
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1|\2/p' Makefile | \
+	    while IFS='|' read -r target text; do printf '%-12s %s\n' "$$target" "$$text"; done
+
+.PHONY: demo
+demo: $(EXTENSION) ## run `haptether demo`
+	@$(BIN)/haptether demo
+
+.PHONY: test
+test: $(EXTENSION) ## cargo test and pytest
+	cargo test --locked
+	$(BIN)/python -m pytest
+
+.PHONY: lint
+lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the licences
+	cargo fmt --all --check
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy $(PYTHON_CODE)
+	$(BIN)/python -m mypy.stubtest haptether._core
+	$(BIN)/python -m pytest --quiet tests/test_licences.py
+
+.PHONY: bench
+bench: $(EXTENSION) ## run benches/*.py, one after the other
+	@for bench in $(wildcard benches/[!_]*.py); do \
+	    echo "== $$bench"; $(BIN)/python "$$bench" || exit 1; \
+	done
+
+.PHONY: setup
+setup: $(EXTENSION) ## only make the environment in .venv and build the extension
+
+.PHONY: lock
+lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest versions)
+	@$(USE_INDEX); set -x; \
+	    $(COMPILE) --extra analysis --group dev --output-file tools/requirements.txt pyproject.toml
+	@$(USE_INDEX); set -x; $(COMPILE) --output-file tools/uv.txt tools/uv.in
+
+.PHONY: clean
+clean: ## remove all that these targets made
+	rm -rf .tools .venv target out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -f $(EXTENSION)
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Asked at every run; written, and so everything below it rebuilt, only when the answer is new.
+.tools/interpreter: FORCE
+	@mkdir -p .tools
+	@tools/prerequisites '$(PYTHON)' > $@.new
+	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
+
+.PHONY: FORCE
+FORCE:
+
+$(PINNED_UV): tools/uv.txt .tools/interpreter
+	@echo "installing uv into .tools"
+	@rm -rf .tools/uv
+	@'$(PYTHON)' -m venv --clear .tools/uv
+	@.tools/uv/bin/python -m pip install --quiet --require-hashes --requirement tools/uv.txt
+	@touch $@
+
+$(ENVIRONMENT): tools/requirements.txt .tools/interpreter $(if $(findstring .tools/,$(UV)),$(PINNED_UV))
+	@echo "installing tools/requirements.txt into .venv"
+	@"$(UV)" venv --quiet --clear --python "$$(sed 's/ [^ ]*$$//' .tools/interpreter)" .venv
+	@$(USE_INDEX); "$(UV)" pip install --quiet --require-hashes --requirement tools/requirements.txt
+	@touch $@
+
+# Offline, so that a dependency that the lock lacks is noticed and not fetched past it.
+$(EXTENSION): $(ENVIRONMENT) pyproject.toml $(RUST_SOURCES)
+	@echo "building the extension"
+	@PATH="$$(dirname "$(UV)"):$$PATH" UV_OFFLINE=1 $(BIN)/maturin develop --release --locked --uv
+	@touch $@

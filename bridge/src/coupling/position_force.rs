@@ -1,0 +1,84 @@
+//! Position-force coupling with measured force, PFm.
+
+use haptether_safety::Axes;
+
+/// The slave follows the master's position; the master renders the force that the slave measures.
+///
+/// `x_s = x_s0 + lambda_p (x_m - x_m0)`, `F_v = lambda_f F_e`
+///
+/// `x_m0` and `x_s0` are taken when the two engage, so the slave never jumps. Under a round trip T the hand feels
+/// the remote stiffness `lambda_f lambda_p K_e` late; with a hand of impedance `K_h - m w² + j w B_h` it is stable
+/// for every T if `lambda_f lambda_p K_e < min_w |K_h - m w² + j w B_h|` (small gain).
+///
+/// Source: Hannaford 1989; Lawrence 1993 ("position-force"); the condition by the small-gain theorem.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionForce<const N: usize> {
+    position_scale: f64,
+    force_scale: f64,
+    anchor: Option<(Axes<N>, Axes<N>)>,
+}
+
+/// A scale that a coupling cannot have.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
+pub struct CouplingError {
+    name: &'static str,
+    symbol: &'static str,
+    seen: f64,
+}
+
+impl<const N: usize> PositionForce<N> {
+    /// Scales `lambda_p` and `lambda_f` (> 0).
+    pub fn new(position_scale: f64, force_scale: f64) -> Result<Self, CouplingError> {
+        for (name, symbol, seen) in
+            [("position_scale", "lambda_p", position_scale), ("force_scale", "lambda_f", force_scale)]
+        {
+            if !(seen.is_finite() && seen > 0.0) {
+                return Err(CouplingError { name, symbol, seen });
+            }
+        }
+        Ok(Self { position_scale, force_scale, anchor: None })
+    }
+
+    /// Master half: `F_v` in N from the newest `F_e` in N.
+    pub fn rendered_force(&self, environment_force: &Axes<N>) -> Axes<N> {
+        environment_force * self.force_scale
+    }
+
+    /// Slave half: the position to command, in m, from the newest `x_m` in m; the first call since
+    /// [`disengage`](Self::disengage) engages at `slave_position`.
+    pub fn commanded_position(&mut self, master_position: &Axes<N>, slave_position: &Axes<N>) -> Axes<N> {
+        let (master, slave) = *self.anchor.get_or_insert((*master_position, *slave_position));
+        slave + (master_position - master) * self.position_scale
+    }
+
+    /// The two are no longer coupled.
+    pub fn disengage(&mut self) {
+        self.anchor = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn engages_where_both_are_and_scales_from_there() {
+        let mut coupling = PositionForce::<2>::new(2.0, 0.5).unwrap();
+        let slave = Axes::<2>::new(1.0, -1.0);
+        assert_eq!(coupling.commanded_position(&Axes::<2>::new(0.3, 0.1), &slave), slave);
+        let command = coupling.commanded_position(&Axes::<2>::new(0.4, 0.1), &Axes::<2>::zeros());
+        assert!((command - Axes::<2>::new(1.2, -1.0)).norm() < 1e-15);
+        assert_eq!(coupling.rendered_force(&Axes::<2>::new(4.0, -2.0)), Axes::<2>::new(2.0, -1.0));
+        coupling.disengage();
+        let elsewhere = Axes::<2>::new(5.0, 5.0);
+        assert_eq!(coupling.commanded_position(&Axes::<2>::new(9.0, 9.0), &elsewhere), elsewhere);
+    }
+
+    #[test]
+    fn refuses_scales_that_couple_nothing() {
+        for (p, f) in [(0.0, 1.0), (1.0, -1.0), (f64::NAN, 1.0), (1.0, f64::INFINITY)] {
+            assert!(PositionForce::<1>::new(p, f).is_err());
+        }
+    }
+}

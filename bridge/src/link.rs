@@ -1,0 +1,322 @@
+//! One end of the exchange of frames: sequence numbers, strictly newest wins, statistics, round trip.
+
+use haptether_safety::Axes;
+
+use crate::wire::{Echo, Frame, MAX_FRAME, Role, WireError};
+
+/// Counts of one end since it started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkStatistics {
+    /// Frames sent.
+    pub sent: u64,
+    /// Frames that were news when they arrived.
+    pub fresh: u64,
+    /// Frames that arrived after a newer one: counted, not used.
+    pub late: u64,
+    /// Frames that had arrived before.
+    pub duplicate: u64,
+    /// Datagrams that were no frame of the peer.
+    pub refused: u64,
+    /// Frames of the peer that have not arrived up to the newest one.
+    pub missing: u64,
+    /// Round trip of the newest echo in ns, without the time that the peer held it; 0 before the first.
+    pub round_trip_ns: u64,
+    /// Least round trip seen in ns; 0 before the first.
+    pub least_round_trip_ns: u64,
+}
+
+/// Why a frame of the right form is not used.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// No frame.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// A newer frame was there before.
+    #[error("frame {0} arrived after a newer one")]
+    Late(u64),
+    /// This frame was there before.
+    #[error("frame {0} arrived twice")]
+    Duplicate(u64),
+    /// Of another session while this one lives.
+    #[error("frame of session {0:#x} while another session lives")]
+    Session(u64),
+}
+
+/// Frames before the newest that are told apart: two seconds at 1 kHz.
+const WINDOW: u64 = 2048;
+
+/// Which of the last [`WINDOW`] sequences have arrived.
+///
+/// Source: RFC 6479 (a bitmap that is not shifted).
+#[derive(Clone, Debug, PartialEq)]
+struct Arrivals {
+    bits: [u64; (WINDOW / 64) as usize],
+}
+
+impl Arrivals {
+    fn bit(sequence: u64) -> (usize, u64) {
+        #[allow(clippy::cast_possible_truncation)] // below 2048 / 64
+        (((sequence % WINDOW) / 64) as usize, 1 << (sequence % 64))
+    }
+
+    /// Marks one; says whether it was marked before.
+    fn mark(&mut self, sequence: u64) -> bool {
+        let (word, bit) = Self::bit(sequence);
+        let was = self.bits[word] & bit != 0;
+        self.bits[word] |= bit;
+        was
+    }
+
+    fn clear(&mut self, sequence: u64) {
+        let (word, bit) = Self::bit(sequence);
+        self.bits[word] &= !bit;
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Newest<const N: usize> {
+    frame: Frame<N>,
+    arrived_ns: u64,
+}
+
+/// One end: numbers what it sends, keeps the newest of what it receives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameLink<const N: usize> {
+    role: Role,
+    session: u64,
+    next_sequence: u64,
+    newest: Option<Newest<N>>,
+    first_sequence: u64,
+    arrived: u64,
+    arrivals: Arrivals,
+    statistics: LinkStatistics,
+    /// A silent peer may be followed by another session after this time.
+    lease_ns: u64,
+}
+
+impl<const N: usize> FrameLink<N> {
+    /// An end of role `role`; `session` is drawn anew at every start, so that a restarted peer is told apart.
+    pub fn new(role: Role, session: u64, lease_ns: u64) -> Self {
+        Self {
+            role,
+            session,
+            next_sequence: 0,
+            newest: None,
+            first_sequence: 0,
+            arrived: 0,
+            arrivals: Arrivals { bits: [0; (WINDOW / 64) as usize] },
+            statistics: LinkStatistics::default(),
+            lease_ns,
+        }
+    }
+
+    fn peer(&self) -> Role {
+        match self.role {
+            Role::Master => Role::Slave,
+            Role::Slave => Role::Master,
+        }
+    }
+
+    /// Takes a datagram that arrived at `now_ns`; strictly newer frames replace the newest.
+    ///
+    /// Says whether the frame began a session. A refused datagram changes nothing but its counter.
+    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
+        let frame = Frame::decode(datagram, self.peer()).inspect_err(|_| self.statistics.refused += 1)?;
+        let begins = match &self.newest {
+            Some(newest) if newest.frame.session == frame.session => {
+                self.place(newest.frame.sequence, frame.sequence)?;
+                false
+            }
+            Some(newest) if now_ns.saturating_sub(newest.arrived_ns) < self.lease_ns => {
+                self.statistics.refused += 1;
+                return Err(Refusal::Session(frame.session));
+            }
+            _ => {
+                self.first_sequence = frame.sequence;
+                self.arrived = 0;
+                self.arrivals.bits.fill(0);
+                self.arrivals.mark(frame.sequence);
+                true
+            }
+        };
+        self.arrived += 1;
+        self.statistics.fresh += 1;
+        self.newest = Some(Newest { frame, arrived_ns: now_ns });
+        self.count_missing();
+        if let Some(echo) = frame.echo {
+            let round_trip = now_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
+            self.statistics.round_trip_ns = round_trip;
+            let least = self.statistics.least_round_trip_ns;
+            self.statistics.least_round_trip_ns = if least == 0 { round_trip } else { least.min(round_trip) };
+        }
+        Ok(begins)
+    }
+
+    /// Places a sequence of the living session: news, late or seen before.
+    fn place(&mut self, newest: u64, sequence: u64) -> Result<(), Refusal> {
+        if sequence > newest {
+            for passed in (newest + 1..=sequence).take(usize::try_from(WINDOW).unwrap_or(usize::MAX)) {
+                self.arrivals.clear(passed);
+            }
+            self.arrivals.mark(sequence);
+            return Ok(());
+        }
+        if newest - sequence >= WINDOW || sequence < self.first_sequence {
+            // Too old to tell whether it had arrived; the counts of this session do not hold it.
+            self.statistics.late += 1;
+            return Err(Refusal::Late(sequence));
+        }
+        if self.arrivals.mark(sequence) {
+            self.statistics.duplicate += 1;
+            return Err(Refusal::Duplicate(sequence));
+        }
+        self.statistics.late += 1;
+        self.arrived += 1;
+        self.count_missing();
+        Err(Refusal::Late(sequence))
+    }
+
+    fn count_missing(&mut self) {
+        if let Some(newest) = &self.newest {
+            let expected = newest.frame.sequence.saturating_sub(self.first_sequence).saturating_add(1);
+            self.statistics.missing = expected.saturating_sub(self.arrived);
+        }
+    }
+
+    /// Writes the next frame, sent at `now_ns`; `status` is the ladder's state and whether it hears the peer.
+    pub fn send<'a>(
+        &mut self,
+        now_ns: u64,
+        status: (u8, bool),
+        [position, velocity, force]: [Axes<N>; 3],
+        buffer: &'a mut [u8; MAX_FRAME],
+    ) -> &'a [u8] {
+        let echo = self.newest.as_ref().map(|newest| Echo {
+            sequence: newest.frame.sequence,
+            sent_ns: newest.frame.sent_ns,
+            held_ns: now_ns.saturating_sub(newest.arrived_ns),
+        });
+        let frame = Frame {
+            role: self.role,
+            state: status.0,
+            hears_peer: status.1,
+            session: self.session,
+            sequence: self.next_sequence,
+            sent_ns: now_ns,
+            echo,
+            position,
+            velocity,
+            force,
+        };
+        self.next_sequence += 1;
+        self.statistics.sent += 1;
+        frame.encode(buffer)
+    }
+
+    /// The newest frame of the peer.
+    pub fn newest(&self) -> Option<&Frame<N>> {
+        self.newest.as_ref().map(|newest| &newest.frame)
+    }
+
+    /// Time in ns since the newest frame arrived.
+    pub fn age_ns(&self, now_ns: u64) -> Option<u64> {
+        self.newest.as_ref().map(|newest| now_ns.saturating_sub(newest.arrived_ns))
+    }
+
+    /// Counts so far.
+    pub fn statistics(&self) -> LinkStatistics {
+        self.statistics
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn frames(count: usize, session: u64) -> Vec<Vec<u8>> {
+        let mut slave = FrameLink::<1>::new(Role::Slave, session, 200 * MS);
+        let mut buffer = [0; MAX_FRAME];
+        (0..count as u64)
+            .map(|n| slave.send(n * MS, (0, true), [Axes::repeat(n as f64 * 1e-3); 3], &mut buffer).to_vec())
+            .collect()
+    }
+
+    #[test]
+    fn strictly_newest_wins() {
+        let frames = frames(5, 1);
+        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        assert_eq!(master.receive(0, &frames[1]), Ok(true));
+        assert_eq!(master.receive(MS, &frames[3]), Ok(false));
+        assert_eq!(master.receive(MS, &frames[2]), Err(Refusal::Late(2)));
+        assert_eq!(master.receive(MS, &frames[2]), Err(Refusal::Duplicate(2)));
+        assert_eq!(master.receive(MS, &frames[3]), Err(Refusal::Duplicate(3)));
+        assert_eq!(master.receive(MS, &frames[0]), Err(Refusal::Late(0)));
+        assert_eq!(master.newest().unwrap().sequence, 3);
+        assert_eq!(master.age_ns(5 * MS), Some(4 * MS));
+        let counts = master.statistics();
+        assert_eq!((counts.fresh, counts.late, counts.duplicate, counts.missing), (2, 2, 2, 0));
+    }
+
+    #[test]
+    fn a_gap_is_missing_until_it_arrives_late() {
+        let frames = frames(10, 1);
+        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        for n in [0, 1, 5, 9] {
+            master.receive(0, &frames[n]).unwrap();
+        }
+        assert_eq!(master.statistics().missing, 6);
+        master.receive(0, &frames[4]).unwrap_err();
+        assert_eq!(master.statistics().missing, 5);
+    }
+
+    #[test]
+    fn another_session_waits_for_silence() {
+        let (first, second) = (frames(3, 1), frames(3, 2));
+        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        master.receive(0, &first[2]).unwrap();
+        assert_eq!(master.receive(199 * MS, &second[0]), Err(Refusal::Session(2)));
+        assert_eq!(master.receive(201 * MS, &second[0]), Ok(true));
+        assert_eq!(master.receive(202 * MS, &first[2]), Err(Refusal::Session(1)));
+        assert_eq!(master.newest().unwrap().session, 2);
+    }
+
+    #[test]
+    fn the_round_trip_leaves_out_what_the_peer_held() {
+        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        let mut slave = FrameLink::<1>::new(Role::Slave, 8, 200 * MS);
+        let mut buffer = [0; MAX_FRAME];
+        let zeros = [Axes::zeros(); 3];
+        let request = master.send(10 * MS, (0, true), zeros, &mut buffer).to_vec();
+        // The slave's clock is off by hours; it holds the frame for 3 ms.
+        let off = 3_600_000 * MS;
+        slave.receive(off, &request).unwrap();
+        let answer = slave.send(off + 3 * MS, (0, true), zeros, &mut buffer).to_vec();
+        master.receive(113 * MS, &answer).unwrap();
+        assert_eq!(master.statistics().round_trip_ns, 100 * MS);
+    }
+
+    proptest! {
+        /// Whatever the network does to the order, every arrival is counted once and nothing older is used.
+        #[test]
+        fn counts_balance(order in prop::collection::vec(0usize..300, 1..600)) {
+            let frames = frames(300, 1);
+            let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+            let mut used = None;
+            for &n in &order {
+                let fresh = master.receive(0, &frames[n]).is_ok();
+                prop_assert_eq!(fresh, used.is_none_or(|used| n > used));
+                if fresh { used = Some(n); }
+            }
+            let counts = master.statistics();
+            prop_assert_eq!(counts.fresh + counts.late + counts.duplicate, order.len() as u64);
+            let first = order[0];
+            let distinct: std::collections::BTreeSet<_> =
+                order.iter().filter(|&&n| n >= first).collect();
+            let span = used.unwrap() - first + 1;
+            prop_assert_eq!(counts.missing, (span - distinct.len()) as u64);
+        }
+    }
+}

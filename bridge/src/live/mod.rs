@@ -1,0 +1,8 @@
+//! The live runner: the same sides as in virtual time, with sockets and sleep added and nothing else.
+
+mod clock;
+mod run;
+mod socket;
+
+pub use run::{LiveRun, LiveSettings, LoopReport, run_live};
+pub use socket::{PeerAddress, PeerSocket};

@@ -1,0 +1,183 @@
+//! The live loop of one side.
+
+use std::{
+    io,
+    net::SocketAddr,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
+    },
+    thread::JoinHandle,
+};
+
+use super::{clock, socket::PeerSocket};
+use crate::{ladder::LadderState, link::LinkStatistics, side::Side, wire::MAX_FRAME};
+
+/// How a live loop goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LiveSettings {
+    /// Period in ns.
+    pub period_ns: u64,
+    /// Ends this long after the two sides engaged, in ns.
+    pub duration_ns: Option<u64>,
+    /// Ends if the two sides have not engaged after this time, in ns.
+    pub patience_ns: Option<u64>,
+    /// Records that wait for a reader; further ones are counted and dropped.
+    pub ring: usize,
+}
+
+/// How a live loop went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LoopReport {
+    /// Ticks done.
+    pub ticks: u64,
+    /// Ticks left out because the loop woke too late.
+    pub skipped: u64,
+    /// Records that found the ring full.
+    pub dropped_records: u64,
+    /// Frames that the system refused to send.
+    pub unsent: u64,
+    /// Counts of the link.
+    pub link: LinkStatistics,
+    /// How often the ladder went to HOLD.
+    pub holds: u64,
+    /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
+    pub engaged_ns: u64,
+}
+
+/// A loop that wakes later than this discards the backlog and holds: what it knows is old.
+const MOST_LATE_NS: u64 = 20_000_000;
+
+/// Datagrams taken in one tick; more would let a flood stretch the tick.
+const MOST_DATAGRAMS: usize = 64;
+
+#[derive(Debug, Default)]
+struct Shared {
+    stop: AtomicBool,
+    state: AtomicU8,
+    ticks: AtomicU64,
+}
+
+/// A live loop on its own thread.
+#[derive(Debug)]
+pub struct LiveRun<R> {
+    thread: Option<JoinHandle<LoopReport>>,
+    records: rtrb::Consumer<R>,
+    shared: Arc<Shared>,
+    address: SocketAddr,
+}
+
+/// Starts the loop of one side on a thread of its own.
+pub fn run_live<S: Side + Send + 'static>(
+    side: S,
+    socket: PeerSocket,
+    settings: LiveSettings,
+) -> io::Result<LiveRun<S::Record>> {
+    let (producer, records) = rtrb::RingBuffer::new(settings.ring);
+    let shared = Arc::new(Shared::default());
+    let address = socket.local_address()?;
+    let seen = Arc::clone(&shared);
+    let thread = std::thread::Builder::new()
+        .name("haptether-loop".into())
+        .spawn(move || turn(side, socket, settings, producer, &seen))?;
+    Ok(LiveRun { thread: Some(thread), records, shared, address })
+}
+
+/// The loop: wait for the deadline, take what has arrived, tick, send, record.
+fn turn<S: Side>(
+    mut side: S,
+    mut socket: PeerSocket,
+    settings: LiveSettings,
+    mut records: rtrb::Producer<S::Record>,
+    shared: &Shared,
+) -> LoopReport {
+    clock::ask_for_prompt_wakeups();
+    let mut report = LoopReport { engaged_ns: u64::MAX, ..LoopReport::default() };
+    let mut buffer = [0; MAX_FRAME];
+    let start_ns = clock::now_ns();
+    let mut deadline_ns = start_ns;
+    while !shared.stop.load(Ordering::Relaxed) {
+        clock::sleep_until(deadline_ns);
+        let overshoot_ns = clock::now_ns().saturating_sub(deadline_ns);
+        if overshoot_ns > MOST_LATE_NS {
+            let missed = overshoot_ns / settings.period_ns;
+            report.skipped += missed;
+            deadline_ns += missed * settings.period_ns;
+            side.stalled();
+        }
+        // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
+        let now_ns = deadline_ns;
+        socket.drain(MOST_DATAGRAMS, |datagram| side.receive(now_ns, datagram).is_ok());
+        let record = side.tick(start_ns, now_ns, overshoot_ns);
+        socket.send(side.send(now_ns, &mut buffer));
+        report.ticks += 1;
+        if records.push(record).is_err() {
+            report.dropped_records += 1;
+        }
+        let state = side.state();
+        if state == LadderState::Engaged && report.engaged_ns == u64::MAX {
+            report.engaged_ns = now_ns - start_ns;
+        }
+        shared.state.store(state.code(), Ordering::Relaxed);
+        shared.ticks.store(report.ticks, Ordering::Relaxed);
+        let elapsed_ns = now_ns - start_ns;
+        let limit_ns = match report.engaged_ns {
+            u64::MAX => settings.patience_ns,
+            engaged_ns => settings.duration_ns.map(|duration_ns| engaged_ns.saturating_add(duration_ns)),
+        };
+        if limit_ns.is_some_and(|limit_ns| elapsed_ns >= limit_ns) {
+            break;
+        }
+        deadline_ns += settings.period_ns;
+    }
+    side.rest();
+    (report.link, report.holds) = side.counts();
+    report.unsent = socket.unsent;
+    report
+}
+
+impl<R> LiveRun<R> {
+    /// Takes the records that wait.
+    pub fn drain(&mut self, mut take: impl FnMut(R)) {
+        while let Ok(record) = self.records.pop() {
+            take(record);
+        }
+    }
+
+    /// Where the socket listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Where the ladder stands.
+    pub fn state(&self) -> LadderState {
+        LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Waiting)
+    }
+
+    /// Ticks done so far.
+    pub fn ticks(&self) -> u64 {
+        self.shared.ticks.load(Ordering::Relaxed)
+    }
+
+    /// Whether the loop has ended.
+    pub fn is_finished(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Asks the loop to end after its current tick.
+    pub fn stop(&self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Ends the loop and gives its report; none if it was given before or the loop panicked.
+    pub fn join(&mut self) -> Option<LoopReport> {
+        self.stop();
+        self.thread.take()?.join().ok()
+    }
+}
+
+impl<R> Drop for LiveRun<R> {
+    fn drop(&mut self) {
+        self.join();
+    }
+}

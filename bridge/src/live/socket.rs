@@ -1,0 +1,76 @@
+//! A UDP socket that talks to one peer and never blocks.
+
+use std::{
+    io,
+    net::{SocketAddr, UdpSocket},
+};
+
+/// How the peer is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PeerAddress {
+    /// Sends there from the start.
+    Known(SocketAddr),
+    /// Answers where the last good frame came from.
+    Learned,
+}
+
+/// A non-blocking UDP socket and its peer.
+#[derive(Debug)]
+pub struct PeerSocket {
+    socket: UdpSocket,
+    peer: Option<SocketAddr>,
+    learns: bool,
+    /// Frames that the system refused to send: nobody listens there, or its buffer was full.
+    pub unsent: u64,
+}
+
+impl PeerSocket {
+    /// Binds to `local`.
+    pub fn bind(local: SocketAddr, peer: PeerAddress) -> io::Result<Self> {
+        let socket = UdpSocket::bind(local)?;
+        socket.set_nonblocking(true)?;
+        let (peer, learns) = match peer {
+            PeerAddress::Known(address) => (Some(address), false),
+            PeerAddress::Learned => (None, true),
+        };
+        Ok(Self { socket, peer, learns, unsent: 0 })
+    }
+
+    /// Where it listens.
+    pub fn local_address(&self) -> io::Result<SocketAddr> {
+        self.socket.local_addr()
+    }
+
+    /// Gives each datagram that waits, at most `most`, to `take`, which says whether it was good.
+    ///
+    /// A datagram from elsewhere than a known peer is not looked at.
+    pub fn drain(&mut self, most: usize, mut take: impl FnMut(&[u8]) -> bool) {
+        // One byte more than the longest frame, so that a longer datagram is seen to be too long.
+        let mut buffer = [0; crate::wire::MAX_FRAME + 1];
+        for _ in 0..most {
+            match self.socket.recv_from(&mut buffer) {
+                Ok((length, from)) => {
+                    if !self.learns && self.peer != Some(from) {
+                        continue;
+                    }
+                    if take(&buffer[..length]) && self.learns {
+                        self.peer = Some(from);
+                    }
+                }
+                // Nobody listens there (yet): a later frame may find somebody.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(_) => return,
+            }
+        }
+    }
+
+    /// Sends to the peer, if there is one.
+    pub fn send(&mut self, frame: &[u8]) {
+        if let Some(peer) = self.peer
+            && self.socket.send_to(frame, peer).is_err()
+        {
+            self.unsent += 1;
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! What a run leaves behind: one flat record per tick and side.
+
+use haptether_safety::Axes;
+
+use crate::{
+    endpoint::{MasterTick, SlaveTick},
+    ladder::LadderState,
+};
+
+/// One tick of the master.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MasterRecord<const N: usize> {
+    /// Time since the run began, in ns.
+    pub time_ns: u64,
+    /// x in m, as measured.
+    pub position: Axes<N>,
+    /// True velocity in m/s where the device is a model, else V as estimated.
+    pub velocity: Axes<N>,
+    /// True force of the hand in N where the device is a model, else zero.
+    pub hand_force: Axes<N>,
+    /// `F_v` in N.
+    pub rendered_force: Axes<N>,
+    /// `F_h` in N, as estimated.
+    pub grasp_force: Axes<N>,
+    /// `F_c` in N.
+    pub safety_force: Axes<N>,
+    /// `F_device` in N.
+    pub device_force: Axes<N>,
+    /// `S_vf`, `S_h`, `E_wso` in J; NaN where not observed.
+    pub observers: [f64; 3],
+    /// Who tripped, [`haptether_safety::controller::Tripped::bits`].
+    pub tripped: u8,
+    /// Which bounds acted, [`haptether_safety::Acted::bits`].
+    pub acted: u8,
+    /// State of the ladder.
+    pub state: LadderState,
+    /// Silence of the peer in ns, `u64::MAX` before its first frame.
+    pub age_ns: u64,
+    /// How late the loop woke, in ns; 0 in virtual time.
+    pub overshoot_ns: u64,
+}
+
+impl<const N: usize> MasterRecord<N> {
+    pub(crate) fn new(
+        time_ns: u64,
+        overshoot_ns: u64,
+        position: &Axes<N>,
+        truth: Option<(Axes<N>, Axes<N>)>,
+        tick: &MasterTick<N>,
+    ) -> Self {
+        let (velocity, hand_force) = truth.unwrap_or((tick.safety.motion.velocity, Axes::zeros()));
+        let intervention = &tick.safety.intervention;
+        Self {
+            time_ns,
+            position: *position,
+            velocity,
+            hand_force,
+            rendered_force: tick.rendered_force,
+            grasp_force: tick.safety.grasp_force,
+            safety_force: intervention.safety_force,
+            device_force: tick.safety.device_force,
+            observers: [intervention.velocity_force, intervention.grasp, intervention.windowed_energy_j],
+            tripped: intervention.tripped.bits(),
+            acted: tick.safety.acted.bits(),
+            state: tick.state,
+            age_ns: tick.age_ns.unwrap_or(u64::MAX),
+            overshoot_ns,
+        }
+    }
+}
+
+/// One tick of the slave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlaveRecord<const N: usize> {
+    /// Time since the run began, in ns.
+    pub time_ns: u64,
+    /// Tool position in m.
+    pub position: Axes<N>,
+    /// Commanded position in m; the tool's own before the first command.
+    pub command: Axes<N>,
+    /// `F_e` in N.
+    pub environment_force: Axes<N>,
+    /// State of the ladder.
+    pub state: LadderState,
+    /// How late the loop woke, in ns; 0 in virtual time.
+    pub overshoot_ns: u64,
+}
+
+impl<const N: usize> SlaveRecord<N> {
+    pub(crate) fn new(
+        time_ns: u64,
+        overshoot_ns: u64,
+        [position, _, environment_force]: &[Axes<N>; 3],
+        tick: &SlaveTick<N>,
+    ) -> Self {
+        Self {
+            time_ns,
+            position: *position,
+            command: tick.command.unwrap_or(*position),
+            environment_force: *environment_force,
+            state: tick.state,
+            overshoot_ns,
+        }
+    }
+}

@@ -1,0 +1,351 @@
+//! The frame that master and slave exchange, byte for byte.
+//!
+//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 4` bytes, the same for every frame of a
+//! session:
+//!
+//! | offset | type | field |
+//! |---|---|---|
+//! | 0 | `[u8; 2]` | magic, `HT` |
+//! | 2 | `u8` | version, 1 |
+//! | 3 | `u8` | role of the sender: 1 master, 2 slave |
+//! | 4 | `u8` | axes N |
+//! | 5 | `u8` | state of the sender's ladder |
+//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer |
+//! | 8 | `u64` | session: drawn by the sender when it starts |
+//! | 16 | `u64` | sequence, from 0, one more with each frame |
+//! | 24 | `u64` | echo: newest sequence received from the peer |
+//! | 32 | `u64` | time of sending, sender's monotonic clock in ns |
+//! | 40 | `u64` | echo: time of sending of that frame, the peer's clock in ns |
+//! | 48 | `u64` | echo: time in ns since that frame arrived |
+//! | 56 | `[f64; N]` | position in m (rad) |
+//! | 56 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
+//! | 56 + 16 N | `[f64; N]` | force in N (N m): master, force rendered; slave, force of the environment |
+//! | 56 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
+//!
+//! Positions are absolute, never increments: a lost frame costs its own news and nothing else.
+
+use haptether_safety::{Axes, Signal};
+use zerocopy::{
+    FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned,
+    little_endian::{U16, U64},
+};
+
+/// Magic bytes at the start of a frame.
+pub const MAGIC: [u8; 2] = *b"HT";
+/// Version of the frame.
+pub const VERSION: u8 = 1;
+/// Bytes before the first axis.
+pub const HEADER: usize = 56;
+/// Bytes of the checksum.
+const CHECKSUM: usize = 4;
+/// Bytes of a frame of the largest number of axes.
+pub const MAX_FRAME: usize = frame_length(7);
+
+/// Bytes of a frame of `axes` axes.
+pub const fn frame_length(axes: usize) -> usize {
+    HEADER + 24 * axes + CHECKSUM
+}
+
+/// Who sent a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// The side of the hand.
+    Master,
+    /// The side of the robot.
+    Slave,
+}
+
+impl Role {
+    const fn byte(self) -> u8 {
+        match self {
+            Self::Master => 1,
+            Self::Slave => 2,
+        }
+    }
+}
+
+/// The newest frame of the peer, told back to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Echo {
+    /// Its sequence.
+    pub sequence: u64,
+    /// Its time of sending, on the peer's clock in ns.
+    pub sent_ns: u64,
+    /// How long ago it arrived, in ns.
+    pub held_ns: u64,
+}
+
+/// A frame, decoded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame<const N: usize> {
+    /// Who sent it.
+    pub role: Role,
+    /// State of the sender's ladder, [`crate::LadderState::code`].
+    pub state: u8,
+    /// Whether the sender has heard the peer recently enough to stay engaged.
+    pub hears_peer: bool,
+    /// Drawn by the sender when it started.
+    pub session: u64,
+    /// From 0, one more with each frame.
+    pub sequence: u64,
+    /// Time of sending in ns, sender's monotonic clock.
+    pub sent_ns: u64,
+    /// What the sender last received.
+    pub echo: Option<Echo>,
+    /// Position in m.
+    pub position: Axes<N>,
+    /// Velocity in m/s.
+    pub velocity: Axes<N>,
+    /// Force in N.
+    pub force: Axes<N>,
+}
+
+/// Why a datagram is no frame. It changes no state and is only counted.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum WireError {
+    /// Of another length.
+    #[error("frame of {seen} bytes: must have {allowed}")]
+    Length {
+        /// Bytes received.
+        seen: usize,
+        /// Bytes of a frame of this session.
+        allowed: usize,
+    },
+    /// Of something else.
+    #[error("magic {0:?}: must be {MAGIC:?}")]
+    Magic([u8; 2]),
+    /// Of another version.
+    #[error("frame version {0}: must be {VERSION}")]
+    Version(u8),
+    /// From the wrong side.
+    #[error("sender role {0}: must be the peer's")]
+    Role(u8),
+    /// With another number of axes.
+    #[error("frame of {seen} axes: must have {allowed}")]
+    Axes {
+        /// Axes of the frame.
+        seen: u8,
+        /// Axes of this endpoint.
+        allowed: usize,
+    },
+    /// Damaged on the way.
+    #[error("checksum {seen:#010x}: must be {computed:#010x}")]
+    Checksum {
+        /// As received.
+        seen: u32,
+        /// Of the bytes received.
+        computed: u32,
+    },
+    /// A number is not finite or absurd.
+    #[error("frame {0}: {1}")]
+    Value(u64, haptether_safety::Fault),
+}
+
+#[derive(Clone, Copy, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct Header {
+    magic: [u8; 2],
+    version: u8,
+    role: u8,
+    axes: u8,
+    state: u8,
+    flags: U16,
+    session: U64,
+    sequence: U64,
+    echo_sequence: U64,
+    sent_ns: U64,
+    echo_sent_ns: U64,
+    echo_held_ns: U64,
+}
+
+const ECHO_VALID: u16 = 1;
+const HEARS_PEER: u16 = 2;
+
+impl<const N: usize> Frame<N> {
+    /// Bytes of this frame.
+    pub const LENGTH: usize = frame_length(N);
+
+    /// Writes the frame and gives the bytes written.
+    pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        let echo = self.echo.unwrap_or(Echo { sequence: 0, sent_ns: 0, held_ns: 0 });
+        #[allow(clippy::cast_possible_truncation)] // at most 7 axes
+        let header = Header {
+            magic: MAGIC,
+            version: VERSION,
+            role: self.role.byte(),
+            axes: N as u8,
+            state: self.state,
+            flags: U16::new(
+                if self.echo.is_some() { ECHO_VALID } else { 0 }
+                    | if self.hears_peer { HEARS_PEER } else { 0 },
+            ),
+            session: U64::new(self.session),
+            sequence: U64::new(self.sequence),
+            echo_sequence: U64::new(echo.sequence),
+            sent_ns: U64::new(self.sent_ns),
+            echo_sent_ns: U64::new(echo.sent_ns),
+            echo_held_ns: U64::new(echo.held_ns),
+        };
+        buffer[..HEADER].copy_from_slice(header.as_bytes());
+        let values = self.position.iter().chain(&self.velocity).chain(&self.force);
+        for (slot, value) in buffer[HEADER..].chunks_exact_mut(8).zip(values) {
+            slot.copy_from_slice(&value.to_le_bytes());
+        }
+        let end = Self::LENGTH - CHECKSUM;
+        let checksum = crc32fast::hash(&buffer[..end]);
+        buffer[end..Self::LENGTH].copy_from_slice(&checksum.to_le_bytes());
+        &buffer[..Self::LENGTH]
+    }
+
+    /// Reads a frame from the peer of role `from`; the cheap refusals come first.
+    pub fn decode(bytes: &[u8], from: Role) -> Result<Self, WireError> {
+        if bytes.len() != Self::LENGTH {
+            return Err(WireError::Length { seen: bytes.len(), allowed: Self::LENGTH });
+        }
+        let Ok((header, _)) = Header::read_from_prefix(bytes) else {
+            return Err(WireError::Length { seen: bytes.len(), allowed: Self::LENGTH });
+        };
+        if header.magic != MAGIC {
+            return Err(WireError::Magic(header.magic));
+        }
+        if header.version != VERSION {
+            return Err(WireError::Version(header.version));
+        }
+        if header.role != from.byte() {
+            return Err(WireError::Role(header.role));
+        }
+        if usize::from(header.axes) != N {
+            return Err(WireError::Axes { seen: header.axes, allowed: N });
+        }
+        let (body, tail) = bytes.split_at(Self::LENGTH - CHECKSUM);
+        let computed = crc32fast::hash(body);
+        let seen = tail.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
+        if seen != computed {
+            return Err(WireError::Checksum { seen, computed });
+        }
+        let sequence = header.sequence.get();
+        let axes = |index: usize, signal: Signal| {
+            let start = HEADER + 8 * N * index;
+            let value = Axes::<N>::from_iterator(body[start..start + 8 * N].chunks_exact(8).map(|bytes| {
+                let mut value = [0; 8];
+                value.copy_from_slice(bytes);
+                f64::from_le_bytes(value)
+            }));
+            signal.check(&value).map_err(|fault| WireError::Value(sequence, fault)).map(|()| value)
+        };
+        Ok(Self {
+            role: from,
+            state: header.state,
+            hears_peer: header.flags.get() & HEARS_PEER != 0,
+            session: header.session.get(),
+            sequence,
+            sent_ns: header.sent_ns.get(),
+            echo: (header.flags.get() & ECHO_VALID != 0).then(|| Echo {
+                sequence: header.echo_sequence.get(),
+                sent_ns: header.echo_sent_ns.get(),
+                held_ns: header.echo_held_ns.get(),
+            }),
+            position: axes(0, Signal::Position)?,
+            velocity: axes(1, Signal::Velocity)?,
+            force: axes(2, Signal::RenderedForce)?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn frame() -> Frame<1> {
+        Frame {
+            role: Role::Slave,
+            state: 2,
+            hears_peer: true,
+            session: 0x1122_3344_5566_7788,
+            sequence: 5,
+            sent_ns: 1_000_000,
+            echo: Some(Echo { sequence: 3, sent_ns: 7, held_ns: 9 }),
+            position: Axes::<1>::new(-0.5),
+            velocity: Axes::<1>::new(0.25),
+            force: Axes::<1>::new(2.0),
+        }
+    }
+
+    /// The known answer, written down by hand from the table above.
+    #[test]
+    fn bytes_are_those_of_the_table() {
+        let mut buffer = [0; MAX_FRAME];
+        let bytes = frame().encode(&mut buffer);
+        let mut expected = Vec::new();
+        expected.extend_from_slice(b"HT\x01\x02\x01\x02\x03\x00");
+        expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
+        for number in [5_u64, 3, 1_000_000, 7, 9] {
+            expected.extend_from_slice(&number.to_le_bytes());
+        }
+        expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xE0, 0xBF]); // -0.5
+        expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xD0, 0x3F]); // 0.25
+        expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0x00, 0x40]); // 2.0
+        expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
+        assert_eq!(bytes, expected);
+        assert_eq!(Frame::decode(bytes, Role::Slave), Ok(frame()));
+    }
+
+    #[test]
+    fn the_checksum_is_the_common_one() {
+        assert_eq!(crc32fast::hash(b"123456789"), 0xCBF4_3926);
+    }
+
+    #[test]
+    fn refusals_name_what_was_seen() {
+        let mut buffer = [0; MAX_FRAME];
+        let good = frame().encode(&mut buffer).to_vec();
+        let refuse = |change: &dyn Fn(&mut Vec<u8>)| {
+            let mut bytes = good.clone();
+            change(&mut bytes);
+            Frame::<1>::decode(&bytes, Role::Slave).unwrap_err()
+        };
+        assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 84 });
+        assert_eq!(refuse(&|b| b[0] = b'X'), WireError::Magic(*b"XT"));
+        assert_eq!(refuse(&|b| b[2] = 9), WireError::Version(9));
+        assert_eq!(refuse(&|b| b[3] = 1), WireError::Role(1));
+        assert_eq!(refuse(&|b| b[4] = 3), WireError::Axes { seen: 3, allowed: 1 });
+        assert!(matches!(refuse(&|b| b[60] ^= 4), WireError::Checksum { .. }));
+        let mut bad = frame();
+        bad.force[0] = f64::NAN;
+        let error = Frame::<1>::decode(bad.encode(&mut buffer), Role::Slave).unwrap_err();
+        assert_eq!(error.to_string(), "frame 5: rendered force is not a finite number");
+    }
+
+    proptest! {
+        #[test]
+        fn round_trip(
+            numbers in prop::array::uniform9(-900.0..900.0f64),
+            (session, sequence, sent_ns) in any::<(u64, u64, u64)>(),
+            echo in prop::option::of(any::<(u64, u64, u64)>()),
+            (state, hears_peer) in any::<(u8, bool)>(),
+        ) {
+            let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
+            let frame = Frame {
+                role: Role::Master, state, hears_peer, session, sequence, sent_ns,
+                echo: echo.map(|(sequence, sent_ns, held_ns)| Echo { sequence, sent_ns, held_ns }),
+                position: part(0), velocity: part(3), force: part(6),
+            };
+            let mut buffer = [0; MAX_FRAME];
+            prop_assert_eq!(Frame::decode(frame.encode(&mut buffer), Role::Master), Ok(frame));
+        }
+
+        #[test]
+        fn noise_is_refused_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+            prop_assert!(Frame::<2>::decode(&bytes, Role::Master).is_err());
+        }
+
+        #[test]
+        fn one_flipped_bit_is_refused(bit in 0usize..84 * 8) {
+            let mut buffer = [0; MAX_FRAME];
+            let mut bytes = frame().encode(&mut buffer).to_vec();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            prop_assert!(Frame::<1>::decode(&bytes, Role::Slave).is_err());
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! One Python class for every number of axes: an enum over the const-generic Rust types.
+
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+/// What is said of a number of axes that no device has.
+pub(crate) fn refuse_axes(axes: usize) -> PyErr {
+    PyValueError::new_err(format!("axes = {axes}: must be 1, 2, 3, 6 or 7"))
+}
+
+/// Any error of the crates, as `ValueError`: they all say what was seen and what is allowed.
+pub(crate) fn refuse(error: impl std::fmt::Display) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+/// Declares an enum with one variant per number of axes.
+macro_rules! per_axes {
+    ($(#[$doc:meta])* $name:ident, $inner:ident) => {
+        $(#[$doc])*
+        #[derive(Clone)]
+        pub(crate) enum $name {
+            One($inner<1>),
+            Two($inner<2>),
+            Three($inner<3>),
+            Six($inner<6>),
+            Seven($inner<7>),
+        }
+    };
+}
+
+/// Runs an expression on the inner value; `N` is its number of axes.
+macro_rules! with_axes {
+    ($of:expr, $name:ident, $inner:ident => $body:expr) => {
+        match $of {
+            $name::One($inner) => {
+                #[allow(dead_code)]
+                const N: usize = 1;
+                $body
+            }
+            $name::Two($inner) => {
+                #[allow(dead_code)]
+                const N: usize = 2;
+                $body
+            }
+            $name::Three($inner) => {
+                #[allow(dead_code)]
+                const N: usize = 3;
+                $body
+            }
+            $name::Six($inner) => {
+                #[allow(dead_code)]
+                const N: usize = 6;
+                $body
+            }
+            $name::Seven($inner) => {
+                #[allow(dead_code)]
+                const N: usize = 7;
+                $body
+            }
+        }
+    };
+}
+
+/// Builds the variant for a number of axes known at run time; `N` is a constant in the expression.
+macro_rules! build_axes {
+    ($axes:expr, $name:ident, $body:expr) => {
+        match $axes {
+            1 => {
+                const N: usize = 1;
+                $name::One($body)
+            }
+            2 => {
+                const N: usize = 2;
+                $name::Two($body)
+            }
+            3 => {
+                const N: usize = 3;
+                $name::Three($body)
+            }
+            6 => {
+                const N: usize = 6;
+                $name::Six($body)
+            }
+            7 => {
+                const N: usize = 7;
+                $name::Seven($body)
+            }
+            other => return Err($crate::axes::refuse_axes(other)),
+        }
+    };
+}
+
+/// Builds a variant from the device model's variant, so that both have the same axes.
+macro_rules! build_like {
+    ($device:expr, $name:ident, $model:ident => $body:expr) => {
+        match $device {
+            AnyDevice::One($model) => $name::One($body),
+            AnyDevice::Two($model) => $name::Two($body),
+            AnyDevice::Three($model) => $name::Three($body),
+            AnyDevice::Six($model) => $name::Six($body),
+            AnyDevice::Seven($model) => $name::Seven($body),
+        }
+    };
+}
+
+pub(crate) use {build_axes, build_like, per_axes, with_axes};

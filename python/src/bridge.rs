@@ -1,0 +1,355 @@
+//! `haptether.bridge`: both runners.
+
+use std::sync::{Mutex, PoisonError};
+
+use haptether_bridge::{
+    LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide, Side,
+    SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
+    live::{LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, run_live},
+    run_virtual,
+};
+use haptether_master::{Hand, SimulatedMaster};
+use haptether_safety::{LimiterSettings, estimator::EstimatorKind};
+use haptether_slave::SimulatedSlave;
+use pyo3::{
+    exceptions::{PyOSError, PyRuntimeError, PyValueError},
+    prelude::*,
+};
+
+use crate::{
+    axes::refuse,
+    bridge_trace::{MasterTrace, PyLoopReport, SlaveTrace},
+    local::{PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
+    netsim::{PyLinkSettings, address},
+    safety::{PyEstimatorKind, PyLimiterSettings, PySafetySettings},
+};
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyMasterSettings>()?;
+    module.add_class::<PySlaveSettings>()?;
+    module.add_class::<LiveMaster>()?;
+    module.add_class::<LiveSlave>()?;
+    module.add_function(wrap_pyfunction!(run_bridge, module)?)?;
+    module.add_function(wrap_pyfunction!(ladder_state_name, module)?)
+}
+
+/// A positive time in s as ns.
+fn nanoseconds(key: &str, seconds: f64) -> PyResult<u64> {
+    if seconds.is_finite() && (0.0..=1e9).contains(&seconds) {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
+        return Ok((seconds * 1e9).round() as u64);
+    }
+    Err(PyValueError::new_err(format!("{key} = {seconds}: must be between 0 and 1e9 s")))
+}
+
+/// The name of a ladder state's code.
+#[pyfunction]
+fn ladder_state_name(code: u8) -> PyResult<&'static str> {
+    LadderState::from_code(code)
+        .map(LadderState::name)
+        .ok_or_else(|| PyValueError::new_err(format!("state {code}: must be 0 to 4")))
+}
+
+type SimulatedMasterSide = MasterSide<SimulatedMaster, 1>;
+type SimulatedSlaveSide = SlaveSide<SimulatedSlave, 1>;
+
+#[pyclass(name = "MasterSettings", module = "haptether.bridge", frozen)]
+#[derive(Clone)]
+pub(crate) struct PyMasterSettings {
+    device: PyHapticDevice,
+    hand: Hand,
+    endpoint: MasterSettings<1>,
+}
+
+#[pymethods]
+impl PyMasterSettings {
+    #[new]
+    #[pyo3(signature = (device, hand, *, safety=None, estimator=None, limiter=None, force_scale=1.0,
+        period_s=1e-3))]
+    fn new(
+        device: &PyHapticDevice,
+        hand: &PyHand,
+        safety: Option<&PySafetySettings>,
+        estimator: Option<&PyEstimatorKind>,
+        limiter: Option<&PyLimiterSettings>,
+        force_scale: f64,
+        period_s: f64,
+    ) -> PyResult<Self> {
+        let settings = Self {
+            device: *device,
+            hand: hand.inner.clone(),
+            endpoint: MasterSettings {
+                period_ns: nanoseconds("period_s", period_s)?,
+                session: 0,
+                device: device.model()?,
+                estimator: estimator.map_or_else(EstimatorKind::default, |kind| kind.inner),
+                safety: safety.map(|safety| safety.inner).unwrap_or_default(),
+                limiter: limiter.map_or_else(LimiterSettings::default, |limiter| limiter.inner),
+                force_scale,
+                ladder: LadderSettings::default(),
+            },
+        };
+        settings.side(0)?;
+        Ok(settings)
+    }
+}
+
+impl PyMasterSettings {
+    fn side(&self, session: u64) -> PyResult<SimulatedMasterSide> {
+        let endpoint = MasterEndpoint::new(&MasterSettings { session, ..self.endpoint }).map_err(refuse)?;
+        let mut plant = SimulatedMaster::new(self.device.inner, self.hand.clone(), 0).map_err(refuse)?;
+        plant.set_waiting(true);
+        Ok(MasterSide { plant, endpoint })
+    }
+}
+
+#[pyclass(name = "SlaveSettings", module = "haptether.bridge", frozen)]
+#[derive(Clone)]
+pub(crate) struct PySlaveSettings {
+    arm: PyArm,
+    wall: PyWall,
+    pusher: Option<PyPusher>,
+    position: f64,
+    endpoint: SlaveSettings,
+}
+
+#[pymethods]
+impl PySlaveSettings {
+    #[new]
+    #[pyo3(signature = (arm, wall, *, pusher=None, position=0.0, position_scale=1.0, period_s=1e-3))]
+    fn new(
+        arm: &PyArm,
+        wall: &PyWall,
+        pusher: Option<&PyPusher>,
+        position: f64,
+        position_scale: f64,
+        period_s: f64,
+    ) -> PyResult<Self> {
+        let settings = Self {
+            arm: *arm,
+            wall: *wall,
+            pusher: pusher.copied(),
+            position,
+            endpoint: SlaveSettings {
+                period_ns: nanoseconds("period_s", period_s)?,
+                session: 0,
+                position_scale,
+                ladder: LadderSettings::default(),
+            },
+        };
+        settings.side(0)?;
+        Ok(settings)
+    }
+}
+
+impl PySlaveSettings {
+    fn side(&self, session: u64) -> PyResult<SimulatedSlaveSide> {
+        let endpoint = SlaveEndpoint::new(&SlaveSettings { session, ..self.endpoint }).map_err(refuse)?;
+        let pusher = self.pusher.map(|pusher| pusher.inner);
+        let plant =
+            SimulatedSlave::new(self.arm.inner, self.wall.inner, pusher, self.position, 0).map_err(refuse)?;
+        Ok(SlaveSide { plant, endpoint })
+    }
+}
+
+/// Runs both sides in virtual time.
+#[pyfunction]
+#[pyo3(signature = (master, slave, *, forward, backward, duration_s, seed=0))]
+fn run_bridge(
+    py: Python<'_>,
+    master: &PyMasterSettings,
+    slave: &PySlaveSettings,
+    forward: &PyLinkSettings,
+    backward: &PyLinkSettings,
+    duration_s: f64,
+    seed: u64,
+) -> PyResult<(MasterTrace, SlaveTrace, PyLoopReport, PyLoopReport)> {
+    let period_ns = master.endpoint.period_ns;
+    if slave.endpoint.period_ns != period_ns {
+        return Err(PyValueError::new_err("period_s: master and slave must have the same in virtual time"));
+    }
+    let settings = VirtualSettings {
+        period_ns,
+        ticks: nanoseconds("duration_s", duration_s)? / period_ns,
+        forward: forward.inner,
+        backward: backward.inner,
+        seed,
+    };
+    let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);
+    let (mut master_records, mut slave_records) = (Vec::new(), Vec::new());
+    py.detach(|| {
+        run_virtual(&settings, &mut master, &mut slave, |master, slave| {
+            master_records.push(master);
+            slave_records.push(slave);
+        })
+    })
+    .map_err(refuse)?;
+    let report = |(link, holds), mut states: Box<dyn Iterator<Item = (u64, LadderState)> + '_>| {
+        let engaged = states.find(|(_, state)| *state == LadderState::Engaged);
+        LoopReport {
+            ticks: settings.ticks,
+            link,
+            holds,
+            engaged_ns: engaged.map_or(u64::MAX, |(time_ns, _)| time_ns),
+            ..LoopReport::default()
+        }
+    };
+    let master_report =
+        report(master.counts(), Box::new(master_records.iter().map(|record| (record.time_ns, record.state))));
+    let slave_report =
+        report(slave.counts(), Box::new(slave_records.iter().map(|record| (record.time_ns, record.state))));
+    Ok((
+        MasterTrace { records: master_records },
+        SlaveTrace { records: slave_records },
+        master_report.into(),
+        slave_report.into(),
+    ))
+}
+
+/// A socket, a loop on its own thread, and the records so far.
+struct Live<R> {
+    /// Never contended: the mutex only tells Python that the reader of the ring may move between threads.
+    run: Mutex<LiveRun<R>>,
+    records: Vec<R>,
+}
+
+impl<R: Copy + Send + 'static> Live<R> {
+    fn start<S: Side<Record = R> + Send + 'static>(
+        side: S,
+        local: &str,
+        peer: Option<&str>,
+        period_ns: u64,
+        duration_s: Option<f64>,
+        patience_s: Option<f64>,
+    ) -> PyResult<Self> {
+        let peer = match peer {
+            Some(peer) => PeerAddress::Known(address("peer", peer)?),
+            None => PeerAddress::Learned,
+        };
+        let local = address("listen", local)?;
+        let cannot = |error: std::io::Error| PyOSError::new_err(format!("cannot listen on {local}: {error}"));
+        let socket = PeerSocket::bind(local, peer).map_err(cannot)?;
+        let settings = LiveSettings {
+            period_ns,
+            duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
+            patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
+            ring: 1 << 16,
+        };
+        let run = run_live(side, socket, settings).map_err(|error| PyOSError::new_err(error.to_string()))?;
+        Ok(Self { run: Mutex::new(run), records: Vec::new() })
+    }
+
+    fn run(&mut self) -> &mut LiveRun<R> {
+        self.run.get_mut().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn poll(&mut self) -> usize {
+        let Self { run, records } = self;
+        let run = run.get_mut().unwrap_or_else(PoisonError::into_inner);
+        run.drain(|record| records.push(record));
+        records.len()
+    }
+
+    fn finish(&mut self, py: Python<'_>) -> PyResult<(Vec<R>, PyLoopReport)> {
+        let report = {
+            let run = self.run();
+            py.detach(|| run.join())
+        };
+        self.poll();
+        let report =
+            report.ok_or_else(|| PyRuntimeError::new_err("the loop was finished before, or it panicked"))?;
+        Ok((std::mem::take(&mut self.records), report.into()))
+    }
+}
+
+/// What the classes of both sides share.
+macro_rules! live_methods {
+    ($class:ident) => {
+        #[pymethods]
+        impl $class {
+            fn poll(&mut self) -> usize {
+                self.live.poll()
+            }
+
+            #[getter]
+            fn address(&mut self) -> String {
+                self.live.run().address().to_string()
+            }
+
+            #[getter]
+            fn state(&mut self) -> &'static str {
+                self.live.run().state().name()
+            }
+
+            #[getter]
+            fn ticks(&mut self) -> u64 {
+                self.live.run().ticks()
+            }
+
+            #[getter]
+            fn finished(&mut self) -> bool {
+                self.live.run().is_finished()
+            }
+
+            fn stop(&mut self) {
+                self.live.run().stop();
+            }
+        }
+    };
+}
+
+#[pyclass(module = "haptether.bridge")]
+pub(crate) struct LiveMaster {
+    live: Live<MasterRecord<1>>,
+}
+
+#[pymethods]
+impl LiveMaster {
+    #[new]
+    #[pyo3(signature = (settings, *, peer, session, listen="0.0.0.0:0", duration_s=None, patience_s=None))]
+    fn new(
+        settings: &PyMasterSettings,
+        peer: &str,
+        session: u64,
+        listen: &str,
+        duration_s: Option<f64>,
+        patience_s: Option<f64>,
+    ) -> PyResult<Self> {
+        let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
+        Ok(Self { live: Live::start(side, listen, Some(peer), period_ns, duration_s, patience_s)? })
+    }
+
+    fn finish(&mut self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
+        let (records, report) = self.live.finish(py)?;
+        Ok((MasterTrace { records }, report))
+    }
+}
+
+#[pyclass(module = "haptether.bridge")]
+pub(crate) struct LiveSlave {
+    live: Live<SlaveRecord<1>>,
+}
+
+#[pymethods]
+impl LiveSlave {
+    #[new]
+    #[pyo3(signature = (settings, *, listen, session, duration_s=None, patience_s=None))]
+    fn new(
+        settings: &PySlaveSettings,
+        listen: &str,
+        session: u64,
+        duration_s: Option<f64>,
+        patience_s: Option<f64>,
+    ) -> PyResult<Self> {
+        let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
+        Ok(Self { live: Live::start(side, listen, None, period_ns, duration_s, patience_s)? })
+    }
+
+    fn finish(&mut self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {
+        let (records, report) = self.live.finish(py)?;
+        Ok((SlaveTrace { records }, report))
+    }
+}
+
+live_methods!(LiveMaster);
+live_methods!(LiveSlave);

@@ -1,0 +1,128 @@
+//! What a run of the bridge leaves behind, as arrays.
+
+use haptether_bridge::{LinkStatistics, MasterRecord, SlaveRecord, live::LoopReport};
+use pyo3::prelude::*;
+
+use crate::arrays::column;
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<MasterTrace>()?;
+    module.add_class::<SlaveTrace>()?;
+    module.add_class::<PyLinkStatistics>()?;
+    module.add_class::<PyLoopReport>()?;
+    Ok(())
+}
+
+fn seconds(ns: u64) -> f64 {
+    if ns == u64::MAX { f64::INFINITY } else { ns as f64 * 1e-9 }
+}
+
+/// Ticks of the master.
+#[pyclass(module = "haptether.bridge", frozen)]
+pub(crate) struct MasterTrace {
+    pub(crate) records: Vec<MasterRecord<1>>,
+}
+
+/// Ticks of the slave.
+#[pyclass(module = "haptether.bridge", frozen)]
+pub(crate) struct SlaveTrace {
+    pub(crate) records: Vec<SlaveRecord<1>>,
+}
+
+/// Getters that give one array per signal.
+macro_rules! columns {
+    ($class:ident, $record:ident, { $($name:ident => $value:expr),* $(,)? }) => {
+        #[pymethods]
+        impl $class {
+            $(#[getter]
+            fn $name(&self, py: Python<'_>) -> Py<PyAny> {
+                column(py, self.records.iter().map(|$record| $value).collect())
+            })*
+
+            fn __len__(&self) -> usize {
+                self.records.len()
+            }
+        }
+    };
+}
+
+columns!(MasterTrace, record, {
+    time_s => seconds(record.time_ns),
+    position => record.position[0],
+    velocity => record.velocity[0],
+    hand_force => record.hand_force[0],
+    rendered_force => record.rendered_force[0],
+    grasp_force => record.grasp_force[0],
+    safety_force => record.safety_force[0],
+    device_force => record.device_force[0],
+    velocity_force => record.observers[0],
+    grasp => record.observers[1],
+    windowed_energy_j => record.observers[2],
+    tripped => record.tripped,
+    acted => record.acted,
+    state => record.state.code(),
+    age_s => seconds(record.age_ns),
+    overshoot_s => seconds(record.overshoot_ns),
+});
+
+columns!(SlaveTrace, record, {
+    time_s => seconds(record.time_ns),
+    position => record.position[0],
+    command => record.command[0],
+    environment_force => record.environment_force[0],
+    state => record.state.code(),
+    overshoot_s => seconds(record.overshoot_ns),
+});
+
+#[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]
+#[derive(Clone, Copy)]
+pub(crate) struct PyLinkStatistics {
+    sent: u64,
+    fresh: u64,
+    late: u64,
+    duplicate: u64,
+    refused: u64,
+    missing: u64,
+    round_trip_s: f64,
+    least_round_trip_s: f64,
+}
+
+impl From<LinkStatistics> for PyLinkStatistics {
+    fn from(of: LinkStatistics) -> Self {
+        Self {
+            sent: of.sent,
+            fresh: of.fresh,
+            late: of.late,
+            duplicate: of.duplicate,
+            refused: of.refused,
+            missing: of.missing,
+            round_trip_s: seconds(of.round_trip_ns),
+            least_round_trip_s: seconds(of.least_round_trip_ns),
+        }
+    }
+}
+
+#[pyclass(name = "LoopReport", module = "haptether.bridge", frozen, get_all)]
+pub(crate) struct PyLoopReport {
+    ticks: u64,
+    skipped: u64,
+    dropped_records: u64,
+    unsent: u64,
+    link: PyLinkStatistics,
+    holds: u64,
+    engaged_s: f64,
+}
+
+impl From<LoopReport> for PyLoopReport {
+    fn from(of: LoopReport) -> Self {
+        Self {
+            ticks: of.ticks,
+            skipped: of.skipped,
+            dropped_records: of.dropped_records,
+            unsent: of.unsent,
+            link: of.link.into(),
+            holds: of.holds,
+            engaged_s: seconds(of.engaged_ns),
+        }
+    }
+}

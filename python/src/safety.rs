@@ -1,0 +1,34 @@
+//! `haptether.safety`.
+
+mod controller;
+mod device;
+mod estimator;
+mod limiter;
+mod observer;
+
+use pyo3::prelude::*;
+
+use controller::PySafetyController;
+pub(crate) use controller::PySafetySettings;
+use device::PyDeviceModel;
+pub(crate) use estimator::PyEstimatorKind;
+pub(crate) use limiter::PyLimiterSettings;
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyDeviceModel>()?;
+    module.add_class::<PyEstimatorKind>()?;
+    module.add_class::<estimator::PyEstimator>()?;
+    module.add_class::<observer::PyVelocityForceObserver>()?;
+    module.add_class::<observer::PyHandGraspObserver>()?;
+    module.add_class::<observer::PySafetyObserver>()?;
+    module.add_class::<observer::PyWindowedSafetyObserver>()?;
+    module.add_class::<observer::PyPassivityObserver>()?;
+    module.add_class::<PySafetySettings>()?;
+    module.add_class::<PySafetyController>()?;
+    module.add_class::<controller::PyIntervention>()?;
+    module.add_class::<controller::PyInterventions>()?;
+    module.add_class::<PyLimiterSettings>()?;
+    module.add_class::<limiter::PyLimiter>()?;
+    module.add_function(wrap_pyfunction!(controller::fault_message, module)?)?;
+    Ok(())
+}

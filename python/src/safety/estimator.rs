@@ -1,0 +1,152 @@
+//! Estimators of velocity and acceleration.
+
+use haptether_safety::estimator::{AnyEstimator, Estimator, EstimatorKind, Fit};
+use numpy::PyReadonlyArrayDyn;
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+use crate::{
+    arrays::{Sample, Samples, sample_out},
+    axes::{build_axes, per_axes, refuse, with_axes},
+};
+
+#[pyclass(name = "EstimatorKind", module = "haptether.safety", frozen, eq)]
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) struct PyEstimatorKind {
+    pub(crate) inner: EstimatorKind,
+}
+
+#[pymethods]
+impl PyEstimatorKind {
+    #[new]
+    fn new() -> Self {
+        Self { inner: EstimatorKind::default() }
+    }
+
+    #[staticmethod]
+    fn backward_difference() -> Self {
+        Self { inner: EstimatorKind::BackwardDifference }
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (*, cutoff_hz))]
+    fn low_pass(cutoff_hz: f64) -> Self {
+        Self { inner: EstimatorKind::LowPass { cutoff_hz } }
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (*, noise_bound_m, max_window=32, fit="end"))]
+    fn adaptive_window(noise_bound_m: f64, max_window: usize, fit: &str) -> PyResult<Self> {
+        let fit = match fit {
+            "end" => Fit::End,
+            "best" => Fit::Best,
+            other => {
+                return Err(PyValueError::new_err(format!("fit = {other:?}: must be \"end\" or \"best\"")));
+            }
+        };
+        Ok(Self { inner: EstimatorKind::AdaptiveWindow { noise_bound_m, max_window, fit } })
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (*, degree=2, window=15))]
+    fn savitzky_golay(degree: usize, window: usize) -> Self {
+        Self { inner: EstimatorKind::SavitzkyGolay { degree, window } }
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (*, jerk_density, quantum_m))]
+    fn kalman(jerk_density: f64, quantum_m: f64) -> Self {
+        Self { inner: EstimatorKind::Kalman { jerk_density, quantum_m } }
+    }
+
+    fn __repr__(&self) -> String {
+        format!("{:?}", self.inner)
+    }
+}
+
+per_axes!(
+    /// An estimator of any number of axes.
+    AnyAxes,
+    AnyEstimator
+);
+
+#[pyclass(name = "Estimator", module = "haptether.safety")]
+pub(crate) struct PyEstimator {
+    inner: AnyAxes,
+    axes: usize,
+}
+
+#[pymethods]
+impl PyEstimator {
+    #[new]
+    #[pyo3(signature = (kind=None, *, period_s=1e-3, axes=1))]
+    fn new(kind: Option<&PyEstimatorKind>, period_s: f64, axes: usize) -> PyResult<Self> {
+        let kind = kind.map_or_else(EstimatorKind::default, |kind| kind.inner);
+        let inner = build_axes!(axes, AnyAxes, kind.build::<N>(period_s).map_err(refuse)?);
+        Ok(Self { inner, axes })
+    }
+
+    #[getter]
+    fn axes(&self) -> usize {
+        self.axes
+    }
+
+    fn step(&mut self, py: Python<'_>, position: Sample) -> PyResult<(Py<PyAny>, Py<PyAny>)> {
+        with_axes!(&mut self.inner, AnyAxes, estimator => {
+            let motion = estimator.step(&finite(&position.axes::<N>("position")?)?);
+            Ok((sample_out(py, &motion.velocity), sample_out(py, &motion.acceleration)))
+        })
+    }
+
+    fn align(&mut self, py: Python<'_>, device_force: Sample) -> PyResult<Py<PyAny>> {
+        with_axes!(&mut self.inner, AnyAxes, estimator => {
+            let force = device_force.axes::<N>("device_force")?;
+            haptether_safety::Signal::RenderedForce.check(&force).map_err(refuse)?;
+            Ok(sample_out(py, &estimator.align(&force)))
+        })
+    }
+
+    #[pyo3(signature = (position, device_force=None))]
+    fn run(
+        &mut self,
+        py: Python<'_>,
+        position: PyReadonlyArrayDyn<'_, f64>,
+        device_force: Option<PyReadonlyArrayDyn<'_, f64>>,
+    ) -> PyResult<(Py<PyAny>, Py<PyAny>, Option<Py<PyAny>>)> {
+        let position = Samples::new("position", &position, self.axes)?;
+        let force = match &device_force {
+            Some(force) => {
+                let force = Samples::new("device_force", force, self.axes)?;
+                force.as_long_as("device_force", &position)?;
+                Some(force)
+            }
+            None => None,
+        };
+        let size = position.ticks * self.axes;
+        let (mut velocity, mut acceleration) = (Vec::with_capacity(size), Vec::with_capacity(size));
+        let mut aligned = Vec::with_capacity(if force.is_some() { size } else { 0 });
+        py.detach(|| {
+            with_axes!(&mut self.inner, AnyAxes, estimator => {
+                for tick in 0..position.ticks {
+                    let motion = estimator.step(&finite(&position.at::<N>(tick))?);
+                    velocity.extend_from_slice(motion.velocity.as_slice());
+                    acceleration.extend_from_slice(motion.acceleration.as_slice());
+                    if let Some(force) = &force {
+                        aligned.extend_from_slice(estimator.align(&finite(&force.at::<N>(tick))?).as_slice());
+                    }
+                }
+            });
+            PyResult::Ok(())
+        })?;
+        Ok((
+            position.shaped(py, velocity)?,
+            position.shaped(py, acceleration)?,
+            force.map(|_| position.shaped(py, aligned)).transpose()?,
+        ))
+    }
+}
+
+/// An estimator has a memory: what is not finite would stay in it.
+fn finite<const N: usize>(value: &haptether_safety::Axes<N>) -> PyResult<haptether_safety::Axes<N>> {
+    haptether_safety::Signal::Position.check(value).map_err(refuse)?;
+    Ok(*value)
+}

@@ -1,0 +1,216 @@
+"""What is shipped is what is in the tree: the wheel, the source distribution and the lock.
+
+That maturin follows the links from python/haptether to the rooms is observed and not documented, so
+both archives are built here and compared file by file.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import time
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+LOCK = ROOT / "tools" / "requirements.txt"
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+CRATES = ("safety", "netsim", "master", "slave", "bridge", "python")
+
+building = pytest.mark.timeout(400)
+
+
+def tree() -> list[PurePosixPath]:
+    """The files of the repository: those that git has or would take, without git those on disk."""
+    git = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    paths: list[Path] = []
+    if (ROOT / ".git").exists() and shutil.which("git"):
+        listing = subprocess.run(git, cwd=ROOT, capture_output=True, text=True, check=False).stdout
+        paths = [ROOT / name for name in listing.split("\0") if name]
+    if not paths:
+        made = {"target", "dist", "out", "__pycache__"}
+        for folder, folders, names in os.walk(ROOT):
+            folders[:] = [name for name in folders if name not in made and name[0] != "."]
+            paths += [Path(folder, name) for name in names if not name.endswith(".so")]
+    return sorted(PurePosixPath(path.relative_to(ROOT)) for path in paths if path.is_file())
+
+
+def packaged() -> Iterator[str]:
+    """Where each file of the Python package stands in the wheel, the extension aside."""
+    links = [path for path in (ROOT / "python" / "haptether").iterdir() if path.is_symlink()]
+    rooms = {link.resolve().name: link.name for link in links}
+    for path in tree():
+        if path.parts[:2] == ("python", "haptether"):
+            yield str(path.relative_to("python"))
+        elif path.parts[0] in rooms and not cargo_only(path):
+            yield str(PurePosixPath("haptether", rooms[path.parts[0]], *path.parts[1:]))
+
+
+def cargo_only(path: PurePosixPath) -> bool:
+    """Whether a file of a room is of no use without a Rust compiler."""
+    return (
+        path.suffix == ".rs"
+        or path.parts[1] in {"src", "Cargo.toml"}
+        or "proptest-regressions" in path.parts
+    )
+
+
+def maturin(*arguments: str, cwd: Path = ROOT) -> None:
+    environment = os.environ | {"CARGO_TARGET_DIR": str(TARGET), "VIRTUAL_ENV": sys.prefix}
+    answer = subprocess.run(
+        [sys.executable, "-m", "maturin", *arguments],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+
+
+def build_wheel(out: Path, cwd: Path = ROOT) -> Path:
+    python = ["--interpreter", sys.executable]
+    maturin("build", "--release", "--locked", *python, "--out", str(out), cwd=cwd)
+    (wheel,) = out.glob("*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from what the editable installation has already compiled."""
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="session")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source distribution."""
+    out = tmp_path_factory.mktemp("sdist")
+    maturin("sdist", "--out", str(out))
+    (archive,) = out.glob("*.tar.gz")
+    return archive
+
+
+def contents(wheel: Path) -> tuple[list[str], list[str]]:
+    """The files of a wheel: those of the package, and those of its description."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = [name for name in archive.namelist() if not name.endswith("/")]
+    described = [name for name in names if name.split("/")[0].endswith(".dist-info")]
+    return sorted(set(names) - set(described)), described
+
+
+@building
+def test_the_wheel_holds_the_package_and_the_rooms_and_nothing_else(wheel: Path) -> None:
+    names, described = contents(wheel)
+    extension = [name for name in names if name.endswith((".so", ".pyd", ".dylib"))]
+    assert len(extension) == 1
+    assert re.fullmatch(r"haptether/_core\.(abi3\.so|pyd)", extension[0])
+    assert "abi3" in wheel.name
+    assert names == sorted([*packaged(), *extension])
+    assert {"haptether/__init__.py", "haptether/py.typed", "haptether/_core.pyi"} <= set(names)
+    ends = {name.partition(".dist-info/")[2] for name in described}
+    assert {"METADATA", "WHEEL", "RECORD", "entry_points.txt", "licenses/LICENSE"} <= ends
+
+
+@building
+def test_no_file_is_in_the_wheel_twice(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    assert len(names) == len(set(names))
+
+
+@building
+def test_the_sdist_holds_the_sources_of_both_languages_once(sdist: Path) -> None:
+    with tarfile.open(sdist) as archive:
+        members = [member.name.partition("/")[2] for member in archive if not member.isdir()]
+    root = ["Cargo.toml", "Cargo.lock", "pyproject.toml", "README.md", "LICENSE", "PKG-INFO"]
+    rust = [
+        str(path)
+        for path in tree()
+        if path.parts[0] in CRATES
+        and (path.suffix == ".rs" or path.parts[1] in {"src", "Cargo.toml"})
+    ]
+    assert sorted(members) == sorted([*root, *rust, *(f"python/{name}" for name in packaged())])
+
+
+@building
+def test_the_sdist_builds_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path) -> None:
+    # At one place, so that what cargo keeps of it is replaced and does not pile up; and with new
+    # times, because cargo would take the archive's fixed ones for unchanged sources.
+    place = TARGET / "from-sdist"
+    shutil.rmtree(place, ignore_errors=True)
+    with tarfile.open(sdist) as archive:
+        archive.extractall(place, filter="data")
+    (source,) = place.iterdir()
+    now = time.time()
+    for path in source.rglob("*"):
+        os.utime(path, (now, now))
+    assert contents(build_wheel(tmp_path, cwd=source))[0] == contents(wheel)[0]
+
+
+@building
+def test_the_wheel_works_where_it_is_installed(wheel: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    uv = os.environ.get("UV", str(ROOT / ".tools" / "uv" / "bin" / "uv"))
+    place = ["--python", sys.executable, "--target", str(site)]
+    subprocess.run(
+        [uv, "pip", "install", "--quiet", "--offline", "--no-deps", *place, str(wheel)],
+        cwd=tmp_path,
+        check=True,
+    )
+    program = """
+import haptether, haptether._core, haptether.safety
+print(haptether.__file__, haptether._core.__file__, haptether.safety.__file__, sep="\\n")
+"""
+    answer = subprocess.run(
+        [sys.executable, "-P", "-W", "error", "-c", program],
+        cwd=tmp_path,
+        env={"PATH": os.defpath, "PYTHONPATH": str(site)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert all(Path(line).is_relative_to(site) for line in answer.stdout.splitlines())
+
+
+def locked() -> list[Requirement]:
+    """The lines of the lock without their hashes."""
+    text = LOCK.read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line and not line.lstrip().startswith("#")]
+    assert all("--hash=sha256:" in line for line in lines)
+    return [Requirement(line.partition("--hash")[0]) for line in lines]
+
+
+def test_the_lock_names_no_place() -> None:
+    for path in (LOCK, LOCK.with_name("uv.txt")):
+        text = path.read_text(encoding="utf-8")
+        assert "://" not in text
+        assert not re.search(r"^-", text, re.MULTILINE)
+
+
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
+def test_the_lock_meets_the_project_on_each_python(version: str) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    wanted = [
+        *project["project"]["dependencies"],
+        *project["project"]["optional-dependencies"]["analysis"],
+        *project["dependency-groups"]["dev"],
+    ]
+    python = {"python_version": version, "python_full_version": f"{version}.0"}
+    pins: dict[str, list[str]] = {}
+    for pin in locked():
+        if pin.marker is None or pin.marker.evaluate(python):
+            pins.setdefault(canonicalize_name(pin.name), []).append(str(pin.specifier))
+    assert all(len(versions) == 1 for versions in pins.values())
+    for need in map(Requirement, wanted):
+        if need.marker is None or need.marker.evaluate(python):
+            (pin_text,) = pins[canonicalize_name(need.name)]
+            assert need.specifier.contains(pin_text.removeprefix("==")), f"`make lock`: {need}"

@@ -1,0 +1,169 @@
+"""The rules of the tree that no compiler holds: public names, clocks, and who imports whom."""
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "python" / "haptether"
+
+CRATES = ("safety", "netsim", "master", "slave", "bridge")
+
+# What a room's Python may import of the other rooms: what its crate may use. `studies` and `view`
+# have no crate; a recording is read through the bridge.
+MAY_IMPORT = {
+    "safety": frozenset[str](),
+    "netsim": frozenset[str](),
+    "master": frozenset[str](),
+    "slave": frozenset[str](),
+    "bridge": frozenset({"safety", "netsim", "master", "slave"}),
+    "studies": frozenset(CRATES),
+    "view": frozenset({"bridge"}),
+}
+ROOMS = tuple(room for room in MAY_IMPORT if (PACKAGE / room).exists())
+
+# The runners and the threads beside them: they, and nothing else in Rust, may know what time it is.
+CLOCK_OWNERS = ("live", "proxy", "recorder", "writer")
+CLOCK = re.compile(
+    r"\bInstant\b|\bSystemTime\b|\bUNIX_EPOCH\b|\bclock_gettime\b|\bclock_nanosleep\b"
+    r"|\bnanosleep\b|\bthread::sleep\b|\bsleep(_ms|_until)?\s*\("
+)
+
+HEAVY = ("casadi", "matplotlib", "pyvista", "scipy")
+
+
+@pytest.mark.parametrize("module", ["haptether", *(f"haptether.{room}" for room in ROOMS)])
+def test_a_star_import_gives_the_names_it_promises(module: str) -> None:
+    promised = getattr(importlib.import_module(module), "__all__", [])
+    names: dict[str, object] = {}
+    exec(f"from {module} import *", names)
+    assert sorted(promised) == sorted(set(promised))
+    assert set(promised) <= names.keys()
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_that_offers_names_lists_them(room: str) -> None:
+    source = (ROOT / room / "__init__.py").read_text(encoding="utf-8")
+    statements = ast.parse(source).body
+    empty = all(isinstance(statement, ast.Expr) for statement in statements)
+    assert empty or hasattr(importlib.import_module(f"haptether.{room}"), "__all__")
+
+
+@pytest.mark.parametrize("room", CRATES)
+def test_no_clock_is_read_outside_the_live_runner(room: str) -> None:
+    readers = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in sorted((ROOT / room / "src").rglob("*.rs"))
+        if not any(p.startswith(CLOCK_OWNERS) for p in path.relative_to(ROOT / room / "src").parts)
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if CLOCK.search(line.partition("//")[0])
+    ]
+    assert not readers
+
+
+def test_the_clock_is_recognised() -> None:
+    for line in (
+        "let now = Instant::now();",
+        "std::time::SystemTime::now()",
+        "rustix::time::clock_gettime(ClockId::Monotonic)",
+        "thread::sleep(pause)",
+        "spin_sleep::sleep(pause)",
+        "libc::nanosleep(&request, null_mut())",
+    ):
+        assert CLOCK.search(line)
+    for line in ("let instant_ns = now_ns;", "fn asleep(&self)", "self.sleeping"):
+        assert not CLOCK.search(line)
+
+
+def imports(path: Path, package: tuple[str, ...]) -> Iterator[tuple[int, str]]:
+    """Line and full dotted name of everything that a file imports.
+
+    `package` is the dotted name of the folder that the file lies in, which relative imports need.
+    """
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            start = (*base, node.module) if node.module else base
+            for alias in node.names:
+                yield node.lineno, ".".join((*start, alias.name))
+
+
+def python_files(room: str) -> Iterator[tuple[Path, tuple[str, ...]]]:
+    for path in sorted((ROOT / room).rglob("*.py")):
+        yield path, ("haptether", *path.relative_to(ROOT).parent.parts)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_the_rooms_its_crate_may_use(room: str) -> None:
+    # The command line is above all rooms, and `import haptether` alone would reach every one.
+    forbidden = {*MAY_IMPORT, "cli", ""} - MAY_IMPORT[room] - {room}
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path, package in python_files(room)
+        for line, name in imports(path, package)
+        if name.split(".")[0] == "haptether" and (*name.split("."), "")[1] in forbidden
+    ]
+    assert not wrong
+
+
+def test_studies_use_public_names_only() -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path, package in python_files("studies")
+        for line, name in imports(path, package)
+        if name.startswith("haptether.")
+        and not name.startswith("haptether.studies")
+        and any(part.startswith("_") and not part.endswith("__") for part in name.split("."))
+    ]
+    assert not wrong
+
+
+def test_relative_imports_are_resolved(tmp_path: Path) -> None:
+    file = tmp_path / "module.py"
+    file.write_text("from .. import bridge\nfrom ..safety.x import y\nfrom . import z\nimport a.b")
+    assert [name for _, name in imports(file, ("haptether", "netsim"))] == [
+        "haptether.bridge",
+        "haptether.safety.x.y",
+        "haptether.netsim.z",
+        "a.b",
+    ]
+
+
+def heavy_modules(program: str) -> str:
+    """Which of the heavy libraries a program has loaded when it ends."""
+    report = f"print('loaded:', *sorted(set({HEAVY!r}) & set(sys.modules)))"
+    answer = subprocess.run(
+        [sys.executable, "-c", f"import sys\n{program}\n{report}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout.rpartition("loaded:")[2].strip()
+
+
+@pytest.mark.parametrize("module", ["haptether", *(f"haptether.{room}" for room in CRATES)])
+def test_an_import_loads_nothing_heavy(module: str) -> None:
+    assert heavy_modules(f"import {module}") == ""
+
+
+def test_the_help_loads_nothing_heavy() -> None:
+    program = """
+from haptether.cli import main
+sys.argv = ["haptether", "--help"]
+try:
+    status = main()
+except SystemExit as end:
+    status = end.code
+assert not status, status
+"""
+    assert heavy_modules(program) == ""
