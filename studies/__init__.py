@@ -1,1 +1,29 @@
-"""Haptether, studies room."""
+"""Studies: what uses the bridge to answer a question."""
+
+from haptether.studies.demo import (
+    DEMO_CONTROLLERS,
+    DemoScene,
+    Interrupted,
+    draw_demo,
+    run_demo,
+)
+from haptether.studies.operator import Operator
+from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
+from haptether.studies.paper_figures import draw_paper
+from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
+
+__all__ = [
+    "DEMO_CONTROLLERS",
+    "DemoScene",
+    "Interrupted",
+    "Operator",
+    "PaperReport",
+    "PaperRow",
+    "PushResult",
+    "draw_demo",
+    "draw_paper",
+    "measure_push",
+    "reproduce_paper",
+    "run_demo",
+    "save_master_trace",
+]

@@ -152,8 +152,15 @@ impl SimulatedMaster {
             Grip::Slips(_) => (0.0, 0.0),
         };
 
-        let Some(direction) = self.direction_of_motion(force - stiffness * self.position) else {
-            self.rest(end, least, force - stiffness * self.position, force_rate);
+        let push = force - stiffness * self.position;
+        if self.leans_on_stop(push) {
+            let total = self.held_force + push;
+            self.rest(end, least, |t| total.signum() * (total + force_rate * t));
+            return;
+        }
+        let Some(direction) = self.direction_of_motion(push) else {
+            let (total, most) = (self.held_force + push, self.device.coulomb);
+            self.rest(end, least, |t| most - (total + force_rate * t).abs());
             return;
         };
         let equation = Linear {
@@ -176,6 +183,14 @@ impl SimulatedMaster {
             if grip == Grip::Holds { slack } else { -slack }
         };
         let turns = duration;
+        // The way that is left to the nearer stop.
+        let ahead = |t: f64| {
+            let x = motion.position(t);
+            (x - self.device.stops.0).min(self.device.stops.1 - x)
+        };
+        if let Some(hit) = first_negative(ahead, duration) {
+            duration = hit.max(least).min(wanted);
+        }
         if let Some(slip) = first_negative(slack, duration) {
             duration = slip.max(least).min(wanted);
         }
@@ -185,7 +200,18 @@ impl SimulatedMaster {
         if turned {
             self.velocity = 0.0;
         }
+        self.meet_stops();
         self.time = if duration == wanted { end } else { self.time + duration };
+    }
+
+    /// A stop takes the speed that leads into it.
+    fn meet_stops(&mut self) {
+        let (lower, upper) = self.device.stops;
+        if self.position <= lower {
+            (self.position, self.velocity) = (lower, self.velocity.max(0.0));
+        } else if self.position >= upper {
+            (self.position, self.velocity) = (upper, self.velocity.min(0.0));
+        }
     }
 
     fn strength_just_before(&self, end: f64) -> f64 {
@@ -211,10 +237,16 @@ impl SimulatedMaster {
         }
     }
 
-    /// Rests until `end` or until the growing force of the hand breaks the friction.
-    fn rest(&mut self, end: f64, least: f64, hand_force: f64, hand_force_rate: f64) {
-        let margin =
-            |t: f64| self.device.coulomb - (self.held_force + hand_force + hand_force_rate * t).abs();
+    /// Whether the device rests at a stop and is pushed into it.
+    fn leans_on_stop(&self, hand_force: f64) -> bool {
+        let push = self.held_force + hand_force;
+        let (lower, upper) = self.device.stops;
+        self.velocity == 0.0
+            && ((self.position <= lower && push < 0.0) || (self.position >= upper && push > 0.0))
+    }
+
+    /// Rests until `end` or until the margin of what holds it is used up.
+    fn rest(&mut self, end: f64, least: f64, margin: impl Fn(f64) -> f64) {
         self.time = match first_negative(margin, end - self.time) {
             Some(breaks) => (self.time + breaks.max(least)).min(end),
             None => end,
@@ -228,8 +260,12 @@ mod tests {
     use crate::{Leg, LegShape, Path, Release};
 
     const TICK_NS: u64 = 1_000_000;
-    const FRICTIONLESS: DeviceParameters =
-        DeviceParameters { mass_kg: 0.157, viscous: 0.0, coulomb: 0.0, encoder_quantum: 0.0 };
+    const FRICTIONLESS: DeviceParameters = DeviceParameters {
+        viscous: 0.0,
+        coulomb: 0.0,
+        encoder_quantum: 0.0,
+        ..DeviceParameters::PHANTOM_DESKTOP
+    };
 
     fn alone(device: DeviceParameters, position: f64) -> SimulatedMaster {
         SimulatedMaster::new(device, Hand::absent(position).unwrap(), 0).unwrap()
@@ -289,6 +325,21 @@ mod tests {
             master.read(100 * TICK_NS);
             assert_eq!(master.position() != 0.0, moves, "{force}");
         }
+    }
+
+    #[test]
+    fn a_stop_takes_the_speed_and_lets_go_again() {
+        let device = DeviceParameters { stops: (-0.1, 0.08), ..FRICTIONLESS };
+        let mut master = alone(device, 0.0);
+        master.write(2.0);
+        // x = F t² / (2 m) reaches the stop at 112 ms.
+        master.read(112 * TICK_NS);
+        assert!((master.velocity() - 2.0 * 0.112 / 0.157).abs() < 1e-12);
+        master.read(300 * TICK_NS);
+        assert_eq!((master.position(), master.velocity()), (0.08, 0.0));
+        master.write(-1.0);
+        master.read(400 * TICK_NS);
+        assert!((master.position() - (0.08 - 0.005 / 0.157)).abs() < 1e-12);
     }
 
     #[test]

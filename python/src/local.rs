@@ -32,9 +32,16 @@ pub(crate) struct PyHapticDevice {
 #[pymethods]
 impl PyHapticDevice {
     #[new]
-    #[pyo3(signature = (*, mass_kg, viscous=0.0, coulomb=0.0, encoder_quantum=0.0))]
-    fn new(mass_kg: f64, viscous: f64, coulomb: f64, encoder_quantum: f64) -> PyResult<Self> {
-        let inner = DeviceParameters { mass_kg, viscous, coulomb, encoder_quantum };
+    #[pyo3(signature = (*, mass_kg, viscous=0.0, coulomb=0.0, encoder_quantum=0.0,
+        stops=(f64::NEG_INFINITY, f64::INFINITY)))]
+    fn new(
+        mass_kg: f64,
+        viscous: f64,
+        coulomb: f64,
+        encoder_quantum: f64,
+        stops: (f64, f64),
+    ) -> PyResult<Self> {
+        let inner = DeviceParameters { mass_kg, viscous, coulomb, encoder_quantum, stops };
         // A device that no hand holds checks the parameters.
         let hand = Hand::absent(0.0).map_err(refuse)?;
         SimulatedMaster::new(inner, hand, 0).map_err(refuse)?;
@@ -42,10 +49,10 @@ impl PyHapticDevice {
     }
 
     #[staticmethod]
-    #[pyo3(signature = (*, encoder_quantum=2.3e-5))]
-    fn phantom_desktop(encoder_quantum: f64) -> PyResult<Self> {
+    #[pyo3(signature = (*, encoder_quantum=2.3e-5, stops=(f64::NEG_INFINITY, f64::INFINITY)))]
+    fn phantom_desktop(encoder_quantum: f64, stops: (f64, f64)) -> PyResult<Self> {
         let DeviceParameters { mass_kg, viscous, coulomb, .. } = DeviceParameters::PHANTOM_DESKTOP;
-        Self::new(mass_kg, viscous, coulomb, encoder_quantum)
+        Self::new(mass_kg, viscous, coulomb, encoder_quantum, stops)
     }
 
     #[getter]
@@ -61,6 +68,11 @@ impl PyHapticDevice {
     #[getter]
     fn coulomb(&self) -> f64 {
         self.inner.coulomb
+    }
+
+    #[getter]
+    fn stops(&self) -> (f64, f64) {
+        self.inner.stops
     }
 
     #[getter]

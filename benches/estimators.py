@@ -1,0 +1,596 @@
+"""Cost, delay and noise of the velocity and acceleration estimators, and which one is the default.
+
+A hand touches a wall of 200 N/m 3 mm deep, presses it to 39 mm, holds with a tremor of 10 Hz at either
+depth, and lets go over 50 ms with a grip margin of 1.5. The motion is simulated exactly, without encoder,
+once with nothing acting and once with WSC acting, whose device force steps. Then the positions are rounded
+to a PHANTOM Desktop's quantum at several sub-quantum offsets; every estimator sees the same.
+
+Each estimator also runs against a peer that does the same in NumPy and SciPy, which must agree with it.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+import numpy.typing as npt
+import scipy.linalg
+import scipy.optimize
+import scipy.signal
+from rich.console import Console
+from rich.progress import track
+
+from haptether.bridge import run_local
+from haptether.master import Hand, HapticDevice
+from haptether.safety import DeviceModel, Estimator, EstimatorKind, SafetyController, SafetySettings
+from haptether.slave import Wall
+
+Array = npt.NDArray[np.float64]
+Estimate = tuple[Array, Array, Array]
+Peer = Callable[[Array, Array], Estimate]
+
+EXAMPLE = "example: python benches/estimators.py --json estimators.json --plot out"
+RULE = """\
+The default is, of the estimators that
+  1. err by less than 0.1 N RMS in F_h while the hand holds with a tremor,
+  2. keep S_h below 1.5 / 1.1 at every tick until the release with F_v above 0.5 N,
+  3. keep S_h above 1.5 * 1.1 once HSC has tripped and nobody holds, until F_v is below 0.5 N,
+the one that errs least in F_h (RMS from the first motion to the end).
+1.5 is HSC's threshold zeta and 0.5 N its F_t: so it trips neither falsely nor goes off too early,
+by a margin of a tenth. 1 and the choice pool both runs and all offsets; 2 and 3 hold for each."""
+
+PERIOD_S = 1e-3
+QUANTUM_M = 2.3e-5
+OFFSETS = tuple(tenth / 10 for tenth in range(10))
+STIFFNESS, TOUCH_M, DEPTH_M = 200.0, 0.003, 0.039
+HAND_STIFFNESS, HAND_DAMPING = 300.0, 10.0
+GRIP_MARGIN, LET_GO_S = 1.5, 0.05
+TREMOR_M, TREMOR_HZ = 3e-4, 10.0
+FORCE_THRESHOLD_N, GRASP_THRESHOLD, MARGIN = 0.5, 1.5, 1.1
+NOISE_BOUND_N = 0.1
+HSC = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """An estimator, its parameters in words, and its peer."""
+
+    method: str
+    parameters: str
+    kind: EstimatorKind
+    peer: Peer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """What truly happened, one value a tick."""
+
+    name: str
+    position: Array
+    velocity: Array
+    acceleration: Array
+    """Mean over the tick that ends here."""
+    hand_force: Array
+    rendered_force: Array
+    held_force: Array
+    """What the device exerted over the tick that ends here."""
+    holds: list[slice]
+    """While the hand holds, with a tremor."""
+    release: int
+    """Tick at which the grip begins to loosen."""
+    let_go: int
+    """First tick at which nobody holds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """What an estimator costs and how well it does."""
+
+    method: str
+    parameters: str
+    ns_per_sample: float
+    peer_ns_per_sample: float
+    velocity_rms: float
+    velocity_delay_ms: float
+    acceleration_rms: float
+    acceleration_delay_ms: float
+    grasp_rms_n: float
+    grasp_delay_ms: float
+    hold_rms_n: float
+    gone_worst_n: float
+    """Largest |error| of F_h while nobody holds."""
+    trip_ms: float | None
+    """From the begin of the release to the first HSC trip, at worst; none if it does not come."""
+    trip_late_ms: float | None
+    """The same from where HSC would trip on the true force of the hand."""
+    hold_grasp: float
+    """Largest S_h until the release with F_v above F_t."""
+    gone_grasp: float
+    """Least S_h after the trip and the release with F_v above F_t; 0 without trip."""
+    false_trips: int
+    """Ticks at which HSC trips while the hand holds."""
+    eligible: bool = False
+
+
+# Peers -----------------------------------------------------------------------------------------------
+
+
+def before(values: Array, first: float = 0.0) -> Array:
+    """The values one tick earlier."""
+    return np.concatenate(([first], values[:-1]))
+
+
+def peer_backward_difference(x: Array, force: Array) -> Estimate:
+    """Two `numpy.diff`."""
+    velocity = np.diff(x, prepend=x[0]) / PERIOD_S
+    return velocity, np.diff(velocity, prepend=0.0) / PERIOD_S, (force + before(force)) / 2
+
+
+def peer_low_pass(x: Array, force: Array, cutoff_hz: float) -> Estimate:
+    """`numpy.diff` and `scipy.signal.lfilter`."""
+    difference, _, mean = peer_backward_difference(x, force)
+    share = -np.expm1(-2 * np.pi * cutoff_hz * PERIOD_S)
+    velocity, aligned = (
+        np.asarray(scipy.signal.lfilter([share], [1.0, share - 1.0], signal))
+        for signal in (difference, mean)
+    )
+    return velocity, np.diff(velocity, prepend=0.0) / PERIOD_S, aligned
+
+
+def peer_savitzky_golay(x: Array, force: Array, degree: int, window: int) -> Estimate:
+    """`scipy.signal.savgol_coeffs` at the newest sample and `lfilter`."""
+    first, second = (
+        scipy.signal.savgol_coeffs(window, degree, deriv=d, delta=PERIOD_S, pos=window - 1)
+        for d in (1, 2)
+    )
+    # Lag 1 ... window - 1: double sums of the weights from the far end.
+    single = np.cumsum((second * PERIOD_S**2)[:0:-1])
+    kernel = (np.cumsum(single) - single / 2)[::-1]
+    moved = x - x[0]
+    return (
+        np.asarray(scipy.signal.lfilter(first, [1.0], moved)),
+        np.asarray(scipy.signal.lfilter(second, [1.0], moved)),
+        np.asarray(scipy.signal.lfilter(kernel, [1.0], force)),
+    )
+
+
+def peer_kalman(x: Array, force: Array, jerk_density: float) -> Estimate:
+    """`scipy.linalg.solve_discrete_are` and `lfilter` with the transfer functions."""
+    transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    noise = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
+    noise *= jerk_density * PERIOD_S**5 / (QUANTUM_M**2 / 12)
+    seen = np.array([[1.0], [0.0], [0.0]])
+    covariance = scipy.linalg.solve_discrete_are(transition.T, seen, noise, np.eye(1))
+    gain = covariance[:, :1] / (covariance[0, 0] + 1.0)
+    closed = (np.eye(3) - gain @ seen.T) @ transition
+    (_, b_v, b_a), a = scipy.signal.ss2tf(closed, gain, closed, gain)
+    # Position from force: a double integral, whose poles the numerator of A cancels.
+    b_f = np.polymul(np.polydiv(b_a, [1.0, -2.0, 1.0])[0], [0.5, 0.5])
+    moved = x - x[0]
+    return (
+        np.asarray(scipy.signal.lfilter(b_v, a, moved)) / PERIOD_S,
+        np.asarray(scipy.signal.lfilter(b_a, a, moved)) / PERIOD_S**2,
+        np.asarray(scipy.signal.lfilter(b_f, a, force)),
+    )
+
+
+def peer_adaptive_window(x: Array, force: Array, window: int, fit: str) -> Estimate:
+    """All ticks at once in NumPy, one lag after the other."""
+    bound = np.full_like(x, QUANTUM_M)
+    chosen, velocity = widest_lines(x, bound, window, fit, x[0], QUANTUM_M)
+    unsure = 2 * QUANTUM_M / chosen
+    rested = 2 * QUANTUM_M / window
+    chosen_again, acceleration = widest_lines(velocity, unsure, window, fit, 0.0, rested)
+    path = np.cumsum(np.cumsum(force) - force / 2)
+    aligned = given_lines(given_lines(path, chosen, window, fit), chosen_again, window, fit)
+    return velocity / PERIOD_S, acceleration / PERIOD_S**2, aligned
+
+
+def slopes(values: Array, window: int, fit: str, first: float) -> list[tuple[Array, Array]]:
+    """For each lag the rise since then and the slope of the line over that many ticks."""
+    padded = np.concatenate((np.full(window, first), values))
+    total, moment = np.zeros_like(values), np.zeros_like(values)
+    lines = []
+    for lag in range(1, window + 1):
+        rise = values - padded[window - lag : -lag]
+        if fit == "end":
+            slope = rise * (1.0 / lag)
+        else:
+            total, moment = total + rise, moment + lag * rise
+            slope = 6 * (2 * moment - lag * total) / (lag * (lag + 1.0) * (lag + 2.0))
+        lines.append((rise, slope))
+    return lines
+
+
+def widest_lines(
+    values: Array, bound: Array, window: int, fit: str, first: float, first_bound: float
+) -> tuple[Array, Array]:
+    """The longest window whose line stays within the bound, and its slope."""
+    bounds = np.concatenate((np.full(window, first_bound), bound))
+    lowest, highest = np.full_like(values, -np.inf), np.full_like(values, np.inf)
+    lines = slopes(values, window, fit, first)
+    chosen, best = np.ones_like(values), lines[0][0].copy()
+    straight = np.ones(len(values), dtype=bool)
+    for lag, (rise, slope) in enumerate(lines, start=1):
+        limit = np.maximum(bound, bounds[window - lag : -lag])
+        lowest = np.maximum(lowest, (rise - limit) * (1.0 / lag))
+        highest = np.minimum(highest, (rise + limit) * (1.0 / lag))
+        straight &= (lowest <= slope) & (slope <= highest)
+        chosen[straight], best[straight] = lag, slope[straight]
+    return chosen, best
+
+
+def given_lines(values: Array, chosen: Array, window: int, fit: str) -> Array:
+    """The slope over the window chosen at each tick."""
+    found = np.zeros_like(values)
+    for lag, (_, slope) in enumerate(slopes(values, window, fit, 0.0), start=1):
+        found[chosen == lag] = slope[chosen == lag]
+    return found
+
+
+# What is measured ------------------------------------------------------------------------------------
+
+
+def cases() -> list[Case]:
+    """All kinds, each with parameters from quick and noisy to slow and smooth."""
+
+    def case(method: str, parameters: str, kind: EstimatorKind, peer: Peer) -> Case:
+        return Case(method=method, parameters=parameters, kind=kind, peer=peer)
+
+    found = [case("difference", "", EstimatorKind.backward_difference(), peer_backward_difference)]
+    for cutoff_hz in (10.0, 20.0, 30.0, 50.0, 100.0):
+        kind = EstimatorKind.low_pass(cutoff_hz=cutoff_hz)
+        peer: Peer = partial(peer_low_pass, cutoff_hz=cutoff_hz)
+        found.append(case("low-pass", f"{cutoff_hz:g} Hz", kind, peer))
+    for fit in ("end", "best"):
+        for window in (8, 16, 32, 64):
+            kind = EstimatorKind.adaptive_window(
+                noise_bound_m=QUANTUM_M, max_window=window, fit=fit
+            )
+            peer = partial(peer_adaptive_window, window=window, fit=fit)
+            found.append(case("adaptive", f"{fit}, {window}", kind, peer))
+    for degree, windows in ((2, (9, 15, 21, 31, 51)), (3, (21, 31, 35, 41, 51))):
+        for window in windows:
+            kind = EstimatorKind.savitzky_golay(degree=degree, window=window)
+            peer = partial(peer_savitzky_golay, degree=degree, window=window)
+            found.append(case("Savitzky-Golay", f"degree {degree}, {window}", kind, peer))
+    for jerk_density in (0.1, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4):
+        kind = EstimatorKind.kalman(jerk_density=jerk_density, quantum_m=QUANTUM_M)
+        peer = partial(peer_kalman, jerk_density=jerk_density)
+        found.append(case("Kalman", f"q = {jerk_density:g}", kind, peer))
+    return found
+
+
+def simulate(controllers: list[str]) -> Run:
+    """Presses, holds with a tremor, lets go."""
+    legs: list[tuple[float, float, str]] = []
+    holds: list[slice] = []
+    for depth_m in (TOUCH_M, DEPTH_M):
+        target = -depth_m * (1 + STIFFNESS / HAND_STIFFNESS)
+        legs += [(0.8, target, "minimum-jerk"), (0.2, target, "linear")]
+        begun_s = sum(leg[0] for leg in legs)
+        sway = [target + TREMOR_M * side for side in (1, -1)] * 5
+        legs += [(0.5 / TREMOR_HZ, end, "minimum-jerk") for end in [*sway, target]]
+        holds.append(
+            slice(round(begun_s / PERIOD_S), round(sum(leg[0] for leg in legs) / PERIOD_S))
+        )
+    release_s = sum(leg[0] for leg in legs) + 0.1
+    hand = Hand(
+        stiffness=HAND_STIFFNESS,
+        damping=HAND_DAMPING,
+        strength_n=GRIP_MARGIN * STIFFNESS * DEPTH_M,
+        start=0.01,
+        legs=legs,
+        release=(release_s, LET_GO_S),
+    )
+    trace = run_local(
+        HapticDevice.phantom_desktop(encoder_quantum=0.0),
+        hand,
+        Wall(stiffness=STIFFNESS),
+        ticks=round((release_s + 0.35) / PERIOD_S),
+        settings=SafetySettings(controllers),
+        period_s=PERIOD_S,
+    )
+    return Run(
+        name="+".join(controllers) or "none",
+        position=trace.position,
+        velocity=trace.velocity,
+        acceleration=np.diff(trace.velocity, prepend=0.0) / PERIOD_S,
+        hand_force=trace.hand_force,
+        rendered_force=trace.rendered_force,
+        held_force=before(trace.device_force),
+        holds=holds,
+        release=round(release_s / PERIOD_S),
+        let_go=round((release_s + LET_GO_S) / PERIOD_S),
+    )
+
+
+def watch_grasp(
+    run: Run, velocity: Array, grasp_force: Array
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """S_h, and at which ticks HSC calls the hand unsafe."""
+    settings = SafetySettings(
+        ["hsc"], hsc_force_threshold_n=FORCE_THRESHOLD_N, grasp_threshold=GRASP_THRESHOLD
+    )
+    controller = SafetyController(DeviceModel.phantom_desktop(), settings, period_s=PERIOD_S)
+    seen = controller.run(velocity, run.rendered_force, grasp_force)
+    assert seen.grasp is not None
+    return seen.grasp, (seen.tripped & HSC) > 0
+
+
+def first_trip(run: Run, trips: npt.NDArray[np.bool_]) -> int | None:
+    """The first tick with a trip from the release on."""
+    after = trips[run.release :]
+    return run.release + int(after.argmax()) if after.any() else None
+
+
+def quantised(run: Run, offset: float) -> Array:
+    """What an encoder whose lines lie `offset` quanta further along says of the positions."""
+    return np.round(run.position / QUANTUM_M + offset) * QUANTUM_M
+
+
+def worst_ms(ticks: list[int | None]) -> float | None:
+    """The longest in ms, none if one of them never came."""
+    came = [tick for tick in ticks if tick is not None]
+    return max(came) * PERIOD_S * 1e3 if len(came) == len(ticks) else None
+
+
+def rms(error: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def delay_ms(estimates: list[Array], truths: list[Array]) -> float:
+    """The shift of the truth that leaves the least RMS error, also between ticks."""
+
+    def left(shift: float) -> float:
+        error = 0.0
+        for estimate, truth in zip(estimates, truths, strict=True):
+            ticks = np.arange(len(truth), dtype=np.float64)
+            error += float(np.sum((estimate - np.interp(ticks - shift, ticks, truth)) ** 2))
+        return error
+
+    coarse = np.arange(-1.0, 60.0)
+    near = float(coarse[np.argmin([left(shift) for shift in coarse])])
+    best = scipy.optimize.minimize_scalar(left, bounds=(near - 1, near + 1), method="bounded")
+    return float(best.x) * PERIOD_S * 1e3
+
+
+def judge(case: Case, runs: list[Run]) -> Score:
+    """Errors, delays and trips over all runs and offsets; the times are left at zero."""
+    device = DeviceModel.phantom_desktop()
+    seen: dict[str, tuple[list[Array], list[Array]]] = {"v": ([], []), "a": ([], []), "f": ([], [])}
+    held: list[Array] = []
+    trip_ticks: list[int | None] = []
+    late_ticks: list[int | None] = []
+    gone_worst_n, hold_grasp, gone_grasp, false = 0.0, 0.0, float("inf"), 0
+    for run in runs:
+        true_trip = first_trip(run, watch_grasp(run, run.velocity, run.hand_force)[1])
+        assert true_trip is not None
+        ticks = np.arange(len(run.position))
+        pushing = run.rendered_force > FORCE_THRESHOLD_N
+        for offset in OFFSETS:
+            position = quantised(run, offset)
+            velocity, acceleration, aligned = estimate(case, position, run.held_force)
+            agree(case, position, run.held_force)
+            grasp_force = device.grasp_force(velocity, acceleration, aligned)
+            for name, found, truth in (
+                ("v", velocity, run.velocity),
+                ("a", acceleration, run.acceleration),
+                ("f", grasp_force, run.hand_force),
+            ):
+                seen[name][0].append(found)
+                seen[name][1].append(truth)
+            error = grasp_force - run.hand_force
+            held.extend(error[hold] for hold in run.holds)
+            gone_worst_n = max(gone_worst_n, float(np.abs(error[run.let_go :]).max()))
+            grasp, trips = watch_grasp(run, velocity, grasp_force)
+            false += int(trips[: run.release].sum())
+            hold_grasp = max(hold_grasp, float(grasp[pushing & (ticks < run.release)].max()))
+            trip = first_trip(run, trips)
+            trip_ticks.append(None if trip is None else trip - run.release)
+            late_ticks.append(None if trip is None else trip - true_trip)
+            gone = pushing & (ticks >= max(run.let_go, len(ticks) if trip is None else trip))
+            gone_grasp = min(gone_grasp, float(grasp[gone].min()) if gone.any() else 0.0)
+    errors = {name: np.concatenate(a) - np.concatenate(b) for name, (a, b) in seen.items()}
+    hold_rms = rms(np.concatenate(held))
+    return Score(
+        method=case.method,
+        parameters=case.parameters,
+        ns_per_sample=0.0,
+        peer_ns_per_sample=0.0,
+        velocity_rms=rms(errors["v"]),
+        velocity_delay_ms=delay_ms(*seen["v"]),
+        acceleration_rms=rms(errors["a"]),
+        acceleration_delay_ms=delay_ms(*seen["a"]),
+        grasp_rms_n=rms(errors["f"]),
+        grasp_delay_ms=delay_ms(*seen["f"]),
+        hold_rms_n=hold_rms,
+        gone_worst_n=gone_worst_n,
+        trip_ms=worst_ms(trip_ticks),
+        trip_late_ms=worst_ms(late_ticks),
+        hold_grasp=hold_grasp,
+        gone_grasp=gone_grasp,
+        false_trips=false,
+        eligible=hold_rms < NOISE_BOUND_N
+        and hold_grasp < GRASP_THRESHOLD / MARGIN
+        and gone_grasp > GRASP_THRESHOLD * MARGIN,
+    )
+
+
+def estimate(case: Case, position: Array, held_force: Array) -> Estimate:
+    """A fresh estimator over all samples."""
+    velocity, acceleration, aligned = Estimator(case.kind, period_s=PERIOD_S).run(
+        position, held_force
+    )
+    assert aligned is not None
+    return velocity, acceleration, aligned
+
+
+def agree(case: Case, position: Array, held_force: Array) -> None:
+    """Refuses a peer that computes something else: its time would be no comparison."""
+    for name, ours, theirs in zip(
+        ("velocity", "acceleration", "aligned force"),
+        estimate(case, position, held_force),
+        case.peer(position, held_force),
+        strict=True,
+    ):
+        apart = float(np.abs(ours - theirs).max())
+        if apart > 1e-6 * float(np.abs(ours).max()):
+            sys.exit(f"{case.method} {case.parameters}: the peer's {name} differs by {apart:.3g}")
+
+
+def ns_per_sample(work: Callable[[], object], samples: int, repeats: int) -> float:
+    """The least of `repeats` times."""
+    best = float("inf")
+    for _ in range(repeats):
+        begun = time.perf_counter_ns()
+        work()
+        best = min(best, time.perf_counter_ns() - begun)
+    return best / samples
+
+
+def measure(case: Case, runs: list[Run], samples: int, repeats: int) -> Score:
+    """The whole score."""
+    run = runs[-1]
+    tiles = -(-samples // len(run.position))
+    position = np.tile(quantised(run, OFFSETS[0]), tiles)[:samples]
+    force = np.tile(run.held_force, tiles)[:samples]
+    estimator = Estimator(case.kind, period_s=PERIOD_S)
+    return replace(
+        judge(case, runs),
+        ns_per_sample=ns_per_sample(lambda: estimator.run(position, force), samples, repeats),
+        peer_ns_per_sample=ns_per_sample(lambda: case.peer(position, force), samples, repeats),
+    )
+
+
+def report(scores: list[Score], chosen: Score | None, out: TextIO) -> None:
+    """The table."""
+    titles = "ns peer/x V V-ms A A-ms F_h F-ms hold gone trip late hold-S gone-S false".split()
+    head = "".join(f"{title:>7}" for title in titles)
+    print(f"{'estimator':<31}{head}", file=out)
+    for score in scores:
+        trip, late = (
+            f"{'never' if ms is None else f'{ms:.0f}':>7}"
+            for ms in (score.trip_ms, score.trip_late_ms)
+        )
+        numbers = (
+            f"{score.ns_per_sample:7.1f}{score.peer_ns_per_sample / score.ns_per_sample:7.1f}"
+            f"{score.velocity_rms:7.4f}{score.velocity_delay_ms:7.2f}"
+            f"{score.acceleration_rms:7.2f}{score.acceleration_delay_ms:7.2f}"
+            f"{score.grasp_rms_n:7.3f}{score.grasp_delay_ms:7.2f}{score.hold_rms_n:7.3f}"
+            f"{score.gone_worst_n:7.2f}{trip}{late}"
+            f"{score.hold_grasp:7.2f}{score.gone_grasp:7.2f}{score.false_trips:7d}"
+        )
+        mark = "*" if score is chosen else "+" if score.eligible else " "
+        print(f"{mark} {score.method:<15}{score.parameters:<14}{numbers}", file=out)
+    legend = """
+ns: per sample, with alignment; peer/x: time of the NumPy/SciPy peer over ours
+V m/s, A m/s2, F_h N: RMS error; -ms: delay that explains the estimate best
+hold N: RMS error of F_h while the hand holds with a tremor; gone N: worst error while nobody holds
+trip: ms from the begin of the release to the first HSC trip; late: after the trip on the true force
+hold-S: largest S_h until the release; gone-S: least S_h once tripped and let go
+false: ticks with a trip until the release; + fulfils 1 to 3 of the rule, * chosen
+"""
+    print(legend, file=out)
+    print(RULE, file=out)
+
+
+def plot(scores: list[Score], chosen: Score, chosen_case: Case, run: Run, folder: Path) -> Path:
+    """The choice: delay against noise of all, and F_h of three around the release."""
+    import matplotlib as mpl  # noqa: PLC0415 (only when asked for)
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt  # noqa: PLC0415
+
+    figure, (cloud, release) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
+    for method in dict.fromkeys(score.method for score in scores):
+        points = [score for score in scores if score.method == method]
+        x, y = [p.grasp_delay_ms for p in points], [p.hold_rms_n for p in points]
+        cloud.plot(x, y, "o-", label=method, markersize=4, linewidth=0.8)
+    cloud.plot(chosen.grasp_delay_ms, chosen.hold_rms_n, "k*", markersize=12, label="default")
+    cloud.axhline(NOISE_BOUND_N, color="0.6", linestyle="--", linewidth=0.8)
+    cloud.set(xlabel="delay of F_h in ms", ylabel="RMS error of F_h while held in N", yscale="log")
+    cloud.set_title("Noise against delay")
+    cloud.legend(fontsize=8)
+
+    ticks = np.arange(run.release - 10, run.let_go + 40)
+    milliseconds = (ticks - run.release) * PERIOD_S * 1e3
+    shown = {f"{chosen.method} {chosen.parameters}": chosen_case}
+    for case in cases():
+        if (case.method, case.parameters) in (("low-pass", "30 Hz"), ("adaptive", "end, 32")):
+            shown[f"{case.method} {case.parameters}"] = case
+    device = DeviceModel.phantom_desktop()
+    for label, case in shown.items():
+        found = device.grasp_force(*estimate(case, quantised(run, OFFSETS[0]), run.held_force))
+        release.plot(milliseconds, found[ticks], linewidth=1, label=label)
+    release.plot(milliseconds, run.hand_force[ticks], "k--", linewidth=1, label="true")
+    release.set(xlabel="ms after the grip begins to loosen", ylabel="F_h in N")
+    release.set_title(f"Release, {run.name.upper()} acting")
+    release.legend(fontsize=8)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "estimators.png"
+    figure.savefig(path, dpi=130)
+    return path
+
+
+def main() -> int:
+    """Measures, prints, and checks the default."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--plot", metavar="DIR", type=Path, help="writes estimators.png there")
+    parser.add_argument("--samples", type=int, default=100_000, help="for timing (default 100000)")
+    parser.add_argument("--repeats", type=int, default=5, help="the least time counts (default 5)")
+    arguments = parser.parse_args()
+    if arguments.samples < 1 or arguments.repeats < 1:
+        parser.error("--samples and --repeats must be at least 1")
+
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    runs = [simulate([]), simulate(["wsc"])]
+    every = cases()
+    console = Console(stderr=True)
+    scores = [
+        measure(case, runs, arguments.samples, arguments.repeats)
+        for case in track(every, "estimators", console=console, transient=True)
+    ]
+    eligible = [score for score in scores if score.eligible]
+    chosen = min(eligible, key=lambda score: score.grasp_rms_n, default=None)
+    report(scores, chosen, out)
+    if chosen is None:
+        print("\nno estimator fulfils 1 to 3 of the rule", file=sys.stderr)
+        return 1
+    chosen_case = every[scores.index(chosen)]
+    is_default = chosen_case.kind == EstimatorKind()
+    verdict = "it is the default" if is_default else f"but the default is {EstimatorKind()}"
+    print(f"\nchosen: {chosen.method} {chosen.parameters}; {verdict}", file=out)
+    if arguments.plot is not None:
+        print(plot(scores, chosen, chosen_case, runs[-1], arguments.plot), file=out)
+    if arguments.json is not None:
+        text = json.dumps(
+            {
+                "rule": RULE,
+                "chosen": repr(chosen_case.kind),
+                "default": repr(EstimatorKind()),
+                "period_s": PERIOD_S,
+                "quantum_m": QUANTUM_M,
+                "estimators": [asdict(score) for score in scores],
+            },
+            indent=2,
+        )
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 0 if is_default else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1659 @@
+"""The compiled part of Haptether. Import its names from the rooms: `haptether.safety`, `haptether.bridge`, ...
+
+Units are SI, angles in rad; a positive force pushes the device along +x. Arrays over ticks have the
+shape `(n_ticks, axes)`, for one axis also `(n_ticks,)`, and must hold float64; results have the shape
+of the first argument, and one number per tick the shape `(n_ticks,)`. Strides do not matter. One sample
+is a float for one axis, else a sequence of `axes` floats; it comes back as an array of shape `(axes,)`.
+Devices have 1, 2, 3, 6 or 7 axes.
+
+What every call refuses: another shape, length or range with `ValueError`, which says what was seen and
+what is allowed; another type, an array of another dtype among them, with `TypeError`; a negative
+count or seed with `OverflowError`.
+
+"Paper" in a `Source:` is "Safety Control for Impedance Haptic Interfaces".
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal, TypeAlias, final, overload
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "Arm",
+    "DeviceModel",
+    "DirectionStatistics",
+    "Estimator",
+    "EstimatorKind",
+    "Hand",
+    "HandGraspObserver",
+    "HapticDevice",
+    "Intervention",
+    "Interventions",
+    "Limiter",
+    "LimiterSettings",
+    "LinkSettings",
+    "LinkStatistics",
+    "LiveMaster",
+    "LiveSlave",
+    "LocalTrace",
+    "LoopReport",
+    "MasterSettings",
+    "MasterTrace",
+    "PassivityObserver",
+    "Proxy",
+    "ProxyStatistics",
+    "Pusher",
+    "SafetyController",
+    "SafetyObserver",
+    "SafetySettings",
+    "Sinusoid",
+    "SlaveSettings",
+    "SlaveTrace",
+    "VelocityForceObserver",
+    "Wall",
+    "WindowedSafetyObserver",
+    "__version__",
+    "fault_message",
+    "judge",
+    "ladder_state_name",
+    "run_bridge",
+    "run_local",
+]
+
+_Array: TypeAlias = npt.NDArray[np.float64]
+_Bits: TypeAlias = npt.NDArray[np.uint8]
+_Sample: TypeAlias = float | Sequence[float] | _Array
+
+__version__: str
+"""Version of the distribution, as in `pip show haptether`."""
+
+# ---------------------------------------------------------------------------------------------- safety
+
+@final
+class DeviceModel:
+    """Dynamics of the haptic device as a point mass, per axis.
+
+    `m A + b V + c sign(V) = F_device + F_h`; for several axes sign(V) is the direction V / |V|.
+
+    Args:
+        mass_kg: m in kg, above 0; one value serves all axes.
+        viscous: b in N s/m, of any sign; the paper's device has b = -0.005.
+        coulomb: c in N, 0 or more.
+        axes: 1, 2, 3, 6 or 7.
+
+    Raises:
+        ValueError: A parameter outside its range, values of another number than `axes`, or no such `axes`.
+
+    Source: paper Eq. 3.
+    """
+
+    def __new__(
+        cls,
+        *,
+        mass_kg: _Sample,
+        viscous: _Sample = ...,
+        coulomb: _Sample = ...,
+        axes: int = 1,
+    ) -> DeviceModel: ...
+    @staticmethod
+    def phantom_desktop(axes: int = 1) -> DeviceModel:
+        """The paper's PHANTOM Desktop: m = 0.157 kg, b = -0.005 N s/m, c = 0.038 N on each axis.
+
+        Raises:
+            ValueError: No such `axes`.
+
+        Source: paper section 4.1.
+        """
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+
+    @property
+    def mass_kg(self) -> list[float]:
+        """m in kg, one value per axis."""
+
+    def grasp_force(
+        self, velocity: _Array, acceleration: _Array, aligned_device_force: _Array
+    ) -> _Array:
+        """Force of the hand on the device: `F_h = m A + b V + c sign(V) - F_device`.
+
+        The paper subtracts F_v. F_device is all the force the device was told to exert, F_v + F_c: with
+        F_v alone the controller's own force would look like a hand.
+
+        Args:
+            velocity: V in m/s, shape `(n_ticks, axes)`.
+            acceleration: A in m/s², the same shape.
+            aligned_device_force: F_device in N as `Estimator` aligns it with A, the same shape.
+
+        Returns:
+            F_h in N, shape `(n_ticks, axes)`.
+
+        Raises:
+            ValueError: Arrays of another shape or of different lengths.
+
+        Source: paper Eq. 4.
+        """
+
+@final
+class EstimatorKind:
+    """An estimator of velocity and acceleration with its parameters; without arguments the default.
+
+    The default is `kalman(jerk_density=10.0, quantum_m=2.3e-5)`, for a stylus at 1 kHz: 39 Hz of
+    bandwidth. Numbers are held against their ranges where an `Estimator` is built.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(cls) -> EstimatorKind: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    @staticmethod
+    def backward_difference() -> EstimatorKind:
+        """Differences: `V[n] = (x[n] - x[n-1]) / dT`, `A[n] = (V[n] - V[n-1]) / dT`.
+
+        A is the mean of the last two ticks. The least late estimator; a position quantum q shows in A as
+        q / dT².
+        """
+
+    @staticmethod
+    def low_pass(*, cutoff_hz: float) -> EstimatorKind:
+        """First-order low-pass on the difference D: `V[n] = V[n-1] + beta (D[n] - V[n-1])`.
+
+        `beta = 1 - exp(-2 pi f_c dT)`, `A[n] = (V[n] - V[n-1]) / dT`.
+
+        Args:
+            cutoff_hz: f_c in Hz, above 0 and at most half the sample rate.
+
+        Source: Franklin, Powell and Workman 1998, section 6.2 (pole matching).
+        """
+
+    @staticmethod
+    def adaptive_window(
+        *, noise_bound_m: float, max_window: int = 32, fit: Literal["end", "best"] = "end"
+    ) -> EstimatorKind:
+        """Slope of the longest straight line that stays within d of all samples it spans.
+
+        Args:
+            noise_bound_m: d in m (rad for joints), above 0; the encoder's quantum is a good start.
+            max_window: Longest window in ticks, 1 to 128.
+            fit: "end" takes the chord of the window, "best" its least-squares slope.
+
+        Raises:
+            ValueError: No such `fit`.
+
+        Source: Janabi-Sharifi, Hayward and Chen 2000 (FOAW).
+        """
+
+    @staticmethod
+    def savitzky_golay(*, degree: int = 2, window: int = 15) -> EstimatorKind:
+        """Derivatives, at the newest sample, of the polynomial fitted to the last w samples.
+
+        Args:
+            degree: p, 2 or 3.
+            window: w in samples, above `degree` and at most 128.
+
+        Source: Savitzky and Golay 1964; Gorry 1990 (weights at the end point).
+        """
+
+    @staticmethod
+    def kalman(*, jerk_density: float, quantum_m: float) -> EstimatorKind:
+        """Steady-state Kalman filter of position, velocity and acceleration under white jerk.
+
+        Its bandwidth omega in rad/s follows from `omega⁶ = 12 q / (quantum² dT)`; omega dT must lie
+        within 0.001 and 10.
+
+        Args:
+            jerk_density: q in m²/s⁵ (rad²/s⁵ for joints), above 0.
+            quantum_m: Quantum of the encoder in m (rad for joints), above 0.
+
+        Source: Bar-Shalom, Li and Kirubarajan 2001, section 6.2.3.
+        """
+
+@final
+class Estimator:
+    """V and A of a device from its sampled position; keeps its state from call to call.
+
+    It takes the device to have rested at the first position it is given.
+
+    Args:
+        kind: Which estimator; without it the default of `EstimatorKind`.
+        period_s: dT in s, above 0.
+        axes: 1, 2, 3, 6 or 7.
+
+    Raises:
+        ValueError: A parameter of `kind` or `period_s` outside its range, or no such `axes`.
+    """
+
+    def __new__(
+        cls, kind: EstimatorKind | None = None, *, period_s: float = 1e-3, axes: int = 1
+    ) -> Estimator: ...
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+
+    def step(self, position: _Sample) -> tuple[_Array, _Array]:
+        """Takes one position.
+
+        Args:
+            position: x in m.
+
+        Returns:
+            V in m/s and A in m/s², each of shape `(axes,)`.
+
+        Raises:
+            ValueError: A position that is not finite or exceeds 1000 m; the state stays as it was.
+        """
+
+    def align(self, device_force: _Sample) -> _Array:
+        """Passes F_device[n-1] through the kernel that stands between the true acceleration and A[n].
+
+        Call it after each `step` or never: it remembers past forces.
+
+        Args:
+            device_force: Force in N held over the tick that ended with the newest position.
+
+        Returns:
+            The force in N that Eq. 4 may subtract from m A, shape `(axes,)`.
+
+        Raises:
+            ValueError: A force that is not finite or exceeds 10000 N; the state stays as it was.
+
+        Source: paper Eq. 4.
+        """
+
+    @overload
+    def run(self, position: _Array, device_force: None = None) -> tuple[_Array, _Array, None]: ...
+    @overload
+    def run(self, position: _Array, device_force: _Array) -> tuple[_Array, _Array, _Array]:
+        """As `step`, and `align` where forces are given, over arrays.
+
+        Args:
+            position: x in m, shape `(n_ticks, axes)`.
+            device_force: F_device in N held before each position, the same shape.
+
+        Returns:
+            V in m/s, A in m/s² and the aligned force in N (none without `device_force`), each of shape
+            `(n_ticks, axes)`.
+
+        Raises:
+            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+                The ticks before it have been taken.
+        """
+
+@final
+class VelocityForceObserver:
+    """VFO: the device pushes the hand, and the hand moves along with the push.
+
+    "product" is Eq. 1 as printed, `S_vf = V·F_v / (V_t F_t)`; "both" is what the paper's text says,
+    `S_vf = min(V/V_t, |F_v|/F_t)` with V the speed along F_v. Above 1 is unsafe.
+
+    Args:
+        velocity_threshold: V_t in m/s, above 0.
+        force_threshold_n: F_t in N, above 0.
+        form: Which reading of Eq. 1.
+        axes: 1, 2, 3, 6 or 7.
+
+    Raises:
+        ValueError: A threshold outside its range, no such `form` or no such `axes`.
+
+    Source: paper Eq. 1.
+    """
+
+    def __new__(
+        cls,
+        *,
+        velocity_threshold: float = 0.6,
+        force_threshold_n: float = 1.0,
+        form: Literal["product", "both"] = "product",
+        axes: int = 1,
+    ) -> VelocityForceObserver: ...
+    def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
+        """S_vf of one tick, without unit.
+
+        Args:
+            velocity: V in m/s.
+            rendered_force: F_v in N.
+            grasp_force: F_h in N; checked, not used.
+
+        Raises:
+            ValueError: A number that is not finite or absurd, or another number of axes.
+
+        Source: paper Eq. 1.
+        """
+
+    def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
+        """As `step`, over arrays of shape `(n_ticks, axes)`; S_vf of shape `(n_ticks,)`.
+
+        Raises:
+            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+
+        Source: paper Eq. 1.
+        """
+
+@final
+class HandGraspObserver:
+    """HGO: near 1 while the hand holds against the rendered force, large when nobody holds.
+
+    `S_h = |F_v| / (|F_h| + alpha)`
+
+    Args:
+        grasp_floor_n: alpha in N, above 0.
+        axes: 1, 2, 3, 6 or 7.
+
+    Raises:
+        ValueError: alpha outside its range or no such `axes`.
+
+    Source: paper Eq. 5.
+    """
+
+    def __new__(cls, *, grasp_floor_n: float = 1e-3, axes: int = 1) -> HandGraspObserver: ...
+    def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
+        """S_h of one tick, without unit; safe up to zeta.
+
+        Args:
+            velocity: V in m/s; checked, not used.
+            rendered_force: F_v in N.
+            grasp_force: F_h in N.
+
+        Raises:
+            ValueError: A number that is not finite or absurd, or another number of axes.
+
+        Source: paper Eq. 5.
+        """
+
+    def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
+        """As `step`, over arrays of shape `(n_ticks, axes)`; S_h of shape `(n_ticks,)`.
+
+        Raises:
+            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+
+        Source: paper Eq. 5.
+        """
+
+@final
+class SafetyObserver:
+    """SO: energy that the hand has put in since the start, less what a safe device would move with.
+
+    `E_so(n) = dT sum_{i=1..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
+
+    It never forgets, so a long press hides a later ejection.
+
+    Args:
+        device: M, and the number of axes.
+        period_s: dT in s, above 0.
+        energy_ratio: eta, above 0 and at most 1.
+
+    Raises:
+        ValueError: A parameter outside its range.
+
+    Source: paper Eq. 9.
+    """
+
+    def __new__(
+        cls, device: DeviceModel, *, period_s: float = 1e-3, energy_ratio: float = 0.5
+    ) -> SafetyObserver: ...
+    def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
+        """E_so in J after one tick.
+
+        Args:
+            velocity: V in m/s.
+            rendered_force: F_v in N; checked, not used.
+            grasp_force: F_h in N.
+
+        Raises:
+            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
+                as it was.
+
+        Source: paper Eq. 9.
+        """
+
+    def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
+        """As `step`, over arrays of shape `(n_ticks, axes)`; E_so in J of shape `(n_ticks,)`.
+
+        Raises:
+            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+                The ticks before it have been taken.
+
+        Source: paper Eq. 9.
+        """
+
+    def reset(self) -> None:
+        """Forgets all energy."""
+
+@final
+class WindowedSafetyObserver:
+    """WSO: SO over the last w ticks only, so that energy from long ago hides nothing.
+
+    `E_wso(n) = dT sum_{i=max(1, n-w+1)..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
+
+    Args:
+        device: M, and the number of axes.
+        period_s: dT in s, above 0.
+        energy_ratio: eta, above 0 and at most 1.
+        window: w in ticks, 1 to 3600000.
+
+    Raises:
+        ValueError: A parameter outside its range.
+
+    Source: paper Eq. 11.
+    """
+
+    def __new__(
+        cls,
+        device: DeviceModel,
+        *,
+        period_s: float = 1e-3,
+        energy_ratio: float = 0.5,
+        window: int = 100,
+    ) -> WindowedSafetyObserver: ...
+    def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
+        """E_wso in J after one tick.
+
+        Args:
+            velocity: V in m/s.
+            rendered_force: F_v in N; checked, not used.
+            grasp_force: F_h in N.
+
+        Raises:
+            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
+                as it was.
+
+        Source: paper Eq. 11.
+        """
+
+    def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
+        """As `step`, over arrays of shape `(n_ticks, axes)`; E_wso in J of shape `(n_ticks,)`.
+
+        Raises:
+            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+                The ticks before it have been taken.
+
+        Source: paper Eq. 11.
+        """
+
+    def reset(self) -> None:
+        """Forgets all energy."""
+
+@final
+class PassivityObserver:
+    """PO: energy that has flowed from the hand's side into what renders the force.
+
+    `E(n) = - sum_{k<n} F_device(k)·(x(k+1) - x(k))`; negative: the environment has given out more than
+    it took. Force times displacement is the exact work of a force that is held over a tick.
+
+    Args:
+        axes: 1, 2, 3, 6 or 7.
+
+    Raises:
+        ValueError: No such `axes`.
+
+    Source: Hannaford and Ryu 2002, Eq. 5; Stramigioli et al. 2005 (sampled energy).
+    """
+
+    def __new__(cls, *, axes: int = 1) -> PassivityObserver: ...
+    def step(self, position: _Sample, held_force: _Sample) -> float:
+        """E in J at one position.
+
+        Args:
+            position: x in m.
+            held_force: F_device in N exerted since the last position; not used at the first.
+
+        Raises:
+            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
+                as it was.
+
+        Source: Hannaford and Ryu 2002, Eq. 5.
+        """
+
+    def run(self, position: _Array, held_force: _Array) -> _Array:
+        """As `step`, over arrays of shape `(n_ticks, axes)`; E in J of shape `(n_ticks,)`.
+
+        Raises:
+            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+                The ticks before it have been taken.
+
+        Source: Hannaford and Ryu 2002, Eq. 5.
+        """
+
+    def reset(self) -> None:
+        """Forgets all energy and the last position."""
+
+@final
+class SafetySettings:
+    """Which controllers watch, their thresholds, and how an intervention begins and ends.
+
+    The defaults are the paper's. Numbers are held against their ranges where a controller is built.
+
+    Args:
+        controllers: Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12).
+        damping: mu in N s/m, between 0 and m / dT.
+        velocity_threshold: V_t in m/s, above 0 (Eq. 1).
+        vfc_force_threshold_n: F_t in N, above 0 (Eq. 1).
+        vfc_form: Which reading of Eq. 1, see `VelocityForceObserver`.
+        grasp_threshold: zeta, above 1 (Eq. 8).
+        grasp_floor_n: alpha in N, above 0 (Eq. 5).
+        hsc_force_threshold_n: F_t in N, 0 or more (Eq. 14).
+        energy_threshold_j: delta in J, below 0, by default -0.03 (Eq. 10).
+        energy_ratio: eta, above 0 and at most 1 (Eq. 9).
+        window: w in ticks, 1 to 3600000 (Eq. 11).
+        pc_max_damping: Bound in N s/m on the damping of Eq. 12, between 0 and m / dT.
+        hold_off_s: Least duration of an intervention in s, 0 to 60.
+        release_ramp_s: Time in s over which an intervention fades out, 0 to 60.
+
+    Raises:
+        ValueError: No such controller or `vfc_form`.
+
+    Source: paper section 4 (thresholds).
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls,
+        controllers: Sequence[Literal["vfc", "hsc", "wsc", "pc"]] = ...,
+        *,
+        damping: float = 5.0,
+        velocity_threshold: float = 0.6,
+        vfc_force_threshold_n: float = 1.0,
+        vfc_form: Literal["product", "both"] = "product",
+        grasp_threshold: float = 1.5,
+        grasp_floor_n: float = 1e-3,
+        hsc_force_threshold_n: float = 0.1,
+        energy_threshold_j: float = ...,
+        energy_ratio: float = 0.5,
+        window: int = 100,
+        pc_max_damping: float = 50.0,
+        hold_off_s: float = 0.0,
+        release_ramp_s: float = 0.0,
+    ) -> SafetySettings: ...
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class SafetyController:
+    """Controllers combined: while one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`, else 0.
+
+    It stays on for the hold-off, then fades over the release ramp. PC, where nobody else acts, dissipates
+    what SO finds missing: `F_c = E_so V / (|V|² dT)` for E_so < 0, never more than `pc_max_damping` V.
+    Keeps its state from call to call.
+
+    Args:
+        device: M, and the number of axes.
+        settings: Controllers and thresholds.
+        period_s: dT in s, above 0.
+
+    Raises:
+        ValueError: A parameter outside its range, with its symbol in the paper.
+
+    Source: paper Eq. 2, 12, 13 and 14.
+    """
+
+    def __new__(
+        cls, device: DeviceModel, settings: SafetySettings, *, period_s: float = 1e-3
+    ) -> SafetyController: ...
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+
+    def step(
+        self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample
+    ) -> Intervention:
+        """F_c of one tick.
+
+        A number that is not finite or absurd is no error here: it gives a fault and zero force, and
+        changes no state.
+
+        Args:
+            velocity: V in m/s.
+            rendered_force: F_v in N.
+            grasp_force: F_h in N.
+
+        Raises:
+            ValueError: Another number of axes.
+
+        Source: paper Eq. 2, 12, 13 and 14.
+        """
+
+    def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> Interventions:
+        """As `step`, over arrays.
+
+        Args:
+            velocity: V in m/s, shape `(n_ticks, axes)`.
+            rendered_force: F_v in N, the same shape.
+            grasp_force: F_h in N, the same shape.
+
+        Raises:
+            ValueError: Another shape or length.
+
+        Source: paper Eq. 2, 12, 13 and 14.
+        """
+
+    def reset(self) -> None:
+        """Forgets all energy and ends any intervention."""
+
+@final
+class Intervention:
+    """What `SafetyController.step` decided at one tick, and what it saw."""
+
+    @property
+    def safety_force(self) -> _Array:
+        """F_c in N, shape `(axes,)`."""
+
+    @property
+    def device_force(self) -> _Array:
+        """F_v + F_c in N, before any limiter, shape `(axes,)`; zero at a fault."""
+
+    @property
+    def tripped(self) -> int:
+        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is only held."""
+
+    @property
+    def fault(self) -> int:
+        """Code for `fault_message`, 0 without fault."""
+
+    @property
+    def velocity_force(self) -> float:
+        """S_vf; NaN without VFC or at a fault."""
+
+    @property
+    def grasp(self) -> float:
+        """S_h; NaN without HSC or at a fault."""
+
+    @property
+    def windowed_energy_j(self) -> float:
+        """E_wso in J; NaN without WSC or at a fault."""
+
+    @property
+    def energy_j(self) -> float:
+        """E_so in J; NaN without PC or at a fault."""
+
+@final
+class Interventions:
+    """What `SafetyController.run` decided at each tick, and what it saw.
+
+    An observer that no controller reads is not computed: its array is none.
+    """
+
+    @property
+    def safety_force(self) -> _Array:
+        """F_c in N, shape `(n_ticks, axes)`."""
+
+    @property
+    def device_force(self) -> _Array:
+        """F_v + F_c in N, before any limiter, shape `(n_ticks, axes)`; zero at a fault."""
+
+    @property
+    def tripped(self) -> _Bits:
+        """Who tripped, shape `(n_ticks,)`: VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
+
+    @property
+    def fault(self) -> _Bits:
+        """Codes for `fault_message`, 0 without fault, shape `(n_ticks,)`."""
+
+    @property
+    def velocity_force(self) -> _Array | None:
+        """S_vf, shape `(n_ticks,)`; NaN at a fault, none without VFC."""
+
+    @property
+    def grasp(self) -> _Array | None:
+        """S_h, shape `(n_ticks,)`; NaN at a fault, none without HSC."""
+
+    @property
+    def windowed_energy_j(self) -> _Array | None:
+        """E_wso in J, shape `(n_ticks,)`; NaN at a fault, none without WSC."""
+
+    @property
+    def energy_j(self) -> _Array | None:
+        """E_so in J, shape `(n_ticks,)`; NaN at a fault, none without PC."""
+
+@final
+class LimiterSettings:
+    """Bounds on the force that a device is told to exert; checked where a limiter is built.
+
+    Args:
+        max_force_n: Largest |F| in N, above 0; a PHANTOM Desktop exerts 7.9 N.
+        max_slew_n_per_s: Largest growth of the force in N/s, above 0; unloading is free.
+        max_power_w: Largest F·V in W that the device may put into the hand, above 0.
+        ramp_in_s: Time in s in which the force rises from zero after a reset, 0 to 60.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls,
+        *,
+        max_force_n: float = 7.9,
+        max_slew_n_per_s: float = 1000.0,
+        max_power_w: float = 20.0,
+        ramp_in_s: float = 0.2,
+    ) -> LimiterSettings: ...
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Limiter:
+    """Keeps the device force inside its bounds, as a vector: no axis is clipped on its own.
+
+    In this order: the ramp-in scales, |F| is clipped, the step from the last force is limited beyond the
+    part that only unloads, and the part along V is reduced until `F·V <= P_max`. |F| and power hold at
+    every tick; the growth is exceeded only by what the power bound takes away.
+
+    Args:
+        settings: Bounds; without them the defaults of `LimiterSettings`.
+        period_s: dT in s, above 0.
+        axes: 1, 2, 3, 6 or 7.
+
+    Raises:
+        ValueError: A bound or `period_s` outside its range, or no such `axes`.
+    """
+
+    def __new__(
+        cls, settings: LimiterSettings | None = None, *, period_s: float = 1e-3, axes: int = 1
+    ) -> Limiter: ...
+    def step(self, force: _Sample, velocity: _Sample) -> tuple[_Array, int]:
+        """Limits the force of one tick.
+
+        Args:
+            force: Force in N that is asked for.
+            velocity: V in m/s.
+
+        Returns:
+            The limited force in N, shape `(axes,)`, and which bounds acted: sum of |F| 1, slew 2, power 4,
+            ramp-in 8.
+
+        Raises:
+            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
+                as it was.
+        """
+
+    def run(self, force: _Array, velocity: _Array) -> tuple[_Array, _Bits]:
+        """As `step`, over arrays of shape `(n_ticks, axes)`; bits of shape `(n_ticks,)`.
+
+        Raises:
+            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+                The ticks before it have been taken.
+        """
+
+    def reset(self) -> None:
+        """Zero force at once, and the ramp-in starts anew."""
+
+def fault_message(code: int) -> str | None:
+    """What a fault's code means: which signal was not a finite number or exceeds which bound.
+
+    Bounds per axis: 1000 m, 1000 m/s, 10000 N. None for 0 and for codes that no fault has.
+
+    Raises:
+        OverflowError: A code outside 0 to 255.
+    """
+
+# ---------------------------------------------------------------------------------------------- master
+
+@final
+class HapticDevice:
+    """Model of a haptic device along one axis, advanced exactly between ticks.
+
+    `m A + b V + c sign(V) = F_device + F_h`; at rest, friction withstands up to c.
+
+    Args:
+        mass_kg: m in kg, above 0.
+        viscous: b in N s/m, of any sign.
+        coulomb: c in N, 0 or more.
+        encoder_quantum: Resolution of the position in m, 0 or more; with 0 the device measures position
+            and velocity exactly, so that no estimator is used.
+        stops: Positions in m of the mechanical stops, lower and upper, which take all speed; infinite
+            without stops.
+
+    Raises:
+        ValueError: A parameter outside its range.
+
+    Source: paper Eq. 3.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls,
+        *,
+        mass_kg: float,
+        viscous: float = 0.0,
+        coulomb: float = 0.0,
+        encoder_quantum: float = 0.0,
+        stops: tuple[float, float] = ...,
+    ) -> HapticDevice: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    @staticmethod
+    def phantom_desktop(
+        *, encoder_quantum: float = 2.3e-5, stops: tuple[float, float] = ...
+    ) -> HapticDevice:
+        """The paper's PHANTOM Desktop: m = 0.157 kg, b = -0.005 N s/m, c = 0.038 N.
+
+        Args:
+            encoder_quantum: Resolution in m; 0.023 mm is the vendor's nominal one.
+            stops: Positions in m of the mechanical stops; infinite without stops.
+
+        Raises:
+            ValueError: A parameter outside its range.
+
+        Source: paper section 4.1.
+        """
+
+    @property
+    def mass_kg(self) -> float:
+        """m in kg."""
+
+    @property
+    def viscous(self) -> float:
+        """b in N s/m."""
+
+    @property
+    def coulomb(self) -> float:
+        """c in N."""
+
+    @property
+    def encoder_quantum(self) -> float:
+        """Resolution of the position in m; 0 is exact."""
+
+    @property
+    def stops(self) -> tuple[float, float]:
+        """Positions in m of the lower and the upper mechanical stop."""
+
+@final
+class Hand:
+    """Model of a hand along one axis: an impedance towards a path, held by a finite grip that can let go.
+
+    `F_h = K_h (x_target - x) - B_h V`, clipped to the grip strength.
+
+    Args:
+        stiffness: K_h in N/m, 0 or more.
+        damping: B_h in N s/m, 0 or more.
+        strength_n: Grip strength in N, 0 or more.
+        start: Where the path begins, in m.
+        legs: The path, leg by leg: duration in s (above 0), position at its end in m, "linear" or
+            "minimum-jerk". The hand rests after the last.
+        release: When the hand begins to let go, in s, and in which time in s (0 or more) the strength
+            falls to zero; never without it.
+
+    Raises:
+        ValueError: A parameter outside its range or no such shape.
+
+    Source: Hogan 1989 (impedance); Johansson and Westling 1984 (grip); Flash and Hogan 1985 (path).
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls,
+        *,
+        stiffness: float,
+        damping: float,
+        strength_n: float,
+        start: float,
+        legs: Sequence[tuple[float, float, Literal["linear", "minimum-jerk"]]] = ...,
+        release: tuple[float, float] | None = None,
+    ) -> Hand: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    @staticmethod
+    def absent(*, position: float = 0.0) -> Hand:
+        """Nobody holds the device, which rests at `position` in m.
+
+        Raises:
+            ValueError: A position that is not finite.
+        """
+
+    def target(self, time_s: float) -> float:
+        """Position in m that the hand means to be at, at a time in s."""
+
+    def strength(self, time_s: float) -> float:
+        """Grip strength in N at a time in s."""
+
+# ----------------------------------------------------------------------------------------------- slave
+
+@final
+class Wall:
+    """A spring wall that fills x below its surface and pushes along +x.
+
+    `F = K (x_w - x)` inside, 0 outside.
+
+    Args:
+        stiffness: K in N/m, 0 or more.
+        position: Surface x_w in m.
+
+    Raises:
+        ValueError: A parameter outside its range.
+
+    Source: paper Eq. 15 with B = 0.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(cls, *, stiffness: float, position: float = 0.0) -> Wall: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def force(self, position: float) -> float:
+        """Force in N on what is at `position` in m.
+
+        Source: paper Eq. 15 with B = 0.
+        """
+
+@final
+class Pusher:
+    """Something that shoves the tool: a force that rises linearly, stays and ends.
+
+    Args:
+        at_s: When it begins, in s since the two sides engaged.
+        force_n: Force in N, positive along +x.
+        duration_s: How long it lasts, the rise included, in s, 0 or more.
+        rise_s: Time in s in which it rises, 0 or more.
+
+    Raises:
+        ValueError: A parameter outside its range.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls, *, at_s: float, force_n: float, duration_s: float, rise_s: float = 0.0
+    ) -> Pusher: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def force(self, time_s: float) -> float:
+        """Force in N at a time in s."""
+
+@final
+class Arm:
+    """Model of a position-controlled arm along one axis, advanced exactly between ticks.
+
+    `M x'' = M w² (x_set - x) - 2 M w x' + F_e` with w = 2 pi bandwidth: critically damped.
+
+    Args:
+        mass_kg: M in kg, above 0.
+        bandwidth_hz: Bandwidth of the position control in Hz, above 0.
+        max_speed: Fastest that the set position moves, in m/s, above 0.
+
+    Raises:
+        ValueError: A parameter outside its range.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls, *, mass_kg: float = 4.0, bandwidth_hz: float = 15.0, max_speed: float = 1.0
+    ) -> Arm: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    @property
+    def stiffness(self) -> float:
+        """Stiffness M w² of the position control in N/m."""
+
+# ---------------------------------------------------------------------------------------------- netsim
+
+@final
+class LinkSettings:
+    """What the network does to the packets of one direction; the default is a perfect network.
+
+    Args:
+        delay_s: Constant one-way delay in s, 0 to 3600.
+        jitter_s: Half-width in s of uniform jitter around it, 0 to `delay_s`; drawn per packet, so packets
+            overtake.
+        loss: Probability that a packet is lost, 0 to 1.
+
+    Raises:
+        ValueError: A number outside its range.
+
+    Source: tc-netem(8).
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __new__(
+        cls, *, delay_s: float = 0.0, jitter_s: float = 0.0, loss: float = 0.0
+    ) -> LinkSettings: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    @property
+    def delay_s(self) -> float:
+        """Constant one-way delay in s."""
+
+    @property
+    def jitter_s(self) -> float:
+        """Half-width of the uniform jitter in s."""
+
+    @property
+    def loss(self) -> float:
+        """Probability that a packet is lost."""
+
+@final
+class DirectionStatistics:
+    """What became of the datagrams of one direction of a proxy."""
+
+    @property
+    def received(self) -> int:
+        """Datagrams accepted and judged."""
+
+    @property
+    def lost(self) -> int:
+        """Of these, taken by the link's rules."""
+
+    @property
+    def queue_full(self) -> int:
+        """Of these, dropped because too many were in flight."""
+
+    @property
+    def released(self) -> int:
+        """Of these, sent on."""
+
+    @property
+    def unsent(self) -> int:
+        """Of these, not sent on when due, because the socket refused them."""
+
+    @property
+    def overtaking(self) -> int:
+        """Datagrams due before one accepted earlier: each overtakes at least one."""
+
+    @property
+    def oversize(self) -> int:
+        """Datagrams too large to be carried, dropped before any rule saw them."""
+
+    @property
+    def refused(self) -> int:
+        """Datagrams from a source that is not served, dropped before any rule saw them."""
+
+@final
+class ProxyStatistics:
+    """What a proxy has done so far."""
+
+    @property
+    def forward(self) -> DirectionStatistics:
+        """From the client to the peer."""
+
+    @property
+    def backward(self) -> DirectionStatistics:
+        """From the peer to the client."""
+
+    @property
+    def peer_unreachable(self) -> int:
+        """Times the network reported that the peer cannot be reached."""
+
+    @property
+    def scheduling_error_p50_s(self) -> float:
+        """How late the median datagram left, in s."""
+
+    @property
+    def scheduling_error_p99_s(self) -> float:
+        """How late all but 1 % of the datagrams left at most, in s."""
+
+    @property
+    def scheduling_error_max_s(self) -> float:
+        """How late the latest datagram left, in s."""
+
+@final
+class Proxy:
+    """A live UDP proxy between one client and one peer, which delays and drops; runs on its own thread.
+
+    Args:
+        listen: Where the client sends to, `HOST:PORT`; port 0 lets the system choose.
+        forward: The peer, `HOST:PORT`.
+        forward_link: Network from the client to the peer.
+        backward_link: Network from the peer to the client.
+        seed: Key of all draws, 0 to 2⁶⁴ - 1.
+
+    Raises:
+        ValueError: An address that is none.
+        OSError: An address that cannot be used.
+    """
+
+    def __new__(
+        cls,
+        *,
+        listen: str,
+        forward: str,
+        forward_link: LinkSettings,
+        backward_link: LinkSettings,
+        seed: int = 0,
+    ) -> Proxy: ...
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether its thread has ended."""
+
+    def statistics(self) -> ProxyStatistics:
+        """What it has done so far, while it goes on."""
+
+    def stop(self) -> ProxyStatistics:
+        """Ends it, which takes up to 20 ms; what is still in flight is not sent.
+
+        Raises:
+            OSError: The proxy had ended on an error of its sockets.
+            RuntimeError: Its thread panicked.
+        """
+
+def judge(
+    settings: LinkSettings,
+    sent_ns: npt.NDArray[np.int64],
+    *,
+    direction: Literal["forward", "backward"] = "forward",
+    seed: int = 0,
+) -> npt.NDArray[np.int64]:
+    """Decides when each packet of one direction arrives: the core that every driver of netsim uses.
+
+    `arrival = sent + delay + u` with u uniform in [-jitter, jitter]. A pure function of settings, seed,
+    direction, the packet's place in the array and its time: one impairment shifts no draw of another.
+
+    Args:
+        settings: The network.
+        sent_ns: When each packet was sent, in ns, 0 or more, shape `(n_packets,)`.
+        direction: Forward and backward have their own draws.
+        seed: Key of all draws, 0 to 2⁶⁴ - 1.
+
+    Returns:
+        Arrival in ns, -1 for a lost packet, shape `(n_packets,)`.
+
+    Raises:
+        ValueError: A time below 0, with its index, or no such `direction`.
+
+    Source: tc-netem(8); Salmon et al. 2011 (counter-based draws).
+    """
+
+# ---------------------------------------------------------------------------------------------- bridge
+
+@final
+class Sinusoid:
+    """An active force `F_v = a sin(w t)`.
+
+    Args:
+        amplitude_n: a in N.
+        rate: w in rad/s.
+
+    Raises:
+        ValueError: A number that is not finite.
+
+    Source: paper section 4.5.
+    """
+
+    def __new__(cls, *, amplitude_n: float, rate: float) -> Sinusoid: ...
+
+@final
+class LocalTrace:
+    """Ticks of `run_local`: each signal an array of shape `(n_ticks,)`."""
+
+    def __len__(self) -> int: ...
+    @property
+    def time_s(self) -> _Array:
+        """Time in s."""
+
+    @property
+    def position(self) -> _Array:
+        """True position x in m."""
+
+    @property
+    def velocity(self) -> _Array:
+        """True velocity V in m/s."""
+
+    @property
+    def hand_force(self) -> _Array:
+        """True force of the hand on the device in N."""
+
+    @property
+    def rendered_force(self) -> _Array:
+        """F_v in N."""
+
+    @property
+    def grasp_force(self) -> _Array:
+        """F_h in N as estimated; 0 where no controller reads it.
+
+        Source: paper Eq. 4.
+        """
+
+    @property
+    def device_force(self) -> _Array:
+        """F_device in N, after the limiter."""
+
+    @property
+    def velocity_force(self) -> _Array:
+        """S_vf; NaN where not observed.
+
+        Source: paper Eq. 1.
+        """
+
+    @property
+    def grasp(self) -> _Array:
+        """S_h; NaN where not observed.
+
+        Source: paper Eq. 5.
+        """
+
+    @property
+    def windowed_energy_j(self) -> _Array:
+        """E_wso in J; NaN where not observed.
+
+        Source: paper Eq. 11.
+        """
+
+    @property
+    def energy_j(self) -> _Array:
+        """E_so in J; NaN where not observed.
+
+        Source: paper Eq. 9.
+        """
+
+    @property
+    def tripped(self) -> _Bits:
+        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
+
+def run_local(
+    device: HapticDevice,
+    hand: Hand,
+    rendered: Wall | Sinusoid,
+    *,
+    ticks: int,
+    settings: SafetySettings | None = None,
+    estimator: EstimatorKind | None = None,
+    limiter: LimiterSettings | None = None,
+    period_s: float = 1e-3,
+    start: tuple[float, float] | None = None,
+) -> LocalTrace:
+    """The loop without a network: device and hand under a force rendered on the spot.
+
+    The force is computed once a tick and held; between ticks the motion is exact.
+
+    Args:
+        device: The device.
+        hand: Who holds it.
+        rendered: What is rendered.
+        ticks: Number of ticks, at most 2e7.
+        settings: Safety controllers; without them none.
+        estimator: For a device with an encoder; without it the default of `EstimatorKind`.
+        limiter: Bounds; without them the defaults of `LimiterSettings`, without ramp-in.
+        period_s: dT in s, a whole number of ns between 1e-6 and 1.
+        start: Position in m and velocity in m/s; without it at rest where the hand's path begins.
+
+    Raises:
+        ValueError: A parameter outside its range.
+
+    Source: paper Eq. 15 and section 4 (the experiments).
+    """
+
+@final
+class MasterTrace:
+    """Ticks of a master: each signal an array of shape `(n_ticks,)`."""
+
+    def __len__(self) -> int: ...
+    @property
+    def time_s(self) -> _Array:
+        """Time since the run began, in s."""
+
+    @property
+    def position(self) -> _Array:
+        """Position x in m, as the device measures it."""
+
+    @property
+    def velocity(self) -> _Array:
+        """True velocity V in m/s where the device is a model, else as estimated."""
+
+    @property
+    def hand_force(self) -> _Array:
+        """True force of the hand in N where the device is a model, else 0."""
+
+    @property
+    def rendered_force(self) -> _Array:
+        """F_v in N, faded by the ladder."""
+
+    @property
+    def grasp_force(self) -> _Array:
+        """F_h in N as estimated; 0 where no controller reads it.
+
+        Source: paper Eq. 4.
+        """
+
+    @property
+    def safety_force(self) -> _Array:
+        """F_c in N."""
+
+    @property
+    def device_force(self) -> _Array:
+        """F_device in N, after the limiter."""
+
+    @property
+    def velocity_force(self) -> _Array:
+        """S_vf; NaN where not observed.
+
+        Source: paper Eq. 1.
+        """
+
+    @property
+    def grasp(self) -> _Array:
+        """S_h; NaN where not observed.
+
+        Source: paper Eq. 5.
+        """
+
+    @property
+    def windowed_energy_j(self) -> _Array:
+        """E_wso in J; NaN where not observed.
+
+        Source: paper Eq. 11.
+        """
+
+    @property
+    def tripped(self) -> _Bits:
+        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
+
+    @property
+    def acted(self) -> _Bits:
+        """Which bounds of the limiter acted: sum of |F| 1, slew 2, power 4, ramp-in 8."""
+
+    @property
+    def state(self) -> _Bits:
+        """State of the ladder, for `ladder_state_name`."""
+
+    @property
+    def age_s(self) -> _Array:
+        """Silence of the peer in s; infinite before its first frame."""
+
+    @property
+    def overshoot_s(self) -> _Array:
+        """How late the loop woke, in s; 0 in virtual time."""
+
+@final
+class SlaveTrace:
+    """Ticks of a slave: each signal an array of shape `(n_ticks,)`."""
+
+    def __len__(self) -> int: ...
+    @property
+    def time_s(self) -> _Array:
+        """Time since the run began, in s."""
+
+    @property
+    def position(self) -> _Array:
+        """Position of the tool in m."""
+
+    @property
+    def command(self) -> _Array:
+        """Commanded position in m; the tool's own before the first command."""
+
+    @property
+    def environment_force(self) -> _Array:
+        """F_e in N, of wall and pusher on the tool."""
+
+    @property
+    def state(self) -> _Bits:
+        """State of the ladder, for `ladder_state_name`."""
+
+    @property
+    def overshoot_s(self) -> _Array:
+        """How late the loop woke, in s; 0 in virtual time."""
+
+@final
+class LinkStatistics:
+    """What one side has sent and received."""
+
+    @property
+    def sent(self) -> int:
+        """Frames sent."""
+
+    @property
+    def fresh(self) -> int:
+        """Frames that were news when they arrived."""
+
+    @property
+    def late(self) -> int:
+        """Frames that arrived after a newer one: counted, not used."""
+
+    @property
+    def duplicate(self) -> int:
+        """Frames that had arrived before."""
+
+    @property
+    def refused(self) -> int:
+        """Datagrams that were no frame of the peer."""
+
+    @property
+    def missing(self) -> int:
+        """Frames between the first and the newest that have not arrived."""
+
+    @property
+    def round_trip_s(self) -> float:
+        """Round trip in s of the newest echo, without the time that the peer held it; 0 before any."""
+
+    @property
+    def least_round_trip_s(self) -> float:
+        """Least round trip in s; 0 before any."""
+
+@final
+class LoopReport:
+    """How the loop of one side went."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done."""
+
+    @property
+    def skipped(self) -> int:
+        """Ticks left out because the loop woke too late."""
+
+    @property
+    def dropped_records(self) -> int:
+        """Records lost because nobody polled in time."""
+
+    @property
+    def unsent(self) -> int:
+        """Frames that the system refused to send."""
+
+    @property
+    def link(self) -> LinkStatistics:
+        """Counts of the link."""
+
+    @property
+    def holds(self) -> int:
+        """How often the ladder went to HOLD."""
+
+    @property
+    def engaged_s(self) -> float:
+        """When the sides first engaged, in s since the start; infinite if never."""
+
+@final
+class MasterSettings:
+    """The side of the hand: a modelled device and hand, the safety layer, the coupling.
+
+    The hand waits at the start of its path until the two sides engage; its time runs from there.
+
+    Args:
+        device: The device.
+        hand: Who holds it.
+        safety: Safety controllers; without them none.
+        estimator: For a device with an encoder; without it the default of `EstimatorKind`.
+        limiter: Bounds; without them the defaults. Its ramp-in is not used: the ladder fades the force in.
+        force_scale: lambda_f of `F_v = lambda_f F_e`, above 0.
+        period_s: dT in s, 50 us to 20 ms.
+
+    Raises:
+        ValueError: A parameter outside its range.
+
+    Source: Hannaford 1989; Lawrence 1993 (position-force coupling).
+    """
+
+    def __new__(
+        cls,
+        device: HapticDevice,
+        hand: Hand,
+        *,
+        safety: SafetySettings | None = None,
+        estimator: EstimatorKind | None = None,
+        limiter: LimiterSettings | None = None,
+        force_scale: float = 1.0,
+        period_s: float = 1e-3,
+    ) -> MasterSettings: ...
+
+@final
+class SlaveSettings:
+    """The side of the robot: a modelled arm, a wall, something that shoves, the coupling.
+
+    Args:
+        arm: The arm.
+        wall: What it meets.
+        pusher: What shoves it; its time runs from when the two sides engage.
+        position: Where the tool rests at first, in m.
+        position_scale: lambda_p of `x_s = x_s0 + lambda_p (x_m - x_m0)`, above 0.
+        period_s: dT in s, 50 us to 20 ms.
+
+    Raises:
+        ValueError: A parameter outside its range.
+
+    Source: Hannaford 1989; Lawrence 1993 (position-force coupling).
+    """
+
+    def __new__(
+        cls,
+        arm: Arm,
+        wall: Wall,
+        *,
+        pusher: Pusher | None = None,
+        position: float = 0.0,
+        position_scale: float = 1.0,
+        period_s: float = 1e-3,
+    ) -> SlaveSettings: ...
+
+@final
+class LiveMaster:
+    """The side of the hand, live over UDP on a thread of its own.
+
+    Args:
+        settings: The side.
+        peer: The slave or a proxy before it, `HOST:PORT`.
+        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        listen: Its own address, `HOST:PORT`; port 0 lets the system choose.
+        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
+        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+
+    Raises:
+        ValueError: An address that is none, or a time outside 0 to 1e9 s.
+        OSError: An address that cannot be used.
+    """
+
+    def __new__(
+        cls,
+        settings: MasterSettings,
+        *,
+        peer: str,
+        session: int,
+        listen: str = "0.0.0.0:0",
+        duration_s: float | None = None,
+        patience_s: float | None = None,
+    ) -> LiveMaster: ...
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def state(self) -> str:
+        """Where the ladder stands: "waiting", "engaged", "hold", "stop" or "fault"."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the loop has ended."""
+
+    def poll(self) -> int:
+        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
+
+    def stop(self) -> None:
+        """Asks the loop to end after its current tick."""
+
+    def finish(self) -> tuple[MasterTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went.
+
+        Raises:
+            RuntimeError: Called a second time, or the loop panicked.
+        """
+
+@final
+class LiveSlave:
+    """The side of the robot, live over UDP on a thread of its own; it learns the master's address.
+
+    Args:
+        settings: The side.
+        listen: Its address, `HOST:PORT`; port 0 lets the system choose.
+        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
+        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+
+    Raises:
+        ValueError: An address that is none, or a time outside 0 to 1e9 s.
+        OSError: An address that cannot be used.
+    """
+
+    def __new__(
+        cls,
+        settings: SlaveSettings,
+        *,
+        listen: str,
+        session: int,
+        duration_s: float | None = None,
+        patience_s: float | None = None,
+    ) -> LiveSlave: ...
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def state(self) -> str:
+        """Where the ladder stands: "waiting", "engaged", "hold", "stop" or "fault"."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the loop has ended."""
+
+    def poll(self) -> int:
+        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
+
+    def stop(self) -> None:
+        """Asks the loop to end after its current tick."""
+
+    def finish(self) -> tuple[SlaveTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went.
+
+        Raises:
+            RuntimeError: Called a second time, or the loop panicked.
+        """
+
+def run_bridge(
+    master: MasterSettings,
+    slave: SlaveSettings,
+    *,
+    forward: LinkSettings,
+    backward: LinkSettings,
+    duration_s: float,
+    seed: int = 0,
+) -> tuple[MasterTrace, SlaveTrace, LoopReport, LoopReport]:
+    """Runs both sides and the network between them in virtual time: no socket, no sleep, no clock.
+
+    A frame without delay reaches the slave in the same tick and the master in the next. The same
+    arguments give the same bytes.
+
+    Args:
+        master: The side of the hand.
+        slave: The side of the robot, with the same period.
+        forward: Network from master to slave.
+        backward: Network from slave to master.
+        duration_s: Length of the run in s.
+        seed: Key of all draws, 0 to 2⁶⁴ - 1.
+
+    Returns:
+        Ticks of the master and of the slave, and how the loop of each went.
+
+    Raises:
+        ValueError: Different periods, or a duration outside 0 to 1e9 s.
+    """
+
+def ladder_state_name(code: int) -> str:
+    """Name of a state of the ladder: 0 waiting, 1 engaged, 2 hold, 3 stop, 4 fault.
+
+    Raises:
+        ValueError: No such code.
+        OverflowError: A code outside 0 to 255.
+    """

@@ -1,0 +1,5 @@
+"""The command line: `haptether demo | paper | master | slave | netsim`, one file a command."""
+
+from haptether.cli.entry import main
+
+__all__ = ["main"]

@@ -1,0 +1,71 @@
+"""What the live commands share: waiting, Ctrl-C, and the end of a run."""
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+POLL_S = 0.05
+
+
+class Stopped:
+    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self._before: dict[int, object] = {}
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._set)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal gave
+
+    def _set(self, _number: int, _frame: FrameType | None) -> None:
+        self._event.set()
+
+    def __bool__(self) -> bool:
+        return self._event.is_set()
+
+    def sleep(self, seconds: float) -> None:
+        """Waits, but not beyond a stop."""
+        self._event.wait(seconds)
+
+
+def wait(
+    headline: str,
+    status: Callable[[], str],
+    finished: Callable[[], bool],
+    stopped: Stopped,
+    duration_s: float | None,
+) -> None:
+    """Says `headline`, then shows `status` until the run has finished, is stopped, or `duration_s` is over."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    # A person or a parent process reads this line to learn that the socket is open.
+    print(headline, file=sys.stderr, flush=True)
+    end = time.monotonic() + duration_s if duration_s is not None else float("inf")
+    with console.status("starting") as shown:
+        while not (finished() or stopped or time.monotonic() >= end):
+            shown.update(f"{status()}   (Ctrl-C ends)")
+            stopped.sleep(POLL_S)
+
+
+def percentile(values: npt.NDArray[np.float64], share: float) -> float:
+    """Percentile of `values`, 0 for none."""
+    return float(np.percentile(values, share)) if values.size else 0.0

@@ -1,0 +1,106 @@
+"""`haptether master`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from haptether.cli.options import Controller
+
+if TYPE_CHECKING:
+    from haptether.studies import PushResult
+
+
+@dataclass(frozen=True, kw_only=True)
+class Master:
+    """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
+
+    Times count from the moment the two sides engage. When the slave falls silent for 20 ms, the force on the
+    hand fades to zero within 80 ms; after 200 ms it stays away for good.
+
+    Examples:
+
+    haptether master --peer 127.0.0.1:9000 --controller wsc
+
+    haptether master --peer 127.0.0.1:9001 --controller hsc --release-at-s 2.6 --duration-s 3.4 --json run.json
+    """
+
+    peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
+    """Where the slave, or netsim before it, listens."""
+    controller: Controller = "wsc"
+    """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none."""
+    listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")] = "0.0.0.0:0"
+    """Own address; any free port by default."""
+    depth: float = 0.045
+    """How deep in m into the wall the hand's target lies."""
+    release_at_s: float | None = None
+    """When the hand lets go, in s; never if not given."""
+    force_scale: float = 1.0
+    """Rendered force over the force that the slave measures."""
+    encoder_quantum: float = 2.3e-5
+    """Resolution of the device in m; 0 measures position and velocity exactly."""
+    duration_s: float | None = None
+    """End this long after engaging, in s; without it, run until Ctrl-C."""
+    patience_s: float = 10.0
+    """Give up if the slave has not answered after this time in s."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the result as JSON at the end; - for standard output."""
+    trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write every tick as NumPy arrays (.npz)."""
+
+    def run(self) -> int:
+        """Runs until told to stop; fails if the slave never answered."""
+        from haptether.bridge import LiveMaster
+        from haptether.cli.live import Stopped, wait
+        from haptether.cli.options import master_settings, new_session
+        from haptether.studies import measure_push, save_master_trace
+
+        settings = master_settings(
+            self.controller,
+            depth=self.depth,
+            release_at_s=self.release_at_s,
+            force_scale=self.force_scale,
+            encoder_quantum=self.encoder_quantum,
+        )
+        with Stopped() as stopped:
+            master = LiveMaster(
+                settings,
+                peer=self.peer,
+                listen=self.listen,
+                session=new_session(),
+                duration_s=self.duration_s,
+                patience_s=self.patience_s,
+            )
+
+            def status() -> str:
+                master.poll()
+                return f"master {master.state}, {master.ticks} ticks"
+
+            wait(
+                f"master on {master.address} talks to {self.peer}",
+                status,
+                lambda: master.finished,
+                stopped,
+                None,
+            )
+            trace, report = master.finish()
+        if self.trace is not None:
+            save_master_trace(trace, self.trace)
+        result = measure_push(self.controller, trace, report, self.release_at_s)
+        self._report(result)
+        if result.engaged_s is None and not stopped:
+            message = f"no slave answered at {self.peer} within {self.patience_s:g} s: is it running there?"
+            raise RuntimeError(message)
+        return 0
+
+    def _report(self, result: "PushResult") -> None:
+        import msgspec
+        from rich.console import Console
+
+        from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.cli.push_table import push_table
+
+        Console(stderr=table_goes_to_stderr(self.json)).print(push_table([result]))
+        if self.json is not None:
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))

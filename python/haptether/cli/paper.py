@@ -1,0 +1,97 @@
+"""`haptether paper`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.studies import PaperReport, PaperRow
+
+
+@dataclass(frozen=True, kw_only=True)
+class Paper:
+    """Print every quantitative claim of the paper's section 4 beside what this project computes.
+
+    Examples:
+
+    haptether paper
+
+    haptether paper --json - | jq '.rows[] | select(.source == "Table 1")'
+
+    haptether paper --plot out/paper --encoder-quantum 2.3e-5
+    """
+
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Also write the operator and all rows as JSON; - for standard output."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Draw the figures as PNG into this folder."""
+    encoder_quantum: float = 0.0
+    """Resolution of the device in m; 0 measures position and velocity exactly, a PHANTOM Desktop has 2.3e-5."""
+
+    def run(self) -> int:
+        """Runs the experiments (under a second) and prints them."""
+        from rich.console import Console
+
+        from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.studies import draw_paper, reproduce_paper
+
+        report = reproduce_paper(encoder_quantum=self.encoder_quantum)
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        self._print(console, report)
+        if self.json is not None:
+            write_json(self.json, report.as_json())
+        if self.plot is not None:
+            for path in draw_paper(report, self.plot):
+                console.print(f"drawn: {path}", highlight=False)
+        return 0
+
+    def _print(self, console: "Console", report: "PaperReport") -> None:
+        from msgspec import to_builtins
+        from rich.table import Table
+
+        console.print("[bold]One operator for all rows[/bold] (haptether.studies.Operator):")
+        values = to_builtins(report.operator) | report.device
+        console.print("  " + ", ".join(f"{key} = {value:g}" for key, value in values.items()))
+        console.print(
+            "  The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.\n"
+        )
+        table = Table(header_style="bold", pad_edge=False)
+        for name in ("source", "quantity", "controller", "conditions"):
+            table.add_column(name)
+        for name in ("paper", "ours"):
+            table.add_column(name, justify="right")
+        table.add_column("unit")
+        table.add_column("verdict")
+        for row in report.rows:
+            sign = "" if row.relation == "=" else f"{row.relation} "
+            table.add_row(
+                row.source,
+                row.quantity,
+                row.controller or "",
+                _conditions(row),
+                "" if row.paper is None else f"{sign}{row.paper:.3g}",
+                "not seen" if row.ours is None else f"{row.ours:.3g}",
+                row.unit,
+                f"[{_colour(row.verdict)}]{row.verdict}[/]",
+            )
+        console.print(table)
+        console.print("Rows without a verdict: the paper plots a curve and prints no number.")
+
+
+def _conditions(row: "PaperRow") -> str:
+    parts = {
+        "w": row.window,
+        "K": row.stiffness,
+        "D": row.depth,
+        "a": row.amplitude_n,
+    }
+    return ", ".join(f"{key} {value:.4g}" for key, value in parts.items() if value is not None)
+
+
+def _colour(verdict: str) -> str:
+    return "yellow" if verdict.startswith("differs") else "green"
+

@@ -1,0 +1,105 @@
+"""`haptether slave`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.bridge import LoopReport, SlaveTrace
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slave:
+    """Run the side of the robot: a simulated position-controlled arm in front of a wall.
+
+    The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
+    two sides engage. When the master falls silent for 20 ms the arm holds; after 200 ms it stops for good.
+
+    Examples:
+
+    haptether slave --listen 127.0.0.1:9000
+
+    haptether slave --listen 127.0.0.1:9000 --wall-stiffness 100 --push-at-s 2 --push-force-n 3.5
+    """
+
+    listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
+    """Where to listen; answers go where the master's frames come from."""
+    wall_stiffness: float = 100.0
+    """Stiffness of the wall in N/m."""
+    push_at_s: float | None = None
+    """When something shoves the arm, in s; never if not given."""
+    push_force_n: float = 3.5
+    """With which force in N, positive towards the hand; it rises within 0.1 s."""
+    push_duration_s: float = 2.0
+    """For how long in s."""
+    duration_s: float | None = None
+    """End this long after engaging, in s; without it, run until Ctrl-C."""
+    patience_s: float | None = None
+    """Give up if no master has come after this time in s; without it, wait for one."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the result as JSON at the end; - for standard output."""
+
+    def run(self) -> int:
+        """Runs until told to stop."""
+        from haptether.bridge import LiveSlave
+        from haptether.cli.live import Stopped, wait
+        from haptether.cli.options import new_session, slave_settings
+
+        settings = slave_settings(
+            wall_stiffness=self.wall_stiffness,
+            push_at_s=self.push_at_s,
+            push_force_n=self.push_force_n,
+            push_duration_s=self.push_duration_s,
+        )
+        with Stopped() as stopped:
+            slave = LiveSlave(
+                settings,
+                listen=self.listen,
+                session=new_session(),
+                duration_s=self.duration_s,
+                patience_s=self.patience_s,
+            )
+
+            def status() -> str:
+                slave.poll()
+                return f"slave {slave.state}, {slave.ticks} ticks"
+
+            wait(f"slave listens on {slave.address}", status, lambda: slave.finished, stopped, None)
+            trace, report = slave.finish()
+        self._report(trace, report)
+        return 0
+
+    def _report(self, trace: "SlaveTrace", report: "LoopReport") -> None:
+        import msgspec
+        import numpy as np
+        from rich.console import Console
+
+        from haptether.bridge import ladder_state_name
+        from haptether.cli.live import percentile
+        from haptether.cli.output import table_goes_to_stderr, write_json
+
+        state = ladder_state_name(int(trace.state[-1])) if len(trace) else "waiting"
+        result = {
+            "final_state": state,
+            "ticks": report.ticks,
+            "skipped_ticks": report.skipped,
+            "holds": report.holds,
+            "peak_environment_force_n": float(np.abs(trace.environment_force).max(initial=0.0)),
+            "sent": report.link.sent,
+            "lost": report.link.missing,
+            "late": report.link.late,
+            "refused": report.link.refused,
+            "overshoot_p50_s": percentile(trace.overshoot_s, 50),
+            "overshoot_p99_s": percentile(trace.overshoot_s, 99),
+        }
+        Console(stderr=table_goes_to_stderr(self.json)).print(
+            f"slave {state}: {report.ticks} ticks, {report.holds} holds, "
+            f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}, "
+            f"loop late by p50 {result['overshoot_p50_s'] * 1e3:.3f} ms, "
+            f"p99 {result['overshoot_p99_s'] * 1e3:.3f} ms",
+            highlight=False,
+        )
+        if self.json is not None:
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))

@@ -1,0 +1,250 @@
+"""The demonstration: slave, network and master as processes, once per controller."""
+
+import contextlib
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+import numpy as np
+
+from haptether.studies.remote_push import PushResult
+
+if TYPE_CHECKING:
+    from subprocess import Popen
+
+DEMO_CONTROLLERS = ("none", "vfc", "hsc", "wsc")
+
+START_TIMEOUT_S = 20.0
+"""A process that has not opened its socket by then has failed."""
+END_TIMEOUT_S = 5.0
+
+
+class Interrupted(Exception):  # noqa: N818  # not an error: somebody pressed Ctrl-C
+    """The run was asked to stop."""
+
+
+class StopRequest(Protocol):
+    """Whether somebody has asked to stop, and a sleep that ends when they do."""
+
+    def __bool__(self) -> bool:
+        """True once a stop was asked for."""
+
+    def sleep(self, seconds: float) -> None:
+        """Waits up to `seconds`."""
+
+
+class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
+    """What happens in the demonstration. Times in s since the two sides engaged.
+
+    Wall and grip are chosen so that the delayed loop is stable while the hand holds, whatever the delay: the
+    wall's 100 N/m stay below the least impedance of the hand, min |K_h - m w^2 + j w B_h| = 268 N/m (small gain).
+    """
+
+    delay_s: float = 0.05
+    jitter_s: float = 0.01
+    loss: float = 0.01
+    seed: int = 1
+    wall_stiffness: float = 100.0
+    depth: float = 0.045
+    push_at_s: float = 2.0
+    push_force_n: float = 3.5
+    push_duration_s: float = 2.0
+    release_at_s: float = 2.6
+    duration_s: float = 3.6
+
+
+def run_demo(
+    scene: DemoScene,
+    controller: str,
+    folder: Path,
+    show: Callable[[str, float], None],
+    stopped: StopRequest,
+) -> PushResult:
+    """Runs the three processes once and gives what the master measured.
+
+    Args:
+        scene: What happens.
+        controller: Safety controller of the master.
+        folder: Where `CONTROLLER.npz` and `CONTROLLER.json` are written.
+        show: Told the stage and the time in s as it goes.
+        stopped: Asked often; a stop ends all processes.
+
+    Raises:
+        Interrupted: A stop was asked for; all processes have ended.
+        RuntimeError: A process failed; the message holds what it said.
+    """
+    local = "127.0.0.1:0"
+    limit = str(scene.duration_s + START_TIMEOUT_S + END_TIMEOUT_S)
+    with contextlib.ExitStack() as stack:
+        show(f"{controller}: starting", 0.0)
+        slave = stack.enter_context(_process(
+            "slave", "--listen", local, "--wall-stiffness", str(scene.wall_stiffness),
+            "--push-at-s", str(scene.push_at_s), "--push-force-n", str(scene.push_force_n),
+            "--push-duration-s", str(scene.push_duration_s),
+            "--duration-s", limit, "--patience-s", limit,
+        ))  # fmt: skip
+        slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
+        netsim = stack.enter_context(_process(
+            "netsim", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
+            "--jitter-s", str(scene.jitter_s), "--loss", str(scene.loss), "--seed", str(scene.seed),
+            "--duration-s", limit,
+        ))  # fmt: skip
+        netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
+        result, trace = folder / f"{controller}.json", folder / f"{controller}.npz"
+        result.unlink(missing_ok=True)
+        master = stack.enter_context(_process(
+            "master", "--peer", netsim_address, "--listen", local, "--controller", controller,
+            "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s),
+            "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
+        ))  # fmt: skip
+        master.headline(stopped)
+        _follow(scene, controller, master, show, stopped)
+        if master.process.returncode != 0 or not result.exists():
+            message = f"the master ended with status {master.process.returncode}: {master.said()}"
+            raise RuntimeError(message)
+        return msgspec.json.decode(result.read_bytes(), type=PushResult)
+
+
+def _follow(
+    scene: DemoScene,
+    controller: str,
+    master: "_Process",
+    show: Callable[[str, float], None],
+    stopped: StopRequest,
+) -> None:
+    begun = time.monotonic()
+    deadline = begun + scene.duration_s + START_TIMEOUT_S
+    while master.process.poll() is None:
+        at_s = time.monotonic() - begun
+        if at_s < scene.push_at_s:
+            stage = "the hand presses the remote wall"
+        elif at_s < scene.release_at_s:
+            stage = "the arm is shoved"
+        else:
+            stage = "the hand has let go"
+        show(f"{controller}: {stage}", min(at_s, scene.duration_s))
+        if stopped:
+            raise Interrupted
+        if time.monotonic() > deadline:
+            message = f"the master did not end within {scene.duration_s + START_TIMEOUT_S:g} s"
+            raise RuntimeError(message)
+        stopped.sleep(0.05)
+
+
+class _Process:
+    """One of our own commands as a child process, and what it says."""
+
+    def __init__(self, name: str, process: "Popen[str]") -> None:
+        self.name = name
+        self.process = process
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._all: list[str] = []
+        # The pipe is read all the time: a child must never block on a full one.
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        if self.process.stderr is not None:
+            for line in self.process.stderr:
+                self._all.append(line.strip())
+                self._lines.put(line.strip())
+
+    def headline(self, stopped: StopRequest) -> str:
+        """The first line that it says: its socket is open.
+
+        Raises:
+            Interrupted: A stop was asked for.
+            RuntimeError: It ended or said nothing in time.
+        """
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline:
+            if stopped:
+                raise Interrupted
+            try:
+                line = self._lines.get(timeout=0.05)
+            except queue.Empty:
+                if self.process.poll() is not None and self._lines.empty():
+                    break
+                continue
+            if line.startswith(self.name):
+                return line
+        message = f"{self.name} did not start: {self.said() or 'it said nothing'}"
+        raise RuntimeError(message)
+
+    def said(self) -> str:
+        """All that it has said so far, in one line."""
+        return " / ".join(line for line in self._all if line)
+
+    def end(self) -> None:
+        """Asks it to end cleanly, and ends it by force if it does not."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(END_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        self._reader.join(END_TIMEOUT_S)
+        if self.process.stderr is not None:
+            self.process.stderr.close()
+
+
+@contextlib.contextmanager
+def _process(name: str, *arguments: str) -> Iterator[_Process]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "haptether", name, *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    child = _Process(name, process)
+    try:
+        yield child
+    finally:
+        child.end()
+
+
+def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path) -> Path:
+    """Draws hand velocity, device force and position of every run into `folder`/demo.png.
+
+    Raises:
+        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
+    figure.suptitle(
+        f"A remote push reaches a hand that lets go, {scene.delay_s * 1e3:g} ms ± {scene.jitter_s * 1e3:g} ms "
+        f"each way, {scene.loss:.1%} loss"
+    )
+    panels = figure.subplots(1, 3)
+    signals = ("velocity", "device_force", "position")
+    labels = ("hand velocity [m/s]", "force on the hand [N]", "hand position [m]")
+    names = {"none": "no controller", "vfc": "VFC", "hsc": "HSC", "wsc": "WSC"}
+    for result in results:
+        trace = np.load(folder / f"{result.controller}.npz")
+        time_s = trace["time_s"] - (result.release_s or 0.0)
+        shown = (time_s > -1.0) & (time_s < 0.8)
+        for panel, signal in zip(panels, signals, strict=True):
+            panel.plot(time_s[shown], trace[signal][shown], label=names.get(result.controller), lw=1.3)
+    for panel, label in zip(panels, labels, strict=True):
+        panel.axvline(0.0, color="k", lw=0.8, ls="--")
+        panel.axvline(scene.push_at_s - scene.release_at_s, color="k", lw=0.8, ls=":")
+        panel.set_xlabel("time since the hand let go [s]")
+        panel.set_ylabel(label)
+        panel.grid(alpha=0.3)
+    panels[0].legend(fontsize=9)
+    panels[0].annotate("arm shoved", (scene.push_at_s - scene.release_at_s, panels[0].get_ylim()[1]),
+                       fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
+    panels[0].annotate("hand lets go", (0.0, panels[0].get_ylim()[1]),
+                       fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
+    path = folder / "demo.png"
+    figure.savefig(path, dpi=120)
+    return path

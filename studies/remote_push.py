@@ -1,0 +1,107 @@
+"""What a remote push does to a hand: the figures that `haptether master` and `haptether demo` report."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from haptether.bridge import LoopReport, MasterTrace, ladder_state_name
+
+TRACE_SIGNALS = (
+    "time_s",
+    "position",
+    "velocity",
+    "hand_force",
+    "rendered_force",
+    "grasp_force",
+    "safety_force",
+    "device_force",
+    "velocity_force",
+    "grasp",
+    "windowed_energy_j",
+    "tripped",
+    "acted",
+    "state",
+    "age_s",
+    "overshoot_s",
+)
+
+
+class PushResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One run of a master. Times in s, forces in N, speeds in m/s; none where it does not apply."""
+
+    controller: str
+    engaged_s: float | None
+    """When the two sides engaged, since the start."""
+    release_s: float | None
+    """When the hand let go, since the start; none if it never did."""
+    peak_hand_speed: float
+    """Largest speed away from the wall: after the release, or over the whole run if the hand never let go."""
+    peak_force_n: float
+    """Largest force that the device exerted."""
+    time_to_trip_s: float | None
+    """From the release to the first intervention after it; 0 if one was on."""
+    trips_before_release: int
+    """Interventions that began while the hand held."""
+    intervention_s: float
+    """Time under intervention."""
+    sent: int
+    lost: int
+    """Frames of the slave that never arrived."""
+    late: int
+    """Frames of the slave that arrived after a newer one."""
+    round_trip_s: float
+    """Of the newest echo."""
+    overshoot_p50_s: float
+    overshoot_p99_s: float
+    """How late the loop woke."""
+    ticks: int
+    skipped_ticks: int
+    holds: int
+    """How often the slave was silent for more than 20 ms."""
+    final_state: str
+
+
+def measure_push(
+    controller: str, trace: MasterTrace, report: LoopReport, release_after_s: float | None
+) -> PushResult:
+    """Measures a run whose hand let go `release_after_s` after engaging (never if none)."""
+    time_s, velocity = trace.time_s, trace.velocity
+    on = trace.tripped > 0
+    period_s = float(time_s[-1]) / max(len(trace) - 1, 1) if len(trace) else 0.0
+    engaged_s = report.engaged_s if np.isfinite(report.engaged_s) else None
+    release_s = None
+    if engaged_s is not None and release_after_s is not None:
+        release_s = engaged_s + release_after_s
+    begins = on & ~np.concatenate([[False], on[:-1]]) if len(trace) else on
+    after = time_s >= (release_s if release_s is not None else 0.0)
+    tripped_at = time_s[after & on]
+    return PushResult(
+        controller=controller,
+        engaged_s=engaged_s,
+        release_s=release_s,
+        peak_hand_speed=float(velocity[after].max(initial=0.0)),
+        peak_force_n=float(np.abs(trace.device_force).max(initial=0.0)),
+        time_to_trip_s=(
+            float(tripped_at[0]) - release_s if release_s is not None and tripped_at.size else None
+        ),
+        trips_before_release=int(np.count_nonzero(begins & ~after)) if release_s is not None else 0,
+        intervention_s=float(np.count_nonzero(on)) * period_s,
+        sent=report.link.sent,
+        lost=report.link.missing,
+        late=report.link.late,
+        round_trip_s=report.link.round_trip_s,
+        overshoot_p50_s=float(np.percentile(trace.overshoot_s, 50)) if len(trace) else 0.0,
+        overshoot_p99_s=float(np.percentile(trace.overshoot_s, 99)) if len(trace) else 0.0,
+        ticks=report.ticks,
+        skipped_ticks=report.skipped,
+        holds=report.holds,
+        final_state=ladder_state_name(int(trace.state[-1])) if len(trace) else "waiting",
+    )
+
+
+def save_master_trace(trace: MasterTrace, path: Path) -> None:
+    """Writes every signal of a run as an array of a NumPy `.npz` file."""
+    signals = {name: getattr(trace, name) for name in TRACE_SIGNALS}
+    with path.open("wb") as file:
+        np.savez_compressed(file, **signals)
