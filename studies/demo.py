@@ -229,7 +229,8 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path) -> 
     labels = ("hand velocity [m/s]", "force on the hand [N]", "hand position [m]")
     names = {"none": "no controller", "vfc": "VFC", "hsc": "HSC", "wsc": "WSC"}
     for result in results:
-        trace = np.load(folder / f"{result.controller}.npz")
+        with np.load(folder / f"{result.controller}.npz") as arrays:
+            trace = {signal: arrays[signal] for signal in ("time_s", *signals)}
         time_s = trace["time_s"] - (result.release_s or 0.0)
         shown = (time_s > -1.0) & (time_s < 0.8)
         for panel, signal in zip(panels, signals, strict=True):

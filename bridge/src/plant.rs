@@ -6,6 +6,9 @@ use haptether_slave::SimulatedSlave;
 
 /// A master device as a runner sees it; time is an argument.
 pub trait MasterPlant<const N: usize> {
+    /// Time begins at `now_ns`; called once, before the first read.
+    fn begin(&mut self, _now_ns: u64) {}
+
     /// Position in m at `now_ns` and, if the device measures it, velocity in m/s.
     fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>);
 
@@ -23,6 +26,9 @@ pub trait MasterPlant<const N: usize> {
 
 /// A slave arm as a runner sees it; time is an argument.
 pub trait SlavePlant<const N: usize> {
+    /// Time begins at `now_ns`; called once, before the first read.
+    fn begin(&mut self, _now_ns: u64) {}
+
     /// Position in m, velocity in m/s and `F_e` in N at `now_ns`.
     fn read(&mut self, now_ns: u64) -> [Axes<N>; 3];
 
@@ -34,6 +40,10 @@ pub trait SlavePlant<const N: usize> {
 }
 
 impl MasterPlant<1> for SimulatedMaster {
+    fn begin(&mut self, now_ns: u64) {
+        SimulatedMaster::begin(self, now_ns);
+    }
+
     fn read(&mut self, now_ns: u64) -> (Axes<1>, Option<Axes<1>>) {
         let sample = SimulatedMaster::read(self, now_ns);
         (Axes::<1>::new(sample.position), sample.velocity.map(Axes::<1>::new))
@@ -53,6 +63,10 @@ impl MasterPlant<1> for SimulatedMaster {
 }
 
 impl SlavePlant<1> for SimulatedSlave {
+    fn begin(&mut self, now_ns: u64) {
+        SimulatedSlave::begin(self, now_ns);
+    }
+
     fn read(&mut self, now_ns: u64) -> [Axes<1>; 3] {
         let sample = SimulatedSlave::read(self, now_ns);
         [sample.position, sample.velocity, sample.environment_force].map(Axes::<1>::new)

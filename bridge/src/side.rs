@@ -14,6 +14,9 @@ pub trait Side {
     /// What a tick leaves behind.
     type Record: Copy + Send + 'static;
 
+    /// Time begins at `now_ns`; called once, before the first tick.
+    fn begin(&mut self, now_ns: u64);
+
     /// Takes a datagram that arrived by `now_ns`; a refused one is counted and otherwise forgotten.
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal>;
 
@@ -47,6 +50,10 @@ pub struct MasterSide<P, const N: usize> {
 
 impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     type Record = MasterRecord<N>;
+
+    fn begin(&mut self, now_ns: u64) {
+        self.plant.begin(now_ns);
+    }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
         self.endpoint.receive(now_ns, datagram)
@@ -95,6 +102,10 @@ pub struct SlaveSide<P, const N: usize> {
 
 impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
     type Record = SlaveRecord<N>;
+
+    fn begin(&mut self, now_ns: u64) {
+        self.plant.begin(now_ns);
+    }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
         self.endpoint.receive(now_ns, datagram)

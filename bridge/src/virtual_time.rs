@@ -69,6 +69,8 @@ pub fn run_virtual<M: Side, S: Side>(
 ) -> Result<(), LinkError> {
     let mut forward = Way::new(Direction::Forward, settings.seed, &settings.forward)?;
     let mut backward = Way::new(Direction::Backward, settings.seed, &settings.backward)?;
+    master.begin(0);
+    slave.begin(0);
     for tick in 0..settings.ticks {
         let now_ns = tick * settings.period_ns;
         backward.deliver(now_ns, master);

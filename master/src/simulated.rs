@@ -71,6 +71,11 @@ impl SimulatedMaster {
         Ok(())
     }
 
+    /// Sets the clock to `now_ns` without advancing: the device rests until then.
+    pub fn begin(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+    }
+
     /// Advances to `now_ns` (monotonic) and tells what the device measures there.
     pub fn read(&mut self, now_ns: u64) -> MasterSample {
         let elapsed_ns = now_ns.saturating_sub(self.now_ns);
@@ -325,6 +330,17 @@ mod tests {
             master.read(100 * TICK_NS);
             assert_eq!(master.position() != 0.0, moves, "{force}");
         }
+    }
+
+    #[test]
+    fn time_may_begin_anywhere() {
+        let mut master = alone(FRICTIONLESS, 0.01);
+        master.write(1.0);
+        // A monotonic clock may have run for years: advancing from 0 would never end.
+        master.begin(u64::MAX / 2);
+        assert_eq!(master.read(u64::MAX / 2).position, 0.01);
+        master.read(u64::MAX / 2 + 10 * TICK_NS);
+        assert!((master.velocity() - 0.01 / 0.157).abs() < 1e-12);
     }
 
     #[test]

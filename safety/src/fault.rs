@@ -22,8 +22,7 @@ impl Signal {
     /// (6 rad, 30 rad/s), so that no true sample is refused.
     pub const fn bound(self) -> f64 {
         match self {
-            Self::Position => 1e3,
-            Self::Velocity => 1e3,
+            Self::Position | Self::Velocity => 1e3,
             Self::RenderedForce | Self::GraspForce => 1e4,
         }
     }

@@ -97,6 +97,11 @@ impl SimulatedSlave {
         }
     }
 
+    /// Sets the clock to `now_ns` without advancing: the arm rests until then.
+    pub fn begin(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+    }
+
     /// Advances to `now_ns` (monotonic) and tells what the arm measures there.
     pub fn read(&mut self, now_ns: u64) -> SlaveSample {
         let mut left = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;

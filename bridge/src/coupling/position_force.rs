@@ -1,4 +1,4 @@
-//! Position-force coupling with measured force, PFm.
+//! Position-force coupling with measured force (`PFm`).
 
 use haptether_safety::Axes;
 

@@ -95,6 +95,7 @@ fn turn<S: Side>(
     let mut report = LoopReport { engaged_ns: u64::MAX, ..LoopReport::default() };
     let mut buffer = [0; MAX_FRAME];
     let start_ns = clock::now_ns();
+    side.begin(start_ns);
     let mut deadline_ns = start_ns;
     while !shared.stop.load(Ordering::Relaxed) {
         clock::sleep_until(deadline_ns);

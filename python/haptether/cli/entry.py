@@ -3,10 +3,11 @@
 Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted.
 """
 
+import inspect
 import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Protocol, Union
 
 import tyro
 
@@ -17,13 +18,15 @@ from haptether.cli.netsim import Netsim
 from haptether.cli.paper import Paper
 from haptether.cli.slave import Slave
 
-type_of_command = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Paper, tyro.conf.subcommand("paper")]
-    | Annotated[Master, tyro.conf.subcommand("master")]
-    | Annotated[Slave, tyro.conf.subcommand("slave")]
-    | Annotated[Netsim, tyro.conf.subcommand("netsim")]
-)
+class Command(Protocol):
+    """What one command is."""
+
+    def run(self) -> int:
+        """Does it and gives the exit status."""
+
+
+COMMANDS: dict[str, type[Command]] = {"demo": Demo, "paper": Paper, "master": Master, "slave": Slave, "netsim": Netsim}  # fmt: skip
+
 
 DESCRIPTION = """Bilateral teleoperation bridge that keeps a hand safe when the remote end pushes back.
 
@@ -41,14 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"haptether {__version__}")
         return 0
     try:
-        command = tyro.cli(
-            type_of_command,  # type: ignore[arg-type]  # a union of commands is what tyro takes
-            prog="haptether",
-            description=DESCRIPTION,
-            args=list(arguments),
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff),
-        )
-        return command.run()
+        return parse(arguments).run()
     except ValueError as error:
         return complain(error, BAD_REQUEST)
     except KeyboardInterrupt:
@@ -59,6 +55,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return FAILED
     except (OSError, RuntimeError, ImportError) as error:
         return complain(error, FAILED)
+
+
+def parse(arguments: Sequence[str]) -> Command:
+    """The command that the arguments ask for.
+
+    Raises:
+        SystemExit: With 2 for arguments that do not fit, and with 0 once help was given.
+    """
+    named = {
+        name: Annotated[command, tyro.conf.subcommand(name, description=summary(command))]
+        for name, command in COMMANDS.items()
+    }
+    try:
+        command: Command = tyro.cli(
+            Union[tuple(named.values())],  # type: ignore[arg-type]  # noqa: UP007  # known at run time
+            prog="haptether",
+            description=DESCRIPTION,
+            args=list(arguments),
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff),
+        )
+    except SystemExit as ended:
+        if ended.code == 0 and arguments and arguments[0] in COMMANDS:
+            # The parser would fold the examples into one paragraph.
+            print(f"\n{(inspect.getdoc(COMMANDS[arguments[0]]) or '').partition(chr(10))[2].strip()}")
+        raise
+    return command
+
+
+def summary(command: type[Command]) -> str:
+    """The first line of what a command says of itself."""
+    return (inspect.getdoc(command) or "").partition("\n")[0]
 
 
 def complain(error: Exception, status: int) -> int:

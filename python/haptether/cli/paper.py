@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+STIFFNESS, DEPTH = 200.0, 0.039
+"""K in N/m and D in m of most rows: not repeated in each."""
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -60,18 +63,17 @@ class Paper:
             "  The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.\n"
         )
         table = Table(header_style="bold", pad_edge=False)
-        for name in ("source", "quantity", "controller", "conditions"):
+        for name in ("source", "quantity", "of"):
             table.add_column(name)
         for name in ("paper", "ours"):
-            table.add_column(name, justify="right")
+            table.add_column(name, justify="right", no_wrap=True)
         table.add_column("unit")
         table.add_column("verdict")
         for row in report.rows:
             sign = "" if row.relation == "=" else f"{row.relation} "
             table.add_row(
                 row.source,
-                row.quantity,
-                row.controller or "",
+                row.quantity.replace("_", " "),
                 _conditions(row),
                 "" if row.paper is None else f"{sign}{row.paper:.3g}",
                 "not seen" if row.ours is None else f"{row.ours:.3g}",
@@ -79,17 +81,27 @@ class Paper:
                 f"[{_colour(row.verdict)}]{row.verdict}[/]",
             )
         console.print(table)
-        console.print("Rows without a verdict: the paper plots a curve and prints no number.")
+        notes = {
+            f"{row.source}, {row.controller}: {row.note}"
+            for row in report.rows
+            if row.note and row.verdict.startswith("differs")
+        }
+        for note in sorted(notes):
+            console.print(f"  {note}", highlight=False)
+        console.print(
+            f"K = {STIFFNESS:g} N/m and D = {DEPTH:g} m unless said; w in ticks of 1 ms; a in N. "
+            "Rows without a verdict: the paper plots a curve and prints no number."
+        )
 
 
 def _conditions(row: "PaperRow") -> str:
-    parts = {
-        "w": row.window,
-        "K": row.stiffness,
-        "D": row.depth,
-        "a": row.amplitude_n,
-    }
-    return ", ".join(f"{key} {value:.4g}" for key, value in parts.items() if value is not None)
+    numbers = {"w": row.window, "K": row.stiffness, "D": row.depth, "a": row.amplitude_n}
+    usual = {"K": STIFFNESS, "D": DEPTH}
+    parts = [row.controller or ""]
+    for key, value in numbers.items():
+        if value is not None and value != usual.get(key):
+            parts.append(f"{key} {value:.3g}")
+    return ", ".join(part for part in parts if part)
 
 
 def _colour(verdict: str) -> str:

@@ -69,6 +69,9 @@ per_axes!(
     AnyEstimator
 );
 
+/// V, A and, if forces were given, the aligned forces.
+type EstimatedRun = (Py<PyAny>, Py<PyAny>, Option<Py<PyAny>>);
+
 #[pyclass(name = "Estimator", module = "haptether.safety")]
 pub(crate) struct PyEstimator {
     inner: AnyAxes,
@@ -111,7 +114,7 @@ impl PyEstimator {
         py: Python<'_>,
         position: PyReadonlyArrayDyn<'_, f64>,
         device_force: Option<PyReadonlyArrayDyn<'_, f64>>,
-    ) -> PyResult<(Py<PyAny>, Py<PyAny>, Option<Py<PyAny>>)> {
+    ) -> PyResult<EstimatedRun> {
         let position = Samples::new("position", &position, self.axes)?;
         let force = match &device_force {
             Some(force) => {

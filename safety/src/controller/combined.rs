@@ -54,6 +54,7 @@ impl Tripped {
 ///
 /// A controller that is not asked for is not built, and an observer that no controller reads is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(clippy::struct_excessive_bools)] // four independent switches, each a controller
 pub struct SafetySettings {
     /// Watch velocity and force (VFO, Eq. 1).
     pub vfc: bool,

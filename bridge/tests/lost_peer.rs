@@ -1,0 +1,132 @@
+//! What a silent peer leads to, on both sides, in virtual time.
+#![allow(clippy::unwrap_used)] // a test may
+
+use haptether_bridge::{
+    LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
+    SlaveSettings, SlaveSide, wire::MAX_FRAME,
+};
+use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
+use haptether_safety::{DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind};
+use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
+
+const MS: u64 = 1_000_000;
+
+type Master = MasterSide<SimulatedMaster, 1>;
+type Slave = SlaveSide<SimulatedSlave, 1>;
+
+fn sides() -> (Master, Slave) {
+    let legs = vec![Leg { duration_s: 0.5, end: -0.03, shape: LegShape::MinimumJerk }];
+    let hand = Hand::new(300.0, 8.0, 20.0, Path::new(0.02, legs).unwrap(), None).unwrap();
+    let mut device = SimulatedMaster::new(DeviceParameters::PHANTOM_DESKTOP, hand, 0).unwrap();
+    device.set_waiting(true);
+    let master = MasterEndpoint::new(&MasterSettings {
+        period_ns: MS,
+        session: 1,
+        device: DeviceModel::phantom_desktop(),
+        estimator: EstimatorKind::default(),
+        safety: SafetySettings::default(),
+        limiter: LimiterSettings::default(),
+        force_scale: 1.0,
+        ladder: LadderSettings::default(),
+    })
+    .unwrap();
+    let slave = SlaveEndpoint::new(&SlaveSettings {
+        period_ns: MS,
+        session: 2,
+        position_scale: 1.0,
+        ladder: LadderSettings::default(),
+    })
+    .unwrap();
+    let wall = Wall::new(0.0, 100.0).unwrap();
+    let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 0.02, 0).unwrap();
+    (MasterSide { plant: device, endpoint: master }, SlaveSide { plant: arm, endpoint: slave })
+}
+
+/// Which way the network passes frames at a tick: (to the slave, to the master).
+fn run(ticks: u64, passes: impl Fn(u64) -> (bool, bool)) -> Vec<[(LadderState, f64); 2]> {
+    let (mut master, mut slave) = sides();
+    let mut buffer = [0; MAX_FRAME];
+    let mut history = Vec::new();
+    for tick in 0..ticks {
+        let now_ns = tick * MS;
+        let (there, back) = passes(tick);
+        let at_master = master.tick(0, now_ns, 0);
+        let frame = master.send(now_ns, &mut buffer);
+        if there {
+            slave.receive(now_ns, frame).unwrap();
+        }
+        let at_slave = slave.tick(0, now_ns, 0);
+        let frame = slave.send(now_ns, &mut buffer);
+        if back {
+            master.receive(now_ns, frame).unwrap();
+        }
+        history.push([(at_master.state, at_master.device_force[0]), (at_slave.state, at_slave.command[0])]);
+    }
+    history
+}
+
+#[test]
+fn a_contact_settles_where_three_springs_in_series_do() {
+    let history = run(3000, |_| (true, true));
+    let arm = ArmParameters::default().stiffness();
+    // The anchors put both at 0.02 m, the target lies 0.03 m deep: source control_theory 4.5, PFc with C = 1/K_c.
+    let force = 0.03 / (1.0 / 300.0 + 1.0 / arm + 1.0 / 100.0);
+    let [(state, device_force), _] = history[2999];
+    assert_eq!(state, LadderState::Engaged);
+    // Coulomb friction may hold the device up to c beside the balance.
+    assert!((device_force - force).abs() < 0.038, "{device_force} {force}");
+}
+
+#[test]
+fn silence_takes_the_force_within_100_ms_and_the_arm_holds() {
+    let history = run(2000, |tick| if tick < 1500 { (true, true) } else { (false, false) });
+    assert!(history[1499][0].1 > 1.5);
+    let held = history[1520][1].1;
+    for (tick, [(master, force), (slave, command)]) in history.iter().enumerate().skip(1500) {
+        if tick >= 1522 {
+            assert!(matches!(master, LadderState::Hold | LadderState::Stop), "{tick} {master:?}");
+            assert!(matches!(slave, LadderState::Hold | LadderState::Stop), "{tick} {slave:?}");
+            assert_eq!(*command, held, "the arm holds");
+        }
+        if tick >= 1600 {
+            assert_eq!(*force, 0.0, "{tick}");
+        }
+    }
+    assert_eq!(history[1999].map(|side| side.0), [LadderState::Stop; 2]);
+}
+
+#[test]
+fn one_dead_direction_holds_both_sides() {
+    for dead in [(false, true), (true, false)] {
+        let history = run(2000, |tick| if tick < 1500 { (true, true) } else { dead });
+        for side in 0..2 {
+            assert_eq!(history[1530][side].0, LadderState::Hold, "{dead:?} side {side}");
+            assert_eq!(history[1999][side].0, LadderState::Stop, "{dead:?} side {side}");
+        }
+        assert_eq!(history[1640][0].1, 0.0);
+    }
+}
+
+#[test]
+fn a_short_outage_fades_out_and_in_again_without_a_jump() {
+    let history = run(3000, |tick| if (1500..1560).contains(&tick) { (false, false) } else { (true, true) });
+    assert_eq!(history[1540].map(|side| side.0), [LadderState::Hold; 2]);
+    assert_eq!(history[2999].map(|side| side.0), [LadderState::Engaged; 2]);
+    for pair in history.windows(2).skip(1500) {
+        let [[(_, before), (_, commanded)], [(_, after), (_, next)]] = [pair[0], pair[1]];
+        // 1000 N/s of the limiter is 1 N a tick; unloading over 80 ms is less.
+        assert!((after - before).abs() <= 1.0 + 1e-9);
+        assert!((next - commanded).abs() < 2e-3, "the arm is never asked to jump");
+    }
+}
+
+#[test]
+fn a_frame_from_a_stranger_changes_nothing() {
+    let (mut master, _) = sides();
+    let noise = [7_u8; 84];
+    for tick in 0..50 {
+        assert!(master.receive(tick * MS, &noise).is_err());
+        assert_eq!(master.tick(0, tick * MS, 0).state, LadderState::Waiting);
+    }
+    assert_eq!(master.counts().0.refused, 50);
+}

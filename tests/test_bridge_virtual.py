@@ -1,0 +1,404 @@
+"""Both sides of the bridge in virtual time, against closed forms and against netsim's own verdicts."""
+
+import re
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from haptether.bridge import (
+    LinkStatistics,
+    LoopReport,
+    MasterSettings,
+    MasterTrace,
+    SlaveSettings,
+    SlaveTrace,
+    ladder_state_name,
+    run_bridge,
+)
+from haptether.master import Hand, HapticDevice
+from haptether.netsim import LinkSettings, judge
+from haptether.safety import EstimatorKind, LimiterSettings, SafetySettings
+from haptether.slave import Arm, Pusher, Wall
+
+Run = tuple[MasterTrace, SlaveTrace, LoopReport, LoopReport]
+
+TICK_NS = 1_000_000
+MASS = 0.157
+START, TARGET = 0.02, -0.03
+HAND_STIFFNESS = 600.0
+WALL_STIFFNESS = 200.0
+OPEN = LimiterSettings(max_force_n=100.0, max_slew_n_per_s=1e6, max_power_w=1e4)
+"""Bounds that nothing reaches in a sound run."""
+
+PERFECT = LinkSettings()
+ROUGH = LinkSettings(delay_s=0.05, jitter_s=0.01, loss=0.01)
+DEAD = LinkSettings(loss=1.0)
+
+SIGNALS = {
+    MasterTrace: (
+        "time_s position velocity hand_force rendered_force grasp_force safety_force device_force "
+        "velocity_force grasp windowed_energy_j tripped acted state age_s overshoot_s"
+    ).split(),
+    SlaveTrace: "time_s position command environment_force state overshoot_s".split(),
+}
+
+
+def press(
+    *,
+    forward: LinkSettings = PERFECT,
+    backward: LinkSettings | None = None,
+    seed: int = 0,
+    duration_s: float = 3.0,
+    wall_stiffness: float = WALL_STIFFNESS,
+    hand_damping: float = 20.0,
+) -> Run:
+    """A hand goes from before a remote wall to a target inside it within 1 s, and stays."""
+    hand = Hand(
+        stiffness=HAND_STIFFNESS,
+        damping=hand_damping,
+        strength_n=500.0,
+        start=START,
+        legs=[(1.0, TARGET, "minimum-jerk")],
+    )
+    master = MasterSettings(HapticDevice(mass_kg=MASS), hand, limiter=OPEN)
+    slave = SlaveSettings(Arm(), Wall(stiffness=wall_stiffness), position=START)
+    return run_bridge(
+        master,
+        slave,
+        forward=forward,
+        backward=forward if backward is None else backward,
+        duration_s=duration_s,
+        seed=seed,
+    )
+
+
+def contact_stiffness() -> float:
+    """What the master feels of the wall behind the arm: two springs in series."""
+    return 1.0 / (1.0 / Arm().stiffness + 1.0 / WALL_STIFFNESS)
+
+
+def series_force() -> float:
+    """Hand, arm and wall in series, stretched over the way from the surface to the target."""
+    return -TARGET / (1.0 / HAND_STIFFNESS + 1.0 / contact_stiffness())
+
+
+def contents(run: Run) -> list[bytes]:
+    traces = [getattr(trace, name).tobytes() for trace in run[:2] for name in SIGNALS[type(trace)]]
+    return [*traces, *(repr(counts(report)).encode() for report in run[2:])]
+
+
+def counts(report: LoopReport) -> dict[str, float]:
+    names = "sent fresh late duplicate refused missing round_trip_s least_round_trip_s".split()
+    return {name: getattr(report.link, name) for name in names}
+
+
+def test_every_signal_has_one_number_a_tick() -> None:
+    run = press(duration_s=0.25)
+    for trace in run[:2]:
+        assert len(trace) == 250
+        for name in SIGNALS[type(trace)]:
+            signal = getattr(trace, name)
+            bits = name in {"tripped", "acted", "state"}
+            assert (signal.dtype, signal.shape) == (np.uint8 if bits else np.float64, (250,))
+        assert np.allclose(trace.time_s, np.arange(250) * 1e-3, rtol=0.0, atol=1e-15)
+        assert not trace.overshoot_s.any()
+    for report in run[2:]:
+        assert (report.ticks, report.skipped, report.dropped_records, report.unsent) == (
+            250,
+            0,
+            0,
+            0,
+        )
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    runs = [contents(press(forward=ROUGH, duration_s=1.5, seed=seed)) for seed in (4, 4, 5)]
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+def test_a_perfect_network_needs_no_seed() -> None:
+    assert contents(press(seed=1)) == contents(press(seed=2))
+
+
+def test_contact_settles_where_the_springs_in_series_do() -> None:
+    master, slave, *reports = press(duration_s=4.0)
+    force = series_force()
+    # 3 s after the path ended the slowest mode, above 20 /s, has decayed by e^-60; rounding remains.
+    tolerance = 1e-12 * HAND_STIFFNESS
+    assert abs(master.rendered_force[-1] - force) <= tolerance
+    assert abs(slave.environment_force[-1] - force) <= tolerance
+    assert abs(master.hand_force[-1] + force) <= tolerance
+    assert abs(master.position[-1] - (TARGET + force / HAND_STIFFNESS)) <= 1e-12
+    assert np.array_equal(master.device_force, master.rendered_force)
+    assert not master.acted.any()
+    # A frame reaches the slave in the same tick and the master in the next.
+    assert [report.engaged_s for report in reports] == [0.001, 0.001]
+    assert {report.link.round_trip_s for report in reports} == {0.001}
+    assert master.age_s[0] == np.inf
+    assert not master.age_s[1:].any()
+
+
+def test_the_slave_follows_from_where_it_stands() -> None:
+    hand = Hand(
+        stiffness=600.0, damping=20.0, strength_n=500.0, start=0.1, legs=[(0.5, 0.15, "linear")]
+    )
+    master, slave, *_ = run_bridge(
+        MasterSettings(HapticDevice(mass_kg=MASS), hand),
+        SlaveSettings(Arm(), Wall(stiffness=0.0), position=-3.0, position_scale=0.4),
+        forward=PERFECT,
+        backward=PERFECT,
+        duration_s=2.0,
+    )
+    # x_s = x_s0 + lambda_p (x_m - x_m0), with both taken when the sides engaged; no jump before.
+    assert np.all(slave.command[:2] == -3.0)
+    expected = -3.0 + 0.4 * (master.position[1:] - 0.1)
+    assert np.all(abs(slave.command[1:] - expected) <= 1e-14)
+    assert abs(slave.position[-1] - (-3.0 + 0.4 * 0.05)) <= 1e-12
+
+
+def test_the_force_is_scaled_and_fades_in() -> None:
+    hand = Hand(stiffness=600.0, damping=20.0, strength_n=500.0, start=0.0)
+    master, slave, *_ = run_bridge(
+        MasterSettings(HapticDevice(mass_kg=MASS), hand, force_scale=0.5, limiter=OPEN),
+        SlaveSettings(
+            Arm(),
+            Wall(stiffness=0.0, position=-1.0),
+            pusher=Pusher(at_s=0.0, force_n=6.0, duration_s=0.5),
+        ),
+        forward=PERFECT,
+        backward=PERFECT,
+        duration_s=1.0,
+    )
+    # The slave engages at tick 1 and is shoved from then on: the master hears of it at tick 2.
+    assert np.array_equal(slave.environment_force[2:501], np.full(499, 6.0))
+    gain = np.clip((np.arange(1000) - 0) / 200.0, 0.0, 1.0)
+    expected = 0.5 * gain[3:501] * 6.0
+    # The gain adds up 1/200 at each tick: 200 roundings of at most 1.
+    assert np.all(abs(master.rendered_force[3:501] - expected) <= 3.0 * 200 * 2.0**-53)
+    assert not master.rendered_force[:2].any()
+    assert not master.rendered_force[503:].any()
+
+
+@pytest.mark.parametrize(("forward", "backward"), [(DEAD, DEAD), (DEAD, PERFECT), (PERFECT, DEAD)])
+def test_without_frames_the_sides_never_engage(
+    forward: LinkSettings, backward: LinkSettings
+) -> None:
+    master, slave, *reports = press(forward=forward, backward=backward, duration_s=1.0)
+    assert set(master.state) == set(slave.state) == {0}
+    assert ladder_state_name(0) == "waiting"
+    assert not master.device_force.any()
+    assert not master.rendered_force.any()
+    assert np.all(master.position == START), "the hand waits"
+    assert np.all(slave.position == START)
+    for report in reports:
+        assert report.engaged_s == np.inf
+        assert report.holds == 0
+        assert report.link.sent == 1000
+        # Nobody hears an echo while one direction is dead.
+        assert report.link.least_round_trip_s == 0.0
+    if backward == DEAD:
+        assert np.all(master.age_s == np.inf)
+
+
+def test_a_gentle_wall_stays_bounded_under_delay_jitter_and_loss() -> None:
+    master, slave, *reports = press(forward=ROUGH, duration_s=6.0, seed=11)
+    # The hand (damping ratio 20 / (2 sqrt(600 m)) = 1.03) and the arm in contact (0.997, overshoot
+    # below 1e-17) answer no input with more than its static gain, and delay, jitter, loss and hold
+    # pass on nothing larger than what was sent. So sup F <= K (d + sup F / K_h), K < K_h.
+    stiffness = contact_stiffness()
+    bound = stiffness * -TARGET / (1.0 - stiffness / HAND_STIFFNESS)
+    assert master.rendered_force.max() <= bound
+    assert abs(master.position).max() <= -TARGET + bound / HAND_STIFFNESS
+    # Each round trip, at most 0.121 s, takes K/K_h = 1/3 of what is left: in 5 s below 1e-18 of it.
+    assert abs(master.rendered_force[-1] - series_force()) <= 1e-9
+    assert np.ptp(master.position[-1000:]) <= 1e-12
+    assert np.ptp(slave.position[-1000:]) <= 1e-12
+    assert [report.holds for report in reports] == [0, 0]
+    # At least one way each side, at most three until both hear that they are heard.
+    for report in reports:
+        assert 0.08 <= report.engaged_s <= 3 * 0.061
+        assert 0.08 <= report.link.least_round_trip_s <= report.link.round_trip_s <= 0.121
+    assert master.age_s[200:].max() <= 0.02
+
+
+def test_a_stiff_wall_under_the_same_network_does_not() -> None:
+    # The bound above is no matter of course: 15 times the stiffness and a loose hand swing up.
+    master, *_ = press(
+        forward=ROUGH, duration_s=6.0, seed=11, wall_stiffness=3000.0, hand_damping=5.0
+    )
+    assert master.rendered_force[-1000:].max() > 5 * series_force()
+    assert np.ptp(master.position[-1000:]) > -TARGET
+
+
+def received(
+    settings: LinkSettings, direction: Literal["forward", "backward"], seed: int, ticks: int
+) -> npt.NDArray[np.int64]:
+    """Sequence numbers in the order in which they arrive, by netsim's verdicts alone."""
+    due = judge(
+        settings, np.arange(ticks, dtype=np.int64) * TICK_NS, direction=direction, seed=seed
+    )
+    order = np.argsort(due, kind="stable")
+    order = order[(due[order] >= 0) & (due[order] <= (ticks - 1) * TICK_NS)]
+    # The master's last tick comes before the slave's last frame.
+    return order if direction == "forward" else order[order < ticks - 1]
+
+
+@pytest.mark.parametrize(
+    ("forward", "backward"),
+    [
+        (PERFECT, PERFECT),
+        (ROUGH, ROUGH),
+        (LinkSettings(loss=0.3), LinkSettings(delay_s=0.003, jitter_s=0.003)),
+        (LinkSettings(delay_s=0.2, jitter_s=0.2, loss=0.5), LinkSettings(delay_s=5.0)),
+    ],
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_counts_are_those_of_the_verdicts(
+    forward: LinkSettings, backward: LinkSettings, seed: int
+) -> None:
+    ticks = 1500
+    *_, master, slave = press(forward=forward, backward=backward, seed=seed, duration_s=1.5)
+    ways: list[tuple[LinkStatistics, LinkSettings, Literal["forward", "backward"]]] = [
+        (slave.link, forward, "forward"),
+        (master.link, backward, "backward"),
+    ]
+    for link, settings, direction in ways:
+        arrived = received(settings, direction, seed, ticks)
+        assert link.sent == ticks
+        assert link.fresh + link.late == len(arrived)
+        assert (link.duplicate, link.refused) == (0, 0)
+        newest = np.maximum.accumulate(arrived)
+        assert link.fresh == len(np.unique(newest))
+        # From the first that arrived to the newest; what came before the first is not counted.
+        if len(arrived):
+            span = newest[-1] - arrived[0] + 1
+            assert link.missing == span - np.count_nonzero(arrived >= arrived[0])
+        else:
+            assert link.missing == 0
+
+
+def test_a_shove_is_felt_less_with_a_safety_controller() -> None:
+    def highest_speed(safety: SafetySettings | None) -> float:
+        hand = Hand(stiffness=600.0, damping=20.0, strength_n=40.0, start=0.0, release=(1.0, 0.04))
+        master, *_ = run_bridge(
+            MasterSettings(HapticDevice.phantom_desktop(), hand, safety=safety),
+            SlaveSettings(
+                Arm(),
+                Wall(stiffness=0.0, position=-1.0),
+                pusher=Pusher(at_s=0.9, force_n=6.0, duration_s=0.25),
+            ),
+            forward=ROUGH,
+            backward=ROUGH,
+            duration_s=2.0,
+        )
+        assert safety is None or master.tripped.any()
+        return float(abs(master.velocity).max())
+
+    loose = highest_speed(None)
+    # 6 N on 0.157 kg for the rest of the shove is far beyond the hand's own motion.
+    assert loose > 2.0
+    for name in ("hsc", "wsc"):
+        assert highest_speed(SafetySettings([name])) < 0.5 * loose
+
+
+def build_master(
+    force_scale: float = 1.0,
+    period_s: float = 1e-3,
+    safety: SafetySettings | None = None,
+    estimator: EstimatorKind | None = None,
+) -> MasterSettings:
+    return MasterSettings(
+        HapticDevice(mass_kg=MASS),
+        Hand.absent(),
+        force_scale=force_scale,
+        period_s=period_s,
+        safety=safety,
+        estimator=estimator,
+    )
+
+
+def build_slave(
+    position: float = 0.0, position_scale: float = 1.0, period_s: float = 1e-3
+) -> SlaveSettings:
+    return SlaveSettings(
+        Arm(),
+        Wall(stiffness=1.0),
+        position=position,
+        position_scale=position_scale,
+        period_s=period_s,
+    )
+
+
+@pytest.mark.parametrize(
+    ("build", "told"),
+    [
+        (
+            lambda: build_master(force_scale=0.0),
+            "force_scale (lambda_f) = 0: must be finite and above 0",
+        ),
+        (
+            lambda: build_slave(position_scale=-1.0),
+            "position_scale (lambda_p) = -1: must be finite and above 0",
+        ),
+        (lambda: build_master(period_s=0.0), "period = 0 ns: must be between 50000 and 20000000"),
+        (lambda: build_slave(period_s=0.021), "period = 21000000 ns: must be between 50000 and"),
+        (lambda: build_master(period_s=np.nan), "period_s = NaN: must be between 0 and 1e9 s"),
+        (lambda: build_slave(position=np.inf), "arm position = inf: must be finite"),
+        (
+            lambda: build_master(safety=SafetySettings(["hsc"], grasp_threshold=1.0)),
+            "grasp_threshold (zeta) = 1: must be finite and above 1",
+        ),
+        (
+            lambda: build_master(estimator=EstimatorKind.low_pass(cutoff_hz=501.0)),
+            "cutoff_hz (f_c) = 501: must be at most half the sample rate",
+        ),
+    ],
+)
+def test_sides_that_cannot_be_are_refused(build: Callable[[], object], told: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(told)}"):
+        build()
+
+
+@pytest.mark.parametrize("duration_s", [-1.0, np.nan, np.inf])
+def test_a_duration_that_is_none_is_refused(duration_s: float) -> None:
+    with pytest.raises(ValueError, match=r"^duration_s = .*: must be between 0 and 1e9 s$"):
+        press(duration_s=duration_s)
+
+
+def test_both_sides_have_one_period() -> None:
+    with pytest.raises(ValueError, match="^period_s: master and slave must have the same"):
+        run_bridge(
+            build_master(period_s=1e-3),
+            build_slave(period_s=2e-3),
+            forward=PERFECT,
+            backward=PERFECT,
+            duration_s=1.0,
+        )
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "period_s", "ticks"), [(0.0, 1e-3, 0), (0.3, 1e-3, 300), (0.0105, 5e-3, 2)]
+)
+def test_a_run_has_the_whole_ticks_of_its_duration(
+    duration_s: float, period_s: float, ticks: int
+) -> None:
+    master, slave, *reports = run_bridge(
+        build_master(period_s=period_s),
+        build_slave(period_s=period_s),
+        forward=PERFECT,
+        backward=PERFECT,
+        duration_s=duration_s,
+    )
+    assert len(master) == len(slave) == ticks
+    assert {report.ticks for report in reports} == {ticks}
+
+
+def test_the_names_of_the_ladder() -> None:
+    names = [ladder_state_name(code) for code in range(5)]
+    assert names == ["waiting", "engaged", "hold", "stop", "fault"]
+    with pytest.raises(ValueError, match="^state 5: must be 0 to 4$"):
+        ladder_state_name(5)

@@ -1,0 +1,72 @@
+"""The command line: what it prints, where errors go, and its exit status."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = [sys.executable, "-m", "haptether"]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True, text=True, timeout=60, check=False,
+        env={**os.environ, "COLUMNS": "200"},
+    )  # fmt: skip
+
+
+def test_version_and_help() -> None:
+    assert run("--version").stdout.startswith("haptether 0.")
+    shown = run("--help").stdout
+    for name in ("demo", "paper", "master", "slave", "netsim"):
+        assert name in shown
+        assert "Examples" in run(name, "--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["slave", "--listen", "nowhere"], "listen = \"nowhere\": "),
+        (["master", "--peer", "127.0.0.1:99999"], "peer = \"127.0.0.1:99999\": "),
+        (["netsim", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--loss", "2"], "loss = 2: must be"),
+        (["demo", "--jitter-s", "0.1"], "jitter_s"),
+        (["paper", "--encoder-quantum", "-1"], "encoder_quantum = -1: must be"),
+        (["slave", "--listen", "127.0.0.1:0", "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
+    ],
+)  # fmt: skip
+def test_a_bad_request_is_one_line_and_status_2(arguments: list[str], said: str) -> None:
+    ended = run(*arguments)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("haptether: ")
+    assert said in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_an_unknown_flag_is_status_2() -> None:
+    assert run("paper", "--no-such-flag").returncode == 2
+
+
+def test_an_unwritable_target_is_status_1(tmp_path: Path) -> None:
+    ended = run("paper", "--json", str(tmp_path / "missing" / "rows.json"))
+    assert ended.returncode == 1
+    assert "Traceback" not in ended.stderr
+
+
+def test_paper_prints_json_alone_on_standard_output() -> None:
+    ended = run("paper", "--json", "-")
+    assert ended.returncode == 0
+    report = json.loads(ended.stdout)
+    assert set(report) == {"operator", "device", "rows"}
+    assert {"source", "quantity", "controller", "window", "paper", "ours", "unit"} <= set(report["rows"][0])
+    assert "Table 1" in ended.stderr
+
+
+def test_paper_draws_its_figures(tmp_path: Path) -> None:
+    assert run("paper", "--plot", str(tmp_path)).returncode == 0
+    drawn = sorted(tmp_path.glob("*.png"))
+    assert len(drawn) == 6
+    assert all(picture.stat().st_size > 10_000 for picture in drawn)

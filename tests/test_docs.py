@@ -1,0 +1,55 @@
+"""Code in the documents runs, and what they point to exists."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+SNIPPETS = [
+    (page.name, snippet)
+    for page in PAGES
+    for snippet in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+]
+
+
+def test_there_are_snippets() -> None:
+    assert len(SNIPPETS) >= 2
+
+
+@pytest.mark.parametrize(("page", "snippet"), SNIPPETS)
+def test_python_in_documents_runs(page: str, snippet: str, tmp_path: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-W", "error", "-c", snippet],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 0, f"{page}: {ended.stderr}"
+    assert ended.stdout
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_commands_of_the_readme_exist() -> None:
+    shown = re.findall(r"^haptether ([a-z]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert {name for name, _ in shown} == {"demo", "paper", "slave", "netsim", "master"}
+    for name, arguments in shown:
+        flags = re.findall(r"--[a-z-]+", arguments)
+        text = subprocess.run(
+            [sys.executable, "-m", "haptether", name, "--help"],
+            capture_output=True, text=True, timeout=60, check=True,
+        ).stdout  # fmt: skip
+        assert all(flag in text for flag in flags), (name, flags)
+
+
+def test_make_targets_of_the_documents_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    for page in PAGES:
+        for target in re.findall(r"(?:^|`)\s*make ([a-z]+)", page.read_text(), re.MULTILINE):
+            assert re.search(rf"^{target}:", makefile, re.MULTILINE), (page.name, target)
