@@ -140,8 +140,7 @@ def peer_low_pass(x: Array, force: Array, cutoff_hz: float) -> Estimate:
     difference, _, mean = peer_backward_difference(x, force)
     share = -np.expm1(-2 * np.pi * cutoff_hz * PERIOD_S)
     velocity, aligned = (
-        np.asarray(scipy.signal.lfilter([share], [1.0, share - 1.0], signal))
-        for signal in (difference, mean)
+        np.asarray(scipy.signal.lfilter([share], [1.0, share - 1.0], signal)) for signal in (difference, mean)
     )
     return velocity, np.diff(velocity, prepend=0.0) / PERIOD_S, aligned
 
@@ -149,8 +148,7 @@ def peer_low_pass(x: Array, force: Array, cutoff_hz: float) -> Estimate:
 def peer_savitzky_golay(x: Array, force: Array, degree: int, window: int) -> Estimate:
     """`scipy.signal.savgol_coeffs` at the newest sample and `lfilter`."""
     first, second = (
-        scipy.signal.savgol_coeffs(window, degree, deriv=d, delta=PERIOD_S, pos=window - 1)
-        for d in (1, 2)
+        scipy.signal.savgol_coeffs(window, degree, deriv=d, delta=PERIOD_S, pos=window - 1) for d in (1, 2)
     )
     # Lag 1 ... window - 1: double sums of the weights from the far end.
     single = np.cumsum((second * PERIOD_S**2)[:0:-1])
@@ -254,9 +252,7 @@ def cases() -> list[Case]:
         found.append(case("low-pass", f"{cutoff_hz:g} Hz", kind, peer))
     for fit in ("end", "best"):
         for window in (8, 16, 32, 64):
-            kind = EstimatorKind.adaptive_window(
-                noise_bound_m=QUANTUM_M, max_window=window, fit=fit
-            )
+            kind = EstimatorKind.adaptive_window(noise_bound_m=QUANTUM_M, max_window=window, fit=fit)
             peer = partial(peer_adaptive_window, window=window, fit=fit)
             found.append(case("adaptive", f"{fit}, {window}", kind, peer))
     for degree, windows in ((2, (9, 15, 21, 31, 51)), (3, (21, 31, 35, 41, 51))):
@@ -281,9 +277,7 @@ def simulate(controllers: Sequence[Literal["wsc"]], depths_m: Sequence[float]) -
         begun_s = sum(leg[0] for leg in legs)
         sway = [target + TREMOR_M * side for side in (1, -1)] * 5
         legs += [(0.5 / TREMOR_HZ, end, "minimum-jerk") for end in [*sway, target]]
-        holds.append(
-            slice(round(begun_s / PERIOD_S), round(sum(leg[0] for leg in legs) / PERIOD_S))
-        )
+        holds.append(slice(round(begun_s / PERIOD_S), round(sum(leg[0] for leg in legs) / PERIOD_S)))
     release_s = sum(leg[0] for leg in legs) + 0.1
     hand = Hand(
         stiffness=HAND_STIFFNESS,
@@ -315,13 +309,9 @@ def simulate(controllers: Sequence[Literal["wsc"]], depths_m: Sequence[float]) -
     )
 
 
-def watch_grasp(
-    run: Run, velocity: Array, grasp_force: Array
-) -> tuple[Array, npt.NDArray[np.bool_]]:
+def watch_grasp(run: Run, velocity: Array, grasp_force: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     """S_h, and at which ticks HSC calls the hand unsafe."""
-    settings = SafetySettings(
-        ["hsc"], hsc_force_threshold_n=FORCE_THRESHOLD_N, grasp_threshold=GRASP_THRESHOLD
-    )
+    settings = SafetySettings(["hsc"], hsc_force_threshold_n=FORCE_THRESHOLD_N, grasp_threshold=GRASP_THRESHOLD)
     controller = SafetyController(DeviceModel.phantom_desktop(), settings, period_s=PERIOD_S)
     seen = controller.run(velocity, run.rendered_force, grasp_force)
     assert seen.grasp is not None
@@ -438,9 +428,7 @@ def false_ticks(case: Case, run: Run, offset: float) -> int:
 
 def estimate(case: Case, position: Array, held_force: Array) -> Estimate:
     """A fresh estimator over all samples."""
-    velocity, acceleration, aligned = Estimator(case.kind, period_s=PERIOD_S).run(
-        position, held_force
-    )
+    velocity, acceleration, aligned = Estimator(case.kind, period_s=PERIOD_S).run(position, held_force)
     assert aligned is not None
     return velocity, acceleration, aligned
 
@@ -489,10 +477,7 @@ def report(scores: list[Score], chosen: Score | None, out: TextIO) -> None:
     head = "".join(f"{title:>7}" for title in titles)
     print(f"{'estimator':<31}{head}", file=out)
     for score in scores:
-        trip, late = (
-            f"{'never' if ms is None else f'{ms:.0f}':>7}"
-            for ms in (score.trip_ms, score.trip_late_ms)
-        )
+        trip, late = (f"{'never' if ms is None else f'{ms:.0f}':>7}" for ms in (score.trip_ms, score.trip_late_ms))
         numbers = (
             f"{score.ns_per_sample:7.1f}{score.peer_ns_per_sample / score.ns_per_sample:7.1f}"
             f"{score.velocity_rms:7.4f}{score.velocity_delay_ms:7.2f}"

@@ -67,9 +67,7 @@ class Cost:
 # Peers
 
 
-def numpy_windowed_energy(
-    velocity: Array, rendered: Array, grasp: Array, window: int = WINDOW
-) -> Array:
+def numpy_windowed_energy(velocity: Array, rendered: Array, grasp: Array, window: int = WINDOW) -> Array:
     """E_wso of Eq. 11 as a difference of cumulative sums."""
     del rendered
     total = np.cumsum(grasp * velocity)
@@ -77,9 +75,7 @@ def numpy_windowed_energy(
     return PERIOD_S * total - MASS_KG * velocity**2 / (2 * RATIO)
 
 
-def numpy_safety_force(
-    velocity: Array, rendered: Array, grasp: Array, *, hsc: bool, wsc: bool
-) -> Array:
+def numpy_safety_force(velocity: Array, rendered: Array, grasp: Array, *, hsc: bool, wsc: bool) -> Array:
     """F_c of Eq. 13 and 14."""
     is_unsafe = np.zeros(len(velocity), dtype=bool)
     if hsc:
@@ -90,9 +86,7 @@ def numpy_safety_force(
     return np.where(is_unsafe, -rendered - DAMPING * velocity, 0.0)
 
 
-def python_windowed_energy(
-    velocity: Array, rendered: Array, grasp: Array, window: int = WINDOW
-) -> Array:
+def python_windowed_energy(velocity: Array, rendered: Array, grasp: Array, window: int = WINDOW) -> Array:
     """E_wso with a running sum over a deque."""
     del rendered
     past, total, energies = deque([0.0] * window), 0.0, []
@@ -103,9 +97,7 @@ def python_windowed_energy(
     return np.array(energies)
 
 
-def python_safety_force(
-    velocity: Array, rendered: Array, grasp: Array, *, hsc: bool, wsc: bool
-) -> Array:
+def python_safety_force(velocity: Array, rendered: Array, grasp: Array, *, hsc: bool, wsc: bool) -> Array:
     """F_c of Eq. 13 and 14, tick by tick."""
     past, total, forces = deque([0.0] * WINDOW), 0.0, []
     for v, f_v, f_h in zip(velocity.tolist(), rendered.tolist(), grasp.tolist(), strict=True):
@@ -265,8 +257,7 @@ def main() -> int:
     print(f"{'':<24}{'best':>8}{'median':>8}{'NumPy':>9}{'Python':>9}", file=out)
     for cost in costs:
         ratios = "".join(
-            f"{'-' if ns is None else f'{ns / cost.ns:.1f}x':>9}"
-            for ns in (cost.numpy_ns, cost.python_ns)
+            f"{'-' if ns is None else f'{ns / cost.ns:.1f}x':>9}" for ns in (cost.numpy_ns, cost.python_ns)
         )
         print(f"{cost.name:<24}{cost.ns:>8.1f}{cost.ns_median:>8.1f}{ratios}", file=out)
 

@@ -131,9 +131,7 @@ class Bench:
         """Time in s from the release to the first intervention; none if there is none."""
         return first_time(self.after_release(trace.tripped) > 0)
 
-    def active(
-        self, amplitude_n: float, settings: SafetySettings | None, release_at_s: float | None
-    ) -> LocalTrace:
+    def active(self, amplitude_n: float, settings: SafetySettings | None, release_at_s: float | None) -> LocalTrace:
         """Grip against the active force, let go or not."""
         hand = self.operator.gripping(amplitude_n, release_at_s)
         force = Sinusoid(amplitude_n=amplitude_n, rate=ACTIVE_RATE)
@@ -153,9 +151,7 @@ def first_time(condition: npt.NDArray[np.bool_]) -> float | None:
     return float(ticks[0]) * PERIOD_S if ticks.size else None
 
 
-def reproduce_paper(
-    operator: Operator | None = None, *, encoder_quantum: float = 0.0
-) -> PaperReport:
+def reproduce_paper(operator: Operator | None = None, *, encoder_quantum: float = 0.0) -> PaperReport:
     """Runs every experiment.
 
     Args:
@@ -191,14 +187,21 @@ def ejection_rows(bench: Bench) -> Iterator[PaperRow]:
     trace = bench.press()
     velocity = bench.after_release(trace.velocity)
     position = bench.after_release(trace.position)
-    at = {"stiffness": STIFFNESS, "depth": DEPTH, "controller": "none"}
     low, high = first_time(velocity >= 0.2), first_time(velocity >= 1.2)
     rise = None if low is None or high is None else high - low
     yield PaperRow(
-        source="Fig. 4a", quantity="time_from_0.2_to_1.2_m_per_s", **at, paper=0.02, ours=rise, unit="s"
+        source="Fig. 4a",
+        quantity="time_from_0.2_to_1.2_m_per_s",
+        controller="none",
+        stiffness=STIFFNESS,
+        depth=DEPTH,
+        paper=0.02,
+        ours=rise,
+        unit="s",
     )
     yield PaperRow(
-        source="Fig. 4b", quantity="time_to_0.1_m_outside", **at, paper=0.25,
+        source="Fig. 4b", quantity="time_to_0.1_m_outside", controller="none", stiffness=STIFFNESS, depth=DEPTH,
+        paper=0.25,
         ours=first_time(position >= 0.1), unit="s",
     )  # fmt: skip
     printed = {200.0: 1.4, 1000.0: 0.5}
@@ -219,9 +222,7 @@ def ejection_rows(bench: Bench) -> Iterator[PaperRow]:
         )  # fmt: skip
 
 
-def released_at_rest(
-    stiffness: float, depth: float, settings: SafetySettings | None = None
-) -> LocalTrace:
+def released_at_rest(stiffness: float, depth: float, settings: SafetySettings | None = None) -> LocalTrace:
     """Frictionless device at rest at `depth`, that nobody holds from the start."""
     device = HapticDevice(mass_kg=HapticDevice.phantom_desktop().mass_kg)
     return run_local(
@@ -255,7 +256,6 @@ def closed_form_rows() -> Iterator[PaperRow]:
         note="no friction, instant release from rest: sqrt(2 eta |delta| / m); first tick beyond it",
     )  # fmt: skip
 
-
     # The same with the whole press inside the window.
     operator = msgspec.structs.replace(Operator(), release_s=0.0)
     trace = run_local(
@@ -279,32 +279,31 @@ def observer_rows(bench: Bench) -> Iterator[PaperRow]:
     trace = bench.press()
     grasp_force = bench.grasp_force(trace)
     signals = (trace.velocity, trace.rendered_force, grasp_force)
-    at = {"stiffness": STIFFNESS, "depth": DEPTH}
     so = bench.after_release(SafetyObserver(bench.model).run(*signals))
     wso = bench.after_release(WindowedSafetyObserver(bench.model, window=100).run(*signals))
     hgo = bench.after_release(HandGraspObserver().run(*signals))
     yield PaperRow(
-        source="Fig. 6a", quantity="time_to_see_release", controller="so", **at, paper=0.06,
+        source="Fig. 6a", quantity="time_to_see_release", controller="so", stiffness=STIFFNESS, depth=DEPTH, paper=0.06,
         relation=">", ours=first_time(so < -0.03), unit="s",
         note="with eta = 0.5, SO needs only half of the stored energy to become speed",
     )  # fmt: skip
     yield PaperRow(
-        source="Fig. 6a", quantity="time_to_see_release", controller="wso", window=100, **at,
+        source="Fig. 6a", quantity="time_to_see_release", controller="wso", window=100, stiffness=STIFFNESS,
+        depth=DEPTH,
         paper=0.036, ours=first_time(wso < -0.03), unit="s",
     )  # fmt: skip
     yield PaperRow(
-        source="Fig. 6b", quantity="time_to_see_release", controller="hgo", **at,
+        source="Fig. 6b", quantity="time_to_see_release", controller="hgo", stiffness=STIFFNESS, depth=DEPTH,
         paper=0.048, ours=first_time(hgo > 1.5), unit="s",
     )  # fmt: skip
 
 
 def controller_rows(bench: Bench) -> Iterator[PaperRow]:
     """Section 4.4, Fig. 7 to 11: VFC, HSC, WSC."""
-    at = {"stiffness": STIFFNESS, "depth": DEPTH}
     release = round(bench.operator.release_at_s / PERIOD_S)
     normal = bench.press(SafetySettings(["vfc"]))
     yield PaperRow(
-        source="Fig. 7", quantity="trips_during_press", controller="vfc", **at, paper=0.0,
+        source="Fig. 7", quantity="trips_during_press", controller="vfc", stiffness=STIFFNESS, depth=DEPTH, paper=0.0,
         ours=float(np.count_nonzero(normal.tripped[:release])), unit="1", note="V_t = 0.6 m/s",
     )  # fmt: skip
     runs = {
@@ -322,16 +321,18 @@ def controller_rows(bench: Bench) -> Iterator[PaperRow]:
         mev[name] = bench.ejection(trace)
         window = 100 if name == "wsc" else None
         yield PaperRow(
-            source=source, quantity="max_ejection_velocity", controller=name, window=window, **at,
+            source=source, quantity="max_ejection_velocity", controller=name, window=window, stiffness=STIFFNESS,
+        depth=DEPTH,
             paper=paper_mev, ours=mev[name], unit="m/s", note=note,
         )  # fmt: skip
         yield PaperRow(
-            source=source, quantity="time_to_trip", controller=name, window=window, **at,
+            source=source, quantity="time_to_trip", controller=name, window=window, stiffness=STIFFNESS, depth=DEPTH,
             paper=paper_time, ours=bench.trip_time(trace), unit="s", note=note,
         )  # fmt: skip
     for name in ("hsc", "wsc"):
         yield PaperRow(
-            source="Fig. 11", quantity="vfc_over_controller", controller=name, **at, paper=2.0,
+            source="Fig. 11", quantity="vfc_over_controller", controller=name, stiffness=STIFFNESS, depth=DEPTH,
+        paper=2.0,
             ours=mev["vfc-both"] / mev[name], unit="1", note='"almost two times"; VFC by its text',
         )  # fmt: skip
 
@@ -348,9 +349,7 @@ def table_1_rows(bench: Bench) -> Iterator[PaperRow]:
 
 def active_force_rows(bench: Bench) -> Iterator[PaperRow]:
     """Section 4.5, Fig. 12 to 15: a sinusoidal force, gripped and released."""
-    free = run_local(
-        bench.device, Hand.absent(), Sinusoid(amplitude_n=1.0, rate=ACTIVE_RATE), ticks=400
-    )
+    free = run_local(bench.device, Hand.absent(), Sinusoid(amplitude_n=1.0, rate=ACTIVE_RATE), ticks=400)
     yield PaperRow(
         source="Fig. 12", quantity="speed_at_0.17_s", controller="none", amplitude_n=1.0, paper=1.1,
         ours=float(free.velocity[170]), unit="m/s",
@@ -359,7 +358,12 @@ def active_force_rows(bench: Bench) -> Iterator[PaperRow]:
     release = round(ACTIVE_RELEASE_S / PERIOD_S)
     runs = {
         "none": (None, "Fig. 12", None, "="),
-        "wsc": (SafetySettings(["wsc"], energy_threshold_j=ACTIVE_THRESHOLD_J), "Fig. 14b", 0.18, "="),
+        "wsc": (
+            SafetySettings(["wsc"], energy_threshold_j=ACTIVE_THRESHOLD_J),
+            "Fig. 14b",
+            0.18,
+            "=",
+        ),
         "hsc": (SafetySettings(["hsc"]), "Fig. 15b", 0.3, "<"),
     }
     for name, (settings, source, paper, relation) in runs.items():

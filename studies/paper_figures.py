@@ -5,7 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from haptether.safety import HandGraspObserver, SafetyObserver, SafetySettings, WindowedSafetyObserver
+from haptether.safety import (
+    HandGraspObserver,
+    SafetyObserver,
+    SafetySettings,
+    WindowedSafetyObserver,
+)
 from haptether.studies.operator import Operator
 from haptether.studies.paper import (
     ACTIVE_RELEASE_S,

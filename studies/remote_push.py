@@ -62,9 +62,7 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     final_state: str
 
 
-def measure_push(
-    controller: str, trace: MasterTrace, report: LoopReport, release_after_s: float | None
-) -> PushResult:
+def measure_push(controller: str, trace: MasterTrace, report: LoopReport, release_after_s: float | None) -> PushResult:
     """Measures a run whose hand let go `release_after_s` after engaging (never if none)."""
     time_s, velocity = trace.time_s, trace.velocity
     on = trace.tripped > 0
@@ -82,9 +80,7 @@ def measure_push(
         release_s=release_s,
         peak_hand_speed=float(velocity[after].max(initial=0.0)),
         peak_force_n=float(np.abs(trace.device_force).max(initial=0.0)),
-        time_to_trip_s=(
-            float(tripped_at[0]) - release_s if release_s is not None and tripped_at.size else None
-        ),
+        time_to_trip_s=(float(tripped_at[0]) - release_s if release_s is not None and tripped_at.size else None),
         trips_before_release=int(np.count_nonzero(begins & ~after)) if release_s is not None else 0,
         intervention_s=float(np.count_nonzero(on)) * period_s,
         sent=report.link.sent,

@@ -1,4 +1,4 @@
-"""Both sides of the bridge in virtual time, against closed forms and against netsim's own verdicts."""
+"""Both sides of the bridge in virtual time, against closed forms and netsim's own verdicts."""
 
 import re
 from collections.abc import Callable
@@ -37,13 +37,18 @@ PERFECT = LinkSettings()
 ROUGH = LinkSettings(delay_s=0.05, jitter_s=0.01, loss=0.01)
 DEAD = LinkSettings(loss=1.0)
 
+BOTH = ("time_s", "position", "state", "overshoot_s")
 SIGNALS = {
     MasterTrace: (
-        "time_s position velocity hand_force rendered_force grasp_force safety_force device_force "
-        "velocity_force grasp windowed_energy_j tripped acted state age_s overshoot_s"
-    ).split(),
-    SlaveTrace: "time_s position command environment_force state overshoot_s".split(),
+        *BOTH,
+        *("velocity", "hand_force", "rendered_force", "grasp_force", "safety_force"),
+        *("device_force", "velocity_force", "grasp", "windowed_energy_j"),
+        *("tripped", "acted", "age_s"),
+    ),
+    SlaveTrace: (*BOTH, "command", "environment_force"),
 }
+COUNTS = ("sent", "fresh", "late", "duplicate", "refused", "missing")
+ROUND_TRIPS = ("round_trip_s", "least_round_trip_s")
 
 
 def press(
@@ -87,12 +92,8 @@ def series_force() -> float:
 
 def contents(run: Run) -> list[bytes]:
     traces = [getattr(trace, name).tobytes() for trace in run[:2] for name in SIGNALS[type(trace)]]
-    return [*traces, *(repr(counts(report)).encode() for report in run[2:])]
-
-
-def counts(report: LoopReport) -> dict[str, float]:
-    names = "sent fresh late duplicate refused missing round_trip_s least_round_trip_s".split()
-    return {name: getattr(report.link, name) for name in names}
+    counts = [getattr(report.link, n) for report in run[2:] for n in (*COUNTS, *ROUND_TRIPS)]
+    return [*traces, repr(counts).encode()]
 
 
 def test_every_signal_has_one_number_a_tick() -> None:
@@ -127,7 +128,7 @@ def test_a_perfect_network_needs_no_seed() -> None:
 def test_contact_settles_where_the_springs_in_series_do() -> None:
     master, slave, *reports = press(duration_s=4.0)
     force = series_force()
-    # 3 s after the path ended the slowest mode, above 20 /s, has decayed by e^-60; rounding remains.
+    # 3 s after the path ended the slowest mode, above 20 /s, is down to e^-60; rounding remains.
     tolerance = 1e-12 * HAND_STIFFNESS
     assert abs(master.rendered_force[-1] - force) <= tolerance
     assert abs(slave.environment_force[-1] - force) <= tolerance
@@ -143,9 +144,7 @@ def test_contact_settles_where_the_springs_in_series_do() -> None:
 
 
 def test_the_slave_follows_from_where_it_stands() -> None:
-    hand = Hand(
-        stiffness=600.0, damping=20.0, strength_n=500.0, start=0.1, legs=[(0.5, 0.15, "linear")]
-    )
+    hand = Hand(stiffness=600.0, damping=20.0, strength_n=500.0, start=0.1, legs=[(0.5, 0.15, "linear")])
     master, slave, *_ = run_bridge(
         MasterSettings(HapticDevice(mass_kg=MASS), hand),
         SlaveSettings(Arm(), Wall(stiffness=0.0), position=-3.0, position_scale=0.4),
@@ -175,7 +174,7 @@ def test_the_force_is_scaled_and_fades_in() -> None:
     )
     # The slave engages at tick 1 and is shoved from then on: the master hears of it at tick 2.
     assert np.array_equal(slave.environment_force[2:501], np.full(499, 6.0))
-    gain = np.clip((np.arange(1000) - 0) / 200.0, 0.0, 1.0)
+    gain = np.clip(np.arange(1000) / 200.0, 0.0, 1.0)
     expected = 0.5 * gain[3:501] * 6.0
     # The gain adds up 1/200 at each tick: 200 roundings of at most 1.
     assert np.all(abs(master.rendered_force[3:501] - expected) <= 3.0 * 200 * 2.0**-53)
@@ -184,9 +183,7 @@ def test_the_force_is_scaled_and_fades_in() -> None:
 
 
 @pytest.mark.parametrize(("forward", "backward"), [(DEAD, DEAD), (DEAD, PERFECT), (PERFECT, DEAD)])
-def test_without_frames_the_sides_never_engage(
-    forward: LinkSettings, backward: LinkSettings
-) -> None:
+def test_without_frames_the_sides_never_engage(forward: LinkSettings, backward: LinkSettings) -> None:
     master, slave, *reports = press(forward=forward, backward=backward, duration_s=1.0)
     assert set(master.state) == set(slave.state) == {0}
     assert ladder_state_name(0) == "waiting"
@@ -213,23 +210,22 @@ def test_a_gentle_wall_stays_bounded_under_delay_jitter_and_loss() -> None:
     bound = stiffness * -TARGET / (1.0 - stiffness / HAND_STIFFNESS)
     assert master.rendered_force.max() <= bound
     assert abs(master.position).max() <= -TARGET + bound / HAND_STIFFNESS
-    # Each round trip, at most 0.121 s, takes K/K_h = 1/3 of what is left: in 5 s below 1e-18 of it.
-    assert abs(master.rendered_force[-1] - series_force()) <= 1e-9
-    assert np.ptp(master.position[-1000:]) <= 1e-12
-    assert np.ptp(slave.position[-1000:]) <= 1e-12
+    # A round trip and the settling in it, below 0.2 s, leave K/K_h = 1/3 of what was wrong: 4 s after
+    # the path ended 3e-10 of some 9 N, after 5 s 1e-12.
+    assert abs(master.rendered_force[-1] - series_force()) <= 1e-10
+    assert np.ptp(master.position[-1000:]) <= 3e-9 / HAND_STIFFNESS
+    assert np.ptp(slave.position[-1000:]) <= 3e-9 / HAND_STIFFNESS
     assert [report.holds for report in reports] == [0, 0]
-    # At least one way each side, at most three until both hear that they are heard.
+    # Both must hear that they are heard: two ways, and a few ticks where frames were lost.
     for report in reports:
-        assert 0.08 <= report.engaged_s <= 3 * 0.061
+        assert 0.08 <= report.engaged_s <= 0.13
         assert 0.08 <= report.link.least_round_trip_s <= report.link.round_trip_s <= 0.121
     assert master.age_s[200:].max() <= 0.02
 
 
 def test_a_stiff_wall_under_the_same_network_does_not() -> None:
     # The bound above is no matter of course: 15 times the stiffness and a loose hand swing up.
-    master, *_ = press(
-        forward=ROUGH, duration_s=6.0, seed=11, wall_stiffness=3000.0, hand_damping=5.0
-    )
+    master, *_ = press(forward=ROUGH, duration_s=6.0, seed=11, wall_stiffness=3000.0, hand_damping=5.0)
     assert master.rendered_force[-1000:].max() > 5 * series_force()
     assert np.ptp(master.position[-1000:]) > -TARGET
 
@@ -238,9 +234,7 @@ def received(
     settings: LinkSettings, direction: Literal["forward", "backward"], seed: int, ticks: int
 ) -> npt.NDArray[np.int64]:
     """Sequence numbers in the order in which they arrive, by netsim's verdicts alone."""
-    due = judge(
-        settings, np.arange(ticks, dtype=np.int64) * TICK_NS, direction=direction, seed=seed
-    )
+    due = judge(settings, np.arange(ticks, dtype=np.int64) * TICK_NS, direction=direction, seed=seed)
     order = np.argsort(due, kind="stable")
     order = order[(due[order] >= 0) & (due[order] <= (ticks - 1) * TICK_NS)]
     # The master's last tick comes before the slave's last frame.
@@ -257,9 +251,7 @@ def received(
     ],
 )
 @pytest.mark.parametrize("seed", [0, 1])
-def test_the_counts_are_those_of_the_verdicts(
-    forward: LinkSettings, backward: LinkSettings, seed: int
-) -> None:
+def test_the_counts_are_those_of_the_verdicts(forward: LinkSettings, backward: LinkSettings, seed: int) -> None:
     ticks = 1500
     *_, master, slave = press(forward=forward, backward=backward, seed=seed, duration_s=1.5)
     ways: list[tuple[LinkStatistics, LinkSettings, Literal["forward", "backward"]]] = [
@@ -321,9 +313,7 @@ def build_master(
     )
 
 
-def build_slave(
-    position: float = 0.0, position_scale: float = 1.0, period_s: float = 1e-3
-) -> SlaveSettings:
+def build_slave(position: float = 0.0, position_scale: float = 1.0, period_s: float = 1e-3) -> SlaveSettings:
     return SlaveSettings(
         Arm(),
         Wall(stiffness=1.0),
@@ -370,7 +360,7 @@ def test_a_duration_that_is_none_is_refused(duration_s: float) -> None:
 
 
 def test_both_sides_have_one_period() -> None:
-    with pytest.raises(ValueError, match="^period_s: master and slave must have the same"):
+    with pytest.raises(ValueError, match=r"^period_s: master and slave must have the same"):
         run_bridge(
             build_master(period_s=1e-3),
             build_slave(period_s=2e-3),
@@ -380,12 +370,8 @@ def test_both_sides_have_one_period() -> None:
         )
 
 
-@pytest.mark.parametrize(
-    ("duration_s", "period_s", "ticks"), [(0.0, 1e-3, 0), (0.3, 1e-3, 300), (0.0105, 5e-3, 2)]
-)
-def test_a_run_has_the_whole_ticks_of_its_duration(
-    duration_s: float, period_s: float, ticks: int
-) -> None:
+@pytest.mark.parametrize(("duration_s", "period_s", "ticks"), [(0.0, 1e-3, 0), (0.3, 1e-3, 300), (0.0105, 5e-3, 2)])
+def test_a_run_has_the_whole_ticks_of_its_duration(duration_s: float, period_s: float, ticks: int) -> None:
     master, slave, *reports = run_bridge(
         build_master(period_s=period_s),
         build_slave(period_s=period_s),
@@ -400,5 +386,5 @@ def test_a_run_has_the_whole_ticks_of_its_duration(
 def test_the_names_of_the_ladder() -> None:
     names = [ladder_state_name(code) for code in range(5)]
     assert names == ["waiting", "engaged", "hold", "stop", "fault"]
-    with pytest.raises(ValueError, match="^state 5: must be 0 to 4$"):
+    with pytest.raises(ValueError, match=r"^state 5: must be 0 to 4$"):
         ladder_state_name(5)

@@ -150,9 +150,7 @@ def test_what_is_not_an_expression_is_refused(text: str) -> None:
 def cargo_metadata() -> dict[str, list[dict[str, str | None]]]:
     """The Cargo graph, without the network where the crates are already here."""
     command = ["cargo", "metadata", "--format-version", "1", "--locked"]
-    answer = subprocess.run(
-        [*command, "--offline"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    answer = subprocess.run([*command, "--offline"], cwd=ROOT, capture_output=True, text=True, check=False)
     if answer.returncode != 0:
         answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr

@@ -121,9 +121,7 @@ def test_a_taken_address_is_one_line(children: list[Child]) -> None:
     assert second.stderr.count("\n") == 1
 
 
-def test_a_second_master_is_refused_while_the_first_lives(
-    children: list[Child], tmp_path: Path
-) -> None:
+def test_a_second_master_is_refused_while_the_first_lives(children: list[Child], tmp_path: Path) -> None:
     slave = Child("slave", "--listen", "127.0.0.1:0")
     children.append(slave)
     first_json, second_json = tmp_path / "first.json", tmp_path / "second.json"
@@ -174,12 +172,8 @@ def test_live_and_virtual_time_run_the_same_scene(children: list[Child], tmp_pat
     for time_s in (0.5, 1.0, 1.5, 2.1):
         ticks = round(time_s * 1e3)
         # Loopback and the two loops' phase cost up to a few ticks; the hand moves at most 0.08 m/s here.
-        assert live["position"][engaged + ticks] == pytest.approx(
-            virtual.position[offset + ticks], abs=5e-4
-        )
-        assert live["device_force"][engaged + ticks] == pytest.approx(
-            virtual.device_force[offset + ticks], abs=0.15
-        )
+        assert live["position"][engaged + ticks] == pytest.approx(virtual.position[offset + ticks], abs=5e-4)
+        assert live["device_force"][engaged + ticks] == pytest.approx(virtual.device_force[offset + ticks], abs=0.15)
 
 
 def test_demo_shows_that_protection_holds(tmp_path: Path) -> None:

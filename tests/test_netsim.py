@@ -49,16 +49,12 @@ def test_what_arrives_does_so_within_the_jitter(
 
 
 def test_a_constant_delay_is_exact() -> None:
-    assert np.array_equal(
-        judge(LinkSettings(delay_s=0.05), SENT_NS) - SENT_NS, [50_000_000] * PACKETS
-    )
+    assert np.array_equal(judge(LinkSettings(delay_s=0.05), SENT_NS) - SENT_NS, [50_000_000] * PACKETS)
 
 
 @pytest.mark.parametrize("loss", [0.001, 0.01, 0.3, 0.99])
 @pytest.mark.parametrize("direction", ["forward", "backward"])
-def test_losses_are_as_many_as_asked_for(
-    loss: float, direction: Literal["forward", "backward"]
-) -> None:
+def test_losses_are_as_many_as_asked_for(loss: float, direction: Literal["forward", "backward"]) -> None:
     for seed in range(5):
         due = judge(LinkSettings(loss=loss), SENT_NS, direction=direction, seed=seed)
         # Four standard deviations of a binomial count: one run in 16000 lies outside.
@@ -83,7 +79,7 @@ def test_all_or_nothing() -> None:
 def test_jitter_is_uniform_around_the_delay() -> None:
     due = judge(LinkSettings(delay_s=0.05, jitter_s=0.01), SENT_NS, seed=3)
     shift = (due - SENT_NS) / 1e9 - 0.05
-    # Mean and mean square of a uniform law of half-width w: 0 ± w/sqrt(3 n), w²/3 ± w² sqrt(4/45/n).
+    # Uniform with half-width w: mean 0 ± w / sqrt(3 n), mean square w²/3 ± w² sqrt(4 / (45 n)).
     assert abs(shift.mean()) <= 4 * 0.01 / np.sqrt(3 * PACKETS)
     assert abs((shift**2).mean() - 0.01**2 / 3) <= 4 * 0.01**2 * np.sqrt(4 / 45 / PACKETS)
     counts = np.histogram(shift, bins=10, range=(-0.01, 0.01))[0]
@@ -158,15 +154,15 @@ def test_settings_tell_what_they_were_given() -> None:
             ValueError,
             '^direction = "sideways": must be "forward" or "backward"$',
         ),
-        (SENT_NS, {"seed": -1}, OverflowError, ""),
-        (SENT_NS, {"seed": 2**64}, OverflowError, ""),
+        (SENT_NS, {"seed": -1}, OverflowError, None),
+        (SENT_NS, {"seed": 2**64}, OverflowError, None),
         (SENT_NS.astype(np.int32), {}, TypeError, "int64"),
         (SENT_NS.astype(np.float64), {}, TypeError, "int64"),
-        (SENT_NS.reshape(-1, 2), {}, TypeError, ""),
+        (SENT_NS.reshape(-1, 2), {}, TypeError, None),
     ],
 )
 def test_bad_questions_are_refused(
-    sent: Times, keywords: dict[str, Any], error: type[Exception], told: str
+    sent: Times, keywords: dict[str, Any], error: type[Exception], told: str | None
 ) -> None:
     with pytest.raises(error, match=told):
         judge(LinkSettings(), sent, **keywords)

@@ -56,11 +56,7 @@ def packaged() -> Iterator[str]:
 
 def cargo_only(path: PurePosixPath) -> bool:
     """Whether a file of a room is of no use without a Rust compiler."""
-    return (
-        path.suffix == ".rs"
-        or path.parts[1] in {"src", "Cargo.toml"}
-        or "proptest-regressions" in path.parts
-    )
+    return path.suffix == ".rs" or path.parts[1] in {"src", "Cargo.toml"} or "proptest-regressions" in path.parts
 
 
 def maturin(*arguments: str, cwd: Path = ROOT) -> None:
@@ -134,8 +130,7 @@ def test_the_sdist_holds_the_sources_of_both_languages_once(sdist: Path) -> None
     rust = [
         str(path)
         for path in tree()
-        if path.parts[0] in CRATES
-        and (path.suffix == ".rs" or path.parts[1] in {"src", "Cargo.toml"})
+        if path.parts[0] in CRATES and (path.suffix == ".rs" or path.parts[1] in {"src", "Cargo.toml"})
     ]
     assert sorted(members) == sorted([*root, *rust, *(f"python/{name}" for name in packaged())])
 

@@ -1,7 +1,5 @@
 """The paper's claims, as far as the issue that asked for them sets bounds."""
 
-from typing import Any
-
 import msgspec
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ def report() -> PaperReport:
     return reproduce_paper()
 
 
-def one(report: PaperReport, source: str, quantity: str, **conditions: Any) -> PaperRow:
+def one(report: PaperReport, source: str, quantity: str, **conditions: float | str) -> PaperRow:
     rows = [
         row
         for row in report.rows
@@ -80,9 +78,7 @@ def test_no_row_copies_the_paper(report: PaperReport) -> None:
 
 def test_another_operator_gives_other_numbers(report: PaperReport) -> None:
     hasty = reproduce_paper(Operator(release_s=0.2))
-    row, other = (
-        one(of, "Fig. 5b", "max_ejection_velocity", depth=0.039) for of in (report, hasty)
-    )
+    row, other = (one(of, "Fig. 5b", "max_ejection_velocity", depth=0.039) for of in (report, hasty))
     assert ours(other) < 0.8 * ours(row), "a slow release lets the hand take the energy up"
 
 
@@ -94,7 +90,7 @@ def test_every_row_carries_its_verdict(report: PaperReport) -> None:
         assert np.isfinite(row["ours"])
 
 
-def test_an_encoder_changes_little(report: PaperReport) -> None:
+def test_an_encoder_changes_little() -> None:
     """With 0.023 mm and the default estimator the protection is later, not lost."""
     quantised = reproduce_paper(encoder_quantum=2.3e-5)
     for source, controller in (("Fig. 9", "hsc"), ("Fig. 10", "wsc")):

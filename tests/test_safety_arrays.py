@@ -77,9 +77,7 @@ def intervention(told: Intervention | Interventions) -> tuple[Any, ...]:
 
 
 # A window, a hold-off and a ramp shorter than the arrays, so that all of them is passed through.
-SETTINGS = SafetySettings(
-    ["vfc", "hsc", "wsc", "pc"], window=20, hold_off_s=0.002, release_ramp_s=0.002
-)
+SETTINGS = SafetySettings(["vfc", "hsc", "wsc", "pc"], window=20, hold_off_s=0.002, release_ramp_s=0.002)
 LIMITS = LimiterSettings(max_slew_n_per_s=2000.0, max_power_w=2.0, ramp_in_s=0.01)
 
 MACHINES = {
@@ -94,9 +92,7 @@ MACHINES = {
     "vfo-both": observer(lambda axes: VelocityForceObserver(form="both", axes=axes)),
     "hgo": observer(lambda axes: HandGraspObserver(axes=axes)),
     "so": observer(lambda axes: SafetyObserver(DeviceModel.phantom_desktop(axes))),
-    "wso": observer(
-        lambda axes: WindowedSafetyObserver(DeviceModel.phantom_desktop(axes), window=20)
-    ),
+    "wso": observer(lambda axes: WindowedSafetyObserver(DeviceModel.phantom_desktop(axes), window=20)),
     "po": Machine(
         lambda axes: PassivityObserver(axes=axes),
         ("position", "held_force"),
@@ -314,9 +310,7 @@ def test_a_reset_forgets_all(name: str) -> None:
     arrays = signals(machine, 2)
     state = machine.build(2)
     fresh = machine.run(state, *arrays)
-    assert any(
-        a.tobytes() != b.tobytes() for a, b in zip(machine.run(state, *arrays), fresh, strict=True)
-    )
+    assert any(a.tobytes() != b.tobytes() for a, b in zip(machine.run(state, *arrays), fresh, strict=True))
     state.reset()
     same(machine.run(state, *arrays), fresh)
 

@@ -35,9 +35,7 @@ BOUNDS = {"position": (1e3, "m"), "velocity": (1e3, "m/s")}
 COLUMNS = ("safety_force", "device_force", "tripped", "fault")
 OBSERVED = ("velocity_force", "grasp", "windowed_energy_j", "energy_j")
 
-SETTINGS = SafetySettings(
-    ["vfc", "hsc", "wsc", "pc"], window=10, hold_off_s=0.003, release_ramp_s=0.003
-)
+SETTINGS = SafetySettings(["vfc", "hsc", "wsc", "pc"], window=10, hold_off_s=0.003, release_ramp_s=0.003)
 
 
 def bad_numbers(signal: str) -> dict[float, str]:
@@ -64,9 +62,7 @@ def controller(axes: int) -> SafetyController:
     return SafetyController(DeviceModel.phantom_desktop(axes), SETTINGS)
 
 
-def columns(
-    told: Interventions, kept: npt.NDArray[np.intp] | slice = slice(None)
-) -> list[npt.NDArray[Any]]:
+def columns(told: Interventions, kept: npt.NDArray[np.intp] | slice = slice(None)) -> list[npt.NDArray[Any]]:
     return [getattr(told, name)[kept] for name in (*COLUMNS, *OBSERVED)]
 
 
@@ -263,57 +259,30 @@ KIND = EstimatorKind
 TABLE: list[tuple[str, float, str, Callable[[], object]]] = [
     *(("m", x, POSITIVE, lambda x=x: DeviceModel(mass_kg=x)) for x in (0.0, -1.0, NAN, INF)),
     *(("b", x, "finite", lambda x=x: DeviceModel(mass_kg=1.0, viscous=x)) for x in (NAN, -INF)),
-    *(
-        ("c", x, NON_NEGATIVE, lambda x=x: DeviceModel(mass_kg=1.0, coulomb=x))
-        for x in (-1e-9, NAN, INF)
-    ),
+    *(("c", x, NON_NEGATIVE, lambda x=x: DeviceModel(mass_kg=1.0, coulomb=x)) for x in (-1e-9, NAN, INF)),
     ("m", -1.0, POSITIVE, lambda: DeviceModel(mass_kg=[1.0, 1.0, -1.0], axes=3)),
-    *(
-        ("V_t", x, POSITIVE, lambda x=x: VelocityForceObserver(velocity_threshold=x))
-        for x in (0.0, NAN)
-    ),
-    *(
-        ("F_t", x, POSITIVE, lambda x=x: VelocityForceObserver(force_threshold_n=x))
-        for x in (0.0, INF)
-    ),
-    *(
-        ("alpha", x, POSITIVE, lambda x=x: HandGraspObserver(grasp_floor_n=x))
-        for x in (0.0, -1.0, NAN)
-    ),
+    *(("V_t", x, POSITIVE, lambda x=x: VelocityForceObserver(velocity_threshold=x)) for x in (0.0, NAN)),
+    *(("F_t", x, POSITIVE, lambda x=x: VelocityForceObserver(force_threshold_n=x)) for x in (0.0, INF)),
+    *(("alpha", x, POSITIVE, lambda x=x: HandGraspObserver(grasp_floor_n=x)) for x in (0.0, -1.0, NAN)),
     *(("eta", x, RATIO, lambda x=x: SafetyObserver(DEVICE, energy_ratio=x)) for x in (0.0, 1.01)),
     *(("dT", x, POSITIVE, lambda x=x: SafetyObserver(DEVICE, period_s=x)) for x in (0.0, NAN)),
-    *(
-        ("eta", x, RATIO, lambda x=x: WindowedSafetyObserver(DEVICE, energy_ratio=x))
-        for x in (-0.5, NAN, INF)
-    ),
+    *(("eta", x, RATIO, lambda x=x: WindowedSafetyObserver(DEVICE, energy_ratio=x)) for x in (-0.5, NAN, INF)),
     ("dT", -1e-3, POSITIVE, lambda: WindowedSafetyObserver(DEVICE, period_s=-1e-3)),
-    *(
-        ("w", x, WINDOW, lambda x=x: WindowedSafetyObserver(DEVICE, window=x))
-        for x in (0, 3_600_001)
-    ),
+    *(("w", x, WINDOW, lambda x=x: WindowedSafetyObserver(DEVICE, window=x)) for x in (0, 3_600_001)),
     *(("mu", x, DAMPABLE, controlled(damping=x)) for x in (-1.0, 157.1, NAN)),
     *(("V_t", x, POSITIVE, controlled("vfc", velocity_threshold=x)) for x in (0.0, NAN)),
     *(("F_t", x, POSITIVE, controlled("vfc", vfc_force_threshold_n=x)) for x in (0.0, -1.0)),
-    *(
-        ("zeta", x, "finite and above 1", controlled("hsc", grasp_threshold=x))
-        for x in (1.0, 0.5, NAN, INF)
-    ),
+    *(("zeta", x, "finite and above 1", controlled("hsc", grasp_threshold=x)) for x in (1.0, 0.5, NAN, INF)),
     *(("alpha", x, POSITIVE, controlled("hsc", grasp_floor_n=x)) for x in (0.0, INF)),
     *(("F_t", x, NON_NEGATIVE, controlled("hsc", hsc_force_threshold_n=x)) for x in (-0.1, NAN)),
-    *(
-        ("delta", x, "finite and below 0", controlled("wsc", energy_threshold_j=x))
-        for x in (0.0, 0.03, NAN, -INF)
-    ),
+    *(("delta", x, "finite and below 0", controlled("wsc", energy_threshold_j=x)) for x in (0.0, 0.03, NAN, -INF)),
     *(("eta", x, RATIO, controlled("wsc", energy_ratio=x)) for x in (0.0, 1.5)),
     *(("w", x, WINDOW, controlled("wsc", window=x)) for x in (0, 3_600_001)),
     *(("eta", x, RATIO, controlled("pc", energy_ratio=x)) for x in (0.0, NAN)),
     *(("alpha", x, DAMPABLE, controlled("pc", pc_max_damping=x)) for x in (-1.0, 157.1)),
     *(("-", x, HOLD, controlled(hold_off_s=x)) for x in (-1e-3, 60.1, NAN)),
     *(("-", x, HOLD, controlled(release_ramp_s=x)) for x in (-1e-3, 60.1, INF)),
-    *(
-        ("dT", x, POSITIVE, lambda x=x: SafetyController(DEVICE, SETTINGS, period_s=x))
-        for x in (0.0, INF)
-    ),
+    *(("dT", x, POSITIVE, lambda x=x: SafetyController(DEVICE, SETTINGS, period_s=x)) for x in (0.0, INF)),
     *(("F_max", x, POSITIVE, limited(max_force_n=x)) for x in (0.0, NAN, INF)),
     *(("dF/dt", x, POSITIVE, limited(max_slew_n_per_s=x)) for x in (0.0, -1.0)),
     *(("P_max", x, POSITIVE, limited(max_power_w=x)) for x in (0.0, NAN)),
@@ -328,19 +297,10 @@ TABLE: list[tuple[str, float, str, Callable[[], object]]] = [
         estimated(KIND.low_pass(cutoff_hz=500.1)),
     ),
     ("d", 0.0, POSITIVE, estimated(KIND.adaptive_window(noise_bound_m=0.0))),
-    *(
-        ("n", x, "1 to 128", estimated(KIND.adaptive_window(noise_bound_m=1.0, max_window=x)))
-        for x in (0, 129)
-    ),
+    *(("n", x, "1 to 128", estimated(KIND.adaptive_window(noise_bound_m=1.0, max_window=x))) for x in (0, 129)),
     *(("p", x, "2 or 3", estimated(KIND.savitzky_golay(degree=x))) for x in (1, 4)),
-    *(
-        ("w", x, "above the degree and at most 128", estimated(KIND.savitzky_golay(window=x)))
-        for x in (2, 129)
-    ),
-    *(
-        ("q", x, POSITIVE, estimated(KIND.kalman(jerk_density=x, quantum_m=1e-5)))
-        for x in (0.0, INF)
-    ),
+    *(("w", x, "above the degree and at most 128", estimated(KIND.savitzky_golay(window=x))) for x in (2, 129)),
+    *(("q", x, POSITIVE, estimated(KIND.kalman(jerk_density=x, quantum_m=1e-5))) for x in (0.0, INF)),
     ("quantum", -1.0, POSITIVE, estimated(KIND.kalman(jerk_density=1.0, quantum_m=-1.0))),
 ]
 

@@ -36,9 +36,7 @@ def signals(axes: int, seed: int) -> tuple[Array, Array, Array]:
     """V, F_v and F_h: noise of changing strength, with rests."""
     random = np.random.default_rng(seed)
     strength = np.exp(random.normal(size=(3, TICKS, 1)))
-    noise = (
-        random.normal(size=(3, TICKS, axes)) * strength * np.array([0.3, 2.0, 2.0])[:, None, None]
-    )
+    noise = random.normal(size=(3, TICKS, axes)) * strength * np.array([0.3, 2.0, 2.0])[:, None, None]
     noise[random.random((3, TICKS)) < 0.1] = 0.0
     velocity, rendered, grasp = noise
     return velocity, rendered, grasp
@@ -77,9 +75,7 @@ def test_eq_1_velocity_and_force(axes: int, seed: int) -> None:
 @axes_and_seed
 def test_eq_1_as_the_text_reads_it(axes: int, seed: int) -> None:
     velocity, rendered, grasp = signals(axes, seed)
-    observer = VelocityForceObserver(
-        velocity_threshold=0.7, force_threshold_n=1.3, form="both", axes=axes
-    )
+    observer = VelocityForceObserver(velocity_threshold=0.7, force_threshold_n=1.3, form="both", axes=axes)
     seen = observer.run(velocity, rendered, grasp)
     force = norm(rendered)
     pushed = np.where(force > 0, force, 1.0)
@@ -97,9 +93,7 @@ def test_eq_4_grasp_force(axes: int, seed: int) -> None:
     mass = random.uniform(0.05, 0.5, axes)
     viscous = random.normal(size=axes)
     coulomb = random.uniform(0.0, 0.1, axes)
-    device = DeviceModel(
-        mass_kg=list(mass), viscous=list(viscous), coulomb=list(coulomb), axes=axes
-    )
+    device = DeviceModel(mass_kg=list(mass), viscous=list(viscous), coulomb=list(coulomb), axes=axes)
     seen = device.grasp_force(velocity, acceleration, force)
     speed = norm(velocity)[:, None]
     # sign(V) of a vector is its direction; for one axis it is the sign.
@@ -175,9 +169,7 @@ def test_eq_12_passivity_controller(axes: int, seed: int) -> None:
     grasp -= 0.3 * velocity
     device = DeviceModel(mass_kg=MASS, axes=axes)
     most = 30.0
-    controller = SafetyController(
-        device, SafetySettings(["pc"], pc_max_damping=most, energy_ratio=0.5)
-    )
+    controller = SafetyController(device, SafetySettings(["pc"], pc_max_damping=most, energy_ratio=0.5))
     told = controller.run(velocity, rendered, grasp)
     total, bound = sum_so_far(dot(grasp, velocity))
     energy = total - kinetic(velocity, 0.5)
@@ -198,9 +190,7 @@ def test_eq_12_passivity_controller(axes: int, seed: int) -> None:
     assert {0, 8} == set(told.tripped.tolist())
 
 
-def judged(
-    name: str, velocity: Array, rendered: Array, grasp: Array
-) -> tuple[Array, npt.NDArray[np.bool_]]:
+def judged(name: str, velocity: Array, rendered: Array, grasp: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     """How far each tick is beyond the threshold, and where rounding cannot have decided."""
     if name == "vfc":
         beyond = dot(velocity, rendered) / (0.6 * 1.0) - 1.0

@@ -37,9 +37,7 @@ def signals(axes: int, seed: int) -> tuple[Array, Array, Array]:
     """V, F_v and F_h."""
     random = np.random.default_rng(seed)
     strength = np.exp(random.normal(size=(3, TICKS, 1)))
-    noise = (
-        random.normal(size=(3, TICKS, axes)) * strength * np.array([0.3, 2.0, 2.0])[:, None, None]
-    )
+    noise = random.normal(size=(3, TICKS, axes)) * strength * np.array([0.3, 2.0, 2.0])[:, None, None]
     velocity, rendered, grasp = noise
     return velocity, rendered, grasp
 
@@ -69,9 +67,7 @@ def test_the_law_acts_exactly_when_one_trips(names: list[Name], axes: int, seed:
     velocity, rendered, grasp = signals(axes, seed)
     told = controlled(axes, names, velocity, rendered, grasp)
     tripped = told.tripped != 0
-    assert np.array_equal(
-        told.safety_force, np.where(tripped[:, None], -rendered - 5.0 * velocity, 0.0)
-    )
+    assert np.array_equal(told.safety_force, np.where(tripped[:, None], -rendered - 5.0 * velocity, 0.0))
     # While it acts, the device renders the damping alone.
     rounding = 2 * U * (abs(rendered) + 5.0 * abs(velocity))
     assert np.all(abs(told.device_force + 5.0 * velocity)[tripped] <= rounding[tripped])
@@ -172,9 +168,9 @@ def test_energy_scales_with_the_square(seed: int, axes: int, power: int) -> None
     ):
         assert np.array_equal(observer().run(*scaled), s * s * observer().run(*plain))
     told = [
-        SafetyController(
-            device, SafetySettings(["wsc"], window=30, energy_threshold_j=-0.03 * scale * scale)
-        ).run(*given_signals)
+        SafetyController(device, SafetySettings(["wsc"], window=30, energy_threshold_j=-0.03 * scale * scale)).run(
+            *given_signals
+        )
         for scale, given_signals in ((1.0, plain), (s, scaled))
     ]
     assert told[0].tripped.any()
@@ -183,9 +179,7 @@ def test_energy_scales_with_the_square(seed: int, axes: int, power: int) -> None
 
 
 @given(seed=seeds, quiet=st.integers(1, 90), window=st.integers(1, 60))
-def test_a_rest_before_the_signals_only_shifts_the_window(
-    seed: int, quiet: int, window: int
-) -> None:
+def test_a_rest_before_the_signals_only_shifts_the_window(seed: int, quiet: int, window: int) -> None:
     device = DeviceModel(mass_kg=0.157)
     velocity, rendered, grasp = (signal[:, 0] for signal in signals(1, seed))
     rest = np.zeros(quiet)
@@ -214,9 +208,7 @@ def forces(axes: int, seed: int) -> tuple[Array, Array]:
 @given(axes=st.sampled_from((1, 2, 3, 6, 7)), seed=seeds)
 def test_the_limiter_holds_cap_power_and_growth(axes: int, seed: int) -> None:
     cap, growth, power, ramp = 7.9, 1.0, 3.0, 20
-    settings = LimiterSettings(
-        max_force_n=cap, max_slew_n_per_s=growth / DT, max_power_w=power, ramp_in_s=ramp * DT
-    )
+    settings = LimiterSettings(max_force_n=cap, max_slew_n_per_s=growth / DT, max_power_w=power, ramp_in_s=ramp * DT)
     asked, velocity = forces(axes, seed)
     force, acted = Limiter(settings, axes=axes).run(asked, velocity)
     sizes = np.linalg.norm(force, axis=1)
@@ -240,9 +232,7 @@ def test_the_limiter_holds_cap_power_and_growth(axes: int, seed: int) -> None:
     assert not (acted[ramp:] & 8).any()
     assert not force[0].any(), "a force rises from zero"
     clipped = acted & 1 != 0
-    assert np.array_equal(
-        clipped[ramp:], np.linalg.norm(asked[ramp:], axis=1) > cap * (1 + rounding)
-    )
+    assert np.array_equal(clipped[ramp:], np.linalg.norm(asked[ramp:], axis=1) > cap * (1 + rounding))
     bound_by_power = acted & 4 != 0
     assert np.all(abs(delivered[bound_by_power] - power) <= rounding * (cap * 5.0 + power))
     assert np.array_equal(force[acted == 0], asked[acted == 0])

@@ -114,9 +114,7 @@ class DeviceModel:
     def mass_kg(self) -> list[float]:
         """m in kg, one value per axis."""
 
-    def grasp_force(
-        self, velocity: _Array, acceleration: _Array, aligned_device_force: _Array
-    ) -> _Array:
+    def grasp_force(self, velocity: _Array, acceleration: _Array, aligned_device_force: _Array) -> _Array:
         """Force of the hand on the device: `F_h = m A + b V + c sign(V) - F_device`.
 
         The paper subtracts F_v. F_device is all the force the device was told to exert, F_v + F_c: with
@@ -225,9 +223,7 @@ class Estimator:
         ValueError: A parameter of `kind` or `period_s` outside its range, or no such `axes`.
     """
 
-    def __new__(
-        cls, kind: EstimatorKind | None = None, *, period_s: float = 1e-3, axes: int = 1
-    ) -> Estimator: ...
+    def __new__(cls, kind: EstimatorKind | None = None, *, period_s: float = 1e-3, axes: int = 1) -> Estimator: ...
     @property
     def axes(self) -> int:
         """Number of axes."""
@@ -390,9 +386,7 @@ class SafetyObserver:
     Source: paper Eq. 9.
     """
 
-    def __new__(
-        cls, device: DeviceModel, *, period_s: float = 1e-3, energy_ratio: float = 0.5
-    ) -> SafetyObserver: ...
+    def __new__(cls, device: DeviceModel, *, period_s: float = 1e-3, energy_ratio: float = 0.5) -> SafetyObserver: ...
     def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
         """E_so in J after one tick.
 
@@ -588,16 +582,12 @@ class SafetyController:
     Source: paper Eq. 2, 12, 13 and 14.
     """
 
-    def __new__(
-        cls, device: DeviceModel, settings: SafetySettings, *, period_s: float = 1e-3
-    ) -> SafetyController: ...
+    def __new__(cls, device: DeviceModel, settings: SafetySettings, *, period_s: float = 1e-3) -> SafetyController: ...
     @property
     def axes(self) -> int:
         """Number of axes."""
 
-    def step(
-        self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample
-    ) -> Intervention:
+    def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> Intervention:
         """F_c of one tick.
 
         A number that is not finite or absurd is no error here: it gives a fault and zero force, and
@@ -746,9 +736,7 @@ class Limiter:
         ValueError: A bound or `period_s` outside its range, or no such `axes`.
     """
 
-    def __new__(
-        cls, settings: LimiterSettings | None = None, *, period_s: float = 1e-3, axes: int = 1
-    ) -> Limiter: ...
+    def __new__(cls, settings: LimiterSettings | None = None, *, period_s: float = 1e-3, axes: int = 1) -> Limiter: ...
     def step(self, force: _Sample, velocity: _Sample) -> tuple[_Array, int]:
         """Limits the force of one tick.
 
@@ -821,9 +809,7 @@ class HapticDevice:
     ) -> HapticDevice: ...
     def __eq__(self, other: object, /) -> bool: ...
     @staticmethod
-    def phantom_desktop(
-        *, encoder_quantum: float = 2.3e-5, stops: tuple[float, float] = ...
-    ) -> HapticDevice:
+    def phantom_desktop(*, encoder_quantum: float = 2.3e-5, stops: tuple[float, float] = ...) -> HapticDevice:
         """The paper's PHANTOM Desktop: m = 0.157 kg, b = -0.005 N s/m, c = 0.038 N.
 
         Args:
@@ -949,9 +935,7 @@ class Pusher:
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
-    def __new__(
-        cls, *, at_s: float, force_n: float, duration_s: float, rise_s: float = 0.0
-    ) -> Pusher: ...
+    def __new__(cls, *, at_s: float, force_n: float, duration_s: float, rise_s: float = 0.0) -> Pusher: ...
     def __eq__(self, other: object, /) -> bool: ...
     def force(self, time_s: float) -> float:
         """Force in N at a time in s."""
@@ -973,9 +957,7 @@ class Arm:
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
-    def __new__(
-        cls, *, mass_kg: float = 4.0, bandwidth_hz: float = 15.0, max_speed: float = 1.0
-    ) -> Arm: ...
+    def __new__(cls, *, mass_kg: float = 4.0, bandwidth_hz: float = 15.0, max_speed: float = 1.0) -> Arm: ...
     def __eq__(self, other: object, /) -> bool: ...
     @property
     def stiffness(self) -> float:
@@ -1001,9 +983,7 @@ class LinkSettings:
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
-    def __new__(
-        cls, *, delay_s: float = 0.0, jitter_s: float = 0.0, loss: float = 0.0
-    ) -> LinkSettings: ...
+    def __new__(cls, *, delay_s: float = 0.0, jitter_s: float = 0.0, loss: float = 0.0) -> LinkSettings: ...
     def __eq__(self, other: object, /) -> bool: ...
     @property
     def delay_s(self) -> float:

@@ -102,7 +102,11 @@ class Demo:
             console.print(f"the link did not last in: {', '.join(broken)} (see holds and the final state)")
         console.print(f"picture: {picture}", highlight=False)
         if self.json is not None:
-            report = {"scene": scene, "protected": protected, "picture": str(picture), "results": results}
+            report = {
+                "scene": scene,
+                "protected": protected,
+                "picture": str(picture),
+                "results": results,
+            }
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
         return 0 if protected else 1
-

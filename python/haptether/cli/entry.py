@@ -7,7 +7,7 @@ import inspect
 import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Protocol, Union
+from typing import Annotated, Any, Protocol, Union
 
 import tyro
 
@@ -18,6 +18,7 @@ from haptether.cli.netsim import Netsim
 from haptether.cli.paper import Paper
 from haptether.cli.slave import Slave
 
+
 class Command(Protocol):
     """What one command is."""
 
@@ -25,7 +26,13 @@ class Command(Protocol):
         """Does it and gives the exit status."""
 
 
-COMMANDS: dict[str, type[Command]] = {"demo": Demo, "paper": Paper, "master": Master, "slave": Slave, "netsim": Netsim}  # fmt: skip
+COMMANDS: dict[str, type[Command]] = {
+    "demo": Demo,
+    "paper": Paper,
+    "master": Master,
+    "slave": Slave,
+    "netsim": Netsim,
+}
 
 
 DESCRIPTION = """Bilateral teleoperation bridge that keeps a hand safe when the remote end pushes back.
@@ -63,13 +70,16 @@ def parse(arguments: Sequence[str]) -> Command:
     Raises:
         SystemExit: With 2 for arguments that do not fit, and with 0 once help was given.
     """
-    named = {
-        name: Annotated[command, tyro.conf.subcommand(name, description=summary(command))]
-        for name, command in COMMANDS.items()
-    }
+    # A union that is put together at run time has no static type.
+    commands: Any = Union[  # noqa: UP007
+        tuple(
+            Annotated[command, tyro.conf.subcommand(name, description=summary(command))]
+            for name, command in COMMANDS.items()
+        )
+    ]
     try:
         command: Command = tyro.cli(
-            Union[tuple(named.values())],  # type: ignore[arg-type]  # noqa: UP007  # known at run time
+            commands,
             prog="haptether",
             description=DESCRIPTION,
             args=list(arguments),

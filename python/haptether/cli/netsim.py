@@ -91,7 +91,16 @@ class Netsim:
         from haptether.cli.output import table_goes_to_stderr, write_json
 
         ways = {"forward": statistics.forward, "backward": statistics.backward}
-        names = ("received", "released", "lost", "queue_full", "overtaking", "refused", "oversize", "unsent")
+        names = (
+            "received",
+            "released",
+            "lost",
+            "queue_full",
+            "overtaking",
+            "refused",
+            "oversize",
+            "unsent",
+        )
         counts = {way: {name: getattr(of, name) for name in names} for way, of in ways.items()}
         table = Table(header_style="bold", pad_edge=False)
         table.add_column("direction")

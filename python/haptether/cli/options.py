@@ -79,7 +79,5 @@ def slave_settings(
 
     pusher = None
     if push_at_s is not None:
-        pusher = Pusher(
-            at_s=push_at_s, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S
-        )
+        pusher = Pusher(at_s=push_at_s, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S)
     return SlaveSettings(Arm(), Wall(stiffness=wall_stiffness), pusher=pusher, position=START_M)

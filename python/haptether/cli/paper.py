@@ -59,9 +59,7 @@ class Paper:
         console.print("[bold]One operator for all rows[/bold] (haptether.studies.Operator):")
         values = to_builtins(report.operator) | report.device
         console.print("  " + ", ".join(f"{key} = {value:g}" for key, value in values.items()))
-        console.print(
-            "  The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.\n"
-        )
+        console.print("  The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.\n")
         table = Table(header_style="bold", pad_edge=False)
         for name in ("source", "quantity", "of"):
             table.add_column(name)
@@ -106,4 +104,3 @@ def _conditions(row: "PaperRow") -> str:
 
 def _colour(verdict: str) -> str:
     return "yellow" if verdict.startswith("differs") else "green"
-

@@ -1,11 +1,12 @@
 """The table of runs that `master` and `demo` print."""
 
-from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from haptether.studies import PushResult
 
 ROWS: "dict[str, Callable[[PushResult], str]]" = {

@@ -81,6 +81,7 @@ class Slave:
         from haptether.cli.output import table_goes_to_stderr, write_json
 
         state = ladder_state_name(int(trace.state[-1])) if len(trace) else "waiting"
+        late_p50_s, late_p99_s = (percentile(trace.overshoot_s, share) for share in (50, 99))
         result = {
             "final_state": state,
             "ticks": report.ticks,
@@ -91,14 +92,14 @@ class Slave:
             "lost": report.link.missing,
             "late": report.link.late,
             "refused": report.link.refused,
-            "overshoot_p50_s": percentile(trace.overshoot_s, 50),
-            "overshoot_p99_s": percentile(trace.overshoot_s, 99),
+            "overshoot_p50_s": late_p50_s,
+            "overshoot_p99_s": late_p99_s,
         }
         Console(stderr=table_goes_to_stderr(self.json)).print(
             f"slave {state}: {report.ticks} ticks, {report.holds} holds, "
             f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}, "
-            f"loop late by p50 {result['overshoot_p50_s'] * 1e3:.3f} ms, "
-            f"p99 {result['overshoot_p99_s'] * 1e3:.3f} ms",
+            f"loop late by p50 {late_p50_s * 1e3:.3f} ms, "
+            f"p99 {late_p99_s * 1e3:.3f} ms",
             highlight=False,
         )
         if self.json is not None:

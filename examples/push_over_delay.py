@@ -1,0 +1,65 @@
+"""How fast is a hand thrown that lets go under a remote push, over the delay of the link?
+
+    python examples/push_over_delay.py --controllers none hsc wsc --delays-ms 5 20 50
+
+Runs the endpoints of the live bridge in virtual time: a hand presses a remote wall, something shoves the remote arm,
+the hand lets go.
+"""
+
+import argparse
+from typing import Literal, get_args
+
+from haptether.bridge import MasterSettings, SlaveSettings, run_bridge
+from haptether.master import Hand, HapticDevice
+from haptether.netsim import LinkSettings
+from haptether.safety import SafetySettings
+from haptether.slave import Arm, Pusher, Wall
+
+RELEASE_S = 2.6
+Controller = Literal["none", "vfc", "hsc", "wsc"]
+
+
+def thrown_at(controller: Controller, delay_s: float) -> float:
+    """Largest speed in m/s away from the wall after the release."""
+    hand = Hand(
+        stiffness=300.0,
+        damping=8.0,
+        strength_n=12.0,
+        start=0.02,
+        legs=[(1.2, -0.045, "minimum-jerk")],
+        release=(RELEASE_S, 0.05),
+    )
+    safety = SafetySettings(
+        [] if controller == "none" else [controller],
+        hsc_force_threshold_n=1.0,
+        hold_off_s=0.1,
+        release_ramp_s=0.2,
+    )
+    device = HapticDevice.phantom_desktop(stops=(-0.08, 0.08))
+    pusher = Pusher(at_s=2.0, force_n=3.5, duration_s=2.0, rise_s=0.1)
+    link = LinkSettings(delay_s=delay_s, jitter_s=delay_s / 5.0, loss=0.01)
+    trace, *_ = run_bridge(
+        MasterSettings(device, hand, safety=safety),
+        SlaveSettings(Arm(), Wall(stiffness=100.0), pusher=pusher, position=0.02),
+        forward=link,
+        backward=link,
+        duration_s=3.6,
+        seed=1,
+    )
+    return float(trace.velocity[trace.time_s >= RELEASE_S].max())
+
+
+def main() -> None:
+    """Prints one row per delay."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
+    parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=get_args(Controller))
+    parser.add_argument("--delays-ms", nargs="+", type=float, default=[1.0, 10.0, 50.0, 100.0])
+    asked = parser.parse_args()
+    print("one-way delay [ms]" + "".join(f"{name:>10}" for name in asked.controllers))
+    for delay_ms in asked.delays_ms:
+        speeds = [thrown_at(name, delay_ms * 1e-3) for name in asked.controllers]
+        print(f"{delay_ms:18g}" + "".join(f"{speed:10.3f}" for speed in speeds) + "  m/s")
+
+
+if __name__ == "__main__":
+    main()
