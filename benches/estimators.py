@@ -309,11 +309,13 @@ def simulate(controllers: Sequence[Literal["wsc"]], depths_m: Sequence[float]) -
     )
 
 
-def watch_grasp(run: Run, velocity: Array, grasp_force: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """S_h, and at which ticks HSC calls the hand unsafe."""
+def watch_grasp(
+    run: Run, velocity: Array, grasp_force: Array, aligned_rendered: Array | None = None
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """S_h, and at which ticks HSC calls the hand unsafe; F_v as late as F_h, as the safety layer has it."""
     settings = SafetySettings(["hsc"], hsc_force_threshold_n=FORCE_THRESHOLD_N, grasp_threshold=GRASP_THRESHOLD)
     controller = SafetyController(DeviceModel.phantom_desktop(), settings, period_s=PERIOD_S)
-    seen = controller.run(velocity, run.rendered_force, grasp_force)
+    seen = controller.run(velocity, run.rendered_force, grasp_force, aligned_rendered)
     assert seen.grasp is not None
     return seen.grasp, (seen.tripped & HSC) > 0
 
@@ -368,7 +370,7 @@ def judge(case: Case, runs: list[Run], fast: Run) -> Score:
         true_trip = first_trip(run, watch_grasp(run, run.velocity, run.hand_force)[1])
         assert true_trip is not None
         ticks = np.arange(len(run.position))
-        pushing = run.rendered_force > FORCE_THRESHOLD_N
+        pushing = run.rendered_force > FORCE_THRESHOLD_N  # S_h counts only there
         for offset in OFFSETS:
             position = quantised(run, offset)
             velocity, acceleration, aligned = estimate(case, position, run.held_force)
@@ -384,7 +386,7 @@ def judge(case: Case, runs: list[Run], fast: Run) -> Score:
             error = grasp_force - run.hand_force
             held.extend(error[hold] for hold in run.holds)
             gone_worst_n = max(gone_worst_n, float(np.abs(error[run.let_go :]).max()))
-            grasp, trips = watch_grasp(run, velocity, grasp_force)
+            grasp, trips = watch_grasp(run, velocity, grasp_force, align_rendered(case, run, position))
             false += int(trips[: run.release].sum())
             hold_grasp = max(hold_grasp, float(grasp[pushing & (ticks < run.release)].max()))
             trip = first_trip(run, trips)
@@ -421,9 +423,16 @@ def judge(case: Case, runs: list[Run], fast: Run) -> Score:
 
 def false_ticks(case: Case, run: Run, offset: float) -> int:
     """Ticks with a trip until the release."""
-    velocity, acceleration, aligned = estimate(case, quantised(run, offset), run.held_force)
+    position = quantised(run, offset)
+    velocity, acceleration, aligned = estimate(case, position, run.held_force)
     grasp_force = DeviceModel.phantom_desktop().grasp_force(velocity, acceleration, aligned)
-    return int(watch_grasp(run, velocity, grasp_force)[1][: run.release].sum())
+    trips = watch_grasp(run, velocity, grasp_force, align_rendered(case, run, position))[1]
+    return int(trips[: run.release].sum())
+
+
+def align_rendered(case: Case, run: Run, position: Array) -> Array:
+    """F_v through the estimator's kernel."""
+    return estimate(case, position, before(run.rendered_force))[2]
 
 
 def estimate(case: Case, position: Array, held_force: Array) -> Estimate:

@@ -46,6 +46,7 @@ TABLE: list[tuple[float, str, Callable[[], object]]] = [
     *((x, "finite", device(viscous=x)) for x in (NAN, INF)),
     *((x, NON_NEGATIVE, device(coulomb=x)) for x in (-0.5, NAN, INF)),
     *((x, NON_NEGATIVE, device(encoder_quantum=x)) for x in (-0.5, NAN, INF)),
+    *((x, "below the upper stop", lambda x=x: HapticDevice(mass_kg=1.0, stops=(x, 0.5))) for x in (0.5, 0.6, NAN, INF)),
     (-0.5, NON_NEGATIVE, lambda: HapticDevice.phantom_desktop(encoder_quantum=-0.5)),
     *((x, NON_NEGATIVE, hand(stiffness=x)) for x in (-0.5, NAN, INF)),
     *((x, NON_NEGATIVE, hand(damping=x)) for x in (-0.5, NAN)),
@@ -269,6 +270,22 @@ def test_friction_stops_the_device_for_good() -> None:
     assert abs(trace.position[-1] - 0.1**2 * MASS / (2 * 0.038)) <= 1e-15
     rests = 0.1 * MASS / 0.038
     assert np.all((trace.velocity > 0) == (trace.time_s < rests))
+
+
+def test_a_stop_takes_all_speed() -> None:
+    stopped = HapticDevice(mass_kg=MASS, stops=(-0.1, 0.05))
+    for speed, stop in [(0.5, 0.05), (-0.5, -0.1)]:
+        trace = run_local(stopped, Hand.absent(), Wall(stiffness=0.0), ticks=300, start=(0.0, speed))
+        reached = trace.time_s >= stop / speed
+        # Half a metre a second for at most 200 ticks, each rounded once.
+        free = speed * trace.time_s
+        assert np.all(abs(trace.position - np.where(reached, stop, free)) <= 200 * 2.0**-54)
+        assert np.array_equal(trace.velocity != 0.0, ~reached)
+    assert stopped.stops == (-0.1, 0.05)
+    assert HapticDevice.phantom_desktop().stops == (-INF, INF)
+    pushed = run_local(stopped, Hand.absent(), Wall(stiffness=100.0, position=0.2), ticks=500, limiter=OPEN)
+    assert pushed.position[-1] == 0.05, "pushed against the stop"
+    assert pushed.velocity[-1] == 0.0
 
 
 def test_a_start_is_where_and_how_fast() -> None:

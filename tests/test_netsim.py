@@ -108,6 +108,15 @@ def test_a_verdict_depends_on_its_own_packet_alone(seed: int, packets: int) -> N
     assert np.array_equal(judge(FULL, np.repeat(SENT_NS[:200], 2)[::2], seed=seed), due)
 
 
+def test_the_layout_of_the_times_changes_nothing() -> None:
+    sent = SENT_NS[:200]
+    due = judge(FULL, sent)
+    records = np.zeros(200, dtype=[("flag", "u1"), ("sent", "i8")])
+    records["sent"] = sent
+    for laid in (sent[::-1].copy()[::-1], np.repeat(sent, 3)[::3], records["sent"]):
+        assert np.array_equal(judge(FULL, laid), due)
+
+
 @given(seed=seeds)
 def test_an_impairment_shifts_no_draw_of_another(seed: int) -> None:
     sent = SENT_NS[:500]

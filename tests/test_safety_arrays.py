@@ -210,12 +210,20 @@ def unaligned(array: Array) -> Array:
     return raw.reshape(array.shape)
 
 
+def packed(array: Array) -> Array:
+    """A field of records without padding: strides that are no multiple of eight bytes."""
+    records = np.zeros(array.shape, dtype=[("flag", "u1"), ("value", "f8")])
+    records["value"] = array
+    return records["value"]
+
+
 LAYOUTS: dict[str, Callable[[Array], Array]] = {
     "fortran": np.asfortranarray,
     "every-other": every_other,
     "backwards": backwards,
     "read-only": read_only,
     "unaligned": unaligned,
+    "packed": packed,
 }
 
 

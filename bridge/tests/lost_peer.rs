@@ -99,10 +99,8 @@ fn silence_takes_the_force_within_100_ms_and_the_arm_holds() {
 fn one_dead_direction_holds_both_sides() {
     for dead in [(false, true), (true, false)] {
         let history = run(2000, |tick| if tick < 1500 { (true, true) } else { dead });
-        for side in 0..2 {
-            assert_eq!(history[1530][side].0, LadderState::Hold, "{dead:?} side {side}");
-            assert_eq!(history[1999][side].0, LadderState::Stop, "{dead:?} side {side}");
-        }
+        assert_eq!(history[1530].map(|side| side.0), [LadderState::Hold; 2], "{dead:?}");
+        assert_eq!(history[1999].map(|side| side.0), [LadderState::Stop; 2], "{dead:?}");
         assert_eq!(history[1640][0].1, 0.0);
     }
 }

@@ -567,7 +567,7 @@ class SafetySettings:
 class SafetyController:
     """Controllers combined: while one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`, else 0.
 
-    It stays on for the hold-off, then fades over the release ramp. PC, where nobody else acts, dissipates
+    It stays on for the hold-off, then fades over the release ramp. PC, in the share that the fade leaves, dissipates
     what SO finds missing: `F_c = E_so V / (|V|² dT)` for E_so < 0, never more than `pc_max_damping` V.
     Keeps its state from call to call.
 
@@ -587,7 +587,13 @@ class SafetyController:
     def axes(self) -> int:
         """Number of axes."""
 
-    def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> Intervention:
+    def step(
+        self,
+        velocity: _Sample,
+        rendered_force: _Sample,
+        grasp_force: _Sample,
+        aligned_rendered_force: _Sample | None = None,
+    ) -> Intervention:
         """F_c of one tick.
 
         A number that is not finite or absurd is no error here: it gives a fault and zero force, and
@@ -597,6 +603,7 @@ class SafetyController:
             velocity: V in m/s.
             rendered_force: F_v in N.
             grasp_force: F_h in N.
+            aligned_rendered_force: F_v in N as late as F_h (`Estimator.align`); F_v itself if not given.
 
         Raises:
             ValueError: Another number of axes.
@@ -604,13 +611,21 @@ class SafetyController:
         Source: paper Eq. 2, 12, 13 and 14.
         """
 
-    def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> Interventions:
+    def run(
+        self,
+        velocity: _Array,
+        rendered_force: _Array,
+        grasp_force: _Array,
+        aligned_rendered_force: _Array | None = None,
+    ) -> Interventions:
         """As `step`, over arrays.
 
         Args:
             velocity: V in m/s, shape `(n_ticks, axes)`.
             rendered_force: F_v in N, the same shape.
             grasp_force: F_h in N, the same shape.
+            aligned_rendered_force: F_v in N passed through the kernel that made F_h late (`Estimator.run`), the
+                same shape; F_v itself if not given. S_h compares it with F_h.
 
         Raises:
             ValueError: Another shape or length.

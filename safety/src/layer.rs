@@ -50,6 +50,9 @@ pub struct SafetyLayer<const N: usize> {
     device: DeviceModel<N>,
     estimator: AnyEstimator<N>,
     measured: MeasuredVelocity<N>,
+    /// The estimator once more, as the kernel for `F_v`; only where HSC reads it.
+    rendered: Option<AnyEstimator<N>>,
+    last_rendered: Axes<N>,
     controller: SafetyController<N>,
     limiter: Limiter<N>,
     device_force: Axes<N>,
@@ -64,6 +67,8 @@ impl<const N: usize> SafetyLayer<N> {
             device: *device,
             estimator: estimator.build(*period_s)?,
             measured: MeasuredVelocity::new(*period_s)?,
+            rendered: safety.hsc.then(|| estimator.build(*period_s)).transpose()?,
+            last_rendered: Axes::zeros(),
             controller: SafetyController::new(device, *period_s, safety)?,
             limiter: Limiter::new(*period_s, *limiter)?,
             device_force: Axes::zeros(),
@@ -71,7 +76,8 @@ impl<const N: usize> SafetyLayer<N> {
         })
     }
 
-    /// One tick: position x in m, velocity V in m/s if the device measures it, `F_v` in N.
+    /// One tick: position x in m, velocity V in m/s if the device measures it (at every tick or at none), `F_v`
+    /// in N.
     ///
     /// A number that is not finite or absurd gives zero force at this tick and a fault that stays until
     /// [`reset`](Self::reset).
@@ -111,7 +117,13 @@ impl<const N: usize> SafetyLayer<N> {
         } else {
             Axes::zeros()
         };
-        let seen = Observation { velocity: motion.velocity, rendered_force: *rendered_force, grasp_force };
+        let aligned_rendered_force = self.align_rendered(position, velocity, rendered_force);
+        let seen = Observation {
+            velocity: motion.velocity,
+            rendered_force: *rendered_force,
+            grasp_force,
+            aligned_rendered_force,
+        };
         let intervention = self.controller.step(&seen)?;
         let asked = rendered_force + intervention.safety_force;
         let limited = self.limiter.step(&asked, &motion.velocity);
@@ -127,6 +139,26 @@ impl<const N: usize> SafetyLayer<N> {
             owed_energy_j,
             fault: None,
         })
+    }
+
+    /// `F_v` of the past ticks through the kernel of A, only where an observer compares it with `F_h`.
+    fn align_rendered(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        rendered_force: &Axes<N>,
+    ) -> Axes<N> {
+        let last = std::mem::replace(&mut self.last_rendered, *rendered_force);
+        match (&mut self.rendered, velocity) {
+            // F_h is a mean over the last tick, in which the last force was rendered.
+            (Some(_), Some(_)) => last,
+            (Some(kernel), None) => {
+                // A kernel that depends on the motion must see the same motion.
+                kernel.step(position);
+                kernel.align(&last)
+            }
+            (None, _) => *rendered_force,
+        }
     }
 
     fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
@@ -149,6 +181,10 @@ impl<const N: usize> SafetyLayer<N> {
         Signal::Position.check(position)?;
         self.estimator.reset(position);
         self.measured.reset();
+        if let Some(kernel) = &mut self.rendered {
+            kernel.reset(position);
+        }
+        self.last_rendered = Axes::zeros();
         self.controller.reset();
         self.limiter.reset();
         (self.device_force, self.fault) = (Axes::zeros(), None);
@@ -179,6 +215,7 @@ mod tests {
         let settings = settings(safety);
         let mut controller = SafetyController::<1>::new(&settings.device, PERIOD, &safety).unwrap();
         let mut estimator = settings.estimator.build::<1>(PERIOD).unwrap();
+        let mut kernel_of_rendered = estimator.clone();
         let mut layer = SafetyLayer::new(&settings).unwrap();
         let (mut x, mut v) = (0.0_f64, 0.0);
         let (mut force, rendered) = (0.0, Axes::<1>::new(5.0));
@@ -188,10 +225,13 @@ mod tests {
             let encoded = Axes::<1>::new((x / 2.3e-5).round() * 2.3e-5);
             // The same chain, with another idea of which force Eq. 4 subtracts.
             let motion = estimator.step(&encoded);
+            kernel_of_rendered.step(&encoded);
             let told = last.as_ref().map_or(0.0, |tick| force_seen_by_eq_4(tick, force));
             let aligned = estimator.align(&Axes::<1>::new(told));
             let grasp_force = settings.device.grasp_force(&motion, &aligned);
-            let seen = Observation { velocity: motion.velocity, rendered_force: rendered, grasp_force };
+            let mut seen = Observation::exact(motion.velocity, rendered, grasp_force);
+            seen.aligned_rendered_force =
+                kernel_of_rendered.align(&if last.is_some() { rendered } else { Axes::zeros() });
             let step = controller.step(&seen).unwrap();
             trips.push(step.tripped.any());
             force = 5.0 + step.safety_force[0];
@@ -210,6 +250,37 @@ mod tests {
         assert_eq!(on(&all_told), 150, "once nobody holds, HSC stays on");
         // Its own damping cancels F_v; with F_v alone, that looks like a hand that pushes back with 5 N.
         assert!(on(&rendered_only) < 100, "{}", on(&rendered_only));
+    }
+
+    /// Ticks on which HSC trips while a braced hand (1500 N/m, 20 N s/m) meets a wall of 200 N/m and holds on.
+    fn trips_at_contact(measures_velocity: bool) -> usize {
+        let safety = SafetySettings { hsc: true, hsc_force_threshold_n: 0.5, ..SafetySettings::default() };
+        let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
+        let (speed, mut x) = (0.15, 0.01_f64);
+        let (mut v, mut force, mut trips) = (-speed, 0.0, 0);
+        for n in 0..1500 {
+            let seen = if measures_velocity { x } else { (x / 2.3e-5).round() * 2.3e-5 };
+            let rendered = Axes::<1>::new((-200.0 * seen).max(0.0));
+            let velocity = Axes::<1>::new(v);
+            let tick = layer.tick(&Axes::<1>::new(seen), measures_velocity.then_some(&velocity), &rendered);
+            trips += usize::from(tick.intervention.tripped.any());
+            force = tick.device_force[0];
+            // Ten steps a tick: the hand is no part of the servo loop.
+            for step in 0..10 {
+                let target = 0.01 - speed * (f64::from(n) + f64::from(step) / 10.0) * PERIOD;
+                let hand = 1500.0 * (target.max(-0.03) - x) - 20.0 * v;
+                v += (force + hand) / MASS * PERIOD / 10.0;
+                x += v * PERIOD / 10.0;
+            }
+        }
+        assert!(force > 2.0, "the wall was met");
+        trips
+    }
+
+    #[test]
+    fn a_late_estimate_is_no_release() {
+        // Exact signals show a hand all the time; so must estimated ones, although they lag by 8 ms.
+        assert_eq!((trips_at_contact(true), trips_at_contact(false)), (0, 0));
     }
 
     #[test]

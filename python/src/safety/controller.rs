@@ -139,15 +139,20 @@ impl PySafetyController {
         self.axes
     }
 
+    #[pyo3(signature = (velocity, rendered_force, grasp_force, aligned_rendered_force=None))]
     fn step(
         &mut self,
         py: Python<'_>,
         velocity: Sample,
         rendered_force: Sample,
         grasp_force: Sample,
+        aligned_rendered_force: Option<Sample>,
     ) -> PyResult<PyIntervention> {
         with_axes!(&mut self.inner, AnyController, controller => {
-            let seen = observation::<N>(&velocity, &rendered_force, &grasp_force)?;
+            let mut seen = observation::<N>(&velocity, &rendered_force, &grasp_force)?;
+            if let Some(aligned) = &aligned_rendered_force {
+                seen.aligned_rendered_force = aligned.axes("aligned_rendered_force")?;
+            }
             Ok(match controller.step(&seen) {
                 Ok(step) => PyIntervention {
                     safety_force: sample_out(py, &step.safety_force),
@@ -173,14 +178,17 @@ impl PySafetyController {
         })
     }
 
+    #[pyo3(signature = (velocity, rendered_force, grasp_force, aligned_rendered_force=None))]
     fn run(
         &mut self,
         py: Python<'_>,
         velocity: PyReadonlyArrayDyn<'_, f64>,
         rendered_force: PyReadonlyArrayDyn<'_, f64>,
         grasp_force: PyReadonlyArrayDyn<'_, f64>,
+        aligned_rendered_force: Option<PyReadonlyArrayDyn<'_, f64>>,
     ) -> PyResult<PyInterventions> {
-        let seen = Observations::new(&velocity, &rendered_force, &grasp_force, self.axes)?;
+        let aligned = aligned_rendered_force.as_ref();
+        let seen = Observations::new(&velocity, &rendered_force, &grasp_force, aligned, self.axes)?;
         let ticks = seen.velocity.ticks;
         let size = ticks * self.axes;
         let (mut safety, mut device) = (Vec::with_capacity(size), Vec::with_capacity(size));

@@ -1,6 +1,9 @@
 //! Estimators of velocity and acceleration.
 
-use haptether_safety::estimator::{AnyEstimator, Estimator, EstimatorKind, Fit};
+use haptether_safety::{
+    Axes, Signal,
+    estimator::{AnyEstimator, Estimator, EstimatorKind, Fit},
+};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
@@ -95,15 +98,14 @@ impl PyEstimator {
 
     fn step(&mut self, py: Python<'_>, position: Sample) -> PyResult<(Py<PyAny>, Py<PyAny>)> {
         with_axes!(&mut self.inner, AnyAxes, estimator => {
-            let motion = estimator.step(&finite(&position.axes::<N>("position")?)?);
+            let motion = estimator.step(&checked(Signal::Position, position.axes::<N>("position")?)?);
             Ok((sample_out(py, &motion.velocity), sample_out(py, &motion.acceleration)))
         })
     }
 
     fn align(&mut self, py: Python<'_>, device_force: Sample) -> PyResult<Py<PyAny>> {
         with_axes!(&mut self.inner, AnyAxes, estimator => {
-            let force = device_force.axes::<N>("device_force")?;
-            haptether_safety::Signal::RenderedForce.check(&force).map_err(refuse)?;
+            let force = checked(Signal::RenderedForce, device_force.axes::<N>("device_force")?)?;
             Ok(sample_out(py, &estimator.align(&force)))
         })
     }
@@ -130,11 +132,11 @@ impl PyEstimator {
         py.detach(|| {
             with_axes!(&mut self.inner, AnyAxes, estimator => {
                 for tick in 0..position.ticks {
-                    let motion = estimator.step(&finite(&position.at::<N>(tick))?);
+                    let motion = estimator.step(&checked(Signal::Position, position.at::<N>(tick)).map_err(at_tick(tick))?);
                     velocity.extend_from_slice(motion.velocity.as_slice());
                     acceleration.extend_from_slice(motion.acceleration.as_slice());
                     if let Some(force) = &force {
-                        aligned.extend_from_slice(estimator.align(&finite(&force.at::<N>(tick))?).as_slice());
+                        aligned.extend_from_slice(estimator.align(&checked(Signal::RenderedForce, force.at::<N>(tick)).map_err(at_tick(tick))?).as_slice());
                     }
                 }
             });
@@ -149,7 +151,14 @@ impl PyEstimator {
 }
 
 /// An estimator has a memory: what is not finite would stay in it.
-fn finite<const N: usize>(value: &haptether_safety::Axes<N>) -> PyResult<haptether_safety::Axes<N>> {
-    haptether_safety::Signal::Position.check(value).map_err(refuse)?;
-    Ok(*value)
+fn checked<const N: usize>(signal: Signal, value: Axes<N>) -> PyResult<Axes<N>> {
+    signal.check(&value).map_err(refuse)?;
+    Ok(value)
+}
+
+/// Names the tick of a refused sample.
+fn at_tick(tick: usize) -> impl Fn(PyErr) -> PyErr {
+    move |error| {
+        PyValueError::new_err(format!("tick {tick}: {}", Python::attach(|py| error.value(py).to_string())))
+    }
 }

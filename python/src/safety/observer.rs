@@ -30,6 +30,7 @@ pub(super) struct Observations<'a> {
     pub(super) velocity: Samples<'a>,
     pub(super) rendered_force: Samples<'a>,
     pub(super) grasp_force: Samples<'a>,
+    aligned: Option<Samples<'a>>,
 }
 
 impl<'a> Observations<'a> {
@@ -37,6 +38,7 @@ impl<'a> Observations<'a> {
         velocity: &'a PyReadonlyArrayDyn<'_, f64>,
         rendered_force: &'a PyReadonlyArrayDyn<'_, f64>,
         grasp_force: &'a PyReadonlyArrayDyn<'_, f64>,
+        aligned: Option<&'a PyReadonlyArrayDyn<'_, f64>>,
         axes: usize,
     ) -> PyResult<Self> {
         let velocity = Samples::new("velocity", velocity, axes)?;
@@ -44,14 +46,22 @@ impl<'a> Observations<'a> {
         let grasp_force = Samples::new("grasp_force", grasp_force, axes)?;
         rendered_force.as_long_as("rendered_force", &velocity)?;
         grasp_force.as_long_as("grasp_force", &velocity)?;
-        Ok(Self { velocity, rendered_force, grasp_force })
+        let aligned = aligned
+            .map(|aligned| {
+                let aligned = Samples::new("aligned_rendered_force", aligned, axes)?;
+                aligned.as_long_as("aligned_rendered_force", &velocity)?;
+                PyResult::Ok(aligned)
+            })
+            .transpose()?;
+        Ok(Self { velocity, rendered_force, grasp_force, aligned })
     }
 
     pub(super) fn at<const N: usize>(&self, tick: usize) -> Observation<N> {
-        Observation {
-            velocity: self.velocity.at(tick),
-            rendered_force: self.rendered_force.at(tick),
-            grasp_force: self.grasp_force.at(tick),
+        let (velocity, rendered_force) = (self.velocity.at(tick), self.rendered_force.at(tick));
+        let seen = Observation::exact(velocity, rendered_force, self.grasp_force.at(tick));
+        match &self.aligned {
+            Some(aligned) => Observation { aligned_rendered_force: aligned.at(tick), ..seen },
+            None => seen,
         }
     }
 }
@@ -62,11 +72,11 @@ pub(super) fn observation<const N: usize>(
     rendered_force: &Sample,
     grasp_force: &Sample,
 ) -> PyResult<Observation<N>> {
-    Ok(Observation {
-        velocity: velocity.axes("velocity")?,
-        rendered_force: rendered_force.axes("rendered_force")?,
-        grasp_force: grasp_force.axes("grasp_force")?,
-    })
+    Ok(Observation::exact(
+        velocity.axes("velocity")?,
+        rendered_force.axes("rendered_force")?,
+        grasp_force.axes("grasp_force")?,
+    ))
 }
 
 /// Runs an observer over arrays; a bad number is refused with its tick.
@@ -140,7 +150,7 @@ macro_rules! observation_methods {
                 rendered_force: PyReadonlyArrayDyn<'_, f64>,
                 grasp_force: PyReadonlyArrayDyn<'_, f64>,
             ) -> PyResult<Py<PyAny>> {
-                let seen = Observations::new(&velocity, &rendered_force, &grasp_force, self.axes)?;
+                let seen = Observations::new(&velocity, &rendered_force, &grasp_force, None, self.axes)?;
                 observe_arrays!(py, self, seen, $any, $observer, $seen => $step)
             }
         }

@@ -152,7 +152,7 @@ impl<const N: usize> Intervention<N> {
 ///
 /// While one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`. It stays so for at least the hold-off, then fades over
 /// the release ramp: `F_c = g (-F_v - mu V)` with g from 1 to 0. A new trip sets g to 1 at once. PC adds its own
-/// force when none of them acts.
+/// force in the share 1 - g that the intervention leaves.
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
@@ -254,12 +254,13 @@ impl<const N: usize> SafetyController<N> {
             .with(Tripped::HELD, gain > 0.0 && !is_unsafe);
         if gain == 0.0 {
             safety_force = Axes::zeros(); // not -0.0: records stay clean
-            if let Some(action) = pc
-                && action.force != safety_force
-            {
-                safety_force = action.force;
-                tripped = tripped.with(Tripped::PC, true);
-            }
+        }
+        if let Some(action) = pc
+            && gain < 1.0
+            && action.force != Axes::<N>::zeros()
+        {
+            safety_force += action.force * (1.0 - gain);
+            tripped = tripped.with(Tripped::PC, true);
         }
         let energy_j = pc.map_or(f64::NAN, |action| action.energy_j);
         Ok(Intervention { safety_force, tripped, velocity_force, grasp, windowed_energy_j, energy_j })

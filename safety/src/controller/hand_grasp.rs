@@ -40,7 +40,9 @@ impl HandGraspController {
     /// `S_h` and whether it is unsafe.
     pub fn judge<const N: usize>(&self, seen: &Observation<N>) -> (f64, bool) {
         let observed = self.observer.observe(seen);
-        let pushing = seen.rendered_force.norm() > self.force_threshold_n;
+        // F_t is there because S_h means little of small forces, so it must hold for the force that S_h is made of.
+        let pushing = seen.rendered_force.norm() > self.force_threshold_n
+            && seen.aligned_rendered_force.norm() > self.force_threshold_n;
         (observed, pushing && observed > self.grasp_threshold)
     }
 }
@@ -57,11 +59,8 @@ mod tests {
         for (rendered, grasp, trips) in
             [(3.0, -3.0, false), (3.0, -1.9, true), (3.0, -2.1, false), (0.9, 0.0, false), (1.1, 0.0, true)]
         {
-            let seen = Observation {
-                velocity: Axes::<1>::zeros(),
-                rendered_force: Axes::<1>::new(rendered),
-                grasp_force: Axes::<1>::new(grasp),
-            };
+            let seen =
+                Observation::exact(Axes::<1>::zeros(), Axes::<1>::new(rendered), Axes::<1>::new(grasp));
             assert_eq!(controller.judge(&seen).1, trips, "{rendered} {grasp}");
         }
         assert!(HandGraspController::new(observer, 1.0, 1.0).is_err());

@@ -77,7 +77,7 @@ mod tests {
     }
 
     fn ejected(v: f64) -> Observation<1> {
-        Observation { velocity: Axes::<1>::new(v), rendered_force: Axes::zeros(), grasp_force: Axes::zeros() }
+        Observation::exact(Axes::<1>::new(v), Axes::zeros(), Axes::zeros())
     }
 
     #[test]

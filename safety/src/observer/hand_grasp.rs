@@ -4,7 +4,8 @@ use crate::{Observation, ParameterError, parameter::positive};
 
 /// HGO: near 1 while the hand holds against the rendered force, large when nobody holds.
 ///
-/// `S_h = |F_v| / (|F_h| + alpha)`
+/// `S_h = |F_v| / (|F_h| + alpha)`, with `F_v` as late as `F_h`: an estimated `F_h` lags, and a force that has just
+/// risen would otherwise look like one that nobody holds.
 ///
 /// Source: paper Eq. 5.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,7 +21,7 @@ impl HandGraspObserver {
 
     /// `S_h`, without unit; the grasp is safe up to zeta (Eq. 8).
     pub fn observe<const N: usize>(&self, seen: &Observation<N>) -> f64 {
-        seen.rendered_force.norm() / (seen.grasp_force.norm() + self.grasp_floor_n)
+        seen.aligned_rendered_force.norm() / (seen.grasp_force.norm() + self.grasp_floor_n)
     }
 }
 
@@ -32,11 +33,8 @@ mod tests {
     #[test]
     fn holds_eq_6_and_7() {
         let observer = HandGraspObserver::new(1e-3).unwrap();
-        let mut seen = Observation {
-            velocity: Axes::<2>::zeros(),
-            rendered_force: Axes::<2>::new(3.0, 4.0),
-            grasp_force: Axes::<2>::new(-3.0, -4.0),
-        };
+        let force = Axes::<2>::new(3.0, 4.0);
+        let mut seen = Observation::exact(Axes::zeros(), force, -force);
         assert!((observer.observe(&seen) - 5.0 / 5.001).abs() < 1e-15);
         seen.grasp_force = Axes::zeros();
         assert!((observer.observe(&seen) - 5000.0).abs() < 1e-9);

@@ -79,11 +79,8 @@ mod tests {
             let t = f64::from(n) * 1e-3;
             let (v, f) = ((3.0 * t).sin(), (2.0 * t).cos());
             sum += 1e-3 * f * v;
-            let energy = observer.step(&Observation {
-                velocity: Axes::<1>::new(v),
-                rendered_force: Axes::zeros(),
-                grasp_force: Axes::<1>::new(f),
-            });
+            let energy =
+                observer.step(&Observation::exact(Axes::<1>::new(v), Axes::zeros(), Axes::<1>::new(f)));
             assert!((energy - (sum - 0.157 * v * v)).abs() < 1e-13);
         }
     }

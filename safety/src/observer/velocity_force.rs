@@ -59,11 +59,7 @@ mod tests {
     use crate::Axes;
 
     fn seen(v: f64, f: f64) -> Observation<1> {
-        Observation {
-            velocity: Axes::<1>::new(v),
-            rendered_force: Axes::<1>::new(f),
-            grasp_force: Axes::zeros(),
-        }
+        Observation::exact(Axes::<1>::new(v), Axes::<1>::new(f), Axes::zeros())
     }
 
     #[test]

@@ -88,11 +88,7 @@ mod tests {
     }
 
     fn seen(velocity: f64, force: f64) -> Observation<1> {
-        Observation {
-            velocity: Axes::<1>::new(velocity),
-            rendered_force: Axes::zeros(),
-            grasp_force: Axes::<1>::new(force),
-        }
+        Observation::exact(Axes::<1>::new(velocity), Axes::zeros(), Axes::<1>::new(force))
     }
 
     proptest! {
@@ -113,7 +109,7 @@ mod tests {
         }
     }
 
-    /// SplitMix64 as noise: the test needs 1e8 draws quickly.
+    /// `SplitMix64` as noise: the test needs 1e8 draws quickly.
     fn noise(state: &mut u64) -> f64 {
         *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let z = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -1,0 +1,103 @@
+//! A tick allocates nothing: counted by an allocator of our own, with every observer and controller on.
+#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator cannot be had without
+
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use haptether_bridge::{
+    LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
+    SlaveSettings, SlaveSide, wire::MAX_FRAME,
+};
+use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, SimulatedMaster};
+use haptether_safety::{
+    DeviceModel, LimiterSettings,
+    controller::SafetySettings,
+    estimator::{EstimatorKind, Fit},
+};
+use haptether_slave::{ArmParameters, Pusher, SimulatedSlave, Wall};
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+struct Counting;
+
+// SAFETY: every call goes unchanged to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+const MS: u64 = 1_000_000;
+
+// One test only: another thread's allocations would be counted too.
+#[test]
+fn a_tick_of_both_sides_allocates_nothing() {
+    for estimator in [
+        EstimatorKind::BackwardDifference,
+        EstimatorKind::LowPass { cutoff_hz: 30.0 },
+        EstimatorKind::AdaptiveWindow { noise_bound_m: 2.3e-5, max_window: 32, fit: Fit::Best },
+        EstimatorKind::SavitzkyGolay { degree: 2, window: 21 },
+        EstimatorKind::default(),
+    ] {
+        let legs = vec![Leg { duration_s: 0.5, end: -0.03, shape: LegShape::MinimumJerk }];
+        let path = Path::new(0.02, legs).unwrap();
+        let release = Some(Release { at_s: 1.2, duration_s: 0.05 });
+        let hand = Hand::new(300.0, 8.0, 12.0, path, release).unwrap();
+        let stops = (-0.08, 0.08);
+        let device = DeviceParameters { stops, ..DeviceParameters::PHANTOM_DESKTOP };
+        let mut plant = SimulatedMaster::new(device, hand, 0).unwrap();
+        plant.set_waiting(true);
+        let safety =
+            SafetySettings { vfc: true, hsc: true, wsc: true, pc: true, ..SafetySettings::default() };
+        let endpoint = MasterEndpoint::new(&MasterSettings {
+            period_ns: MS,
+            session: 1,
+            device: DeviceModel::phantom_desktop(),
+            estimator,
+            safety,
+            limiter: LimiterSettings::default(),
+            force_scale: 1.0,
+            ladder: LadderSettings::default(),
+        })
+        .unwrap();
+        let mut master = MasterSide { plant, endpoint };
+        let settings = SlaveSettings {
+            period_ns: MS,
+            session: 2,
+            position_scale: 1.0,
+            ladder: LadderSettings::default(),
+        };
+        let pusher = Pusher::new(0.8, 0.1, 1.0, 3.0).unwrap();
+        let wall = Wall::new(0.0, 100.0).unwrap();
+        let plant = SimulatedSlave::new(ArmParameters::default(), wall, Some(pusher), 0.02, 0).unwrap();
+        let mut slave = SlaveSide { plant, endpoint: SlaveEndpoint::new(&settings).unwrap() };
+        let mut buffer = [0; MAX_FRAME];
+        let mut tripped = false;
+
+        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        for tick in 0..2000 {
+            let now_ns = tick * MS;
+            tripped |= master.tick(0, now_ns, 0).tripped != 0;
+            let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
+            slave.tick(0, now_ns, 0);
+            let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
+            let _ = master.receive(now_ns, &[0; 84]);
+        }
+        let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+
+        assert_eq!(allocated, 0, "{estimator:?}");
+        assert!(tripped && master.state() == LadderState::Engaged, "the run must have done something");
+    }
+}
