@@ -59,8 +59,8 @@ def cargo_only(path: PurePosixPath) -> bool:
     return path.suffix == ".rs" or path.parts[1] in {"src", "Cargo.toml"} or "proptest-regressions" in path.parts
 
 
-def maturin(*arguments: str, cwd: Path = ROOT) -> None:
-    environment = os.environ | {"CARGO_TARGET_DIR": str(TARGET), "VIRTUAL_ENV": sys.prefix}
+def maturin(*arguments: str, cwd: Path = ROOT, target: Path = TARGET) -> None:
+    environment = os.environ | {"CARGO_TARGET_DIR": str(target), "VIRTUAL_ENV": sys.prefix}
     answer = subprocess.run(
         [sys.executable, "-m", "maturin", *arguments],
         cwd=cwd,
@@ -72,9 +72,9 @@ def maturin(*arguments: str, cwd: Path = ROOT) -> None:
     assert answer.returncode == 0, answer.stdout + answer.stderr
 
 
-def build_wheel(out: Path, cwd: Path = ROOT) -> Path:
+def build_wheel(out: Path, cwd: Path = ROOT, target: Path = TARGET) -> Path:
     python = ["--interpreter", sys.executable]
-    maturin("build", "--release", "--locked", *python, "--out", str(out), cwd=cwd)
+    maturin("build", "--release", "--locked", *python, "--out", str(out), cwd=cwd, target=target)
     (wheel,) = out.glob("*.whl")
     return wheel
 
@@ -138,7 +138,8 @@ def test_the_sdist_holds_the_sources_of_both_languages_once(sdist: Path) -> None
 @building
 def test_the_sdist_builds_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path) -> None:
     # At one place, so that what cargo keeps of it is replaced and does not pile up; and with new
-    # times, because cargo would take the archive's fixed ones for unchanged sources.
+    # times, because cargo would take the archive's fixed ones for unchanged sources. Its target folder is its own:
+    # in the repository's, cargo would take the unpacked sources for the ones that the next build is about.
     place = TARGET / "from-sdist"
     shutil.rmtree(place, ignore_errors=True)
     with tarfile.open(sdist) as archive:
@@ -147,7 +148,7 @@ def test_the_sdist_builds_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Pat
     now = time.time()
     for path in source.rglob("*"):
         os.utime(path, (now, now))
-    assert contents(build_wheel(tmp_path, cwd=source))[0] == contents(wheel)[0]
+    assert contents(build_wheel(tmp_path, cwd=source, target=TARGET / "of-sdist"))[0] == contents(wheel)[0]
 
 
 @building

@@ -105,6 +105,12 @@ MACHINES = {
         lambda machine, *arrays: intervention(machine.run(*arrays)),
         lambda machine, *samples: intervention(machine.step(*samples)),
     ),
+    "controller-aligned": Machine(
+        lambda axes: SafetyController(DeviceModel.phantom_desktop(axes), SETTINGS),
+        ("velocity", "rendered_force", "grasp_force", "aligned_rendered_force"),
+        lambda machine, *arrays: intervention(machine.run(*arrays)),
+        lambda machine, *samples: intervention(machine.step(*samples)),
+    ),
     "limiter": Machine(
         lambda axes: Limiter(LIMITS, axes=axes),
         ("force", "velocity"),
@@ -321,6 +327,14 @@ def test_a_reset_forgets_all(name: str) -> None:
     assert any(a.tobytes() != b.tobytes() for a, b in zip(machine.run(state, *arrays), fresh, strict=True))
     state.reset()
     same(machine.run(state, *arrays), fresh)
+
+
+def test_the_rendered_force_is_its_own_alignment_unless_given() -> None:
+    velocity, rendered, grasp = signals(MACHINES["controller"], 3)
+    build = MACHINES["controller"].build
+    alone = build(3).run(velocity, rendered, grasp)
+    same(intervention(build(3).run(velocity, rendered, grasp, rendered)), intervention(alone))
+    same(intervention(build(3).run(velocity, rendered, grasp, None)), intervention(alone))
 
 
 def test_forces_do_not_touch_the_motion() -> None:

@@ -72,13 +72,15 @@ def assert_same(left: list[npt.NDArray[Any]], right: list[npt.NDArray[Any]]) -> 
 
 
 OBSERVATION = ("velocity", "rendered_force", "grasp_force")
+CONTROLLED = (*OBSERVATION, "rendered_force")
+"""Which signal each argument of a controller is; the last is the aligned F_v."""
 
 
 @pytest.mark.parametrize("axes", [1, 3, 7])
-@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("place", range(4))
 def test_a_bad_number_gives_a_fault_no_force_and_no_memory(place: int, axes: int) -> None:
-    for bad, message in bad_numbers(OBSERVATION[place]).items():
-        arrays = signals(3, axes, 0)
+    for bad, message in bad_numbers(CONTROLLED[place]).items():
+        arrays = signals(4, axes, 0)
         tick = TICKS // 2
         arrays[place][tick, axes - 1] = bad
         told = controller(axes).run(*arrays)
@@ -100,7 +102,7 @@ def test_a_bad_number_gives_a_fault_no_force_and_no_memory(place: int, axes: int
     axes=st.sampled_from((1, 2, 6)),
     faults=st.lists(
         st.tuples(
-            st.integers(0, 2),
+            st.integers(0, 3),
             st.integers(0, TICKS - 1),
             st.integers(0, 5),
             st.sampled_from((np.nan, np.inf, -np.inf, 1.5e4, -1e308)),
@@ -111,7 +113,7 @@ def test_a_bad_number_gives_a_fault_no_force_and_no_memory(place: int, axes: int
 def test_any_number_of_faults_leaves_the_rest_alone(
     seed: int, axes: int, faults: list[tuple[int, int, int, float]]
 ) -> None:
-    arrays = signals(3, axes, seed)
+    arrays = signals(4, axes, seed)
     for place, tick, axis, bad in faults:
         arrays[place][tick, axis % axes] = bad
     told = controller(axes).run(*arrays)
@@ -124,11 +126,11 @@ def test_any_number_of_faults_leaves_the_rest_alone(
     assert_same(columns(told, others), columns(undisturbed))
 
 
-@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("place", range(4))
 def test_a_step_faults_as_a_run_does(place: int) -> None:
-    for bad, message in bad_numbers(OBSERVATION[place]).items():
+    for bad, message in bad_numbers(CONTROLLED[place]).items():
         stepped, expected = controller(2), controller(2)
-        for tick, sample in enumerate(zip(*signals(3, 2, 1), strict=True)):
+        for tick, sample in enumerate(zip(*signals(4, 2, 1), strict=True)):
             one = [list(values) for values in sample]
             if tick == TICKS // 2:
                 one[place][1] = bad

@@ -225,6 +225,25 @@ def test_eq_2_13_14_cancel_and_damp(name: str, bit: int, axes: int, seed: int) -
     assert np.array_equal(told.device_force, rendered + law)
 
 
+@axes_and_seed
+def test_s_h_compares_forces_of_the_same_lateness(axes: int, seed: int) -> None:
+    velocity, rendered, grasp = signals(axes, seed)
+    aligned = 0.7 * rendered + 0.3 * np.roll(rendered, 1, axis=0)
+    device = DeviceModel(mass_kg=MASS, axes=axes)
+    controller = SafetyController(device, SafetySettings(["hsc"]))
+    told = controller.run(velocity, rendered, grasp, aligned)
+    # Eq. 5 and 14 with the force that is as late as F_h; what is cancelled is F_v of this tick.
+    assert told.grasp is not None
+    ratio = norm(aligned) / (norm(grasp) + 1e-3)
+    assert np.all(abs(told.grasp - ratio) <= U * (2 * axes + 8) * ratio)
+    beyond, clear = judged("hsc", velocity, aligned, grasp)
+    # F_t must hold for the force of this tick as well: nothing is cancelled where nothing is rendered.
+    pushing = norm(rendered) > 0.1
+    assert np.array_equal((told.tripped == 2)[clear], ((beyond > 0) & pushing)[clear])
+    law = np.where((told.tripped == 2)[:, None], -rendered - 5.0 * velocity, 0.0)
+    assert np.array_equal(told.safety_force, law)
+
+
 def settings(name: str) -> SafetySettings:
     """The controller alone, with the paper's thresholds."""
     match name:

@@ -6,16 +6,41 @@ use haptether_safety::Axes;
 use numpy::{IntoPyArray, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
+/// A `float64` array as an argument.
+///
+/// A field of a structured array may lie at any address, and reading it as `f64` there is undefined: such an array
+/// is copied once to where it may be read.
+pub(crate) struct SignalArray<'py>(PyReadonlyArrayDyn<'py, f64>);
+
+impl<'py> FromPyObject<'_, 'py> for SignalArray<'py> {
+    type Error = PyErr;
+
+    fn extract(given: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let array = given.extract::<PyReadonlyArrayDyn<'py, f64>>()?;
+        if is_aligned(&array)? {
+            return Ok(Self(array));
+        }
+        Ok(Self(array.call_method0("copy")?.extract()?))
+    }
+}
+
+/// Whether the numbers of an array lie where they may be read.
+pub(crate) fn is_aligned(array: &Bound<'_, PyAny>) -> PyResult<bool> {
+    array.getattr("flags")?.getattr("aligned")?.extract()
+}
+
 /// Samples over ticks, as handed over: shape `(n_ticks, axes)`, or `(n_ticks,)` for one axis.
 pub(crate) struct Samples<'a> {
     values: Cow<'a, [f64]>,
     pub(crate) ticks: usize,
+    axes: usize,
     flat: bool,
 }
 
 impl<'a> Samples<'a> {
     /// Takes `array` named `name`; refuses another shape.
-    pub(crate) fn new(name: &str, array: &'a PyReadonlyArrayDyn<'_, f64>, axes: usize) -> PyResult<Self> {
+    pub(crate) fn new(name: &str, array: &'a SignalArray<'_>, axes: usize) -> PyResult<Self> {
+        let array = &array.0;
         let shape = array.shape();
         let (ticks, flat) = match *shape {
             [ticks] if axes == 1 => (ticks, true),
@@ -29,11 +54,12 @@ impl<'a> Samples<'a> {
                 return Err(PyValueError::new_err(format!("{name}: shape {shape:?}, must be {allowed}")));
             }
         };
+        // A column-major array is contiguous too, but not tick by tick.
         let values = match array.as_slice() {
-            Ok(slice) => Cow::Borrowed(slice),
-            Err(_) => Cow::Owned(array.as_array().iter().copied().collect()),
+            Ok(slice) if array.is_c_contiguous() => Cow::Borrowed(slice),
+            _ => Cow::Owned(array.as_array().iter().copied().collect()),
         };
-        Ok(Self { values, ticks, flat })
+        Ok(Self { values, ticks, axes, flat })
     }
 
     /// The sample of one tick.
@@ -51,17 +77,11 @@ impl<'a> Samples<'a> {
 
     /// An array of the shape of these samples.
     pub(crate) fn shaped(&self, py: Python<'_>, values: Vec<f64>) -> PyResult<Py<PyAny>> {
-        matrix(py, values, self.ticks, self.flat)
+        if self.flat {
+            return Ok(column(py, values));
+        }
+        Ok(values.into_pyarray(py).reshape([self.ticks, self.axes])?.into_any().unbind())
     }
-}
-
-/// `values` as an array of shape `(ticks, values / ticks)`, or `(ticks,)` if flat.
-pub(crate) fn matrix(py: Python<'_>, values: Vec<f64>, ticks: usize, flat: bool) -> PyResult<Py<PyAny>> {
-    if flat {
-        return Ok(column(py, values));
-    }
-    let columns = values.len().checked_div(ticks).unwrap_or(1);
-    Ok(values.into_pyarray(py).reshape([ticks, columns])?.into_any().unbind())
 }
 
 /// `values` as an array of shape `(len,)`.

@@ -19,7 +19,10 @@ use pyo3::{
     prelude::*,
 };
 
-use crate::{arrays::column, axes::refuse};
+use crate::{
+    arrays::{column, is_aligned},
+    axes::refuse,
+};
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyLinkSettings>()?;
@@ -91,6 +94,7 @@ fn judge(
             return Err(PyValueError::new_err(text));
         }
     };
+    let sent_ns = if is_aligned(&sent_ns)? { sent_ns } else { sent_ns.call_method0("copy")?.extract()? };
     let mut link = Link::new(direction, seed, &settings.inner).map_err(refuse)?;
     let mut due = Vec::with_capacity(sent_ns.len());
     for (index, sent) in sent_ns.as_array().iter().enumerate() {

@@ -4,7 +4,6 @@ use haptether_safety::{
     Axes, Fault,
     controller::{SafetyController, SafetySettings},
 };
-use numpy::PyReadonlyArrayDyn;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use super::{
@@ -12,7 +11,7 @@ use super::{
     observer::{Observations, observation, velocity_force_form},
 };
 use crate::{
-    arrays::{Sample, column, sample_out},
+    arrays::{Sample, SignalArray, column, sample_out},
     axes::{build_like, per_axes, refuse, with_axes},
 };
 
@@ -182,10 +181,10 @@ impl PySafetyController {
     fn run(
         &mut self,
         py: Python<'_>,
-        velocity: PyReadonlyArrayDyn<'_, f64>,
-        rendered_force: PyReadonlyArrayDyn<'_, f64>,
-        grasp_force: PyReadonlyArrayDyn<'_, f64>,
-        aligned_rendered_force: Option<PyReadonlyArrayDyn<'_, f64>>,
+        velocity: SignalArray<'_>,
+        rendered_force: SignalArray<'_>,
+        grasp_force: SignalArray<'_>,
+        aligned_rendered_force: Option<SignalArray<'_>>,
     ) -> PyResult<PyInterventions> {
         let aligned = aligned_rendered_force.as_ref();
         let seen = Observations::new(&velocity, &rendered_force, &grasp_force, aligned, self.axes)?;

@@ -1,11 +1,10 @@
 //! The device model.
 
 use haptether_safety::{DeviceModel, estimator::Motion};
-use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 
 use crate::{
-    arrays::{Sample, Samples},
+    arrays::{Sample, Samples, SignalArray},
     axes::{build_axes, per_axes, refuse, with_axes},
 };
 
@@ -58,9 +57,9 @@ impl PyDeviceModel {
     fn grasp_force(
         &self,
         py: Python<'_>,
-        velocity: PyReadonlyArrayDyn<'_, f64>,
-        acceleration: PyReadonlyArrayDyn<'_, f64>,
-        aligned_device_force: PyReadonlyArrayDyn<'_, f64>,
+        velocity: SignalArray<'_>,
+        acceleration: SignalArray<'_>,
+        aligned_device_force: SignalArray<'_>,
     ) -> PyResult<Py<PyAny>> {
         let velocity = Samples::new("velocity", &velocity, self.axes)?;
         let acceleration = Samples::new("acceleration", &acceleration, self.axes)?;

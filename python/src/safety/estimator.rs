@@ -4,11 +4,10 @@ use haptether_safety::{
     Axes, Signal,
     estimator::{AnyEstimator, Estimator, EstimatorKind, Fit},
 };
-use numpy::PyReadonlyArrayDyn;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{
-    arrays::{Sample, Samples, sample_out},
+    arrays::{Sample, Samples, SignalArray, sample_out},
     axes::{build_axes, per_axes, refuse, with_axes},
 };
 
@@ -114,8 +113,8 @@ impl PyEstimator {
     fn run(
         &mut self,
         py: Python<'_>,
-        position: PyReadonlyArrayDyn<'_, f64>,
-        device_force: Option<PyReadonlyArrayDyn<'_, f64>>,
+        position: SignalArray<'_>,
+        device_force: Option<SignalArray<'_>>,
     ) -> PyResult<EstimatedRun> {
         let position = Samples::new("position", &position, self.axes)?;
         let force = match &device_force {
@@ -132,11 +131,19 @@ impl PyEstimator {
         py.detach(|| {
             with_axes!(&mut self.inner, AnyAxes, estimator => {
                 for tick in 0..position.ticks {
-                    let motion = estimator.step(&checked(Signal::Position, position.at::<N>(tick)).map_err(at_tick(tick))?);
+                    // Both are checked before either is taken: a refused tick leaves no trace.
+                    let at = checked(Signal::Position, position.at::<N>(tick)).map_err(at_tick(tick))?;
+                    let held = match &force {
+                        Some(force) => {
+                            Some(checked(Signal::RenderedForce, force.at::<N>(tick)).map_err(at_tick(tick))?)
+                        }
+                        None => None,
+                    };
+                    let motion = estimator.step(&at);
                     velocity.extend_from_slice(motion.velocity.as_slice());
                     acceleration.extend_from_slice(motion.acceleration.as_slice());
-                    if let Some(force) = &force {
-                        aligned.extend_from_slice(estimator.align(&checked(Signal::RenderedForce, force.at::<N>(tick)).map_err(at_tick(tick))?).as_slice());
+                    if let Some(held) = held {
+                        aligned.extend_from_slice(estimator.align(&held).as_slice());
                     }
                 }
             });

@@ -1,11 +1,10 @@
 //! The limiter.
 
 use haptether_safety::{Limiter, LimiterSettings, Signal};
-use numpy::PyReadonlyArrayDyn;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{
-    arrays::{Sample, Samples, column, sample_out},
+    arrays::{Sample, Samples, SignalArray, column, sample_out},
     axes::{build_axes, per_axes, refuse, with_axes},
 };
 
@@ -63,8 +62,8 @@ impl PyLimiter {
     fn run(
         &mut self,
         py: Python<'_>,
-        force: PyReadonlyArrayDyn<'_, f64>,
-        velocity: PyReadonlyArrayDyn<'_, f64>,
+        force: SignalArray<'_>,
+        velocity: SignalArray<'_>,
     ) -> PyResult<(Py<PyAny>, Py<PyAny>)> {
         let force = Samples::new("force", &force, self.axes)?;
         let velocity = Samples::new("velocity", &velocity, self.axes)?;

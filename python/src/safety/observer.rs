@@ -7,12 +7,11 @@ use haptether_safety::{
         WindowedSafetyObserver,
     },
 };
-use numpy::PyReadonlyArrayDyn;
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use super::device::{AnyDevice, PyDeviceModel};
 use crate::{
-    arrays::{Sample, Samples, column},
+    arrays::{Sample, Samples, SignalArray, column},
     axes::{build_axes, build_like, per_axes, refuse, with_axes},
 };
 
@@ -35,10 +34,10 @@ pub(super) struct Observations<'a> {
 
 impl<'a> Observations<'a> {
     pub(super) fn new(
-        velocity: &'a PyReadonlyArrayDyn<'_, f64>,
-        rendered_force: &'a PyReadonlyArrayDyn<'_, f64>,
-        grasp_force: &'a PyReadonlyArrayDyn<'_, f64>,
-        aligned: Option<&'a PyReadonlyArrayDyn<'_, f64>>,
+        velocity: &'a SignalArray<'_>,
+        rendered_force: &'a SignalArray<'_>,
+        grasp_force: &'a SignalArray<'_>,
+        aligned: Option<&'a SignalArray<'_>>,
         axes: usize,
     ) -> PyResult<Self> {
         let velocity = Samples::new("velocity", velocity, axes)?;
@@ -146,9 +145,9 @@ macro_rules! observation_methods {
             fn run(
                 &mut self,
                 py: Python<'_>,
-                velocity: PyReadonlyArrayDyn<'_, f64>,
-                rendered_force: PyReadonlyArrayDyn<'_, f64>,
-                grasp_force: PyReadonlyArrayDyn<'_, f64>,
+                velocity: SignalArray<'_>,
+                rendered_force: SignalArray<'_>,
+                grasp_force: SignalArray<'_>,
             ) -> PyResult<Py<PyAny>> {
                 let seen = Observations::new(&velocity, &rendered_force, &grasp_force, None, self.axes)?;
                 observe_arrays!(py, self, seen, $any, $observer, $seen => $step)
@@ -267,8 +266,8 @@ impl PyPassivityObserver {
     fn run(
         &mut self,
         py: Python<'_>,
-        position: PyReadonlyArrayDyn<'_, f64>,
-        held_force: PyReadonlyArrayDyn<'_, f64>,
+        position: SignalArray<'_>,
+        held_force: SignalArray<'_>,
     ) -> PyResult<Py<PyAny>> {
         let position = Samples::new("position", &position, self.axes)?;
         let force = Samples::new("held_force", &held_force, self.axes)?;
