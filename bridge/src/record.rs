@@ -55,7 +55,7 @@ impl<const N: usize> MasterRecord<N> {
             position: *position,
             velocity,
             hand_force,
-            rendered_force: tick.rendered_force,
+            rendered_force: tick.safety.rendered_force,
             grasp_force: tick.safety.grasp_force,
             safety_force: intervention.safety_force,
             device_force: tick.safety.device_force,

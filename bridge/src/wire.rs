@@ -19,7 +19,7 @@
 //! | 48 | `u64` | echo: time in ns since that frame arrived |
 //! | 56 | `[f64; N]` | position in m (rad) |
 //! | 56 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
-//! | 56 + 16 N | `[f64; N]` | force in N (N m): master, force rendered; slave, force of the environment |
+//! | 56 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
 //! | 56 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
 //! Positions are absolute, never increments: a lost frame costs its own news and nothing else.

@@ -45,8 +45,11 @@ __all__ = [
     "ProxyStatistics",
     "Pusher",
     "SafetyController",
+    "SafetyLayer",
     "SafetyObserver",
     "SafetySettings",
+    "SafetyTick",
+    "SafetyTicks",
     "Sinusoid",
     "SlaveSettings",
     "SlaveTrace",
@@ -789,6 +792,152 @@ def fault_message(code: int) -> str | None:
     """
 
 # ---------------------------------------------------------------------------------------------- master
+
+@final
+class SafetyLayer:
+    """Estimator, grasp force, observers, controllers and limiter: the whole chain of one master tick.
+
+    The same code runs in the live endpoint. Keeps its state from call to call.
+
+    Args:
+        device: m, b, c of Eq. 3, and the number of axes.
+        settings: Controllers and thresholds.
+        estimator: How V and A are had from positions; the default is the Kalman filter.
+        limiter: Bounds on the device force, always on.
+        period_s: dT in s, above 0.
+
+    Raises:
+        ValueError: A parameter outside its range, with its symbol in the paper.
+
+    Source: paper Eq. 1 to 14.
+    """
+
+    def __new__(
+        cls,
+        device: DeviceModel,
+        settings: SafetySettings,
+        *,
+        estimator: EstimatorKind | None = None,
+        limiter: LimiterSettings | None = None,
+        period_s: float = 1e-3,
+    ) -> SafetyLayer: ...
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+
+    def step(self, position: _Sample, rendered_force: _Sample, velocity: _Sample | None = None) -> SafetyTick:
+        """One tick. A number that is not finite or absurd gives zero force and a fault that stays.
+
+        Args:
+            position: x in m.
+            rendered_force: F_v in N.
+            velocity: V in m/s from a device that measures it, at every tick or at none.
+
+        Raises:
+            ValueError: Another number of axes.
+        """
+
+    def run(self, position: _Array, rendered_force: _Array, velocity: _Array | None = None) -> SafetyTicks:
+        """As `step`, over arrays of shape `(n_ticks, axes)`, or `(n_ticks,)` for one axis.
+
+        Raises:
+            ValueError: Another shape or length.
+        """
+
+    def reset(self, position: _Sample) -> None:
+        """Clears a fault and the past: the device rests at `position` in m, its force rises from zero again.
+
+        Raises:
+            ValueError: A position that is not finite or absurd, or another number of axes.
+        """
+
+@final
+class SafetyTick:
+    """What `SafetyLayer.step` saw and decided."""
+
+    @property
+    def velocity(self) -> _Array:
+        """V in m/s, shape `(axes,)`."""
+
+    @property
+    def acceleration(self) -> _Array:
+        """A in m/s², shape `(axes,)`."""
+
+    @property
+    def rendered_force(self) -> _Array:
+        """F_v in N as far as the bounds let the device render it: what the observers saw, shape `(axes,)`."""
+
+    @property
+    def grasp_force(self) -> _Array:
+        """F_h in N; zero where no controller reads it, shape `(axes,)`."""
+
+    @property
+    def safety_force(self) -> _Array:
+        """F_c in N, shape `(axes,)`."""
+
+    @property
+    def device_force(self) -> _Array:
+        """F_device in N: what the device is to exert until the next tick; zero at a fault, shape `(axes,)`."""
+
+    @property
+    def tripped(self) -> int:
+        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is held or fades."""
+
+    @property
+    def acted(self) -> int:
+        """Which bounds acted: sum of norm 1, slew 2, power 4, ramp 8."""
+
+    @property
+    def fault(self) -> int:
+        """Code for `fault_message`, 0 without fault; it stays until `SafetyLayer.reset`."""
+
+    @property
+    def owed_energy_j(self) -> float:
+        """Energy in J that PC asked for and the bounds kept it from dissipating."""
+
+@final
+class SafetyTicks:
+    """What `SafetyLayer.run` saw and decided, one entry per tick."""
+
+    @property
+    def velocity(self) -> _Array:
+        """V in m/s, shape `(n_ticks, axes)`."""
+
+    @property
+    def acceleration(self) -> _Array:
+        """A in m/s², shape `(n_ticks, axes)`."""
+
+    @property
+    def rendered_force(self) -> _Array:
+        """F_v in N as far as the bounds let the device render it: what the observers saw, shape `(n_ticks, axes)`."""
+
+    @property
+    def grasp_force(self) -> _Array:
+        """F_h in N; zero where no controller reads it, shape `(n_ticks, axes)`."""
+
+    @property
+    def safety_force(self) -> _Array:
+        """F_c in N, shape `(n_ticks, axes)`."""
+
+    @property
+    def device_force(self) -> _Array:
+        """F_device in N: what the device is to exert until the next tick; zero at a fault, shape `(n_ticks, axes)`."""
+
+    @property
+    def tripped(self) -> _Bits:
+        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is held or fades, shape `(n_ticks,)`."""
+
+    @property
+    def acted(self) -> _Bits:
+        """Which bounds acted: sum of norm 1, slew 2, power 4, ramp 8, shape `(n_ticks,)`."""
+
+    @property
+    def fault(self) -> _Bits:
+        """Code for `fault_message`, 0 without fault; it stays until `SafetyLayer.reset`, shape `(n_ticks,)`."""
+
+    @property
+    def owed_energy_j(self) -> _Array:
+        """Energy in J that PC asked for and the bounds kept it from dissipating, shape `(n_ticks,)`."""
 
 @final
 class HapticDevice:

@@ -19,7 +19,7 @@ use pyo3::{
 use crate::{
     axes::refuse,
     bridge_trace::{MasterTrace, PyLoopReport, SlaveTrace},
-    local::{PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
+    local::{MOST_TICKS, PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
     netsim::{PyLinkSettings, address},
     safety::{PyEstimatorKind, PyLimiterSettings, PySafetySettings},
 };
@@ -168,13 +168,13 @@ fn run_bridge(
     if slave.endpoint.period_ns != period_ns {
         return Err(PyValueError::new_err("period_s: master and slave must have the same in virtual time"));
     }
-    let settings = VirtualSettings {
-        period_ns,
-        ticks: nanoseconds("duration_s", duration_s)? / period_ns,
-        forward: forward.inner,
-        backward: backward.inner,
-        seed,
-    };
+    let ticks = nanoseconds("duration_s", duration_s)? / period_ns;
+    if ticks > MOST_TICKS as u64 {
+        let text = format!("duration_s = {duration_s}: {ticks} ticks, must be at most {MOST_TICKS}");
+        return Err(PyValueError::new_err(text));
+    }
+    let settings =
+        VirtualSettings { period_ns, ticks, forward: forward.inner, backward: backward.inner, seed };
     let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);
     let (mut master_records, mut slave_records) = (Vec::new(), Vec::new());
     py.detach(|| {

@@ -3,6 +3,7 @@
 mod controller;
 mod device;
 mod estimator;
+mod layer;
 mod limiter;
 mod observer;
 
@@ -29,6 +30,9 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<controller::PyInterventions>()?;
     module.add_class::<PyLimiterSettings>()?;
     module.add_class::<limiter::PyLimiter>()?;
+    module.add_class::<layer::PySafetyLayer>()?;
+    module.add_class::<layer::PySafetyTick>()?;
+    module.add_class::<layer::PySafetyTicks>()?;
     module.add_function(wrap_pyfunction!(controller::fault_message, module)?)?;
     Ok(())
 }

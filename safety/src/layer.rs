@@ -28,6 +28,8 @@ pub struct LayerSettings<const N: usize> {
 pub struct SafetyTick<const N: usize> {
     /// V and A.
     pub motion: Motion<N>,
+    /// `F_v` in N as far as the device can render it: what the observers saw.
+    pub rendered_force: Axes<N>,
     /// `F_h` in N; zero when no controller reads it.
     pub grasp_force: Axes<N>,
     /// `F_device` in N: what the device is to exert until the next tick.
@@ -44,6 +46,9 @@ pub struct SafetyTick<const N: usize> {
 
 /// Estimator, grasp force, observers, controllers and limiter in one step.
 ///
+/// The limiter stands at both ends: before the observers, so that they see the force that can be rendered, and after
+/// the controllers, so that nothing leaves unbounded.
+///
 /// Source: `DESIGN.md`, "One master tick", steps 2 and 5 to 7.
 #[derive(Clone, Debug)]
 pub struct SafetyLayer<const N: usize> {
@@ -53,7 +58,10 @@ pub struct SafetyLayer<const N: usize> {
     /// The estimator once more, as the kernel for `F_v`; only where HSC reads it.
     rendered: Option<AnyEstimator<N>>,
     last_rendered: Axes<N>,
+    /// What the device can render of what is asked: norm, growth and ramp-in of `F_v` alone.
+    rendering: Limiter<N>,
     controller: SafetyController<N>,
+    /// The bounds on the sum.
     limiter: Limiter<N>,
     device_force: Axes<N>,
     fault: Option<Fault>,
@@ -70,7 +78,8 @@ impl<const N: usize> SafetyLayer<N> {
             rendered: safety.hsc.then(|| estimator.build(*period_s)).transpose()?,
             last_rendered: Axes::zeros(),
             controller: SafetyController::new(device, *period_s, safety)?,
-            limiter: Limiter::new(*period_s, *limiter)?,
+            rendering: Limiter::new(*period_s, *limiter)?,
+            limiter: Limiter::new(*period_s, LimiterSettings { ramp_in_s: 0.0, ..*limiter })?,
             device_force: Axes::zeros(),
             fault: None,
         })
@@ -104,6 +113,10 @@ impl<const N: usize> SafetyLayer<N> {
         velocity: Option<&Axes<N>>,
         rendered_force: &Axes<N>,
     ) -> Result<SafetyTick<N>, Fault> {
+        // The observers compare F_v with the hand. A force that the device cannot or must not render yet would look
+        // like one that nobody holds, so F_v is bounded before it is observed. At V = 0 the power bound is idle.
+        let rendering = self.rendering.step(rendered_force, &Axes::zeros());
+        let rendered_force = &rendering.force;
         let motion = match velocity {
             Some(velocity) => self.measured.step(velocity),
             None => self.estimator.step(position),
@@ -132,10 +145,11 @@ impl<const N: usize> SafetyLayer<N> {
         self.device_force = limited.force;
         Ok(SafetyTick {
             motion,
+            rendered_force: *rendered_force,
             grasp_force,
             device_force: limited.force,
             intervention,
-            acted: limited.acted,
+            acted: rendering.acted.and(limited.acted),
             owed_energy_j,
             fault: None,
         })
@@ -164,9 +178,11 @@ impl<const N: usize> SafetyLayer<N> {
     fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
         self.fault = Some(fault);
         self.device_force = Axes::zeros();
+        self.rendering.reset();
         self.limiter.reset();
         SafetyTick {
             motion: Motion { velocity: Axes::zeros(), acceleration: Axes::zeros() },
+            rendered_force: Axes::zeros(),
             grasp_force: Axes::zeros(),
             device_force: Axes::zeros(),
             intervention: Intervention::none(),
@@ -186,6 +202,7 @@ impl<const N: usize> SafetyLayer<N> {
         }
         self.last_rendered = Axes::zeros();
         self.controller.reset();
+        self.rendering.reset();
         self.limiter.reset();
         (self.device_force, self.fault) = (Axes::zeros(), None);
         Ok(())
@@ -210,32 +227,29 @@ mod tests {
     }
 
     /// A free mass under the layer's force, with an encoder; `F_v` = 5 N from the start, nobody holds.
-    fn ejected_trips(force_seen_by_eq_4: impl Fn(&SafetyTick<1>, f64) -> f64) -> Vec<bool> {
+    fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
         let safety = SafetySettings { hsc: true, ..SafetySettings::default() };
         let settings = settings(safety);
         let mut controller = SafetyController::<1>::new(&settings.device, PERIOD, &safety).unwrap();
         let mut estimator = settings.estimator.build::<1>(PERIOD).unwrap();
         let mut kernel_of_rendered = estimator.clone();
-        let mut layer = SafetyLayer::new(&settings).unwrap();
         let (mut x, mut v) = (0.0_f64, 0.0);
-        let (mut force, rendered) = (0.0, Axes::<1>::new(5.0));
-        let mut last: Option<SafetyTick<1>> = None;
+        let (mut told, rendered) = (None, Axes::<1>::new(5.0));
         let mut trips = Vec::new();
         for _ in 0..200 {
             let encoded = Axes::<1>::new((x / 2.3e-5).round() * 2.3e-5);
             // The same chain, with another idea of which force Eq. 4 subtracts.
             let motion = estimator.step(&encoded);
             kernel_of_rendered.step(&encoded);
-            let told = last.as_ref().map_or(0.0, |tick| force_seen_by_eq_4(tick, force));
-            let aligned = estimator.align(&Axes::<1>::new(told));
+            let of_eq_4 = told.map_or(0.0, &force_seen_by_eq_4);
+            let aligned = estimator.align(&Axes::<1>::new(of_eq_4));
             let grasp_force = settings.device.grasp_force(&motion, &aligned);
             let mut seen = Observation::exact(motion.velocity, rendered, grasp_force);
-            seen.aligned_rendered_force =
-                kernel_of_rendered.align(&if last.is_some() { rendered } else { Axes::zeros() });
+            seen.aligned_rendered_force = kernel_of_rendered.align(&told.map_or(Axes::zeros(), |_| rendered));
             let step = controller.step(&seen).unwrap();
             trips.push(step.tripped.any());
-            force = 5.0 + step.safety_force[0];
-            last = Some(layer.tick(&encoded, None, &rendered));
+            let force = 5.0 + step.safety_force[0];
+            told = Some(force);
             x += v * PERIOD + force / MASS * PERIOD * PERIOD / 2.0;
             v += force / MASS * PERIOD;
         }
@@ -244,8 +258,8 @@ mod tests {
 
     #[test]
     fn with_f_v_alone_hsc_switches_itself_off() {
-        let all_told = ejected_trips(|_, told| told);
-        let rendered_only = ejected_trips(|_, _| 5.0);
+        let all_told = ejected_trips(|told| told);
+        let rendered_only = ejected_trips(|_| 5.0);
         let on = |trips: &[bool]| trips[50..].iter().filter(|&&on| on).count();
         assert_eq!(on(&all_told), 150, "once nobody holds, HSC stays on");
         // Its own damping cancels F_v; with F_v alone, that looks like a hand that pushes back with 5 N.
@@ -281,6 +295,21 @@ mod tests {
     fn a_late_estimate_is_no_release() {
         // Exact signals show a hand all the time; so must estimated ones, although they lag by 8 ms.
         assert_eq!((trips_at_contact(true), trips_at_contact(false)), (0, 0));
+    }
+
+    /// Nothing may trip while a hand holds on: a step of the remote force, beyond the cap, during the ramp-in.
+    #[test]
+    fn a_bounded_force_is_no_release() {
+        let safety = SafetySettings { hsc: true, ..SafetySettings::default() };
+        let limiter = LimiterSettings { max_force_n: 4.0, ramp_in_s: 0.05, ..LimiterSettings::default() };
+        let mut layer = SafetyLayer::new(&LayerSettings { limiter, ..settings(safety) }).unwrap();
+        let still = Axes::<1>::zeros();
+        for n in 0..300 {
+            let asked = Axes::<1>::new(if n < 100 { 1.0 } else { 30.0 });
+            let tick = layer.tick(&still, Some(&still), &asked);
+            assert!(!tick.intervention.tripped.any(), "tick {n}: S_h = {}", tick.intervention.grasp);
+            assert!(n < 105 || (tick.device_force[0] - 4.0).abs() < 1e-12);
+        }
     }
 
     #[test]

@@ -45,6 +45,11 @@ impl Acted {
         self.0 & other.0 == other.0
     }
 
+    /// What acted here or there.
+    pub(crate) fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
     /// The bits, for records: norm 1, slew 2, power 4, ramp 8.
     pub fn bits(self) -> u8 {
         self.0
@@ -82,7 +87,7 @@ impl<const N: usize> Limiter<N> {
         positive("max_force_n", "F_max", settings.max_force_n)?;
         let slew = positive("max_slew_n_per_s", "dF/dt", settings.max_slew_n_per_s)?;
         positive("max_power_w", "P_max", settings.max_power_w)?;
-        let ramp = in_range("ramp_in_s", "-", settings.ramp_in_s, 0.0, 60.0, "between 0 and 60 s")?;
+        let ramp = in_range("ramp_in_s", "time", settings.ramp_in_s, 0.0, 60.0, "between 0 and 60 s")?;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to 60 s of ticks fit
         let ramp_ticks = (ramp / period_s).round() as u64;
         Ok(Self { settings, step_n: slew * period_s, ramp_ticks, ticks: 0, last: Axes::zeros() })

@@ -16,6 +16,13 @@ pub struct ParameterError {
     pub allowed: &'static str,
 }
 
+impl ParameterError {
+    /// The same error under the name that the caller's settings have for the field.
+    pub(crate) fn of_field(self, name: &str, known_as: &'static str) -> Self {
+        if self.name == name { Self { name: known_as, ..self } } else { self }
+    }
+}
+
 /// Passes a finite value above zero.
 pub(crate) fn positive(name: &'static str, symbol: &'static str, value: f64) -> Result<f64, ParameterError> {
     let allowed = "finite and above 0";

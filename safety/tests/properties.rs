@@ -528,7 +528,7 @@ proptest! {
             let tick = layer.tick(&Axes::zeros(), Some(&v), &f_v);
             let missing = (-tick.intervention.energy_j).max(0.0);
             prop_assert!((0.0..=missing).contains(&tick.owed_energy_j));
-            let paid = -(tick.device_force - f_v).dot(&v) * PERIOD_S;
+            let paid = -(tick.device_force - tick.rendered_force).dot(&v) * PERIOD_S;
             if (0.0..missing).contains(&paid) {
                 prop_assert!((tick.owed_energy_j - (missing - paid)).abs() < 1e-12);
             }

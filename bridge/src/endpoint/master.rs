@@ -37,8 +37,6 @@ pub struct MasterSettings<const N: usize> {
 /// What one tick of the master did.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterTick<const N: usize> {
-    /// `F_v` in N, as faded by the ladder.
-    pub rendered_force: Axes<N>,
     /// All that the safety layer saw and decided; `device_force` in it goes to the device.
     pub safety: SafetyTick<N>,
     /// Where the ladder stands.
@@ -92,14 +90,13 @@ impl<const N: usize> MasterEndpoint<N> {
         self.ladder.step(now_ns, age_ns, ready);
         let asked =
             self.link.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
-        let rendered_force = asked * self.ladder.gain();
-        let safety = self.layer.tick(position, velocity, &rendered_force);
+        let safety = self.layer.tick(position, velocity, &(asked * self.ladder.gain()));
         if safety.fault.is_some() {
             self.ladder.fault();
         } else {
-            self.outgoing = [*position, safety.motion.velocity, rendered_force];
+            self.outgoing = [*position, safety.motion.velocity, safety.device_force];
         }
-        MasterTick { rendered_force, safety, state: self.ladder.state(), age_ns }
+        MasterTick { safety, state: self.ladder.state(), age_ns }
     }
 
     /// Writes the frame of this tick.

@@ -9,7 +9,7 @@ use crate::{
     observer::{
         HandGraspObserver, SafetyObserver, VelocityForceForm, VelocityForceObserver, WindowedSafetyObserver,
     },
-    parameter::{in_range, positive},
+    parameter::{in_range, non_negative, positive, whole},
 };
 
 /// Which controllers called the tick unsafe.
@@ -182,53 +182,49 @@ impl<const N: usize> SafetyController<N> {
     ) -> Result<Self, ParameterError> {
         let period_s = positive("period_s", "dT", period_s)?;
         let ticks = |name, value| {
-            let value = in_range(name, "-", value, 0.0, Self::MAX_HOLD_S, "between 0 and 60 s")?;
+            let value = in_range(name, "time", value, 0.0, Self::MAX_HOLD_S, "between 0 and 60 s")?;
             #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to 60 s of ticks fit
             Ok((value / period_s).round() as u64)
         };
+        let SafetySettings { energy_ratio, window, .. } = *settings;
+        let named = |name| move |error: ParameterError| error.of_field("force_threshold_n", name);
+        // All are checked, also those that are not asked for: a wrong number is wrong before it is needed.
+        let vfc = VelocityForceObserver::new(
+            settings.velocity_threshold,
+            settings.vfc_force_threshold_n,
+            settings.vfc_form,
+        )
+        .map_err(named("vfc_force_threshold_n"))?;
+        let hsc = HandGraspController::new(
+            HandGraspObserver::new(settings.grasp_floor_n)?,
+            settings.grasp_threshold,
+            settings.hsc_force_threshold_n,
+        )
+        .map_err(named("hsc_force_threshold_n"))?;
+        whole("window", "w", window, 1, WindowedSafetyObserver::<N>::MAX_WINDOW, "1 to 3600000 ticks")?;
+        // A window that nobody reads is not reserved.
+        let window = if settings.wsc { window } else { 1 };
+        let wso = WindowedSafetyObserver::new(*device, period_s, energy_ratio, window)?;
+        let wsc = WindowedSafetyController::new(wso, settings.energy_threshold_j)?;
+        let so = SafetyObserver::new(*device, period_s, energy_ratio)?;
+        // How much damping a device stands is asked only where it is applied: the defaults suit a stylus at 1 kHz.
+        let stands = |is_used, name, symbol, value| {
+            if is_used {
+                dampable(name, symbol, value, device, period_s)
+            } else {
+                non_negative(name, symbol, value)
+            }
+        };
+        let alpha = stands(settings.pc, "pc_max_damping", "alpha", settings.pc_max_damping)?;
+        let pc = PassivityController::new(so, device, period_s, if settings.pc { alpha } else { 0.0 })?;
+        let damps = settings.vfc || settings.hsc || settings.wsc;
+        let damping = stands(damps, "damping", "mu", settings.damping)?;
         Ok(Self {
-            vfc: settings
-                .vfc
-                .then(|| {
-                    VelocityForceObserver::new(
-                        settings.velocity_threshold,
-                        settings.vfc_force_threshold_n,
-                        settings.vfc_form,
-                    )
-                    .map(VelocityForceController::new)
-                })
-                .transpose()?,
-            hsc: settings
-                .hsc
-                .then(|| {
-                    let observer = HandGraspObserver::new(settings.grasp_floor_n)?;
-                    HandGraspController::new(
-                        observer,
-                        settings.grasp_threshold,
-                        settings.hsc_force_threshold_n,
-                    )
-                })
-                .transpose()?,
-            wsc: settings
-                .wsc
-                .then(|| {
-                    let observer = WindowedSafetyObserver::new(
-                        *device,
-                        period_s,
-                        settings.energy_ratio,
-                        settings.window,
-                    )?;
-                    WindowedSafetyController::new(observer, settings.energy_threshold_j)
-                })
-                .transpose()?,
-            pc: settings
-                .pc
-                .then(|| {
-                    let observer = SafetyObserver::new(*device, period_s, settings.energy_ratio)?;
-                    PassivityController::new(observer, device, period_s, settings.pc_max_damping)
-                })
-                .transpose()?,
-            damping: dampable("damping", "mu", settings.damping, device, period_s)?,
+            vfc: settings.vfc.then(|| VelocityForceController::new(vfc)),
+            hsc: settings.hsc.then_some(hsc),
+            wsc: settings.wsc.then_some(wsc),
+            pc: settings.pc.then_some(pc),
+            damping,
             hold_off_ticks: ticks("hold_off_s", settings.hold_off_s)?,
             ramp_ticks: ticks("release_ramp_s", settings.release_ramp_s)?,
             on_for: None,
