@@ -16,6 +16,8 @@ pub(crate) fn refuse(error: impl std::fmt::Display) -> PyErr {
 macro_rules! per_axes {
     ($(#[$doc:meta])* $name:ident, $inner:ident) => {
         $(#[$doc])*
+        // The Python object that holds it lies on the heap already.
+        #[allow(clippy::large_enum_variant)]
         #[derive(Clone)]
         pub(crate) enum $name {
             One($inner<1>),
