@@ -16,7 +16,8 @@ mod virtual_time;
 pub mod wire;
 
 pub use endpoint::{
-    EndpointError, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings, SlaveTick,
+    EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings,
+    SlaveTick,
 };
 pub use ladder::{Ladder, LadderSettings, LadderState};
 pub use link::{FrameLink, LinkStatistics, Refusal};

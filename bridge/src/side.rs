@@ -71,11 +71,11 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        self.endpoint.send(now_ns, buffer)
+        self.endpoint.exchange_mut().send(now_ns, buffer)
     }
 
     fn stalled(&mut self) {
-        self.endpoint.stalled();
+        self.endpoint.exchange_mut().stalled();
     }
 
     fn rest(&mut self) {
@@ -83,11 +83,11 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     }
 
     fn state(&self) -> LadderState {
-        self.endpoint.state()
+        self.endpoint.exchange().state()
     }
 
     fn counts(&self) -> (LinkStatistics, u64) {
-        (self.endpoint.link(), self.endpoint.holds())
+        self.endpoint.exchange().counts()
     }
 }
 
@@ -124,20 +124,20 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        self.endpoint.send(now_ns, buffer)
+        self.endpoint.exchange_mut().send(now_ns, buffer)
     }
 
     fn stalled(&mut self) {
-        self.endpoint.stalled();
+        self.endpoint.exchange_mut().stalled();
     }
 
     fn rest(&mut self) {}
 
     fn state(&self) -> LadderState {
-        self.endpoint.state()
+        self.endpoint.exchange().state()
     }
 
     fn counts(&self) -> (LinkStatistics, u64) {
-        (self.endpoint.link(), self.endpoint.holds())
+        self.endpoint.exchange().counts()
     }
 }

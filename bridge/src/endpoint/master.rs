@@ -5,12 +5,12 @@ use haptether_safety::{
     estimator::EstimatorKind,
 };
 
-use super::{EndpointError, check_period, is_ready, period_s};
+use super::{EndpointError, Exchange, check_period, period_s};
 use crate::{
     coupling::PositionForce,
-    ladder::{Ladder, LadderSettings, LadderState},
-    link::{FrameLink, LinkStatistics, Refusal},
-    wire::{MAX_FRAME, Role},
+    ladder::{LadderSettings, LadderState},
+    link::Refusal,
+    wire::Role,
 };
 
 /// How a master endpoint is built.
@@ -50,9 +50,7 @@ pub struct MasterTick<const N: usize> {
 pub struct MasterEndpoint<const N: usize> {
     layer: SafetyLayer<N>,
     coupling: PositionForce<N>,
-    ladder: Ladder,
-    link: FrameLink<N>,
-    outgoing: [Axes<N>; 3],
+    exchange: Exchange<N>,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -69,59 +67,36 @@ impl<const N: usize> MasterEndpoint<N> {
         Ok(Self {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
-            ladder: Ladder::new(settings.ladder),
-            link: FrameLink::new(Role::Master, settings.session, settings.ladder.stop_after_ns),
-            outgoing: [Axes::zeros(); 3],
+            exchange: Exchange::new(Role::Master, settings.session, settings.ladder),
         })
     }
 
     /// Takes a datagram that arrived by `now_ns`.
     pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
-        if self.link.receive(now_ns, datagram)? {
-            self.ladder.new_session();
-        }
-        Ok(())
+        self.exchange.receive(now_ns, datagram).map(|_| ())
     }
 
     /// One tick: x in m and, from a device that measures it, V in m/s.
     pub fn tick(&mut self, now_ns: u64, position: &Axes<N>, velocity: Option<&Axes<N>>) -> MasterTick<N> {
-        let age_ns = self.link.age_ns(now_ns);
-        let ready = self.link.newest().is_some_and(is_ready);
-        self.ladder.step(now_ns, age_ns, ready);
+        let (_, age_ns) = self.exchange.advance(now_ns);
         let asked =
-            self.link.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
-        let safety = self.layer.tick(position, velocity, &(asked * self.ladder.gain()));
+            self.exchange.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
+        let safety = self.layer.tick(position, velocity, &(asked * self.exchange.ladder.gain()));
         if safety.fault.is_some() {
-            self.ladder.fault();
+            self.exchange.ladder.fault();
         } else {
-            self.outgoing = [*position, safety.motion.velocity, safety.device_force];
+            self.exchange.outgoing = [*position, safety.motion.velocity, safety.device_force];
         }
-        MasterTick { safety, state: self.ladder.state(), age_ns }
+        MasterTick { safety, state: self.exchange.ladder.state(), age_ns }
     }
 
-    /// Writes the frame of this tick.
-    pub fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        let status = (self.ladder.state().code(), self.ladder.hears_peer());
-        self.link.send(now_ns, status, self.outgoing, buffer)
+    /// What talks to the peer.
+    pub fn exchange(&self) -> &Exchange<N> {
+        &self.exchange
     }
 
-    /// The loop was late by more than the ladder allows.
-    pub fn stalled(&mut self) {
-        self.ladder.stalled();
-    }
-
-    /// Where the ladder stands.
-    pub fn state(&self) -> LadderState {
-        self.ladder.state()
-    }
-
-    /// How often the ladder went to HOLD.
-    pub fn holds(&self) -> u64 {
-        self.ladder.holds()
-    }
-
-    /// Counts of the link.
-    pub fn link(&self) -> LinkStatistics {
-        self.link.statistics()
+    /// What talks to the peer.
+    pub fn exchange_mut(&mut self) -> &mut Exchange<N> {
+        &mut self.exchange
     }
 }

@@ -1,22 +1,16 @@
 //! Endpoints: all that one side does at a tick, without socket, thread or clock.
 
+mod exchange;
 mod master;
 mod slave;
 
+pub use exchange::Exchange;
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};
 pub use slave::{SlaveEndpoint, SlaveSettings, SlaveTick};
-
-use crate::{ladder::LadderState, wire::Frame};
 
 /// dT in s.
 pub(crate) fn period_s(period_ns: u64) -> f64 {
     period_ns as f64 * 1e-9
-}
-
-/// Whether the sender of this frame can be coupled with: it hears us and has not stopped.
-pub(crate) fn is_ready<const N: usize>(frame: &Frame<N>) -> bool {
-    let state = LadderState::from_code(frame.state);
-    frame.hears_peer && state.is_some_and(|state| !matches!(state, LadderState::Stop | LadderState::Fault))
 }
 
 /// Settings that an endpoint cannot have.

@@ -2,12 +2,12 @@
 
 use haptether_safety::{Axes, Fault, Signal};
 
-use super::{EndpointError, check_period, is_ready};
+use super::{EndpointError, Exchange, check_period};
 use crate::{
     coupling::PositionForce,
-    ladder::{Ladder, LadderSettings, LadderState},
-    link::{FrameLink, LinkStatistics, Refusal},
-    wire::{MAX_FRAME, Role},
+    ladder::{LadderSettings, LadderState},
+    link::Refusal,
+    wire::Role,
 };
 
 /// How a slave endpoint is built.
@@ -40,11 +40,9 @@ pub struct SlaveTick<const N: usize> {
 #[derive(Clone, Debug)]
 pub struct SlaveEndpoint<const N: usize> {
     coupling: PositionForce<N>,
-    ladder: Ladder,
-    link: FrameLink<N>,
+    exchange: Exchange<N>,
     command: Option<Axes<N>>,
     fault: Option<Fault>,
-    outgoing: [Axes<N>; 3],
 }
 
 impl<const N: usize> SlaveEndpoint<N> {
@@ -53,18 +51,15 @@ impl<const N: usize> SlaveEndpoint<N> {
         check_period(settings.period_ns)?;
         Ok(Self {
             coupling: PositionForce::new(settings.position_scale, 1.0)?,
-            ladder: Ladder::new(settings.ladder),
-            link: FrameLink::new(Role::Slave, settings.session, settings.ladder.stop_after_ns),
+            exchange: Exchange::new(Role::Slave, settings.session, settings.ladder),
             command: None,
             fault: None,
-            outgoing: [Axes::zeros(); 3],
         })
     }
 
     /// Takes a datagram that arrived by `now_ns`.
     pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
-        if self.link.receive(now_ns, datagram)? {
-            self.ladder.new_session();
+        if self.exchange.receive(now_ns, datagram)? {
             self.coupling.disengage();
         }
         Ok(())
@@ -84,12 +79,10 @@ impl<const N: usize> SlaveEndpoint<N> {
             .and_then(|()| Signal::RenderedForce.check(environment_force));
         if let Err(fault) = door {
             self.fault.get_or_insert(fault);
-            self.ladder.fault();
+            self.exchange.ladder.fault();
         }
-        let age_ns = self.link.age_ns(now_ns);
-        let ready = self.link.newest().is_some_and(is_ready);
-        let state = self.ladder.step(now_ns, age_ns, ready);
-        match (state, self.link.newest()) {
+        let (state, age_ns) = self.exchange.advance(now_ns);
+        match (state, self.exchange.newest()) {
             (LadderState::Engaged, Some(frame)) => {
                 self.command = Some(self.coupling.commanded_position(&frame.position, position));
             }
@@ -97,36 +90,20 @@ impl<const N: usize> SlaveEndpoint<N> {
             _ => self.coupling.disengage(),
         }
         if self.fault.is_none() {
-            self.outgoing = [*position, *velocity, *environment_force];
+            self.exchange.outgoing = [*position, *velocity, *environment_force];
         } else {
-            self.outgoing[2] = Axes::zeros();
+            self.exchange.outgoing[2] = Axes::zeros();
         }
         SlaveTick { command: self.command, state, age_ns, fault: self.fault }
     }
 
-    /// Writes the frame of this tick.
-    pub fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        let status = (self.ladder.state().code(), self.ladder.hears_peer());
-        self.link.send(now_ns, status, self.outgoing, buffer)
+    /// What talks to the peer.
+    pub fn exchange(&self) -> &Exchange<N> {
+        &self.exchange
     }
 
-    /// The loop was late by more than the ladder allows.
-    pub fn stalled(&mut self) {
-        self.ladder.stalled();
-    }
-
-    /// Where the ladder stands.
-    pub fn state(&self) -> LadderState {
-        self.ladder.state()
-    }
-
-    /// How often the ladder went to HOLD.
-    pub fn holds(&self) -> u64 {
-        self.ladder.holds()
-    }
-
-    /// Counts of the link.
-    pub fn link(&self) -> LinkStatistics {
-        self.link.statistics()
+    /// What talks to the peer.
+    pub fn exchange_mut(&mut self) -> &mut Exchange<N> {
+        &mut self.exchange
     }
 }
