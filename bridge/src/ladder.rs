@@ -3,10 +3,11 @@
 //! ```text
 //!            frames                 silent > hold_after            silent > stop_after
 //! WAITING ------------> ENGAGED ----------------------> HOLD ------------------------> STOP
-//!                          ^                              |                              |
-//!                          +------------------------------+           a new session only |
-//!                          |        frames: fades in                                     |
-//!                          +-------------------------------------------------------------+
+//!    ^                     ^                              |                              |
+//!    |                     +------------------------------+                              |
+//!    |                              frames: fades in                                     |
+//!    +-----------------------------------------------------------------------------------+
+//!                        slave only: a master that was started anew
 //! any state -- bad number at the door --> FAULT (stays)
 //! ```
 
@@ -86,6 +87,8 @@ pub struct Ladder {
     /// When the peer was last heard and ready.
     last_ready_ns: Option<u64>,
     hears: bool,
+    /// Until when this side itself was blind.
+    blind_until_ns: Option<u64>,
     holds: u64,
 }
 
@@ -99,6 +102,7 @@ impl Ladder {
             last_ns: None,
             last_ready_ns: None,
             hears: false,
+            blind_until_ns: None,
             holds: 0,
         }
     }
@@ -107,7 +111,10 @@ impl Ladder {
     /// the peer says that it hears this side and has not stopped. Each side's view holds both: were only one
     /// direction of the network dead, the side that still hears would otherwise go on.
     pub fn step(&mut self, now_ns: u64, age_ns: Option<u64>, ready: bool) -> LadderState {
-        self.hears = age_ns.is_some_and(|age| age <= self.settings.hold_after_ns);
+        self.hears = age_ns.is_some_and(|age| {
+            let arrived = now_ns.saturating_sub(age);
+            age <= self.settings.hold_after_ns && self.blind_until_ns.is_none_or(|until| arrived > until)
+        });
         let coupled = self.hears && ready;
         let silent_since =
             if ready { age_ns.map(|age| now_ns.saturating_sub(age)) } else { self.last_ready_ns };
@@ -127,8 +134,10 @@ impl Ladder {
         self.state = next;
         let elapsed = now_ns.saturating_sub(self.last_ns.unwrap_or(now_ns)) as f64;
         self.last_ns = Some(now_ns);
+        // A loop that was late must not make up for the time in which it did not fade in.
+        let rising = elapsed.min(self.settings.hold_after_ns as f64 / 10.0);
         self.gain = match self.state {
-            LadderState::Engaged => (self.gain + elapsed / self.settings.fade_in_ns as f64).min(1.0),
+            LadderState::Engaged => (self.gain + rising / self.settings.fade_in_ns as f64).min(1.0),
             LadderState::Fault => 0.0,
             _ => (self.gain - elapsed / self.settings.fade_out_ns as f64).max(0.0),
         };
@@ -147,8 +156,10 @@ impl Ladder {
         (self.state, self.gain) = (LadderState::Fault, 0.0);
     }
 
-    /// The endpoint itself was late by more than the ladder allows: what it knows is old, so it holds.
-    pub fn stalled(&mut self) {
+    /// This side itself was late by more than the ladder allows, until `now_ns`: what it knows is old. It holds
+    /// without force until a frame arrives after that time, and then fades in.
+    pub fn stalled(&mut self, now_ns: u64) {
+        (self.gain, self.blind_until_ns) = (0.0, Some(now_ns));
         if self.state == LadderState::Engaged {
             self.state = LadderState::Hold;
             self.holds += 1;
@@ -243,6 +254,20 @@ mod tests {
         for (now, state) in [(1, Hold), (199, Hold), (201, Stop)] {
             assert_eq!(ladder.step(now * MS, Some(0), false), state, "{now}");
         }
+    }
+
+    #[test]
+    fn a_stall_holds_without_force_until_something_new_arrives() {
+        let mut ladder = Ladder::new(LadderSettings::default());
+        for now in 0..=300 {
+            ladder.step(now * MS, Some(0), true);
+        }
+        // The loop wakes 60 ms late; what it then finds had arrived meanwhile.
+        ladder.stalled(360 * MS);
+        assert_eq!((ladder.step(360 * MS, Some(0), true), ladder.gain()), (Hold, 0.0));
+        assert_eq!((ladder.step(361 * MS, Some(MS), true), ladder.gain()), (Hold, 0.0));
+        assert_eq!(ladder.step(362 * MS, Some(0), true), Engaged);
+        assert!(ladder.gain() <= 1.0 / 200.0 + 1e-12, "it fades in from zero: {}", ladder.gain());
     }
 
     #[test]

@@ -24,5 +24,5 @@ pub use link::{FrameLink, LinkStatistics, Refusal};
 pub use local_wall::{LocalLoop, LocalRecord, RenderedForce, WallLoopError};
 pub use plant::{MasterPlant, SlavePlant};
 pub use record::{MasterRecord, SlaveRecord};
-pub use side::{MasterSide, Side, SlaveSide};
+pub use side::{MasterSide, Side, SlaveSide, TickTime};
 pub use virtual_time::{VirtualSettings, run_virtual};

@@ -143,7 +143,9 @@ impl<const N: usize> FrameLink<N> {
         self.statistics.fresh += 1;
         self.newest = Some(Newest { frame, arrived_ns: now_ns });
         self.count_missing();
-        if let Some(echo) = frame.echo {
+        if let Some(echo) = frame.echo
+            && echo.session == self.session
+        {
             let round_trip = now_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
             self.statistics.round_trip_ns = round_trip;
             let least = self.statistics.least_round_trip_ns;
@@ -192,6 +194,7 @@ impl<const N: usize> FrameLink<N> {
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
         let echo = self.newest.as_ref().map(|newest| Echo {
+            session: newest.frame.session,
             sequence: newest.frame.sequence,
             sent_ns: newest.frame.sent_ns,
             held_ns: now_ns.saturating_sub(newest.arrived_ns),
@@ -211,6 +214,13 @@ impl<const N: usize> FrameLink<N> {
         self.next_sequence += 1;
         self.statistics.sent += 1;
         frame.encode(buffer)
+    }
+
+    /// Whether the newest frame says that the peer hears this very session, not one before it or another's.
+    pub fn is_heard(&self) -> bool {
+        self.newest().is_some_and(|frame| {
+            frame.hears_peer && frame.echo.is_some_and(|echo| echo.session == self.session)
+        })
     }
 
     /// The newest frame of the peer.

@@ -35,6 +35,9 @@ pub trait SlavePlant<const N: usize> {
     /// Takes the tool to `position` in m.
     fn write(&mut self, position: &Axes<N>);
 
+    /// Stays where it is.
+    fn stop(&mut self);
+
     /// The two sides have engaged.
     fn engaged(&mut self, _now_ns: u64) {}
 }
@@ -74,6 +77,10 @@ impl SlavePlant<1> for SimulatedSlave {
 
     fn write(&mut self, position: &Axes<1>) {
         SimulatedSlave::write(self, position[0]);
+    }
+
+    fn stop(&mut self) {
+        SimulatedSlave::stop(self);
     }
 
     fn engaged(&mut self, now_ns: u64) {

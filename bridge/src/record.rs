@@ -1,10 +1,11 @@
 //! What a run leaves behind: one flat record per tick and side.
 
-use haptether_safety::Axes;
+use haptether_safety::{Axes, Fault};
 
 use crate::{
     endpoint::{MasterTick, SlaveTick},
     ladder::LadderState,
+    side::TickTime,
 };
 
 /// One tick of the master.
@@ -38,12 +39,13 @@ pub struct MasterRecord<const N: usize> {
     pub age_ns: u64,
     /// How late the loop woke, in ns; 0 in virtual time.
     pub overshoot_ns: u64,
+    /// The fault's code, 0 without.
+    pub fault: u8,
 }
 
 impl<const N: usize> MasterRecord<N> {
     pub(crate) fn new(
-        time_ns: u64,
-        overshoot_ns: u64,
+        time: TickTime,
         position: &Axes<N>,
         truth: Option<(Axes<N>, Axes<N>)>,
         tick: &MasterTick<N>,
@@ -51,7 +53,7 @@ impl<const N: usize> MasterRecord<N> {
         let (velocity, hand_force) = truth.unwrap_or((tick.safety.motion.velocity, Axes::zeros()));
         let intervention = &tick.safety.intervention;
         Self {
-            time_ns,
+            time_ns: time.now_ns - time.start_ns,
             position: *position,
             velocity,
             hand_force,
@@ -64,7 +66,8 @@ impl<const N: usize> MasterRecord<N> {
             acted: tick.safety.acted.bits(),
             state: tick.state,
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
-            overshoot_ns,
+            overshoot_ns: time.overshoot_ns,
+            fault: tick.safety.fault.map_or(0, Fault::code),
         }
     }
 }
@@ -84,22 +87,24 @@ pub struct SlaveRecord<const N: usize> {
     pub state: LadderState,
     /// How late the loop woke, in ns; 0 in virtual time.
     pub overshoot_ns: u64,
+    /// The fault's code, 0 without.
+    pub fault: u8,
 }
 
 impl<const N: usize> SlaveRecord<N> {
     pub(crate) fn new(
-        time_ns: u64,
-        overshoot_ns: u64,
+        time: TickTime,
         [position, _, environment_force]: &[Axes<N>; 3],
         tick: &SlaveTick<N>,
     ) -> Self {
         Self {
-            time_ns,
+            time_ns: time.now_ns - time.start_ns,
             position: *position,
             command: tick.command.unwrap_or(*position),
             environment_force: *environment_force,
             state: tick.state,
-            overshoot_ns,
+            overshoot_ns: time.overshoot_ns,
+            fault: tick.fault.map_or(0, Fault::code),
         }
     }
 }

@@ -9,6 +9,19 @@ use crate::{
     wire::MAX_FRAME,
 };
 
+/// When a tick is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TickTime {
+    /// When the run began, in ns.
+    pub start_ns: u64,
+    /// The tick's own time in ns: its deadline.
+    pub now_ns: u64,
+    /// How late the loop woke, in ns; 0 in virtual time.
+    pub overshoot_ns: u64,
+    /// Ticks left out since the last one.
+    pub missed: u64,
+}
+
 /// One side: `receive` what has arrived, `tick`, `send`.
 pub trait Side {
     /// What a tick leaves behind.
@@ -20,14 +33,14 @@ pub trait Side {
     /// Takes a datagram that arrived by `now_ns`; a refused one is counted and otherwise forgotten.
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal>;
 
-    /// Reads the plant, decides, writes the plant. `start_ns` is when the run began; `overshoot_ns` how late.
-    fn tick(&mut self, start_ns: u64, now_ns: u64, overshoot_ns: u64) -> Self::Record;
+    /// Reads the plant, decides, writes the plant.
+    fn tick(&mut self, time: TickTime) -> Self::Record;
 
     /// Writes the frame of this tick.
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8];
 
-    /// The loop was late by more than the ladder allows.
-    fn stalled(&mut self);
+    /// The loop was late by more than the ladder allows, until `now_ns`.
+    fn stalled(&mut self, now_ns: u64);
 
     /// Leaves the plant without force or motion.
     fn rest(&mut self);
@@ -59,23 +72,23 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.endpoint.receive(now_ns, datagram)
     }
 
-    fn tick(&mut self, start_ns: u64, now_ns: u64, overshoot_ns: u64) -> MasterRecord<N> {
-        let (position, velocity) = self.plant.read(now_ns);
-        let tick = self.endpoint.tick(now_ns, &position, velocity.as_ref());
+    fn tick(&mut self, time: TickTime) -> MasterRecord<N> {
+        let (position, velocity) = self.plant.read(time.now_ns);
+        let tick = self.endpoint.tick(time.now_ns, time.missed, &position, velocity.as_ref());
         let truth = self.plant.truth();
         self.plant.write(&tick.safety.device_force);
         if tick.state == LadderState::Engaged {
             self.plant.engaged();
         }
-        MasterRecord::new(now_ns - start_ns, overshoot_ns, &position, truth, &tick)
+        MasterRecord::new(time, &position, truth, &tick)
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         self.endpoint.exchange_mut().send(now_ns, buffer)
     }
 
-    fn stalled(&mut self) {
-        self.endpoint.exchange_mut().stalled();
+    fn stalled(&mut self, now_ns: u64) {
+        self.endpoint.stalled(now_ns);
     }
 
     fn rest(&mut self) {
@@ -111,27 +124,29 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         self.endpoint.receive(now_ns, datagram)
     }
 
-    fn tick(&mut self, start_ns: u64, now_ns: u64, overshoot_ns: u64) -> SlaveRecord<N> {
-        let sample = self.plant.read(now_ns);
-        let tick = self.endpoint.tick(now_ns, &sample[0], &sample[1], &sample[2]);
+    fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
+        let sample = self.plant.read(time.now_ns);
+        let tick = self.endpoint.tick(time.now_ns, &sample[0], &sample[1], &sample[2]);
         if let Some(command) = &tick.command {
             self.plant.write(command);
         }
         if tick.state == LadderState::Engaged {
-            self.plant.engaged(now_ns);
+            self.plant.engaged(time.now_ns);
         }
-        SlaveRecord::new(now_ns - start_ns, overshoot_ns, &sample, &tick)
+        SlaveRecord::new(time, &sample, &tick)
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         self.endpoint.exchange_mut().send(now_ns, buffer)
     }
 
-    fn stalled(&mut self) {
-        self.endpoint.exchange_mut().stalled();
+    fn stalled(&mut self, now_ns: u64) {
+        self.endpoint.stalled(now_ns);
     }
 
-    fn rest(&mut self) {}
+    fn rest(&mut self) {
+        self.plant.stop();
+    }
 
     fn state(&self) -> LadderState {
         self.endpoint.exchange().state()

@@ -2,7 +2,10 @@
 
 use haptether_netsim::{Direction, InFlight, Link, LinkError, LinkSettings, Packet, Verdict};
 
-use crate::{side::Side, wire::MAX_FRAME};
+use crate::{
+    side::{Side, TickTime},
+    wire::MAX_FRAME,
+};
 
 /// How a run in virtual time goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,10 +77,10 @@ pub fn run_virtual<M: Side, S: Side>(
     for tick in 0..settings.ticks {
         let now_ns = tick * settings.period_ns;
         backward.deliver(now_ns, master);
-        let master_record = master.tick(0, now_ns, 0);
+        let master_record = master.tick(TickTime { now_ns, ..TickTime::default() });
         forward.take(now_ns, master);
         forward.deliver(now_ns, slave);
-        let slave_record = slave.tick(0, now_ns, 0);
+        let slave_record = slave.tick(TickTime { now_ns, ..TickTime::default() });
         backward.take(now_ns, slave);
         observe(master_record, slave_record);
     }

@@ -17,10 +17,11 @@
 //! | 32 | `u64` | time of sending, sender's monotonic clock in ns |
 //! | 40 | `u64` | echo: time of sending of that frame, the peer's clock in ns |
 //! | 48 | `u64` | echo: time in ns since that frame arrived |
-//! | 56 | `[f64; N]` | position in m (rad) |
-//! | 56 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
-//! | 56 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
-//! | 56 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
+//! | 56 | `u64` | echo: session of that frame |
+//! | 64 | `[f64; N]` | position in m (rad) |
+//! | 64 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
+//! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
+//! | 64 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
 //! Positions are absolute, never increments: a lost frame costs its own news and nothing else.
 
@@ -35,7 +36,7 @@ pub const MAGIC: [u8; 2] = *b"HT";
 /// Version of the frame.
 pub const VERSION: u8 = 1;
 /// Bytes before the first axis.
-pub const HEADER: usize = 56;
+pub const HEADER: usize = 64;
 /// Bytes of the checksum.
 const CHECKSUM: usize = 4;
 /// Bytes of a frame of the largest number of axes.
@@ -67,6 +68,8 @@ impl Role {
 /// The newest frame of the peer, told back to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
+    /// Its session: an echo of another one was meant for somebody else.
+    pub session: u64,
     /// Its sequence.
     pub sequence: u64,
     /// Its time of sending, on the peer's clock in ns.
@@ -156,6 +159,7 @@ struct Header {
     sent_ns: U64,
     echo_sent_ns: U64,
     echo_held_ns: U64,
+    echo_session: U64,
 }
 
 const ECHO_VALID: u16 = 1;
@@ -167,7 +171,7 @@ impl<const N: usize> Frame<N> {
 
     /// Writes the frame and gives the bytes written.
     pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        let echo = self.echo.unwrap_or(Echo { sequence: 0, sent_ns: 0, held_ns: 0 });
+        let echo = self.echo.unwrap_or(Echo { session: 0, sequence: 0, sent_ns: 0, held_ns: 0 });
         #[allow(clippy::cast_possible_truncation)] // at most 7 axes
         let header = Header {
             magic: MAGIC,
@@ -185,6 +189,7 @@ impl<const N: usize> Frame<N> {
             sent_ns: U64::new(self.sent_ns),
             echo_sent_ns: U64::new(echo.sent_ns),
             echo_held_ns: U64::new(echo.held_ns),
+            echo_session: U64::new(echo.session),
         };
         buffer[..HEADER].copy_from_slice(header.as_bytes());
         let values = self.position.iter().chain(&self.velocity).chain(&self.force);
@@ -241,13 +246,20 @@ impl<const N: usize> Frame<N> {
             sequence,
             sent_ns: header.sent_ns.get(),
             echo: (header.flags.get() & ECHO_VALID != 0).then(|| Echo {
+                session: header.echo_session.get(),
                 sequence: header.echo_sequence.get(),
                 sent_ns: header.echo_sent_ns.get(),
                 held_ns: header.echo_held_ns.get(),
             }),
             position: axes(0, Signal::Position)?,
             velocity: axes(1, Signal::Velocity)?,
-            force: axes(2, Signal::RenderedForce)?,
+            force: axes(
+                2,
+                match from {
+                    Role::Master => Signal::RenderedForce,
+                    Role::Slave => Signal::EnvironmentForce,
+                },
+            )?,
         })
     }
 }
@@ -265,7 +277,7 @@ mod tests {
             session: 0x1122_3344_5566_7788,
             sequence: 5,
             sent_ns: 1_000_000,
-            echo: Some(Echo { sequence: 3, sent_ns: 7, held_ns: 9 }),
+            echo: Some(Echo { session: 11, sequence: 3, sent_ns: 7, held_ns: 9 }),
             position: Axes::<1>::new(-0.5),
             velocity: Axes::<1>::new(0.25),
             force: Axes::<1>::new(2.0),
@@ -280,7 +292,7 @@ mod tests {
         let mut expected = Vec::new();
         expected.extend_from_slice(b"HT\x01\x02\x01\x02\x03\x00");
         expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
-        for number in [5_u64, 3, 1_000_000, 7, 9] {
+        for number in [5_u64, 3, 1_000_000, 7, 9, 11] {
             expected.extend_from_slice(&number.to_le_bytes());
         }
         expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xE0, 0xBF]); // -0.5
@@ -305,7 +317,7 @@ mod tests {
             change(&mut bytes);
             Frame::<1>::decode(&bytes, Role::Slave).unwrap_err()
         };
-        assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 84 });
+        assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 92 });
         assert_eq!(refuse(&|b| b[0] = b'X'), WireError::Magic(*b"XT"));
         assert_eq!(refuse(&|b| b[2] = 9), WireError::Version(9));
         assert_eq!(refuse(&|b| b[3] = 1), WireError::Role(1));
@@ -314,7 +326,7 @@ mod tests {
         let mut bad = frame();
         bad.force[0] = f64::NAN;
         let error = Frame::<1>::decode(bad.encode(&mut buffer), Role::Slave).unwrap_err();
-        assert_eq!(error.to_string(), "frame 5: rendered force is not a finite number");
+        assert_eq!(error.to_string(), "frame 5: environment force is not a finite number");
     }
 
     proptest! {
@@ -322,13 +334,13 @@ mod tests {
         fn round_trip(
             numbers in prop::array::uniform9(-900.0..900.0f64),
             (session, sequence, sent_ns) in any::<(u64, u64, u64)>(),
-            echo in prop::option::of(any::<(u64, u64, u64)>()),
+            echo in prop::option::of(any::<(u64, u64, u64, u64)>()),
             (state, hears_peer) in any::<(u8, bool)>(),
         ) {
             let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
             let frame = Frame {
                 role: Role::Master, state, hears_peer, session, sequence, sent_ns,
-                echo: echo.map(|(sequence, sent_ns, held_ns)| Echo { sequence, sent_ns, held_ns }),
+                echo: echo.map(|(session, sequence, sent_ns, held_ns)| Echo { session, sequence, sent_ns, held_ns }),
                 position: part(0), velocity: part(3), force: part(6),
             };
             let mut buffer = [0; MAX_FRAME];
@@ -340,8 +352,33 @@ mod tests {
             prop_assert!(Frame::<2>::decode(&bytes, Role::Master).is_err());
         }
 
+        /// Random bodies under a right header and checksum: what is decoded is in range, the rest is refused.
         #[test]
-        fn one_flipped_bit_is_refused(bit in 0usize..84 * 8) {
+        fn garbage_that_is_well_sealed_is_refused_or_in_range(
+            body in prop::collection::vec(any::<u8>(), 92 - 8 - 4),
+            values in prop::array::uniform3(prop::num::f64::ANY),
+        ) {
+            let mut bytes = vec![b'H', b'T', VERSION, 2, 1];
+            bytes.extend_from_slice(&[1, 3, 0]);
+            bytes.extend_from_slice(&body);
+            for (slot, value) in values.iter().enumerate() {
+                bytes[64 + 8 * slot..72 + 8 * slot].copy_from_slice(&value.to_le_bytes());
+            }
+            let checksum = crc32fast::hash(&bytes);
+            bytes.extend_from_slice(&checksum.to_le_bytes());
+            match Frame::<1>::decode(&bytes, Role::Slave) {
+                Ok(frame) => {
+                    let bounds = [1e3, 1e3, 1e4];
+                    let seen = [frame.position[0], frame.velocity[0], frame.force[0]];
+                    prop_assert!(seen.iter().zip(bounds).all(|(x, most)| x.abs() <= most));
+                    prop_assert_eq!(seen, values);
+                }
+                Err(error) => prop_assert!(matches!(error, WireError::Value(..)), "{error}"),
+            }
+        }
+
+        #[test]
+        fn one_flipped_bit_is_refused(bit in 0usize..92 * 8) {
             let mut buffer = [0; MAX_FRAME];
             let mut bytes = frame().encode(&mut buffer).to_vec();
             bytes[bit / 8] ^= 1 << (bit % 8);

@@ -3,13 +3,17 @@
 
 use haptether_bridge::{
     LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, wire::MAX_FRAME,
+    SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_safety::{DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind};
 use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
 
 const MS: u64 = 1_000_000;
+
+fn at(now_ns: u64) -> TickTime {
+    TickTime { now_ns, ..TickTime::default() }
+}
 
 type Master = MasterSide<SimulatedMaster, 1>;
 type Slave = SlaveSide<SimulatedSlave, 1>;
@@ -50,12 +54,12 @@ fn run(ticks: u64, passes: impl Fn(u64) -> (bool, bool)) -> Vec<[(LadderState, f
     for tick in 0..ticks {
         let now_ns = tick * MS;
         let (there, back) = passes(tick);
-        let at_master = master.tick(0, now_ns, 0);
+        let at_master = master.tick(at(now_ns));
         let frame = master.send(now_ns, &mut buffer);
         if there {
             slave.receive(now_ns, frame).unwrap();
         }
-        let at_slave = slave.tick(0, now_ns, 0);
+        let at_slave = slave.tick(at(now_ns));
         let frame = slave.send(now_ns, &mut buffer);
         if back {
             master.receive(now_ns, frame).unwrap();
@@ -121,10 +125,10 @@ fn a_short_outage_fades_out_and_in_again_without_a_jump() {
 #[test]
 fn a_frame_from_a_stranger_changes_nothing() {
     let (mut master, _) = sides();
-    let noise = [7_u8; 84];
+    let noise = [7_u8; 92];
     for tick in 0..50 {
         assert!(master.receive(tick * MS, &noise).is_err());
-        assert_eq!(master.tick(0, tick * MS, 0).state, LadderState::Waiting);
+        assert_eq!(master.tick(at(tick * MS)).state, LadderState::Waiting);
     }
     assert_eq!(master.counts().0.refused, 50);
 }

@@ -8,7 +8,7 @@ use std::{
 
 use haptether_bridge::{
     LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, wire::MAX_FRAME,
+    SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, SimulatedMaster};
 use haptether_safety::{
@@ -40,6 +40,10 @@ unsafe impl GlobalAlloc for Counting {
 static COUNTING: Counting = Counting;
 
 const MS: u64 = 1_000_000;
+
+fn at(now_ns: u64) -> TickTime {
+    TickTime { now_ns, ..TickTime::default() }
+}
 
 // One test only: another thread's allocations would be counted too.
 #[test]
@@ -89,11 +93,11 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let before = ALLOCATIONS.load(Ordering::Relaxed);
         for tick in 0..2000 {
             let now_ns = tick * MS;
-            tripped |= master.tick(0, now_ns, 0).tripped != 0;
+            tripped |= master.tick(at(now_ns)).tripped != 0;
             let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
-            slave.tick(0, now_ns, 0);
+            slave.tick(at(now_ns));
             let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
-            let _ = master.receive(now_ns, &[0; 84]);
+            let _ = master.receive(now_ns, &[0; 92]);
         }
         let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
 

@@ -524,7 +524,7 @@ class SafetySettings:
 
     Args:
         controllers: Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12).
-        damping: mu in N s/m, between 0 and m / dT.
+        damping: mu in N s/m, between 0 and m / (5 dT).
         velocity_threshold: V_t in m/s, above 0 (Eq. 1).
         vfc_force_threshold_n: F_t in N, above 0 (Eq. 1).
         vfc_form: Which reading of Eq. 1, see `VelocityForceObserver`.
@@ -534,7 +534,7 @@ class SafetySettings:
         energy_threshold_j: delta in J, below 0, by default -0.03 (Eq. 10).
         energy_ratio: eta, above 0 and at most 1 (Eq. 9).
         window: w in ticks, 1 to 3600000 (Eq. 11).
-        pc_max_damping: Bound in N s/m on the damping of Eq. 12, between 0 and m / dT.
+        pc_max_damping: Bound in N s/m on the damping of Eq. 12, between 0 and m / (5 dT).
         hold_off_s: Least duration of an intervention in s, 0 to 60.
         release_ramp_s: Time in s over which an intervention fades out, 0 to 60.
 
@@ -560,7 +560,7 @@ class SafetySettings:
         energy_threshold_j: float = ...,
         energy_ratio: float = 0.5,
         window: int = 100,
-        pc_max_damping: float = 50.0,
+        pc_max_damping: float = 10.0,
         hold_off_s: float = 0.0,
         release_ramp_s: float = 0.0,
     ) -> SafetySettings: ...

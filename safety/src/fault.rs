@@ -13,6 +13,8 @@ pub enum Signal {
     RenderedForce,
     /// Estimated grasp force `F_h`.
     GraspForce,
+    /// Force of the environment on the slave's tool, `F_e`.
+    EnvironmentForce,
 }
 
 impl Signal {
@@ -23,7 +25,7 @@ impl Signal {
     pub const fn bound(self) -> f64 {
         match self {
             Self::Position | Self::Velocity => 1e3,
-            Self::RenderedForce | Self::GraspForce => 1e4,
+            Self::RenderedForce | Self::GraspForce | Self::EnvironmentForce => 1e4,
         }
     }
 
@@ -34,6 +36,7 @@ impl Signal {
             Self::Velocity => "velocity",
             Self::RenderedForce => "rendered force",
             Self::GraspForce => "grasp force",
+            Self::EnvironmentForce => "environment force",
         }
     }
 
@@ -41,7 +44,7 @@ impl Signal {
         match self {
             Self::Position => "m",
             Self::Velocity => "m/s",
-            Self::RenderedForce | Self::GraspForce => "N",
+            Self::RenderedForce | Self::GraspForce | Self::EnvironmentForce => "N",
         }
     }
 
@@ -73,17 +76,22 @@ impl Fault {
     /// A small number for records: 0 is reserved for "no fault".
     pub const fn code(self) -> u8 {
         let (Self::NotFinite(signal) | Self::OutOfRange(signal)) = self;
-        let kind = if matches!(self, Self::NotFinite(_)) { 1 } else { 5 };
+        let kind = if matches!(self, Self::NotFinite(_)) { 1 } else { 6 };
         kind + signal as u8
     }
 
     /// The fault with that [`code`](Fault::code), if there is one.
     pub fn from_code(code: u8) -> Option<Self> {
-        const SIGNALS: [Signal; 4] =
-            [Signal::Position, Signal::Velocity, Signal::RenderedForce, Signal::GraspForce];
+        const SIGNALS: [Signal; 5] = [
+            Signal::Position,
+            Signal::Velocity,
+            Signal::RenderedForce,
+            Signal::GraspForce,
+            Signal::EnvironmentForce,
+        ];
         match code {
-            1..=4 => Some(Self::NotFinite(SIGNALS[usize::from(code - 1)])),
-            5..=8 => Some(Self::OutOfRange(SIGNALS[usize::from(code - 5)])),
+            1..=5 => Some(Self::NotFinite(SIGNALS[usize::from(code - 1)])),
+            6..=10 => Some(Self::OutOfRange(SIGNALS[usize::from(code - 6)])),
             _ => None,
         }
     }
@@ -105,9 +113,9 @@ mod tests {
 
     #[test]
     fn codes_are_distinct_and_reversible() {
-        for code in 1..=8 {
+        for code in 1..=10 {
             assert_eq!(Fault::from_code(code).map(Fault::code), Some(code));
         }
-        assert_eq!((Fault::from_code(0), Fault::from_code(9)), (None, None));
+        assert_eq!((Fault::from_code(0), Fault::from_code(11)), (None, None));
     }
 }

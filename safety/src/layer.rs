@@ -5,6 +5,7 @@ use crate::{
     controller::{Intervention, SafetyController, SafetySettings},
     estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
     fault::Signal,
+    is_within,
     limiter::{Acted, Limiter, LimiterSettings},
 };
 
@@ -96,6 +97,17 @@ impl<const N: usize> SafetyLayer<N> {
         velocity: Option<&Axes<N>>,
         rendered_force: &Axes<N>,
     ) -> SafetyTick<N> {
+        self.tick_with_authority(position, velocity, rendered_force, 1.0)
+    }
+
+    /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
+    pub fn tick_with_authority(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        rendered_force: &Axes<N>,
+        authority: f64,
+    ) -> SafetyTick<N> {
         let door = match self.fault {
             Some(fault) => Err(fault),
             None => Signal::Position
@@ -103,7 +115,7 @@ impl<const N: usize> SafetyLayer<N> {
                 .and_then(|()| velocity.map_or(Ok(()), |v| Signal::Velocity.check(v)))
                 .and_then(|()| Signal::RenderedForce.check(rendered_force)),
         };
-        door.and_then(|()| self.act(position, velocity, rendered_force))
+        door.and_then(|()| self.act(position, velocity, rendered_force, authority))
             .unwrap_or_else(|fault| self.stop(fault))
     }
 
@@ -112,11 +124,39 @@ impl<const N: usize> SafetyLayer<N> {
         position: &Axes<N>,
         velocity: Option<&Axes<N>>,
         rendered_force: &Axes<N>,
+        authority: f64,
     ) -> Result<SafetyTick<N>, Fault> {
         // The observers compare F_v with the hand. A force that the device cannot or must not render yet would look
         // like one that nobody holds, so F_v is bounded before it is observed. At V = 0 the power bound is idle.
         let rendering = self.rendering.step(rendered_force, &Axes::zeros());
         let rendered_force = &rendering.force;
+        let (motion, seen) = self.observe(position, velocity, rendered_force);
+        let grasp_force = seen.grasp_force;
+        let intervention = self.controller.step_with_authority(&seen, authority)?;
+        let asked = rendered_force + intervention.safety_force;
+        let limited = self.limiter.step(&asked, &motion.velocity);
+        let delivered = limited.force - rendered_force;
+        let owed_energy_j = self.controller.owed_energy_j(&intervention, &delivered, &motion.velocity);
+        self.device_force = limited.force;
+        Ok(SafetyTick {
+            motion,
+            rendered_force: *rendered_force,
+            grasp_force,
+            device_force: limited.force,
+            intervention,
+            acted: rendering.acted.and(limited.acted),
+            owed_energy_j,
+            fault: None,
+        })
+    }
+
+    /// V and A, and what the observers see of them.
+    fn observe(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        rendered_force: &Axes<N>,
+    ) -> (Motion<N>, Observation<N>) {
         let motion = match velocity {
             Some(velocity) => self.measured.step(velocity),
             None => self.estimator.step(position),
@@ -137,22 +177,20 @@ impl<const N: usize> SafetyLayer<N> {
             grasp_force,
             aligned_rendered_force,
         };
-        let intervention = self.controller.step(&seen)?;
-        let asked = rendered_force + intervention.safety_force;
-        let limited = self.limiter.step(&asked, &motion.velocity);
-        let delivered = limited.force - rendered_force;
-        let owed_energy_j = self.controller.owed_energy_j(&intervention, &delivered, &motion.velocity);
-        self.device_force = limited.force;
-        Ok(SafetyTick {
-            motion,
-            rendered_force: *rendered_force,
-            grasp_force,
-            device_force: limited.force,
-            intervention,
-            acted: rendering.acted.and(limited.acted),
-            owed_energy_j,
-            fault: None,
-        })
+        (motion, seen)
+    }
+
+    /// A tick that was missed: the device has kept its force, and was at `position` (between two samples) by then.
+    ///
+    /// Estimator and observers are carried along, so that a late loop does not read several ticks of motion as one;
+    /// nothing is decided. The next [`tick`](Self::tick) refuses what is not finite.
+    pub fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
+        if self.fault.is_none() && is_within(position, Signal::Position.bound()) {
+            let rendered_force = self.last_rendered;
+            let (_, seen) = self.observe(position, velocity, &rendered_force);
+            // A bad number would be met again at the tick, which names it.
+            let _ = self.controller.step(&seen);
+        }
     }
 
     /// `F_v` of the past ticks through the kernel of A, only where an observer compares it with `F_h`.
@@ -192,6 +230,14 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
+    /// Forgets the past as [`reset`](Self::reset) does, but keeps a fault.
+    pub fn restart(&mut self, position: &Axes<N>) -> Result<(), Fault> {
+        let fault = self.fault;
+        let restarted = self.reset(position);
+        self.fault = fault;
+        restarted
+    }
+
     /// Clears a fault and the past: the device rests at `position`, and its force rises from zero again.
     pub fn reset(&mut self, position: &Axes<N>) -> Result<(), Fault> {
         Signal::Position.check(position)?;
@@ -212,6 +258,7 @@ impl<const N: usize> SafetyLayer<N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::controller::Tripped;
 
     const PERIOD: f64 = 1e-3;
     const MASS: f64 = 0.157;
@@ -310,6 +357,66 @@ mod tests {
             assert!(!tick.intervention.tripped.any(), "tick {n}: S_h = {}", tick.intervention.grasp);
             assert!(n < 105 || (tick.device_force[0] - 4.0).abs() < 1e-12);
         }
+    }
+
+    /// 4 N are rendered all the time; a hand holds, lets go for 50 ms, and is back for good.
+    #[test]
+    fn a_hand_that_is_back_gets_its_force_back_over_the_ramp() {
+        let safety = SafetySettings {
+            hsc: true,
+            hsc_force_threshold_n: 0.5,
+            hold_off_s: 0.1,
+            release_ramp_s: 0.2,
+            ..SafetySettings::default()
+        };
+        let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
+        let rendered = Axes::<1>::new(4.0);
+        let (mut x, mut v, mut largest_step, mut last) = (0.0, 0.0, 0.0_f64, 0.0);
+        let mut states = Vec::new();
+        for n in 0..1500 {
+            let (at, moving) = (Axes::<1>::new(x), Axes::<1>::new(v));
+            let tick = layer.tick(&at, Some(&moving), &rendered);
+            let force = tick.device_force[0];
+            if n > 10 {
+                largest_step = largest_step.max(force - last);
+            }
+            last = force;
+            states.push((tick.intervention.tripped, force));
+            for _ in 0..10 {
+                let hand = if (500..550).contains(&n) { 0.0 } else { -400.0 * x - 15.0 * v };
+                v += (force + hand) / MASS * PERIOD / 10.0;
+                x += v * PERIOD / 10.0;
+            }
+        }
+        assert!(!states[499].0.any() && (states[499].1 - 4.0).abs() < 1e-9, "held: all is rendered");
+        assert!(
+            states[500..550].iter().any(|(tripped, _)| tripped.contains(Tripped::HSC)),
+            "let go: it trips"
+        );
+        assert!(!states[1499].0.any() && (states[1499].1 - 4.0).abs() < 1e-9, "back: all is rendered again");
+        assert!(largest_step < 0.3, "over the ramp, not as a step: {largest_step} N");
+    }
+
+    #[test]
+    fn a_late_loop_does_not_read_several_ticks_as_one() {
+        // 0.3 m/s under no force; ticks 100 to 107 are missed.
+        let safety = SafetySettings { wsc: true, ..SafetySettings::default() };
+        let sample = |n: i32| Axes::<1>::new((3e-4 * f64::from(n) / 2.3e-5).round() * 2.3e-5);
+        let mut carried = SafetyLayer::new(&settings(safety)).unwrap();
+        let mut blind = carried.clone();
+        let none = Axes::zeros();
+        for n in 0..100 {
+            carried.tick(&sample(n), None, &none);
+            blind.tick(&sample(n), None, &none);
+        }
+        for n in 100..108 {
+            carried.missed(&sample(n), None);
+        }
+        let worst = |layer: &mut SafetyLayer<1>| {
+            (108..130).map(|n| layer.tick(&sample(n), None, &none).grasp_force[0].abs()).fold(0.0, f64::max)
+        };
+        assert!(worst(&mut carried) < 0.5);
+        assert!(worst(&mut blind) > 5.0, "else the test shows nothing");
     }
 
     #[test]

@@ -40,6 +40,9 @@ impl Acted {
     /// The force is still rising from zero.
     pub const RAMP: Self = Self(8);
 
+    /// A number was not finite: no force.
+    pub const FAULT: Self = Self(16);
+
     /// Whether all of `other` is set.
     pub fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
@@ -50,7 +53,7 @@ impl Acted {
         Self(self.0 | other.0)
     }
 
-    /// The bits, for records: norm 1, slew 2, power 4, ramp 8.
+    /// The bits, for records: norm 1, slew 2, power 4, ramp 8, fault 16.
     pub fn bits(self) -> u8 {
         self.0
     }
@@ -95,6 +98,11 @@ impl<const N: usize> Limiter<N> {
 
     /// Limits the force asked for at this tick, with V in m/s.
     pub fn step(&mut self, asked: &Axes<N>, velocity: &Axes<N>) -> Limited<N> {
+        // A comparison with NaN is false, so every bound below would let one through.
+        if !asked.iter().chain(velocity).all(|x| x.is_finite()) {
+            self.last = Axes::zeros();
+            return Limited { force: self.last, acted: Acted::FAULT };
+        }
         let mut acted = 0;
         let mut force = *asked;
         if self.ticks < self.ramp_ticks {
@@ -157,6 +165,16 @@ mod tests {
             let limited = Limiter::new(1e-3, settings).unwrap().step(&asked, &velocity);
             assert!((limited.force[0] - force).abs() < 1e-12, "{settings:?}");
             assert_eq!(limited.acted, bound, "{settings:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_that_is_not_finite_leaves() {
+        let mut limiter = Limiter::<2>::new(1e-3, OPEN).unwrap();
+        limiter.step(&Axes::<2>::new(1.0, 1.0), &Axes::zeros());
+        for (force, speed) in [(f64::NAN, 0.0), (f64::INFINITY, 0.0), (1.0, f64::NAN)] {
+            let limited = limiter.step(&Axes::<2>::new(0.0, force), &Axes::<2>::new(speed, 0.0));
+            assert_eq!(limited, Limited { force: Axes::zeros(), acted: Acted::FAULT });
         }
     }
 

@@ -102,6 +102,11 @@ impl SimulatedSlave {
         self.now_ns = now_ns;
     }
 
+    /// Commands the set position that has been reached: the arm stays where it is.
+    pub fn stop(&mut self) {
+        self.commanded = self.set_position;
+    }
+
     /// Advances to `now_ns` (monotonic) and tells what the arm measures there.
     pub fn read(&mut self, now_ns: u64) -> SlaveSample {
         let mut left = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;

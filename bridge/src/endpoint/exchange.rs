@@ -12,6 +12,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Exchange<const N: usize> {
     pub(super) ladder: Ladder,
+    /// Whether a new session of the peer ends a STOP.
+    resumes: bool,
     link: FrameLink<N>,
     /// Position, velocity and force of the next frame.
     pub(super) outgoing: [Axes<N>; 3],
@@ -21,6 +23,9 @@ impl<const N: usize> Exchange<N> {
     pub(super) fn new(role: Role, session: u64, settings: LadderSettings) -> Self {
         Self {
             ladder: Ladder::new(settings),
+            // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled again
+            // by what arrives from the network: a stopped master must be started anew.
+            resumes: role == Role::Slave,
             link: FrameLink::new(role, session, settings.stop_after_ns),
             outgoing: [Axes::zeros(); 3],
         }
@@ -29,7 +34,7 @@ impl<const N: usize> Exchange<N> {
     /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
     pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
         let begins = self.link.receive(now_ns, datagram)?;
-        if begins {
+        if begins && self.resumes {
             self.ladder.new_session();
         }
         Ok(begins)
@@ -38,7 +43,7 @@ impl<const N: usize> Exchange<N> {
     /// Steps the ladder; gives its state and the silence of the peer in ns.
     pub(super) fn advance(&mut self, now_ns: u64) -> (LadderState, Option<u64>) {
         let age_ns = self.link.age_ns(now_ns);
-        let ready = self.newest().is_some_and(is_ready);
+        let ready = self.link.is_heard() && self.newest().is_some_and(has_not_stopped);
         (self.ladder.step(now_ns, age_ns, ready), age_ns)
     }
 
@@ -53,9 +58,9 @@ impl<const N: usize> Exchange<N> {
         self.link.send(now_ns, status, self.outgoing, buffer)
     }
 
-    /// The loop was late by more than the ladder allows.
-    pub fn stalled(&mut self) {
-        self.ladder.stalled();
+    /// The loop was late by more than the ladder allows, until `now_ns`.
+    pub(super) fn stalled(&mut self, now_ns: u64) {
+        self.ladder.stalled(now_ns);
     }
 
     /// Where the ladder stands.
@@ -69,8 +74,8 @@ impl<const N: usize> Exchange<N> {
     }
 }
 
-/// Whether the sender of this frame can be coupled with: it hears us and has not stopped.
-fn is_ready<const N: usize>(frame: &Frame<N>) -> bool {
+/// Whether the sender of this frame can be coupled with.
+fn has_not_stopped<const N: usize>(frame: &Frame<N>) -> bool {
     let state = LadderState::from_code(frame.state);
-    frame.hears_peer && state.is_some_and(|state| !matches!(state, LadderState::Stop | LadderState::Fault))
+    state.is_some_and(|state| !matches!(state, LadderState::Stop | LadderState::Fault))
 }

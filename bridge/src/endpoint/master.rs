@@ -51,6 +51,9 @@ pub struct MasterEndpoint<const N: usize> {
     layer: SafetyLayer<N>,
     coupling: PositionForce<N>,
     exchange: Exchange<N>,
+    /// Position and velocity of the last tick.
+    last: Option<(Axes<N>, Option<Axes<N>>)>,
+    has_stalled: bool,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -68,6 +71,8 @@ impl<const N: usize> MasterEndpoint<N> {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
             exchange: Exchange::new(Role::Master, settings.session, settings.ladder),
+            last: None,
+            has_stalled: false,
         })
     }
 
@@ -76,18 +81,53 @@ impl<const N: usize> MasterEndpoint<N> {
         self.exchange.receive(now_ns, datagram).map(|_| ())
     }
 
-    /// One tick: x in m and, from a device that measures it, V in m/s.
-    pub fn tick(&mut self, now_ns: u64, position: &Axes<N>, velocity: Option<&Axes<N>>) -> MasterTick<N> {
+    /// One tick: x in m and, from a device that measures it, V in m/s; `missed` ticks were left out since the last.
+    pub fn tick(
+        &mut self,
+        now_ns: u64,
+        missed: u64,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+    ) -> MasterTick<N> {
         let (_, age_ns) = self.exchange.advance(now_ns);
         let asked =
             self.exchange.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
-        let safety = self.layer.tick(position, velocity, &(asked * self.exchange.ladder.gain()));
+        let gain = self.exchange.ladder.gain();
+        if self.has_stalled {
+            // What lies before the gap says nothing of what comes after it. A position that cannot be is met below.
+            let _ = self.layer.restart(position);
+            self.has_stalled = false;
+        } else {
+            self.carry_over(missed, position, velocity);
+        }
+        self.last = Some((*position, velocity.copied()));
+        let safety = self.layer.tick_with_authority(position, velocity, &(asked * gain), gain);
         if safety.fault.is_some() {
             self.exchange.ladder.fault();
         } else {
             self.exchange.outgoing = [*position, safety.motion.velocity, safety.device_force];
         }
         MasterTick { safety, state: self.exchange.ladder.state(), age_ns }
+    }
+
+    /// Carries estimator and observers over missed ticks, along a straight line.
+    fn carry_over(&mut self, missed: u64, position: &Axes<N>, velocity: Option<&Axes<N>>) {
+        if missed == 0 {
+            return;
+        }
+        if let Some((before, moving)) = self.last {
+            for tick in 1..=missed {
+                let share = tick as f64 / (missed + 1) as f64;
+                let between = moving.zip(velocity).map(|(then, now)| then + (now - then) * share);
+                self.layer.missed(&(before + (position - before) * share), between.as_ref());
+            }
+        }
+    }
+
+    /// The loop was late by more than the ladder allows, until `now_ns`.
+    pub fn stalled(&mut self, now_ns: u64) {
+        self.exchange.stalled(now_ns);
+        self.has_stalled = true;
     }
 
     /// What talks to the peer.

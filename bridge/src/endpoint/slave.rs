@@ -76,7 +76,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         let door = Signal::Position
             .check(position)
             .and_then(|()| Signal::Velocity.check(velocity))
-            .and_then(|()| Signal::RenderedForce.check(environment_force));
+            .and_then(|()| Signal::EnvironmentForce.check(environment_force));
         if let Err(fault) = door {
             self.fault.get_or_insert(fault);
             self.exchange.ladder.fault();
@@ -84,7 +84,9 @@ impl<const N: usize> SlaveEndpoint<N> {
         let (state, age_ns) = self.exchange.advance(now_ns);
         match (state, self.exchange.newest()) {
             (LadderState::Engaged, Some(frame)) => {
-                self.command = Some(self.coupling.commanded_position(&frame.position, position));
+                // From the last command, not from where contact has bent the arm to.
+                let from = self.command.unwrap_or(*position);
+                self.command = Some(self.coupling.commanded_position(&frame.position, &from));
             }
             // Holds the last command; when it engages again it does so from where both are then.
             _ => self.coupling.disengage(),
@@ -95,6 +97,11 @@ impl<const N: usize> SlaveEndpoint<N> {
             self.exchange.outgoing[2] = Axes::zeros();
         }
         SlaveTick { command: self.command, state, age_ns, fault: self.fault }
+    }
+
+    /// The loop was late by more than the ladder allows, until `now_ns`.
+    pub fn stalled(&mut self, now_ns: u64) {
+        self.exchange.stalled(now_ns);
     }
 
     /// What talks to the peer.

@@ -11,7 +11,12 @@ use std::{
 };
 
 use super::{clock, socket::PeerSocket};
-use crate::{ladder::LadderState, link::LinkStatistics, side::Side, wire::MAX_FRAME};
+use crate::{
+    ladder::LadderState,
+    link::LinkStatistics,
+    side::{Side, TickTime},
+    wire::MAX_FRAME,
+};
 
 /// How a live loop goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,9 +88,18 @@ pub fn run_live<S: Side + Send + 'static>(
     Ok(LiveRun { thread: Some(thread), records, shared, address })
 }
 
+/// A side that is left without force or motion however its loop ends.
+struct Resting<S: Side>(S);
+
+impl<S: Side> Drop for Resting<S> {
+    fn drop(&mut self) {
+        self.0.rest();
+    }
+}
+
 /// The loop: wait for the deadline, take what has arrived, tick, send, record.
 fn turn<S: Side>(
-    mut side: S,
+    side: S,
     mut socket: PeerSocket,
     settings: LiveSettings,
     mut records: rtrb::Producer<S::Record>,
@@ -94,28 +108,31 @@ fn turn<S: Side>(
     clock::ask_for_prompt_wakeups();
     let mut report = LoopReport { engaged_ns: u64::MAX, ..LoopReport::default() };
     let mut buffer = [0; MAX_FRAME];
+    let mut side = Resting(side);
     let start_ns = clock::now_ns();
-    side.begin(start_ns);
+    side.0.begin(start_ns);
     let mut deadline_ns = start_ns;
     while !shared.stop.load(Ordering::Relaxed) {
         clock::sleep_until(deadline_ns);
         let overshoot_ns = clock::now_ns().saturating_sub(deadline_ns);
+        // One wake-up is one tick: a backlog worked off at once would let the force grow faster than its limit.
+        let missed = overshoot_ns / settings.period_ns;
+        report.skipped += missed;
+        deadline_ns += missed * settings.period_ns;
         if overshoot_ns > MOST_LATE_NS {
-            let missed = overshoot_ns / settings.period_ns;
-            report.skipped += missed;
-            deadline_ns += missed * settings.period_ns;
-            side.stalled();
+            socket.discard();
+            side.0.stalled(deadline_ns);
         }
         // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
         let now_ns = deadline_ns;
-        socket.drain(MOST_DATAGRAMS, |datagram| side.receive(now_ns, datagram).is_ok());
-        let record = side.tick(start_ns, now_ns, overshoot_ns);
-        socket.send(side.send(now_ns, &mut buffer));
+        socket.drain(MOST_DATAGRAMS, |datagram| side.0.receive(now_ns, datagram).is_ok());
+        let record = side.0.tick(TickTime { start_ns, now_ns, overshoot_ns, missed });
+        socket.send(side.0.send(now_ns, &mut buffer));
         report.ticks += 1;
         if records.push(record).is_err() {
             report.dropped_records += 1;
         }
-        let state = side.state();
+        let state = side.0.state();
         if state == LadderState::Engaged && report.engaged_ns == u64::MAX {
             report.engaged_ns = now_ns - start_ns;
         }
@@ -131,8 +148,7 @@ fn turn<S: Side>(
         }
         deadline_ns += settings.period_ns;
     }
-    side.rest();
-    (report.link, report.holds) = side.counts();
+    (report.link, report.holds) = side.0.counts();
     report.unsent = socket.unsent;
     report
 }

@@ -65,6 +65,19 @@ impl PeerSocket {
         }
     }
 
+    /// Throws away what waits: it is old.
+    pub fn discard(&mut self) {
+        let mut buffer = [0; 1];
+        // A bound, because a flood could otherwise hold the loop here; a buffer holds far less.
+        for _ in 0..100_000 {
+            if let Err(error) = self.socket.recv_from(&mut buffer)
+                && error.kind() == io::ErrorKind::WouldBlock
+            {
+                return;
+            }
+        }
+    }
+
     /// Sends to the peer, if there is one.
     pub fn send(&mut self, frame: &[u8]) {
         if let Some(peer) = self.peer

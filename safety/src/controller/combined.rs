@@ -110,7 +110,7 @@ impl Default for SafetySettings {
             energy_threshold_j: -0.03,
             energy_ratio: 0.5,
             window: 100,
-            pc_max_damping: 50.0,
+            pc_max_damping: 10.0,
             hold_off_s: 0.0,
             release_ramp_s: 0.0,
         }
@@ -151,7 +151,7 @@ impl<const N: usize> Intervention<N> {
 /// Controllers combined by "any of".
 ///
 /// While one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`. It stays so for at least the hold-off, then fades over
-/// the release ramp: `F_c = g (-F_v - mu V)` with g from 1 to 0. A new trip sets g to 1 at once. PC adds its own
+/// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC adds its own
 /// force in the share 1 - g that the intervention leaves.
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
@@ -168,6 +168,8 @@ pub struct SafetyController<const N: usize> {
     on_for: Option<u64>,
     /// Ticks since the intervention began to fade.
     fading_for: u64,
+    /// Share of `F_v` that the last tick let through.
+    let_through: f64,
 }
 
 impl<const N: usize> SafetyController<N> {
@@ -229,20 +231,34 @@ impl<const N: usize> SafetyController<N> {
             ramp_ticks: ticks("release_ramp_s", settings.release_ramp_s)?,
             on_for: None,
             fading_for: 0,
+            let_through: 1.0,
         })
     }
 
     /// `F_c` for this tick. A sample that is not finite or absurd changes no state and is returned as a fault.
     pub fn step(&mut self, seen: &Observation<N>) -> Result<Intervention<N>, Fault> {
+        self.step_with_authority(seen, 1.0)
+    }
+
+    /// As [`step`](Self::step), with damping in the share `authority` (0 to 1) only.
+    ///
+    /// Cancelling `F_v` needs no authority, for it takes a force away. Damping is a force: without a peer it goes as
+    /// the rendered force goes.
+    pub fn step_with_authority(
+        &mut self,
+        seen: &Observation<N>,
+        authority: f64,
+    ) -> Result<Intervention<N>, Fault> {
         seen.check()?;
         let (velocity_force, vfc) = self.vfc.map_or((f64::NAN, false), |vfc| vfc.judge(seen));
-        let (grasp, hsc) = self.hsc.map_or((f64::NAN, false), |hsc| hsc.judge(seen));
+        let (grasp, hsc) = self.hsc.map_or((f64::NAN, false), |hsc| hsc.judge(&self.felt(seen)));
         let (windowed_energy_j, wsc) = self.wsc.as_mut().map_or((f64::NAN, false), |wsc| wsc.step(seen));
         let pc = self.pc.as_mut().map(|pc| pc.step(seen));
 
         let is_unsafe = vfc || hsc || wsc;
         let gain = self.gain(is_unsafe);
-        let mut safety_force = cancel_and_damp(seen, self.damping) * gain;
+        self.let_through = 1.0 - gain;
+        let mut safety_force = cancel_and_damp(seen, self.damping * authority) * gain;
         let mut tripped = Tripped::NONE
             .with(Tripped::VFC, vfc)
             .with(Tripped::HSC, hsc)
@@ -255,11 +271,22 @@ impl<const N: usize> SafetyController<N> {
             && gain < 1.0
             && action.force != Axes::<N>::zeros()
         {
-            safety_force += action.force * (1.0 - gain);
+            safety_force += action.force * ((1.0 - gain) * authority);
             tripped = tripped.with(Tripped::PC, true);
         }
         let energy_j = pc.map_or(f64::NAN, |action| action.energy_j);
         Ok(Intervention { safety_force, tripped, velocity_force, grasp, windowed_energy_j, energy_j })
+    }
+
+    /// What a hand can have felt of `F_v`, for HSC with a release ramp.
+    ///
+    /// While an intervention cancels `F_v`, a hand has nothing to hold against: against all of `F_v`, `S_h` would stay
+    /// large for ever and the hand that has come back would never get its force again. So the force comes back over
+    /// the ramp, and `S_h` compares the hand with the share that is rendered: one that holds ends the intervention, one
+    /// that is gone trips it anew as soon as that share exceeds `F_t`. Without a ramp, Eq. 14 stands as printed.
+    fn felt(&self, seen: &Observation<N>) -> Observation<N> {
+        let share = if self.ramp_ticks > 0 && self.on_for.is_some() { self.let_through } else { 1.0 };
+        Observation { aligned_rendered_force: seen.aligned_rendered_force * share, ..*seen }
     }
 
     /// Share of the intervention that is on at this tick.
@@ -279,7 +306,9 @@ impl<const N: usize> SafetyController<N> {
             (self.on_for, self.fading_for) = (None, 0);
             return 0.0;
         }
-        1.0 - self.fading_for as f64 / (self.ramp_ticks + 1) as f64
+        // Slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up looks gone.
+        let share = self.fading_for as f64 / (self.ramp_ticks + 1) as f64;
+        1.0 - share * share
     }
 
     /// Which of `S_vf`, `S_h`, `E_wso`, `E_so` are observed.
@@ -310,6 +339,6 @@ impl<const N: usize> SafetyController<N> {
         if let Some(pc) = self.pc.as_mut() {
             pc.reset();
         }
-        (self.on_for, self.fading_for) = (None, 0);
+        (self.on_for, self.fading_for, self.let_through) = (None, 0, 1.0);
     }
 }

@@ -1,0 +1,52 @@
+//! The largest damping that is accepted still brings a device to rest, on an encoder and with every estimator that smooths.
+#![allow(clippy::unwrap_used)] // a test may
+
+use haptether_safety::{
+    Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer,
+    controller::SafetySettings,
+    estimator::{EstimatorKind, Fit},
+};
+
+const PERIOD_S: f64 = 1e-3;
+const MASS: f64 = 0.157;
+const QUANTUM: f64 = 2.3e-5;
+
+/// Largest speed in m/s of a free device during the last half second of two, thrown at 0.6 m/s.
+fn speed_at_rest(estimator: EstimatorKind, safety: SafetySettings) -> f64 {
+    let mut layer = SafetyLayer::<1>::new(&LayerSettings {
+        device: DeviceModel::uniform(MASS, 0.0, 0.0).unwrap(),
+        period_s: PERIOD_S,
+        estimator,
+        safety,
+        limiter: LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() },
+    })
+    .unwrap();
+    let (mut x, mut v, mut fastest) = (0.0_f64, 0.6_f64, 0.0_f64);
+    for tick in 0..2000 {
+        let seen = Axes::<1>::new((x / QUANTUM).round() * QUANTUM);
+        let force = layer.tick(&seen, None, &Axes::<1>::new(3.0)).device_force[0];
+        x += v * PERIOD_S + force / MASS * PERIOD_S * PERIOD_S / 2.0;
+        v += force / MASS * PERIOD_S;
+        if tick >= 1500 {
+            fastest = fastest.max(v.abs());
+        }
+    }
+    fastest
+}
+
+#[test]
+fn every_estimator_comes_to_rest_at_the_largest_damping() {
+    // Not backward difference: its grasp force is noise, so HSC flickers and the push comes back in between.
+    let most = MASS / (5.0 * PERIOD_S);
+    for estimator in [
+        EstimatorKind::LowPass { cutoff_hz: 30.0 },
+        EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM, max_window: 16, fit: Fit::End },
+        EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
+        EstimatorKind::default(),
+    ] {
+        let safety = SafetySettings { hsc: true, damping: most, ..SafetySettings::default() };
+        let speed = speed_at_rest(estimator, safety);
+        // One count a tick is 0.023 m/s: below it an encoder cannot tell a creeping device from a resting one.
+        assert!(speed < QUANTUM / PERIOD_S, "{estimator:?}: {speed} m/s");
+    }
+}
