@@ -43,7 +43,7 @@ class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
     """What happens in the demonstration. Times in s since the two sides engaged.
 
     Wall and grip are chosen so that the delayed loop is stable while the hand holds, whatever the delay: the
-    wall's 100 N/m stay below the least impedance of the hand, min |K_h - m w^2 + j w B_h| = 268 N/m (small gain).
+    wall's 100 N/m stay below the least impedance of the hand, min |K_h - m w^2 + j w B_h| = 284 N/m (small gain).
     """
 
     delay_s: float = 0.05
@@ -52,7 +52,7 @@ class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 1
     wall_stiffness: float = 100.0
     depth: float = 0.045
-    push_at_s: float = 2.0
+    push_at_s: float = 1.6
     push_force_n: float = 3.5
     push_duration_s: float = 2.0
     release_at_s: float = 2.6
@@ -211,8 +211,8 @@ def _process(name: str, *arguments: str) -> Iterator[_Process]:
         child.end()
 
 
-def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path) -> Path:
-    """Draws hand velocity, device force and position of every run into `folder`/demo.png.
+def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path) -> None:
+    """Draws hand velocity, device force and position of every run, whose traces lie beside `path`.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
@@ -229,7 +229,7 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path) -> 
     labels = ("hand velocity [m/s]", "force on the hand [N]", "hand position [m]")
     names = {"none": "no controller", "vfc": "VFC", "hsc": "HSC", "wsc": "WSC"}
     for result in results:
-        with np.load(folder / f"{result.controller}.npz") as arrays:
+        with np.load(path.parent / f"{result.controller}.npz") as arrays:
             trace = {signal: arrays[signal] for signal in ("time_s", *signals)}
         time_s = trace["time_s"] - (result.release_s or 0.0)
         shown = (time_s > -1.0) & (time_s < 0.8)
@@ -246,6 +246,4 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path) -> 
                        fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
     panels[0].annotate("hand lets go", (0.0, panels[0].get_ylim()[1]),
                        fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
-    path = folder / "demo.png"
     figure.savefig(path, dpi=120)
-    return path

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 
 from haptether.bridge import LoopReport, MasterTrace, ladder_state_name
+from haptether.safety import fault_message
 
 TRACE_SIGNALS = (
     "time_s",
@@ -24,6 +25,7 @@ TRACE_SIGNALS = (
     "state",
     "age_s",
     "overshoot_s",
+    "fault",
 )
 
 
@@ -59,7 +61,15 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     skipped_ticks: int
     holds: int
     """How often the slave was silent for more than 20 ms."""
+    dropped_records: int
+    """Ticks that are missing from these figures, because nobody read them in time."""
+    unsent: int
+    """Frames that the system refused to send."""
+    force_at_release_n: float | None
+    """Force that the device exerted when the hand let go; none if it never did."""
     final_state: str
+    fault: str | None
+    """Why it stands in `fault`."""
 
 
 def measure_push(controller: str, trace: MasterTrace, report: LoopReport, release_after_s: float | None) -> PushResult:
@@ -92,7 +102,11 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         ticks=report.ticks,
         skipped_ticks=report.skipped,
         holds=report.holds,
+        dropped_records=report.dropped_records,
+        unsent=report.unsent,
+        force_at_release_n=(float(trace.device_force[after][0]) if release_s is not None and after.any() else None),
         final_state=ladder_state_name(int(trace.state[-1])) if len(trace) else "waiting",
+        fault=fault_message(int(trace.fault[-1])) if len(trace) else None,
     )
 
 

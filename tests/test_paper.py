@@ -1,4 +1,4 @@
-"""The paper's claims, as far as the issue that asked for them sets bounds."""
+"""The paper's claims: bounds that the reproduction must keep."""
 
 import msgspec
 import numpy as np

@@ -1,12 +1,16 @@
 //! What a silent peer leads to, on both sides, in virtual time.
 #![allow(clippy::unwrap_used)] // a test may
 
+use std::collections::VecDeque;
+
 use haptether_bridge::{
     LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
     SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
-use haptether_safety::{DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind};
+use haptether_safety::{
+    Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
+};
 use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
 
 const MS: u64 = 1_000_000;
@@ -18,12 +22,8 @@ fn at(now_ns: u64) -> TickTime {
 type Master = MasterSide<SimulatedMaster, 1>;
 type Slave = SlaveSide<SimulatedSlave, 1>;
 
-fn sides() -> (Master, Slave) {
-    let legs = vec![Leg { duration_s: 0.5, end: -0.03, shape: LegShape::MinimumJerk }];
-    let hand = Hand::new(300.0, 8.0, 20.0, Path::new(0.02, legs).unwrap(), None).unwrap();
-    let mut device = SimulatedMaster::new(DeviceParameters::PHANTOM_DESKTOP, hand, 0).unwrap();
-    device.set_waiting(true);
-    let master = MasterEndpoint::new(&MasterSettings {
+fn master_settings() -> MasterSettings<1> {
+    MasterSettings {
         period_ns: MS,
         session: 1,
         device: DeviceModel::phantom_desktop(),
@@ -32,8 +32,15 @@ fn sides() -> (Master, Slave) {
         limiter: LimiterSettings::default(),
         force_scale: 1.0,
         ladder: LadderSettings::default(),
-    })
-    .unwrap();
+    }
+}
+
+fn sides() -> (Master, Slave) {
+    let legs = vec![Leg { duration_s: 0.5, end: -0.03, shape: LegShape::MinimumJerk }];
+    let hand = Hand::new(300.0, 8.0, 20.0, Path::new(0.02, legs).unwrap(), None).unwrap();
+    let mut device = SimulatedMaster::new(DeviceParameters::PHANTOM_DESKTOP, hand, 0).unwrap();
+    device.set_waiting(true);
+    let master = MasterEndpoint::new(&master_settings()).unwrap();
     let slave = SlaveEndpoint::new(&SlaveSettings {
         period_ns: MS,
         session: 2,
@@ -73,7 +80,7 @@ fn run(ticks: u64, passes: impl Fn(u64) -> (bool, bool)) -> Vec<[(LadderState, f
 fn a_contact_settles_where_three_springs_in_series_do() {
     let history = run(3000, |_| (true, true));
     let arm = ArmParameters::default().stiffness();
-    // The anchors put both at 0.02 m, the target lies 0.03 m deep: source control_theory 4.5, PFc with C = 1/K_c.
+    // Both begin at 0.02 m and the target lies 0.03 m deep: three springs in series.
     let force = 0.03 / (1.0 / 300.0 + 1.0 / arm + 1.0 / 100.0);
     let [(state, device_force), _] = history[2999];
     assert_eq!(state, LadderState::Engaged);
@@ -120,6 +127,130 @@ fn a_short_outage_fades_out_and_in_again_without_a_jump() {
         assert!((after - before).abs() <= 1.0 + 1e-9);
         assert!((next - commanded).abs() < 2e-3, "the arm is never asked to jump");
     }
+}
+
+/// A network that delivers every frame 50 ms after it was sent, both ways, and a master that sleeps for a while.
+fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState, f64)> {
+    let (mut master, mut slave) = sides();
+    let (mut there, mut back) = (VecDeque::new(), VecDeque::new());
+    let mut buffer = [0; MAX_FRAME];
+    let mut history = Vec::new();
+    for tick in 0..ticks {
+        let now_ns = tick * MS;
+        if !asleep.contains(&tick) {
+            let woke = tick == asleep.end;
+            while back.front().is_some_and(|(due, _)| *due <= tick) {
+                let (_, frame): (u64, Vec<u8>) = back.pop_front().unwrap();
+                // The live loop throws away what waited while it slept.
+                if !woke {
+                    master.receive(now_ns, &frame).unwrap();
+                }
+            }
+            let missed = if woke { asleep.end - asleep.start } else { 0 };
+            if woke {
+                master.stalled(now_ns);
+            }
+            let record = master.tick(TickTime { now_ns, missed, ..TickTime::default() });
+            there.push_back((tick + 50, master.send(now_ns, &mut buffer).to_vec()));
+            history.push((record.state, record.device_force[0]));
+        }
+        while there.front().is_some_and(|(due, _)| *due <= tick) {
+            let (_, frame): (u64, Vec<u8>) = there.pop_front().unwrap();
+            slave.receive(now_ns, &frame).unwrap();
+        }
+        slave.tick(at(now_ns));
+        back.push_back((tick + 50, slave.send(now_ns, &mut buffer).to_vec()));
+    }
+    history
+}
+
+#[test]
+fn a_loop_that_slept_starts_again_from_zero_force() {
+    for asleep in [30, 60, 90] {
+        let history = run_with_stall(4000, 2000..2000 + asleep);
+        assert!(history[1999].1 > 1.5, "the hand feels the wall");
+        assert_eq!(history[2000], (LadderState::Hold, 0.0), "asleep for {asleep} ms");
+        for pair in history[2000..].windows(2) {
+            // Up to 2.3 N within a fade-in of 200 ms, and the wall gives way meanwhile.
+            assert!(pair[1].1 - pair[0].1 < 0.05, "asleep for {asleep} ms: {pair:?}");
+        }
+        assert_eq!(history.last().unwrap().0, LadderState::Engaged);
+    }
+}
+
+#[test]
+fn a_stopped_master_stays_stopped_whatever_arrives() {
+    let (mut master, mut slave) = sides();
+    let (_, mut restarted) = sides();
+    restarted.endpoint = SlaveEndpoint::new(&SlaveSettings {
+        period_ns: MS,
+        session: 3,
+        position_scale: 1.0,
+        ladder: LadderSettings::default(),
+    })
+    .unwrap();
+    let mut buffer = [0; MAX_FRAME];
+    for tick in 0..3000 {
+        let now_ns = tick * MS;
+        let record = master.tick(at(now_ns));
+        let frame = master.send(now_ns, &mut buffer).to_vec();
+        let peer = match tick {
+            0..1000 => &mut slave,
+            1000..1500 => {
+                if tick >= 1300 {
+                    assert_eq!((record.state, record.device_force[0]), (LadderState::Stop, 0.0));
+                }
+                continue;
+            }
+            _ => &mut restarted,
+        };
+        let _ = peer.receive(now_ns, &frame);
+        peer.tick(at(now_ns));
+        let _ = master.receive(now_ns, peer.send(now_ns, &mut buffer));
+        if tick >= 1500 {
+            assert_eq!((record.state, record.device_force[0]), (LadderState::Stop, 0.0), "{tick}");
+        }
+    }
+}
+
+/// With WSC on, a fast hand is damped while the two are engaged; damping is a force too, and goes with the peer.
+#[test]
+fn nothing_is_exerted_without_a_peer_however_the_hand_moves() {
+    for safety in [
+        SafetySettings { wsc: true, pc: true, ..SafetySettings::default() },
+        SafetySettings { hsc: true, vfc: true, ..SafetySettings::default() },
+    ] {
+        let mut endpoint = MasterEndpoint::<1>::new(&MasterSettings { safety, ..master_settings() }).unwrap();
+        for tick in 0..500_u32 {
+            let position = Axes::<1>::new(0.8 * f64::from(tick) * 1e-3);
+            let told = endpoint.tick(u64::from(tick) * MS, 0, &position, None);
+            assert_eq!(told.safety.device_force[0], 0.0);
+        }
+    }
+}
+
+#[test]
+fn a_bad_sample_stops_both_sides_and_says_why() {
+    let (mut master, mut slave) = sides();
+    let mut buffer = [0; MAX_FRAME];
+    let mut faults = Vec::new();
+    for tick in 0..1500 {
+        let now_ns = tick * MS;
+        if tick == 1000 {
+            let told = master.endpoint.tick(now_ns, 0, &Axes::<1>::new(f64::NAN), None);
+            assert_eq!(told.safety.device_force[0], 0.0, "in the same tick");
+        }
+        let record = master.tick(at(now_ns));
+        let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
+        let at_slave = slave.tick(at(now_ns));
+        let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
+        faults.push((record.state, record.fault, record.device_force[0], at_slave.state));
+    }
+    let fault = haptether_safety::Fault::from_code(faults[1499].1).unwrap();
+    assert_eq!(fault.to_string(), "position is not a finite number");
+    assert!(faults[1000..].iter().all(|(state, _, force, _)| *state == LadderState::Fault && *force == 0.0));
+    assert_eq!(faults[1002].3, LadderState::Hold);
+    assert_eq!(faults[1499].3, LadderState::Stop);
 }
 
 #[test]

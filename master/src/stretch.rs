@@ -1,6 +1,7 @@
 //! One smooth stretch of motion, exactly.
 
-/// Terms of the series: at `rate h <= 1/2` the first one left out is below 1e-19 of the sum.
+/// Terms of the series: at `rate h <= 1/2` the first one left out is below 1e-18 of the position and 3e-17 of the
+/// velocity.
 const TERMS: usize = 16;
 
 /// The solution of `m x'' + d x' + k x = f0 + f1 t`, as the Taylor series of itself about t = 0.

@@ -1496,6 +1496,10 @@ class MasterTrace:
     def overshoot_s(self) -> _Array:
         """How late the loop woke, in s; 0 in virtual time."""
 
+    @property
+    def fault(self) -> _Bits:
+        """Code for `fault_message`, 0 without fault, shape `(n_ticks,)`."""
+
 @final
 class SlaveTrace:
     """Ticks of a slave: each signal an array of shape `(n_ticks,)`."""
@@ -1524,6 +1528,10 @@ class SlaveTrace:
     @property
     def overshoot_s(self) -> _Array:
         """How late the loop woke, in s; 0 in virtual time."""
+
+    @property
+    def fault(self) -> _Bits:
+        """Code for `fault_message`, 0 without fault, shape `(n_ticks,)`."""
 
 @final
 class LinkStatistics:
@@ -1678,7 +1686,7 @@ class LiveMaster:
         *,
         peer: str,
         session: int,
-        listen: str = "0.0.0.0:0",
+        listen: str | None = None,
         duration_s: float | None = None,
         patience_s: float | None = None,
     ) -> LiveMaster: ...

@@ -9,7 +9,7 @@ use haptether_bridge::{
     run_virtual,
 };
 use haptether_master::{Hand, SimulatedMaster};
-use haptether_safety::{LimiterSettings, estimator::EstimatorKind};
+use haptether_safety::LimiterSettings;
 use haptether_slave::SimulatedSlave;
 use pyo3::{
     exceptions::{PyOSError, PyRuntimeError, PyValueError},
@@ -82,7 +82,7 @@ impl PyMasterSettings {
                 period_ns: nanoseconds("period_s", period_s)?,
                 session: 0,
                 device: device.model()?,
-                estimator: estimator.map_or_else(EstimatorKind::default, |kind| kind.inner),
+                estimator: estimator.map_or_else(|| device.estimator(), |kind| kind.inner),
                 safety: safety.map(|safety| safety.inner).unwrap_or_default(),
                 limiter: limiter.map_or_else(LimiterSettings::default, |limiter| limiter.inner),
                 force_scale,
@@ -206,7 +206,10 @@ fn run_bridge(
     ))
 }
 
-/// A socket, a loop on its own thread, and the records so far.
+/// Records that a live run keeps at least: the last ten minutes at 1 kHz.
+const MOST_RECORDS: usize = 600_000;
+
+/// A socket, a loop on its own thread, and its newest records.
 struct Live<R> {
     /// Never contended: the mutex only tells Python that the reader of the ring may move between threads.
     run: Mutex<LiveRun<R>>,
@@ -247,6 +250,10 @@ impl<R: Copy + Send + 'static> Live<R> {
         let Self { run, records } = self;
         let run = run.get_mut().unwrap_or_else(PoisonError::into_inner);
         run.drain(|record| records.push(record));
+        // A run without an end must not fill the memory: the older half goes.
+        if records.len() > 2 * MOST_RECORDS {
+            records.drain(..records.len() - MOST_RECORDS);
+        }
         records.len()
     }
 
@@ -306,16 +313,23 @@ pub(crate) struct LiveMaster {
 #[pymethods]
 impl LiveMaster {
     #[new]
-    #[pyo3(signature = (settings, *, peer, session, listen="0.0.0.0:0", duration_s=None, patience_s=None))]
+    #[pyo3(signature = (settings, *, peer, session, listen=None, duration_s=None, patience_s=None))]
     fn new(
         settings: &PyMasterSettings,
         peer: &str,
         session: u64,
-        listen: &str,
+        listen: Option<&str>,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
     ) -> PyResult<Self> {
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
+        let is_v6 = address("peer", peer)?.is_ipv6();
+        let listen = listen.unwrap_or(if is_v6 { "[::]:0" } else { "0.0.0.0:0" });
+        if address("listen", listen)?.is_ipv6() != is_v6 {
+            let text =
+                format!("listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}");
+            return Err(PyValueError::new_err(text));
+        }
         Ok(Self { live: Live::start(side, listen, Some(peer), period_ns, duration_s, patience_s)? })
     }
 

@@ -63,6 +63,7 @@ columns!(MasterTrace, record, {
     state => record.state.code(),
     age_s => seconds(record.age_ns),
     overshoot_s => seconds(record.overshoot_ns),
+    fault => record.fault,
 });
 
 columns!(SlaveTrace, record, {
@@ -72,6 +73,7 @@ columns!(SlaveTrace, record, {
     environment_force => record.environment_force[0],
     state => record.state.code(),
     overshoot_s => seconds(record.overshoot_ns),
+    fault => record.fault,
 });
 
 #[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]

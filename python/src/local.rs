@@ -86,6 +86,16 @@ impl PyHapticDevice {
 }
 
 impl PyHapticDevice {
+    /// The estimator that is taken when none is asked for: the default, for this encoder.
+    pub(crate) fn estimator(&self) -> EstimatorKind {
+        match EstimatorKind::default() {
+            EstimatorKind::Kalman { jerk_density, .. } if self.inner.encoder_quantum > 0.0 => {
+                EstimatorKind::Kalman { jerk_density, quantum_m: self.inner.encoder_quantum }
+            }
+            kind => kind,
+        }
+    }
+
     pub(crate) fn model(&self) -> PyResult<DeviceModel<1>> {
         DeviceModel::uniform(self.inner.mass_kg, self.inner.viscous, self.inner.coulomb).map_err(refuse)
     }
@@ -318,7 +328,7 @@ fn run_local(
     let layer = LayerSettings {
         device: device.model()?,
         period_s,
-        estimator: estimator.map_or_else(EstimatorKind::default, |kind| kind.inner),
+        estimator: estimator.map_or_else(|| device.estimator(), |kind| kind.inner),
         safety: settings.map(|settings| settings.inner).unwrap_or_default(),
         limiter: limiter.map_or_else(
             || LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() },

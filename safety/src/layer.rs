@@ -50,7 +50,7 @@ pub struct SafetyTick<const N: usize> {
 /// The limiter stands at both ends: before the observers, so that they see the force that can be rendered, and after
 /// the controllers, so that nothing leaves unbounded.
 ///
-/// Source: `DESIGN.md`, "One master tick", steps 2 and 5 to 7.
+/// Source: paper Eq. 1 to 14, in the order of `docs/architecture.md`, "One master tick".
 #[derive(Clone, Debug)]
 pub struct SafetyLayer<const N: usize> {
     device: DeviceModel<N>,

@@ -35,7 +35,7 @@ class Demo:
     loss: float = 0.01
     """Share of packets lost."""
     seed: int = 1
-    """Seed of jitter and loss."""
+    """Seed of jitter and loss, 0 to 2^64 - 1."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
     """Folder of the picture and of every tick (.npz)."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -47,10 +47,14 @@ class Demo:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from haptether.cli.live import Stopped
-        from haptether.cli.output import table_goes_to_stderr
+        from haptether.cli.options import check_seed
+        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
         from haptether.netsim import LinkSettings
         from haptether.studies import DEMO_CONTROLLERS, DemoScene, Interrupted, run_demo
 
+        check_seed(self.seed)
+        check_target(self.json)
+        require_matplotlib()  # before the runs, not after them
         LinkSettings(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss)  # refuses early
         scene = DemoScene(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss, seed=self.seed)
         self.out.mkdir(parents=True, exist_ok=True)
@@ -88,7 +92,6 @@ class Demo:
         from haptether.studies import draw_demo
 
         console.print(push_table(results))
-        picture = draw_demo(scene, results, self.out)
         peak = {result.controller: result.peak_hand_speed for result in results}
         broken = [result.controller for result in results if result.final_state != "engaged"]
         protected = not broken and max(peak["wsc"], peak["hsc"]) < peak["none"]
@@ -100,7 +103,7 @@ class Demo:
             )
         if broken:
             console.print(f"the link did not last in: {', '.join(broken)} (see holds and the final state)")
-        console.print(f"picture: {picture}", highlight=False)
+        picture = self.out / "demo.png"
         if self.json is not None:
             report = {
                 "scene": scene,
@@ -109,4 +112,6 @@ class Demo:
                 "results": results,
             }
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        draw_demo(scene, results, picture)
+        console.print(f"picture: {picture}", highlight=False)
         return 0 if protected else 1

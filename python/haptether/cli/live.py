@@ -2,7 +2,6 @@
 
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
 from types import FrameType, TracebackType
@@ -18,11 +17,12 @@ class Stopped:
     """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once."""
 
     def __init__(self) -> None:
-        self._event = threading.Event()
+        # A plain flag: an Event has a lock, and a handler that runs while this thread holds it would wait for ever.
+        self._is_set = False
         self._before: dict[int, object] = {}
 
     def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             self._before[number] = signal.signal(number, self._set)
         return self
 
@@ -36,14 +36,16 @@ class Stopped:
             signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal gave
 
     def _set(self, _number: int, _frame: FrameType | None) -> None:
-        self._event.set()
+        self._is_set = True
 
     def __bool__(self) -> bool:
-        return self._event.is_set()
+        return self._is_set
 
     def sleep(self, seconds: float) -> None:
         """Waits, but not beyond a stop."""
-        self._event.wait(seconds)
+        end = time.monotonic() + seconds
+        while not self._is_set and (left := end - time.monotonic()) > 0.0:
+            time.sleep(min(left, POLL_S))
 
 
 def wait(

@@ -17,7 +17,8 @@ class Master:
     """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
 
     Times count from the moment the two sides engage. When the slave falls silent for 20 ms, the force on the
-    hand fades to zero within 80 ms; after 200 ms it stays away for good.
+    hand fades to zero within 80 ms; after 200 ms it stays away until this command is started anew. Figures and
+    trace hold the last ten minutes.
 
     Examples:
 
@@ -30,8 +31,8 @@ class Master:
     """Where the slave, or netsim before it, listens."""
     controller: Controller = "wsc"
     """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none."""
-    listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")] = "0.0.0.0:0"
-    """Own address; any free port by default."""
+    listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """Own address, of the peer's kind (IPv4 or IPv6); any free port by default."""
     depth: float = 0.045
     """How deep in m into the wall the hand's target lies."""
     release_at_s: float | None = None
@@ -54,8 +55,11 @@ class Master:
         from haptether.bridge import LiveMaster
         from haptether.cli.live import Stopped, wait
         from haptether.cli.options import master_settings, new_session
+        from haptether.cli.output import check_target
         from haptether.studies import measure_push, save_master_trace
 
+        check_target(self.json)
+        check_target(self.trace)
         settings = master_settings(
             self.controller,
             depth=self.depth,
@@ -85,12 +89,15 @@ class Master:
                 None,
             )
             trace, report = master.finish()
-        if self.trace is not None:
-            save_master_trace(trace, self.trace)
         result = measure_push(self.controller, trace, report, self.release_at_s)
         self._report(result)
+        if self.trace is not None:
+            save_master_trace(trace, self.trace)
         if result.engaged_s is None and not stopped:
-            message = f"no slave answered at {self.peer} within {self.patience_s:g} s: is it running there?"
+            message = f"no slave answered at {self.peer} within {self.patience_s:g} s: is it running there, and free?"
+            raise RuntimeError(message)
+        if result.final_state in {"stop", "fault"} and not stopped:
+            message = f"the run ended in {result.final_state}: {result.fault or 'the slave fell silent for 200 ms'}"
             raise RuntimeError(message)
         return 0
 

@@ -51,8 +51,13 @@ class Netsim:
     def run(self) -> int:
         """Forwards until told to stop."""
         from haptether.cli.live import Stopped, wait
+        from haptether.cli.options import check_duration, check_seed
+        from haptether.cli.output import check_target
         from haptether.netsim import LinkSettings, Proxy
 
+        check_seed(self.seed)
+        check_duration("duration_s", self.duration_s)
+        check_target(self.json)
         forward = LinkSettings(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss)
         backward = LinkSettings(
             delay_s=self.delay_s if self.back_delay_s is None else self.back_delay_s,

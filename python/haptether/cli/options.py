@@ -23,7 +23,7 @@ HSC_FORCE_THRESHOLD_N = 1.0
 HOLD_OFF_S = 0.1
 RELEASE_RAMP_S = 0.2
 """An intervention lasts at least 0.1 s and hands the force back over 0.2 s, not as a step."""
-PUSH_RISE_S = 0.1
+PUSH_RISE_S = 0.5
 
 
 def new_session() -> int:
@@ -81,3 +81,25 @@ def slave_settings(
     if push_at_s is not None:
         pusher = Pusher(at_s=push_at_s, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S)
     return SlaveSettings(Arm(), Wall(stiffness=wall_stiffness), pusher=pusher, position=START_M)
+
+
+def check_seed(seed: int) -> None:
+    """Refuses a seed that is no 64-bit number.
+
+    Raises:
+        ValueError: With the bounds.
+    """
+    if not 0 <= seed < 2**64:
+        message = f"seed = {seed}: must be between 0 and 2^64 - 1"
+        raise ValueError(message)
+
+
+def check_duration(key: str, seconds: float | None) -> None:
+    """Refuses a time that no run can last.
+
+    Raises:
+        ValueError: With the bounds.
+    """
+    if seconds is not None and not 0.0 <= seconds <= 1e9:
+        message = f"{key} = {seconds}: must be between 0 and 1e9 s"
+        raise ValueError(message)

@@ -1,5 +1,7 @@
 """Where results go: a table for people, JSON for machines."""
 
+import importlib.util
+import os
 import sys
 from pathlib import Path
 
@@ -16,3 +18,30 @@ def write_json(target: Path, text: bytes) -> None:
 def table_goes_to_stderr(json: Path | None) -> bool:
     """Whether standard output belongs to the JSON."""
     return json is not None and str(json) == "-"
+
+
+def require_matplotlib() -> None:
+    """Refuses early where pictures cannot be drawn.
+
+    Raises:
+        ImportError: With what to install.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        message = "pictures need matplotlib: install haptether[analysis]"
+        raise ImportError(message)
+
+
+def check_target(target: Path | None) -> None:
+    """Refuses a file that cannot be written, before the run rather than after it.
+
+    Raises:
+        OSError: With the path and what is in the way.
+    """
+    if target is None or str(target) == "-":
+        return
+    if target.is_dir():
+        message = f"{target}: is a folder, must be a file"
+        raise OSError(message)
+    if not os.access(target if target.exists() else target.parent, os.W_OK):
+        message = f"{target}: cannot be written: is the folder there, and yours?"
+        raise OSError(message)

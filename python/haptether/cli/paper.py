@@ -39,9 +39,12 @@ class Paper:
         """Runs the experiments (under a second) and prints them."""
         from rich.console import Console
 
-        from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr, write_json
         from haptether.studies import draw_paper, reproduce_paper
 
+        check_target(self.json)
+        if self.plot is not None:
+            require_matplotlib()
         report = reproduce_paper(encoder_quantum=self.encoder_quantum)
         console = Console(stderr=table_goes_to_stderr(self.json))
         self._print(console, report)

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
 ROWS: "dict[str, Callable[[PushResult], str]]" = {
     "peak hand speed away from the wall [m/s]": lambda of: f"{of.peak_hand_speed:.3f}",
     "peak force on the hand [N]": lambda of: f"{of.peak_force_n:.2f}",
+    "force on the hand when it lets go [N]": lambda of: (
+        "-" if of.force_at_release_n is None else f"{of.force_at_release_n:.2f}"
+    ),
     "time to trip after the release [ms]": lambda of: (
         "-" if of.time_to_trip_s is None else f"{of.time_to_trip_s * 1e3:.0f}"
     ),
@@ -24,6 +27,7 @@ ROWS: "dict[str, Callable[[PushResult], str]]" = {
     "loop wakes late, p50 [ms]": lambda of: f"{of.overshoot_p50_s * 1e3:.3f}",
     "loop wakes late, p99 [ms]": lambda of: f"{of.overshoot_p99_s * 1e3:.3f}",
     "holds (slave silent > 20 ms)": lambda of: str(of.holds),
+    "state at the end": lambda of: of.final_state if of.fault is None else f"{of.final_state}: {of.fault}",
 }
 
 

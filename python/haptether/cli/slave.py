@@ -15,7 +15,8 @@ class Slave:
     """Run the side of the robot: a simulated position-controlled arm in front of a wall.
 
     The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
-    two sides engage. When the master falls silent for 20 ms the arm holds; after 200 ms it stops for good.
+    two sides engage. When the master falls silent for 20 ms the arm holds; after 200 ms it
+    stops until a master is started anew.
 
     Examples:
 
@@ -31,7 +32,7 @@ class Slave:
     push_at_s: float | None = None
     """When something shoves the arm, in s; never if not given."""
     push_force_n: float = 3.5
-    """With which force in N, positive towards the hand; it rises within 0.1 s."""
+    """With which force in N, positive towards the hand; it rises within 0.5 s."""
     push_duration_s: float = 2.0
     """For how long in s."""
     duration_s: float | None = None
@@ -43,10 +44,15 @@ class Slave:
 
     def run(self) -> int:
         """Runs until told to stop."""
+        import numpy as np
+
         from haptether.bridge import LiveSlave
         from haptether.cli.live import Stopped, wait
         from haptether.cli.options import new_session, slave_settings
+        from haptether.cli.output import check_target
+        from haptether.safety import fault_message
 
+        check_target(self.json)
         settings = slave_settings(
             wall_stiffness=self.wall_stiffness,
             push_at_s=self.push_at_s,
@@ -68,10 +74,14 @@ class Slave:
 
             wait(f"slave listens on {slave.address}", status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
-        self._report(trace, report)
+        state = self._report(trace, report)
+        if not np.isfinite(report.engaged_s) and not stopped:
+            raise RuntimeError(f"no master came within {self.patience_s} s")
+        if state == "fault":
+            raise RuntimeError(f"the run ended in fault: {fault_message(int(trace.fault[-1]))}")
         return 0
 
-    def _report(self, trace: "SlaveTrace", report: "LoopReport") -> None:
+    def _report(self, trace: "SlaveTrace", report: "LoopReport") -> str:
         import msgspec
         import numpy as np
         from rich.console import Console
@@ -104,3 +114,4 @@ class Slave:
         )
         if self.json is not None:
             write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))
+        return state
