@@ -34,6 +34,8 @@ def test_version_and_help() -> None:
         (["master", "--peer", "127.0.0.1:99999"], "peer = \"127.0.0.1:99999\": "),
         (["netsim", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--loss", "2"], "loss = 2: must be"),
         (["demo", "--jitter-s", "0.1"], "jitter_s"),
+        (["demo", "--seed", "-1"], "seed = -1: must be between 0 and 2^64 - 1"),
+        (["netsim", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--duration-s", "inf"], "duration_s = inf"),
         (["paper", "--encoder-quantum", "-1"], "encoder_quantum = -1: must be"),
         (["slave", "--listen", "127.0.0.1:0", "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
     ],

@@ -57,19 +57,21 @@ def children() -> Iterator[list[Child]]:
         child.process.communicate()
 
 
-def test_a_killed_slave_takes_the_force_from_the_hand(children: list[Child], tmp_path: Path) -> None:
+@pytest.mark.parametrize("controller", ["none", "hsc", "wsc"])
+def test_a_killed_slave_takes_the_force_from_the_hand(controller: str, children: list[Child], tmp_path: Path) -> None:
     slave = Child("slave", "--listen", "127.0.0.1:0", "--patience-s", "30")
     children.append(slave)
     trace_path, json_path = tmp_path / "run.npz", tmp_path / "run.json"
     master = Child(
-        "master", "--peer", slave.address(), "--controller", "none", "--duration-s", "3.5",
+        "master", "--peer", slave.address(), "--controller", controller, "--duration-s", "3.5",
         "--trace", str(trace_path), "--json", str(json_path),
     )  # fmt: skip
     children.append(master)
     time.sleep(2.5)
     slave.process.send_signal(signal.SIGKILL)
-    master.end()
-    assert master.process.returncode == 0
+    said = master.end()
+    assert master.process.returncode == 1, "a run that ended in stop has failed"
+    assert "the slave fell silent" in said
     result = json.loads(json_path.read_text())
     assert result["final_state"] == "stop"
 
@@ -121,6 +123,25 @@ def test_a_taken_address_is_one_line(children: list[Child]) -> None:
     assert second.stderr.count("\n") == 1
 
 
+def test_ipv6_works_and_a_mix_is_refused(children: list[Child]) -> None:
+    slave = Child("slave", "--listen", "[::1]:0", "--duration-s", "1", "--patience-s", "20")
+    children.append(slave)
+    if "cannot listen" in slave.headline:
+        pytest.skip("this machine has no IPv6")
+    found = re.search(r"listens on (\S+)", slave.headline)
+    assert found
+    mixed = subprocess.run(
+        [*COMMAND, "master", "--peer", found[1], "--listen", "127.0.0.1:0"],
+        capture_output=True, text=True, timeout=START_TIMEOUT_S, check=False,
+    )  # fmt: skip
+    assert mixed.returncode == 2
+    assert "of the same kind, IPv4 or IPv6" in mixed.stderr
+    master = Child("master", "--peer", found[1], "--duration-s", "0.8")
+    children.append(master)
+    assert "no slave answered" not in master.end()
+    assert master.process.returncode == 0
+
+
 def test_a_second_master_is_refused_while_the_first_lives(children: list[Child], tmp_path: Path) -> None:
     slave = Child("slave", "--listen", "127.0.0.1:0")
     children.append(slave)
@@ -167,7 +188,7 @@ def test_live_and_virtual_time_run_the_same_scene(children: list[Child], tmp_pat
     )
     engaged = int(np.flatnonzero(live["state"] == 1)[0])
     offset = round(report.engaged_s * 1e3)
-    if float(live["overshoot_s"][engaged:].max()) > 0.02 or not (live["state"][engaged:] == 1).all():
+    if not (live["state"][engaged:] == 1).all():
         pytest.skip("the machine stalled a loop for over 20 ms: the live run held, as it should")
     for time_s in (0.5, 1.0, 1.5, 2.1):
         ticks = round(time_s * 1e3)
@@ -238,5 +259,5 @@ def test_sockets_are_not_left_open(children: list[Child]) -> None:
     again = Child("slave", "--listen", address, "--patience-s", "0.3")
     children.append(again)
     assert again.address() == address
-    again.end()
-    assert again.process.returncode == 0
+    assert "no master came within 0.3 s" in again.end()
+    assert again.process.returncode == 1

@@ -155,11 +155,11 @@ def test_a_large_number_within_the_bounds_is_no_fault() -> None:
 
 def test_fault_messages() -> None:
     assert fault_message(0) is None
-    assert fault_message(9) is None
-    messages = [fault_message(code) for code in range(1, 9)]
-    names = ("position", "velocity", "rendered_force", "grasp_force")
+    assert fault_message(11) is None
+    messages = [fault_message(code) for code in range(1, 11)]
+    names = ("position", "velocity", "rendered_force", "grasp_force", "environment_force")
     expected = [bad_numbers(name)[bad] for bad in (np.nan, 1e300) for name in names]
-    assert len(set(messages)) == 8
+    assert len(set(messages)) == 10
     assert sorted(filter(None, messages)) == sorted(expected)
     with pytest.raises(OverflowError):
         fault_message(256)
@@ -238,10 +238,10 @@ NON_NEGATIVE = "finite and 0 or more"
 RATIO = "above 0 and at most 1"
 WINDOW = "1 to 3600000 ticks"
 HOLD = "between 0 and 60 s"
-DAMPABLE = "between 0 and m / dT"
+DAMPABLE = "between 0 and m / (5 dT)"
 
 DEVICE = DeviceModel(mass_kg=0.157)
-"""m / dT = 157 N s/m."""
+"""m / (5 dT) = 31.4 N s/m."""
 
 
 def controlled(*names: str, **parameters: float) -> Callable[[], object]:
@@ -271,7 +271,7 @@ TABLE: list[tuple[str, float, str, Callable[[], object]]] = [
     *(("eta", x, RATIO, lambda x=x: WindowedSafetyObserver(DEVICE, energy_ratio=x)) for x in (-0.5, NAN, INF)),
     ("dT", -1e-3, POSITIVE, lambda: WindowedSafetyObserver(DEVICE, period_s=-1e-3)),
     *(("w", x, WINDOW, lambda x=x: WindowedSafetyObserver(DEVICE, window=x)) for x in (0, 3_600_001)),
-    *(("mu", x, DAMPABLE, controlled("wsc", damping=x)) for x in (-1.0, 157.1, NAN)),
+    *(("mu", x, DAMPABLE, controlled("wsc", damping=x)) for x in (-1.0, 31.5, NAN)),
     *(("V_t", x, POSITIVE, controlled("vfc", velocity_threshold=x)) for x in (0.0, NAN)),
     *(("F_t", x, POSITIVE, controlled("vfc", vfc_force_threshold_n=x)) for x in (0.0, -1.0)),
     *(("zeta", x, "finite and above 1", controlled("hsc", grasp_threshold=x)) for x in (1.0, 0.5, NAN, INF)),
@@ -283,7 +283,7 @@ TABLE: list[tuple[str, float, str, Callable[[], object]]] = [
     *(("eta", x, RATIO, controlled("pc", energy_ratio=x)) for x in (0.0, NAN)),
     ("eta", 7.0, RATIO, controlled(energy_ratio=7.0)),  # wrong before any controller reads it
     ("w", 0, WINDOW, controlled("hsc", window=0)),
-    *(("alpha", x, DAMPABLE, controlled("pc", pc_max_damping=x)) for x in (-1.0, 157.1)),
+    *(("alpha", x, DAMPABLE, controlled("pc", pc_max_damping=x)) for x in (-1.0, 31.5)),
     *(("time", x, HOLD, controlled(hold_off_s=x)) for x in (-1e-3, 60.1, NAN)),
     *(("time", x, HOLD, controlled(release_ramp_s=x)) for x in (-1e-3, 60.1, INF)),
     *(("dT", x, POSITIVE, lambda x=x: SafetyController(DEVICE, SETTINGS, period_s=x)) for x in (0.0, INF)),
@@ -369,7 +369,7 @@ def test_the_paper_device_and_the_edges_of_the_ranges_are_accepted() -> None:
     assert device.axes == 3
     settings = SafetySettings(
         ["vfc", "hsc", "wsc", "pc"],
-        damping=157.0,
+        damping=31.4,
         pc_max_damping=0.0,
         grasp_threshold=float(np.nextafter(1.0, 2.0)),
         hsc_force_threshold_n=0.0,

@@ -85,7 +85,7 @@ def test_an_intervention_is_held_and_fades() -> None:
     grasp[9] = 0.0  # and again while the first intervention fades
     told = controller.run(velocity, rendered, grasp)
     held = [1.0] * 5
-    fading = [0.8, 0.6, 0.4, 0.2]
+    fading = [0.96, 0.84, 0.64, 0.36]  # 1 - s² with s in fifths
     gain = np.array([0.0, 0.0, *held, *fading[:2], *held, *fading[:2]])
     # Three roundings, of values below 8 N.
     assert np.all(abs(told.safety_force - gain * -4.0) <= 3 * U * 8.0)
@@ -105,7 +105,7 @@ def test_the_passivity_controller_has_the_share_that_an_intervention_leaves() ->
         controller = SafetyController(DeviceModel(mass_kg=0.157), settings)
         return controller.run(velocity, rendered, grasp).safety_force
 
-    gain = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.8, 0.6, 0.4, 0.2, *[0.0] * 7])
+    gain = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.96, 0.84, 0.64, 0.36, *[0.0] * 7])
     passivity = force("pc")
     assert np.all(passivity < 0)
     expected = gain * (-rendered - 5.0 * velocity) + (1 - gain) * passivity
