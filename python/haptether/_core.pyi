@@ -791,8 +791,6 @@ def fault_message(code: int) -> str | None:
         OverflowError: A code outside 0 to 255.
     """
 
-# ---------------------------------------------------------------------------------------------- master
-
 @final
 class SafetyLayer:
     """Estimator, grasp force, observers, controllers and limiter: the whole chain of one master tick.
@@ -938,6 +936,8 @@ class SafetyTicks:
     @property
     def owed_energy_j(self) -> _Array:
         """Energy in J that PC asked for and the bounds kept it from dissipating, shape `(n_ticks,)`."""
+
+# ---------------------------------------------------------------------------------------------- master
 
 @final
 class HapticDevice:
@@ -1438,7 +1438,7 @@ class MasterTrace:
 
     @property
     def rendered_force(self) -> _Array:
-        """F_v in N, faded by the ladder."""
+        """F_v in N, faded by the ladder and bounded to what the device can render."""
 
     @property
     def grasp_force(self) -> _Array:
@@ -1671,7 +1671,7 @@ class LiveMaster:
         settings: The side.
         peer: The slave or a proxy before it, `HOST:PORT`.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        listen: Its own address, `HOST:PORT`; port 0 lets the system choose.
+        listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
 
