@@ -1,56 +1,151 @@
-//! A haptic device along one axis.
+//! A haptic device: mechanics, encoder and motors.
 
-use crate::{ModelError, require};
+use crate::{Axes, ModelError, Real, require};
 
-/// Mechanics and encoder of a device along one axis.
+/// How friction acts on several axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Friction {
+    /// `c V / |V|`: a stylus in space, whatever the frame.
+    #[default]
+    Vector,
+    /// `c sign(V)` on each axis by itself: joints.
+    Axis,
+}
+
+/// Mechanics, encoder and motors of a device.
 ///
 /// Source: paper Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DeviceParameters {
+pub struct DeviceParameters<const N: usize> {
     /// m in kg (> 0).
-    pub mass_kg: f64,
+    pub mass_kg: Axes<N>,
     /// b in N s/m; may be negative.
-    pub viscous: f64,
-    /// c in N (>= 0): friction while moving, and the largest force that friction withstands at rest.
-    pub coulomb: f64,
-    /// Resolution of the position measurement in m; 0 measures position and velocity exactly.
+    pub viscous: Axes<N>,
+    /// c in N (>= 0): friction while moving, and the largest force that friction withstands at rest. With
+    /// [`Friction::Vector`] all axes have the same.
+    pub coulomb: Axes<N>,
+    /// How it acts on several axes.
+    pub friction: Friction,
+    /// Resolution of the position measurement in m (>= 0); 0 is exact.
     pub encoder_quantum: f64,
+    /// Whether it measures V itself, exactly.
+    pub measures_velocity: bool,
     /// Positions in m of the mechanical stops, which take all speed; infinite without stops.
-    pub stops: (f64, f64),
+    pub stops: (Axes<N>, Axes<N>),
+    /// Largest `|F|` in N that the motors exert; infinite without a bound.
+    pub max_force_n: f64,
+    /// Resolution of the force in N, per axis (>= 0); 0 is exact.
+    pub force_quantum_n: f64,
 }
 
-impl DeviceParameters {
-    /// PHANTOM Desktop: m, b, c from the paper, section 4.1; 0.023 mm is the vendor's nominal resolution.
-    ///
-    /// Its stops are left out: the paper throws the stylus over 0.14 m and plots no stop.
-    pub const PHANTOM_DESKTOP: Self = Self {
-        mass_kg: 0.157,
-        viscous: -0.005,
-        coulomb: 0.038,
-        encoder_quantum: 2.3e-5,
-        stops: (f64::NEG_INFINITY, f64::INFINITY),
-    };
-
-    pub(crate) fn check(&self) -> Result<(), ModelError> {
-        require("mass_kg", self.mass_kg, self.mass_kg > 0.0, "finite and above 0")?;
-        require("viscous", self.viscous, true, "finite")?;
-        require("coulomb", self.coulomb, self.coulomb >= 0.0, "finite and 0 or more")?;
-        let quantum = self.encoder_quantum;
-        require("encoder_quantum", quantum, quantum >= 0.0, "finite and 0 or more")?;
-        // Infinite stops are allowed, so this is not `require`.
-        if self.stops.0 < self.stops.1 {
-            Ok(())
-        } else {
-            Err(ModelError { name: "lower stop", seen: self.stops.0, allowed: "below the upper stop" })
+impl<const N: usize> DeviceParameters<N> {
+    /// The same m in kg, b in N s/m and c in N on each axis; measures exactly, without stops or bounds.
+    pub fn ideal(mass_kg: f64, viscous: f64, coulomb: f64) -> Self {
+        Self {
+            mass_kg: Axes::repeat(mass_kg),
+            viscous: Axes::repeat(viscous),
+            coulomb: Axes::repeat(coulomb),
+            friction: Friction::Vector,
+            encoder_quantum: 0.0,
+            measures_velocity: true,
+            stops: (Axes::repeat(f64::NEG_INFINITY), Axes::repeat(f64::INFINITY)),
+            max_force_n: f64::INFINITY,
+            force_quantum_n: 0.0,
         }
     }
 
-    /// What the encoder says of a position in m.
-    pub fn encode(&self, position: f64) -> f64 {
-        if self.encoder_quantum > 0.0 {
-            (position / self.encoder_quantum).round() * self.encoder_quantum
-        } else {
-            position
+    /// PHANTOM Desktop: m, b, c from the paper, section 4.1; 0.023 mm is the vendor's nominal resolution.
+    ///
+    /// Its stops are left out: the paper throws the stylus over 0.14 m and plots no stop.
+    pub fn phantom_desktop() -> Self {
+        Self { encoder_quantum: 2.3e-5, measures_velocity: false, ..Self::ideal(0.157, -0.005, 0.038) }
+    }
+
+    /// Refuses what no device can have.
+    pub fn check(&self) -> Result<(), ModelError> {
+        for axis in 0..N {
+            require("mass_kg", self.mass_kg[axis], self.mass_kg[axis] > 0.0, "finite and above 0")?;
+            require("viscous", self.viscous[axis], true, "finite")?;
+            require("coulomb", self.coulomb[axis], self.coulomb[axis] >= 0.0, "finite and 0 or more")?;
+            if self.friction == Friction::Vector {
+                let same = self.coulomb[axis] == self.coulomb[0];
+                require("coulomb", self.coulomb[axis], same, "the same on each axis of vector friction")?;
+            }
+            // Infinite stops are allowed, so this is not `require`.
+            let (lower, upper) = (self.stops.0[axis], self.stops.1[axis]);
+            if lower.is_nan() || upper.is_nan() || lower >= upper {
+                return Err(ModelError { name: "lower stop", seen: lower, allowed: "below the upper stop" });
+            }
         }
+        require("encoder_quantum", self.encoder_quantum, self.encoder_quantum >= 0.0, "finite and 0 or more")?;
+        require("force_quantum_n", self.force_quantum_n, self.force_quantum_n >= 0.0, "finite and 0 or more")?;
+        if self.max_force_n > 0.0 {
+            Ok(())
+        } else {
+            Err(ModelError { name: "max_force_n", seen: self.max_force_n, allowed: "above 0" })
+        }
+    }
+
+    /// Whether friction couples the axes.
+    pub(crate) fn rubs_along_motion(&self) -> bool {
+        N > 1 && self.friction == Friction::Vector && self.coulomb[0] > 0.0
+    }
+}
+
+/// A quantity rounded to a resolution; 0 leaves it as it is.
+#[inline]
+pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
+    if is_exact {
+        return value;
+    }
+    let rounded = (value / quantum).simd_round() * quantum;
+    rounded.select(quantum.simd_gt(S::splat(0.0)), value)
+}
+
+/// The force that the motors exert of what they are told: bounded as a vector, then rounded per axis.
+#[inline]
+pub(crate) fn exerted<const N: usize, S: Real>(
+    told: &Axes<N, S>,
+    max_force_n: S,
+    quantum: S,
+    is_exact: bool,
+) -> Axes<N, S> {
+    let norm = if N == 1 { told[0].simd_abs() } else { told.dot(told).simd_sqrt() };
+    // An infinite bound must not meet 0 in a quotient.
+    let share = S::splat(1.0).select(norm.simd_le(max_force_n), max_force_n / norm);
+    told.map(|force| quantised(force * share, quantum, is_exact))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motors_bound_the_vector_and_round_each_axis() {
+        let told = Axes::<2>::new(6.0, 8.0);
+        assert!((exerted(&told, 5.0, 0.0, true) - Axes::<2>::new(3.0, 4.0)).norm() < 1e-15);
+        assert_eq!(exerted(&told, f64::INFINITY, 0.0, true), told);
+        assert!((exerted(&told, 5.0, 0.7, false) - Axes::<2>::new(2.8, 4.2)).norm() < 1e-15);
+        assert_eq!(exerted(&Axes::<1>::zeros(), 5.0, 0.0, true)[0], 0.0);
+    }
+
+    #[test]
+    fn refuses_what_is_no_device() {
+        let good = DeviceParameters::<3>::phantom_desktop();
+        assert!(good.check().is_ok());
+        let bad = [
+            DeviceParameters { mass_kg: Axes::<3>::new(0.1, 0.0, 0.1), ..good },
+            DeviceParameters { coulomb: Axes::<3>::new(0.1, 0.2, 0.1), ..good },
+            DeviceParameters { viscous: Axes::<3>::new(0.1, f64::NAN, 0.1), ..good },
+            DeviceParameters { encoder_quantum: -1.0, ..good },
+            DeviceParameters { force_quantum_n: f64::INFINITY, ..good },
+            DeviceParameters { max_force_n: 0.0, ..good },
+            DeviceParameters { stops: (Axes::repeat(0.1), Axes::repeat(0.1)), ..good },
+        ];
+        for device in bad {
+            assert!(device.check().is_err(), "{device:?}");
+        }
+        let joints = DeviceParameters { friction: Friction::Axis, coulomb: Axes::<3>::new(0.1, 0.2, 0.3), ..good };
+        assert!(joints.check().is_ok());
     }
 }

@@ -1,53 +1,121 @@
-//! A hand along one axis: an impedance towards a path, held by a finite grip that can let go.
+//! A hand: an impedance towards a path, held by a finite grip that lets go and takes hold again.
 
-use crate::{ModelError, Path, require};
+use std::f64::consts::TAU;
+
+use crate::{
+    Axes, ModelError, Path,
+    path::DEGREE,
+    polynomial::{Series, TERMS},
+    require,
+};
+
+/// What decays while a hand lets go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReleaseKind {
+    /// The grip strength: nothing moves until it has fallen to the load, then the stylus slips.
+    #[default]
+    Strength,
+    /// The whole impedance: `F_h = g (K_h (target - x) - B_h V)` with g from 1 to 0.
+    Gain,
+}
 
 /// How the grip is given up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Release {
     /// When it begins, in s.
     pub at_s: f64,
-    /// Time in s over which the grip strength falls linearly to zero; 0 lets go at once.
+    /// Time in s over which the grip falls linearly to zero; 0 lets go at once.
     pub duration_s: f64,
+    /// What falls.
+    pub kind: ReleaseKind,
+}
+
+/// How a hand that has let go takes hold again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Regrasp {
+    /// Time in s from the end of the release to the first grip: the reaction time of the person.
+    pub reaction_s: f64,
+    /// Time in s over which the grip grows linearly to its full strength; 0 grips at once.
+    pub rise_s: f64,
+}
+
+/// Physiological tremor on the path: `a sin(2 pi f t)` on every axis.
+///
+/// Source: 8 to 12 Hz, Elble and Koller 1990.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tremor {
+    /// a in m.
+    pub amplitude: f64,
+    /// f in Hz (0 to 100).
+    pub frequency_hz: f64,
 }
 
 /// A hand that steers the device along a path, with as much force as its grip can pass on.
 ///
-/// `F_h = K_h (x_target - x) - B_h V`, clipped to the grip strength: beyond it the stylus slips through the
+/// `F_h = K_h (x_target - x) - B_h V`, its norm clipped to the grip strength: beyond it the stylus slips through the
 /// fingers. People hold with a margin above the load, so a loosening grip first changes nothing, then slips.
 ///
 /// Source: impedance of a hand, Hogan 1989; grip margin, Johansson and Westling 1984.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Hand {
+pub struct Hand<const N: usize> {
     stiffness: f64,
     damping: f64,
     strength_n: f64,
-    path: Path,
+    path: Path<N>,
     release: Option<Release>,
+    regrasp: Option<Regrasp>,
+    tremor: Option<Tremor>,
 }
 
-impl Hand {
+impl<const N: usize> Hand<N> {
     /// `K_h` in N/m and `B_h` in N s/m (>= 0), grip strength in N (>= 0), the path it follows, when it lets go.
+    ///
+    /// An infinite grip strength never slips; it cannot decay, so only the gain may.
     pub fn new(
         stiffness: f64,
         damping: f64,
         strength_n: f64,
-        path: Path,
+        path: Path<N>,
         release: Option<Release>,
     ) -> Result<Self, ModelError> {
         require("hand stiffness", stiffness, stiffness >= 0.0, "finite and 0 or more")?;
         require("hand damping", damping, damping >= 0.0, "finite and 0 or more")?;
-        require("grip strength", strength_n, strength_n >= 0.0, "finite and 0 or more")?;
-        if let Some(Release { at_s, duration_s }) = release {
+        if strength_n.is_nan() || strength_n < 0.0 {
+            return Err(ModelError { name: "grip strength", seen: strength_n, allowed: "0 or more" });
+        }
+        if let Some(Release { at_s, duration_s, kind }) = release {
             require("release time", at_s, true, "finite")?;
             require("release duration", duration_s, duration_s >= 0.0, "finite and 0 or more")?;
+            if kind == ReleaseKind::Strength {
+                require("grip strength", strength_n, true, "finite, for a release of the strength")?;
+            }
         }
-        Ok(Self { stiffness, damping, strength_n, path, release })
+        Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, tremor: None })
     }
 
     /// No hand at all: the device rests at `position` in m and nobody holds it.
-    pub fn absent(position: f64) -> Result<Self, ModelError> {
+    pub fn absent(position: Axes<N>) -> Result<Self, ModelError> {
         Self::new(0.0, 0.0, 0.0, Path::new(position, Vec::new())?, None)
+    }
+
+    /// The same hand, which takes hold again after its release.
+    pub fn with_regrasp(self, regrasp: Regrasp) -> Result<Self, ModelError> {
+        let Regrasp { reaction_s, rise_s } = regrasp;
+        require("reaction time", reaction_s, reaction_s >= 0.0, "finite and 0 or more")?;
+        require("grip rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
+        if self.release.is_none() {
+            return Err(ModelError { name: "reaction time", seen: reaction_s, allowed: "given with a release" });
+        }
+        Ok(Self { regrasp: Some(regrasp), ..self })
+    }
+
+    /// The same hand with a tremor.
+    pub fn with_tremor(self, tremor: Tremor) -> Result<Self, ModelError> {
+        let Tremor { amplitude, frequency_hz } = tremor;
+        require("tremor amplitude", amplitude, amplitude >= 0.0, "finite and 0 or more")?;
+        let allowed = "between 0 and 100";
+        require("tremor frequency", frequency_hz, (0.0..=100.0).contains(&frequency_hz), allowed)?;
+        Ok(Self { tremor: Some(tremor), ..self })
     }
 
     pub(crate) fn stiffness(&self) -> f64 {
@@ -58,8 +126,20 @@ impl Hand {
         self.damping
     }
 
+    pub(crate) fn full_strength(&self) -> f64 {
+        self.strength_n
+    }
+
+    pub(crate) fn regrasp(&self) -> Option<Regrasp> {
+        self.regrasp
+    }
+
+    pub(crate) fn tremor(&self) -> Option<Tremor> {
+        self.tremor
+    }
+
     /// The path that the hand means to follow.
-    pub fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path<N> {
         &self.path
     }
 
@@ -68,41 +148,154 @@ impl Hand {
         self.release
     }
 
-    /// Grip strength in N at time t in s.
-    pub fn strength_at(&self, t: f64) -> f64 {
-        match self.release {
-            Some(Release { at_s, duration_s }) if t >= at_s => {
-                if t >= at_s + duration_s {
-                    0.0
-                } else {
-                    self.strength_n * (1.0 - (t - at_s) / duration_s)
-                }
+    /// Where the hand means to be at time t in s, tremor included.
+    pub fn target_at(&self, t: f64) -> Axes<N> {
+        let shake = self.tremor.map_or(0.0, |tremor| tremor.amplitude * (TAU * tremor.frequency_hz * t).sin());
+        self.path.at(t).add_scalar(shake)
+    }
+
+    /// The Taylor series of the target about t.
+    pub(crate) fn target_series(&self, t: f64) -> [Axes<N>; TERMS] {
+        let mut series = [Axes::zeros(); TERMS];
+        series[..=DEGREE].copy_from_slice(&self.path.taylor(t));
+        if let Some(Tremor { amplitude, frequency_hz }) = self.tremor {
+            let rate = TAU * frequency_hz;
+            let (sine, cosine) = (rate * t).sin_cos();
+            let mut scale = amplitude;
+            for (n, term) in series.iter_mut().enumerate() {
+                let derivative = [sine, cosine, -sine, -cosine][n % 4];
+                term.add_scalar_mut(scale * derivative);
+                scale *= rate / (n + 1) as f64;
             }
-            _ => self.strength_n,
+        }
+        series
+    }
+
+    /// The share of its grip that the hand has at time t, from 1 before the release to 0 after it and to 1 again.
+    pub fn grip_at(&self, t: f64) -> f64 {
+        let Some(Release { at_s, duration_s, .. }) = self.release else { return 1.0 };
+        let ends = at_s + duration_s;
+        let held = if t < at_s {
+            1.0
+        } else if t >= ends {
+            0.0
+        } else {
+            1.0 - (t - at_s) / duration_s
+        };
+        let regained = self.regrasp.map_or(0.0, |Regrasp { reaction_s, rise_s }| {
+            let begins = ends + reaction_s;
+            if t < begins {
+                0.0
+            } else if t >= begins + rise_s {
+                1.0
+            } else {
+                (t - begins) / rise_s
+            }
+        });
+        held.max(regained)
+    }
+
+    /// The grip just before `end`, continued from the time t before it: at a sudden change, what it was.
+    fn grip_before(&self, t: f64, end: f64) -> f64 {
+        let [begins, _, regains, _] = self.kinks();
+        let jumps = (begins == Some(end) && self.release.is_some_and(|release| release.duration_s == 0.0))
+            || (regains == Some(end) && self.regrasp.is_some_and(|regrasp| regrasp.rise_s == 0.0));
+        if jumps { self.grip_at(t) } else { self.grip_at(end) }
+    }
+
+    /// Gain and grip strength in N over \[t, end\] without a kink, each as value and rate.
+    pub(crate) fn grip_line(&self, t: f64, end: f64) -> ([f64; 2], [f64; 2]) {
+        let grip = self.grip_at(t);
+        let line = [grip, (self.grip_before(t, end) - grip) / (end - t)];
+        match self.release.map(|release| release.kind) {
+            Some(ReleaseKind::Gain) => (line, [self.strength_n, 0.0]),
+            Some(ReleaseKind::Strength) => ([1.0, 0.0], line.map(|term| term * self.strength_n)),
+            None => ([1.0, 0.0], [self.strength_n, 0.0]),
         }
     }
 
-    /// The next time after t at which the strength ceases to be one straight line.
-    pub(crate) fn next_kink(&self, t: f64) -> Option<f64> {
-        let Release { at_s, duration_s } = self.release?;
-        [at_s, at_s + duration_s].into_iter().find(|&kink| kink > t)
+    /// The force in N of the hand on the device at time t.
+    pub fn force(&self, t: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+        let grip = self.grip_at(t);
+        let (gain, strength) = match self.release.map(|release| release.kind) {
+            Some(ReleaseKind::Gain) => (grip, self.strength_n),
+            Some(ReleaseKind::Strength) => (1.0, grip * self.strength_n),
+            None => (1.0, self.strength_n),
+        };
+        let wish = ((self.target_at(t) - position) * self.stiffness - velocity * self.damping) * gain;
+        let norm = wish.norm();
+        if norm <= strength { wish } else { wish * (strength / norm) }
     }
+
+    fn kinks(&self) -> [Option<f64>; 4] {
+        let Some(Release { at_s, duration_s, .. }) = self.release else { return [None; 4] };
+        let begins = self.regrasp.map(|regrasp| at_s + duration_s + regrasp.reaction_s);
+        let full = self.regrasp.map(|regrasp| at_s + duration_s + regrasp.reaction_s + regrasp.rise_s);
+        [Some(at_s), Some(at_s + duration_s), begins, full]
+    }
+
+    /// The next time after t at which path or grip cease to be smooth.
+    pub(crate) fn next_kink(&self, t: f64) -> Option<f64> {
+        let kinks = self.kinks().into_iter().flatten().chain(self.path.next_knot(t));
+        kinks.filter(|&kink| kink > t).min_by(f64::total_cmp)
+    }
+}
+
+/// A line as a series.
+pub(crate) fn line([value, rate]: [f64; 2]) -> Series {
+    let mut series = [0.0; TERMS];
+    (series[0], series[1]) = (value, rate);
+    series
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn hand(release: Release) -> Hand<1> {
+        let path = Path::new(Axes::<1>::zeros(), Vec::new()).unwrap();
+        Hand::new(300.0, 5.0, 20.0, path, Some(release)).unwrap()
+    }
+
     #[test]
-    fn strength_falls_over_the_release() {
-        let path = Path::new(0.0, Vec::new()).unwrap();
-        let release = Some(Release { at_s: 1.0, duration_s: 0.04 });
-        let hand = Hand::new(300.0, 5.0, 20.0, path.clone(), release).unwrap();
-        for (t, n) in [(0.0, 20.0), (1.0, 20.0), (1.01, 15.0), (1.04, 0.0), (5.0, 0.0)] {
-            assert!((hand.strength_at(t) - n).abs() < 1e-12, "{t}");
+    fn the_grip_falls_over_the_release_and_returns() {
+        let slow = Release { at_s: 1.0, duration_s: 0.04, kind: ReleaseKind::Strength };
+        let once = hand(slow);
+        for (t, grip) in [(0.0, 1.0), (1.0, 1.0), (1.01, 0.75), (1.04, 0.0), (5.0, 0.0)] {
+            assert!((once.grip_at(t) - grip).abs() < 1e-12, "{t}");
         }
-        let sudden = Some(Release { at_s: 1.0, duration_s: 0.0 });
-        let hand = Hand::new(300.0, 5.0, 20.0, path, sudden).unwrap();
-        assert_eq!((hand.strength_at(0.999), hand.strength_at(1.0)), (20.0, 0.0));
+        let again = once.with_regrasp(Regrasp { reaction_s: 0.2, rise_s: 0.1 }).unwrap();
+        for (t, grip) in [(1.01, 0.75), (1.2, 0.0), (1.24, 0.0), (1.29, 0.5), (1.34, 1.0), (9.0, 1.0)] {
+            assert!((again.grip_at(t) - grip).abs() < 1e-12, "{t}");
+        }
+        let kinks: Vec<_> = [0.0, 1.0, 1.04, 1.3].iter().map(|&t| again.next_kink(t).unwrap()).collect();
+        for (kink, expected) in kinks.iter().zip([1.0, 1.04, 1.24, 1.34]) {
+            assert!((kink - expected).abs() < 1e-12);
+        }
+        let sudden = hand(Release { duration_s: 0.0, ..slow });
+        assert_eq!((sudden.grip_at(0.999), sudden.grip_at(1.0)), (1.0, 0.0));
+        assert_eq!(sudden.grip_line(0.5, 1.0).1, [20.0, 0.0], "a sudden release is no ramp before it");
+    }
+
+    #[test]
+    fn the_target_series_is_the_target() {
+        let path = Path::new(Axes::<1>::new(0.3), Vec::new()).unwrap();
+        let hand = Hand::new(300.0, 5.0, f64::INFINITY, path, None).unwrap();
+        let hand = hand.with_tremor(Tremor { amplitude: 1e-3, frequency_hz: 10.0 }).unwrap();
+        let series = hand.target_series(0.37).map(|term| term[0]);
+        let there = crate::polynomial::value(&series, 5e-3);
+        assert!((there - hand.target_at(0.375)[0]).abs() < 1e-16);
+    }
+
+    #[test]
+    fn refuses_what_no_hand_can_do() {
+        let path = || Path::new(Axes::<1>::zeros(), Vec::new()).unwrap();
+        let fades = Release { at_s: 1.0, duration_s: 0.1, kind: ReleaseKind::Strength };
+        assert!(Hand::new(300.0, 5.0, f64::INFINITY, path(), Some(fades)).is_err());
+        assert!(Hand::new(300.0, 5.0, f64::NAN, path(), None).is_err());
+        assert!(Hand::new(-1.0, 5.0, 1.0, path(), None).is_err());
+        let endless = Hand::new(300.0, 5.0, 1.0, path(), None).unwrap();
+        assert!(endless.clone().with_regrasp(Regrasp { reaction_s: 0.2, rise_s: 0.1 }).is_err());
+        assert!(endless.with_tremor(Tremor { amplitude: 1e-3, frequency_hz: f64::NAN }).is_err());
     }
 }

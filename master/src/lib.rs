@@ -1,15 +1,28 @@
 //! The master side: haptic device and human-hand models, advanced exactly in time.
 
+mod axes;
 mod device;
 mod hand;
 mod path;
+mod polynomial;
 mod simulated;
+#[cfg(test)]
+mod simulated_tests;
+mod stepped;
+mod stepped_hand;
+#[cfg(test)]
+mod stepped_tests;
 mod stretch;
+mod wall;
 
-pub use device::DeviceParameters;
-pub use hand::{Hand, Release};
+pub use axes::{Axes, Real};
+pub use device::{DeviceParameters, Friction};
+pub use hand::{Hand, Regrasp, Release, ReleaseKind, Tremor};
 pub use path::{Leg, LegShape, Path};
-pub use simulated::{MasterSample, SimulatedMaster};
+pub use simulated::{MasterSample, SimulatedMaster, Touch};
+pub use stepped::{SteppedMaster, Stepping};
+pub use stepped_hand::SteppedHand;
+pub use wall::ContinuousWall;
 
 /// A parameter that a model cannot have.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

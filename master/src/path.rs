@@ -1,89 +1,182 @@
 //! Where a hand means to be, over time.
 
-use crate::{ModelError, require};
+use crate::{Axes, ModelError, require};
 
 /// How a leg of a path is travelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LegShape {
     /// Constant velocity.
     Linear,
-    /// `10 s³ - 15 s⁴ + 6 s⁵`: starts and ends at rest.
+    /// `3 s² - 2 s³`: starts and ends at rest, with a jump of the acceleration.
+    Smooth,
+    /// `10 s³ - 15 s⁴ + 6 s⁵`: starts and ends at rest without one.
     ///
     /// Source: Flash and Hogan 1985.
     MinimumJerk,
 }
 
+/// Degree of the steepest shape.
+pub(crate) const DEGREE: usize = 5;
+
+impl LegShape {
+    /// Coefficients of the share travelled, over s in \[0, 1\].
+    pub(crate) fn coefficients(self) -> [f64; DEGREE + 1] {
+        match self {
+            Self::Linear => [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+            Self::Smooth => [0.0, 0.0, 3.0, -2.0, 0.0, 0.0],
+            Self::MinimumJerk => [0.0, 0.0, 0.0, 10.0, -15.0, 6.0],
+        }
+    }
+}
+
 /// One leg: from where the last one ended to `end`, within `duration_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Leg {
+pub struct Leg<const N: usize> {
     /// Duration in s (> 0).
     pub duration_s: f64,
     /// Position at its end in m.
-    pub end: f64,
+    pub end: Axes<N>,
     /// How it is travelled.
     pub shape: LegShape,
 }
 
 /// A path of legs, at rest before the first and after the last.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Path {
-    start: f64,
-    legs: Vec<Leg>,
+pub struct Path<const N: usize> {
+    start: Axes<N>,
+    legs: Vec<Leg<N>>,
+    /// When each leg begins, and when the last one ends.
+    begins: Vec<f64>,
 }
 
-impl Path {
+impl<const N: usize> Path<N> {
     /// A path that begins at `start` in m, at time 0.
-    pub fn new(start: f64, legs: Vec<Leg>) -> Result<Self, ModelError> {
-        require("start", start, true, "finite")?;
+    pub fn new(start: Axes<N>, legs: Vec<Leg<N>>) -> Result<Self, ModelError> {
+        for x in &start {
+            require("start", *x, true, "finite")?;
+        }
+        let mut begins = vec![0.0];
+        let mut time = 0.0;
         for leg in &legs {
             require("duration_s", leg.duration_s, leg.duration_s > 0.0, "finite and above 0")?;
-            require("end", leg.end, true, "finite")?;
+            for x in &leg.end {
+                require("end", *x, true, "finite")?;
+            }
+            time += leg.duration_s;
+            begins.push(time);
         }
-        Ok(Self { start, legs })
+        Ok(Self { start, legs, begins })
     }
 
     /// Position in m where the path begins.
-    pub fn start(&self) -> f64 {
-        self.start
+    pub fn start(&self) -> &Axes<N> {
+        &self.start
+    }
+
+    pub(crate) fn legs(&self) -> &[Leg<N>] {
+        &self.legs
+    }
+
+    /// When leg `index` begins, in s; the end of the path for the index after the last.
+    pub(crate) fn begins(&self, index: usize) -> f64 {
+        self.begins[index]
+    }
+
+    /// Where leg `index` starts from, in m.
+    pub(crate) fn from(&self, index: usize) -> &Axes<N> {
+        if index == 0 { &self.start } else { &self.legs[index - 1].end }
+    }
+
+    /// The leg travelled just after time t, if one is.
+    fn leg_at(&self, t: f64) -> Option<usize> {
+        let begun = self.begins.partition_point(|&begin| begin <= t);
+        (begun > 0 && begun <= self.legs.len()).then(|| begun - 1)
     }
 
     /// Position in m at time t in s.
-    pub fn at(&self, t: f64) -> f64 {
-        let (mut from, mut begun) = (self.start, 0.0);
-        for leg in &self.legs {
-            if t <= begun {
-                return from;
-            }
-            let s = (t - begun) / leg.duration_s;
-            if s < 1.0 {
-                let share = match leg.shape {
-                    LegShape::Linear => s,
-                    LegShape::MinimumJerk => s * s * s * (10.0 + s * (6.0 * s - 15.0)),
-                };
-                return from + (leg.end - from) * share;
-            }
-            (from, begun) = (leg.end, begun + leg.duration_s);
-        }
-        from
+    pub fn at(&self, t: f64) -> Axes<N> {
+        self.taylor(t)[0]
     }
+
+    /// The polynomial that the path is from time t in s to its next knot, in powers of the time since t.
+    pub(crate) fn taylor(&self, t: f64) -> [Axes<N>; DEGREE + 1] {
+        let mut series = [Axes::zeros(); DEGREE + 1];
+        let Some(index) = self.leg_at(t) else {
+            let after = t >= self.begins[self.legs.len()];
+            series[0] = if after { *self.from(self.legs.len()) } else { self.start };
+            return series;
+        };
+        let (leg, from) = (&self.legs[index], self.from(index));
+        let s = (t - self.begins[index]) / leg.duration_s;
+        let shares = shifted(leg.shape.coefficients(), s);
+        let mut scale = 1.0;
+        for (term, share) in series.iter_mut().zip(shares) {
+            *term = (leg.end - from) * (share * scale);
+            scale /= leg.duration_s;
+        }
+        series[0] += from;
+        series
+    }
+
+    /// The next time after t at which the path ceases to be one polynomial.
+    pub(crate) fn next_knot(&self, t: f64) -> Option<f64> {
+        let next = self.begins.partition_point(|&begin| begin <= t);
+        (!self.legs.is_empty()).then(|| self.begins.get(next).copied()).flatten()
+    }
+}
+
+/// The coefficients of `p(s + x)` in powers of x.
+pub(crate) fn shifted<const TERMS: usize>(mut p: [f64; TERMS], s: f64) -> [f64; TERMS] {
+    for first in 0..TERMS - 1 {
+        for term in (first..TERMS - 1).rev() {
+            p[term] += s * p[term + 1];
+        }
+    }
+    p
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn path() -> Path<1> {
+        let legs = vec![
+            Leg { duration_s: 1.0, end: Axes::<1>::new(-2.0), shape: LegShape::MinimumJerk },
+            Leg { duration_s: 2.0, end: Axes::<1>::new(2.0), shape: LegShape::Linear },
+            Leg { duration_s: 1.0, end: Axes::<1>::new(3.0), shape: LegShape::Smooth },
+        ];
+        Path::new(Axes::<1>::new(1.0), legs).unwrap()
+    }
+
     #[test]
     fn passes_its_knots_and_rests_at_both_ends() {
-        let legs = vec![
-            Leg { duration_s: 1.0, end: -2.0, shape: LegShape::MinimumJerk },
-            Leg { duration_s: 2.0, end: 2.0, shape: LegShape::Linear },
-        ];
-        let path = Path::new(1.0, legs).unwrap();
-        for (t, x) in [(-1.0, 1.0), (0.0, 1.0), (0.5, -0.5), (1.0, -2.0), (2.0, 0.0), (3.0, 2.0), (9.0, 2.0)]
-        {
-            assert!((path.at(t) - x).abs() < 1e-15, "{t}");
+        let path = path();
+        for (t, x) in [
+            (-1.0, 1.0),
+            (0.0, 1.0),
+            (0.5, -0.5),
+            (1.0, -2.0),
+            (2.0, 0.0),
+            (3.0, 2.0),
+            (3.5, 2.5),
+            (4.0, 3.0),
+            (9.0, 3.0),
+        ] {
+            assert!((path.at(t)[0] - x).abs() < 1e-15, "{t}");
         }
-        let speed = |t: f64| (path.at(t + 1e-6) - path.at(t - 1e-6)) / 2e-6;
-        assert!(speed(1e-5).abs() < 1e-6 && speed(1.0 - 2e-6).abs() < 1e-6);
+        let speed = |t: f64| (path.at(t + 1e-6)[0] - path.at(t - 1e-6)[0]) / 2e-6;
+        assert!(speed(1e-5).abs() < 1e-6 && speed(1.0 - 2e-6).abs() < 1e-5);
+    }
+
+    #[test]
+    fn the_polynomial_is_the_path() {
+        let path = path();
+        for (t, h) in [(0.3, 0.6), (1.5, 1.2), (3.2, 0.7), (5.0, 1.0), (-0.5, 0.4)] {
+            let series = path.taylor(t);
+            let there = series.iter().rev().fold(0.0, |sum, term| sum * h + term[0]);
+            assert!((there - path.at(t + h)[0]).abs() < 1e-14, "{t}");
+        }
+        let knots: Vec<_> = [-1.0, 0.0, 0.5, 1.0, 3.9, 4.0].iter().map(|&t| path.next_knot(t)).collect();
+        assert_eq!(knots, [Some(0.0), Some(1.0), Some(1.0), Some(3.0), Some(4.0), None]);
     }
 }

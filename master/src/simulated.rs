@@ -1,61 +1,103 @@
 //! A simulated master: device and hand, advanced exactly under the force held since the last write.
 
 use crate::{
-    DeviceParameters, Hand, ModelError, require,
-    stretch::{Linear, first_negative},
+    Axes, ContinuousWall, DeviceParameters, Friction, Hand, ModelError,
+    device::{exerted, quantised},
+    polynomial::{Series, TERMS, first_negative, product},
+    require,
+    stretch::{Grip, Law, Regime, Rub, Stretch},
 };
 
 /// What a device tells at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MasterSample {
+pub struct MasterSample<const N: usize> {
     /// x in m, as the encoder sees it.
-    pub position: f64,
+    pub position: Axes<N>,
     /// V in m/s, only from a device that measures it.
-    pub velocity: Option<f64>,
+    pub velocity: Option<Axes<N>>,
 }
 
-/// Longest time in s over which the hand's path is taken for a straight line.
-const LONGEST_STEP: f64 = 1e-3;
-
-/// Least progress in s between two events. At a tie (the grip exactly as strong as the load) rounding would place
-/// the next event at no distance; within a nanosecond the forces change by less than rounding of the velocity.
+/// Progress in s below which an event counts as another at the same instant. At a tie (the grip exactly as strong as
+/// the load) rounding would place the next event at no distance for ever.
 const LEAST_PROGRESS: f64 = 1e-9;
 
-/// Events that one step locates; beyond them (the model has not been seen to make more than 4) it moves on in
-/// steps of this share of the tick, so that a tick always ends.
-const MOST_EVENTS: i32 = 64;
+/// Events at one instant; beyond them the motion is taken on by [`LEAST_PROGRESS`].
+const MOST_STALLS: u32 = 8;
 
-/// Device and hand along one axis.
+/// Stretches of one advance; beyond them it moves on in steps of this share of it, so that a tick always ends.
+const MOST_STRETCHES: u32 = 4096;
+
+/// Speed in m/s below which a device that friction can hold is taken to have stopped. On several axes friction
+/// turns with the motion, and the last bit of the speed would take ever shorter stretches.
+const STOPPED: f64 = 1e-10;
+
+/// Longest first stretch in s of a device that sets off: its direction is that of the force.
+const SETTING_OFF: f64 = 1e-6;
+
+/// When the device last touched a continuous wall and last left one, in s since the clock's zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Touch {
+    /// Last contact made.
+    pub made_s: Option<f64>,
+    /// Last contact broken.
+    pub broke_s: Option<f64>,
+    /// How many contacts were made.
+    pub count: u64,
+}
+
+/// Device, hand and what walls act on the device by themselves.
 ///
-/// Between two events (the velocity turns, the grip begins or ceases to slip, the release begins or ends) the motion
-/// is linear and is advanced by its exact solution; the events themselves are located to rounding.
+/// Between two events (an axis turns or sets off, the grip begins or ceases to slip, the release begins or ends, a
+/// stop or a wall is met or left) the motion is smooth and is followed by its Taylor series to rounding; the events
+/// themselves are located to rounding.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SimulatedMaster {
-    device: DeviceParameters,
-    hand: Hand,
-    held_force: f64,
+pub struct SimulatedMaster<const N: usize> {
+    device: DeviceParameters<N>,
+    hand: Hand<N>,
+    walls: Vec<ContinuousWall<N>>,
+    held_force: Axes<N>,
     /// Time in s of the hand: 0 where its path begins.
     time: f64,
     waits: bool,
     now_ns: u64,
-    position: f64,
-    velocity: f64,
+    position: Axes<N>,
+    velocity: Axes<N>,
+    /// What rounding took from position and velocity: a constant force adds the same step at every tick, which
+    /// would be rounded the same way each time.
+    lost: [Axes<N>; 2],
+    /// Which walls push, a bit for each.
+    pushing: u64,
+    touch: Touch,
 }
 
-/// How the hand's force arises during a stretch.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Grip {
-    Holds,
-    /// Slips, with the force in this direction.
-    Slips(f64),
-}
+impl<const N: usize> SimulatedMaster<N> {
+    /// Most continuous walls.
+    pub const MAX_WALLS: usize = 64;
 
-impl SimulatedMaster {
     /// A device at rest where the hand's path starts, at time `now_ns`.
-    pub fn new(device: DeviceParameters, hand: Hand, now_ns: u64) -> Result<Self, ModelError> {
+    pub fn new(device: DeviceParameters<N>, hand: Hand<N>, now_ns: u64) -> Result<Self, ModelError> {
         device.check()?;
-        let position = hand.path().start();
-        Ok(Self { device, hand, held_force: 0.0, time: 0.0, waits: false, now_ns, position, velocity: 0.0 })
+        let position = hand.target_at(0.0);
+        Ok(Self {
+            device,
+            hand,
+            walls: Vec::new(),
+            held_force: Axes::zeros(),
+            time: 0.0,
+            waits: false,
+            now_ns,
+            position,
+            velocity: Axes::zeros(),
+            lost: [Axes::zeros(); 2],
+            pushing: 0,
+            touch: Touch::default(),
+        })
+    }
+
+    /// The same device among walls that act at every instant.
+    pub fn among(self, walls: Vec<ContinuousWall<N>>) -> Result<Self, ModelError> {
+        require("walls", walls.len() as f64, walls.len() <= Self::MAX_WALLS, "at most 64")?;
+        Ok(Self { walls, ..self })
     }
 
     /// Whether the hand waits at the start of its path; once it no longer waits, its time runs from there.
@@ -64,10 +106,13 @@ impl SimulatedMaster {
     }
 
     /// Puts the device at x in m with V in m/s.
-    pub fn place(&mut self, position: f64, velocity: f64) -> Result<(), ModelError> {
-        require("position", position, true, "finite")?;
-        require("velocity", velocity, true, "finite")?;
+    pub fn place(&mut self, position: Axes<N>, velocity: Axes<N>) -> Result<(), ModelError> {
+        for (x, v) in position.iter().zip(&velocity) {
+            require("position", *x, true, "finite")?;
+            require("velocity", *v, true, "finite")?;
+        }
         (self.position, self.velocity) = (position, velocity);
+        self.lost = [Axes::zeros(); 2];
         Ok(())
     }
 
@@ -77,360 +122,432 @@ impl SimulatedMaster {
     }
 
     /// Advances to `now_ns` (monotonic) and tells what the device measures there.
-    pub fn read(&mut self, now_ns: u64) -> MasterSample {
-        let elapsed_ns = now_ns.saturating_sub(self.now_ns);
-        self.now_ns = self.now_ns.max(now_ns);
-        let mut left = elapsed_ns as f64 * 1e-9;
-        while left > LONGEST_STEP * (1.0 + 1e-9) {
-            self.advance(LONGEST_STEP);
-            left -= LONGEST_STEP;
+    pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
+        if now_ns > self.now_ns {
+            self.advance((now_ns - self.now_ns) as f64 * 1e-9);
+            self.now_ns = now_ns;
         }
-        if left > 0.0 {
-            self.advance(left);
-        }
+        let quantum = self.device.encoder_quantum;
         MasterSample {
-            position: self.device.encode(self.position),
-            velocity: (self.device.encoder_quantum == 0.0).then_some(self.velocity),
+            position: self.position.map(|x| quantised(x, quantum, quantum == 0.0)),
+            velocity: self.device.measures_velocity.then_some(self.velocity),
         }
     }
 
-    /// Holds this force in N from now on; what is not finite becomes no force.
-    pub fn write(&mut self, force: f64) {
-        self.held_force = if force.is_finite() { force } else { 0.0 };
+    /// Holds this force in N from now on, as far as the motors exert it; what is not finite becomes no force.
+    pub fn write(&mut self, force: &Axes<N>) {
+        let told = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
+        let quantum = self.device.force_quantum_n;
+        self.held_force = exerted(&told, self.device.max_force_n, quantum, quantum == 0.0);
     }
 
     /// True position in m, which no encoder tells.
-    pub fn position(&self) -> f64 {
-        self.position
+    pub fn position(&self) -> &Axes<N> {
+        &self.position
     }
 
     /// True velocity in m/s.
-    pub fn velocity(&self) -> f64 {
-        self.velocity
+    pub fn velocity(&self) -> &Axes<N> {
+        &self.velocity
     }
 
     /// True force of the hand on the device in N.
-    pub fn hand_force(&self) -> f64 {
-        let wished = self.wished_force(self.hand.path().at(self.time), self.position, self.velocity);
-        let strength = self.hand.strength_at(self.time);
-        wished.clamp(-strength, strength)
+    pub fn hand_force(&self) -> Axes<N> {
+        self.hand.force(self.time, &self.position, &self.velocity)
     }
 
-    fn wished_force(&self, target: f64, position: f64, velocity: f64) -> f64 {
-        self.hand.stiffness() * (target - position) - self.hand.damping() * velocity
+    /// Force in N that the motors exert since the last write.
+    pub fn motor_force(&self) -> &Axes<N> {
+        &self.held_force
+    }
+
+    /// True force of the continuous walls on the device in N.
+    pub fn wall_force(&self) -> Axes<N> {
+        self.walls.iter().map(|wall| wall.force(&self.position, &self.velocity)).sum()
+    }
+
+    /// Contacts with continuous walls.
+    pub fn touch(&self) -> &Touch {
+        &self.touch
     }
 
     fn advance(&mut self, duration: f64) {
         let begun = self.time;
-        let target = self.hand.path().at(begun);
-        let target_rate =
-            if self.waits { 0.0 } else { (self.hand.path().at(begun + duration) - target) / duration };
-        let end = begun + duration;
-        let mut events = 0;
-        while self.time < end {
-            events += 1;
-            let least = if events < MOST_EVENTS { LEAST_PROGRESS } else { duration / f64::from(MOST_EVENTS) };
-            let kink = self.hand.next_kink(self.time).unwrap_or(f64::INFINITY);
-            let target_now = target + target_rate * (self.time - begun);
-            self.stretch(end.min(kink), least, target_now, target_rate);
+        let clock = self.now_ns as f64 * 1e-9;
+        let mut done = 0.0;
+        let (mut stretches, mut stalls) = (0, 0);
+        while done < duration {
+            stretches += 1;
+            let least = if stretches > MOST_STRETCHES {
+                duration / f64::from(MOST_STRETCHES)
+            } else if stalls > MOST_STALLS {
+                LEAST_PROGRESS
+            } else {
+                0.0
+            };
+            let kink = if self.waits { None } else { self.hand.next_kink(self.time) };
+            let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.time));
+            let taken = self.stretch(wanted, least, clock + done);
+            stalls = if taken < LEAST_PROGRESS { stalls + 1 } else { 0 };
+            let reached_kink = taken == wanted && kink.is_some_and(|kink| kink - self.time == wanted);
+            done = if taken == duration - done { duration } else { done + taken };
+            // Rounding of many small additions must not shift the clock.
+            self.time = match kink {
+                _ if self.waits => begun,
+                Some(kink) if reached_kink => kink,
+                _ => begun + done,
+            };
         }
-        // Rounding of many small additions must not shift the clock.
-        self.time = if self.waits { begun } else { end };
     }
 
-    /// Follows one stretch until `end` or the next event, whichever is first.
-    ///
-    /// It is at least `least` s long, unless `end` is nearer.
-    fn stretch(&mut self, end: f64, least: f64, target: f64, target_rate: f64) {
-        let wanted = end - self.time;
-        let strength = self.hand.strength_at(self.time);
-        let strength_rate = (self.strength_just_before(end) - strength) / wanted;
-        let wished = self.wished_force(target, self.position, self.velocity);
-        let grip = if wished.abs() <= strength { Grip::Holds } else { Grip::Slips(wished.signum()) };
-        let (force, force_rate) = match grip {
-            // The part of the hand's force that depends on x and V is in the stretch's stiffness and damping.
-            Grip::Holds => (self.hand.stiffness() * target, self.hand.stiffness() * target_rate),
-            Grip::Slips(way) => (way * strength, way * strength_rate),
+    /// Follows one stretch for `wanted` s or until the next event, whichever is first, but at least `least` s;
+    /// says how long it was.
+    fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> f64 {
+        let end = self.time + wanted;
+        let mut target = self.hand.target_series(self.time);
+        let (gain, strength) = if self.waits {
+            target[1..].fill(Axes::zeros());
+            let (gain, strength) = self.hand.grip_line(self.time, self.time + 1.0);
+            ([gain[0], 0.0], [strength[0], 0.0])
+        } else {
+            self.hand.grip_line(self.time, end)
         };
-        let (stiffness, hand_damping) = match grip {
-            Grip::Holds => (self.hand.stiffness(), self.hand.damping()),
-            Grip::Slips(_) => (0.0, 0.0),
+        self.meet_walls(clock);
+        let law = Law {
+            device: &self.device,
+            hand: &self.hand,
+            walls: &self.walls,
+            held: self.held_force,
+            target,
+            gain,
+            strength,
         };
-
-        let push = force - stiffness * self.position;
-        if self.leans_on_stop(push) {
-            let total = self.held_force + push;
-            self.rest(end, least, |t| total.signum() * (total + force_rate * t));
-            return;
+        let wish = ((target[0] - self.position) * self.hand.stiffness()
+            - self.velocity * self.hand.damping())
+            * gain[0];
+        let norm = wish.norm();
+        let mut grip = if norm <= strength[0] { Grip::Holds } else { Grip::Slips };
+        let (mut regime, mut stretch, mut duration, mut setting_off);
+        loop {
+            let hand = match grip {
+                Grip::Slips if norm > 0.0 => wish * (strength[0] / norm),
+                _ => wish,
+            };
+            (regime, setting_off) = self.regime(grip, &hand);
+            stretch = law.follow(&regime, self.position, self.velocity);
+            duration = wanted.min(stretch.reach);
+            if setting_off {
+                duration = duration.min(SETTING_OFF);
+            }
+            let slips_at = self.grip_changes(&stretch, grip, strength, duration);
+            if grip == Grip::Holds && slips_at == Some(0.0) && norm > 0.0 {
+                // Exactly as strong as the load, and weaker at once.
+                grip = Grip::Slips;
+                continue;
+            }
+            duration = slips_at.unwrap_or(duration).max(least).min(wanted);
+            break;
         }
-        let Some(direction) = self.direction_of_motion(push) else {
-            let (total, most) = (self.held_force + push, self.device.coulomb);
-            self.rest(end, least, |t| most - (total + force_rate * t).abs());
-            return;
-        };
-        let equation = Linear {
-            mass: self.device.mass_kg,
-            damping: self.device.viscous + hand_damping,
-            stiffness,
-            force: self.held_force + force - direction * self.device.coulomb,
-            force_rate,
-        };
-        let motion = equation.from(self.position, self.velocity);
-        let mut duration = wanted.min(equation.reach());
-        if self.device.coulomb > 0.0
-            && let Some(turn) = first_negative(|t| direction * motion.velocity(t), duration)
+        let event = self.first_event(&stretch, &regime, duration);
+        duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
+        add(&mut self.position, &mut self.lost[0], &stretch.displacement(duration));
+        add(&mut self.velocity, &mut self.lost[1], &stretch.speed_gained(duration));
+        for axis in 0..N {
+            if regime.stuck[axis] {
+                self.halt(axis);
+            }
+        }
+        if let Some(event) = event {
+            self.settle(event.kind, clock + duration);
+        }
+        if let Rub::AlongMotion(coulomb) = regime.rub
+            && self.velocity.norm() < STOPPED
+            && !setting_off
+            && stretch.push[0].norm() <= coulomb
         {
-            duration = turn.max(least).min(wanted);
-        }
-        let slack = |t: f64| {
-            let wished = self.wished_force(target + target_rate * t, motion.position(t), motion.velocity(t));
-            let slack = strength + strength_rate * t - wished.abs();
-            if grip == Grip::Holds { slack } else { -slack }
-        };
-        let turns = duration;
-        // The way that is left to the nearer stop.
-        let ahead = |t: f64| {
-            let x = motion.position(t);
-            (x - self.device.stops.0).min(self.device.stops.1 - x)
-        };
-        if let Some(hit) = first_negative(ahead, duration) {
-            duration = hit.max(least).min(wanted);
-        }
-        if let Some(slip) = first_negative(slack, duration) {
-            duration = slip.max(least).min(wanted);
-        }
-        self.position = motion.position(duration);
-        self.velocity = motion.velocity(duration);
-        let turned = self.device.coulomb > 0.0 && duration == turns && direction * self.velocity < 0.0;
-        if turned {
-            self.velocity = 0.0;
+            (0..N).for_each(|axis| self.halt(axis));
         }
         self.meet_stops();
-        self.time = if duration == wanted { end } else { self.time + duration };
+        duration
+    }
+
+    fn halt(&mut self, axis: usize) {
+        (self.velocity[axis], self.lost[1][axis]) = (0.0, 0.0);
+    }
+
+    /// Which laws act, given the hand's force; and whether a device under friction along its motion sets off now.
+    fn regime(&self, grip: Grip, hand: &Axes<N>) -> (Regime<N>, bool) {
+        let push = self.held_force + hand + self.pushing_force();
+        let mut regime =
+            Regime { grip, rub: Rub::Constant(Axes::zeros()), stuck: [false; N], pushing: self.pushing };
+        let (lower, upper) = self.device.stops;
+        for axis in 0..N {
+            let (x, f) = (self.position[axis], push[axis]);
+            regime.stuck[axis] = self.velocity[axis] == 0.0
+                && ((x <= lower[axis] && f < 0.0) || (x >= upper[axis] && f > 0.0));
+        }
+        if self.device.rubs_along_motion() {
+            let coulomb = self.device.coulomb[0];
+            if self.velocity != Axes::<N>::zeros() {
+                regime.rub = Rub::AlongMotion(coulomb);
+                return (regime, false);
+            }
+            if push.norm() <= coulomb {
+                regime.stuck = [true; N];
+                return (regime, false);
+            }
+            regime.rub = Rub::Constant(push * (coulomb / push.norm()));
+            return (regime, true);
+        }
+        let mut friction = Axes::zeros();
+        for axis in 0..N {
+            let (coulomb, v, f) = (self.device.coulomb[axis], self.velocity[axis], push[axis]);
+            if coulomb == 0.0 || regime.stuck[axis] {
+                continue;
+            }
+            if v != 0.0 {
+                friction[axis] = coulomb * v.signum();
+            } else if f.abs() > coulomb {
+                friction[axis] = coulomb * f.signum();
+            } else {
+                regime.stuck[axis] = true;
+            }
+        }
+        regime.rub = Rub::Constant(friction);
+        (regime, false)
+    }
+
+    fn pushing_force(&self) -> Axes<N> {
+        let mut force = Axes::zeros();
+        for (index, wall) in self.walls.iter().enumerate() {
+            if self.pushing & (1 << index) != 0 {
+                force += wall.normal * wall.push(&self.position, &self.velocity);
+            }
+        }
+        force
+    }
+
+    /// When the grip begins or ceases to slip within `duration`.
+    fn grip_changes(
+        &self,
+        stretch: &Stretch<N>,
+        grip: Grip,
+        strength: [f64; 2],
+        duration: f64,
+    ) -> Option<f64> {
+        if strength[0].is_infinite() || (self.hand.stiffness() == 0.0 && self.hand.damping() == 0.0) {
+            return None;
+        }
+        // Most of the time the grip is far stronger than all that can be wished for within the stretch.
+        if grip == Grip::Holds {
+            let mut power = 1.0;
+            let mut most = 0.0;
+            for wish in &stretch.wish {
+                most += wish.norm() * power;
+                power *= duration;
+            }
+            if most < strength[0].min(strength[0] + strength[1] * duration) {
+                return None;
+            }
+        }
+        let limit = crate::hand::line(strength);
+        let margins: [Series; 2] = if N == 1 {
+            let wish = stretch.wish.map(|wish| wish[0]);
+            [std::array::from_fn(|n| limit[n] - wish[n]), std::array::from_fn(|n| limit[n] + wish[n])]
+        } else {
+            let (squared, limit) = (squared_norm(&stretch.wish), product(&limit, &limit));
+            let margin: Series = std::array::from_fn(|n| limit[n] - squared[n]);
+            [margin, margin]
+        };
+        match grip {
+            Grip::Holds => {
+                let [a, b] = margins.map(|margin| first_negative(&margin, duration));
+                a.into_iter().chain(b).min_by(f64::total_cmp)
+            }
+            Grip::Slips => {
+                // It slips on the side of the wish; there the margin is negative.
+                let side = usize::from(N == 1 && stretch.wish[0][0] < 0.0);
+                first_negative(&margins[side].map(|term| -term), duration)
+            }
+        }
+    }
+
+    /// The first of the events that end a stretch of `duration`, apart from the grip's.
+    fn first_event(&self, stretch: &Stretch<N>, regime: &Regime<N>, duration: f64) -> Option<Event> {
+        let mut first: Option<Event> = None;
+        let mut consider = |kind: EventKind, margin: &Series| {
+            let within = first.map_or(duration, |event| event.at);
+            if let Some(at) = first_negative(margin, within)
+                && at < within
+            {
+                first = Some(Event { at, kind });
+            }
+        };
+        let (lower, upper) = self.device.stops;
+        for axis in 0..N {
+            let push = || stretch.push.map(|push| push[axis]);
+            let (x, coulomb) = (self.position[axis], self.device.coulomb[axis]);
+            if regime.stuck[axis] && x <= lower[axis] && stretch.push[0][axis] < 0.0 {
+                consider(EventKind::SetsOff, &push().map(|term| -term));
+            } else if regime.stuck[axis] && x >= upper[axis] && stretch.push[0][axis] > 0.0 {
+                consider(EventKind::SetsOff, &push());
+            } else if regime.stuck[axis] && (N == 1 || self.device.friction == Friction::Axis) {
+                let push = push();
+                for sign in [1.0, -1.0] {
+                    let mut margin = push.map(|term| sign * term);
+                    margin[0] += coulomb;
+                    consider(EventKind::SetsOff, &margin);
+                }
+            } else if let Rub::Constant(friction) = regime.rub
+                && friction[axis] != 0.0
+                && !self.device.rubs_along_motion()
+            {
+                let sign = friction[axis].signum();
+                consider(EventKind::Turns(axis), &stretch.velocity_along(axis).map(|term| sign * term));
+            }
+            if lower[axis].is_finite() && !regime.stuck[axis] {
+                let mut ahead = stretch.position_along(axis);
+                ahead[0] -= lower[axis];
+                consider(EventKind::Stop(axis), &ahead);
+            }
+            if upper[axis].is_finite() && !regime.stuck[axis] {
+                let mut ahead = stretch.position_along(axis).map(|term| -term);
+                ahead[0] += upper[axis];
+                consider(EventKind::Stop(axis), &ahead);
+            }
+        }
+        if self.device.rubs_along_motion() && regime.stuck == [true; N] {
+            let mut margin = squared_norm(&stretch.push).map(|term| -term);
+            margin[0] += self.device.coulomb[0] * self.device.coulomb[0];
+            consider(EventKind::SetsOff, &margin);
+        }
+        for (index, wall) in self.walls.iter().enumerate() {
+            if wall.is_two_sided {
+                continue;
+            }
+            let (depth, push) = wall.along(&stretch.position);
+            if regime.pushing & (1 << index) != 0 {
+                consider(EventKind::Leaves(index), &depth);
+                if wall.damping > 0.0 {
+                    consider(EventKind::Leaves(index), &push);
+                }
+            } else if depth[0] > 0.0 {
+                // Inside a wall that would have to pull.
+                consider(EventKind::Meets(index), &push.map(|term| -term));
+                consider(EventKind::Leaves(index), &depth);
+            } else {
+                consider(EventKind::Meets(index), &depth.map(|term| -term));
+            }
+        }
+        first
+    }
+
+    /// What an event leaves exactly.
+    fn settle(&mut self, kind: EventKind, clock: f64) {
+        match kind {
+            EventKind::SetsOff => {}
+            EventKind::Turns(axis) => self.halt(axis),
+            EventKind::Stop(axis) => {
+                let (lower, upper) = (self.device.stops.0[axis], self.device.stops.1[axis]);
+                let is_lower = self.position[axis] - lower < upper - self.position[axis];
+                self.position[axis] = if is_lower { lower } else { upper };
+                self.lost[0][axis] = 0.0;
+            }
+            EventKind::Meets(index) | EventKind::Leaves(index) => {
+                let wall = self.walls[index];
+                let depth = wall.depth(&self.position);
+                if depth.abs() <= 1e-12 * (1.0 + wall.surface.abs()) {
+                    // On the surface, exactly.
+                    self.position += wall.normal * depth;
+                    self.lost[0] = Axes::zeros();
+                }
+                self.set_pushing(index, matches!(kind, EventKind::Meets(_)), clock);
+            }
+        }
+    }
+
+    fn set_pushing(&mut self, index: usize, pushes: bool, clock: f64) {
+        let bit = 1_u64 << index;
+        if pushes && self.pushing & bit == 0 {
+            self.pushing |= bit;
+            self.touch.made_s = Some(clock);
+            self.touch.count += 1;
+        } else if !pushes && self.pushing & bit != 0 {
+            self.pushing &= !bit;
+            self.touch.broke_s = Some(clock);
+        }
+    }
+
+    /// Says of each wall whether it pushes where the device is now, away from its edges.
+    fn meet_walls(&mut self, clock: f64) {
+        for index in 0..self.walls.len() {
+            let wall = self.walls[index];
+            if wall.is_two_sided {
+                self.pushing |= 1 << index;
+                continue;
+            }
+            let (depth, push) = (wall.depth(&self.position), wall.push(&self.position, &self.velocity));
+            // Within rounding of an edge, the event that led there has decided.
+            let edge = 1e-15 * (1.0 + wall.surface.abs());
+            let slight = 1e-14 * (wall.stiffness * depth.abs() + wall.damping * self.velocity.norm());
+            if depth > edge && push > slight {
+                self.set_pushing(index, true, clock);
+            } else if depth < -edge || (depth > edge && push < -slight) {
+                self.set_pushing(index, false, clock);
+            }
+        }
     }
 
     /// A stop takes the speed that leads into it.
     fn meet_stops(&mut self) {
         let (lower, upper) = self.device.stops;
-        if self.position <= lower {
-            (self.position, self.velocity) = (lower, self.velocity.max(0.0));
-        } else if self.position >= upper {
-            (self.position, self.velocity) = (upper, self.velocity.min(0.0));
-        }
-    }
-
-    fn strength_just_before(&self, end: f64) -> f64 {
-        // A sudden release is a jump at its kink: the stretch before it keeps the full strength.
-        match self.hand.release() {
-            Some(release) if release.duration_s == 0.0 && end <= release.at_s => {
-                self.hand.strength_at(self.time)
+        for axis in 0..N {
+            if self.position[axis] <= lower[axis] {
+                self.position[axis] = lower[axis];
+                self.velocity[axis] = self.velocity[axis].max(0.0);
+            } else if self.position[axis] >= upper[axis] {
+                self.position[axis] = upper[axis];
+                self.velocity[axis] = self.velocity[axis].min(0.0);
             }
-            _ => self.hand.strength_at(end),
         }
-    }
-
-    /// The sign that friction works against, or none if it holds the device at rest against `hand_force`.
-    fn direction_of_motion(&self, hand_force: f64) -> Option<f64> {
-        let push = self.held_force + hand_force;
-        if self.velocity != 0.0 {
-            Some(self.velocity.signum())
-        } else if push.abs() > self.device.coulomb {
-            Some(push.signum())
-        } else {
-            // Without friction a device at rest under no force may still move later in this stretch.
-            (self.device.coulomb == 0.0).then_some(1.0)
-        }
-    }
-
-    /// Whether the device rests at a stop and is pushed into it.
-    fn leans_on_stop(&self, hand_force: f64) -> bool {
-        let push = self.held_force + hand_force;
-        let (lower, upper) = self.device.stops;
-        self.velocity == 0.0
-            && ((self.position <= lower && push < 0.0) || (self.position >= upper && push > 0.0))
-    }
-
-    /// Rests until `end` or until the margin of what holds it is used up.
-    fn rest(&mut self, end: f64, least: f64, margin: impl Fn(f64) -> f64) {
-        self.time = match first_negative(margin, end - self.time) {
-            Some(breaks) => (self.time + breaks.max(least)).min(end),
-            None => end,
-        };
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Leg, LegShape, Path, Release};
+/// What ends a stretch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum EventKind {
+    /// Friction or a stop no longer holds an axis.
+    SetsOff,
+    /// The velocity of an axis passes zero.
+    Turns(usize),
+    /// An axis meets a stop.
+    Stop(usize),
+    /// A wall begins to push.
+    Meets(usize),
+    /// A wall ceases to push.
+    Leaves(usize),
+}
 
-    const TICK_NS: u64 = 1_000_000;
-    const FRICTIONLESS: DeviceParameters = DeviceParameters {
-        viscous: 0.0,
-        coulomb: 0.0,
-        encoder_quantum: 0.0,
-        ..DeviceParameters::PHANTOM_DESKTOP
-    };
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Event {
+    at: f64,
+    kind: EventKind,
+}
 
-    fn alone(device: DeviceParameters, position: f64) -> SimulatedMaster {
-        SimulatedMaster::new(device, Hand::absent(position).unwrap(), 0).unwrap()
+/// Adds a small step and what earlier steps lost.
+///
+/// Source: Kahan 1965; the exact error of a sum, Knuth 1969, section 4.2.2.
+fn add<const N: usize>(sum: &mut Axes<N>, lost: &mut Axes<N>, step: &Axes<N>) {
+    for axis in 0..N {
+        let (before, step) = (sum[axis], step[axis] + lost[axis]);
+        let after = before + step;
+        let taken = after - before;
+        lost[axis] = (before - (after - taken)) + (step - taken);
+        sum[axis] = after;
     }
+}
 
-    /// Peak velocity when a wall of stiffness K, sampled and held, throws the device out from depth D.
-    fn ejection(stiffness: f64, depth: f64) -> f64 {
-        let mut master = alone(FRICTIONLESS, -depth);
-        for tick in 0..1000 {
-            let sample = master.read(tick * TICK_NS);
-            master.write(-stiffness * sample.position.min(0.0));
-        }
-        master.velocity()
-    }
-
-    #[test]
-    fn a_held_wall_throws_as_the_sampled_recursion_says() {
-        for (stiffness, depth) in [(200.0, 0.039), (1000.0, 0.0078), (500.0, 0.01)] {
-            let (mut z, mut v, dt) = (-depth, 0.0_f64, 1e-3);
-            while z < 0.0 {
-                let force = -stiffness * z;
-                z += v * dt + force * dt * dt / (2.0 * 0.157);
-                v += force * dt / 0.157;
-            }
-            assert!((ejection(stiffness, depth) - v).abs() < 1e-12);
-        }
-    }
-
-    #[test]
-    fn a_held_wall_returns_more_than_it_took() {
-        // Half a tick of delay acts as damping -K dT / 2; over a quarter period it gains exp(pi/8 dT sqrt(K/m)).
-        let w = (200.0_f64 / 0.157).sqrt();
-        let gain = ejection(200.0, 0.039) / (w * 0.039);
-        let predicted = (std::f64::consts::PI / 8.0 * 1e-3 * w).exp();
-        // The wall is left inside a tick, up to K D w dT² / m beyond the edge: 1 - cos(w dT) of the velocity.
-        assert!((gain - predicted).abs() < 1e-3, "{gain} {predicted}");
-        assert!((1.013..1.016).contains(&gain));
-    }
-
-    #[test]
-    fn coulomb_friction_stops_exactly() {
-        let device = DeviceParameters { coulomb: 0.038, ..FRICTIONLESS };
-        let mut master = alone(device, 0.0);
-        master.place(0.0, 0.1).unwrap();
-        master.read(10_000 * TICK_NS);
-        // v² / (2 c / m)
-        assert!((master.position() - 0.01 * 0.157 / (2.0 * 0.038)).abs() < 1e-15);
-        assert_eq!(master.velocity(), 0.0);
-    }
-
-    #[test]
-    fn stiction_holds_up_to_c_and_not_beyond() {
-        let device = DeviceParameters { coulomb: 0.038, ..FRICTIONLESS };
-        for (force, moves) in [(0.0379, false), (-0.0379, false), (0.0381, true), (-0.0381, true)] {
-            let mut master = alone(device, 0.0);
-            master.write(force);
-            master.read(100 * TICK_NS);
-            assert_eq!(master.position() != 0.0, moves, "{force}");
-        }
-    }
-
-    #[test]
-    fn time_may_begin_anywhere() {
-        let mut master = alone(FRICTIONLESS, 0.01);
-        master.write(1.0);
-        // A monotonic clock may have run for years: advancing from 0 would never end.
-        master.begin(u64::MAX / 2);
-        assert_eq!(master.read(u64::MAX / 2).position, 0.01);
-        master.read(u64::MAX / 2 + 10 * TICK_NS);
-        assert!((master.velocity() - 0.01 / 0.157).abs() < 1e-12);
-    }
-
-    #[test]
-    fn a_stop_takes_the_speed_and_lets_go_again() {
-        let device = DeviceParameters { stops: (-0.1, 0.08), ..FRICTIONLESS };
-        let mut master = alone(device, 0.0);
-        master.write(2.0);
-        // x = F t² / (2 m) reaches the stop at 112 ms.
-        master.read(112 * TICK_NS);
-        assert!((master.velocity() - 2.0 * 0.112 / 0.157).abs() < 1e-12);
-        master.read(300 * TICK_NS);
-        assert_eq!((master.position(), master.velocity()), (0.08, 0.0));
-        master.write(-1.0);
-        master.read(400 * TICK_NS);
-        assert!((master.position() - (0.08 - 0.005 / 0.157)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn rests_where_hand_and_force_balance() {
-        let path =
-            Path::new(0.02, vec![Leg { duration_s: 0.5, end: -0.03, shape: LegShape::MinimumJerk }]).unwrap();
-        let hand = Hand::new(300.0, 5.0, 50.0, path, None).unwrap();
-        let mut master = SimulatedMaster::new(FRICTIONLESS, hand, 0).unwrap();
-        master.write(3.0);
-        master.read(3000 * TICK_NS);
-        assert!((master.position() - (-0.03 + 3.0 / 300.0)).abs() < 1e-9);
-        assert!((master.hand_force() + 3.0).abs() < 1e-6);
-    }
-
-    #[test]
-    fn a_grip_slips_only_beyond_its_strength() {
-        for (strength, holds) in [(3.1, true), (2.9, false)] {
-            let path = Path::new(0.0, Vec::new()).unwrap();
-            let hand = Hand::new(300.0, 20.0, strength, path, None).unwrap();
-            let mut master = SimulatedMaster::new(FRICTIONLESS, hand, 0).unwrap();
-            master.write(3.0 * 0.2);
-            master.read(500 * TICK_NS);
-            // Approach slowly so that the dynamic overshoot does not break the grip.
-            for tick in 500..3000_u32 {
-                master.write(0.6 + 2.4 * f64::from(tick - 500) / 2500.0);
-                master.read(u64::from(tick) * TICK_NS);
-            }
-            master.write(3.0);
-            master.read(4000 * TICK_NS);
-            assert_eq!(master.position() < 0.0105, holds, "{strength}: {}", master.position());
-        }
-    }
-
-    /// A linear release from a balanced hold: with the hand slipping, m x'' = F0 t / T for constant F0.
-    #[test]
-    fn a_release_unbalances_as_its_ramp_says() {
-        let path = Path::new(0.0, Vec::new()).unwrap();
-        let release = Some(Release { at_s: 0.1, duration_s: 0.05 });
-        // Strength equal to the load: it slips from the first instant of the release. Very stiff: x stays put.
-        let hand = Hand::new(1e6, 1e3, 7.8, path, release).unwrap();
-        let mut master = SimulatedMaster::new(FRICTIONLESS, hand, 0).unwrap();
-        master.write(7.8);
-        master.place(7.8e-6, 0.0).unwrap();
-        master.read(100 * TICK_NS);
-        assert!(master.velocity().abs() < 1e-6);
-        master.read(130 * TICK_NS);
-        let t: f64 = 0.03;
-        let expected = 7.8 / (2.0 * 0.157 * 0.05) * t * t;
-        assert!((master.velocity() - expected).abs() < 1e-4 * expected, "{}", master.velocity());
-        assert!((master.hand_force() + 7.8 * 0.4).abs() < 1e-9);
-    }
-
-    #[test]
-    fn work_of_all_forces_is_the_kinetic_energy() {
-        // Slipping hand, friction and held force together, at a step unlike the internal one.
-        let path = Path::new(0.0, Vec::new()).unwrap();
-        let release = Some(Release { at_s: 0.01, duration_s: 0.02 });
-        let hand = Hand::new(300.0, 5.0, 4.0, path, release).unwrap();
-        let device = DeviceParameters { viscous: 0.5, coulomb: 0.05, ..FRICTIONLESS };
-        let mut coarse = SimulatedMaster::new(device, hand.clone(), 0).unwrap();
-        let mut fine = SimulatedMaster::new(device, hand, 0).unwrap();
-        coarse.write(3.0);
-        fine.write(3.0);
-        let (mut work, mut last) = (0.0, (0.0, 0.0));
-        for step in 1..=60_000_u64 {
-            fine.read(step * 1000);
-            let (x, v) = (fine.position(), fine.velocity());
-            let middle = 0.5 * (v + last.1);
-            let friction = 0.5 * middle + 0.05 * if middle == 0.0 { 0.0 } else { middle.signum() };
-            work += (3.0 + fine.hand_force() - friction) * (x - last.0);
-            last = (x, v);
-        }
-        coarse.read(60 * TICK_NS);
-        assert!((coarse.velocity() - fine.velocity()).abs() < 1e-10);
-        let kinetic = 0.5 * 0.157 * fine.velocity().powi(2);
-        assert!((work - kinetic).abs() < 2e-4 * kinetic, "{work} {kinetic}");
-    }
+/// The series of `|w|²`.
+fn squared_norm<const N: usize>(w: &[Axes<N>; TERMS]) -> Series {
+    std::array::from_fn(|n| (0..=n).map(|i| w[i].dot(&w[n - i])).sum())
 }

@@ -1,130 +1,322 @@
 //! One smooth stretch of motion, exactly.
 
-/// Terms of the series: at `rate h <= 1/2` the first one left out is below 1e-18 of the position and 3e-17 of the
-/// velocity.
-const TERMS: usize = 16;
+use crate::{
+    Axes, ContinuousWall, DeviceParameters, Hand,
+    hand::line,
+    polynomial::{Series, TERMS},
+};
 
-/// The solution of `m x'' + d x' + k x = f0 + f1 t`, as the Taylor series of itself about t = 0.
+/// How the hand's force arises during a stretch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Grip {
+    /// The impedance acts as it is.
+    Holds,
+    /// It exceeds the grip strength, which acts along it.
+    Slips,
+}
+
+/// How friction acts during a stretch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Rub<const N: usize> {
+    /// With a constant force in N on each axis.
+    Constant(Axes<N>),
+    /// Against the motion, as it turns: `c V / |V|`.
+    AlongMotion(f64),
+}
+
+/// What is constant in kind over a stretch: which laws act, not how strongly.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Regime<const N: usize> {
+    pub(crate) grip: Grip,
+    pub(crate) rub: Rub<N>,
+    /// Axes that do not move: friction or a stop holds them.
+    pub(crate) stuck: [bool; N],
+    /// Walls that push, a bit for each.
+    pub(crate) pushing: u64,
+}
+
+/// What acts over a stretch.
+pub(crate) struct Law<'a, const N: usize> {
+    pub(crate) device: &'a DeviceParameters<N>,
+    pub(crate) hand: &'a Hand<N>,
+    pub(crate) walls: &'a [ContinuousWall<N>],
+    /// The force of the motors in N.
+    pub(crate) held: Axes<N>,
+    pub(crate) target: [Axes<N>; TERMS],
+    /// Share of the impedance, as value and rate.
+    pub(crate) gain: [f64; 2],
+    /// Grip strength in N, as value and rate.
+    pub(crate) strength: [f64; 2],
+}
+
+/// The solution of `m x'' = F + g (K_h (target - x) - B_h x') + walls - b x' - friction`, as the Taylor series of
+/// itself about t = 0.
 ///
-/// The equation is linear, so its solution is entire and the coefficients follow from a two-term recursion:
-/// `m (n+1)(n+2) x_{n+2} = f_n - d (n+1) x_{n+1} - k x_n`. One formula serves the over- and underdamped, the free
-/// and the negatively damped case, and its derivative is as exact as itself, which the event search needs.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Stretch {
-    coefficients: [f64; TERMS],
+/// The coefficients follow from a recursion: those of the acceleration up to order n give x to order n + 2. Where all
+/// laws are linear (one axis, or several that neither slip nor rub along the motion) the solution is entire, and one
+/// formula serves the over- and underdamped, the free and the negatively damped case. A direction `w / |w|` is carried
+/// as a series too; its radius of convergence then bounds the stretch. The derivative is as exact as the solution,
+/// which the event search needs.
+///
+/// Source: recursion for powers of series, Jorba and Zou 2005, section 2.
+#[derive(Clone, Debug)]
+pub(crate) struct Stretch<const N: usize> {
+    /// x.
+    pub(crate) position: [Axes<N>; TERMS],
+    /// The force that the hand wishes to exert.
+    pub(crate) wish: [Axes<N>; TERMS],
+    /// All forces but friction, on an axis that rests.
+    pub(crate) push: [Axes<N>; TERMS],
+    /// Longest time in s for which the series hold full precision.
+    pub(crate) reach: f64,
 }
 
-/// The linear equation of a stretch.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Linear {
-    pub(crate) mass: f64,
-    pub(crate) damping: f64,
-    pub(crate) stiffness: f64,
-    /// f0 in N.
-    pub(crate) force: f64,
-    /// f1 in N/s.
-    pub(crate) force_rate: f64,
+/// A vector series divided by its length.
+struct Direction {
+    square: Series,
+    inverse: Series,
 }
 
-impl Linear {
-    /// Longest time in s for which the series holds full precision.
-    pub(crate) fn reach(&self) -> f64 {
-        let rate = (self.damping.abs() / self.mass).max((self.stiffness / self.mass).sqrt());
+impl Direction {
+    fn new() -> Self {
+        Self { square: [0.0; TERMS], inverse: [0.0; TERMS] }
+    }
+
+    /// Coefficient n of `w / |w|`, once those of w up to n are known; asked for in order.
+    fn coefficient<const N: usize>(&mut self, w: &[Axes<N>; TERMS], n: usize) -> Axes<N> {
+        self.square[n] = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
+        self.inverse[n] = if n == 0 {
+            self.square[0].sqrt().recip()
+        } else {
+            // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}.
+            let sum: f64 = (1..=n)
+                .map(|i| (-0.5 * i as f64 - (n - i) as f64) * self.square[i] * self.inverse[n - i])
+                .sum();
+            sum / (n as f64 * self.square[0])
+        };
+        (0..=n).map(|i| w[n - i] * self.inverse[i]).sum()
+    }
+
+    /// Time within which the terms beyond the last are below rounding.
+    fn reach(&self) -> f64 {
+        // |y_n| ~ y_0 / rho^n; (h / rho)^TERMS = 1e-16.
+        let growth = |n: usize| (self.inverse[n] / self.inverse[0]).abs().powf(1.0 / n as f64);
+        let rate = (TERMS - 5..TERMS - 2).map(growth).fold(0.0, f64::max);
+        if rate > 0.0 { 0.1 / rate } else { f64::INFINITY }
+    }
+}
+
+impl<const N: usize> Law<'_, N> {
+    /// Longest time in s for which the series of a linear motion holds full precision.
+    fn linear_reach(&self, pushing: u64) -> f64 {
+        let (mut damping, mut stiffness) = (self.hand.damping(), self.hand.stiffness());
+        for (index, wall) in self.walls.iter().enumerate() {
+            if pushing & (1 << index) != 0 {
+                damping += wall.damping;
+                stiffness += wall.stiffness;
+            }
+        }
+        let mass = self.device.mass_kg.min();
+        let viscous = self.device.viscous.amax();
+        let tremor = self.hand.tremor().map_or(0.0, |tremor| std::f64::consts::TAU * tremor.frequency_hz);
+        let rate = ((damping + viscous) / mass).max((stiffness / mass).sqrt()).max(tremor);
         if rate > 0.0 { 0.5 / rate } else { f64::INFINITY }
     }
 
-    /// The motion that starts at x in m with V in m/s.
-    pub(crate) fn from(&self, position: f64, velocity: f64) -> Stretch {
-        let mut x = [0.0; TERMS];
-        (x[0], x[1]) = (position, velocity);
+    /// The motion from x in m and V in m/s.
+    pub(crate) fn follow(&self, regime: &Regime<N>, position: Axes<N>, velocity: Axes<N>) -> Stretch<N> {
+        let mut x = [Axes::zeros(); TERMS];
+        let mut v = [Axes::zeros(); TERMS];
+        let (mut wish, mut push) = ([Axes::zeros(); TERMS], [Axes::zeros(); TERMS]);
+        let (mut grip_direction, mut motion_direction) = (Direction::new(), Direction::new());
+        let (gain, strength) = (line(self.gain), line(self.strength));
+        let mut slipping = [Axes::zeros(); TERMS];
+        let mut impedance = [Axes::zeros(); TERMS];
+        (x[0], v[0]) = (position, velocity);
+        if N == 1 {
+            x[1] = velocity;
+        } else {
+            x[1] = masked(velocity, &regime.stuck);
+        }
         for n in 0..TERMS - 2 {
-            let force = match n {
-                0 => self.force,
-                1 => self.force_rate,
-                _ => 0.0,
-            };
-            let next = (n + 1) as f64;
-            x[n + 2] = (force - self.damping * next * x[n + 1] - self.stiffness * x[n])
-                / (self.mass * next * (next + 1.0));
-        }
-        Stretch { coefficients: x }
-    }
-}
-
-impl Stretch {
-    pub(crate) fn position(&self, t: f64) -> f64 {
-        self.coefficients.iter().rev().fold(0.0, |sum, x| sum * t + x)
-    }
-
-    pub(crate) fn velocity(&self, t: f64) -> f64 {
-        let derivatives = self.coefficients.iter().enumerate().skip(1).rev();
-        derivatives.fold(0.0, |sum, (n, x)| sum * t + n as f64 * x)
-    }
-}
-
-/// The first time in (0, end] at which `f` has become negative, located to rounding; `f` may start at zero.
-///
-/// Looks at eight points before it bisects: within half a time constant of a linear motion a sign cannot change
-/// twice between two of them by more than rounding.
-pub(crate) fn first_negative(f: impl Fn(f64) -> f64, end: f64) -> Option<f64> {
-    const LOOKS: i32 = 8;
-    let mut before = 0.0;
-    for look in 1..=LOOKS {
-        let mut after = end * f64::from(look) / f64::from(LOOKS);
-        if f(after) < 0.0 {
-            for _ in 0..60 {
-                let middle = 0.5 * (before + after);
-                if f(middle) < 0.0 { after = middle } else { before = middle }
+            v[n] = x[n + 1] * (n + 1) as f64;
+            impedance[n] = (self.target[n] - x[n]) * self.hand.stiffness() - v[n] * self.hand.damping();
+            wish[n] = impedance[n] * gain[0];
+            if n > 0 {
+                wish[n] += impedance[n - 1] * gain[1];
             }
-            return Some(after);
+            let hand = match regime.grip {
+                Grip::Holds => wish[n],
+                Grip::Slips if N == 1 => wish[0].map(f64::signum) * strength[n],
+                Grip::Slips => {
+                    slipping[n] = grip_direction.coefficient(&wish, n);
+                    let before = if n > 0 { slipping[n - 1] * strength[1] } else { Axes::zeros() };
+                    slipping[n] * strength[0] + before
+                }
+            };
+            push[n] = hand - self.device.viscous.component_mul(&v[n]);
+            if n == 0 {
+                push[0] += self.held;
+            }
+            for (index, wall) in self.walls.iter().enumerate() {
+                if regime.pushing & (1 << index) != 0 {
+                    let surface = if n == 0 { wall.surface } else { 0.0 };
+                    let depth = surface - wall.normal.dot(&x[n]);
+                    let force = wall.stiffness * depth - wall.damping * wall.normal.dot(&v[n]);
+                    push[n] += wall.normal * force;
+                }
+            }
+            let mut force = push[n];
+            match regime.rub {
+                Rub::Constant(friction) if n == 0 => force -= friction,
+                Rub::Constant(_) => {}
+                Rub::AlongMotion(coulomb) => force -= motion_direction.coefficient(&v, n) * coulomb,
+            }
+            let acceleration = masked(force.component_div(&self.device.mass_kg), &regime.stuck);
+            x[n + 2] = acceleration / ((n + 1) * (n + 2)) as f64;
         }
-        before = after;
+        let mut reach = self.linear_reach(regime.pushing);
+        if N > 1 && regime.grip == Grip::Slips {
+            reach = reach.min(grip_direction.reach());
+        }
+        if matches!(regime.rub, Rub::AlongMotion(_)) {
+            reach = reach.min(motion_direction.reach());
+        }
+        Stretch { position: x, wish, push, reach }
     }
-    None
+}
+
+fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {
+    for (value, stuck) in value.iter_mut().zip(stuck) {
+        if *stuck {
+            *value = 0.0;
+        }
+    }
+    value
+}
+
+impl<const N: usize> Stretch<N> {
+    /// `x(t) - x(0)` in m.
+    pub(crate) fn displacement(&self, t: f64) -> Axes<N> {
+        self.position.iter().skip(1).rev().fold(Axes::zeros(), |sum, x| sum * t + x) * t
+    }
+
+    /// `V(t) - V(0)` in m/s.
+    pub(crate) fn speed_gained(&self, t: f64) -> Axes<N> {
+        let derivatives = self.position.iter().enumerate().skip(2).rev();
+        derivatives.fold(Axes::zeros(), |sum, (n, x)| sum * t + x * n as f64) * t
+    }
+
+    /// The series of V along one axis.
+    pub(crate) fn velocity_along(&self, axis: usize) -> Series {
+        std::array::from_fn(|n| self.position.get(n + 1).map_or(0.0, |x| (n + 1) as f64 * x[axis]))
+    }
+
+    /// The series of x along one axis.
+    pub(crate) fn position_along(&self, axis: usize) -> Series {
+        self.position.map(|x| x[axis])
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Path;
 
-    /// Closed forms: free ramped force, under- and overdamped oscillator, negative damping.
+    impl<const N: usize> Stretch<N> {
+        fn position(&self, t: f64) -> Axes<N> {
+            self.position[0] + self.displacement(t)
+        }
+
+        fn velocity(&self, t: f64) -> Axes<N> {
+            self.position[1] + self.speed_gained(t)
+        }
+    }
+
+    fn follow(m: f64, d: f64, k: f64, force: f64, x: f64, v: f64) -> Stretch<1> {
+        let device = DeviceParameters::<1>::ideal(m, d, 0.0);
+        let path = Path::new(Axes::<1>::zeros(), Vec::new()).unwrap();
+        let hand = Hand::new(k, 0.0, f64::INFINITY, path, None).unwrap();
+        let law = Law {
+            device: &device,
+            hand: &hand,
+            walls: &[],
+            held: Axes::<1>::new(force),
+            target: hand.target_series(0.0),
+            gain: [1.0, 0.0],
+            strength: [0.0; 2],
+        };
+        let regime = Regime {
+            grip: Grip::Holds,
+            rub: Rub::Constant(Axes::zeros()),
+            stuck: [false],
+            pushing: 0,
+        };
+        law.follow(&regime, Axes::<1>::new(x), Axes::<1>::new(v))
+    }
+
+    /// Closed forms: constant force, under- and overdamped oscillator, negative damping.
     #[test]
     fn equals_the_closed_forms() {
         let t: f64 = 1e-3;
-        let free = Linear { mass: 0.2, damping: 0.0, stiffness: 0.0, force: 3.0, force_rate: 7.0 };
-        let motion = free.from(0.1, -0.4);
-        let expected = 0.1 - 0.4 * t + 15.0 * t * t / 2.0 + 35.0 * t.powi(3) / 6.0;
-        assert!((motion.position(t) - expected).abs() < 1e-16);
+        let free = follow(0.2, 0.0, 0.0, 3.0, 0.1, -0.4);
+        assert!((free.position(t)[0] - (0.1 - 0.4 * t + 15.0 * t * t / 2.0)).abs() < 1e-16);
 
-        let spring = Linear { mass: 0.157, damping: 0.0, stiffness: 200.0, force: 0.0, force_rate: 0.0 };
         let w = (200.0_f64 / 0.157).sqrt();
-        let motion = spring.from(-0.039, 0.0);
-        assert!((motion.position(t) + 0.039 * (w * t).cos()).abs() < 1e-16);
-        assert!((motion.velocity(t) - 0.039 * w * (w * t).sin()).abs() < 1e-14);
+        let spring = follow(0.157, 0.0, 200.0, 0.0, -0.039, 0.0);
+        assert!((spring.position(t)[0] + 0.039 * (w * t).cos()).abs() < 1e-16);
+        assert!((spring.velocity(t)[0] - 0.039 * w * (w * t).sin()).abs() < 1e-14);
 
         for damping in [5.0, -0.005] {
-            let drag = Linear { mass: 0.157, damping, stiffness: 0.0, force: 0.0, force_rate: 0.0 };
-            let motion = drag.from(0.0, 1.2);
-            assert!((motion.velocity(t) - 1.2 * (-damping / 0.157 * t).exp()).abs() < 1e-15);
+            let drag = follow(0.157, damping, 0.0, 0.0, 0.0, 1.2);
+            assert!((drag.velocity(t)[0] - 1.2 * (-damping / 0.157 * t).exp()).abs() < 1e-15);
         }
         // Overdamped: m = 1, d = 50, k = 600 has the roots -20 and -30.
-        let heavy = Linear { mass: 1.0, damping: 50.0, stiffness: 600.0, force: 0.0, force_rate: 0.0 };
+        let heavy = follow(1.0, 50.0, 600.0, 0.0, 1.0, 0.0);
         let (a, b) = ((-20.0 * t).exp(), (-30.0 * t).exp());
-        assert!((heavy.from(1.0, 0.0).position(t) - (3.0 * a - 2.0 * b)).abs() < 1e-15);
+        assert!((heavy.position(t)[0] - (3.0 * a - 2.0 * b)).abs() < 1e-15);
     }
 
     #[test]
     fn full_precision_to_its_reach() {
-        let spring = Linear { mass: 0.1, damping: 0.0, stiffness: 1e5, force: 0.0, force_rate: 0.0 };
-        let t = spring.reach();
-        let motion = spring.from(1.0, 0.0);
-        assert!((motion.position(t) - 0.5_f64.cos()).abs() < 1e-15);
+        let spring = follow(0.1, 0.0, 1e5, 0.0, 1.0, 0.0);
+        assert!((spring.position(spring.reach)[0] - 0.5_f64.cos()).abs() < 1e-15);
     }
 
+    /// Free motion under friction along it: `|V|` falls by c t / m while the direction stays; with a side force the
+    /// energy balance `d(m V²/2) = (F - c V/|V|)·dx` holds over the stretch.
     #[test]
-    fn finds_the_first_crossing() {
-        let t = first_negative(|t| 0.3 - t, 1.0).unwrap();
-        assert!((t - 0.3).abs() < 1e-15);
-        assert_eq!(first_negative(|t| t, 1.0), None);
+    fn friction_along_the_motion_takes_its_energy() {
+        let device = DeviceParameters::<3>::ideal(0.2, 0.0, 0.5);
+        let hand = Hand::absent(Axes::<3>::zeros()).unwrap();
+        let held = Axes::<3>::new(0.3, -0.8, 0.1);
+        let law = Law {
+            device: &device,
+            hand: &hand,
+            walls: &[],
+            held,
+            target: hand.target_series(0.0),
+            gain: [1.0, 0.0],
+            strength: [0.0; 2],
+        };
+        let regime = Regime {
+            grip: Grip::Holds,
+            rub: Rub::AlongMotion(0.5),
+            stuck: [false; 3],
+            pushing: 0,
+        };
+        let velocity = Axes::<3>::new(0.4, 0.1, -0.2);
+        let stretch = law.follow(&regime, Axes::zeros(), velocity);
+        let end = stretch.reach;
+        assert!(end > 1e-3, "{end}");
+        // Work of friction is -c times the length of the path, by Simpson's rule on 200 intervals.
+        let speed = |i: i32| stretch.velocity(end * f64::from(i) / 200.0).norm();
+        let simpson: f64 = (0..=200)
+            .map(|i| f64::from(if i == 0 || i == 200 { 1 } else if i % 2 == 1 { 4 } else { 2 }) * speed(i))
+            .sum();
+        let length = simpson * end / 600.0;
+        let gained = 0.1 * (stretch.velocity(end).norm_squared() - velocity.norm_squared());
+        let work = held.dot(&stretch.position(end)) - 0.5 * length;
+        assert!((gained - work).abs() < 1e-14, "{gained} {work}");
     }
 }

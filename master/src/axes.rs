@@ -1,0 +1,31 @@
+//! Vectors over the axes of a device, and the numbers they are made of.
+
+use nalgebra::{SVector, SimdRealField};
+
+/// One value per axis: position in m (rad), velocity in m/s (rad/s) or force in N (N m).
+pub type Axes<const N: usize, S = f64> = SVector<S, N>;
+
+/// A real number, or one for each of several scenarios that are advanced side by side.
+///
+/// Code that is generic over it chooses with `select` where scenarios may differ and branches only on what they share,
+/// so a lane computes exactly the bits that `f64` does.
+pub trait Real: SimdRealField<Element = f64> + Copy {}
+
+impl<S: SimdRealField<Element = f64> + Copy> Real for S {}
+
+/// One lane of numbers from each of `of`; `of` has as many as `S` has lanes.
+pub(crate) fn gather<T, S: Real>(of: &[T], field: impl Fn(&T) -> f64) -> S {
+    let mut lanes = S::splat(0.0);
+    for (lane, one) in of.iter().enumerate() {
+        lanes.replace(lane, field(one));
+    }
+    lanes
+}
+
+/// [`gather`] for each axis.
+pub(crate) fn gather_axes<T, const N: usize, S: Real>(
+    of: &[T],
+    field: impl Fn(&T) -> Axes<N>,
+) -> Axes<N, S> {
+    Axes::from_fn(|axis, _| gather(of, |one| field(one)[axis]))
+}

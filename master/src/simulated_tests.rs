@@ -1,0 +1,302 @@
+//! The exact master against closed forms.
+
+use crate::*;
+
+
+const TICK_NS: u64 = 1_000_000;
+const MASS: f64 = 0.157;
+
+fn frictionless() -> DeviceParameters<1> {
+    DeviceParameters::ideal(MASS, 0.0, 0.0)
+}
+
+fn at(x: f64) -> Axes<1> {
+    Axes::<1>::new(x)
+}
+
+fn alone(device: DeviceParameters<1>, position: f64) -> SimulatedMaster<1> {
+    SimulatedMaster::new(device, Hand::absent(at(position)).unwrap(), 0).unwrap()
+}
+
+/// Peak velocity when a wall of stiffness K, sampled and held, throws the device out from depth D.
+fn ejection(stiffness: f64, depth: f64) -> f64 {
+    let mut master = alone(frictionless(), -depth);
+    for tick in 0..1000 {
+        let sample = master.read(tick * TICK_NS);
+        master.write(&at(-stiffness * sample.position[0].min(0.0)));
+    }
+    master.velocity()[0]
+}
+
+#[test]
+fn a_held_wall_throws_as_the_sampled_recursion_says() {
+    for (stiffness, depth) in [(200.0, 0.039), (1000.0, 0.0078), (500.0, 0.01)] {
+        let (mut z, mut v, dt) = (-depth, 0.0_f64, 1e-3);
+        while z < 0.0 {
+            let force = -stiffness * z;
+            z += v * dt + force * dt * dt / (2.0 * 0.157);
+            v += force * dt / 0.157;
+        }
+        assert!((ejection(stiffness, depth) - v).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn a_held_wall_returns_more_than_it_took() {
+    // Half a tick of delay acts as damping -K dT / 2; over a quarter period it gains exp(pi/8 dT sqrt(K/m)).
+    let w = (200.0_f64 / 0.157).sqrt();
+    let gain = ejection(200.0, 0.039) / (w * 0.039);
+    let predicted = (std::f64::consts::PI / 8.0 * 1e-3 * w).exp();
+    // The wall is left inside a tick, up to K D w dT² / m beyond the edge: 1 - cos(w dT) of the velocity.
+    assert!((gain - predicted).abs() < 1e-3, "{gain} {predicted}");
+    assert!((1.013..1.016).contains(&gain));
+}
+
+#[test]
+fn coulomb_friction_stops_exactly() {
+    let device = DeviceParameters { coulomb: at(0.038), ..frictionless() };
+    let mut master = alone(device, 0.0);
+    master.place(at(0.0), at(0.1)).unwrap();
+    master.read(10_000 * TICK_NS);
+    // v² / (2 c / m)
+    assert!((master.position()[0] - 0.01 * 0.157 / (2.0 * 0.038)).abs() < 1e-15);
+    assert_eq!(master.velocity()[0], 0.0);
+}
+
+#[test]
+fn stiction_holds_up_to_c_and_not_beyond() {
+    let device = DeviceParameters { coulomb: at(0.038), ..frictionless() };
+    for (force, moves) in [(0.0379, false), (-0.0379, false), (0.0381, true), (-0.0381, true)] {
+        let mut master = alone(device, 0.0);
+        master.write(&at(force));
+        master.read(100 * TICK_NS);
+        assert_eq!(master.position()[0] != 0.0, moves, "{force}");
+    }
+}
+
+#[test]
+fn time_may_begin_anywhere() {
+    let mut master = alone(frictionless(), 0.01);
+    master.write(&at(1.0));
+    // A monotonic clock may have run for years: advancing from 0 would never end.
+    master.begin(u64::MAX / 2);
+    assert_eq!(master.read(u64::MAX / 2).position[0], 0.01);
+    master.read(u64::MAX / 2 + 10 * TICK_NS);
+    assert!((master.velocity()[0] - 0.01 / 0.157).abs() < 1e-12);
+}
+
+#[test]
+fn a_stop_takes_the_speed_and_lets_go_again() {
+    let device = DeviceParameters { stops: (at(-0.1), at(0.08)), ..frictionless() };
+    let mut master = alone(device, 0.0);
+    master.write(&at(2.0));
+    // x = F t² / (2 m) reaches the stop at 112 ms.
+    master.read(112 * TICK_NS);
+    assert!((master.velocity()[0] - 2.0 * 0.112 / 0.157).abs() < 1e-12);
+    master.read(300 * TICK_NS);
+    assert_eq!((master.position()[0], master.velocity()[0]), (0.08, 0.0));
+    master.write(&at(-1.0));
+    master.read(400 * TICK_NS);
+    assert!((master.position()[0] - (0.08 - 0.005 / 0.157)).abs() < 1e-12);
+}
+
+#[test]
+fn rests_where_hand_and_force_balance() {
+    let path =
+        Path::new(at(0.02), vec![Leg { duration_s: 0.5, end: at(-0.03), shape: LegShape::MinimumJerk }]).unwrap();
+    let hand = Hand::new(300.0, 5.0, 50.0, path, None).unwrap();
+    let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+    master.write(&at(3.0));
+    master.read(3000 * TICK_NS);
+    assert!((master.position()[0] - (-0.03 + 3.0 / 300.0)).abs() < 1e-9);
+    assert!((master.hand_force()[0] + 3.0).abs() < 1e-6);
+}
+
+#[test]
+fn a_grip_slips_only_beyond_its_strength() {
+    for (strength, holds) in [(3.1, true), (2.9, false)] {
+        let path = Path::new(at(0.0), Vec::new()).unwrap();
+        let hand = Hand::new(300.0, 20.0, strength, path, None).unwrap();
+        let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+        master.write(&at(3.0 * 0.2));
+        master.read(500 * TICK_NS);
+        // Approach slowly so that the dynamic overshoot does not break the grip.
+        for tick in 500..3000_u32 {
+            master.write(&at(0.6 + 2.4 * f64::from(tick - 500) / 2500.0));
+            master.read(u64::from(tick) * TICK_NS);
+        }
+        master.write(&at(3.0));
+        master.read(4000 * TICK_NS);
+        assert_eq!(master.position()[0] < 0.0105, holds, "{strength}: {}", master.position()[0]);
+    }
+}
+
+/// A linear release from a balanced hold: with the hand slipping, m x'' = F0 t / T for constant F0.
+#[test]
+fn a_release_unbalances_as_its_ramp_says() {
+    let path = Path::new(at(0.0), Vec::new()).unwrap();
+    let release = Some(Release { at_s: 0.1, duration_s: 0.05, kind: ReleaseKind::Strength });
+    // Strength equal to the load: it slips from the first instant of the release. Very stiff: x stays put.
+    let hand = Hand::new(1e6, 1e3, 7.8, path, release).unwrap();
+    let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+    master.write(&at(7.8));
+    master.place(at(7.8e-6), at(0.0)).unwrap();
+    master.read(100 * TICK_NS);
+    assert!(master.velocity()[0].abs() < 1e-6);
+    master.read(130 * TICK_NS);
+    let t: f64 = 0.03;
+    let expected = 7.8 / (2.0 * 0.157 * 0.05) * t * t;
+    assert!((master.velocity()[0] - expected).abs() < 1e-4 * expected, "{}", master.velocity()[0]);
+    assert!((master.hand_force()[0] + 7.8 * 0.4).abs() < 1e-9);
+}
+
+#[test]
+fn work_of_all_forces_is_the_kinetic_energy() {
+    // Slipping hand, friction and held force together, at a step unlike the internal one.
+    let path = Path::new(at(0.0), Vec::new()).unwrap();
+    let release = Some(Release { at_s: 0.01, duration_s: 0.02, kind: ReleaseKind::Strength });
+    let hand = Hand::new(300.0, 5.0, 4.0, path, release).unwrap();
+    let device = DeviceParameters { viscous: at(0.5), coulomb: at(0.05), ..frictionless() };
+    let mut coarse = SimulatedMaster::new(device, hand.clone(), 0).unwrap();
+    let mut fine = SimulatedMaster::new(device, hand, 0).unwrap();
+    coarse.write(&at(3.0));
+    fine.write(&at(3.0));
+    let (mut work, mut last) = (0.0, (0.0, 0.0));
+    for step in 1..=60_000_u64 {
+        fine.read(step * 1000);
+        let (x, v) = (fine.position()[0], fine.velocity()[0]);
+        let middle = 0.5 * (v + last.1);
+        let friction = 0.5 * middle + 0.05 * if middle == 0.0 { 0.0 } else { middle.signum() };
+        work += (3.0 + fine.hand_force()[0] - friction) * (x - last.0);
+        last = (x, v);
+    }
+    coarse.read(60 * TICK_NS);
+    assert!((coarse.velocity()[0] - fine.velocity()[0]).abs() < 1e-10);
+    let kinetic = 0.5 * 0.157 * fine.velocity()[0].powi(2);
+    assert!((work - kinetic).abs() < 2e-4 * kinetic, "{work} {kinetic}");
+}
+
+/// A wall at x = 0 that fills x < 0.
+fn wall(stiffness: f64, damping: f64) -> ContinuousWall<1> {
+    ContinuousWall::new(at(0.0), at(1.0), stiffness, damping, false).unwrap()
+}
+
+#[test]
+fn a_continuous_wall_throws_as_the_closed_form_says() {
+    // V = sqrt(K/m) D; the energy K D² / 2 becomes m V² / 2.
+    for exponent in 4..=24 {
+        let stiffness = 10.0_f64.powf(f64::from(exponent) / 4.0);
+        let depth = (7.8 / stiffness).min(0.05);
+        let mut master = alone(frictionless(), 0.0).among(vec![wall(stiffness, 0.0)]).unwrap();
+        master.place(at(-depth), at(0.0)).unwrap();
+        for tick in 1..=1000 {
+            master.read(tick * TICK_NS);
+        }
+        let expected = (stiffness / MASS).sqrt() * depth;
+        let error = (master.velocity()[0] / expected - 1.0).abs();
+        assert!(error < 1e-13, "{stiffness}: {error:e}");
+        // A quarter of the period.
+        let left = master.touch().broke_s.unwrap();
+        let quarter = std::f64::consts::FRAC_PI_2 * (MASS / stiffness).sqrt();
+        assert!((left / quarter - 1.0).abs() < 1e-12, "{stiffness}: {left} {quarter}");
+    }
+}
+
+#[test]
+fn an_undamped_bounce_keeps_its_energy_over_ten_thousand_contacts() {
+    let mut master = alone(frictionless(), 0.01).among(vec![wall(1000.0, 0.0)]).unwrap();
+    master.write(&at(-1.0));
+    let energy = |master: &SimulatedMaster<1>| {
+        let (x, v) = (master.position()[0], master.velocity()[0]);
+        0.5 * MASS * v * v + 500.0 * x.min(0.0).powi(2) + x
+    };
+    let begun = energy(&master);
+    let mut tick = 0;
+    let mut worst: f64 = 0.0;
+    while master.touch().count < 10_000 {
+        tick += 1;
+        master.read(tick * TICK_NS);
+        worst = worst.max((energy(&master) / begun - 1.0).abs());
+    }
+    assert!(worst < 1e-12, "{worst:e}");
+    assert!(tick > 100_000);
+}
+
+#[test]
+fn a_damped_wall_returns_what_its_closed_form_says() {
+    // Under the impact law m x'' + B x' + K x = 0 until K d + B d' = 0.
+    let (stiffness, damping) = (1000.0_f64, 2.0_f64);
+    let mut master = alone(frictionless(), 0.0).among(vec![wall(stiffness, damping)]).unwrap();
+    master.place(at(0.0), at(-0.5)).unwrap();
+    for tick in 1..=100 {
+        master.read(tick * TICK_NS);
+    }
+    let decay = damping / (2.0 * MASS);
+    let rate = (stiffness / MASS - decay * decay).sqrt();
+    // x = -V/rate e^{-decay t} sin(rate t); K x + B x' = 0 where tan(rate t) = -B rate / (K - B decay).
+    let t = (std::f64::consts::PI - (damping * rate / (stiffness - damping * decay)).atan()) / rate;
+    let expected = -0.5 * (-decay * t).exp() * ((rate * t).cos() - decay / rate * (rate * t).sin());
+    let left = master.touch().broke_s.unwrap();
+    assert!((left - t).abs() < 1e-14, "{left} {t}");
+    assert!((master.velocity()[0] - expected).abs() < 1e-14, "{} {expected}", master.velocity()[0]);
+}
+
+#[test]
+fn friction_in_space_stops_on_a_straight_line_where_its_energy_says() {
+    let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.05);
+    let start = Axes::<3>::new(0.1, -0.05, 0.02);
+    let mut master = SimulatedMaster::new(device, Hand::absent(start).unwrap(), 0).unwrap();
+    let velocity = Axes::<3>::new(0.06, -0.03, 0.02);
+    master.place(start, velocity).unwrap();
+    for tick in 1..=500 {
+        master.read(tick * TICK_NS);
+    }
+    let length = MASS * velocity.norm_squared() / (2.0 * 0.05);
+    let expected = start + velocity.normalize() * length;
+    assert!((master.position() - expected).norm() < 1e-15);
+    assert_eq!(*master.velocity(), Axes::<3>::zeros());
+}
+
+/// A stylus on three axes, rubbing, gripped and slipping, against the same at a hundredth of the tick.
+#[test]
+fn the_tick_does_not_change_the_motion_in_space() {
+    let device = DeviceParameters::<3>::ideal(MASS, -0.005, 0.038);
+    let leg = |x, y, z| Leg { duration_s: 0.1, end: Axes::<3>::new(x, y, z), shape: LegShape::MinimumJerk };
+    let path = Path::new(Axes::<3>::zeros(), vec![leg(0.02, -0.01, 0.005), leg(0.0, 0.01, 0.0)]).unwrap();
+    let release = Some(Release { at_s: 0.15, duration_s: 0.03, kind: ReleaseKind::Strength });
+    let hand = Hand::new(300.0, 5.0, 1.5, path, release).unwrap();
+    let wall =
+        ContinuousWall::new(Axes::<3>::new(0.01, 0.0, 0.0), Axes::<3>::new(-1.0, 0.2, 0.0), 500.0, 0.5, false);
+    let master = SimulatedMaster::new(device, hand, 0).unwrap().among(vec![wall.unwrap()]).unwrap();
+    let (mut coarse, mut fine) = (master.clone(), master);
+    coarse.write(&Axes::<3>::new(0.3, 0.9, -0.2));
+    fine.write(&Axes::<3>::new(0.3, 0.9, -0.2));
+    let mut worst: f64 = 0.0;
+    for tick in 1..=300_u64 {
+        coarse.read(tick * TICK_NS);
+        for step in 1..=100 {
+            fine.read((tick - 1) * TICK_NS + step * TICK_NS / 100);
+        }
+        worst = worst.max((coarse.position() - fine.position()).norm());
+        assert!((coarse.velocity() - fine.velocity()).norm() < 1e-8, "{tick}");
+    }
+    assert!(worst < 1e-10, "{worst:e}");
+    assert!(coarse.touch().count > 0);
+}
+
+#[test]
+fn a_hand_that_regrasps_catches_the_stylus() {
+    let path = || Path::new(at(0.0), Vec::new()).unwrap();
+    let release = Some(Release { at_s: 0.1, duration_s: 0.02, kind: ReleaseKind::Gain });
+    let once = Hand::new(300.0, 10.0, f64::INFINITY, path(), release).unwrap();
+    let again = once.clone().with_regrasp(Regrasp { reaction_s: 0.15, rise_s: 0.1 }).unwrap();
+    let far = |hand| {
+        let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+        master.write(&at(0.3));
+        master.read(2000 * TICK_NS);
+        master.position()[0]
+    };
+    // Alone it flies off at F/m; caught, it rests where the spring holds 0.3 N.
+    assert!(far(once) > 2.0);
+    assert!((far(again) - 0.3 / 300.0).abs() < 1e-6);
+}
