@@ -127,6 +127,11 @@ impl<const N: usize> SimulatedMaster<N> {
             self.advance((now_ns - self.now_ns) as f64 * 1e-9);
             self.now_ns = now_ns;
         }
+        self.measured()
+    }
+
+    /// What the device measures where it is.
+    pub fn measured(&self) -> MasterSample<N> {
         let quantum = self.device.encoder_quantum;
         MasterSample {
             position: self.position.map(|x| quantised(x, quantum, quantum == 0.0)),

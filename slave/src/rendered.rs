@@ -1,0 +1,257 @@
+//! Walls and pushes that a servo loop renders, for one scenario or for several side by side.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::SimdRealField;
+
+use crate::{Axes, ModelError, require};
+
+/// The course of a push that a formula gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Course {
+    /// F at once.
+    Step,
+    /// F t / rise, then F.
+    Ramp,
+    /// `F sin(pi t / duration)`.
+    HalfSine,
+    /// `F sin(2 pi f t)`.
+    Sine,
+}
+
+/// A push by a formula.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderedPush<const N: usize> {
+    /// Its course.
+    pub course: Course,
+    /// When it begins, in s.
+    pub at_s: f64,
+    /// How long it lasts, in s (> 0).
+    pub duration_s: f64,
+    /// Rise of a ramp in s (>= 0).
+    pub rise_s: f64,
+    /// Frequency of a sine in Hz.
+    pub frequency_hz: f64,
+    /// F in N.
+    pub force_n: Axes<N>,
+}
+
+/// A plane wall `F = n max(0, K d + B d')` while d > 0, or a two-sided one, with `d = x_w - n·x`.
+///
+/// Source: paper Eq. 15, with the force kept from pulling.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderedWall<const N: usize> {
+    /// Outward normal; need not have unit length.
+    pub normal: Axes<N>,
+    /// A point of the surface in m.
+    pub point: Axes<N>,
+    /// K in N/m.
+    pub stiffness: f64,
+    /// B in N s/m.
+    pub damping: f64,
+    /// Whether it acts on both sides, and pulls.
+    pub is_two_sided: bool,
+}
+
+/// Walls and pushes, without branches between scenarios.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderedWalls<const N: usize, S = f64> {
+    walls: Vec<Plane<N, S>>,
+    pushes: Vec<Push<N, S>>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Plane<const N: usize, S> {
+    normal: Axes<N, S>,
+    surface: S,
+    stiffness: S,
+    damping: S,
+    is_damped: bool,
+    is_two_sided: bool,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Push<const N: usize, S> {
+    course: Course,
+    at: S,
+    ends: S,
+    /// Share per second of a ramp, or radians per second of a sine.
+    rate: S,
+    force: Axes<N, S>,
+}
+
+impl<const N: usize> RenderedWalls<N> {
+    /// Walls and pushes of one scenario.
+    pub fn new(walls: &[RenderedWall<N>], pushes: &[RenderedPush<N>]) -> Result<Self, ModelError> {
+        let walls = walls.iter().map(|wall| {
+            let length = wall.normal.norm();
+            require("wall normal", length, length > 0.0, "finite and of some length")?;
+            let normal = wall.normal / length;
+            let surface = normal.dot(&wall.point);
+            require("wall point", surface, true, "finite")?;
+            require("wall stiffness", wall.stiffness, wall.stiffness >= 0.0, "finite and 0 or more")?;
+            require("wall damping", wall.damping, wall.damping >= 0.0, "finite and 0 or more")?;
+            Ok(Plane {
+                normal,
+                surface,
+                stiffness: wall.stiffness,
+                damping: wall.damping,
+                is_damped: wall.damping > 0.0,
+                is_two_sided: wall.is_two_sided,
+            })
+        });
+        let pushes = pushes.iter().map(|push| {
+            require("push time", push.at_s, true, "finite")?;
+            require("push duration", push.duration_s, push.duration_s > 0.0, "finite and above 0")?;
+            require("push rise", push.rise_s, push.rise_s >= 0.0, "finite and 0 or more")?;
+            require("push frequency", push.frequency_hz, true, "finite")?;
+            for force in &push.force_n {
+                require("push force", *force, true, "finite")?;
+            }
+            Ok(Push {
+                course: if push.course == Course::Ramp && push.rise_s == 0.0 { Course::Step } else { push.course },
+                at: push.at_s,
+                ends: push.at_s + push.duration_s,
+                rate: match push.course {
+                    Course::Step => 0.0,
+                    Course::Ramp if push.rise_s == 0.0 => 0.0,
+                    Course::Ramp => push.rise_s.recip(),
+                    Course::HalfSine => PI / push.duration_s,
+                    Course::Sine => TAU * push.frequency_hz,
+                },
+                force: push.force_n,
+            })
+        });
+        Ok(Self { walls: walls.collect::<Result<_, _>>()?, pushes: pushes.collect::<Result<_, _>>()? })
+    }
+
+    /// Several scenarios side by side; none if they differ in which walls and courses there are.
+    pub fn gather<S: SimdRealField<Element = f64> + Copy>(of: &[Self]) -> Option<RenderedWalls<N, S>> {
+        let kinds = |one: &Self| {
+            let walls: Vec<_> = one.walls.iter().map(|wall| wall.is_two_sided).collect();
+            let pushes: Vec<_> = one.pushes.iter().map(|push| push.course).collect();
+            (walls, pushes)
+        };
+        let first = of.first()?;
+        if of.len() != S::LANES || of.iter().any(|one| kinds(one) != kinds(first)) {
+            return None;
+        }
+        let number = |field: &dyn Fn(&Self) -> f64| {
+            let mut lanes = S::splat(0.0);
+            for (lane, one) in of.iter().enumerate() {
+                lanes.replace(lane, field(one));
+            }
+            lanes
+        };
+        let vector = |field: &dyn Fn(&Self) -> Axes<N>| {
+            Axes::<N, S>::from_fn(|axis, _| number(&|one| field(one)[axis]))
+        };
+        let wall = |index: usize| Plane {
+            normal: vector(&|one| one.walls[index].normal),
+            surface: number(&|one| one.walls[index].surface),
+            stiffness: number(&|one| one.walls[index].stiffness),
+            damping: number(&|one| one.walls[index].damping),
+            is_damped: of.iter().any(|one| one.walls[index].is_damped),
+            is_two_sided: first.walls[index].is_two_sided,
+        };
+        let push = |index: usize| Push {
+            course: first.pushes[index].course,
+            at: number(&|one| one.pushes[index].at),
+            ends: number(&|one| one.pushes[index].ends),
+            rate: number(&|one| one.pushes[index].rate),
+            force: vector(&|one| one.pushes[index].force),
+        };
+        Some(RenderedWalls {
+            walls: (0..first.walls.len()).map(wall).collect(),
+            pushes: (0..first.pushes.len()).map(push).collect(),
+        })
+    }
+}
+
+impl<const N: usize, S: SimdRealField<Element = f64> + Copy> RenderedWalls<N, S> {
+    /// Whether any wall needs the velocity.
+    #[inline]
+    pub fn is_damped(&self) -> bool {
+        self.walls.iter().any(|wall| wall.is_damped)
+    }
+
+    /// Force in N at time t in s, x in m, V in m/s.
+    #[inline]
+    pub fn force(&self, t: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
+        let (zero, one) = (S::splat(0.0), S::splat(1.0));
+        let mut force = Axes::<N, S>::zeros();
+        for wall in &self.walls {
+            let depth = wall.surface - wall.normal.dot(position);
+            let mut push = wall.stiffness * depth;
+            if wall.is_damped {
+                push -= wall.damping * wall.normal.dot(velocity);
+            }
+            if !wall.is_two_sided {
+                push = push.simd_max(zero).select(depth.simd_gt(zero), zero);
+            }
+            force += wall.normal * push;
+        }
+        let t = S::splat(t);
+        for push in &self.pushes {
+            let since = t - push.at;
+            let share = match push.course {
+                Course::Step => one,
+                Course::Ramp => (since * push.rate).simd_min(one),
+                Course::HalfSine | Course::Sine => (since * push.rate).map_lanes(f64::sin),
+            };
+            force += push.force * share.select(since.simd_ge(zero) & t.simd_lt(push.ends), zero);
+        }
+        force
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_course_is_its_formula() {
+        let push = |course| RenderedPush {
+            course,
+            at_s: 1.0,
+            duration_s: 0.5,
+            rise_s: 0.2,
+            frequency_hz: 2.0,
+            force_n: Axes::<1>::new(3.0),
+        };
+        let at = |course, t| {
+            RenderedWalls::new(&[], &[push(course)]).unwrap().force(t, &Axes::zeros(), &Axes::zeros())[0]
+        };
+        for (course, t, expected) in [
+            (Course::Step, 0.999, 0.0),
+            (Course::Step, 1.0, 3.0),
+            (Course::Step, 1.5, 0.0),
+            (Course::Ramp, 1.1, 1.5),
+            (Course::Ramp, 1.3, 3.0),
+            (Course::HalfSine, 1.25, 3.0),
+            (Course::Sine, 1.125, 3.0),
+        ] {
+            assert!((at(course, t) - expected).abs() < 1e-12, "{course:?} {t}");
+        }
+    }
+
+    #[test]
+    fn a_wall_pushes_out_and_a_two_sided_one_pulls() {
+        let wall = RenderedWall {
+            normal: Axes::<2>::new(0.0, 2.0),
+            point: Axes::<2>::zeros(),
+            stiffness: 100.0,
+            damping: 1.0,
+            is_two_sided: false,
+        };
+        let one = RenderedWalls::new(&[wall], &[]).unwrap();
+        let both = RenderedWalls::new(&[RenderedWall { is_two_sided: true, ..wall }], &[]).unwrap();
+        for (y, v, pushes, pulls) in
+            [(-0.1, 0.0, 10.0, 10.0), (0.1, 0.0, 0.0, -10.0), (-0.1, -2.0, 12.0, 12.0), (-0.1, 20.0, 0.0, -10.0)]
+        {
+            let (x, v) = (Axes::<2>::new(5.0, y), Axes::<2>::new(9.0, v));
+            assert!((one.force(0.0, &x, &v) - Axes::<2>::new(0.0, pushes)).norm() < 1e-12);
+            assert!((both.force(0.0, &x, &v) - Axes::<2>::new(0.0, pulls)).norm() < 1e-12);
+        }
+    }
+}
