@@ -136,7 +136,8 @@ impl<const N: usize> SafetyLayer<N> {
         let asked = rendered_force + intervention.safety_force;
         let limited = self.limiter.step(&asked, &motion.velocity);
         let delivered = limited.force - rendered_force;
-        let owed_energy_j = self.controller.owed_energy_j(&intervention, &delivered, &motion.velocity);
+        let owed_energy_j =
+            self.controller.owed_energy_j(intervention.energy_j, &delivered, &motion.velocity);
         self.device_force = limited.force;
         Ok(SafetyTick {
             motion,
