@@ -22,6 +22,6 @@ pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
 pub use lanes::Real;
 pub use layer::{LayerSettings, SafetyLayer, SafetyTick};
-pub use limiter::{Acted, Limited, Limiter, LimiterSettings};
+pub use limiter::{Acted, Bounded, Limited, Limiter, LimiterSettings};
 pub use observation::Observation;
 pub use parameter::ParameterError;
