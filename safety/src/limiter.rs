@@ -167,22 +167,24 @@ impl<const N: usize, S: Real> Limiter<N, S> {
             .iter()
             .chain(velocity)
             .fold(!nowhere::<S>(), |all, x| all & x.simd_abs().simd_lt(S::splat(f64::INFINITY)));
+        let mut force = *asked;
         let ramp = is_finite & self.ticks.simd_lt(self.ramp_ticks);
-        let mut force = ramp.if_else(|| asked * (self.ticks / self.ramp_ticks), || *asked);
+        change(&mut force, ramp, |force| force * (self.ticks / self.ramp_ticks));
         self.ticks = (self.ticks + S::splat(1.0)).select(ramp, self.ticks);
         let length = force.norm();
         let norm = is_finite & length.simd_gt(self.max_force_n);
-        force = norm.if_else(|| force * (self.max_force_n / length), || force);
+        change(&mut force, norm, |force| force * (self.max_force_n / length));
         // The nearest point on the way from the last force to zero: getting there only unloads.
         let unloaded = self.last * nearest_share(&self.last, &force);
         let growth = force - unloaded;
         let step_n = growth.norm();
         let slew = is_finite & step_n.simd_gt(self.step_n);
-        force = slew.if_else(|| unloaded + growth * (self.step_n / step_n), || force);
+        change(&mut force, slew, |_| unloaded + growth * (self.step_n / step_n));
         let watts = force.dot(velocity);
         let power = is_finite & watts.simd_gt(self.max_power_w);
-        force = power
-            .if_else(|| force - velocity * ((watts - self.max_power_w) / velocity.norm_squared()), || force);
+        change(&mut force, power, |force| {
+            force - velocity * ((watts - self.max_power_w) / velocity.norm_squared())
+        });
         self.last = is_finite.if_else(|| force, Axes::zeros);
         Bounded { force: self.last, norm, slew, power, ramp, fault: !is_finite }
     }
@@ -190,6 +192,24 @@ impl<const N: usize, S: Real> Limiter<N, S> {
     /// Zero force at once, and the ramp starts anew.
     pub fn reset(&mut self) {
         (self.last, self.ticks) = (Axes::zeros(), S::splat(0.0));
+    }
+}
+
+/// Keeps the compiler from computing what is seldom needed: a division and a root in the way of every tick.
+#[cold]
+fn seldom() {}
+
+/// Changes the force in some lanes; most ticks need it in none.
+#[inline]
+fn change<const N: usize, S: Real>(
+    force: &mut Axes<N, S>,
+    place: S::SimdBool,
+    changed: impl FnOnce(Axes<N, S>) -> Axes<N, S>,
+) {
+    if place.any() {
+        seldom();
+        let unchanged = *force;
+        *force = place.if_else(|| changed(unchanged), || unchanged);
     }
 }
 
