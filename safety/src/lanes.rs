@@ -1,5 +1,7 @@
 //! One scenario, or several side by side: the scalar that the chain computes with.
 
+use std::fmt::Debug;
+
 use nalgebra::{SimdRealField, SimdValue};
 
 /// A real number `f64`, or several that are computed with at once, each in a lane of its own.
@@ -9,9 +11,9 @@ use nalgebra::{SimdRealField, SimdValue};
 /// branched on; for `f64`, [`SimdBool::if_else`](nalgebra::SimdBool::if_else) is a branch again.
 ///
 /// Parameters are checked one by one: an instance over lanes is gathered from as many instances over `f64`.
-pub trait Real: SimdRealField + SimdValue<Element = f64> + Copy {}
+pub trait Real: SimdRealField + SimdValue<Element = f64, SimdBool: Debug + PartialEq> + Copy {}
 
-impl<S: SimdRealField + SimdValue<Element = f64> + Copy> Real for S {}
+impl<S> Real for S where S: SimdRealField + SimdValue<Element = f64, SimdBool: Debug + PartialEq> + Copy {}
 
 /// False in all lanes.
 #[inline]

@@ -21,7 +21,7 @@ pub use axes::{Axes, is_within};
 pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
 pub use lanes::Real;
-pub use layer::{LayerSettings, SafetyLayer, SafetyTick};
+pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
 pub use limiter::{Acted, Bounded, Limited, Limiter, LimiterSettings};
 pub use observation::Observation;
 pub use parameter::ParameterError;
