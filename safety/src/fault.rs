@@ -49,6 +49,7 @@ impl Signal {
     }
 
     /// Lets a value through the door, or names the fault.
+    #[inline]
     pub fn check<const N: usize>(self, value: &Axes<N>) -> Result<(), Fault> {
         if is_within(value, self.bound()) {
             return Ok(());

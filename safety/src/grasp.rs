@@ -1,8 +1,11 @@
 //! The hand grasp force model.
 
+use nalgebra::SimdBool as _;
+
 use crate::{
-    Axes, ParameterError,
+    Axes, ParameterError, Real,
     estimator::Motion,
+    lanes::pack,
     parameter::{finite, non_negative, positive},
 };
 
@@ -15,10 +18,10 @@ use crate::{
 ///
 /// Source: paper Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DeviceModel<const N: usize> {
-    mass: Axes<N>,
-    viscous: Axes<N>,
-    coulomb: Axes<N>,
+pub struct DeviceModel<const N: usize, S = f64> {
+    mass: Axes<N, S>,
+    viscous: Axes<N, S>,
+    coulomb: Axes<N, S>,
 }
 
 impl<const N: usize> DeviceModel<N> {
@@ -43,14 +46,26 @@ impl<const N: usize> DeviceModel<N> {
         Self { mass: Axes::repeat(0.157), viscous: Axes::repeat(-0.005), coulomb: Axes::repeat(0.038) }
     }
 
-    /// m in kg.
-    pub fn mass_kg(&self) -> &Axes<N> {
-        &self.mass
-    }
-
     /// The least of the masses: it bounds the damping that a sampled controller may apply.
     pub fn lightest_kg(&self) -> f64 {
         self.mass.min()
+    }
+}
+
+impl<const N: usize, S: Real> DeviceModel<N, S> {
+    /// As many devices as there are lanes; None for another number of them.
+    pub fn gather(of: &[DeviceModel<N>]) -> Option<Self> {
+        Some(Self {
+            mass: pack(of, |device| device.mass)?,
+            viscous: pack(of, |device| device.viscous)?,
+            coulomb: pack(of, |device| device.coulomb)?,
+        })
+    }
+
+    /// m in kg.
+    #[inline]
+    pub fn mass_kg(&self) -> &Axes<N, S> {
+        &self.mass
     }
 
     /// `F_h = m A + b V + c sign(V) - F_device`, in N.
@@ -60,9 +75,10 @@ impl<const N: usize> DeviceModel<N> {
     /// the estimator averaged. The paper writes `F_v` for it, which is the same as long as no controller acts.
     ///
     /// Source: paper Eq. 4.
-    pub fn grasp_force(&self, motion: &Motion<N>, aligned_device_force: &Axes<N>) -> Axes<N> {
+    #[inline]
+    pub fn grasp_force(&self, motion: &Motion<N, S>, aligned_device_force: &Axes<N, S>) -> Axes<N, S> {
         let speed = motion.velocity.norm();
-        let direction = if speed > 0.0 { motion.velocity / speed } else { Axes::zeros() };
+        let direction = speed.simd_gt(S::splat(0.0)).if_else(|| motion.velocity / speed, Axes::zeros);
         self.mass.component_mul(&motion.acceleration)
             + self.viscous.component_mul(&motion.velocity)
             + self.coulomb.component_mul(&direction)
@@ -70,8 +86,9 @@ impl<const N: usize> DeviceModel<N> {
     }
 
     /// Kinetic energy `V' M V / 2` in J.
-    pub fn kinetic_energy_j(&self, velocity: &Axes<N>) -> f64 {
-        0.5 * self.mass.component_mul(velocity).dot(velocity)
+    #[inline]
+    pub fn kinetic_energy_j(&self, velocity: &Axes<N, S>) -> S {
+        S::splat(0.5) * self.mass.component_mul(velocity).dot(velocity)
     }
 }
 

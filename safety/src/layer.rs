@@ -1,12 +1,15 @@
 //! The whole chain of one master tick: from a device sample to the force it is told to exert.
 
+use nalgebra::SimdValue as _;
+
 use crate::{
-    Axes, DeviceModel, Fault, Observation, ParameterError,
-    controller::{Intervention, SafetyController, SafetySettings},
+    Axes, DeviceModel, Fault, Observation, ParameterError, Real,
+    controller::{Intervention, Response, SafetyController, SafetySettings},
     estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
     fault::Signal,
     is_within,
-    limiter::{Acted, Limiter, LimiterSettings},
+    lanes::{option, pack, part},
+    limiter::{Acted, Bounded, Limiter, LimiterSettings},
 };
 
 /// How a safety layer is built.
@@ -45,6 +48,60 @@ pub struct SafetyTick<const N: usize> {
     pub fault: Option<Fault>,
 }
 
+/// What the safety layer saw and decided at one tick, in each lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Advance<const N: usize, S: Real = f64> {
+    /// V and A.
+    pub motion: Motion<N, S>,
+    /// `F_v` in N as far as the device can render it: what the observers saw.
+    pub rendered_force: Axes<N, S>,
+    /// `F_h` in N; zero when no controller reads it.
+    pub grasp_force: Axes<N, S>,
+    /// `F_v` in N as late as `F_h`.
+    pub aligned_rendered_force: Axes<N, S>,
+    /// `F_device` in N: what the device is to exert until the next tick.
+    pub device_force: Axes<N, S>,
+    /// `F_c` and the observers' values.
+    pub response: Response<N, S>,
+    /// `F_v` and where it was bounded.
+    pub rendering: Bounded<N, S>,
+    /// `F_device` and where it was bounded.
+    pub limited: Bounded<N, S>,
+    /// Energy in J that PC asked for and the bounds kept it from dissipating.
+    pub owed_energy_j: S,
+}
+
+impl<const N: usize, S: Real> Advance<N, S> {
+    /// What the observers saw.
+    #[inline]
+    pub fn seen(&self) -> Observation<N, S> {
+        Observation {
+            velocity: self.motion.velocity,
+            rendered_force: self.rendered_force,
+            grasp_force: self.grasp_force,
+            aligned_rendered_force: self.aligned_rendered_force,
+        }
+    }
+
+    /// The tick of one lane.
+    #[inline]
+    pub fn lane(&self, lane: usize) -> SafetyTick<N> {
+        SafetyTick {
+            motion: Motion {
+                velocity: self.motion.velocity.extract(lane),
+                acceleration: self.motion.acceleration.extract(lane),
+            },
+            rendered_force: self.rendered_force.extract(lane),
+            grasp_force: self.grasp_force.extract(lane),
+            device_force: self.device_force.extract(lane),
+            intervention: self.response.lane(lane),
+            acted: self.rendering.acted(lane).and(self.limited.acted(lane)),
+            owed_energy_j: self.owed_energy_j.extract(lane),
+            fault: None,
+        }
+    }
+}
+
 /// Estimator, grasp force, observers, controllers and limiter in one step.
 ///
 /// The limiter stands at both ends: before the observers, so that they see the force that can be rendered, and after
@@ -52,19 +109,19 @@ pub struct SafetyTick<const N: usize> {
 ///
 /// Source: paper Eq. 1 to 14, in the order of `docs/architecture.md`, "One master tick".
 #[derive(Clone, Debug)]
-pub struct SafetyLayer<const N: usize> {
-    device: DeviceModel<N>,
-    estimator: AnyEstimator<N>,
-    measured: MeasuredVelocity<N>,
+pub struct SafetyLayer<const N: usize, S = f64> {
+    device: DeviceModel<N, S>,
+    estimator: AnyEstimator<N, S>,
+    measured: MeasuredVelocity<N, S>,
     /// The estimator once more, as the kernel for `F_v`; only where HSC reads it.
-    rendered: Option<AnyEstimator<N>>,
-    last_rendered: Axes<N>,
+    rendered: Option<AnyEstimator<N, S>>,
+    last_rendered: Axes<N, S>,
     /// What the device can render of what is asked: norm, growth and ramp-in of `F_v` alone.
-    rendering: Limiter<N>,
-    controller: SafetyController<N>,
+    rendering: Limiter<N, S>,
+    controller: SafetyController<N, S>,
     /// The bounds on the sum.
-    limiter: Limiter<N>,
-    device_force: Axes<N>,
+    limiter: Limiter<N, S>,
+    device_force: Axes<N, S>,
     fault: Option<Fault>,
 }
 
@@ -115,69 +172,14 @@ impl<const N: usize> SafetyLayer<N> {
                 .and_then(|()| velocity.map_or(Ok(()), |v| Signal::Velocity.check(v)))
                 .and_then(|()| Signal::RenderedForce.check(rendered_force)),
         };
-        door.and_then(|()| self.act(position, velocity, rendered_force, authority))
-            .unwrap_or_else(|fault| self.stop(fault))
-    }
-
-    fn act(
-        &mut self,
-        position: &Axes<N>,
-        velocity: Option<&Axes<N>>,
-        rendered_force: &Axes<N>,
-        authority: f64,
-    ) -> Result<SafetyTick<N>, Fault> {
-        // The observers compare F_v with the hand. A force that the device cannot or must not render yet would look
-        // like one that nobody holds, so F_v is bounded before it is observed. At V = 0 the power bound is idle.
-        let rendering = self.rendering.step(rendered_force, &Axes::zeros());
-        let rendered_force = &rendering.force;
-        let (motion, seen) = self.observe(position, velocity, rendered_force);
-        let grasp_force = seen.grasp_force;
-        let intervention = self.controller.step_with_authority(&seen, authority)?;
-        let asked = rendered_force + intervention.safety_force;
-        let limited = self.limiter.step(&asked, &motion.velocity);
-        let delivered = limited.force - rendered_force;
-        let owed_energy_j = self.controller.owed_energy_j(&intervention, &delivered, &motion.velocity);
-        self.device_force = limited.force;
-        Ok(SafetyTick {
-            motion,
-            rendered_force: *rendered_force,
-            grasp_force,
-            device_force: limited.force,
-            intervention,
-            acted: rendering.acted.and(limited.acted),
-            owed_energy_j,
-            fault: None,
-        })
-    }
-
-    /// V and A, and what the observers see of them.
-    fn observe(
-        &mut self,
-        position: &Axes<N>,
-        velocity: Option<&Axes<N>>,
-        rendered_force: &Axes<N>,
-    ) -> (Motion<N>, Observation<N>) {
-        let motion = match velocity {
-            Some(velocity) => self.measured.step(velocity),
-            None => self.estimator.step(position),
-        };
-        let grasp_force = if self.controller.needs_grasp_force() {
-            let aligned = match velocity {
-                Some(_) => self.measured.align(&self.device_force),
-                None => self.estimator.align(&self.device_force),
-            };
-            self.device.grasp_force(&motion, &aligned)
-        } else {
-            Axes::zeros()
-        };
-        let aligned_rendered_force = self.align_rendered(position, velocity, rendered_force);
-        let seen = Observation {
-            velocity: motion.velocity,
-            rendered_force: *rendered_force,
-            grasp_force,
-            aligned_rendered_force,
-        };
-        (motion, seen)
+        let perceived = door.and_then(|()| {
+            let perceived = self.perceive(position, velocity, rendered_force);
+            perceived.seen.check().map(|()| perceived)
+        });
+        match perceived {
+            Ok(perceived) => self.act(&perceived, authority).lane(0),
+            Err(fault) => self.stop(fault),
+        }
     }
 
     /// A tick that was missed: the device has kept its force, and was at `position` (between two samples) by then.
@@ -190,26 +192,6 @@ impl<const N: usize> SafetyLayer<N> {
             let (_, seen) = self.observe(position, velocity, &rendered_force);
             // A bad number would be met again at the tick, which names it.
             let _ = self.controller.step(&seen);
-        }
-    }
-
-    /// `F_v` of the past ticks through the kernel of A, only where an observer compares it with `F_h`.
-    fn align_rendered(
-        &mut self,
-        position: &Axes<N>,
-        velocity: Option<&Axes<N>>,
-        rendered_force: &Axes<N>,
-    ) -> Axes<N> {
-        let last = std::mem::replace(&mut self.last_rendered, *rendered_force);
-        match (&mut self.rendered, velocity) {
-            // F_h is a mean over the last tick, in which the last force was rendered.
-            (Some(_), Some(_)) => last,
-            (Some(kernel), None) => {
-                // A kernel that depends on the motion must see the same motion.
-                kernel.step(position);
-                kernel.align(&last)
-            }
-            (None, _) => *rendered_force,
         }
     }
 
@@ -241,6 +223,138 @@ impl<const N: usize> SafetyLayer<N> {
     /// Clears a fault and the past: the device rests at `position`, and its force rises from zero again.
     pub fn reset(&mut self, position: &Axes<N>) -> Result<(), Fault> {
         Signal::Position.check(position)?;
+        self.rest_at(position);
+        self.fault = None;
+        Ok(())
+    }
+}
+
+impl<const N: usize, S: Real> SafetyLayer<N, S> {
+    /// As many layers as there are lanes, without fault, whose parts can be gathered; else None. Period, estimator
+    /// and what is watched must be the same in all; thresholds, bounds, times and the device need not.
+    pub fn gather(of: &[SafetyLayer<N>]) -> Option<Self> {
+        if of.iter().any(|one| one.fault.is_some()) {
+            return None;
+        }
+        Some(Self {
+            device: part(of, |one| one.device, DeviceModel::gather)?,
+            estimator: part(of, |one| one.estimator.clone(), AnyEstimator::gather)?,
+            measured: part(of, |one| one.measured.clone(), MeasuredVelocity::gather)?,
+            rendered: option(of, |one| one.rendered.clone(), AnyEstimator::gather)?,
+            last_rendered: pack(of, |one| one.last_rendered)?,
+            rendering: part(of, |one| one.rendering.clone(), Limiter::gather)?,
+            controller: part(of, |one| one.controller.clone(), SafetyController::gather)?,
+            limiter: part(of, |one| one.limiter.clone(), Limiter::gather)?,
+            device_force: pack(of, |one| one.device_force)?,
+            fault: None,
+        })
+    }
+
+    /// One tick as [`tick_with_authority`](SafetyLayer::tick_with_authority), in each lane and without its door: a bad
+    /// number stops nothing. Where [`Advance::seen`] does not [pass](Observation::passes), or a number that is given
+    /// here would not, the checked tick would have stopped.
+    #[inline]
+    pub fn advance(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        rendered_force: &Axes<N, S>,
+        authority: S,
+    ) -> Advance<N, S> {
+        let perceived = self.perceive(position, velocity, rendered_force);
+        self.act(&perceived, authority)
+    }
+
+    #[inline]
+    fn perceive(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        rendered_force: &Axes<N, S>,
+    ) -> Perceived<N, S> {
+        // The observers compare F_v with the hand. A force that the device cannot or must not render yet would look
+        // like one that nobody holds, so F_v is bounded before it is observed. At V = 0 the power bound is idle.
+        let rendering = self.rendering.limit(rendered_force, &Axes::zeros());
+        let (motion, seen) = self.observe(position, velocity, &rendering.force);
+        Perceived { rendering, motion, seen }
+    }
+
+    #[inline]
+    fn act(&mut self, perceived: &Perceived<N, S>, authority: S) -> Advance<N, S> {
+        let Perceived { rendering, motion, seen } = *perceived;
+        let response = self.controller.respond(&seen, authority);
+        let rendered_force = seen.rendered_force;
+        let limited = self.limiter.limit(&(rendered_force + response.safety_force), &motion.velocity);
+        let delivered = limited.force - rendered_force;
+        let owed_energy_j = self.controller.owed_energy_j(response.energy_j, &delivered, &motion.velocity);
+        self.device_force = limited.force;
+        Advance {
+            motion,
+            rendered_force,
+            grasp_force: seen.grasp_force,
+            aligned_rendered_force: seen.aligned_rendered_force,
+            device_force: limited.force,
+            response,
+            rendering,
+            limited,
+            owed_energy_j,
+        }
+    }
+
+    /// V and A, and what the observers see of them.
+    #[inline]
+    fn observe(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        rendered_force: &Axes<N, S>,
+    ) -> (Motion<N, S>, Observation<N, S>) {
+        let motion = match velocity {
+            Some(velocity) => self.measured.step(velocity),
+            None => self.estimator.step(position),
+        };
+        let grasp_force = if self.controller.needs_grasp_force() {
+            let aligned = match velocity {
+                Some(_) => self.measured.align(&self.device_force),
+                None => self.estimator.align(&self.device_force),
+            };
+            self.device.grasp_force(&motion, &aligned)
+        } else {
+            Axes::zeros()
+        };
+        let aligned_rendered_force = self.align_rendered(position, velocity, rendered_force);
+        let seen = Observation {
+            velocity: motion.velocity,
+            rendered_force: *rendered_force,
+            grasp_force,
+            aligned_rendered_force,
+        };
+        (motion, seen)
+    }
+
+    /// `F_v` of the past ticks through the kernel of A, only where an observer compares it with `F_h`.
+    #[inline]
+    fn align_rendered(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        rendered_force: &Axes<N, S>,
+    ) -> Axes<N, S> {
+        let last = std::mem::replace(&mut self.last_rendered, *rendered_force);
+        match (&mut self.rendered, velocity) {
+            // F_h is a mean over the last tick, in which the last force was rendered.
+            (Some(_), Some(_)) => last,
+            (Some(kernel), None) => {
+                // A kernel that depends on the motion must see the same motion.
+                kernel.step(position);
+                kernel.align(&last)
+            }
+            (None, _) => *rendered_force,
+        }
+    }
+
+    /// Forgets the past: the device rests at `position`, and its force rises from zero again.
+    pub fn rest_at(&mut self, position: &Axes<N, S>) {
         self.estimator.reset(position);
         self.measured.reset();
         if let Some(kernel) = &mut self.rendered {
@@ -250,9 +364,16 @@ impl<const N: usize> SafetyLayer<N> {
         self.controller.reset();
         self.rendering.reset();
         self.limiter.reset();
-        (self.device_force, self.fault) = (Axes::zeros(), None);
-        Ok(())
+        self.device_force = Axes::zeros();
     }
+}
+
+/// What is known before the controllers decide.
+#[derive(Clone, Copy)]
+struct Perceived<const N: usize, S: Real> {
+    rendering: Bounded<N, S>,
+    motion: Motion<N, S>,
+    seen: Observation<N, S>,
 }
 
 #[cfg(test)]

@@ -1,7 +1,10 @@
 //! The last bounds before the device: norm, slew, power, ramp-in.
 
+use nalgebra::SimdBool as _;
+
 use crate::{
-    Axes, ParameterError,
+    Axes, ParameterError, Real,
+    lanes::{nowhere, pack},
     parameter::{in_range, positive},
 };
 
@@ -68,6 +71,38 @@ pub struct Limited<const N: usize> {
     pub acted: Acted,
 }
 
+/// A limited force and where each bound acted, in each lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounded<const N: usize, S: Real = f64> {
+    /// The force in N.
+    pub force: Axes<N, S>,
+    /// Where the norm was clipped.
+    pub norm: S::SimdBool,
+    /// Where the growth was limited.
+    pub slew: S::SimdBool,
+    /// Where the power was limited.
+    pub power: S::SimdBool,
+    /// Where the force is still rising from zero.
+    pub ramp: S::SimdBool,
+    /// Where a number was not finite: no force.
+    pub fault: S::SimdBool,
+}
+
+impl<const N: usize, S: Real> Bounded<N, S> {
+    /// The bounds that acted in one lane.
+    #[inline]
+    pub fn acted(&self, lane: usize) -> Acted {
+        let bit = |mask: S::SimdBool, bound: Acted| if mask.bitmask() >> lane & 1 == 1 { bound.0 } else { 0 };
+        Acted(
+            bit(self.norm, Acted::NORM)
+                | bit(self.slew, Acted::SLEW)
+                | bit(self.power, Acted::POWER)
+                | bit(self.ramp, Acted::RAMP)
+                | bit(self.fault, Acted::FAULT),
+        )
+    }
+}
+
 /// Keeps the device force inside its bounds, as a vector: no axis is clipped on its own, which would turn it.
 ///
 /// In this order: ramp-in scales; the norm is clipped to `max_force_n`; the step from the last force is limited
@@ -75,72 +110,122 @@ pub struct Limited<const N: usize> {
 /// `F·V <= max_power`. Norm and power therefore hold at every tick. The growth is exceeded only by what the power
 /// bound takes away.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Limiter<const N: usize> {
-    settings: LimiterSettings,
-    step_n: f64,
-    ramp_ticks: u64,
-    ticks: u64,
-    last: Axes<N>,
+pub struct Limiter<const N: usize, S = f64> {
+    max_force_n: S,
+    max_power_w: S,
+    step_n: S,
+    ramp_ticks: S,
+    /// Ticks of the ramp that are over: a lane that is not finite waits, so they are counted in each.
+    ticks: S,
+    last: Axes<N, S>,
 }
 
 impl<const N: usize> Limiter<N> {
     /// Bounds for a loop of period `period_s`.
     pub fn new(period_s: f64, settings: LimiterSettings) -> Result<Self, ParameterError> {
         let period_s = positive("period_s", "dT", period_s)?;
-        positive("max_force_n", "F_max", settings.max_force_n)?;
+        let max_force_n = positive("max_force_n", "F_max", settings.max_force_n)?;
         let slew = positive("max_slew_n_per_s", "dF/dt", settings.max_slew_n_per_s)?;
-        positive("max_power_w", "P_max", settings.max_power_w)?;
+        let max_power_w = positive("max_power_w", "P_max", settings.max_power_w)?;
         let ramp = in_range("ramp_in_s", "time", settings.ramp_in_s, 0.0, 60.0, "between 0 and 60 s")?;
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to 60 s of ticks fit
-        let ramp_ticks = (ramp / period_s).round() as u64;
-        Ok(Self { settings, step_n: slew * period_s, ramp_ticks, ticks: 0, last: Axes::zeros() })
+        Ok(Self {
+            max_force_n,
+            max_power_w,
+            step_n: slew * period_s,
+            ramp_ticks: (ramp / period_s).round(),
+            ticks: 0.0,
+            last: Axes::zeros(),
+        })
     }
 
     /// Limits the force asked for at this tick, with V in m/s.
+    #[inline]
     pub fn step(&mut self, asked: &Axes<N>, velocity: &Axes<N>) -> Limited<N> {
+        let bounded = self.limit(asked, velocity);
+        Limited { force: bounded.force, acted: bounded.acted(0) }
+    }
+}
+
+impl<const N: usize, S: Real> Limiter<N, S> {
+    /// As many limiters as there are lanes; None for another number of them.
+    pub fn gather(of: &[Limiter<N>]) -> Option<Self> {
+        Some(Self {
+            max_force_n: pack(of, |one| one.max_force_n)?,
+            max_power_w: pack(of, |one| one.max_power_w)?,
+            step_n: pack(of, |one| one.step_n)?,
+            ramp_ticks: pack(of, |one| one.ramp_ticks)?,
+            ticks: pack(of, |one| one.ticks)?,
+            last: pack(of, |one| one.last)?,
+        })
+    }
+
+    /// Limits the force asked for at this tick, with V in m/s, in each lane.
+    #[inline]
+    pub fn limit(&mut self, asked: &Axes<N, S>, velocity: &Axes<N, S>) -> Bounded<N, S> {
         // A comparison with NaN is false, so every bound below would let one through.
-        if !asked.iter().chain(velocity).all(|x| x.is_finite()) {
-            self.last = Axes::zeros();
-            return Limited { force: self.last, acted: Acted::FAULT };
-        }
-        let mut acted = 0;
+        let is_finite = asked
+            .iter()
+            .chain(velocity)
+            .fold(!nowhere::<S>(), |all, x| all & x.simd_abs().simd_lt(S::splat(f64::INFINITY)));
         let mut force = *asked;
-        if self.ticks < self.ramp_ticks {
-            force *= self.ticks as f64 / self.ramp_ticks as f64;
-            self.ticks += 1;
-            acted |= Acted::RAMP.0;
-        }
-        let norm = force.norm();
-        if norm > self.settings.max_force_n {
-            force *= self.settings.max_force_n / norm;
-            acted |= Acted::NORM.0;
-        }
+        let ramp = is_finite & self.ticks.simd_lt(self.ramp_ticks);
+        change(&mut force, ramp, |force| force * (self.ticks / self.ramp_ticks));
+        self.ticks = (self.ticks + S::splat(1.0)).select(ramp, self.ticks);
+        let length = force.norm();
+        let norm = is_finite & length.simd_gt(self.max_force_n);
+        change(&mut force, norm, |force| force * (self.max_force_n / length));
         // The nearest point on the way from the last force to zero: getting there only unloads.
         let unloaded = self.last * nearest_share(&self.last, &force);
         let growth = force - unloaded;
-        if growth.norm() > self.step_n {
-            force = unloaded + growth * (self.step_n / growth.norm());
-            acted |= Acted::SLEW.0;
-        }
-        let power = force.dot(velocity);
-        if power > self.settings.max_power_w {
-            force -= velocity * ((power - self.settings.max_power_w) / velocity.norm_squared());
-            acted |= Acted::POWER.0;
-        }
-        self.last = force;
-        Limited { force, acted: Acted(acted) }
+        let step_n = growth.norm();
+        let slew = is_finite & step_n.simd_gt(self.step_n);
+        change(&mut force, slew, |_| unloaded + growth * (self.step_n / step_n));
+        let watts = force.dot(velocity);
+        let power = is_finite & watts.simd_gt(self.max_power_w);
+        change(&mut force, power, |force| {
+            force - velocity * ((watts - self.max_power_w) / velocity.norm_squared())
+        });
+        self.last = is_finite.if_else(|| force, Axes::zeros);
+        Bounded { force: self.last, norm, slew, power, ramp, fault: !is_finite }
     }
 
     /// Zero force at once, and the ramp starts anew.
     pub fn reset(&mut self) {
-        (self.last, self.ticks) = (Axes::zeros(), 0);
+        (self.last, self.ticks) = (Axes::zeros(), S::splat(0.0));
+    }
+}
+
+/// Keeps the compiler from computing what is seldom needed: a division and a root in the way of every tick.
+#[cold]
+fn seldom() {}
+
+/// Changes the force in some lanes; most ticks need it in none.
+#[inline]
+fn change<const N: usize, S: Real>(
+    force: &mut Axes<N, S>,
+    place: S::SimdBool,
+    changed: impl FnOnce(Axes<N, S>) -> Axes<N, S>,
+) {
+    if place.any() {
+        seldom();
+        let unchanged = *force;
+        *force = place.if_else(|| changed(unchanged), || unchanged);
     }
 }
 
 /// The share s in [0, 1] for which `s last` is nearest to `force`.
-fn nearest_share<const N: usize>(last: &Axes<N>, force: &Axes<N>) -> f64 {
+#[inline]
+fn nearest_share<const N: usize, S: Real>(last: &Axes<N, S>, force: &Axes<N, S>) -> S {
+    let (none, all) = (S::splat(0.0), S::splat(1.0));
     let squared = last.norm_squared();
-    if squared > 0.0 { (last.dot(force) / squared).clamp(0.0, 1.0) } else { 0.0 }
+    squared.simd_gt(none).if_else(
+        || {
+            let share = last.dot(force) / squared;
+            // Not simd_clamp: over lanes it takes NaN for a number.
+            none.select(share.simd_lt(none), all.select(share.simd_gt(all), share))
+        },
+        || none,
+    )
 }
 
 #[cfg(test)]

@@ -1,32 +1,53 @@
 //! What an observer sees at one tick.
 
 use crate::{
-    Axes,
+    Axes, Real,
     fault::{Fault, Signal},
+    lanes::nowhere,
 };
 
 /// The signals of one tick that observers and controllers read.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Observation<const N: usize> {
+pub struct Observation<const N: usize, S = f64> {
     /// V in m/s.
-    pub velocity: Axes<N>,
+    pub velocity: Axes<N, S>,
     /// `F_v` in N: what the remote side asks to be felt.
-    pub rendered_force: Axes<N>,
+    pub rendered_force: Axes<N, S>,
     /// `F_h` in N: estimated force of the hand on the device (Eq. 4).
-    pub grasp_force: Axes<N>,
+    pub grasp_force: Axes<N, S>,
     /// `F_v` in N as `F_h` sees it: passed through the same kernel of past ticks
     /// ([`Estimator::align`](crate::estimator::Estimator::align)), because `S_h` compares the two. With exact
     /// signals it is `F_v` itself.
-    pub aligned_rendered_force: Axes<N>,
+    pub aligned_rendered_force: Axes<N, S>,
 }
 
-impl<const N: usize> Observation<N> {
+impl<const N: usize, S: Real> Observation<N, S> {
     /// An observation of exact signals: `F_h` is not late, so `F_v` needs no alignment.
-    pub fn exact(velocity: Axes<N>, rendered_force: Axes<N>, grasp_force: Axes<N>) -> Self {
+    #[inline]
+    pub fn exact(velocity: Axes<N, S>, rendered_force: Axes<N, S>, grasp_force: Axes<N, S>) -> Self {
         Self { velocity, rendered_force, grasp_force, aligned_rendered_force: rendered_force }
     }
 
+    /// Where [`check`](Observation::check) would let the numbers through.
+    #[inline]
+    pub fn passes(&self) -> S::SimdBool {
+        [
+            (Signal::Velocity, &self.velocity),
+            (Signal::RenderedForce, &self.rendered_force),
+            (Signal::RenderedForce, &self.aligned_rendered_force),
+            (Signal::GraspForce, &self.grasp_force),
+        ]
+        .into_iter()
+        .fold(!nowhere::<S>(), |passes, (signal, value)| {
+            let bound = S::splat(signal.bound());
+            value.iter().fold(passes, |passes, x| passes & x.simd_abs().simd_le(bound))
+        })
+    }
+}
+
+impl<const N: usize> Observation<N> {
     /// Refuses numbers that are not finite or absurd.
+    #[inline]
     pub fn check(&self) -> Result<(), Fault> {
         Signal::Velocity.check(&self.velocity)?;
         Signal::RenderedForce.check(&self.rendered_force)?;

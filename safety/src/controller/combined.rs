@@ -1,54 +1,19 @@
 //! Controllers combined: any of them trips, one law answers.
 
+use nalgebra::{SimdBool as _, Vector3};
+
 use crate::{
-    Axes, DeviceModel, Fault, Observation, ParameterError,
+    Axes, DeviceModel, Fault, Observation, ParameterError, Real,
     controller::{
-        HandGraspController, PassivityController, VelocityForceController, WindowedSafetyController,
-        cancel_and_damp, dampable,
+        HandGraspController, Intervention, PassivityController, Response, VelocityForceController,
+        WindowedSafetyController, cancel_and_damp, dampable,
     },
+    lanes::{nowhere, option, pack},
     observer::{
         HandGraspObserver, SafetyObserver, VelocityForceForm, VelocityForceObserver, WindowedSafetyObserver,
     },
     parameter::{in_range, non_negative, positive, whole},
 };
-
-/// Which controllers called the tick unsafe.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Tripped(u8);
-
-impl Tripped {
-    /// Nobody.
-    pub const NONE: Self = Self(0);
-    /// VFC, Eq. 2.
-    pub const VFC: Self = Self(1);
-    /// HSC, Eq. 14.
-    pub const HSC: Self = Self(2);
-    /// WSC, Eq. 13.
-    pub const WSC: Self = Self(4);
-    /// PC, Eq. 12.
-    pub const PC: Self = Self(8);
-    /// No controller now, but its minimum time on or the release ramp has not ended.
-    pub const HELD: Self = Self(16);
-
-    /// Whether anything is set.
-    pub fn any(self) -> bool {
-        self.0 != 0
-    }
-
-    /// Whether all of `other` is set.
-    pub fn contains(self, other: Self) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// The bits, for records: VFC 1, HSC 2, WSC 4, PC 8, held 16.
-    pub fn bits(self) -> u8 {
-        self.0
-    }
-
-    fn with(self, other: Self, set: bool) -> Self {
-        if set { Self(self.0 | other.0) } else { self }
-    }
-}
 
 /// Which controllers watch, their thresholds, and how an intervention begins and ends.
 ///
@@ -117,37 +82,6 @@ impl Default for SafetySettings {
     }
 }
 
-/// What the safety controllers add at one tick, and what they saw.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Intervention<const N: usize> {
-    /// `F_c` in N.
-    pub safety_force: Axes<N>,
-    /// Who tripped.
-    pub tripped: Tripped,
-    /// `S_vf`; NaN when VFC is not built.
-    pub velocity_force: f64,
-    /// `S_h`; NaN when HSC is not built.
-    pub grasp: f64,
-    /// `E_wso` in J; NaN when WSC is not built.
-    pub windowed_energy_j: f64,
-    /// `E_so` in J; NaN when PC is not built.
-    pub energy_j: f64,
-}
-
-impl<const N: usize> Intervention<N> {
-    /// No force, and nothing was observed.
-    pub fn none() -> Self {
-        Self {
-            safety_force: Axes::zeros(),
-            tripped: Tripped::NONE,
-            velocity_force: f64::NAN,
-            grasp: f64::NAN,
-            windowed_energy_j: f64::NAN,
-            energy_j: f64::NAN,
-        }
-    }
-}
-
 /// Controllers combined by "any of".
 ///
 /// While one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`. It stays so for at least the hold-off, then fades over
@@ -156,20 +90,20 @@ impl<const N: usize> Intervention<N> {
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SafetyController<const N: usize> {
-    vfc: Option<VelocityForceController>,
-    hsc: Option<HandGraspController>,
-    wsc: Option<WindowedSafetyController<N>>,
-    pc: Option<PassivityController<N>>,
-    damping: f64,
-    hold_off_ticks: u64,
-    ramp_ticks: u64,
-    /// Ticks since the current intervention began; none is on when `None`.
-    on_for: Option<u64>,
+pub struct SafetyController<const N: usize, S = f64> {
+    vfc: Option<VelocityForceController<S>>,
+    hsc: Option<HandGraspController<S>>,
+    wsc: Option<WindowedSafetyController<N, S>>,
+    pc: Option<PassivityController<N, S>>,
+    damping: S,
+    hold_off_ticks: S,
+    ramp_ticks: S,
+    /// Ticks since the current intervention began, the first counted; 0 while none is on.
+    on_for: S,
     /// Ticks since the intervention began to fade.
-    fading_for: u64,
+    fading_for: S,
     /// Share of `F_v` that the last tick let through.
-    let_through: f64,
+    let_through: S,
 }
 
 impl<const N: usize> SafetyController<N> {
@@ -185,8 +119,8 @@ impl<const N: usize> SafetyController<N> {
         let period_s = positive("period_s", "dT", period_s)?;
         let ticks = |name, value| {
             let value = in_range(name, "time", value, 0.0, Self::MAX_HOLD_S, "between 0 and 60 s")?;
-            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to 60 s of ticks fit
-            Ok((value / period_s).round() as u64)
+            // Counted in S, of which each lane has its own.
+            Ok((value / period_s).round())
         };
         let SafetySettings { energy_ratio, window, .. } = *settings;
         let named = |name| move |error: ParameterError| error.of_field("force_threshold_n", name);
@@ -229,8 +163,8 @@ impl<const N: usize> SafetyController<N> {
             damping,
             hold_off_ticks: ticks("hold_off_s", settings.hold_off_s)?,
             ramp_ticks: ticks("release_ramp_s", settings.release_ramp_s)?,
-            on_for: None,
-            fading_for: 0,
+            on_for: 0.0,
+            fading_for: 0.0,
             let_through: 1.0,
         })
     }
@@ -250,32 +184,67 @@ impl<const N: usize> SafetyController<N> {
         authority: f64,
     ) -> Result<Intervention<N>, Fault> {
         seen.check()?;
-        let (velocity_force, vfc) = self.vfc.map_or((f64::NAN, false), |vfc| vfc.judge(seen));
-        let (grasp, hsc) = self.hsc.map_or((f64::NAN, false), |hsc| hsc.judge(&self.felt(seen)));
-        let (windowed_energy_j, wsc) = self.wsc.as_mut().map_or((f64::NAN, false), |wsc| wsc.step(seen));
+        Ok(self.respond(seen, authority).lane(0))
+    }
+}
+
+impl<const N: usize, S: Real> SafetyController<N, S> {
+    /// As many controllers as there are lanes, which have built the same; else None. Thresholds and times may differ,
+    /// the period, the window and the form of VFC may not.
+    pub fn gather(of: &[SafetyController<N>]) -> Option<Self> {
+        Some(Self {
+            vfc: option(of, |one| one.vfc, VelocityForceController::gather)?,
+            hsc: option(of, |one| one.hsc, HandGraspController::gather)?,
+            wsc: option(of, |one| one.wsc.clone(), WindowedSafetyController::gather)?,
+            pc: option(of, |one| one.pc.clone(), PassivityController::gather)?,
+            damping: pack(of, |one| one.damping)?,
+            hold_off_ticks: pack(of, |one| one.hold_off_ticks)?,
+            ramp_ticks: pack(of, |one| one.ramp_ticks)?,
+            on_for: pack(of, |one| one.on_for)?,
+            fading_for: pack(of, |one| one.fading_for)?,
+            let_through: pack(of, |one| one.let_through)?,
+        })
+    }
+
+    /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
+    #[inline]
+    pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
+        let (nothing, all) = (S::splat(0.0), S::splat(1.0));
+        let unobserved = (S::splat(f64::NAN), nowhere::<S>());
+        let (velocity_force, vfc) = self.vfc.as_ref().map_or(unobserved, |vfc| vfc.judge(seen));
+        let (grasp, hsc) = self.hsc.as_ref().map_or(unobserved, |hsc| hsc.judge(&self.felt(seen)));
+        let (windowed_energy_j, wsc) = self.wsc.as_mut().map_or(unobserved, |wsc| wsc.step(seen));
         let pc = self.pc.as_mut().map(|pc| pc.step(seen));
 
-        let is_unsafe = vfc || hsc || wsc;
+        let is_unsafe = vfc | hsc | wsc;
         let gain = self.gain(is_unsafe);
-        self.let_through = 1.0 - gain;
-        let mut safety_force = cancel_and_damp(seen, self.damping * authority) * gain;
-        let mut tripped = Tripped::NONE
-            .with(Tripped::VFC, vfc)
-            .with(Tripped::HSC, hsc)
-            .with(Tripped::WSC, wsc)
-            .with(Tripped::HELD, gain > 0.0 && !is_unsafe);
-        if gain == 0.0 {
-            safety_force = Axes::zeros(); // not -0.0: records stay clean
+        self.let_through = all - gain;
+        let is_on = gain.simd_gt(nothing);
+        let safety_force = is_on.if_else(
+            || cancel_and_damp(seen, self.damping * authority) * gain,
+            Axes::zeros, // not -0.0: records stay clean
+        );
+        let mut response = Response {
+            safety_force,
+            vfc,
+            hsc,
+            wsc,
+            pc: nowhere::<S>(),
+            held: is_on & !is_unsafe,
+            velocity_force,
+            grasp,
+            windowed_energy_j,
+            energy_j: unobserved.0,
+        };
+        if let Some(action) = pc {
+            let pushes = action.force.iter().fold(nowhere::<S>(), |any, force| any | force.simd_ne(nothing));
+            response.pc = gain.simd_lt(all) & pushes;
+            response.safety_force = response
+                .pc
+                .if_else(|| safety_force + action.force * ((all - gain) * authority), || safety_force);
+            response.energy_j = action.energy_j;
         }
-        if let Some(action) = pc
-            && gain < 1.0
-            && action.force != Axes::<N>::zeros()
-        {
-            safety_force += action.force * ((1.0 - gain) * authority);
-            tripped = tripped.with(Tripped::PC, true);
-        }
-        let energy_j = pc.map_or(f64::NAN, |action| action.energy_j);
-        Ok(Intervention { safety_force, tripped, velocity_force, grasp, windowed_energy_j, energy_j })
+        response
     }
 
     /// What a hand can have felt of `F_v`, for HSC with a release ramp.
@@ -284,31 +253,38 @@ impl<const N: usize> SafetyController<N> {
     /// large for ever and the hand that has come back would never get its force again. So the force comes back over
     /// the ramp, and `S_h` compares the hand with the share that is rendered: one that holds ends the intervention, one
     /// that is gone trips it anew as soon as that share exceeds `F_t`. Without a ramp, Eq. 14 stands as printed.
-    fn felt(&self, seen: &Observation<N>) -> Observation<N> {
-        let share = if self.ramp_ticks > 0 && self.on_for.is_some() { self.let_through } else { 1.0 };
+    #[inline]
+    fn felt(&self, seen: &Observation<N, S>) -> Observation<N, S> {
+        let nothing = S::splat(0.0);
+        let fades = self.ramp_ticks.simd_gt(nothing) & self.on_for.simd_gt(nothing);
+        let share = self.let_through.select(fades, S::splat(1.0));
         Observation { aligned_rendered_force: seen.aligned_rendered_force * share, ..*seen }
     }
 
     /// Share of the intervention that is on at this tick.
-    fn gain(&mut self, is_unsafe: bool) -> f64 {
-        if is_unsafe {
-            let on_for = if self.fading_for > 0 { 0 } else { self.on_for.unwrap_or(0) };
-            (self.on_for, self.fading_for) = (Some(on_for.saturating_add(1)), 0);
-            return 1.0;
-        }
-        let Some(on_for) = self.on_for else { return 0.0 };
-        if on_for < self.hold_off_ticks {
-            self.on_for = Some(on_for + 1);
-            return 1.0;
-        }
-        self.fading_for += 1;
-        if self.fading_for > self.ramp_ticks {
-            (self.on_for, self.fading_for) = (None, 0);
-            return 0.0;
-        }
-        // Slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up looks gone.
-        let share = self.fading_for as f64 / (self.ramp_ticks + 1) as f64;
-        1.0 - share * share
+    #[inline]
+    fn gain(&mut self, is_unsafe: S::SimdBool) -> S {
+        let (nothing, all) = (S::splat(0.0), S::splat(1.0));
+        let Self { on_for, fading_for, hold_off_ticks, ramp_ticks, .. } = *self;
+        let off = Vector3::repeat(nothing);
+        let next = is_unsafe.if_else3(
+            || {
+                let begun = nothing.select(fading_for.simd_gt(nothing), on_for);
+                Vector3::new(all, begun + all, nothing)
+            },
+            (|| on_for.simd_eq(nothing), || off),
+            (|| on_for.simd_lt(hold_off_ticks), || Vector3::new(all, on_for + all, fading_for)),
+            || {
+                let fading_for = fading_for + all;
+                // Slowly at first: a hand needs some 50 ms to take up a load, and one that is still taking it up
+                // looks gone.
+                let share = fading_for / (ramp_ticks + all);
+                let fades = Vector3::new(all - share * share, on_for, fading_for);
+                fading_for.simd_gt(ramp_ticks).if_else(|| off, || fades)
+            },
+        );
+        [_, self.on_for, self.fading_for] = next.into();
+        next.x
     }
 
     /// Which of `S_vf`, `S_h`, `E_wso`, `E_so` are observed.
@@ -317,18 +293,17 @@ impl<const N: usize> SafetyController<N> {
     }
 
     /// Whether a controller reads the grasp force.
+    #[inline]
     pub fn needs_grasp_force(&self) -> bool {
         self.hsc.is_some() || self.wsc.is_some() || self.pc.is_some()
     }
 
-    /// Energy in J that PC asked for and the force `delivered` beyond `F_v` did not dissipate; 0 without PC.
-    pub fn owed_energy_j(
-        &self,
-        intervention: &Intervention<N>,
-        delivered: &Axes<N>,
-        velocity: &Axes<N>,
-    ) -> f64 {
-        self.pc.as_ref().map_or(0.0, |pc| pc.owed_energy_j(intervention.energy_j, delivered, velocity))
+    /// Energy in J that PC asked for (`E_so` of the tick) and the force `delivered` beyond `F_v` did not dissipate; 0
+    /// without PC.
+    #[inline]
+    pub fn owed_energy_j(&self, energy_j: S, delivered: &Axes<N, S>, velocity: &Axes<N, S>) -> S {
+        let nothing = S::splat(0.0);
+        self.pc.as_ref().map_or(nothing, |pc| pc.owed_energy_j(energy_j, delivered, velocity))
     }
 
     /// Forgets all energy and ends any intervention.
@@ -339,6 +314,6 @@ impl<const N: usize> SafetyController<N> {
         if let Some(pc) = self.pc.as_mut() {
             pc.reset();
         }
-        (self.on_for, self.fading_for, self.let_through) = (None, 0, 1.0);
+        (self.on_for, self.fading_for, self.let_through) = (S::splat(0.0), S::splat(0.0), S::splat(1.0));
     }
 }

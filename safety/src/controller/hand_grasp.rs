@@ -1,7 +1,8 @@
 //! Hand safety controller, HSC.
 
 use crate::{
-    Observation, ParameterError,
+    Observation, ParameterError, Real,
+    lanes::{pack, part},
     observer::HandGraspObserver,
     parameter::{in_range, non_negative},
 };
@@ -10,10 +11,10 @@ use crate::{
 ///
 /// Source: paper Eq. 14 with the criterion of Eq. 8.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HandGraspController {
-    observer: HandGraspObserver,
-    grasp_threshold: f64,
-    force_threshold_n: f64,
+pub struct HandGraspController<S = f64> {
+    observer: HandGraspObserver<S>,
+    grasp_threshold: S,
+    force_threshold_n: S,
 }
 
 impl HandGraspController {
@@ -36,14 +37,26 @@ impl HandGraspController {
             force_threshold_n: non_negative("force_threshold_n", "F_t", force_threshold_n)?,
         })
     }
+}
+
+impl<S: Real> HandGraspController<S> {
+    /// As many controllers as there are lanes; None for another number of them.
+    pub fn gather(of: &[HandGraspController]) -> Option<Self> {
+        Some(Self {
+            observer: part(of, |one| one.observer, HandGraspObserver::gather)?,
+            grasp_threshold: pack(of, |one| one.grasp_threshold)?,
+            force_threshold_n: pack(of, |one| one.force_threshold_n)?,
+        })
+    }
 
     /// `S_h` and whether it is unsafe.
-    pub fn judge<const N: usize>(&self, seen: &Observation<N>) -> (f64, bool) {
+    #[inline]
+    pub fn judge<const N: usize>(&self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
         let observed = self.observer.observe(seen);
         // F_t is there because S_h means little of small forces, so it must hold for the force that S_h is made of.
-        let pushing = seen.rendered_force.norm() > self.force_threshold_n
-            && seen.aligned_rendered_force.norm() > self.force_threshold_n;
-        (observed, pushing && observed > self.grasp_threshold)
+        let pushing = seen.rendered_force.norm().simd_gt(self.force_threshold_n)
+            & seen.aligned_rendered_force.norm().simd_gt(self.force_threshold_n);
+        (observed, pushing & observed.simd_gt(self.grasp_threshold))
     }
 }
 

@@ -3,21 +3,24 @@
 mod combined;
 mod hand_grasp;
 mod passivity;
+mod response;
 mod velocity_force;
 mod windowed;
 
-pub use combined::{Intervention, SafetyController, SafetySettings, Tripped};
+pub use combined::{SafetyController, SafetySettings};
 pub use hand_grasp::HandGraspController;
 pub use passivity::{PassivityAction, PassivityController};
+pub use response::{Intervention, Response, Tripped};
 pub use velocity_force::VelocityForceController;
 pub use windowed::WindowedSafetyController;
 
-use crate::{Axes, DeviceModel, Observation, ParameterError, parameter::in_range};
+use crate::{Axes, DeviceModel, Observation, ParameterError, Real, parameter::in_range};
 
 /// `F_c = -F_v - mu V`: cancels the rendered force and damps the motion, so that the device renders `-mu V`.
 ///
 /// Source: paper Eq. 2, 13 and 14, which share it.
-pub(crate) fn cancel_and_damp<const N: usize>(seen: &Observation<N>, damping: f64) -> Axes<N> {
+#[inline]
+pub(crate) fn cancel_and_damp<const N: usize, S: Real>(seen: &Observation<N, S>, damping: S) -> Axes<N, S> {
     -seen.rendered_force - seen.velocity * damping
 }
 

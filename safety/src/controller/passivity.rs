@@ -1,14 +1,21 @@
 //! Passivity controller, PC.
 
-use crate::{Axes, DeviceModel, Observation, ParameterError, controller::dampable, observer::SafetyObserver};
+use nalgebra::SimdBool as _;
+
+use crate::{
+    Axes, DeviceModel, Observation, ParameterError, Real,
+    controller::dampable,
+    lanes::{pack, part, shared},
+    observer::SafetyObserver,
+};
 
 /// What the passivity controller does at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PassivityAction<const N: usize> {
+pub struct PassivityAction<const N: usize, S = f64> {
     /// `E_so` in J.
-    pub energy_j: f64,
+    pub energy_j: S,
     /// `F_pc` in N, against the motion.
-    pub force: Axes<N>,
+    pub force: Axes<N, S>,
 }
 
 /// PC: dissipates what the safety observer finds missing.
@@ -22,10 +29,10 @@ pub struct PassivityAction<const N: usize> {
 ///
 /// Source: paper Eq. 12; Hannaford and Ryu 2002, section IV.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PassivityController<const N: usize> {
-    observer: SafetyObserver<N>,
+pub struct PassivityController<const N: usize, S = f64> {
+    observer: SafetyObserver<N, S>,
     period_s: f64,
-    max_damping: f64,
+    max_damping: S,
 }
 
 impl<const N: usize> PassivityController<N> {
@@ -39,29 +46,51 @@ impl<const N: usize> PassivityController<N> {
         let max_damping = dampable("max_damping", "alpha", max_damping, device, period_s)?;
         Ok(Self { observer, period_s, max_damping })
     }
+}
+
+impl<const N: usize, S: Real> PassivityController<N, S> {
+    /// As many controllers as there are lanes, all of one period; else None.
+    pub fn gather(of: &[PassivityController<N>]) -> Option<Self> {
+        Some(Self {
+            observer: part(of, |one| one.observer.clone(), SafetyObserver::gather)?,
+            period_s: shared(of, |one| one.period_s)?,
+            max_damping: pack(of, |one| one.max_damping)?,
+        })
+    }
 
     /// `E_so` and `F_pc` after this tick.
-    pub fn step(&mut self, seen: &Observation<N>) -> PassivityAction<N> {
+    #[inline]
+    pub fn step(&mut self, seen: &Observation<N, S>) -> PassivityAction<N, S> {
         let energy_j = self.observer.step(seen);
         let squared_speed = seen.velocity.norm_squared();
-        if energy_j >= 0.0 || squared_speed == 0.0 {
-            return PassivityAction { energy_j, force: Axes::zeros() };
-        }
-        let damping = (-energy_j / (squared_speed * self.period_s)).min(self.max_damping);
-        PassivityAction { energy_j, force: seen.velocity * -damping }
+        let nothing = S::splat(0.0);
+        let is_idle = energy_j.simd_ge(nothing) | squared_speed.simd_eq(nothing);
+        let force = is_idle.if_else(Axes::zeros, || {
+            let missing = -energy_j / (squared_speed * S::splat(self.period_s));
+            seen.velocity * -missing.simd_min(self.max_damping)
+        });
+        PassivityAction { energy_j, force }
     }
 
     /// Energy in J that `E_so` asked for and the force `delivered` (N, after every limit) will not have
     /// dissipated by the end of this tick.
-    pub fn owed_energy_j(&self, energy_j: f64, delivered: &Axes<N>, velocity: &Axes<N>) -> f64 {
-        let paid = (-delivered.dot(velocity) * self.period_s).max(0.0);
-        (-energy_j - paid).max(0.0)
+    #[inline]
+    pub fn owed_energy_j(&self, energy_j: S, delivered: &Axes<N, S>, velocity: &Axes<N, S>) -> S {
+        let dissipated = -delivered.dot(velocity) * S::splat(self.period_s);
+        above_zero(-energy_j - above_zero(dissipated))
     }
 
     /// Forgets all energy.
     pub fn reset(&mut self) {
         self.observer.reset();
     }
+}
+
+/// The value where it is positive, else 0.
+#[inline]
+fn above_zero<S: Real>(value: S) -> S {
+    let nothing = S::splat(0.0);
+    value.select(value.simd_gt(nothing), nothing)
 }
 
 #[cfg(test)]

@@ -1,14 +1,19 @@
 //! Windowing safety controller, WSC.
 
-use crate::{Observation, ParameterError, observer::WindowedSafetyObserver, parameter::in_range};
+use crate::{
+    Observation, ParameterError, Real,
+    lanes::{pack, part},
+    observer::WindowedSafetyObserver,
+    parameter::in_range,
+};
 
 /// WSC: unsafe while `E_wso < delta`, with delta negative.
 ///
 /// Source: paper Eq. 13.
 #[derive(Clone, Debug, PartialEq)]
-pub struct WindowedSafetyController<const N: usize> {
-    observer: WindowedSafetyObserver<N>,
-    energy_threshold_j: f64,
+pub struct WindowedSafetyController<const N: usize, S = f64> {
+    observer: WindowedSafetyObserver<N, S>,
+    energy_threshold_j: S,
 }
 
 impl<const N: usize> WindowedSafetyController<N> {
@@ -24,11 +29,22 @@ impl<const N: usize> WindowedSafetyController<N> {
         )?;
         Ok(Self { observer, energy_threshold_j })
     }
+}
+
+impl<const N: usize, S: Real> WindowedSafetyController<N, S> {
+    /// As many controllers as there are lanes, if their observers can be gathered; else None.
+    pub fn gather(of: &[WindowedSafetyController<N>]) -> Option<Self> {
+        Some(Self {
+            observer: part(of, |one| one.observer.clone(), WindowedSafetyObserver::gather)?,
+            energy_threshold_j: pack(of, |one| one.energy_threshold_j)?,
+        })
+    }
 
     /// `E_wso` in J after this tick and whether it is unsafe.
-    pub fn step(&mut self, seen: &Observation<N>) -> (f64, bool) {
+    #[inline]
+    pub fn step(&mut self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
         let observed = self.observer.step(seen);
-        (observed, observed < self.energy_threshold_j)
+        (observed, observed.simd_lt(self.energy_threshold_j))
     }
 
     /// Forgets all energy.

@@ -1,9 +1,12 @@
 //! First-order adaptive windowing: long windows when the hand is slow, short ones when it turns.
 
+use nalgebra::SimdValue;
+
 use super::straight_line::{Fit, Series, slope, widest_line};
 use super::{Estimator, MAX_WINDOW, Motion};
-use crate::Axes;
+use crate::lanes::shared;
 use crate::parameter::{ParameterError, in_range, positive};
+use crate::{Axes, Real};
 
 /// V is the slope of the longest straight line that stays within the noise bound d of every sample it spans.
 ///
@@ -56,6 +59,11 @@ impl<const N: usize> AdaptiveWindow<N> {
             started: false,
         })
     }
+
+    /// Whether these can be the lanes of one estimator: as many, of one period.
+    pub(super) fn are_lanes(of: &[Self], lanes: usize) -> bool {
+        of.len() == lanes && shared(of, |one| one.period_s).is_some()
+    }
 }
 
 impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
@@ -80,6 +88,33 @@ impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
         let Rule { bound, max_window, .. } = self.rule;
         self.axes = position.data.0[0].map(|x| Axis::at_rest(x, bound, max_window));
         self.started = true;
+    }
+}
+
+/// One estimator for each lane: how far back a window reaches depends on the samples of its lane.
+impl<const N: usize, S: Real> Estimator<N, S> for Box<[AdaptiveWindow<N>]> {
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
+        let mut motion = Motion::<N, S> { velocity: Axes::zeros(), acceleration: Axes::zeros() };
+        for (lane, estimator) in self.iter_mut().enumerate() {
+            let Motion { velocity, acceleration } = estimator.step(&position.extract(lane));
+            motion.velocity.replace(lane, velocity);
+            motion.acceleration.replace(lane, acceleration);
+        }
+        motion
+    }
+
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
+        let mut aligned = Axes::<N, S>::zeros();
+        for (lane, estimator) in self.iter_mut().enumerate() {
+            aligned.replace(lane, estimator.align(&device_force.extract(lane)));
+        }
+        aligned
+    }
+
+    fn reset(&mut self, position: &Axes<N, S>) {
+        for (lane, estimator) in self.iter_mut().enumerate() {
+            estimator.reset(&position.extract(lane));
+        }
     }
 }
 

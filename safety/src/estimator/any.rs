@@ -1,7 +1,7 @@
 //! The estimators by name, for whoever chooses one at run time.
 
 use super::{AdaptiveWindow, BackwardDifference, Estimator, Fit, Kalman, LowPass, Motion, SavitzkyGolay};
-use crate::{Axes, ParameterError};
+use crate::{Axes, ParameterError, Real};
 
 /// An estimator and its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +53,7 @@ impl EstimatorKind {
             Self::LowPass { cutoff_hz } => AnyEstimator::LowPass(LowPass::new(period_s, cutoff_hz)?),
             Self::AdaptiveWindow { noise_bound_m, max_window, fit } => {
                 let estimator = AdaptiveWindow::new(period_s, noise_bound_m, max_window, fit)?;
-                AnyEstimator::AdaptiveWindow(Box::new(estimator))
+                AnyEstimator::AdaptiveWindow(Box::new([estimator]))
             }
             Self::SavitzkyGolay { degree, window } => {
                 AnyEstimator::SavitzkyGolay(Box::new(SavitzkyGolay::new(period_s, degree, window)?))
@@ -67,21 +67,52 @@ impl EstimatorKind {
 
 /// Any of the estimators; those with a window lie on the heap, allocated once when built.
 #[derive(Clone, Debug)]
-pub enum AnyEstimator<const N: usize> {
+pub enum AnyEstimator<const N: usize, S = f64> {
     /// [`BackwardDifference`].
-    BackwardDifference(BackwardDifference<N>),
+    BackwardDifference(BackwardDifference<N, S>),
     /// [`LowPass`].
-    LowPass(LowPass<N>),
-    /// [`AdaptiveWindow`].
-    AdaptiveWindow(Box<AdaptiveWindow<N>>),
+    LowPass(LowPass<N, S>),
+    /// [`AdaptiveWindow`], one for each lane.
+    AdaptiveWindow(Box<[AdaptiveWindow<N>]>),
     /// [`SavitzkyGolay`].
-    SavitzkyGolay(Box<SavitzkyGolay<N>>),
+    SavitzkyGolay(Box<SavitzkyGolay<N, S>>),
     /// [`Kalman`].
-    Kalman(Kalman<N>),
+    Kalman(Kalman<N, S>),
 }
 
-impl<const N: usize> Estimator<N> for AnyEstimator<N> {
-    fn step(&mut self, position: &Axes<N>) -> Motion<N> {
+impl<const N: usize, S: Real> AnyEstimator<N, S> {
+    /// As many estimators as there are lanes, all of one kind, if that kind can be gathered; else None.
+    pub fn gather(of: &[AnyEstimator<N>]) -> Option<Self> {
+        // The estimators inside, if all are of the kind that is asked for.
+        macro_rules! all {
+            ($kind:ident, $inside:ident => $taken:expr) => {
+                of.iter()
+                    .map(|one| if let AnyEstimator::$kind($inside) = one { Some($taken) } else { None })
+                    .collect::<Option<Vec<_>>>()?
+            };
+        }
+        Some(match of.first()? {
+            AnyEstimator::BackwardDifference(_) => {
+                let all = all!(BackwardDifference, one => one.clone());
+                Self::BackwardDifference(BackwardDifference::gather(&all)?)
+            }
+            AnyEstimator::LowPass(_) => Self::LowPass(LowPass::gather(&all!(LowPass, one => one.clone()))?),
+            AnyEstimator::AdaptiveWindow(_) => {
+                let all = all!(AdaptiveWindow, one => one.first()?.clone());
+                AdaptiveWindow::are_lanes(&all, S::LANES).then_some(Self::AdaptiveWindow(all.into()))?
+            }
+            AnyEstimator::SavitzkyGolay(_) => {
+                let all = all!(SavitzkyGolay, one => SavitzkyGolay::clone(one));
+                Self::SavitzkyGolay(Box::new(SavitzkyGolay::gather(&all)?))
+            }
+            AnyEstimator::Kalman(_) => Self::Kalman(Kalman::gather(&all!(Kalman, one => one.clone()))?),
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Estimator<N, S> for AnyEstimator<N, S> {
+    #[inline]
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         match self {
             Self::BackwardDifference(estimator) => estimator.step(position),
             Self::LowPass(estimator) => estimator.step(position),
@@ -91,7 +122,8 @@ impl<const N: usize> Estimator<N> for AnyEstimator<N> {
         }
     }
 
-    fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
+    #[inline]
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         match self {
             Self::BackwardDifference(estimator) => estimator.align(device_force),
             Self::LowPass(estimator) => estimator.align(device_force),
@@ -101,7 +133,7 @@ impl<const N: usize> Estimator<N> for AnyEstimator<N> {
         }
     }
 
-    fn reset(&mut self, position: &Axes<N>) {
+    fn reset(&mut self, position: &Axes<N, S>) {
         match self {
             Self::BackwardDifference(estimator) => estimator.reset(position),
             Self::LowPass(estimator) => estimator.reset(position),

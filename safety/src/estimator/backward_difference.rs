@@ -1,8 +1,9 @@
 //! Backward differences: the least late estimator, and the one that lets all quantisation through.
 
 use super::{Estimator, Motion};
-use crate::Axes;
+use crate::lanes::{option, pack, shared};
 use crate::parameter::{ParameterError, positive};
+use crate::{Axes, Real};
 
 /// V\[n\] = (x\[n\] - x\[n-1\]) / dT and A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///
@@ -15,11 +16,11 @@ use crate::parameter::{ParameterError, positive};
 ///
 /// Source: paper Eq. 4 (A from sampled positions); the mean over two ticks is derived above.
 #[derive(Clone, Debug)]
-pub struct BackwardDifference<const N: usize> {
+pub struct BackwardDifference<const N: usize, S = f64> {
     period_s: f64,
-    previous_position: Option<Axes<N>>,
-    previous_velocity: Axes<N>,
-    previous_force: Axes<N>,
+    previous_position: Option<Axes<N, S>>,
+    previous_velocity: Axes<N, S>,
+    previous_force: Axes<N, S>,
 }
 
 impl<const N: usize> BackwardDifference<N> {
@@ -34,22 +35,37 @@ impl<const N: usize> BackwardDifference<N> {
     }
 }
 
-impl<const N: usize> Estimator<N> for BackwardDifference<N> {
-    fn step(&mut self, position: &Axes<N>) -> Motion<N> {
+impl<const N: usize, S: Real> BackwardDifference<N, S> {
+    /// As many estimators as there are lanes, all of one period; else None.
+    pub fn gather(of: &[BackwardDifference<N>]) -> Option<Self> {
+        Some(Self {
+            period_s: shared(of, |one| one.period_s)?,
+            previous_position: option(of, |one| one.previous_position, |them| pack(them, |at| *at))?,
+            previous_velocity: pack(of, |one| one.previous_velocity)?,
+            previous_force: pack(of, |one| one.previous_force)?,
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
+    #[inline]
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
+        let period_s = S::splat(self.period_s);
         let previous_position = self.previous_position.replace(*position).unwrap_or(*position);
-        let velocity = (position - previous_position) / self.period_s;
-        let acceleration = (velocity - self.previous_velocity) / self.period_s;
+        let velocity = (position - previous_position) / period_s;
+        let acceleration = (velocity - self.previous_velocity) / period_s;
         self.previous_velocity = velocity;
         Motion { velocity, acceleration }
     }
 
-    fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
-        let aligned = (device_force + self.previous_force) / 2.0;
+    #[inline]
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
+        let aligned = (device_force + self.previous_force) / S::splat(2.0);
         self.previous_force = *device_force;
         aligned
     }
 
-    fn reset(&mut self, position: &Axes<N>) {
+    fn reset(&mut self, position: &Axes<N, S>) {
         self.previous_position = Some(*position);
         self.previous_velocity = Axes::zeros();
         self.previous_force = Axes::zeros();

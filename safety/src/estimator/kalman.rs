@@ -3,8 +3,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Estimator, Motion};
-use crate::Axes;
+use crate::lanes::{option, pack, shared};
 use crate::parameter::{ParameterError, in_range, positive};
+use crate::{Axes, Real};
 
 /// Kalman filter of the state (x, v, a) with white jerk of spectral density q in m²/s⁵ and a position that is
 /// rounded to a quantum, which is taken as noise of variance R = quantum² / 12:
@@ -28,19 +29,19 @@ use crate::parameter::{ParameterError, in_range, positive};
 /// Source: Bar-Shalom, Li & Kirubarajan 2001, "Estimation with Applications to Tracking and Navigation", section
 /// 6.2.3 (continuous Wiener-process acceleration model, discretised); alignment derived above.
 #[derive(Clone, Debug)]
-pub struct Kalman<const N: usize> {
+pub struct Kalman<const N: usize, S = f64> {
     period_s: f64,
     /// K in ticks: position per position, per tick, per tick².
-    gain: [f64; 3],
+    gain: Vector3<S>,
     /// None before the first position.
-    position: Option<Axes<N>>,
+    position: Option<Axes<N, S>>,
     /// m per tick.
-    velocity: Axes<N>,
+    velocity: Axes<N, S>,
     /// m per tick².
-    acceleration: Axes<N>,
-    force_position_error: Axes<N>,
-    force_velocity_error: Axes<N>,
-    aligned_force: Axes<N>,
+    acceleration: Axes<N, S>,
+    force_position_error: Axes<N, S>,
+    force_velocity_error: Axes<N, S>,
+    aligned_force: Axes<N, S>,
 }
 
 impl<const N: usize> Kalman<N> {
@@ -57,7 +58,7 @@ impl<const N: usize> Kalman<N> {
         in_range("bandwidth", "omega dT", bandwidth, 1e-3, 10.0, allowed)?;
         Ok(Self {
             period_s,
-            gain: steady_gain(bandwidth).into(),
+            gain: steady_gain(bandwidth),
             position: None,
             velocity: Axes::zeros(),
             acceleration: Axes::zeros(),
@@ -68,32 +69,51 @@ impl<const N: usize> Kalman<N> {
     }
 }
 
-impl<const N: usize> Estimator<N> for Kalman<N> {
-    fn step(&mut self, position: &Axes<N>) -> Motion<N> {
-        let [k_x, k_v, k_a] = self.gain;
+impl<const N: usize, S: Real> Kalman<N, S> {
+    /// As many estimators as there are lanes, all of one period and all before their first position or all after it;
+    /// else None.
+    pub fn gather(of: &[Kalman<N>]) -> Option<Self> {
+        Some(Self {
+            period_s: shared(of, |one| one.period_s)?,
+            gain: pack(of, |one| one.gain)?,
+            position: option(of, |one| one.position, |them| pack(them, |at| *at))?,
+            velocity: pack(of, |one| one.velocity)?,
+            acceleration: pack(of, |one| one.acceleration)?,
+            force_position_error: pack(of, |one| one.force_position_error)?,
+            force_velocity_error: pack(of, |one| one.force_velocity_error)?,
+            aligned_force: pack(of, |one| one.aligned_force)?,
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
+    #[inline]
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
+        let [k_x, k_v, k_a] = self.gain.into();
         let last = self.position.unwrap_or(*position);
-        let predicted = last + self.velocity + self.acceleration / 2.0;
+        let predicted = last + self.velocity + self.acceleration / S::splat(2.0);
         let innovation = position - predicted;
         self.position = Some(predicted + innovation * k_x);
         self.velocity += self.acceleration + innovation * k_v;
         self.acceleration += innovation * k_a;
         Motion {
-            velocity: self.velocity / self.period_s,
-            acceleration: self.acceleration / (self.period_s * self.period_s),
+            velocity: self.velocity / S::splat(self.period_s),
+            acceleration: self.acceleration / S::splat(self.period_s * self.period_s),
         }
     }
 
-    fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
-        let [k_x, k_v, k_a] = self.gain;
+    #[inline]
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
+        let [k_x, k_v, k_a] = self.gain.into();
         let unseen = device_force - self.aligned_force;
-        let innovation = self.force_position_error + self.force_velocity_error + unseen / 2.0;
-        self.force_position_error = innovation * (1.0 - k_x);
+        let innovation = self.force_position_error + self.force_velocity_error + unseen / S::splat(2.0);
+        self.force_position_error = innovation * (S::splat(1.0) - k_x);
         self.force_velocity_error += unseen - innovation * k_v;
         self.aligned_force += innovation * k_a;
         self.aligned_force
     }
 
-    fn reset(&mut self, position: &Axes<N>) {
+    fn reset(&mut self, position: &Axes<N, S>) {
         self.position = Some(*position);
         self.velocity = Axes::zeros();
         self.acceleration = Axes::zeros();

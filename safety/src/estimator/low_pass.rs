@@ -3,8 +3,9 @@
 use std::f64::consts::TAU;
 
 use super::{BackwardDifference, Estimator, Motion};
-use crate::Axes;
+use crate::lanes::{pack, part, shared};
 use crate::parameter::{ParameterError, in_range, positive};
+use crate::{Axes, Real};
 
 /// A first-order low-pass of cut-off `f_c` on the backward difference D\[n\] = (x\[n\] - x\[n-1\]) / dT:
 ///
@@ -18,13 +19,13 @@ use crate::parameter::{ParameterError, in_range, positive};
 ///
 /// Source: pole matching, Franklin, Powell & Workman 1998, "Digital Control of Dynamic Systems", section 6.2.
 #[derive(Clone, Debug)]
-pub struct LowPass<const N: usize> {
+pub struct LowPass<const N: usize, S = f64> {
     period_s: f64,
     /// beta.
-    share: f64,
-    difference: BackwardDifference<N>,
-    velocity: Axes<N>,
-    aligned_force: Axes<N>,
+    share: S,
+    difference: BackwardDifference<N, S>,
+    velocity: Axes<N, S>,
+    aligned_force: Axes<N, S>,
 }
 
 impl<const N: usize> LowPass<N> {
@@ -46,21 +47,36 @@ impl<const N: usize> LowPass<N> {
     }
 }
 
-impl<const N: usize> Estimator<N> for LowPass<N> {
-    fn step(&mut self, position: &Axes<N>) -> Motion<N> {
+impl<const N: usize, S: Real> LowPass<N, S> {
+    /// As many estimators as there are lanes, all of one period; else None.
+    pub fn gather(of: &[LowPass<N>]) -> Option<Self> {
+        Some(Self {
+            period_s: shared(of, |one| one.period_s)?,
+            share: pack(of, |one| one.share)?,
+            difference: part(of, |one| one.difference.clone(), BackwardDifference::gather)?,
+            velocity: pack(of, |one| one.velocity)?,
+            aligned_force: pack(of, |one| one.aligned_force)?,
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
+    #[inline]
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let difference = self.difference.step(position).velocity;
         let change = (difference - self.velocity) * self.share;
         self.velocity += change;
-        Motion { velocity: self.velocity, acceleration: change / self.period_s }
+        Motion { velocity: self.velocity, acceleration: change / S::splat(self.period_s) }
     }
 
-    fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
+    #[inline]
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         let mean = self.difference.align(device_force);
         self.aligned_force += (mean - self.aligned_force) * self.share;
         self.aligned_force
     }
 
-    fn reset(&mut self, position: &Axes<N>) {
+    fn reset(&mut self, position: &Axes<N, S>) {
         self.difference.reset(position);
         self.velocity = Axes::zeros();
         self.aligned_force = Axes::zeros();

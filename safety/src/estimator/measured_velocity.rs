@@ -1,17 +1,18 @@
 //! For devices that measure velocity: only the acceleration is left to estimate.
 
 use super::Motion;
-use crate::Axes;
+use crate::lanes::{option, pack, shared};
 use crate::parameter::{ParameterError, positive};
+use crate::{Axes, Real};
 
 /// V\[n\] as measured, A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///
 /// A is exactly the mean acceleration over the last tick, so it belongs to the force commanded at n-1 and that
 /// force needs no alignment. This is not an [`Estimator`](super::Estimator): it takes velocities, not positions.
 #[derive(Clone, Debug)]
-pub struct MeasuredVelocity<const N: usize> {
+pub struct MeasuredVelocity<const N: usize, S = f64> {
     period_s: f64,
-    previous_velocity: Option<Axes<N>>,
+    previous_velocity: Option<Axes<N, S>>,
 }
 
 impl<const N: usize> MeasuredVelocity<N> {
@@ -19,15 +20,29 @@ impl<const N: usize> MeasuredVelocity<N> {
     pub fn new(period_s: f64) -> Result<Self, ParameterError> {
         Ok(Self { period_s: positive("period_s", "dT", period_s)?, previous_velocity: None })
     }
+}
+
+impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
+    /// As many estimators as there are lanes, all of one period and all before their first velocity or all after it;
+    /// else None.
+    pub fn gather(of: &[MeasuredVelocity<N>]) -> Option<Self> {
+        Some(Self {
+            period_s: shared(of, |one| one.period_s)?,
+            previous_velocity: option(of, |one| one.previous_velocity, |them| pack(them, |v| *v))?,
+        })
+    }
 
     /// Takes the measured velocity V\[n\] in m/s and adds A\[n\]; the first velocity is taken to have been constant.
-    pub fn step(&mut self, velocity: &Axes<N>) -> Motion<N> {
+    #[inline]
+    pub fn step(&mut self, velocity: &Axes<N, S>) -> Motion<N, S> {
         let previous_velocity = self.previous_velocity.replace(*velocity).unwrap_or(*velocity);
-        Motion { velocity: *velocity, acceleration: (velocity - previous_velocity) / self.period_s }
+        let acceleration = (velocity - previous_velocity) / S::splat(self.period_s);
+        Motion { velocity: *velocity, acceleration }
     }
 
     /// Gives `F_device`\[n-1\] back unchanged: A is the mean over the very tick in which that force was held.
-    pub fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
+    #[inline]
+    pub fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         *device_force
     }
 

@@ -5,7 +5,7 @@
 //! parameters, [`AnyEstimator`] holds any of them. [`MeasuredVelocity`] stands apart: it serves the devices that
 //! measure V themselves.
 
-use crate::Axes;
+use crate::{Axes, Real};
 
 mod adaptive_window;
 mod any;
@@ -33,11 +33,11 @@ pub const MAX_WINDOW: usize = 128;
 
 /// Velocity V in m/s and acceleration A in m/s² of the device at one tick (rad/s, rad/s² for joints).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion<const N: usize> {
+pub struct Motion<const N: usize, S = f64> {
     /// V.
-    pub velocity: Axes<N>,
+    pub velocity: Axes<N, S>,
     /// A, a weighted mean of the true acceleration over the last ticks.
-    pub acceleration: Axes<N>,
+    pub acceleration: Axes<N, S>,
 }
 
 /// A causal estimator of velocity and acceleration.
@@ -47,17 +47,17 @@ pub struct Motion<const N: usize> {
 /// remembers past forces; one that does not need it never calls it and pays nothing.
 ///
 /// A new estimator takes the device to have rested at the first position it is given.
-pub trait Estimator<const N: usize> {
+pub trait Estimator<const N: usize, S: Real = f64> {
     /// Takes the position x\[n\] in m and gives V\[n\] and A\[n\].
-    fn step(&mut self, position: &Axes<N>) -> Motion<N>;
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S>;
 
     /// Passes the force held over the tick that ended with the newest position through the same kernel that
     /// stands between the true acceleration and A.
     ///
     /// An estimate A\[n\] is late: it is a mean of the true acceleration over some past ticks. Eq. 4 subtracts a
     /// force from m A, so the force must be the same mean, or every step of the device force would look like a hand.
-    fn align(&mut self, device_force: &Axes<N>) -> Axes<N>;
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S>;
 
     /// Forgets the past: the device has been at rest at `position`, without force.
-    fn reset(&mut self, position: &Axes<N>);
+    fn reset(&mut self, position: &Axes<N, S>);
 }

@@ -2,8 +2,9 @@
 
 use super::ring::Ring;
 use super::{Estimator, MAX_WINDOW, Motion};
-use crate::Axes;
+use crate::lanes::shared;
 use crate::parameter::{ParameterError, in_range, positive};
+use crate::{Axes, Real};
 
 /// One weight per sample of the window, that of the newest first.
 type Weights = [f64; MAX_WINDOW];
@@ -25,14 +26,14 @@ type Weights = [f64; MAX_WINDOW];
 /// Source: Savitzky & Golay 1964, Analytical Chemistry 36(8); for weights off the centre Gorry 1990, Analytical
 /// Chemistry 62(6) (orthogonal polynomials).
 #[derive(Clone, Debug)]
-pub struct SavitzkyGolay<const N: usize> {
+pub struct SavitzkyGolay<const N: usize, S = f64> {
     period_s: f64,
     velocity_weights: Weights,
     acceleration_weights: Weights,
     /// `g_(l+1)` at index l.
     force_weights: Weights,
-    positions: Ring<N>,
-    forces: Ring<N>,
+    positions: Ring<N, S>,
+    forces: Ring<N, S>,
     started: bool,
 }
 
@@ -57,8 +58,27 @@ impl<const N: usize> SavitzkyGolay<N> {
     }
 }
 
-impl<const N: usize> Estimator<N> for SavitzkyGolay<N> {
-    fn step(&mut self, position: &Axes<N>) -> Motion<N> {
+impl<const N: usize, S: Real> SavitzkyGolay<N, S> {
+    /// As many estimators as there are lanes, all of one period, degree and window, and as far as each other; else
+    /// None.
+    pub fn gather(of: &[SavitzkyGolay<N>]) -> Option<Self> {
+        let rings =
+            |ring: fn(&SavitzkyGolay<N>) -> &Ring<N>| Ring::gather(&of.iter().map(ring).collect::<Vec<_>>());
+        Some(Self {
+            period_s: shared(of, |one| one.period_s)?,
+            velocity_weights: shared(of, |one| one.velocity_weights)?,
+            acceleration_weights: shared(of, |one| one.acceleration_weights)?,
+            force_weights: shared(of, |one| one.force_weights)?,
+            positions: rings(|one| &one.positions)?,
+            forces: rings(|one| &one.forces)?,
+            started: shared(of, |one| one.started)?,
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
+    #[inline]
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         if !self.started {
             self.reset(position);
         }
@@ -70,22 +90,23 @@ impl<const N: usize> Estimator<N> for SavitzkyGolay<N> {
             // The weights sum to zero only up to rounding; relative to the newest sample a device at rest
             // gives exactly zero wherever it stands.
             let behind = sample - position;
-            velocity += behind * *h;
-            acceleration += behind * *c;
+            velocity += behind * S::splat(*h);
+            acceleration += behind * S::splat(*c);
         }
         Motion {
-            velocity: velocity / self.period_s,
-            acceleration: acceleration / (self.period_s * self.period_s),
+            velocity: velocity / S::splat(self.period_s),
+            acceleration: acceleration / S::splat(self.period_s * self.period_s),
         }
     }
 
-    fn align(&mut self, device_force: &Axes<N>) -> Axes<N> {
+    #[inline]
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         self.forces.push(device_force);
         let weighted = self.forces.newest_first().zip(&self.force_weights);
-        weighted.fold(Axes::zeros(), |sum, (force, g)| sum + force * *g)
+        weighted.fold(Axes::zeros(), |sum, (force, g)| sum + force * S::splat(*g))
     }
 
-    fn reset(&mut self, position: &Axes<N>) {
+    fn reset(&mut self, position: &Axes<N, S>) {
         self.positions.fill(position);
         self.forces.fill(&Axes::zeros());
         self.started = true;

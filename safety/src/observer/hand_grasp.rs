@@ -1,6 +1,6 @@
 //! Hand grasp observer, HGO.
 
-use crate::{Observation, ParameterError, parameter::positive};
+use crate::{Observation, ParameterError, Real, lanes::pack, parameter::positive};
 
 /// HGO: near 1 while the hand holds against the rendered force, large when nobody holds.
 ///
@@ -9,8 +9,8 @@ use crate::{Observation, ParameterError, parameter::positive};
 ///
 /// Source: paper Eq. 5.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HandGraspObserver {
-    grasp_floor_n: f64,
+pub struct HandGraspObserver<S = f64> {
+    grasp_floor_n: S,
 }
 
 impl HandGraspObserver {
@@ -18,9 +18,17 @@ impl HandGraspObserver {
     pub fn new(grasp_floor_n: f64) -> Result<Self, ParameterError> {
         Ok(Self { grasp_floor_n: positive("grasp_floor_n", "alpha", grasp_floor_n)? })
     }
+}
+
+impl<S: Real> HandGraspObserver<S> {
+    /// As many observers as there are lanes; None for another number of them.
+    pub fn gather(of: &[HandGraspObserver]) -> Option<Self> {
+        Some(Self { grasp_floor_n: pack(of, |one| one.grasp_floor_n)? })
+    }
 
     /// `S_h`, without unit; the grasp is safe up to zeta (Eq. 8).
-    pub fn observe<const N: usize>(&self, seen: &Observation<N>) -> f64 {
+    #[inline]
+    pub fn observe<const N: usize>(&self, seen: &Observation<N, S>) -> S {
         seen.aligned_rendered_force.norm() / (seen.grasp_force.norm() + self.grasp_floor_n)
     }
 }

@@ -1,6 +1,9 @@
 //! Energy-based passivity observer, PO.
 
-use crate::Axes;
+use crate::{
+    Axes, Real,
+    lanes::{option, pack},
+};
 
 /// PO: energy that has flowed from the hand's side into what renders the force, since the start.
 ///
@@ -11,20 +14,37 @@ use crate::Axes;
 /// Negative: the environment has given out more than it took, it is active.
 ///
 /// Source: Hannaford and Ryu 2002, Eq. 5, with the exact sampled energy of Stramigioli et al. 2005.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PassivityObserver<const N: usize> {
-    energy_j: f64,
-    position: Option<Axes<N>>,
+#[derive(Clone, Debug, PartialEq)]
+pub struct PassivityObserver<const N: usize, S = f64> {
+    energy_j: S,
+    position: Option<Axes<N, S>>,
 }
 
 impl<const N: usize> PassivityObserver<N> {
     /// An observer without past.
     pub fn new() -> Self {
-        Self { energy_j: 0.0, position: None }
+        Self::default()
+    }
+}
+
+impl<const N: usize, S: Real> Default for PassivityObserver<N, S> {
+    fn default() -> Self {
+        Self { energy_j: S::splat(0.0), position: None }
+    }
+}
+
+impl<const N: usize, S: Real> PassivityObserver<N, S> {
+    /// As many observers as there are lanes, all before their first position or all after it; else None.
+    pub fn gather(of: &[PassivityObserver<N>]) -> Option<Self> {
+        Some(Self {
+            energy_j: pack(of, |one| one.energy_j)?,
+            position: option(of, |one| one.position, |positions| pack(positions, |at| *at))?,
+        })
     }
 
     /// E in J at position x(n) in m; `held_force` in N is what was exerted since the last position.
-    pub fn step(&mut self, position: &Axes<N>, held_force: &Axes<N>) -> f64 {
+    #[inline]
+    pub fn step(&mut self, position: &Axes<N, S>, held_force: &Axes<N, S>) -> S {
         if let Some(last) = self.position {
             self.energy_j -= held_force.dot(&(position - last));
         }
@@ -34,7 +54,7 @@ impl<const N: usize> PassivityObserver<N> {
 
     /// Forgets all energy.
     pub fn reset(&mut self) {
-        *self = Self::new();
+        *self = Self::default();
     }
 }
 

@@ -1,7 +1,10 @@
 //! Safety observer, SO.
 
+use nalgebra::SimdBool as _;
+
 use crate::{
-    DeviceModel, Observation, ParameterError,
+    DeviceModel, Observation, ParameterError, Real,
+    lanes::{pack, part, shared},
     parameter::{positive, ratio},
 };
 
@@ -13,11 +16,11 @@ use crate::{
 ///
 /// Source: paper Eq. 9.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SafetyObserver<const N: usize> {
-    device: DeviceModel<N>,
+pub struct SafetyObserver<const N: usize, S = f64> {
+    device: DeviceModel<N, S>,
     period_s: f64,
-    energy_ratio: f64,
-    hand_energy_j: CompensatedSum,
+    energy_ratio: S,
+    hand_energy_j: CompensatedSum<S>,
 }
 
 impl<const N: usize> SafetyObserver<N> {
@@ -30,10 +33,26 @@ impl<const N: usize> SafetyObserver<N> {
             hand_energy_j: CompensatedSum::default(),
         })
     }
+}
+
+impl<const N: usize, S: Real> SafetyObserver<N, S> {
+    /// As many observers as there are lanes, all of one period; else None.
+    pub fn gather(of: &[SafetyObserver<N>]) -> Option<Self> {
+        Some(Self {
+            device: part(of, |one| one.device, DeviceModel::gather)?,
+            period_s: shared(of, |one| one.period_s)?,
+            energy_ratio: pack(of, |one| one.energy_ratio)?,
+            hand_energy_j: CompensatedSum {
+                sum: pack(of, |one| one.hand_energy_j.sum)?,
+                lost: pack(of, |one| one.hand_energy_j.lost)?,
+            },
+        })
+    }
 
     /// `E_so` in J after this tick.
-    pub fn step(&mut self, seen: &Observation<N>) -> f64 {
-        self.hand_energy_j.add(self.period_s * seen.grasp_force.dot(&seen.velocity));
+    #[inline]
+    pub fn step(&mut self, seen: &Observation<N, S>) -> S {
+        self.hand_energy_j.add(S::splat(self.period_s) * seen.grasp_force.dot(&seen.velocity));
         self.hand_energy_j.total() - self.device.kinetic_energy_j(&seen.velocity) / self.energy_ratio
     }
 
@@ -46,21 +65,32 @@ impl<const N: usize> SafetyObserver<N> {
 /// A sum that carries its rounding error along: SO adds for hours at 1 kHz.
 ///
 /// Source: Neumaier, Z. Angew. Math. Mech. 54 (1974).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct CompensatedSum {
-    sum: f64,
-    lost: f64,
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct CompensatedSum<S = f64> {
+    sum: S,
+    lost: S,
 }
 
-impl CompensatedSum {
-    fn add(&mut self, term: f64) {
+impl<S: Real> Default for CompensatedSum<S> {
+    fn default() -> Self {
+        Self { sum: S::splat(0.0), lost: S::splat(0.0) }
+    }
+}
+
+impl<S: Real> CompensatedSum<S> {
+    #[inline]
+    fn add(&mut self, term: S) {
         let next = self.sum + term;
-        self.lost +=
-            if self.sum.abs() >= term.abs() { (self.sum - next) + term } else { (term - next) + self.sum };
+        self.lost += self
+            .sum
+            .simd_abs()
+            .simd_ge(term.simd_abs())
+            .if_else(|| (self.sum - next) + term, || (term - next) + self.sum);
         self.sum = next;
     }
 
-    fn total(self) -> f64 {
+    #[inline]
+    fn total(self) -> S {
         self.sum + self.lost
     }
 }
@@ -87,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_year_of_small_terms_is_not_lost() {
-        let mut sum = CompensatedSum::default();
+        let mut sum = CompensatedSum::<f64>::default();
         sum.add(1e9);
         for _ in 0..1_000_000 {
             sum.add(1e-9);

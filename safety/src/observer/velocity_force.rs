@@ -1,6 +1,12 @@
 //! Velocity and force observer, VFO.
 
-use crate::{Observation, ParameterError, parameter::positive};
+use nalgebra::SimdBool as _;
+
+use crate::{
+    Observation, ParameterError, Real,
+    lanes::{pack, shared},
+    parameter::positive,
+};
 
 /// How velocity and force are held against their thresholds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -17,9 +23,9 @@ pub enum VelocityForceForm {
 ///
 /// Source: paper Eq. 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VelocityForceObserver {
-    velocity_threshold: f64,
-    force_threshold_n: f64,
+pub struct VelocityForceObserver<S = f64> {
+    velocity_threshold: S,
+    force_threshold_n: S,
     form: VelocityForceForm,
 }
 
@@ -36,18 +42,31 @@ impl VelocityForceObserver {
             form,
         })
     }
+}
+
+impl<S: Real> VelocityForceObserver<S> {
+    /// As many observers as there are lanes, all of one form; else None.
+    pub fn gather(of: &[VelocityForceObserver]) -> Option<Self> {
+        Some(Self {
+            velocity_threshold: pack(of, |one| one.velocity_threshold)?,
+            force_threshold_n: pack(of, |one| one.force_threshold_n)?,
+            form: shared(of, |one| one.form)?,
+        })
+    }
 
     /// `S_vf`, without unit; above 1 is unsafe. Negative while the hand pushes against the force.
-    pub fn observe<const N: usize>(&self, seen: &Observation<N>) -> f64 {
+    #[inline]
+    pub fn observe<const N: usize>(&self, seen: &Observation<N, S>) -> S {
         let power = seen.velocity.dot(&seen.rendered_force);
         match self.form {
             VelocityForceForm::Product => power / (self.velocity_threshold * self.force_threshold_n),
             VelocityForceForm::Both => {
                 let force = seen.rendered_force.norm();
-                if force == 0.0 {
-                    return 0.0;
-                }
-                (power / force / self.velocity_threshold).min(force / self.force_threshold_n)
+                let nothing = S::splat(0.0);
+                force.simd_eq(nothing).if_else(
+                    || nothing,
+                    || (power / force / self.velocity_threshold).simd_min(force / self.force_threshold_n),
+                )
             }
         }
     }

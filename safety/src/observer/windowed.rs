@@ -1,7 +1,8 @@
 //! Windowed safety observer, WSO.
 
 use crate::{
-    DeviceModel, Observation, ParameterError,
+    DeviceModel, Observation, ParameterError, Real,
+    lanes::{pack, part, shared},
     parameter::{positive, ratio, whole},
 };
 
@@ -15,16 +16,16 @@ use crate::{
 ///
 /// Source: paper Eq. 11, both branches: an empty ring holds zeros, which is the branch n < w.
 #[derive(Clone, Debug, PartialEq)]
-pub struct WindowedSafetyObserver<const N: usize> {
-    device: DeviceModel<N>,
+pub struct WindowedSafetyObserver<const N: usize, S = f64> {
+    device: DeviceModel<N, S>,
     period_s: f64,
-    energy_ratio: f64,
-    power: Box<[f64]>,
+    energy_ratio: S,
+    power: Box<[S]>,
     next: usize,
     /// Sum over the ring.
-    running: f64,
+    running: S,
     /// Sum over what this turn has written so far: becomes `running` when the turn ends.
-    fresh: f64,
+    fresh: S,
 }
 
 impl<const N: usize> WindowedSafetyObserver<N> {
@@ -49,15 +50,35 @@ impl<const N: usize> WindowedSafetyObserver<N> {
             fresh: 0.0,
         })
     }
+}
 
-    /// `E_wso` in J after this tick.
-    pub fn step(&mut self, seen: &Observation<N>) -> f64 {
-        let power = seen.grasp_force.dot(&seen.velocity);
-        self.push(power);
-        self.period_s * self.running - self.device.kinetic_energy_j(&seen.velocity) / self.energy_ratio
+impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
+    /// As many observers as there are lanes, all of one period and one window and at the same place of their ring;
+    /// else None.
+    pub fn gather(of: &[WindowedSafetyObserver<N>]) -> Option<Self> {
+        let window = shared(of, |one| one.power.len())?;
+        Some(Self {
+            device: part(of, |one| one.device, DeviceModel::gather)?,
+            period_s: shared(of, |one| one.period_s)?,
+            energy_ratio: pack(of, |one| one.energy_ratio)?,
+            power: (0..window).map(|tick| pack(of, |one| one.power[tick])).collect::<Option<_>>()?,
+            next: shared(of, |one| one.next)?,
+            running: pack(of, |one| one.running)?,
+            fresh: pack(of, |one| one.fresh)?,
+        })
     }
 
-    fn push(&mut self, power: f64) {
+    /// `E_wso` in J after this tick.
+    #[inline]
+    pub fn step(&mut self, seen: &Observation<N, S>) -> S {
+        let power = seen.grasp_force.dot(&seen.velocity);
+        self.push(power);
+        S::splat(self.period_s) * self.running
+            - self.device.kinetic_energy_j(&seen.velocity) / self.energy_ratio
+    }
+
+    #[inline]
+    fn push(&mut self, power: S) {
         self.running += power - self.power[self.next];
         self.fresh += power;
         self.power[self.next] = power;
@@ -65,14 +86,15 @@ impl<const N: usize> WindowedSafetyObserver<N> {
         if self.next == self.power.len() {
             self.next = 0;
             self.running = self.fresh;
-            self.fresh = 0.0;
+            self.fresh = S::splat(0.0);
         }
     }
 
     /// Forgets all energy.
     pub fn reset(&mut self) {
-        self.power.fill(0.0);
-        (self.next, self.running, self.fresh) = (0, 0.0, 0.0);
+        let nothing = S::splat(0.0);
+        self.power.fill(nothing);
+        (self.next, self.running, self.fresh) = (0, nothing, nothing);
     }
 }
 

@@ -1,0 +1,121 @@
+//! What the safety controllers answer at one tick.
+
+use nalgebra::{SimdBool as _, SimdValue as _};
+
+use crate::{Axes, Real};
+
+/// Which controllers called the tick unsafe.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tripped(u8);
+
+impl Tripped {
+    /// Nobody.
+    pub const NONE: Self = Self(0);
+    /// VFC, Eq. 2.
+    pub const VFC: Self = Self(1);
+    /// HSC, Eq. 14.
+    pub const HSC: Self = Self(2);
+    /// WSC, Eq. 13.
+    pub const WSC: Self = Self(4);
+    /// PC, Eq. 12.
+    pub const PC: Self = Self(8);
+    /// No controller now, but its minimum time on or the release ramp has not ended.
+    pub const HELD: Self = Self(16);
+
+    /// Whether anything is set.
+    pub fn any(self) -> bool {
+        self.0 != 0
+    }
+
+    /// Whether all of `other` is set.
+    pub fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// The bits, for records: VFC 1, HSC 2, WSC 4, PC 8, held 16.
+    pub fn bits(self) -> u8 {
+        self.0
+    }
+
+    #[inline]
+    fn with(self, other: Self, set: bool) -> Self {
+        if set { Self(self.0 | other.0) } else { self }
+    }
+}
+
+/// What the safety controllers add at one tick, and what they saw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intervention<const N: usize> {
+    /// `F_c` in N.
+    pub safety_force: Axes<N>,
+    /// Who tripped.
+    pub tripped: Tripped,
+    /// `S_vf`; NaN when VFC is not built.
+    pub velocity_force: f64,
+    /// `S_h`; NaN when HSC is not built.
+    pub grasp: f64,
+    /// `E_wso` in J; NaN when WSC is not built.
+    pub windowed_energy_j: f64,
+    /// `E_so` in J; NaN when PC is not built.
+    pub energy_j: f64,
+}
+
+impl<const N: usize> Intervention<N> {
+    /// No force, and nothing was observed.
+    pub fn none() -> Self {
+        Self {
+            safety_force: Axes::zeros(),
+            tripped: Tripped::NONE,
+            velocity_force: f64::NAN,
+            grasp: f64::NAN,
+            windowed_energy_j: f64::NAN,
+            energy_j: f64::NAN,
+        }
+    }
+}
+
+/// What the safety controllers add at one tick, and what they saw, in each lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Response<const N: usize, S: Real = f64> {
+    /// `F_c` in N.
+    pub safety_force: Axes<N, S>,
+    /// Where VFC called the tick unsafe.
+    pub vfc: S::SimdBool,
+    /// Where HSC did.
+    pub hsc: S::SimdBool,
+    /// Where WSC did.
+    pub wsc: S::SimdBool,
+    /// Where PC dissipates.
+    pub pc: S::SimdBool,
+    /// Where no controller does now, but the minimum time on or the release ramp has not ended.
+    pub held: S::SimdBool,
+    /// `S_vf`; NaN when VFC is not built.
+    pub velocity_force: S,
+    /// `S_h`; NaN when HSC is not built.
+    pub grasp: S,
+    /// `E_wso` in J; NaN when WSC is not built.
+    pub windowed_energy_j: S,
+    /// `E_so` in J; NaN when PC is not built.
+    pub energy_j: S,
+}
+
+impl<const N: usize, S: Real> Response<N, S> {
+    /// The intervention in one lane.
+    #[inline]
+    pub fn lane(&self, lane: usize) -> Intervention<N> {
+        let is_set = |mask: S::SimdBool| mask.bitmask() >> lane & 1 == 1;
+        Intervention {
+            safety_force: self.safety_force.extract(lane),
+            tripped: Tripped::NONE
+                .with(Tripped::VFC, is_set(self.vfc))
+                .with(Tripped::HSC, is_set(self.hsc))
+                .with(Tripped::WSC, is_set(self.wsc))
+                .with(Tripped::PC, is_set(self.pc))
+                .with(Tripped::HELD, is_set(self.held)),
+            velocity_force: self.velocity_force.extract(lane),
+            grasp: self.grasp.extract(lane),
+            windowed_energy_j: self.windowed_energy_j.extract(lane),
+            energy_j: self.energy_j.extract(lane),
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! One scenario, or several side by side: the scalar that the chain computes with.
+
+use std::fmt::Debug;
+
+use nalgebra::{SimdRealField, SimdValue};
+
+/// A real number `f64`, or several that are computed with at once, each in a lane of its own.
+///
+/// All of this crate's steps are written over it. No operation mixes lanes: each lane holds, bit for bit, what an
+/// `f64` of its own would hold, and a NaN stays in its lane. What depends on a number is therefore selected, never
+/// branched on; for `f64`, [`SimdBool::if_else`](nalgebra::SimdBool::if_else) is a branch again.
+///
+/// Parameters are checked one by one: an instance over lanes is gathered from as many instances over `f64`.
+pub trait Real: SimdRealField + SimdValue<Element = f64, SimdBool: Debug + PartialEq> + Copy {}
+
+impl<S> Real for S where S: SimdRealField + SimdValue<Element = f64, SimdBool: Debug + PartialEq> + Copy {}
+
+/// False in all lanes.
+#[inline]
+pub(crate) fn nowhere<S: Real>() -> S::SimdBool {
+    S::splat(0.0).simd_lt(S::splat(0.0))
+}
+
+/// A value of each instance, lane by lane; None unless there are as many instances as lanes.
+pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) -> Option<P> {
+    if of.len() != P::LANES {
+        return None;
+    }
+    let mut packed = P::splat(value(of.first()?));
+    for (lane, one) in of.iter().enumerate() {
+        packed.replace(lane, value(one));
+    }
+    Some(packed)
+}
+
+/// The value that all instances have in common.
+pub(crate) fn shared<T, V: PartialEq>(of: &[T], value: impl Fn(&T) -> V) -> Option<V> {
+    let first = value(of.first()?);
+    of.iter().all(|one| value(one) == first).then_some(first)
+}
+
+/// A part of each instance, gathered in turn.
+pub(crate) fn part<T, P, G>(
+    of: &[T],
+    part: impl Fn(&T) -> P,
+    gather: impl FnOnce(&[P]) -> Option<G>,
+) -> Option<G> {
+    gather(&of.iter().map(part).collect::<Vec<_>>())
+}
+
+/// A part that all instances have, or none of them.
+#[allow(clippy::option_option)] // refused, built in none, built in all
+pub(crate) fn option<T, P, G>(
+    of: &[T],
+    part: impl Fn(&T) -> Option<P>,
+    gather: impl FnOnce(&[P]) -> Option<G>,
+) -> Option<Option<G>> {
+    let parts: Vec<_> = of.iter().filter_map(part).collect();
+    match parts.len() {
+        0 => Some(None),
+        built if built == of.len() => gather(&parts).map(Some),
+        _ => None,
+    }
+}
