@@ -1,6 +1,6 @@
 //! What a runner drives: a device on one side, an arm on the other, each along N axes.
 
-use haptether_master::SimulatedMaster;
+use haptether_master::{SimulatedMaster, SteppedMaster};
 use haptether_safety::Axes;
 use haptether_slave::SimulatedSlave;
 
@@ -18,10 +18,21 @@ pub trait MasterPlant<const N: usize> {
     /// The two sides have engaged.
     fn engaged(&mut self) {}
 
-    /// What no sensor tells, where the plant is a model: true velocity in m/s and true force of the hand in N.
-    fn truth(&self) -> Option<(Axes<N>, Axes<N>)> {
+    /// What no sensor tells, where the plant is a model.
+    fn truth(&self) -> Option<Truth<N>> {
         None
     }
+}
+
+/// What no sensor of a device tells.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth<const N: usize> {
+    /// True position in m.
+    pub position: Axes<N>,
+    /// True velocity in m/s.
+    pub velocity: Axes<N>,
+    /// True force of the hand in N.
+    pub hand_force: Axes<N>,
 }
 
 /// A slave arm as a runner sees it; time is an argument.
@@ -32,8 +43,8 @@ pub trait SlavePlant<const N: usize> {
     /// Position in m, velocity in m/s and `F_e` in N at `now_ns`.
     fn read(&mut self, now_ns: u64) -> [Axes<N>; 3];
 
-    /// Takes the tool to `position` in m.
-    fn write(&mut self, position: &Axes<N>);
+    /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
+    fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
     /// Stays where it is.
     fn stop(&mut self);
@@ -42,41 +53,72 @@ pub trait SlavePlant<const N: usize> {
     fn engaged(&mut self, _now_ns: u64) {}
 }
 
-impl MasterPlant<1> for SimulatedMaster {
+impl<const N: usize> MasterPlant<N> for SimulatedMaster<N> {
     fn begin(&mut self, now_ns: u64) {
         SimulatedMaster::begin(self, now_ns);
     }
 
-    fn read(&mut self, now_ns: u64) -> (Axes<1>, Option<Axes<1>>) {
+    fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
         let sample = SimulatedMaster::read(self, now_ns);
-        (Axes::<1>::new(sample.position), sample.velocity.map(Axes::<1>::new))
+        (sample.position, sample.velocity)
     }
 
-    fn write(&mut self, force: &Axes<1>) {
-        SimulatedMaster::write(self, force[0]);
+    fn write(&mut self, force: &Axes<N>) {
+        SimulatedMaster::write(self, force);
     }
 
     fn engaged(&mut self) {
         self.set_waiting(false);
     }
 
-    fn truth(&self) -> Option<(Axes<1>, Axes<1>)> {
-        Some((Axes::<1>::new(self.velocity()), Axes::<1>::new(self.hand_force())))
+    fn truth(&self) -> Option<Truth<N>> {
+        Some(Truth {
+            position: *self.position(),
+            velocity: *self.velocity(),
+            hand_force: self.hand_force(),
+        })
     }
 }
 
-impl SlavePlant<1> for SimulatedSlave {
+impl<const N: usize> MasterPlant<N> for SteppedMaster<N> {
+    fn begin(&mut self, now_ns: u64) {
+        SteppedMaster::begin(self, now_ns);
+    }
+
+    fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
+        self.advance(now_ns);
+        (self.measured_position(), self.measured_velocity())
+    }
+
+    fn write(&mut self, force: &Axes<N>) {
+        SteppedMaster::write(self, force);
+    }
+
+    fn engaged(&mut self) {
+        self.set_waiting(false);
+    }
+
+    fn truth(&self) -> Option<Truth<N>> {
+        Some(Truth {
+            position: *self.position(),
+            velocity: *self.velocity(),
+            hand_force: *self.hand_force(),
+        })
+    }
+}
+
+impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
     fn begin(&mut self, now_ns: u64) {
         SimulatedSlave::begin(self, now_ns);
     }
 
-    fn read(&mut self, now_ns: u64) -> [Axes<1>; 3] {
+    fn read(&mut self, now_ns: u64) -> [Axes<N>; 3] {
         let sample = SimulatedSlave::read(self, now_ns);
-        [sample.position, sample.velocity, sample.environment_force].map(Axes::<1>::new)
+        [sample.position, sample.velocity, sample.environment_force]
     }
 
-    fn write(&mut self, position: &Axes<1>) {
-        SimulatedSlave::write(self, position[0]);
+    fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
+        SimulatedSlave::write(self, position, velocity);
     }
 
     fn stop(&mut self) {

@@ -5,6 +5,7 @@ use haptether_safety::{Axes, Fault};
 use crate::{
     endpoint::{MasterTick, SlaveTick},
     ladder::LadderState,
+    plant::Truth,
     side::TickTime,
 };
 
@@ -15,6 +16,8 @@ pub struct MasterRecord<const N: usize> {
     pub time_ns: u64,
     /// x in m, as measured.
     pub position: Axes<N>,
+    /// True position in m where the device is a model, else x as measured.
+    pub true_position: Axes<N>,
     /// True velocity in m/s where the device is a model, else V as estimated.
     pub velocity: Axes<N>,
     /// True force of the hand in N where the device is a model, else zero.
@@ -47,14 +50,19 @@ impl<const N: usize> MasterRecord<N> {
     pub(crate) fn new(
         time: TickTime,
         position: &Axes<N>,
-        truth: Option<(Axes<N>, Axes<N>)>,
+        truth: Option<Truth<N>>,
         tick: &MasterTick<N>,
     ) -> Self {
-        let (velocity, hand_force) = truth.unwrap_or((tick.safety.motion.velocity, Axes::zeros()));
+        let Truth { position: true_position, velocity, hand_force } = truth.unwrap_or(Truth {
+            position: *position,
+            velocity: tick.safety.motion.velocity,
+            hand_force: Axes::zeros(),
+        });
         let intervention = &tick.safety.intervention;
         Self {
             time_ns: time.now_ns - time.start_ns,
             position: *position,
+            true_position,
             velocity,
             hand_force,
             rendered_force: tick.safety.rendered_force,

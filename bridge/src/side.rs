@@ -128,7 +128,7 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         let sample = self.plant.read(time.now_ns);
         let tick = self.endpoint.tick(time.now_ns, &sample[0], &sample[1], &sample[2]);
         if let Some(command) = &tick.command {
-            self.plant.write(command);
+            self.plant.write(command, &tick.command_velocity);
         }
         if tick.state == LadderState::Engaged {
             self.plant.engaged(time.now_ns);

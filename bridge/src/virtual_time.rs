@@ -1,5 +1,7 @@
 //! The virtual-time runner: both sides and the network between them, without socket, sleep or clock.
 
+use std::ops::ControlFlow;
+
 use haptether_netsim::{Direction, InFlight, Link, LinkError, LinkSettings, Packet, Verdict};
 
 use crate::{
@@ -10,9 +12,11 @@ use crate::{
 /// How a run in virtual time goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VirtualSettings {
-    /// Period of both loops in ns.
+    /// Period of the master's loop in ns.
     pub period_ns: u64,
-    /// Number of ticks.
+    /// Period of the slave's loop in ns.
+    pub slave_period_ns: u64,
+    /// Number of the master's ticks.
     pub ticks: u64,
     /// Network from master to slave.
     pub forward: LinkSettings,
@@ -60,29 +64,50 @@ impl Way {
     }
 }
 
-/// Runs both sides for a number of ticks and gives each tick's records to `observe`.
+/// What happened next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event<M, S> {
+    /// The master ticked.
+    Master(M),
+    /// The slave ticked.
+    Slave(S),
+}
+
+/// Runs both sides, each at its own rate, and gives each tick's record to `observe`, until that breaks off or the
+/// master has done its ticks.
 ///
-/// At each tick: frames due are delivered, the master ticks and sends, the slave ticks and sends. A frame without
-/// delay therefore reaches the slave in the same tick and the master in the next.
+/// The next of the two loops to tick takes the frames that are due by then, ticks and sends; at the same instant the
+/// master is first. A frame without delay therefore reaches the slave in the same tick and the master in the next.
+/// Both loops begin at time 0.
 pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
-    mut observe: impl FnMut(M::Record, S::Record),
+    mut observe: impl FnMut(Event<M::Record, S::Record>) -> ControlFlow<()>,
 ) -> Result<(), LinkError> {
     let mut forward = Way::new(Direction::Forward, settings.seed, &settings.forward)?;
     let mut backward = Way::new(Direction::Backward, settings.seed, &settings.backward)?;
     master.begin(0);
     slave.begin(0);
-    for tick in 0..settings.ticks {
-        let now_ns = tick * settings.period_ns;
-        backward.deliver(now_ns, master);
-        let master_record = master.tick(TickTime { now_ns, ..TickTime::default() });
-        forward.take(now_ns, master);
-        forward.deliver(now_ns, slave);
-        let slave_record = slave.tick(TickTime { now_ns, ..TickTime::default() });
-        backward.take(now_ns, slave);
-        observe(master_record, slave_record);
+    let end_ns = settings.ticks * settings.period_ns;
+    let (mut master_ns, mut slave_ns) = (0, 0);
+    while master_ns < end_ns || slave_ns < end_ns {
+        let event = if master_ns <= slave_ns {
+            backward.deliver(master_ns, master);
+            let record = master.tick(TickTime { now_ns: master_ns, ..TickTime::default() });
+            forward.take(master_ns, master);
+            master_ns += settings.period_ns;
+            Event::Master(record)
+        } else {
+            forward.deliver(slave_ns, slave);
+            let record = slave.tick(TickTime { now_ns: slave_ns, ..TickTime::default() });
+            backward.take(slave_ns, slave);
+            slave_ns += settings.slave_period_ns;
+            Event::Slave(record)
+        };
+        if observe(event).is_break() {
+            break;
+        }
     }
     Ok(())
 }

@@ -1,8 +1,10 @@
-//! A position-controlled arm along one axis.
+//! What controls an arm.
 
-use crate::{ModelError, require};
+use std::f64::consts::TAU;
 
-/// An arm whose controller pulls the tool to the set position like a critically damped spring.
+use crate::{Axes, ModelError, require};
+
+/// An arm along one axis whose controller pulls the tool to the set position like a critically damped spring.
 ///
 /// `M x'' = M w² (x_set - x) - 2 M w x' + F_e`, with w = 2 pi bandwidth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,11 +33,120 @@ impl ArmParameters {
 
     /// w in rad/s.
     pub(crate) fn pole(&self) -> f64 {
-        std::f64::consts::TAU * self.bandwidth_hz
+        TAU * self.bandwidth_hz
     }
 
     /// Stiffness of the position control in N/m.
     pub fn stiffness(&self) -> f64 {
         self.mass_kg * self.pole() * self.pole()
     }
+}
+
+/// What an arm's controller takes, the same on every axis; w = 2 pi bandwidth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ArmControl {
+    /// A position: `M x'' = M w² (x_set - x) - 2 M w V + F_e`.
+    Position {
+        /// In Hz (> 0).
+        bandwidth_hz: f64,
+    },
+    /// A velocity: `M V' = M w (V_set - V) + F_e`; a force enters as through an admittance.
+    ///
+    /// Driven with positions, `V_set = (w / 4) (x_cmd - x) + V_cmd`: a quarter of w makes the position critically
+    /// damped. With a limit on the acceleration, `V_set` follows within its limits as a first-order system of 10 w.
+    Velocity {
+        /// In Hz (> 0).
+        bandwidth_hz: f64,
+    },
+    /// `M x'' = K_s (x_set - x) + B_s (V_cmd - V) + F_e`.
+    Pd {
+        /// `K_s` in N/m (>= 0).
+        stiffness: f64,
+        /// `B_s` in N s/m (>= 0).
+        damping: f64,
+    },
+}
+
+/// An arm, the same on every axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmModel {
+    control: ArmControl,
+    mass_kg: f64,
+    limits: Limits,
+}
+
+/// How fast a set value may move along each axis; infinite without a bound.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Limits {
+    pub(crate) speed: f64,
+    pub(crate) acceleration: f64,
+}
+
+impl ArmModel {
+    /// A control, M in kg (> 0: what it moves, seen at the tool) and, if there are any, the largest speed in m/s and
+    /// acceleration in m/s² of the set value along each axis.
+    pub fn new(
+        control: ArmControl,
+        mass_kg: f64,
+        max_speed: Option<f64>,
+        max_acceleration: Option<f64>,
+    ) -> Result<Self, ModelError> {
+        match control {
+            ArmControl::Position { bandwidth_hz } | ArmControl::Velocity { bandwidth_hz } => {
+                require("arm bandwidth", bandwidth_hz, bandwidth_hz > 0.0, "finite and above 0")?;
+            }
+            ArmControl::Pd { stiffness, damping } => {
+                require("arm stiffness", stiffness, stiffness >= 0.0, "finite and 0 or more")?;
+                require("arm damping", damping, damping >= 0.0, "finite and 0 or more")?;
+            }
+        }
+        require("arm mass", mass_kg, mass_kg > 0.0, "finite and above 0")?;
+        let bound = |name, limit: Option<f64>| match limit {
+            Some(limit) => require(name, limit, limit > 0.0, "finite and above 0").map(|()| limit),
+            None => Ok(f64::INFINITY),
+        };
+        let limits = Limits {
+            speed: bound("arm speed", max_speed)?,
+            acceleration: bound("arm acceleration", max_acceleration)?,
+        };
+        Ok(Self { control, mass_kg, limits })
+    }
+
+    /// What its controller takes.
+    pub fn control(&self) -> ArmControl {
+        self.control
+    }
+
+    /// M in kg.
+    pub fn mass_kg(&self) -> f64 {
+        self.mass_kg
+    }
+
+    pub(crate) fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// K and B of `M x'' = K (x_set - x) + B (V_cmd - V) + F_e`, and whether the control uses `V_cmd`.
+    ///
+    /// Of a velocity control with positions, where its set velocity is within its limits.
+    pub(crate) fn impedance(&self) -> (f64, f64, bool) {
+        match self.control {
+            ArmControl::Position { bandwidth_hz } => {
+                let pole = TAU * bandwidth_hz;
+                (self.mass_kg * pole * pole, 2.0 * self.mass_kg * pole, false)
+            }
+            ArmControl::Velocity { bandwidth_hz } => {
+                let pole = TAU * bandwidth_hz;
+                (0.25 * self.mass_kg * pole * pole, self.mass_kg * pole, true)
+            }
+            ArmControl::Pd { stiffness, damping } => (stiffness, damping, true),
+        }
+    }
+}
+
+/// What an arm is told: a position to go to, if any, and the velocity there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Command<const N: usize> {
+    pub(crate) position: Option<Axes<N>>,
+    pub(crate) velocity: Axes<N>,
 }

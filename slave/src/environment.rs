@@ -1,92 +1,212 @@
-//! What the remote arm meets along one axis: a wall, and something that shoves it.
+//! Everything that acts on the tool: objects that are touched and pushers.
 
-use crate::{ModelError, require};
+use crate::{
+    Axes, Object, Pusher,
+    contact::{Mode, Reaction},
+    reach::Reach,
+    solve::{Drive, Solver, Tool},
+};
 
-/// A spring wall that fills x below its surface and pushes along +x.
+/// Objects and pushers.
 ///
-/// `F = K (x_w - x)` inside, 0 outside.
-///
-/// Source: paper Eq. 15 with B = 0, which section 4 uses throughout.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wall {
-    surface: f64,
-    stiffness: f64,
+/// Time is in s; that of the pushers begins at 0 too, unless [`Environment::push_from`] says otherwise. A position and
+/// a velocity are those of the tool, in m and m/s; a force is that on the tool, in N.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Environment<const N: usize> {
+    pub(crate) objects: Vec<Object<N>>,
+    pub(crate) pushers: Vec<Pusher<N>>,
+    /// When the time of the pushers begins; never, if infinite.
+    push_from: f64,
+    pub(crate) reach: Reach<N>,
+    /// On which piece of its law each object is; apart, if it is not near.
+    pub(crate) modes: Vec<Mode>,
+    /// Where the free bodies that are near stand in the state of the solver.
+    pub(crate) slots: Vec<usize>,
+    pub(crate) solver: Solver<N>,
+    /// How many objects are free bodies.
+    pub(crate) bodies: usize,
 }
 
-impl Wall {
-    /// Surface `x_w` in m, stiffness K in N/m (>= 0).
-    pub fn new(surface: f64, stiffness: f64) -> Result<Self, ModelError> {
-        require("wall position", surface, true, "finite")?;
-        require("wall stiffness", stiffness, stiffness >= 0.0, "finite and 0 or more")?;
-        Ok(Self { surface, stiffness })
-    }
-
-    /// Force on the tool in N at x in m.
-    pub fn force(&self, position: f64) -> f64 {
-        self.stiffness * (self.surface - position).max(0.0)
-    }
-
-    /// K in N/m.
-    pub fn stiffness(&self) -> f64 {
-        self.stiffness
-    }
-
-    /// `x_w` in m.
-    pub fn surface(&self) -> f64 {
-        self.surface
-    }
-}
-
-/// Something that shoves the tool: a force that rises, stays and ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pusher {
-    at_s: f64,
-    rise_s: f64,
-    duration_s: f64,
-    force_n: f64,
-}
-
-impl Pusher {
-    /// Begins at `at_s`, rises linearly over `rise_s` to `force_n` (N, positive along +x) and ends at
-    /// `at_s + duration_s`.
-    pub fn new(at_s: f64, rise_s: f64, duration_s: f64, force_n: f64) -> Result<Self, ModelError> {
-        require("push time", at_s, true, "finite")?;
-        require("push rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
-        require("push duration", duration_s, duration_s >= 0.0, "finite and 0 or more")?;
-        require("push force", force_n, true, "finite")?;
-        Ok(Self { at_s, rise_s, duration_s, force_n })
-    }
-
-    /// Force on the tool in N at time t in s.
-    pub fn force(&self, t: f64) -> f64 {
-        let since = t - self.at_s;
-        if since < 0.0 || since >= self.duration_s {
-            0.0
-        } else if since < self.rise_s {
-            self.force_n * since / self.rise_s
-        } else {
-            self.force_n
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_wall_pushes_out_and_never_pulls() {
-        let wall = Wall::new(0.1, 200.0).unwrap();
-        for (x, f) in [(0.2, 0.0), (0.1, 0.0), (0.06, 8.0)] {
-            assert!((wall.force(x) - f).abs() < 1e-12, "{x}");
+impl<const N: usize> Environment<N> {
+    /// Objects, in an order that numbers them, and pushers.
+    pub fn new(objects: Vec<Object<N>>, pushers: Vec<Pusher<N>>) -> Self {
+        let bodies = objects.iter().filter(|object| object.body().is_some()).count();
+        Self {
+            push_from: 0.0,
+            reach: Reach::new(objects.len()),
+            modes: vec![Mode::Apart; objects.len()],
+            slots: vec![usize::MAX; objects.len()],
+            solver: Solver::new(bodies),
+            bodies,
+            objects,
+            pushers,
         }
     }
 
-    #[test]
-    fn a_push_rises_stays_and_ends() {
-        let pusher = Pusher::new(2.0, 0.1, 1.0, -4.0).unwrap();
-        for (t, f) in [(1.9, 0.0), (2.0, 0.0), (2.05, -2.0), (2.5, -4.0), (3.0, 0.0)] {
-            assert!((pusher.force(t) - f).abs() < 1e-12, "{t}");
+    /// Nothing.
+    pub fn empty() -> Self {
+        Self::new(Vec::new(), Vec::new())
+    }
+
+    /// The time of the pushers begins at `time_s`; infinity is never.
+    pub fn push_from(&mut self, time_s: f64) {
+        self.push_from = if time_s.is_nan() { f64::INFINITY } else { time_s };
+    }
+
+    /// Force of objects and pushers on the tool in N at one instant; free bodies as they are now.
+    pub fn force(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
+        self.keep_near(position, velocity, time_s);
+        self.force_of(self.reach.near.iter().copied(), position, velocity, time_s)
+    }
+
+    /// The same force with every object asked, near or not: what [`Environment::force`] is held to.
+    pub fn force_of_all(&self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
+        self.force_of(0..self.objects.len(), position, velocity, time_s)
+    }
+
+    /// Moves the free bodies over a step in s that begins at `time_s`, while the tool moves from a position at a
+    /// constant velocity.
+    pub fn advance(&mut self, time_s: f64, step_s: f64, position: &Axes<N>, velocity: &Axes<N>) {
+        if self.bodies > 0 && step_s > 0.0 {
+            let mut tool = Tool { position: *position, velocity: *velocity, set_velocity: Axes::zeros() };
+            self.solve(&mut Drive::Straight, &mut tool, time_s, step_s);
         }
+    }
+
+    /// Where object `index` is in m, if it is a free body: its plane's point, its centre or its anchor.
+    pub fn body_position(&self, index: usize) -> Option<Axes<N>> {
+        let object = self.objects.get(index)?;
+        Some(object.shape().reference() + object.body()?.displacement)
+    }
+
+    /// V in m/s of object `index`, if it is a free body.
+    pub fn body_velocity(&self, index: usize) -> Option<Axes<N>> {
+        Some(self.objects.get(index)?.body()?.velocity)
+    }
+
+    /// Steps so far that were too stiff to be followed to the usual accuracy and were taken by a stable method of
+    /// order 1.
+    pub fn coarse_steps(&self) -> u64 {
+        self.solver.coarse_steps
+    }
+
+    /// Makes sure that all objects that could be touched here are among the near ones.
+    pub(crate) fn keep_near(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) {
+        if !self.reach.covers(position, time_s, 0.0) {
+            self.look(position, velocity, time_s);
+        }
+    }
+
+    pub(crate) fn look(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) {
+        for &index in &self.reach.near {
+            self.modes[index] = Mode::Apart;
+            self.slots[index] = usize::MAX;
+        }
+        // Far enough that a fast tool does not look again in each of the next steps.
+        self.reach.look(&self.objects, position, time_s, 16e-3 * velocity.norm());
+        let mut slot = 0;
+        for &index in &self.reach.near {
+            if self.objects[index].body().is_some() {
+                self.slots[index] = slot;
+                slot += 1;
+            }
+        }
+    }
+
+    pub(crate) fn push_time(&self, time_s: f64) -> f64 {
+        if self.push_from.is_finite() { time_s - self.push_from } else { f64::NEG_INFINITY }
+    }
+
+    pub(crate) fn push(&self, piece: f64, time_s: f64) -> Axes<N> {
+        let (piece, t) = (self.push_time(piece), self.push_time(time_s));
+        self.pushers.iter().map(|pusher| pusher.on(piece, t)).sum()
+    }
+
+    /// First time after `time_s` at which a force or a motion that depends on time alone has a kink.
+    pub(crate) fn next_kink(&self, time_s: f64) -> f64 {
+        let mut next = f64::INFINITY;
+        if self.push_from.is_finite() {
+            let t = self.push_time(time_s);
+            for pusher in &self.pushers {
+                next = next.min(pusher.next_kink(t) + self.push_from);
+            }
+        }
+        for &index in &self.reach.near {
+            next = next.min(self.objects[index].next_kink(time_s));
+        }
+        next
+    }
+
+    fn force_of(
+        &self,
+        objects: impl Iterator<Item = usize>,
+        position: &Axes<N>,
+        velocity: &Axes<N>,
+        time_s: f64,
+    ) -> Axes<N> {
+        let mut force = self.push(time_s, time_s);
+        for index in objects {
+            let object = &self.objects[index];
+            let (displacement, moving) = object.place(time_s, time_s);
+            if let Some(reaction) = self.reaction(index, &(position - displacement), &(velocity - moving)) {
+                force += reaction;
+            }
+        }
+        force
+    }
+
+    /// Force of object `index` on what is at `place` relative to it, as its law says.
+    fn reaction(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Option<Axes<N>> {
+        let object = &self.objects[index];
+        if object.shape().is_spring() {
+            return Some(self.pull(index, place, velocity));
+        }
+        let (distance, normal) = object.shape().surface(place);
+        let mode = object.contact().mode(-distance, -normal.dot(velocity));
+        (mode == Mode::Touching).then(|| object.contact().force(mode, distance, &normal, velocity))
+    }
+
+    /// Force of the spring that object `index` is.
+    fn pull(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+        let object = &self.objects[index];
+        let (stiffness, damping) = object.contact().linear();
+        (object.shape().reference() - place) * stiffness - velocity * damping
+    }
+
+    /// Force of object `index` on the smooth piece that its law is on.
+    pub(crate) fn smooth(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+        let object = &self.objects[index];
+        if object.shape().is_spring() {
+            return self.pull(index, place, velocity);
+        }
+        let (distance, normal) = object.shape().surface(place);
+        object.contact().force(self.modes[index], distance, &normal, velocity)
+    }
+
+    /// On which piece of its law object `index` is.
+    pub(crate) fn mode(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Mode {
+        let object = &self.objects[index];
+        if object.shape().is_spring() {
+            return Mode::Touching;
+        }
+        let (distance, normal) = object.shape().surface(place);
+        object.contact().mode(-distance, -normal.dot(velocity))
+    }
+
+    /// Force of object `index` and its slopes; of a spring, which acts along all axes alike, with `drag` too.
+    pub(crate) fn linearised(
+        &self,
+        index: usize,
+        place: &Axes<N>,
+        velocity: &Axes<N>,
+    ) -> Option<Reaction<N>> {
+        let object = &self.objects[index];
+        if object.shape().is_spring() {
+            let (stiffness, damping) = object.contact().linear();
+            let force = self.pull(index, place, velocity);
+            return Some(Reaction { force, normal: Axes::zeros(), stiffness, damping, drag: damping });
+        }
+        let (distance, normal) = object.shape().surface(place);
+        object.contact().reaction(distance, &normal, velocity)
     }
 }

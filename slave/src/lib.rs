@@ -1,12 +1,46 @@
-//! The remote side: arm and environment models, advanced exactly in time.
+//! The remote side: arm and environment models, advanced in time.
+//!
+//! [`SimulatedSlave`] is an arm in an [`Environment`]; an environment also stands alone, where its force is rendered on
+//! the device itself. Everything is a pure state machine: time is an argument, and nothing is allocated after
+//! construction.
 
 mod arm;
+mod arm_drive;
+mod axes;
+mod body;
+mod coarse;
+mod contact;
+mod dormand_prince;
 mod environment;
+mod force_sensor;
+mod held;
+mod linear;
+mod motion;
+mod object;
+mod pusher;
+mod random;
+mod reach;
+mod rendered;
+mod set_point;
+mod shape;
 mod simulated;
+mod solve;
+mod transition;
+mod wall;
 
-pub use arm::ArmParameters;
-pub use environment::{Pusher, Wall};
+pub use arm::{ArmControl, ArmModel, ArmParameters};
+pub use axes::Axes;
+pub use body::FreeBody;
+pub use contact::{Contact, ContactLaw, FULL_SLIP};
+pub use environment::Environment;
+pub use force_sensor::ForceSensor;
+pub use motion::ObjectMotion;
+pub use object::Object;
+pub use pusher::{PushShape, Pusher, Series};
+pub use rendered::{RenderedPush, RenderedWall, RenderedWalls};
+pub use shape::Shape;
 pub use simulated::{SimulatedSlave, SlaveSample};
+pub use wall::Wall;
 
 /// A parameter that a model cannot have.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -4,18 +4,15 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::SimdRealField;
 
-use crate::{Axes, ModelError, require};
+use crate::{ModelError, PushShape, require};
 
-/// The course of a push that a formula gives.
+type Axes<const N: usize, S = f64> = nalgebra::SVector<S, N>;
+
+/// The course of a push, without its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Course {
-    /// F at once.
+enum Course {
     Step,
-    /// F t / rise, then F.
     Ramp,
-    /// `F sin(pi t / duration)`.
-    HalfSine,
-    /// `F sin(2 pi f t)`.
     Sine,
 }
 
@@ -23,15 +20,11 @@ pub enum Course {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderedPush<const N: usize> {
     /// Its course.
-    pub course: Course,
+    pub shape: PushShape,
     /// When it begins, in s.
     pub at_s: f64,
     /// How long it lasts, in s (> 0).
     pub duration_s: f64,
-    /// Rise of a ramp in s (>= 0).
-    pub rise_s: f64,
-    /// Frequency of a sine in Hz.
-    pub frequency_hz: f64,
     /// F in N.
     pub force_n: Axes<N>,
 }
@@ -103,22 +96,26 @@ impl<const N: usize> RenderedWalls<N> {
         let pushes = pushes.iter().map(|push| {
             require("push time", push.at_s, true, "finite")?;
             require("push duration", push.duration_s, push.duration_s > 0.0, "finite and above 0")?;
-            require("push rise", push.rise_s, push.rise_s >= 0.0, "finite and 0 or more")?;
-            require("push frequency", push.frequency_hz, true, "finite")?;
             for force in &push.force_n {
                 require("push force", *force, true, "finite")?;
             }
+            let (course, rate) = match push.shape {
+                PushShape::Step => (Course::Step, 0.0),
+                PushShape::Ramp { rise_s } => {
+                    require("push rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
+                    if rise_s == 0.0 { (Course::Step, 0.0) } else { (Course::Ramp, rise_s.recip()) }
+                }
+                PushShape::HalfSine => (Course::Sine, PI / push.duration_s),
+                PushShape::Sine { frequency_hz } => {
+                    require("push frequency", frequency_hz, frequency_hz >= 0.0, "finite and 0 or more")?;
+                    (Course::Sine, TAU * frequency_hz)
+                }
+            };
             Ok(Push {
-                course: if push.course == Course::Ramp && push.rise_s == 0.0 { Course::Step } else { push.course },
+                course,
                 at: push.at_s,
                 ends: push.at_s + push.duration_s,
-                rate: match push.course {
-                    Course::Step => 0.0,
-                    Course::Ramp if push.rise_s == 0.0 => 0.0,
-                    Course::Ramp => push.rise_s.recip(),
-                    Course::HalfSine => PI / push.duration_s,
-                    Course::Sine => TAU * push.frequency_hz,
-                },
+                rate,
                 force: push.force_n,
             })
         });
@@ -197,7 +194,7 @@ impl<const N: usize, S: SimdRealField<Element = f64> + Copy> RenderedWalls<N, S>
             let share = match push.course {
                 Course::Step => one,
                 Course::Ramp => (since * push.rate).simd_min(one),
-                Course::HalfSine | Course::Sine => (since * push.rate).map_lanes(f64::sin),
+                Course::Sine => (since * push.rate).map_lanes(f64::sin),
             };
             force += push.force * share.select(since.simd_ge(zero) & t.simd_lt(push.ends), zero);
         }
@@ -211,25 +208,18 @@ mod tests {
 
     #[test]
     fn each_course_is_its_formula() {
-        let push = |course| RenderedPush {
-            course,
-            at_s: 1.0,
-            duration_s: 0.5,
-            rise_s: 0.2,
-            frequency_hz: 2.0,
-            force_n: Axes::<1>::new(3.0),
-        };
-        let at = |course, t| {
-            RenderedWalls::new(&[], &[push(course)]).unwrap().force(t, &Axes::zeros(), &Axes::zeros())[0]
+        let at = |shape, t| {
+            let push = RenderedPush { shape, at_s: 1.0, duration_s: 0.5, force_n: Axes::<1>::new(3.0) };
+            RenderedWalls::new(&[], &[push]).unwrap().force(t, &Axes::zeros(), &Axes::zeros())[0]
         };
         for (course, t, expected) in [
-            (Course::Step, 0.999, 0.0),
-            (Course::Step, 1.0, 3.0),
-            (Course::Step, 1.5, 0.0),
-            (Course::Ramp, 1.1, 1.5),
-            (Course::Ramp, 1.3, 3.0),
-            (Course::HalfSine, 1.25, 3.0),
-            (Course::Sine, 1.125, 3.0),
+            (PushShape::Step, 0.999, 0.0),
+            (PushShape::Step, 1.0, 3.0),
+            (PushShape::Step, 1.5, 0.0),
+            (PushShape::Ramp { rise_s: 0.2 }, 1.1, 1.5),
+            (PushShape::Ramp { rise_s: 0.2 }, 1.3, 3.0),
+            (PushShape::HalfSine, 1.25, 3.0),
+            (PushShape::Sine { frequency_hz: 2.0 }, 1.125, 3.0),
         ] {
             assert!((at(course, t) - expected).abs() < 1e-12, "{course:?} {t}");
         }

@@ -1,66 +1,81 @@
-//! A simulated slave: arm, wall and pusher, advanced exactly under a held command.
+//! A simulated slave: an arm in an environment, advanced in time under held commands.
 
-use nalgebra::{Matrix2, Vector2};
-
-use crate::{ArmParameters, ModelError, Pusher, Wall, require};
+use crate::{
+    ArmModel, ArmParameters, Axes, Environment, ForceSensor, ModelError, Pusher, Wall,
+    arm_drive::ArmDrive,
+    axes::{all_finite, require_axes},
+    held::HeldArm,
+    linear::LinearArm,
+    solve::{Drive, Tool},
+};
 
 /// What the slave tells at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlaveSample {
+pub struct SlaveSample<const N: usize = 1> {
     /// Tool position in m.
-    pub position: f64,
+    pub position: Axes<N>,
     /// Tool velocity in m/s.
-    pub velocity: f64,
-    /// `F_e` in N: wall and pusher on the tool.
-    pub environment_force: f64,
+    pub velocity: Axes<N>,
+    /// `F_e` in N, objects and pushers on the tool, as the force sensor says.
+    pub environment_force: Axes<N>,
+    /// `F_e` in N.
+    pub true_environment_force: Axes<N>,
 }
 
-/// Arm, wall and pusher along one axis.
+/// An arm in an environment.
 ///
-/// Between contact and release of the wall the motion is linear and time-invariant, `s' = A (s - s_rest)` with
-/// `s = (x, V)`, so a step is `s_rest + e^{A h} (s - s_rest)`: exact. Contact is located inside a step. Set position
-/// and push are held over a step of at most one millisecond.
+/// Commands are held until the next. Where arm and environment are linear between contacts (control of position or
+/// pd, fixed Kelvin-Voigt planes across the axes without friction, springs, pushes that are linear in time), the
+/// motion is exact between located contacts; otherwise it follows an adaptive integrator between located contacts.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SimulatedSlave {
-    arm: ArmParameters,
-    wall: Wall,
-    pusher: Option<Pusher>,
-    free: Regime,
-    touching: Regime,
-    state: Vector2<f64>,
-    commanded: f64,
-    set_position: f64,
+pub struct SimulatedSlave<const N: usize = 1> {
+    plant: Plant<N>,
+    sensor: Option<ForceSensor<N>>,
+    /// When the time of the objects began.
+    begun_ns: u64,
     now_ns: u64,
-    /// When the pusher's time began.
+    /// When the time of the pushers began.
     started_ns: Option<u64>,
+    /// Number of the sample of a sensor without a rate.
+    reads: u64,
 }
 
-/// Longest step in s: a push or a set position is sampled at least this often.
-const LONGEST_STEP: f64 = 1e-3;
-
-/// One of the two linear motions, with `e^{A h}` for the usual step at hand.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Regime {
-    stiffness: f64,
-    system: Matrix2<f64>,
-    usual: Matrix2<f64>,
+#[derive(Clone, Debug, PartialEq)]
+enum Plant<const N: usize> {
+    /// One axis, set position and push held over each millisecond.
+    Held(Box<HeldArm>),
+    Continuous(Box<Continuous<N>>),
 }
 
-impl Regime {
-    fn new(arm: &ArmParameters, wall_stiffness: f64) -> Self {
-        let stiffness = arm.stiffness() + wall_stiffness;
-        let system = Matrix2::new(0.0, 1.0, -stiffness / arm.mass_kg, -2.0 * arm.pole());
-        Self { stiffness, system, usual: (system * LONGEST_STEP).exp() }
+#[derive(Clone, Debug, PartialEq)]
+struct Continuous<const N: usize> {
+    drive: ArmDrive<N>,
+    environment: Environment<N>,
+    tool: Tool<N>,
+    /// The exact solution, if there is one.
+    linear: Option<LinearArm<N>>,
+}
+
+impl<const N: usize> Continuous<N> {
+    fn advance(&mut self, from: f64, span: f64) {
+        let Self { drive, environment, tool, linear } = self;
+        if let Some(linear) = linear {
+            linear.advance(drive, environment, tool, from, span);
+        } else {
+            environment.solve(&mut Drive::Arm(drive), tool, from, span);
+        }
     }
 
-    fn advanced(&self, state: Vector2<f64>, rest: Vector2<f64>, h: f64) -> Vector2<f64> {
-        let transition = if h == LONGEST_STEP { self.usual } else { (self.system * h).exp() };
-        rest + transition * (state - rest)
+    fn force(&mut self, time_s: f64) -> Axes<N> {
+        self.environment.force(&self.tool.position, &self.tool.velocity, time_s)
     }
 }
 
-impl SimulatedSlave {
-    /// An arm at rest at `position` in m, at time `now_ns`.
+impl SimulatedSlave<1> {
+    /// A position-controlled arm along one axis at rest at `position` in m, at time `now_ns`, before a wall.
+    ///
+    /// Set position and push are held over each millisecond, as a controller and a recording of 1 kHz do; what lies
+    /// between is exact.
     pub fn new(
         arm: ArmParameters,
         wall: Wall,
@@ -68,184 +83,163 @@ impl SimulatedSlave {
         position: f64,
         now_ns: u64,
     ) -> Result<Self, ModelError> {
-        arm.check()?;
-        require("arm position", position, true, "finite")?;
-        Ok(Self {
-            arm,
-            wall,
-            pusher,
-            free: Regime::new(&arm, 0.0),
-            touching: Regime::new(&arm, wall.stiffness()),
-            state: Vector2::new(position, 0.0),
-            commanded: position,
-            set_position: position,
-            now_ns,
-            started_ns: None,
-        })
-    }
-
-    /// Starts the pusher's time, once.
-    pub fn start(&mut self, now_ns: u64) {
-        self.started_ns.get_or_insert(now_ns);
-    }
-
-    /// Commands a position in m; the set position moves there no faster than the arm may. What is not finite is
-    /// ignored.
-    pub fn write(&mut self, position: f64) {
-        if position.is_finite() {
-            self.commanded = position;
-        }
-    }
-
-    /// Sets the clock to `now_ns` without advancing: the arm rests until then.
-    pub fn begin(&mut self, now_ns: u64) {
-        self.now_ns = now_ns;
-    }
-
-    /// Commands the set position that has been reached: the arm stays where it is.
-    pub fn stop(&mut self) {
-        self.commanded = self.set_position;
-    }
-
-    /// Advances to `now_ns` (monotonic) and tells what the arm measures there.
-    pub fn read(&mut self, now_ns: u64) -> SlaveSample {
-        let mut left = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
-        let mut time = self.pusher_time(self.now_ns);
-        self.now_ns = self.now_ns.max(now_ns);
-        while left > LONGEST_STEP * (1.0 + 1e-9) {
-            self.advance(time, LONGEST_STEP);
-            time += LONGEST_STEP;
-            left -= LONGEST_STEP;
-        }
-        if left > 0.0 {
-            // A tick of one millisecond reaches here with rounding in it: take the transition at hand.
-            let step = if (left - LONGEST_STEP).abs() < 1e-12 { LONGEST_STEP } else { left };
-            self.advance(time, step);
-        }
-        let push = self.push(self.pusher_time(self.now_ns));
-        SlaveSample {
-            position: self.state.x,
-            velocity: self.state.y,
-            environment_force: self.wall.force(self.state.x) + push,
-        }
-    }
-
-    fn pusher_time(&self, now_ns: u64) -> f64 {
-        match self.started_ns {
-            Some(started) if now_ns >= started => (now_ns - started) as f64 * 1e-9,
-            _ => f64::NEG_INFINITY,
-        }
-    }
-
-    fn push(&self, time: f64) -> f64 {
-        if time.is_finite() { self.pusher.map_or(0.0, |pusher| pusher.force(time)) } else { 0.0 }
-    }
-
-    fn advance(&mut self, time: f64, step: f64) {
-        let most = self.arm.max_speed * step;
-        self.set_position += (self.commanded - self.set_position).clamp(-most, most);
-        let pull = self.arm.stiffness() * self.set_position + self.push(time);
-        let mut left = step;
-        // In and out of a wall within one step is two crossings; more would need a pole above the step rate.
-        for _ in 0..4 {
-            let inside = self.state.x < self.wall.surface()
-                || (self.state.x == self.wall.surface() && self.state.y < 0.0);
-            let (regime, force) = if inside {
-                (&self.touching, pull + self.wall.stiffness() * self.wall.surface())
-            } else {
-                (&self.free, pull)
-            };
-            let rest = Vector2::new(force / regime.stiffness, 0.0);
-            let next = regime.advanced(self.state, rest, left);
-            let crossed = (next.x < self.wall.surface()) != inside;
-            if !crossed || self.wall.stiffness() == 0.0 {
-                self.state = next;
-                return;
-            }
-            let (mut before, mut after) = (0.0, left);
-            for _ in 0..52 {
-                let middle = 0.5 * (before + after);
-                let there = regime.advanced(self.state, rest, middle);
-                if (there.x < self.wall.surface()) == inside { before = middle } else { after = middle }
-            }
-            self.state = regime.advanced(self.state, rest, after);
-            self.state.x = self.wall.surface();
-            left -= after;
-        }
+        let held = HeldArm::new(arm, wall, pusher, position, now_ns)?;
+        Ok(Self::of(Plant::Held(Box::new(held)), None, now_ns))
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const TICK_NS: u64 = 1_000_000;
-
-    fn slave(wall: Wall, pusher: Option<Pusher>) -> SimulatedSlave {
-        SimulatedSlave::new(ArmParameters::default(), wall, pusher, 0.02, 0).unwrap()
+impl<const N: usize> SimulatedSlave<N> {
+    /// An arm at rest at `position` in m, at time `now_ns`, in an environment whose time begins then; without a force
+    /// sensor the force is exact.
+    pub fn in_environment(
+        arm: ArmModel,
+        mut environment: Environment<N>,
+        sensor: Option<ForceSensor<N>>,
+        position: Axes<N>,
+        now_ns: u64,
+    ) -> Result<Self, ModelError> {
+        require_axes("arm position", &position, |_| true, "finite")?;
+        environment.push_from(f64::INFINITY);
+        let drive = ArmDrive::new(arm, &position);
+        let linear = LinearArm::new(&drive, &environment);
+        let tool = Tool { position, velocity: Axes::zeros(), set_velocity: Axes::zeros() };
+        let plant = Plant::Continuous(Box::new(Continuous { drive, environment, tool, linear }));
+        Ok(Self::of(plant, sensor, now_ns))
     }
 
-    #[test]
-    fn a_step_command_is_tracked_as_the_closed_form_says() {
-        let wall = Wall::new(-1.0, 0.0).unwrap();
-        let mut slave = slave(wall, None);
-        slave.arm.max_speed = 1e6;
-        slave.write(0.03);
-        let w = slave.arm.pole();
-        for tick in 1..=50_u32 {
-            let sample = slave.read(u64::from(tick) * TICK_NS);
-            let t = f64::from(tick) * 1e-3;
-            let expected = 0.03 - 0.01 * (1.0 + w * t) * (-w * t).exp();
-            assert!((sample.position - expected).abs() < 1e-15, "{tick}");
+    fn of(plant: Plant<N>, sensor: Option<ForceSensor<N>>, now_ns: u64) -> Self {
+        Self { plant, sensor, begun_ns: now_ns, now_ns, started_ns: None, reads: 0 }
+    }
+
+    /// Sets the clock to `now_ns` without advancing: arm and objects rest until then.
+    pub fn begin(&mut self, now_ns: u64) {
+        self.begun_ns = now_ns;
+        self.now_ns = now_ns;
+        match &mut self.plant {
+            Plant::Held(held) => held.begin(now_ns),
+            Plant::Continuous(_) => self.place_pushers(),
         }
     }
 
-    #[test]
-    fn contact_settles_where_springs_in_series_do() {
-        let wall = Wall::new(0.0, 500.0).unwrap();
-        let mut slave = slave(wall, None);
-        slave.write(-0.03);
-        let sample = slave.read(2000 * TICK_NS);
-        let k = slave.arm.stiffness();
-        let force = 0.03 / (1.0 / k + 1.0 / 500.0);
-        assert!((sample.environment_force - force).abs() < 1e-9);
-    }
-
-    #[test]
-    fn contact_is_located_not_stepped_over() {
-        // The same motion read at once and every 0.1 ms: the crossing falls between reads in one of them.
-        let wall = Wall::new(0.0, 1e4).unwrap();
-        let (mut coarse, mut fine) = (slave(wall, None), slave(wall, None));
-        for slave in [&mut coarse, &mut fine] {
-            slave.arm.max_speed = 1e6; // the set position jumps, so both see the same command
-            slave.write(-0.01);
+    /// Starts the pushers' time, once.
+    pub fn start(&mut self, now_ns: u64) {
+        self.started_ns.get_or_insert(now_ns);
+        match &mut self.plant {
+            Plant::Held(held) => held.start(now_ns),
+            Plant::Continuous(_) => self.place_pushers(),
         }
-        for step in 1..=400_u64 {
-            fine.read(step * TICK_NS / 10);
+    }
+
+    fn place_pushers(&mut self) {
+        let begun_ns = self.begun_ns;
+        if let (Plant::Continuous(plant), Some(started_ns)) = (&mut self.plant, self.started_ns) {
+            let after = started_ns.saturating_sub(begun_ns) as f64 * 1e-9;
+            let before = begun_ns.saturating_sub(started_ns) as f64 * 1e-9;
+            plant.environment.push_from(after - before);
         }
-        let (a, b) = (coarse.read(40 * TICK_NS), fine.read(40 * TICK_NS));
-        assert!((a.position - b.position).abs() < 1e-12);
-        assert!((a.velocity - b.velocity).abs() < 1e-10);
     }
 
-    #[test]
-    fn a_push_is_felt_and_gives_way_by_its_compliance() {
-        let pusher = Pusher::new(1.0, 0.0, 5.0, 6.0).unwrap();
-        let mut slave = slave(Wall::new(-1.0, 0.0).unwrap(), Some(pusher));
-        slave.start(0);
-        assert_eq!(slave.read(999 * TICK_NS).environment_force, 0.0);
-        let sample = slave.read(3000 * TICK_NS);
-        assert_eq!(sample.environment_force, 6.0);
-        assert!((sample.position - 0.02 - 6.0 / slave.arm.stiffness()).abs() < 1e-12);
+    /// Commands a position in m and the velocity there in m/s (which a control of position does not use). What is not
+    /// finite is ignored.
+    pub fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
+        if !all_finite(position) {
+            return;
+        }
+        match &mut self.plant {
+            Plant::Held(held) => held.write(position[0]),
+            Plant::Continuous(plant) => {
+                let velocity = if all_finite(velocity) { *velocity } else { Axes::zeros() };
+                plant.drive.command(Some(*position), velocity);
+            }
+        }
     }
 
-    #[test]
-    fn the_set_position_moves_no_faster_than_the_arm_may() {
-        let mut slave = slave(Wall::new(-9.0, 0.0).unwrap(), None);
-        slave.write(5.0);
-        let before = slave.read(900 * TICK_NS).position;
-        assert!((slave.read(1000 * TICK_NS).position - before - 0.1).abs() < 1e-9);
-        slave.write(f64::NAN);
-        assert!(slave.read(2000 * TICK_NS).position.is_finite());
+    /// Commands a velocity in m/s alone; only a control of velocity obeys. What is not finite is ignored.
+    pub fn write_velocity(&mut self, velocity: &Axes<N>) {
+        if let (Plant::Continuous(plant), true) = (&mut self.plant, all_finite(velocity))
+            && plant.drive.is_velocity_control()
+        {
+            plant.drive.command(None, *velocity);
+        }
+    }
+
+    /// Stays where it is: a set position brakes within its limits.
+    pub fn stop(&mut self) {
+        match &mut self.plant {
+            Plant::Held(held) => held.stop(),
+            Plant::Continuous(plant) => plant.drive.stop(&plant.tool),
+        }
+    }
+
+    /// Advances to `now_ns` (monotonic) and tells what the arm measures there.
+    pub fn read(&mut self, now_ns: u64) -> SlaveSample<N> {
+        let advanced = now_ns > self.now_ns;
+        let from = self.now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
+        let span = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
+        self.now_ns = self.now_ns.max(now_ns);
+        let plant = match &mut self.plant {
+            Plant::Held(held) => {
+                // One axis; the type does not know.
+                let [position, velocity, force] = held.read(now_ns).map(Axes::<N>::from_element);
+                return SlaveSample {
+                    position,
+                    velocity,
+                    environment_force: force,
+                    true_environment_force: force,
+                };
+            }
+            Plant::Continuous(plant) => plant,
+        };
+        let mut done = 0.0;
+        if let Some(sensor) = &mut self.sensor
+            && let Some((index, at)) = sensor.newest(from + span)
+            && sensor.held().is_none_or(|(held, _)| held != index)
+        {
+            // The newest sample fell between two ticks: the force as it was then.
+            done = (at - from).clamp(0.0, span);
+            plant.advance(from, done);
+            let force = plant.force(from + done);
+            sensor.take(&force, index);
+        }
+        plant.advance(from + done, span - done);
+        let force = plant.force(from + span);
+        let measured = self.sensor.as_mut().map_or(force, |sensor| {
+            if !sensor.has_rate() && (advanced || sensor.held().is_none()) {
+                self.reads += 1;
+                sensor.take(&force, self.reads - 1);
+            }
+            sensor.held().map_or(force, |(_, measured)| measured)
+        });
+        SlaveSample {
+            position: plant.tool.position,
+            velocity: plant.tool.velocity,
+            environment_force: measured,
+            true_environment_force: force,
+        }
+    }
+
+    /// What surrounds the arm, unless it was made of a wall and a pusher.
+    pub fn environment(&self) -> Option<&Environment<N>> {
+        if let Plant::Continuous(plant) = &self.plant { Some(&plant.environment) } else { None }
+    }
+
+    /// Whether the motion is exact between located contacts.
+    pub fn is_exact(&self) -> bool {
+        match &self.plant {
+            Plant::Held(_) => true,
+            Plant::Continuous(plant) => plant.linear.is_some(),
+        }
+    }
+
+    /// Steps so far that were too stiff to be followed to the usual accuracy and were taken by a stable method of
+    /// order 1.
+    pub fn coarse_steps(&self) -> u64 {
+        match &self.plant {
+            Plant::Held(_) => 0,
+            Plant::Continuous(plant) => plant
+                .linear
+                .as_ref()
+                .map_or_else(|| plant.environment.coarse_steps(), |linear| linear.coarse_steps),
+        }
     }
 }

@@ -52,6 +52,11 @@ impl<const N: usize> PositionForce<N> {
         slave + (master_position - master) * self.position_scale
     }
 
+    /// Slave half: the velocity of the commanded position, in m/s, from the newest V in m/s.
+    pub fn commanded_velocity(&self, master_velocity: &Axes<N>) -> Axes<N> {
+        master_velocity * self.position_scale
+    }
+
     /// The two are no longer coupled.
     pub fn disengage(&mut self) {
         self.anchor = None;

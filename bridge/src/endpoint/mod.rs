@@ -22,11 +22,11 @@ pub enum EndpointError {
     /// A scale of the coupling.
     #[error(transparent)]
     Coupling(#[from] crate::coupling::CouplingError),
-    /// A period outside 50 us to 20 ms.
-    #[error("period = {0} ns: must be between 50000 and 20000000")]
+    /// A period outside 10 us to 20 ms.
+    #[error("period = {0} ns: must be between 10000 and 20000000")]
     Period(u64),
 }
 
 pub(crate) fn check_period(period_ns: u64) -> Result<(), EndpointError> {
-    if (50_000..=20_000_000).contains(&period_ns) { Ok(()) } else { Err(EndpointError::Period(period_ns)) }
+    if (10_000..=20_000_000).contains(&period_ns) { Ok(()) } else { Err(EndpointError::Period(period_ns)) }
 }

@@ -28,6 +28,8 @@ pub struct SlaveSettings {
 pub struct SlaveTick<const N: usize> {
     /// Position in m that the arm is to take; none before the first engagement.
     pub command: Option<Axes<N>>,
+    /// Velocity in m/s of that position; zero unless engaged.
+    pub command_velocity: Axes<N>,
     /// Where the ladder stands.
     pub state: LadderState,
     /// Silence of the peer in ns.
@@ -82,11 +84,13 @@ impl<const N: usize> SlaveEndpoint<N> {
             self.exchange.ladder.fault();
         }
         let (state, age_ns) = self.exchange.advance(now_ns);
+        let mut command_velocity = Axes::zeros();
         match (state, self.exchange.newest()) {
             (LadderState::Engaged, Some(frame)) => {
                 // From the last command, not from where contact has bent the arm to.
                 let from = self.command.unwrap_or(*position);
                 self.command = Some(self.coupling.commanded_position(&frame.position, &from));
+                command_velocity = self.coupling.commanded_velocity(&frame.velocity);
             }
             // Holds the last command; when it engages again it does so from where both are then.
             _ => self.coupling.disengage(),
@@ -96,7 +100,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         } else {
             self.exchange.outgoing[2] = Axes::zeros();
         }
-        SlaveTick { command: self.command, state, age_ns, fault: self.fault }
+        SlaveTick { command: self.command, command_velocity, state, age_ns, fault: self.fault }
     }
 
     /// The loop was late by more than the ladder allows, until `now_ns`.

@@ -10,6 +10,12 @@ pub struct DelayLine<const N: usize, S: Real = f64> {
 }
 
 impl<const N: usize, S: Real> DelayLine<N, S> {
+    /// Lines side by side, before their first tick; none if their lengths differ.
+    pub(crate) fn gather(of: &[&DelayLine<N>]) -> Option<Self> {
+        let ticks = of.first()?.under_way.len();
+        of.iter().all(|one| one.under_way.len() == ticks).then(|| Self::new(ticks))
+    }
+
     /// A line of that many ticks; 0 passes at once.
     pub fn new(ticks: usize) -> Self {
         Self { under_way: vec![Axes::zeros(); ticks].into_boxed_slice(), next: 0 }

@@ -5,7 +5,10 @@ mod plant;
 mod rendering;
 mod watch;
 
+use haptether_master::SteppedMaster;
 use haptether_safety::{Axes, Real, controller::Response};
+use haptether_slave::RenderedWalls;
+use nalgebra::SimdValue as _;
 
 pub use delay::DelayLine;
 pub use plant::LocalPlant;
@@ -21,6 +24,8 @@ pub struct LocalTick<const N: usize, S: Real = f64> {
     pub velocity: Axes<N, S>,
     /// True force of the hand in N.
     pub hand_force: Axes<N, S>,
+    /// Force in N of walls that act on the device at every instant.
+    pub wall_force: Axes<N, S>,
     /// `F_v` in N, as asked for.
     pub asked_force: Axes<N, S>,
     /// `F_v` in N, as far as the device can render it.
@@ -99,6 +104,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
             position: self.plant.position(),
             velocity: self.plant.velocity(),
             hand_force: self.plant.hand_force(),
+            wall_force: self.plant.wall_force(),
             asked_force,
             rendered_force: watched.rendered_force,
             grasp_force: watched.grasp_force,
@@ -106,4 +112,32 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
             response: watched.response,
         }
     }
+}
+
+/// Scenarios side by side; none if they differ in what lanes must share.
+pub(crate) fn gather<const N: usize, S: Real>(
+    of: &[&LocalLoop<SteppedMaster<N>, RenderedWalls<N>, N>],
+) -> Option<LocalLoop<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>> {
+    let first = of.first()?;
+    if of.iter().any(|one| (one.period_ns, one.tick) != (first.period_ns, first.tick)) {
+        return None;
+    }
+    let plants: Vec<_> = of.iter().map(|one| one.plant.clone()).collect();
+    let renderings: Vec<_> = of.iter().map(|one| one.rendering.clone()).collect();
+    let delays: Vec<_> = of.iter().map(|one| &one.delay).collect();
+    let watches: Vec<_> = of.iter().map(|one| &one.watch).collect();
+    let mut last_position = Axes::<N, S>::zeros();
+    for (lane, one) in of.iter().enumerate() {
+        last_position.replace(lane, one.last_position);
+    }
+    Some(LocalLoop {
+        plant: SteppedMaster::gather(&plants)?,
+        rendering: RenderedWalls::gather(&renderings)?,
+        delay: DelayLine::gather(&delays)?,
+        watch: Watch::gather(&watches)?,
+        period_ns: first.period_ns,
+        period_s: first.period_s,
+        tick: first.tick,
+        last_position,
+    })
 }

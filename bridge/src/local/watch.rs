@@ -36,6 +36,33 @@ pub struct Watched<const N: usize, S: Real = f64> {
 }
 
 impl<const N: usize, S: Real> Watch<N, S> {
+    /// Several side by side; none if they are told different things or are built differently.
+    pub(crate) fn gather(of: &[&Watch<N>]) -> Option<Self> {
+        let (mut layers, mut controllers) = (Vec::new(), Vec::new());
+        let mut bounds = [Vec::new(), Vec::new()];
+        for one in of {
+            match one {
+                Watch::Estimated(layer) => layers.push((**layer).clone()),
+                Watch::True { controller, limiters } => {
+                    controllers.push(controller.clone());
+                    if let Some(limiters) = limiters {
+                        for (bounds, limiter) in bounds.iter_mut().zip(limiters) {
+                            bounds.push(limiter.clone());
+                        }
+                    }
+                }
+            }
+        }
+        if layers.len() == of.len() {
+            return Some(Self::Estimated(Box::new(SafetyLayer::gather(&layers)?)));
+        }
+        let limiters = match bounds[0].len() {
+            0 => None,
+            _ => Some([Limiter::gather(&bounds[0])?, Limiter::gather(&bounds[1])?]),
+        };
+        Some(Self::True { controller: SafetyController::gather(&controllers)?, limiters })
+    }
+
     /// One tick: `position` in m as measured, `asked` in N.
     #[inline]
     pub fn step(

@@ -22,6 +22,11 @@ impl Tripped {
     /// No controller now, but its minimum time on or the release ramp has not ended.
     pub const HELD: Self = Self(16);
 
+    /// From [`bits`](Self::bits); bits without meaning are dropped.
+    pub fn from_bits(bits: u8) -> Self {
+        Self(bits & 31)
+    }
+
     /// Whether anything is set.
     pub fn any(self) -> bool {
         self.0 != 0

@@ -1,0 +1,292 @@
+//! Runs of a scene with an arm: both endpoints, the network between them, and an environment at the far end.
+
+use std::ops::ControlFlow;
+
+use haptether_safety::{Axes, Fault, controller::Tripped};
+use haptether_slave::SimulatedSlave;
+
+use super::{
+    build::{
+        SceneError, arm, axes, device_model, environment, estimator, exact_master, force_sensor,
+        is_continuous, limiter, link, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
+    },
+    events::EventLog,
+    measures::{Divergence, Measures},
+    run::{SceneRun, tell_schedule},
+    signals::{Recorder, Sample},
+    spec::{CouplingSpec, SceneSpec, SignalsSpec, SlaveSpec},
+};
+use crate::{
+    Event, LadderSettings, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings, MasterSide,
+    Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings, run_virtual,
+};
+
+/// Sessions of the two sides: constants, for nobody listens in.
+const SESSIONS: (u64, u64) = (1, 2);
+
+/// `|F_e|` in N above which the tool touches something.
+const TOUCH_N: f64 = 0.05;
+
+pub(crate) fn simulate<const N: usize>(scene: &SceneSpec) -> Result<SceneRun, SceneError> {
+    let Some(slave) = &scene.slave else {
+        return Err(SceneError::Contradiction("slave: is missing".into()));
+    };
+    let refuse = |text: &str| Err(SceneError::Contradiction(text.to_owned()));
+    if scene.safety.signals == SignalsSpec::True {
+        return refuse("safety.signals = \"true\": an endpoint knows only what is measured");
+    }
+    if is_continuous(scene) || scene.environment.as_ref().is_some_and(|one| one.delay_ticks > 0) {
+        return refuse("environment: rendering and delay_ticks are for scenes without a [slave]");
+    }
+    match stepping(scene.run.integrator) {
+        None => {
+            let mut plant = exact_master::<N>(scene)?;
+            plant.set_waiting(true);
+            Bilateral::new(scene, slave)?.run(plant)
+        }
+        Some(stepping) => {
+            let mut plant = stepped_master::<N>(scene, stepping)?;
+            plant.set_waiting(true);
+            Bilateral::new(scene, slave)?.run(plant)
+        }
+    }
+}
+
+struct Bilateral<'a, const N: usize> {
+    scene: &'a SceneSpec,
+    settings: VirtualSettings,
+    endpoint: MasterEndpoint<N>,
+    slave: SlaveSide<SimulatedSlave<N>, N>,
+    coupling: CouplingSpec,
+}
+
+impl<'a, const N: usize> Bilateral<'a, N> {
+    fn new(scene: &'a SceneSpec, slave: &SlaveSpec) -> Result<Self, SceneError> {
+        let Some(coupling) = &scene.coupling else {
+            return Err(SceneError::Contradiction("coupling: a [slave] must be coupled".into()));
+        };
+        let links = scene.link.as_ref();
+        let settings = VirtualSettings {
+            period_ns: period_ns("run.period_s", scene.run.period_s)?,
+            slave_period_ns: period_ns("slave.period_s", slave.period_s)?,
+            ticks: ticks(scene)?,
+            forward: link(links.and_then(|links| links.forward.as_ref())),
+            backward: link(links.and_then(|links| links.backward.as_ref())),
+            seed: scene.run.seed,
+        };
+        let ladder = LadderSettings::default();
+        let endpoint = MasterEndpoint::new(&MasterSettings {
+            period_ns: settings.period_ns,
+            session: SESSIONS.0,
+            device: device_model(&scene.master)?,
+            estimator: estimator(&scene.safety.estimator),
+            safety: safety_settings(&scene.safety),
+            limiter: limiter(&scene.safety),
+            force_scale: coupling.force_scale,
+            ladder,
+        })?;
+        let plant = SimulatedSlave::in_environment(
+            arm(slave)?,
+            environment(scene.environment.as_ref())?,
+            force_sensor(slave, scene.run.seed)?,
+            axes("slave.position", &slave.position)?,
+            0,
+        )?;
+        let far = SlaveEndpoint::new(&SlaveSettings {
+            period_ns: settings.slave_period_ns,
+            session: SESSIONS.1,
+            position_scale: coupling.position_scale,
+            ladder,
+        })?;
+        Ok(Self {
+            scene,
+            settings,
+            endpoint,
+            slave: SlaveSide { plant, endpoint: far },
+            coupling: coupling.clone(),
+        })
+    }
+
+    fn run(self, plant: impl MasterPlant<N>) -> Result<SceneRun, SceneError> {
+        let Self { scene, settings, endpoint, mut slave, coupling } = self;
+        let start = plant.truth().map_or(Axes::zeros(), |truth| truth.position);
+        let mut master = MasterSide { plant, endpoint };
+        let every = scene.record.as_ref().map_or(0, |record| record.every);
+        // The recording keeps about the same rate on both sides.
+        let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
+        let mut watched = Watched {
+            judged: measures(scene),
+            measures: Measures::new(&measures(scene), &start),
+            log: EventLog::default(),
+            near: Recorder::new(every),
+            far: Recorder::new(far_every),
+            coupling,
+            states: [LadderState::Waiting; 2],
+            engaged_s: None,
+            newest: None,
+            far_force: Axes::zeros(),
+            far_position: Axes::zeros(),
+            anchor: None,
+            squares: [0.0; 2],
+            samples: [0; 2],
+            ticks: 0,
+            diverged: None,
+            settled: false,
+        };
+        run_virtual(&settings, &mut master, &mut slave, |event| match event {
+            Event::Master(record) => watched.near(&record),
+            Event::Slave(record) => watched.far(&record),
+        })?;
+        let coarse = slave.plant.coarse_steps();
+        Ok(watched.finish(scene, coarse, [master.counts().0, slave.counts().0]))
+    }
+}
+
+/// What is seen of both sides as they run.
+struct Watched<const N: usize> {
+    judged: super::measures::MeasureSettings,
+    measures: Measures<N>,
+    log: EventLog,
+    near: Recorder,
+    far: Recorder,
+    coupling: CouplingSpec,
+    /// Of the master and the slave.
+    states: [LadderState; 2],
+    engaged_s: Option<f64>,
+    newest: Option<MasterRecord<N>>,
+    far_force: Axes<N>,
+    far_position: Axes<N>,
+    /// Where master and slave were when both had engaged.
+    anchor: Option<[Axes<N>; 2]>,
+    /// Sums of the squared differences of position and force, and how many.
+    squares: [f64; 2],
+    samples: [u64; 2],
+    ticks: u64,
+    diverged: Option<Divergence>,
+    settled: bool,
+}
+
+impl<const N: usize> Watched<N> {
+    /// The hand's schedule begins when the two engage, and so do the measures that hang on it.
+    fn engage(&mut self, time_s: f64, start: &Axes<N>) {
+        self.engaged_s = Some(time_s);
+        self.judged.release_s = self.judged.release_s.map(|release| release + time_s);
+        self.judged.quiet_after_s = self.judged.quiet_after_s.map(|quiet| quiet + time_s);
+        self.measures = Measures::new(&self.judged, start);
+    }
+
+    fn ladder(&mut self, side: usize, time_s: f64, state: LadderState) {
+        if self.states[side] != state {
+            self.states[side] = state;
+            self.log.add(time_s, state.name(), ["master", "slave"][side]);
+        }
+    }
+
+    fn near(&mut self, record: &MasterRecord<N>) -> ControlFlow<()> {
+        let time_s = record.time_ns as f64 * 1e-9;
+        self.ladder(0, time_s, record.state);
+        if record.fault != 0 && self.newest.is_none_or(|before| before.fault == 0) {
+            let fault = Fault::from_code(record.fault).map_or(String::new(), |fault| fault.to_string());
+            self.log.add(time_s, "fault", fault);
+        }
+        if record.state == LadderState::Engaged && self.engaged_s.is_none() {
+            self.engage(time_s, &record.true_position);
+        }
+        let (x, v, force) = (&record.true_position, &record.velocity, &record.device_force);
+        if self.measures.diverged(x, v, force) {
+            let cause = self.measures.cause(0, x, v);
+            self.diverged = Some(Divergence { time_s, cause });
+            return ControlFlow::Break(());
+        }
+        self.settled = self.measures.take(
+            time_s,
+            x,
+            v,
+            &record.rendered_force,
+            force,
+            &record.hand_force,
+            record.tripped != 0,
+        ) && self.engaged_s.is_some();
+        self.ticks += 1;
+        self.log.tripped(time_s, Tripped::from_bits(record.tripped));
+        if self.states == [LadderState::Engaged; 2] {
+            let difference = force - self.far_force * self.coupling.force_scale;
+            self.squares[1] += difference.norm_squared();
+            self.samples[1] += 1;
+        }
+        let age_s = if record.age_ns == u64::MAX { f64::NAN } else { record.age_ns as f64 * 1e-9 };
+        let [velocity_force, grasp, windowed_energy_j] = record.observers;
+        self.near.take(&[
+            ("time_s", Sample::Scalar(time_s)),
+            ("position", Sample::Vector(&record.true_position)),
+            ("measured_position", Sample::Vector(&record.position)),
+            ("velocity", Sample::Vector(&record.velocity)),
+            ("hand_force", Sample::Vector(&record.hand_force)),
+            ("rendered_force", Sample::Vector(&record.rendered_force)),
+            ("grasp_force", Sample::Vector(&record.grasp_force)),
+            ("safety_force", Sample::Vector(&record.safety_force)),
+            ("device_force", Sample::Vector(&record.device_force)),
+            ("velocity_force", Sample::Scalar(velocity_force)),
+            ("grasp", Sample::Scalar(grasp)),
+            ("windowed_energy_j", Sample::Scalar(windowed_energy_j)),
+            ("tripped", Sample::Scalar(f64::from(record.tripped))),
+            ("state", Sample::Scalar(f64::from(record.state.code()))),
+            ("age_s", Sample::Scalar(age_s)),
+        ]);
+        self.newest = Some(*record);
+        if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    fn far(&mut self, record: &SlaveRecord<N>) -> ControlFlow<()> {
+        let time_s = record.time_ns as f64 * 1e-9;
+        self.ladder(1, time_s, record.state);
+        (self.far_force, self.far_position) = (record.environment_force, record.position);
+        self.log.touches(time_s, record.environment_force.norm() > TOUCH_N);
+        if let Some(newest) = &self.newest
+            && self.states == [LadderState::Engaged; 2]
+        {
+            let [near, far] = self.anchor.get_or_insert([newest.true_position, record.position]);
+            let wanted = (newest.true_position - *near) * self.coupling.position_scale;
+            self.squares[0] += (record.position - *far - wanted).norm_squared();
+            self.samples[0] += 1;
+        }
+        self.far.take(&[
+            ("slave_time_s", Sample::Scalar(time_s)),
+            ("slave_position", Sample::Vector(&record.position)),
+            ("slave_command", Sample::Vector(&record.command)),
+            ("environment_force", Sample::Vector(&record.environment_force)),
+            ("slave_state", Sample::Scalar(f64::from(record.state.code()))),
+        ]);
+        ControlFlow::Continue(())
+    }
+
+    fn finish(mut self, scene: &SceneSpec, coarse: u64, links: [crate::LinkStatistics; 2]) -> SceneRun {
+        let mut outcome = self.measures.outcome(0, self.ticks, self.diverged);
+        let mean = |which: usize| {
+            (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
+        };
+        // What overflows says nothing beyond that it did.
+        outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
+        outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
+        let end_s = self.ticks as f64 * scene.run.period_s;
+        let mut shifted = scene.clone();
+        if let Some(release) = shifted.operator.as_mut().and_then(|operator| operator.release.as_mut()) {
+            release.at_s += self.engaged_s.unwrap_or(f64::INFINITY);
+        }
+        tell_schedule(&shifted, &outcome, &mut self.log);
+        if self.settled {
+            self.log.add(end_s, "settled", "nothing more happens");
+        }
+        if coarse > 0 {
+            self.log.add(end_s, "coarse", format!("{coarse} steps of the environment were too stiff"));
+        }
+        let missing: u64 = links.iter().map(|link| link.missing).sum();
+        if missing > 0 {
+            let sent: u64 = links.iter().map(|link| link.sent).sum();
+            self.log.add(end_s, "lost", format!("{missing} of {sent} frames did not arrive"));
+        }
+        let mut signals = self.near.into_signals();
+        signals.extend(self.far.into_signals());
+        SceneRun { signals, events: self.log.into_events(), outcome, period_s: scene.run.period_s }
+    }
+}

@@ -1,0 +1,73 @@
+//! What happens in a run, as it would be told.
+
+use haptether_safety::controller::Tripped;
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneEvent {
+    /// When, in s.
+    pub time_s: f64,
+    /// `engaged`, `hold`, `stop`, `fault`, `release`, `regrasp`, `contact`, `free`, `trip`, `recover`, `settled` or
+    /// `diverged`.
+    pub kind: &'static str,
+    /// What more there is to say.
+    pub detail: String,
+}
+
+/// Events of a run, told apart from tick to tick.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct EventLog {
+    events: Vec<SceneEvent>,
+    tripped: u8,
+    touches: bool,
+}
+
+/// Most events that are kept; a loop that chatters would fill the memory.
+const MOST_EVENTS: usize = 10_000;
+
+impl EventLog {
+    pub(crate) fn add(&mut self, time_s: f64, kind: &'static str, detail: impl Into<String>) {
+        if self.events.len() < MOST_EVENTS {
+            self.events.push(SceneEvent { time_s, kind, detail: detail.into() });
+        }
+    }
+
+    /// Who intervenes at this tick.
+    #[inline]
+    pub(crate) fn tripped(&mut self, time_s: f64, tripped: Tripped) {
+        let (before, now) = (self.tripped, tripped.bits());
+        if before == now {
+            return;
+        }
+        self.tripped = now;
+        if before == 0 {
+            let names = [
+                (Tripped::VFC, "vfc"),
+                (Tripped::HSC, "hsc"),
+                (Tripped::WSC, "wsc"),
+                (Tripped::PC, "pc"),
+                (Tripped::HELD, "held"),
+            ];
+            let who: Vec<_> =
+                names.iter().filter(|(bit, _)| tripped.contains(*bit)).map(|(_, name)| *name).collect();
+            self.add(time_s, "trip", who.join(" "));
+        } else if now == 0 {
+            self.add(time_s, "recover", "");
+        }
+    }
+
+    /// Whether there is contact at this tick.
+    #[inline]
+    pub(crate) fn touches(&mut self, time_s: f64, touches: bool) {
+        if touches != self.touches {
+            self.touches = touches;
+            self.add(time_s, if touches { "contact" } else { "free" }, "");
+        }
+    }
+
+    /// All events in the order of their times.
+    pub(crate) fn into_events(mut self) -> Vec<SceneEvent> {
+        self.events.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        self.events
+    }
+}

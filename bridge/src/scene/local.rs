@@ -1,0 +1,116 @@
+//! Runs of a scene without an arm: what is touched is rendered on the device itself.
+
+use haptether_safety::Real;
+use nalgebra::SimdBool as _;
+
+use super::measures::{Divergence, Measures, Outcome};
+use crate::local::{LocalLoop, LocalPlant, LocalTick, Rendering};
+
+/// A loop and what it is judged by.
+pub(crate) struct LocalRun<P, R, const N: usize, S: Real = f64> {
+    pub(crate) looped: LocalLoop<P, R, N, S>,
+    pub(crate) measures: Measures<N, S>,
+    pub(crate) ticks: u64,
+}
+
+/// A scenario that ended before its last tick, or at it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Ending {
+    /// All ticks were run.
+    Complete,
+    /// Nothing more would have happened.
+    Settled,
+    /// It diverged.
+    Diverged(Divergence),
+}
+
+impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
+    /// Runs all scenarios to their ends.
+    #[inline(always)]
+    pub(crate) fn run(&mut self, outcomes: &mut [Option<(Outcome, Ending)>]) {
+        self.run_telling(|_, _, _| {}, outcomes);
+    }
+
+    /// Runs all scenarios to their ends; tells each tick and its time in s to `observe`.
+    ///
+    /// A scenario that ends early keeps the measures of that moment; its lane runs on unseen until all have ended.
+    #[inline(always)]
+    pub(crate) fn run_telling(
+        &mut self,
+        mut observe: impl FnMut(f64, &LocalTick<N, S>, &P),
+        outcomes: &mut [Option<(Outcome, Ending)>],
+    ) {
+        let mut left = S::LANES;
+        for tick in 0..self.ticks {
+            let time_s = self.looped.time_s();
+            let step = self.looped.step();
+            let diverged = self.measures.diverged(&step.position, &step.velocity, &step.device_force);
+            if diverged.any() {
+                left -= self.end_diverged(diverged.bitmask(), tick, time_s, &step, outcomes);
+                if left == 0 {
+                    return;
+                }
+            }
+            let response = &step.response;
+            let is_on = response.vfc | response.hsc | response.wsc | response.pc | response.held;
+            let settled = self.measures.take(
+                time_s,
+                &step.position,
+                &step.velocity,
+                &(step.asked_force + step.wall_force),
+                &step.device_force,
+                &step.hand_force,
+                is_on,
+            );
+            observe(time_s, &step, self.looped.plant());
+            if settled.any() {
+                left -= self.end(settled.bitmask(), tick + 1, Ending::Settled, outcomes);
+                if left == 0 {
+                    return;
+                }
+            }
+        }
+        self.end(u64::MAX, self.ticks, Ending::Complete, outcomes);
+    }
+
+    /// Keeps the outcome of the lanes in `mask` that have none yet; says how many those were.
+    #[cold]
+    fn end(
+        &self,
+        mask: u64,
+        ticks: u64,
+        ending: Ending,
+        outcomes: &mut [Option<(Outcome, Ending)>],
+    ) -> usize {
+        let mut ended = 0;
+        for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
+            if mask >> lane & 1 == 1 && outcome.is_none() {
+                *outcome = Some((self.measures.outcome(lane, ticks, None), ending));
+                ended += 1;
+            }
+        }
+        ended
+    }
+
+    #[cold]
+    fn end_diverged(
+        &self,
+        mask: u64,
+        tick: u64,
+        time_s: f64,
+        step: &LocalTick<N, S>,
+        outcomes: &mut [Option<(Outcome, Ending)>],
+    ) -> usize {
+        let mut ended = 0;
+        for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
+            if mask >> lane & 1 == 1 && outcome.is_none() {
+                let cause = self.measures.cause(lane, &step.position, &step.velocity);
+                let divergence = Divergence { time_s, cause };
+                let measured = self.measures.outcome(lane, tick, Some(divergence));
+                *outcome = Some((measured, Ending::Diverged(divergence)));
+                ended += 1;
+            }
+        }
+        ended
+    }
+}

@@ -1,0 +1,287 @@
+//! What a run is judged by, for one scenario or for several side by side.
+
+use haptether_safety::{Axes, Real};
+use nalgebra::SimdBool as _;
+
+/// What left its bounds when a loop diverged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum DivergenceCause {
+    /// |x| in m.
+    Position(f64),
+    /// |V| in m/s.
+    Speed(f64),
+    /// A signal was no longer a finite number.
+    NotFinite,
+}
+
+/// When and why a loop has diverged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Divergence {
+    /// In s.
+    pub time_s: f64,
+    /// What left its bounds.
+    pub cause: DivergenceCause,
+}
+
+impl std::fmt::Display for Divergence {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.cause {
+            DivergenceCause::Position(x) => write!(f, "the device was {x:.3e} m away")?,
+            DivergenceCause::Speed(v) => write!(f, "the device moved at {v:.3e} m/s")?,
+            DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number")?,
+        }
+        write!(f, " at {:.6} s", self.time_s)
+    }
+}
+
+/// What is measured of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// Largest speed in m/s along the rendered force after the release began; over the whole run without a release.
+    pub max_ejection_velocity: f64,
+    /// Largest `|F_device|` in N.
+    pub peak_device_force: f64,
+    /// From the release to the first intervention after it began, in s; 0 if one was on.
+    pub time_to_trip_s: Option<f64>,
+    /// Interventions that began before the release; all of them without one.
+    pub false_trips: u64,
+    /// Ticks under intervention.
+    pub intervention_ticks: u64,
+    /// Least energy in J that has flowed into what renders the force, `-sum F_device dx`.
+    pub passivity_min_j: f64,
+    /// Root of the mean squared difference between the slave's motion and the master's, scaled; only with an arm.
+    pub position_rmse_m: Option<f64>,
+    /// The same of the device's force and the environment's, scaled; only with an arm.
+    pub force_rmse_n: Option<f64>,
+    /// When and why the loop diverged, if it did.
+    pub diverged: Option<Divergence>,
+    /// Ticks of the master that were run.
+    pub ticks: u64,
+}
+
+/// How a run is judged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasureSettings {
+    /// When the hand begins to let go, in s.
+    pub release_s: Option<f64>,
+    /// |x| in m beyond which the loop has diverged.
+    pub diverged_position: f64,
+    /// |V| in m/s beyond which the loop has diverged.
+    pub diverged_speed: f64,
+    /// From when on, in s, a device at rest says that nothing more will happen; none to run to the end.
+    pub quiet_after_s: Option<f64>,
+}
+
+/// Speed in m/s below which a device counts as at rest.
+const AT_REST: f64 = 1e-4;
+
+/// Time in s of rest after which a run has settled.
+const SETTLED_S: f64 = 0.2;
+
+/// The force that tells in which direction an ejection goes, squared: 1 mN.
+const LEAST_SQUARED_FORCE: f64 = 1e-6;
+
+/// The measures of a run as they grow.
+#[derive(Clone, Copy, Debug)]
+pub struct Measures<const N: usize, S: Real = f64> {
+    release: S,
+    has_release: bool,
+    /// After this time in s all have let go.
+    latest_release: f64,
+    diverged_position: S,
+    diverged_speed: S,
+    quiet_after: Option<S>,
+    direction: Axes<N, S>,
+    ejection: S,
+    peak_squared_force: S,
+    trip: S,
+    false_trips: S,
+    on: S,
+    was_on: S,
+    energy: S,
+    least_energy: S,
+    held: Axes<N, S>,
+    last_position: Axes<N, S>,
+    active: S,
+}
+
+impl<const N: usize> Measures<N> {
+    /// Nothing measured yet, of a device that starts at `position` in m.
+    pub fn new(settings: &MeasureSettings, position: &Axes<N>) -> Self {
+        Self {
+            release: settings.release_s.unwrap_or(0.0),
+            has_release: settings.release_s.is_some(),
+            latest_release: settings.release_s.unwrap_or(f64::INFINITY),
+            diverged_position: settings.diverged_position,
+            diverged_speed: settings.diverged_speed,
+            quiet_after: settings.quiet_after_s,
+            direction: Axes::zeros(),
+            ejection: 0.0,
+            peak_squared_force: 0.0,
+            trip: f64::INFINITY,
+            false_trips: 0.0,
+            on: 0.0,
+            was_on: 0.0,
+            energy: 0.0,
+            least_energy: 0.0,
+            held: Axes::zeros(),
+            last_position: *position,
+            active: 0.0,
+        }
+    }
+
+    /// Several scenarios side by side, before their first tick; none if some have a release, or an early end, and
+    /// others have not.
+    pub fn gather<S: Real>(of: &[Self]) -> Option<Measures<N, S>> {
+        let first = of.first()?;
+        let shares = |one: &Self| {
+            (one.has_release, one.quiet_after.is_some()) == (first.has_release, first.quiet_after.is_some())
+        };
+        if of.len() != S::LANES || !of.iter().all(shares) {
+            return None;
+        }
+        let number = |field: &dyn Fn(&Self) -> f64| {
+            let mut lanes = S::splat(0.0);
+            for (lane, one) in of.iter().enumerate() {
+                lanes.replace(lane, field(one));
+            }
+            lanes
+        };
+        let zero = S::splat(0.0);
+        Some(Measures {
+            release: number(&|one| one.release),
+            has_release: first.has_release,
+            latest_release: of.iter().map(|one| one.latest_release).fold(f64::NEG_INFINITY, f64::max),
+            diverged_position: number(&|one| one.diverged_position),
+            diverged_speed: number(&|one| one.diverged_speed),
+            quiet_after: first.quiet_after.map(|_| number(&|one| one.quiet_after.unwrap_or(0.0))),
+            direction: Axes::zeros(),
+            ejection: zero,
+            peak_squared_force: zero,
+            trip: S::splat(f64::INFINITY),
+            false_trips: zero,
+            on: zero,
+            was_on: zero,
+            energy: zero,
+            least_energy: zero,
+            held: Axes::zeros(),
+            last_position: Axes::from_fn(|axis, _| number(&|one| one.last_position[axis])),
+            active: zero,
+        })
+    }
+}
+
+impl<const N: usize, S: Real> Measures<N, S> {
+    /// Where the loop has diverged at this tick, which is then not to be taken.
+    #[inline]
+    pub fn diverged(
+        &self,
+        position: &Axes<N, S>,
+        velocity: &Axes<N, S>,
+        device_force: &Axes<N, S>,
+    ) -> S::SimdBool {
+        let speed = velocity.dot(velocity).simd_le(self.diverged_speed * self.diverged_speed);
+        let room = position.dot(position).simd_le(self.diverged_position * self.diverged_position);
+        let forced = device_force.dot(device_force).simd_lt(S::splat(f64::INFINITY));
+        !(speed & room & forced)
+    }
+
+    /// What left its bounds in one lane.
+    pub fn cause(&self, lane: usize, position: &Axes<N, S>, velocity: &Axes<N, S>) -> DivergenceCause {
+        let norm = |value: &Axes<N, S>| value.map(|x| x.extract(lane)).norm();
+        let (distance, speed) = (norm(position), norm(velocity));
+        if !(distance.is_finite() && speed.is_finite()) {
+            DivergenceCause::NotFinite
+        } else if distance > self.diverged_position.extract(lane) {
+            DivergenceCause::Position(distance)
+        } else if speed > self.diverged_speed.extract(lane) {
+            DivergenceCause::Speed(speed)
+        } else {
+            DivergenceCause::NotFinite
+        }
+    }
+
+    /// Takes one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and whether a
+    /// controller acts; says in which scenarios nothing more will happen.
+    #[inline]
+    #[allow(clippy::too_many_arguments)] // the signals of a tick
+    pub fn take(
+        &mut self,
+        t: f64,
+        position: &Axes<N, S>,
+        velocity: &Axes<N, S>,
+        rendered_force: &Axes<N, S>,
+        device_force: &Axes<N, S>,
+        hand_force: &Axes<N, S>,
+        is_on: S::SimdBool,
+    ) -> S::SimdBool {
+        let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
+        // Work of the force that was held since the last tick.
+        self.energy -= self.held.dot(&(position - self.last_position));
+        self.least_energy = self.least_energy.simd_min(self.energy);
+        (self.held, self.last_position) = (*device_force, *position);
+        let squared_force = device_force.dot(device_force);
+        self.peak_squared_force = self.peak_squared_force.simd_max(squared_force);
+
+        if t <= self.latest_release {
+            let squared = rendered_force.dot(rendered_force);
+            let points = squared.simd_gt(S::splat(LEAST_SQUARED_FORCE));
+            let points = if self.has_release { points & time.simd_le(self.release) } else { points };
+            if points.any() {
+                let norm = squared.simd_sqrt();
+                self.direction = self
+                    .direction
+                    .zip_map(rendered_force, |before, force| (force / norm).select(points, before));
+            }
+        }
+        let squared_speed = velocity.dot(velocity);
+        let has_begun = time.simd_ge(self.release);
+        let along = velocity.dot(&self.direction);
+        let has_direction = self.direction.dot(&self.direction).simd_gt(zero);
+        let along = if has_direction.all() {
+            along
+        } else {
+            along.select(has_direction, squared_speed.simd_sqrt())
+        };
+        self.ejection = self.ejection.simd_max(along.select(has_begun, zero));
+
+        let on = one.select(is_on, zero);
+        let begins = on * (one - self.was_on);
+        let is_false = if self.has_release { zero.select(has_begun, begins) } else { begins };
+        self.false_trips += is_false;
+        self.on += on;
+        self.was_on = on;
+        self.trip = self.trip.simd_min(time.select(is_on & has_begun, S::splat(f64::INFINITY)));
+
+        match self.quiet_after {
+            Some(quiet_after) => {
+                // A device that nobody holds and nothing pushes may drift: it has been ejected.
+                let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
+                let forced = (squared_force + hand_force.dot(hand_force)).simd_gt(zero);
+                self.active = time.select((moves & forced) | time.simd_le(quiet_after), self.active);
+                (time - self.active).simd_gt(S::splat(SETTLED_S))
+            }
+            None => one.simd_lt(zero),
+        }
+    }
+
+    /// The outcome of one lane after `ticks` ticks.
+    pub fn outcome(&self, lane: usize, ticks: u64, diverged: Option<Divergence>) -> Outcome {
+        let of = |value: S| value.extract(lane);
+        let trip = of(self.trip);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts
+        let count = |value: S| of(value) as u64;
+        Outcome {
+            max_ejection_velocity: of(self.ejection),
+            peak_device_force: of(self.peak_squared_force).sqrt(),
+            time_to_trip_s: (self.has_release && trip.is_finite()).then(|| trip - of(self.release)),
+            false_trips: count(self.false_trips),
+            intervention_ticks: count(self.on),
+            passivity_min_j: of(self.least_energy),
+            position_rmse_m: None,
+            force_rmse_n: None,
+            diverged,
+            ticks,
+        }
+    }
+}

@@ -1,0 +1,19 @@
+//! Scenes: a whole experiment as one value, run in virtual time alone or by the thousand.
+
+mod bilateral;
+mod build;
+mod events;
+mod local;
+mod measures;
+mod run;
+mod signals;
+mod spec;
+mod sweep;
+
+pub use build::SceneError;
+pub use events::SceneEvent;
+pub use measures::{Divergence, DivergenceCause, Outcome};
+pub use run::{SceneRun, simulate};
+pub use signals::Signal;
+pub use spec::SceneSpec;
+pub use sweep::{SweepError, SweepSettings, Variation, sweep};

@@ -1,0 +1,161 @@
+//! Arm, wall and pusher along one axis, advanced exactly under a command and a push that are held.
+
+use nalgebra::{Matrix2, Vector2};
+
+use crate::{ArmParameters, ModelError, Pusher, Wall, require};
+
+/// Arm, wall and pusher along one axis.
+///
+/// Between contact and release of the wall the motion is linear and time-invariant, `s' = A (s - s_rest)` with
+/// `s = (x, V)`, so a step is `s_rest + e^{A h} (s - s_rest)`: exact. Contact is located inside a step. Set position
+/// and push are held over a step of at most one millisecond.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct HeldArm {
+    arm: ArmParameters,
+    wall: Wall,
+    pusher: Option<Pusher>,
+    free: Regime,
+    touching: Regime,
+    state: Vector2<f64>,
+    commanded: f64,
+    set_position: f64,
+    now_ns: u64,
+    /// When the pusher's time began.
+    started_ns: Option<u64>,
+}
+
+/// Longest step in s: a push or a set position is sampled at least this often.
+const LONGEST_STEP: f64 = 1e-3;
+
+/// One of the two linear motions, with `e^{A h}` for the usual step at hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Regime {
+    stiffness: f64,
+    system: Matrix2<f64>,
+    usual: Matrix2<f64>,
+}
+
+impl Regime {
+    fn new(arm: &ArmParameters, wall_stiffness: f64) -> Self {
+        let stiffness = arm.stiffness() + wall_stiffness;
+        let system = Matrix2::new(0.0, 1.0, -stiffness / arm.mass_kg, -2.0 * arm.pole());
+        Self { stiffness, system, usual: (system * LONGEST_STEP).exp() }
+    }
+
+    fn advanced(&self, state: Vector2<f64>, rest: Vector2<f64>, h: f64) -> Vector2<f64> {
+        let transition = if h == LONGEST_STEP { self.usual } else { (self.system * h).exp() };
+        rest + transition * (state - rest)
+    }
+}
+
+impl HeldArm {
+    /// An arm at rest at `position` in m, at time `now_ns`.
+    pub(crate) fn new(
+        arm: ArmParameters,
+        wall: Wall,
+        pusher: Option<Pusher>,
+        position: f64,
+        now_ns: u64,
+    ) -> Result<Self, ModelError> {
+        arm.check()?;
+        require("arm position", position, true, "finite")?;
+        Ok(Self {
+            arm,
+            wall,
+            pusher,
+            free: Regime::new(&arm, 0.0),
+            touching: Regime::new(&arm, wall.stiffness()),
+            state: Vector2::new(position, 0.0),
+            commanded: position,
+            set_position: position,
+            now_ns,
+            started_ns: None,
+        })
+    }
+
+    /// Starts the pusher's time, once.
+    pub(crate) fn start(&mut self, now_ns: u64) {
+        self.started_ns.get_or_insert(now_ns);
+    }
+
+    /// Commands a position in m; the set position moves there no faster than the arm may. What is not finite is
+    /// ignored.
+    pub(crate) fn write(&mut self, position: f64) {
+        if position.is_finite() {
+            self.commanded = position;
+        }
+    }
+
+    /// Sets the clock to `now_ns` without advancing: the arm rests until then.
+    pub(crate) fn begin(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+    }
+
+    /// Commands the set position that has been reached: the arm stays where it is.
+    pub(crate) fn stop(&mut self) {
+        self.commanded = self.set_position;
+    }
+
+    /// Advances to `now_ns` (monotonic) and tells x in m, V in m/s and `F_e` in N there.
+    pub(crate) fn read(&mut self, now_ns: u64) -> [f64; 3] {
+        let mut left = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
+        let mut time = self.pusher_time(self.now_ns);
+        self.now_ns = self.now_ns.max(now_ns);
+        while left > LONGEST_STEP * (1.0 + 1e-9) {
+            self.advance(time, LONGEST_STEP);
+            time += LONGEST_STEP;
+            left -= LONGEST_STEP;
+        }
+        if left > 0.0 {
+            // A tick of one millisecond reaches here with rounding in it: take the transition at hand.
+            let step = if (left - LONGEST_STEP).abs() < 1e-12 { LONGEST_STEP } else { left };
+            self.advance(time, step);
+        }
+        let push = self.push(self.pusher_time(self.now_ns));
+        [self.state.x, self.state.y, self.wall.force(self.state.x) + push]
+    }
+
+    fn pusher_time(&self, now_ns: u64) -> f64 {
+        match self.started_ns {
+            Some(started) if now_ns >= started => (now_ns - started) as f64 * 1e-9,
+            _ => f64::NEG_INFINITY,
+        }
+    }
+
+    fn push(&self, time: f64) -> f64 {
+        if time.is_finite() { self.pusher.as_ref().map_or(0.0, |pusher| pusher.force(time)[0]) } else { 0.0 }
+    }
+
+    fn advance(&mut self, time: f64, step: f64) {
+        let most = self.arm.max_speed * step;
+        self.set_position += (self.commanded - self.set_position).clamp(-most, most);
+        let pull = self.arm.stiffness() * self.set_position + self.push(time);
+        let mut left = step;
+        // In and out of a wall within one step is two crossings; more would need a pole above the step rate.
+        for _ in 0..4 {
+            let inside = self.state.x < self.wall.surface()
+                || (self.state.x == self.wall.surface() && self.state.y < 0.0);
+            let (regime, force) = if inside {
+                (&self.touching, pull + self.wall.stiffness() * self.wall.surface())
+            } else {
+                (&self.free, pull)
+            };
+            let rest = Vector2::new(force / regime.stiffness, 0.0);
+            let next = regime.advanced(self.state, rest, left);
+            let crossed = (next.x < self.wall.surface()) != inside;
+            if !crossed || self.wall.stiffness() == 0.0 {
+                self.state = next;
+                return;
+            }
+            let (mut before, mut after) = (0.0, left);
+            for _ in 0..52 {
+                let middle = 0.5 * (before + after);
+                let there = regime.advanced(self.state, rest, middle);
+                if (there.x < self.wall.surface()) == inside { before = middle } else { after = middle }
+            }
+            self.state = regime.advanced(self.state, rest, after);
+            self.state.x = self.wall.surface();
+            left -= after;
+        }
+    }
+}

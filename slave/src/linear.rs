@@ -1,0 +1,227 @@
+//! An arm among planes across the axes and springs: linear between contacts, axis by axis, and advanced exactly.
+
+use crate::{Environment, Object, arm_drive::ArmDrive, contact::Mode, solve::Tool, transition::Transition};
+
+/// Longest piece in s.
+const LONGEST: f64 = 1e-3;
+/// Least time in s that an event takes, so that a tick ends.
+const SHORTEST: f64 = 1e-12;
+/// Steps for one piece before its rest is taken at once.
+const MOST_STEPS: u32 = 20_000;
+
+/// What acts on one axis of the tool beside the pushers.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Line {
+    planes: Vec<LinePlane>,
+    /// Sum of K in N/m, of B in N s/m and of K anchor in N of the springs.
+    spring: [f64; 3],
+}
+
+/// A plane across an axis: `F = max(0, K d + B d')` along its normal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct LinePlane {
+    surface: f64,
+    normal: f64,
+    stiffness: f64,
+    damping: f64,
+    mode: Mode,
+}
+
+impl LinePlane {
+    fn mode(&self, [x, v]: [f64; 2]) -> Mode {
+        let depth = self.normal * (self.surface - x);
+        if depth <= 0.0 {
+            Mode::Apart
+        } else if self.stiffness * depth - self.damping * self.normal * v > 0.0 {
+            Mode::Touching
+        } else {
+            Mode::Leaving
+        }
+    }
+}
+
+/// `x'' = -k x - c x' + u_0 + u_1 t + u_2 t²` from a state on, per kg.
+#[derive(Clone, Copy, Debug)]
+struct Course {
+    transition: Transition,
+    /// Coefficients of the particular solution, a quadratic in time.
+    particular: [f64; 3],
+    /// What is left beside it at t = 0.
+    beside: [f64; 2],
+}
+
+impl Course {
+    fn new(k: f64, c: f64, [u0, u1, u2]: [f64; 3], [x, v]: [f64; 2]) -> Self {
+        let a2 = u2 / k;
+        let a1 = (u1 - 2.0 * c * a2) / k;
+        let a0 = (u0 - c * a1 - 2.0 * a2) / k;
+        Self { transition: Transition::new(k, c), particular: [a0, a1, a2], beside: [x - a0, v - a1] }
+    }
+
+    fn at(&self, t: f64) -> [f64; 2] {
+        let [a0, a1, a2] = self.particular;
+        let [x, v] = self.transition.apply(t, self.beside);
+        [x + a0 + t * (a1 + t * a2), v + a1 + 2.0 * a2 * t]
+    }
+}
+
+/// The objects of an environment, sorted by axis.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct LinearArm<const N: usize> {
+    lines: [Line; N],
+    pub(crate) coarse_steps: u64,
+}
+
+impl<const N: usize> LinearArm<N> {
+    /// None, unless every axis is linear between contacts.
+    pub(crate) fn new(drive: &ArmDrive<N>, environment: &Environment<N>) -> Option<Self> {
+        use crate::ArmControl::Velocity;
+        let arm = drive.model();
+        let (stiffness, ..) = arm.impedance();
+        // The particular solution divides by k = K / M; below 1 / s² that would cost digits.
+        if matches!(arm.control(), Velocity { .. }) || stiffness < arm.mass_kg() {
+            return None;
+        }
+        if !environment.pushers.iter().all(crate::Pusher::is_piecewise_linear) {
+            return None;
+        }
+        let mut lines: [Line; N] = std::array::from_fn(|_| Line::default());
+        environment
+            .objects
+            .iter()
+            .all(|object| sort(&mut lines, object))
+            .then_some(Self { lines, coarse_steps: 0 })
+    }
+
+    /// Advances the tool by `span` in s from `from` in s on.
+    pub(crate) fn advance(
+        &mut self,
+        drive: &mut ArmDrive<N>,
+        environment: &Environment<N>,
+        tool: &mut Tool<N>,
+        from: f64,
+        span: f64,
+    ) {
+        let mut done = 0.0;
+        while done < span {
+            let now = from + done;
+            drive.plan();
+            let mut end = (done + LONGEST).min(environment.next_kink(now) - from).min(done + drive.phase());
+            end = end.max(done + SHORTEST);
+            if span - end < SHORTEST {
+                end = span;
+            }
+            let (step, inside) = (end - done, from + 0.5 * (done + end));
+            let push = environment.push(inside, now);
+            let growth = (environment.push(inside, from + end) - push) / step;
+            let wanted = drive.command_velocity();
+            let mass = drive.model().mass_kg();
+            let (stiffness, damping, feed_forward) = drive.model().impedance();
+            for (axis, line) in self.lines.iter_mut().enumerate() {
+                let set = &drive.set_points()[axis];
+                let feed = if feed_forward { damping * wanted[axis] } else { 0.0 };
+                let input = [
+                    (push[axis] + stiffness * set.position + feed) / mass,
+                    (growth[axis] + stiffness * set.velocity) / mass,
+                    0.5 * stiffness * set.acceleration / mass,
+                ];
+                let state = [tool.position[axis], tool.velocity[axis]];
+                let (state, whole) = line.advance([mass, stiffness, damping], input, state, step);
+                let finite = state.iter().all(|value| value.is_finite());
+                self.coarse_steps += u64::from(!(whole && finite));
+                // Beyond what numbers hold, it stays where it was.
+                [tool.position[axis], tool.velocity[axis]] =
+                    if finite { state } else { [tool.position[axis], 0.0] };
+            }
+            drive.advance(step);
+            done = end;
+        }
+    }
+}
+
+/// Adds an object to the axes on which it acts; false if it is not linear.
+fn sort<const N: usize>(lines: &mut [Line; N], object: &Object<N>) -> bool {
+    let Some((stiffness, damping)) = object.contact().kelvin_voigt() else { return false };
+    if !object.is_fixed() {
+        return false;
+    }
+    if object.shape().is_spring() {
+        for (line, anchor) in lines.iter_mut().zip(object.shape().reference()) {
+            line.spring[0] += stiffness;
+            line.spring[1] += damping;
+            line.spring[2] += stiffness * anchor;
+        }
+        return true;
+    }
+    let Some((axis, surface, normal)) = object.shape().across_axis() else { return false };
+    let frictionless = object.contact().friction() == 0.0 || N == 1;
+    if frictionless {
+        lines[axis].planes.push(LinePlane { surface, normal, stiffness, damping, mode: Mode::Apart });
+    }
+    frictionless
+}
+
+impl Line {
+    /// Advances (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; tells
+    /// whether every contact was located.
+    fn advance(
+        &mut self,
+        [mass, arm_stiffness, arm_damping]: [f64; 3],
+        [u0, u1, u2]: [f64; 3],
+        mut state: [f64; 2],
+        step: f64,
+    ) -> ([f64; 2], bool) {
+        let mut done = 0.0;
+        for _ in 0..MOST_STEPS {
+            let mut stiffness = arm_stiffness + self.spring[0];
+            let mut damping = arm_damping + self.spring[1];
+            let mut pull = self.spring[2];
+            for plane in &mut self.planes {
+                plane.mode = plane.mode(state);
+                if plane.mode == Mode::Touching {
+                    stiffness += plane.stiffness;
+                    damping += plane.damping;
+                    pull += plane.stiffness * plane.surface;
+                }
+            }
+            let input = [u0 + done * (u1 + done * u2) + pull / mass, u1 + 2.0 * u2 * done, u2];
+            let k = stiffness / mass;
+            let course = Course::new(k, damping / mass, input, state);
+            let left = step - done;
+            if self.planes.is_empty() {
+                return (course.at(left), true);
+            }
+            // A contact without damping lasts pi / sqrt(k): half a radian cannot hide one.
+            let most = left.min(0.5 / k.sqrt());
+            let taken = self.first_change(&course, most).unwrap_or(most);
+            state = course.at(taken);
+            if taken >= left {
+                return (state, true);
+            }
+            done += taken;
+        }
+        (state, false)
+    }
+
+    fn changed(&self, state: [f64; 2]) -> bool {
+        self.planes.iter().any(|plane| plane.mode(state) != plane.mode)
+    }
+
+    /// Time in s after which the first contact has just changed.
+    fn first_change(&self, course: &Course, most: f64) -> Option<f64> {
+        let mut before = 0.0;
+        let mut after = [0.25, 0.5, 0.75, 1.0].into_iter().map(|share| share * most).find(|&t| {
+            let found = self.changed(course.at(t));
+            before = if found { before } else { t };
+            found
+        })?;
+        while after - before > 1e-15 * most && after > SHORTEST {
+            let middle = 0.5 * (before + after);
+            if middle <= before || middle >= after {
+                break;
+            }
+            if self.changed(course.at(middle)) { after = middle } else { before = middle }
+        }
+        Some(after.max(SHORTEST.min(most)))
+    }
+}

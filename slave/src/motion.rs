@@ -1,0 +1,72 @@
+//! How an object moves on its own.
+
+use crate::{Axes, ModelError, axes::require_axes, require};
+
+/// Constant velocity for a while, and a sine on top.
+///
+/// `p(t) = p_0 + V (min(t, until) - from)+ + a sin(2 pi f t)`
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObjectMotion<const N: usize> {
+    velocity: Axes<N>,
+    from_s: f64,
+    until_s: f64,
+    amplitude: Axes<N>,
+    /// 2 pi f in rad/s.
+    rate: f64,
+}
+
+impl<const N: usize> ObjectMotion<N> {
+    /// V in m/s between two times in s, a in m, f in Hz (>= 0).
+    pub fn new(
+        velocity: Axes<N>,
+        from_s: f64,
+        until_s: f64,
+        amplitude: Axes<N>,
+        frequency_hz: f64,
+    ) -> Result<Self, ModelError> {
+        require_axes("motion velocity", &velocity, |_| true, "finite")?;
+        require("motion begin", from_s, true, "finite")?;
+        require("motion end", until_s, until_s >= from_s, "finite and not before its begin")?;
+        require_axes("motion amplitude", &amplitude, |_| true, "finite")?;
+        require("motion frequency", frequency_hz, frequency_hz >= 0.0, "finite and 0 or more")?;
+        Ok(Self { velocity, from_s, until_s, amplitude, rate: std::f64::consts::TAU * frequency_hz })
+    }
+
+    /// Displacement in m and velocity in m/s at t in s.
+    pub fn at(&self, t: f64) -> (Axes<N>, Axes<N>) {
+        self.on(t, t)
+    }
+
+    /// The same, on the smooth piece that holds at time `piece`.
+    pub(crate) fn on(&self, piece: f64, t: f64) -> (Axes<N>, Axes<N>) {
+        let (mut displacement, mut velocity) = if piece < self.from_s {
+            (Axes::zeros(), Axes::zeros())
+        } else if piece < self.until_s {
+            (self.velocity * (t - self.from_s), self.velocity)
+        } else {
+            (self.velocity * (self.until_s - self.from_s), Axes::zeros())
+        };
+        if self.rate > 0.0 {
+            let (sin, cos) = (self.rate * t).sin_cos();
+            displacement += self.amplitude * sin;
+            velocity += self.amplitude * (self.rate * cos);
+        }
+        (displacement, velocity)
+    }
+
+    /// First time after t at which the velocity jumps.
+    pub(crate) fn next_kink(&self, t: f64) -> f64 {
+        if t < self.from_s {
+            self.from_s
+        } else if t < self.until_s {
+            self.until_s
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    /// No point of it is ever faster, in m/s.
+    pub(crate) fn top_speed(&self) -> f64 {
+        self.velocity.norm() + self.rate * self.amplitude.norm()
+    }
+}

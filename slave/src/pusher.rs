@@ -1,0 +1,211 @@
+//! Something that shoves the tool.
+
+use crate::{Axes, ModelError, axes::require_axes, require};
+
+/// Values over time: linear between its points, constant outside.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Series<const N: usize> {
+    time_s: Vec<f64>,
+    values: Vec<Axes<N>>,
+}
+
+impl<const N: usize> Series<N> {
+    /// Times in s, increasing, with one row of values each.
+    pub fn new(time_s: Vec<f64>, values: Vec<Axes<N>>) -> Result<Self, ModelError> {
+        require("number of recorded times", time_s.len() as f64, !time_s.is_empty(), "1 or more")?;
+        let fits = values.len() == time_s.len();
+        require("number of recorded values", values.len() as f64, fits, "as many as times")?;
+        let mut before = f64::NEG_INFINITY;
+        for &t in &time_s {
+            require("recorded time", t, t > before, "finite and above the one before")?;
+            before = t;
+        }
+        values.iter().try_for_each(|row| require_axes("recorded value", row, |_| true, "finite"))?;
+        Ok(Self { time_s, values })
+    }
+
+    /// The value at t in s.
+    pub fn at(&self, t: f64) -> Axes<N> {
+        self.on(t, t)
+    }
+
+    fn on(&self, piece: f64, t: f64) -> Axes<N> {
+        let after = self.time_s.partition_point(|&time| time <= piece);
+        if after == 0 {
+            return self.values[0];
+        }
+        if after == self.time_s.len() {
+            return self.values[after - 1];
+        }
+        let (from, to) = (self.time_s[after - 1], self.time_s[after]);
+        self.values[after - 1].lerp(&self.values[after], (t - from) / (to - from))
+    }
+
+    fn next_kink(&self, t: f64) -> f64 {
+        let after = self.time_s.partition_point(|&time| time <= t);
+        self.time_s.get(after).copied().unwrap_or(f64::INFINITY)
+    }
+}
+
+/// The course of a push.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PushShape {
+    /// F at once.
+    Step,
+    /// Rises linearly to F, then stays.
+    Ramp {
+        /// In s (>= 0).
+        rise_s: f64,
+    },
+    /// `F sin(pi t / duration)`.
+    HalfSine,
+    /// `F sin(2 pi f t)`.
+    Sine {
+        /// f in Hz (>= 0).
+        frequency_hz: f64,
+    },
+}
+
+#[derive(Clone, Debug, PartialEq)]
+enum Course<const N: usize> {
+    Shaped(PushShape, Axes<N>),
+    Recorded(Series<N>),
+}
+
+/// Something that shoves the tool: a force that begins, takes its course and ends.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pusher<const N: usize = 1> {
+    at_s: f64,
+    duration_s: f64,
+    course: Course<N>,
+}
+
+impl Pusher<1> {
+    /// Begins at `at_s`, rises linearly over `rise_s` to `force_n` (N, positive along +x) and ends at
+    /// `at_s + duration_s`.
+    pub fn new(at_s: f64, rise_s: f64, duration_s: f64, force_n: f64) -> Result<Self, ModelError> {
+        Self::shaped(PushShape::Ramp { rise_s }, at_s, duration_s, Axes::<1>::new(force_n))
+    }
+}
+
+impl<const N: usize> Pusher<N> {
+    /// A push of a shape and a force in N, from `at_s` on for `duration_s`.
+    pub fn shaped(
+        shape: PushShape,
+        at_s: f64,
+        duration_s: f64,
+        force_n: Axes<N>,
+    ) -> Result<Self, ModelError> {
+        match shape {
+            PushShape::Ramp { rise_s } => {
+                require("push rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
+            }
+            PushShape::Sine { frequency_hz } => {
+                require("push frequency", frequency_hz, frequency_hz >= 0.0, "finite and 0 or more")?;
+            }
+            PushShape::Step | PushShape::HalfSine => {}
+        }
+        require_axes("push force", &force_n, |_| true, "finite")?;
+        Self::during(at_s, duration_s, Course::Shaped(shape, force_n))
+    }
+
+    /// A recorded push in N, whose time 0 is `at_s`.
+    pub fn recorded(series: Series<N>, at_s: f64, duration_s: f64) -> Result<Self, ModelError> {
+        Self::during(at_s, duration_s, Course::Recorded(series))
+    }
+
+    fn during(at_s: f64, duration_s: f64, course: Course<N>) -> Result<Self, ModelError> {
+        require("push time", at_s, true, "finite")?;
+        require("push duration", duration_s, duration_s >= 0.0, "finite and 0 or more")?;
+        Ok(Self { at_s, duration_s, course })
+    }
+
+    /// Force on the tool in N at time t in s.
+    pub fn force(&self, t: f64) -> Axes<N> {
+        self.on(t, t)
+    }
+
+    /// The same, on the smooth piece that holds at time `piece`.
+    pub(crate) fn on(&self, piece: f64, t: f64) -> Axes<N> {
+        let (piece, since) = (piece - self.at_s, t - self.at_s);
+        if piece < 0.0 || piece >= self.duration_s {
+            return Axes::zeros();
+        }
+        match &self.course {
+            Course::Shaped(PushShape::Ramp { rise_s }, force) if piece < *rise_s => force * since / *rise_s,
+            Course::Shaped(PushShape::Step | PushShape::Ramp { .. }, force) => *force,
+            Course::Shaped(PushShape::HalfSine, force) => {
+                force * (std::f64::consts::PI * since / self.duration_s).sin()
+            }
+            Course::Shaped(PushShape::Sine { frequency_hz }, force) => {
+                force * (std::f64::consts::TAU * frequency_hz * since).sin()
+            }
+            Course::Recorded(series) => series.on(piece, since),
+        }
+    }
+
+    /// First time after t at which the force or its slope jumps.
+    pub(crate) fn next_kink(&self, t: f64) -> f64 {
+        let end = self.at_s + self.duration_s;
+        if t < self.at_s {
+            return self.at_s;
+        }
+        let within = match &self.course {
+            Course::Shaped(PushShape::Ramp { rise_s }, _) => self.at_s + rise_s,
+            Course::Recorded(series) => self.at_s + series.next_kink(t - self.at_s),
+            Course::Shaped(..) => end,
+        };
+        let next = if within > t { within.min(end) } else { end };
+        if next > t { next } else { f64::INFINITY }
+    }
+
+    /// Whether the force is linear in time between kinks.
+    pub(crate) fn is_piecewise_linear(&self) -> bool {
+        !matches!(self.course, Course::Shaped(PushShape::HalfSine | PushShape::Sine { .. }, _))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_push_rises_stays_and_ends() {
+        let pusher = Pusher::new(2.0, 0.1, 1.0, -4.0).unwrap();
+        for (t, f) in [(1.9, 0.0), (2.0, 0.0), (2.05, -2.0), (2.5, -4.0), (3.0, 0.0)] {
+            assert!((pusher.force(t)[0] - f).abs() < 1e-12, "{t}");
+        }
+        let mut kinks = vec![1.0_f64];
+        while kinks.last().unwrap().is_finite() {
+            kinks.push(pusher.next_kink(*kinks.last().unwrap()));
+        }
+        assert_eq!(kinks, [1.0, 2.0, 2.1, 3.0, f64::INFINITY]);
+    }
+
+    #[test]
+    fn shapes_take_their_courses() {
+        let force = Axes::<2>::new(3.0, -1.0);
+        let at = |shape, t| Pusher::shaped(shape, 1.0, 0.5, force).unwrap().force(t);
+        for (shape, t, share) in [
+            (PushShape::Step, 1.0, 1.0),
+            (PushShape::Step, 1.5, 0.0),
+            (PushShape::HalfSine, 1.25, 1.0),
+            (PushShape::HalfSine, 1.0 + 0.5 / 6.0, 0.5),
+            (PushShape::Sine { frequency_hz: 2.0 }, 1.125, 1.0),
+            (PushShape::Sine { frequency_hz: 2.0 }, 1.375, -1.0),
+        ] {
+            assert!((at(shape, t) - force * share).norm() < 1e-14, "{shape:?} {t}");
+        }
+    }
+
+    #[test]
+    fn a_recorded_push_is_linear_between_and_constant_beyond_its_ends() {
+        let rows = [1.0, 3.0, -1.0].map(Axes::<1>::new).to_vec();
+        let pusher = Pusher::recorded(Series::new(vec![0.1, 0.2, 0.4], rows).unwrap(), 1.0, 0.5).unwrap();
+        for (t, f) in [(0.9, 0.0), (1.05, 1.0), (1.15, 2.0), (1.3, 1.0), (1.45, -1.0), (1.6, 0.0)] {
+            assert!((pusher.force(t)[0] - f).abs() < 1e-12, "{t}");
+        }
+        assert_eq!(pusher.next_kink(1.15), 1.2);
+        assert!(Series::new(vec![0.1, 0.1], vec![Axes::<1>::zeros(); 2]).is_err());
+    }
+}
