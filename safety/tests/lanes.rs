@@ -16,10 +16,11 @@ use haptether_safety::{
 };
 use nalgebra::SimdValue;
 use proptest::prelude::*;
-use simba::simd::{AutoF64x8, SimdBool as _};
+use simba::simd::{AutoF64x8, SimdBool as _, WideF64x4};
 
 const PERIOD_S: f64 = 1e-3;
 const QUANTUM_M: f64 = 2.3e-5;
+/// As many as the widest has; the others take the first ones.
 const LANES: usize = AutoF64x8::LANES;
 
 /// One scenario's x, V, `F_v`, `F_h`.
@@ -40,12 +41,17 @@ fn input<const N: usize>(sample: &Sample) -> Input<N> {
     Input { position, velocity, force, seen: Observation::exact(velocity, force, grasp) }
 }
 
-fn pack<const N: usize>(tick: &Tick, signal: usize) -> Axes<N, AutoF64x8> {
-    Axes::from_fn(|axis, _| AutoF64x8::from(tick.map(|sample| sample[signal][axis])))
+fn spread<L: Real>(of: impl Fn(usize) -> f64) -> L {
+    let mut all = L::splat(0.0);
+    for lane in 0..L::LANES {
+        all.replace(lane, of(lane));
+    }
+    all
 }
 
-fn inputs<const N: usize>(tick: &Tick) -> Input<N, AutoF64x8> {
-    let [position, velocity, force, grasp] = [0, 1, 2, 3].map(|signal| pack(tick, signal));
+fn inputs<const N: usize, L: Real>(tick: &Tick) -> Input<N, L> {
+    let [position, velocity, force, grasp] =
+        [0, 1, 2, 3].map(|signal| Axes::from_fn(|axis, _| spread(|lane| tick[lane][signal][axis])));
     Input { position, velocity, force, seen: Observation::exact(velocity, force, grasp) }
 }
 
@@ -161,7 +167,7 @@ macro_rules! agree {
         let mut lanes = $gather(&ones).unwrap();
         for tick in $ticks {
             let all = {
-                let ($it, $at) = (&mut lanes, &inputs(tick));
+                let ($it, $at) = (&mut lanes, &inputs::<N, L>(tick));
                 $numbers
             };
             for (lane, (one, sample)) in ones.iter_mut().zip(tick).enumerate() {
@@ -184,7 +190,7 @@ fn number<S: Real>(a: S) -> nalgebra::Vector1<S> {
     nalgebra::Vector1::new(a)
 }
 
-fn observers_agree<const N: usize>(
+fn observers_agree<const N: usize, L: Real>(
     shared: Shared,
     numbers: &[Numbers; LANES],
     ticks: &[Tick],
@@ -201,26 +207,24 @@ fn observers_agree<const N: usize>(
         let SafetySettings { energy_ratio, window, .. } = settings(of);
         WindowedSafetyObserver::<N>::new(device(of), PERIOD_S, energy_ratio, window).unwrap()
     };
-    let each = || numbers.iter();
-    agree!(each().map(device::<N>).collect(), DeviceModel::<N, AutoF64x8>::gather, ticks, |it, at| {
+    let each = || numbers[..L::LANES].iter();
+    agree!(each().map(device::<N>).collect(), DeviceModel::<N, L>::gather, ticks, |it, at| {
         it.grasp_force(&Motion { velocity: at.velocity, acceleration: at.force }, &at.seen.grasp_force)
     });
-    agree!(each().map(vfo).collect(), VelocityForceObserver::<AutoF64x8>::gather, ticks, |it, at| number(
+    agree!(each().map(vfo).collect(), VelocityForceObserver::<L>::gather, ticks, |it, at| number(
         it.observe::<N>(&at.seen)
     ));
-    agree!(each().map(hgo).collect(), HandGraspObserver::<AutoF64x8>::gather, ticks, |it, at| number(
+    agree!(each().map(hgo).collect(), HandGraspObserver::<L>::gather, ticks, |it, at| number(
         it.observe::<N>(&at.seen)
     ));
-    agree!(each().map(so).collect(), SafetyObserver::<N, AutoF64x8>::gather, ticks, |it, at| number(
+    agree!(each().map(so).collect(), SafetyObserver::<N, L>::gather, ticks, |it, at| number(
         it.step(&at.seen)
     ));
-    agree!(each().map(wso).collect(), WindowedSafetyObserver::<N, AutoF64x8>::gather, ticks, |it, at| {
+    agree!(each().map(wso).collect(), WindowedSafetyObserver::<N, L>::gather, ticks, |it, at| {
         number(it.step(&at.seen))
     });
     let po = each().map(|_| PassivityObserver::<N>::new()).collect();
-    agree!(po, PassivityObserver::<N, AutoF64x8>::gather, ticks, |it, at| number(
-        it.step(&at.position, &at.force)
-    ));
+    agree!(po, PassivityObserver::<N, L>::gather, ticks, |it, at| number(it.step(&at.position, &at.force)));
     Ok(())
 }
 
@@ -229,7 +233,7 @@ fn told<S: Real>(place: (S, S::SimdBool)) -> nalgebra::Vector3<S> {
     three(place.0, S::splat(1.0).select(place.1, S::splat(0.0)), S::splat(0.0))
 }
 
-fn controllers_agree<const N: usize>(
+fn controllers_agree<const N: usize, L: Real>(
     shared: Shared,
     numbers: &[Numbers; LANES],
     ticks: &[Tick],
@@ -256,17 +260,17 @@ fn controllers_agree<const N: usize>(
         let observer = SafetyObserver::<N>::new(device(of), PERIOD_S, energy_ratio).unwrap();
         PassivityController::new(observer, &device(of), PERIOD_S, pc_max_damping).unwrap()
     };
-    let each = || numbers.iter();
-    agree!(each().map(vfc).collect(), VelocityForceController::<AutoF64x8>::gather, ticks, |it, at| told(
+    let each = || numbers[..L::LANES].iter();
+    agree!(each().map(vfc).collect(), VelocityForceController::<L>::gather, ticks, |it, at| told(
         it.judge::<N>(&at.seen)
     ));
-    agree!(each().map(hsc).collect(), HandGraspController::<AutoF64x8>::gather, ticks, |it, at| told(
+    agree!(each().map(hsc).collect(), HandGraspController::<L>::gather, ticks, |it, at| told(
         it.judge::<N>(&at.seen)
     ));
-    agree!(each().map(wsc).collect(), WindowedSafetyController::<N, AutoF64x8>::gather, ticks, |it, at| {
+    agree!(each().map(wsc).collect(), WindowedSafetyController::<N, L>::gather, ticks, |it, at| {
         told(it.step(&at.seen))
     });
-    agree!(each().map(pc).collect(), PassivityController::<N, AutoF64x8>::gather, ticks, |it, at| {
+    agree!(each().map(pc).collect(), PassivityController::<N, L>::gather, ticks, |it, at| {
         let action = it.step(&at.seen);
         let owed = it.owed_energy_j(action.energy_j, &at.force, &at.velocity);
         three(action.energy_j, action.force[0], owed)
@@ -274,20 +278,24 @@ fn controllers_agree<const N: usize>(
     Ok(())
 }
 
-fn estimators_agree<const N: usize>(numbers: &[Numbers; LANES], ticks: &[Tick]) -> Result<(), TestCaseError> {
+fn estimators_agree<const N: usize, L: Real>(
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
     for which in 0..5 {
         let build = |of: &Numbers| kind(which, of).build::<N>(PERIOD_S).unwrap();
-        let ones: Vec<_> = numbers.iter().map(build).collect();
-        agree!(ones.clone(), AnyEstimator::<N, AutoF64x8>::gather, ticks, |it, at| {
+        let ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
+        agree!(ones.clone(), AnyEstimator::<N, L>::gather, ticks, |it, at| {
             it.step(&at.position).velocity
         });
-        agree!(ones, AnyEstimator::<N, AutoF64x8>::gather, ticks, |it, at| {
+        agree!(ones, AnyEstimator::<N, L>::gather, ticks, |it, at| {
             let acceleration = it.step(&at.position).acceleration;
             acceleration - it.align(&at.force)
         });
     }
-    let measured = numbers.iter().map(|_| MeasuredVelocity::<N>::new(PERIOD_S).unwrap()).collect();
-    agree!(measured, MeasuredVelocity::<N, AutoF64x8>::gather, ticks, |it, at| {
+    let measured =
+        numbers[..L::LANES].iter().map(|_| MeasuredVelocity::<N>::new(PERIOD_S).unwrap()).collect();
+    agree!(measured, MeasuredVelocity::<N, L>::gather, ticks, |it, at| {
         let Motion { velocity, acceleration } = it.step(&at.velocity);
         acceleration + velocity - it.align(&at.force)
     });
@@ -311,18 +319,18 @@ fn tick_bits<const N: usize>(
     (vectors.map(|vector| vector.map(f64::to_bits).into()), rest)
 }
 
-fn controller_agrees<const N: usize>(
+fn controller_agrees<const N: usize, L: Real>(
     shared: Shared,
     numbers: &[Numbers; LANES],
     ticks: &[Tick],
 ) -> Result<(), TestCaseError> {
     let build =
         |of: &Numbers| SafetyController::<N>::new(&device(of), PERIOD_S, &safety(shared, of)).unwrap();
-    let mut ones: Vec<_> = numbers.iter().map(build).collect();
-    let mut lanes = SafetyController::<N, AutoF64x8>::gather(&ones).unwrap();
+    let mut ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
+    let mut lanes = SafetyController::<N, L>::gather(&ones).unwrap();
     let authority = numbers.map(|of| of.1[1]);
     for tick in ticks {
-        let response = lanes.respond(&inputs(tick).seen, authority.into());
+        let response = lanes.respond(&inputs::<N, L>(tick).seen, spread(|lane| authority[lane]));
         for (lane, (one, sample)) in ones.iter_mut().zip(tick).enumerate() {
             let alone = one.step_with_authority(&input(sample).seen, authority[lane]).unwrap();
             prop_assert_eq!(bits(&response.lane(lane)), bits(&alone));
@@ -331,17 +339,20 @@ fn controller_agrees<const N: usize>(
     Ok(())
 }
 
-fn limiter_agrees<const N: usize>(numbers: &[Numbers; LANES], ticks: &[Tick]) -> Result<(), TestCaseError> {
+fn limiter_agrees<const N: usize, L: Real>(
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
     let build = |of: &Numbers| Limiter::<N>::new(PERIOD_S, limits(of)).unwrap();
-    let mut ones: Vec<_> = numbers.iter().map(build).collect();
-    let mut lanes = Limiter::<N, AutoF64x8>::gather(&ones).unwrap();
+    let mut ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
+    let mut lanes = Limiter::<N, L>::gather(&ones).unwrap();
     for (n, tick) in ticks.iter().enumerate() {
         let mut tick = *tick;
         // A lane that is not finite waits with its ramp, and disturbs no other.
         if n % 5 == 1 {
-            tick[n % LANES][2][0] = f64::NAN;
+            tick[n % L::LANES][2][0] = f64::NAN;
         }
-        let at = inputs::<N>(&tick);
+        let at = inputs::<N, L>(&tick);
         let bounded = lanes.limit(&at.force, &at.velocity);
         for (lane, (one, sample)) in ones.iter_mut().zip(&tick).enumerate() {
             let Input { force, velocity, .. } = input(sample);
@@ -353,31 +364,31 @@ fn limiter_agrees<const N: usize>(numbers: &[Numbers; LANES], ticks: &[Tick]) ->
     Ok(())
 }
 
-fn layer_agrees<const N: usize>(
+fn layer_agrees<const N: usize, L: Real>(
     which: usize,
     measures_velocity: bool,
     shared: Shared,
     numbers: &[Numbers; LANES],
     ticks: &[Tick],
 ) -> Result<(), TestCaseError> {
-    let mut ones: Vec<_> = numbers.iter().map(|of| layer::<N>(which, shared, of)).collect();
-    let mut lanes = SafetyLayer::<N, AutoF64x8>::gather(&ones).unwrap();
+    let mut ones: Vec<_> = numbers[..L::LANES].iter().map(|of| layer::<N>(which, shared, of)).collect();
+    let mut lanes = SafetyLayer::<N, L>::gather(&ones).unwrap();
     let first = &ticks[0];
-    lanes.rest_at(&inputs(first).position);
+    lanes.rest_at(&inputs::<N, L>(first).position);
     for (one, sample) in ones.iter_mut().zip(first) {
         one.reset(&input(sample).position).unwrap();
     }
     let authority = numbers.map(|of| of.1[1]);
     // In one lane a number goes bad, which stops its layer and disturbs no other.
-    let (bad_lane, bad_from) = (which, ticks.len() / 2);
+    let (bad_lane, bad_from) = (which % L::LANES, ticks.len() / 2);
     for (n, tick) in ticks.iter().enumerate() {
         let mut tick = *tick;
         if n >= bad_from {
             tick[bad_lane][0][0] = f64::NAN;
         }
-        let at = inputs::<N>(&tick);
+        let at = inputs::<N, L>(&tick);
         let velocity = measures_velocity.then_some(&at.velocity);
-        let advance = lanes.advance(&at.position, velocity, &at.force, authority.into());
+        let advance = lanes.advance(&at.position, velocity, &at.force, spread(|lane| authority[lane]));
         let passes = advance.seen().passes().bitmask();
         for (lane, (one, sample)) in ones.iter_mut().zip(&tick).enumerate() {
             let Input { position, velocity, force, .. } = input(sample);
@@ -399,32 +410,37 @@ proptest! {
 
     #[test]
     fn observers(shared in shared(), numbers in numbers(), ticks in ticks()) {
-        observers_agree::<1>(shared, &numbers, &ticks)?;
-        observers_agree::<3>(shared, &numbers, &ticks)?;
+        observers_agree::<1, AutoF64x8>(shared, &numbers, &ticks)?;
+        observers_agree::<3, AutoF64x8>(shared, &numbers, &ticks)?;
+        observers_agree::<1, WideF64x4>(shared, &numbers, &ticks)?;
     }
 
     #[test]
     fn each_controller(shared in shared(), numbers in numbers(), ticks in ticks()) {
-        controllers_agree::<1>(shared, &numbers, &ticks)?;
-        controllers_agree::<3>(shared, &numbers, &ticks)?;
+        controllers_agree::<1, AutoF64x8>(shared, &numbers, &ticks)?;
+        controllers_agree::<3, AutoF64x8>(shared, &numbers, &ticks)?;
+        controllers_agree::<1, WideF64x4>(shared, &numbers, &ticks)?;
     }
 
     #[test]
     fn estimators(numbers in numbers(), ticks in ticks()) {
-        estimators_agree::<1>(&numbers, &ticks)?;
-        estimators_agree::<3>(&numbers, &ticks)?;
+        estimators_agree::<1, AutoF64x8>(&numbers, &ticks)?;
+        estimators_agree::<3, AutoF64x8>(&numbers, &ticks)?;
+        estimators_agree::<1, WideF64x4>(&numbers, &ticks)?;
     }
 
     #[test]
     fn controllers_together(shared in shared(), numbers in numbers(), ticks in ticks()) {
-        controller_agrees::<1>(shared, &numbers, &ticks)?;
-        controller_agrees::<3>(shared, &numbers, &ticks)?;
+        controller_agrees::<1, AutoF64x8>(shared, &numbers, &ticks)?;
+        controller_agrees::<3, AutoF64x8>(shared, &numbers, &ticks)?;
+        controller_agrees::<1, WideF64x4>(shared, &numbers, &ticks)?;
     }
 
     #[test]
     fn the_limiter(numbers in numbers(), ticks in ticks()) {
-        limiter_agrees::<1>(&numbers, &ticks)?;
-        limiter_agrees::<3>(&numbers, &ticks)?;
+        limiter_agrees::<1, AutoF64x8>(&numbers, &ticks)?;
+        limiter_agrees::<3, AutoF64x8>(&numbers, &ticks)?;
+        limiter_agrees::<1, WideF64x4>(&numbers, &ticks)?;
     }
 
     #[test]
@@ -435,8 +451,9 @@ proptest! {
         numbers in numbers(),
         ticks in ticks(),
     ) {
-        layer_agrees::<1>(which, measures_velocity, shared, &numbers, &ticks)?;
-        layer_agrees::<3>(which, measures_velocity, shared, &numbers, &ticks)?;
+        layer_agrees::<1, AutoF64x8>(which, measures_velocity, shared, &numbers, &ticks)?;
+        layer_agrees::<3, AutoF64x8>(which, measures_velocity, shared, &numbers, &ticks)?;
+        layer_agrees::<1, WideF64x4>(which, measures_velocity, shared, &numbers, &ticks)?;
     }
 }
 

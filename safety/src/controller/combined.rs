@@ -266,6 +266,9 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     fn gain(&mut self, is_unsafe: S::SimdBool) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let Self { on_for, fading_for, hold_off_ticks, ramp_ticks, .. } = *self;
+        if (is_unsafe | on_for.simd_gt(nothing)).none() {
+            return nothing;
+        }
         let off = Vector3::repeat(nothing);
         let next = is_unsafe.if_else3(
             || {
