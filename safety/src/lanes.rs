@@ -11,9 +11,9 @@ use nalgebra::{SimdRealField, SimdValue};
 /// branched on; for `f64`, [`SimdBool::if_else`](nalgebra::SimdBool::if_else) is a branch again.
 ///
 /// Parameters are checked one by one: an instance over lanes is gathered from as many instances over `f64`.
-pub trait Real: SimdRealField + SimdValue<Element = f64, SimdBool: Debug + PartialEq> + Copy {}
+pub trait Real: SimdRealField + SimdValue<Element = f64, SimdBool: Debug> + Copy {}
 
-impl<S> Real for S where S: SimdRealField + SimdValue<Element = f64, SimdBool: Debug + PartialEq> + Copy {}
+impl<S> Real for S where S: SimdRealField + SimdValue<Element = f64, SimdBool: Debug> + Copy {}
 
 /// False in all lanes.
 #[inline]
@@ -31,6 +31,12 @@ pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) 
         packed.replace(lane, value(one));
     }
     Some(packed)
+}
+
+/// The lesser of two, the second where they cannot be compared. What `simd_min` does there depends on the lanes' type.
+#[inline]
+pub(crate) fn lesser<S: Real>(a: S, b: S) -> S {
+    a.select(a.simd_le(b), b)
 }
 
 /// The value that all instances have in common.

@@ -49,7 +49,7 @@ pub struct SafetyTick<const N: usize> {
 }
 
 /// What the safety layer saw and decided at one tick, in each lane.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Advance<const N: usize, S: Real = f64> {
     /// V and A.
     pub motion: Motion<N, S>,

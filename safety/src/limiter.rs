@@ -72,7 +72,7 @@ pub struct Limited<const N: usize> {
 }
 
 /// A limited force and where each bound acted, in each lane.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Bounded<const N: usize, S: Real = f64> {
     /// The force in N.
     pub force: Axes<N, S>,

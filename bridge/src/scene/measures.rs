@@ -61,15 +61,15 @@ pub struct Outcome {
 
 /// How a run is judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MeasureSettings {
+pub(crate) struct MeasureSettings {
     /// When the hand begins to let go, in s.
-    pub release_s: Option<f64>,
+    pub(crate) release_s: Option<f64>,
     /// |x| in m beyond which the loop has diverged.
-    pub diverged_position: f64,
+    pub(crate) diverged_position: f64,
     /// |V| in m/s beyond which the loop has diverged.
-    pub diverged_speed: f64,
+    pub(crate) diverged_speed: f64,
     /// From when on, in s, a device at rest says that nothing more will happen; none to run to the end.
-    pub quiet_after_s: Option<f64>,
+    pub(crate) quiet_after_s: Option<f64>,
 }
 
 /// Speed in m/s below which a device counts as at rest.
@@ -83,7 +83,7 @@ const LEAST_SQUARED_FORCE: f64 = 1e-6;
 
 /// The measures of a run as they grow.
 #[derive(Clone, Copy, Debug)]
-pub struct Measures<const N: usize, S: Real = f64> {
+pub(crate) struct Measures<const N: usize, S: Real = f64> {
     release: S,
     has_release: bool,
     /// After this time in s all have let go.
@@ -107,7 +107,7 @@ pub struct Measures<const N: usize, S: Real = f64> {
 
 impl<const N: usize> Measures<N> {
     /// Nothing measured yet, of a device that starts at `position` in m.
-    pub fn new(settings: &MeasureSettings, position: &Axes<N>) -> Self {
+    pub(crate) fn new(settings: &MeasureSettings, position: &Axes<N>) -> Self {
         Self {
             release: settings.release_s.unwrap_or(0.0),
             has_release: settings.release_s.is_some(),
@@ -132,7 +132,7 @@ impl<const N: usize> Measures<N> {
 
     /// Several scenarios side by side, before their first tick; none if some have a release, or an early end, and
     /// others have not.
-    pub fn gather<S: Real>(of: &[Self]) -> Option<Measures<N, S>> {
+    pub(crate) fn gather<S: Real>(of: &[Self]) -> Option<Measures<N, S>> {
         let first = of.first()?;
         let shares = |one: &Self| {
             (one.has_release, one.quiet_after.is_some()) == (first.has_release, first.quiet_after.is_some())
@@ -174,7 +174,7 @@ impl<const N: usize> Measures<N> {
 impl<const N: usize, S: Real> Measures<N, S> {
     /// Where the loop has diverged at this tick, which is then not to be taken.
     #[inline]
-    pub fn diverged(
+    pub(crate) fn diverged(
         &self,
         position: &Axes<N, S>,
         velocity: &Axes<N, S>,
@@ -187,7 +187,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
     }
 
     /// What left its bounds in one lane.
-    pub fn cause(&self, lane: usize, position: &Axes<N, S>, velocity: &Axes<N, S>) -> DivergenceCause {
+    pub(crate) fn cause(&self, lane: usize, position: &Axes<N, S>, velocity: &Axes<N, S>) -> DivergenceCause {
         let norm = |value: &Axes<N, S>| value.map(|x| x.extract(lane)).norm();
         let (distance, speed) = (norm(position), norm(velocity));
         if !(distance.is_finite() && speed.is_finite()) {
@@ -205,7 +205,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
     /// controller acts; says in which scenarios nothing more will happen.
     #[inline]
     #[allow(clippy::too_many_arguments)] // the signals of a tick
-    pub fn take(
+    pub(crate) fn take(
         &mut self,
         t: f64,
         position: &Axes<N, S>,
@@ -266,7 +266,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
     }
 
     /// The outcome of one lane after `ticks` ticks.
-    pub fn outcome(&self, lane: usize, ticks: u64, diverged: Option<Divergence>) -> Outcome {
+    pub(crate) fn outcome(&self, lane: usize, ticks: u64, diverged: Option<Divergence>) -> Outcome {
         let of = |value: S| value.extract(lane);
         let trip = of(self.trip);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts

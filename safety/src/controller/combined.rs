@@ -207,7 +207,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     }
 
     /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
-    #[inline]
+    #[inline(always)]
+    #[allow(clippy::inline_always)] // a call of its own costs more than all of VFC
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let unobserved = (S::splat(f64::NAN), nowhere::<S>());
@@ -266,6 +267,10 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     fn gain(&mut self, is_unsafe: S::SimdBool) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let Self { on_for, fading_for, hold_off_ticks, ramp_ticks, .. } = *self;
+        // For one scenario it is but one of the branches below.
+        if S::LANES > 1 && (is_unsafe | on_for.simd_gt(nothing)).none() {
+            return nothing;
+        }
         let off = Vector3::repeat(nothing);
         let next = is_unsafe.if_else3(
             || {

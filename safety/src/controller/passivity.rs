@@ -5,7 +5,7 @@ use nalgebra::SimdBool as _;
 use crate::{
     Axes, DeviceModel, Observation, ParameterError, Real,
     controller::dampable,
-    lanes::{pack, part, shared},
+    lanes::{lesser, pack, part, shared},
     observer::SafetyObserver,
 };
 
@@ -67,7 +67,7 @@ impl<const N: usize, S: Real> PassivityController<N, S> {
         let is_idle = energy_j.simd_ge(nothing) | squared_speed.simd_eq(nothing);
         let force = is_idle.if_else(Axes::zeros, || {
             let missing = -energy_j / (squared_speed * S::splat(self.period_s));
-            seen.velocity * -missing.simd_min(self.max_damping)
+            seen.velocity * -lesser(missing, self.max_damping)
         });
         PassivityAction { energy_j, force }
     }

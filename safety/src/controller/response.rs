@@ -80,7 +80,7 @@ impl<const N: usize> Intervention<N> {
 }
 
 /// What the safety controllers add at one tick, and what they saw, in each lane.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Response<const N: usize, S: Real = f64> {
     /// `F_c` in N.
     pub safety_force: Axes<N, S>,

@@ -4,7 +4,7 @@ use nalgebra::SimdBool as _;
 
 use crate::{
     Observation, ParameterError, Real,
-    lanes::{pack, shared},
+    lanes::{lesser, pack, shared},
     parameter::positive,
 };
 
@@ -65,7 +65,7 @@ impl<S: Real> VelocityForceObserver<S> {
                 let nothing = S::splat(0.0);
                 force.simd_eq(nothing).if_else(
                     || nothing,
-                    || (power / force / self.velocity_threshold).simd_min(force / self.force_threshold_n),
+                    || lesser(power / force / self.velocity_threshold, force / self.force_threshold_n),
                 )
             }
         }

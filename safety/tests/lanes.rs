@@ -1,0 +1,490 @@
+//! Several scenarios side by side: each lane gives, bit for bit, what its scenario gives alone.
+
+#![allow(clippy::unwrap_used)] // the settings of these tests are valid
+
+use haptether_safety::controller::{
+    HandGraspController, Intervention, PassivityController, SafetyController, SafetySettings,
+    VelocityForceController, WindowedSafetyController,
+};
+use haptether_safety::estimator::{AnyEstimator, Estimator, EstimatorKind, Fit, MeasuredVelocity, Motion};
+use haptether_safety::observer::{
+    HandGraspObserver, PassivityObserver, SafetyObserver, VelocityForceForm, VelocityForceObserver,
+    WindowedSafetyObserver,
+};
+use haptether_safety::{
+    Axes, DeviceModel, LayerSettings, Limiter, LimiterSettings, Observation, Real, SafetyLayer, SafetyTick,
+};
+use nalgebra::SimdValue;
+use proptest::prelude::*;
+use simba::simd::{AutoF64x8, SimdBool as _, WideF64x4};
+
+const PERIOD_S: f64 = 1e-3;
+const QUANTUM_M: f64 = 2.3e-5;
+/// As many as the widest has; the others take the first ones.
+const LANES: usize = AutoF64x8::LANES;
+
+/// One scenario's x, V, `F_v`, `F_h`.
+type Sample = [[f64; 3]; 4];
+type Tick = [Sample; LANES];
+
+/// What enters the chain at a tick.
+#[derive(Clone, Copy)]
+struct Input<const N: usize, S: Real = f64> {
+    position: Axes<N, S>,
+    velocity: Axes<N, S>,
+    force: Axes<N, S>,
+    seen: Observation<N, S>,
+}
+
+fn input<const N: usize>(sample: &Sample) -> Input<N> {
+    let [position, velocity, force, grasp] = sample.map(|values| Axes::from_column_slice(&values[..N]));
+    Input { position, velocity, force, seen: Observation::exact(velocity, force, grasp) }
+}
+
+fn spread<L: Real>(of: impl Fn(usize) -> f64) -> L {
+    let mut all = L::splat(0.0);
+    for lane in 0..L::LANES {
+        all.replace(lane, of(lane));
+    }
+    all
+}
+
+fn inputs<const N: usize, L: Real>(tick: &Tick) -> Input<N, L> {
+    let [position, velocity, force, grasp] =
+        [0, 1, 2, 3].map(|signal| Axes::from_fn(|axis, _| spread(|lane| tick[lane][signal][axis])));
+    Input { position, velocity, force, seen: Observation::exact(velocity, force, grasp) }
+}
+
+/// Plain zeros among the samples, for the selections that ask for them.
+fn triple(bound: f64) -> impl Strategy<Value = [f64; 3]> {
+    prop_oneof![1 => Just([0.0; 3]), 1 => Just([-0.0, 1e-3, 0.0]), 8 => prop::array::uniform3(-bound..bound)]
+}
+
+fn ticks() -> impl Strategy<Value = Vec<Tick>> {
+    let step = prop_oneof![9 => triple(5e-4), 1 => triple(5e-3)];
+    let sample = (step, triple(2.0), triple(12.0), triple(12.0)).prop_map(|(x, v, f, h)| [x, v, f, h]);
+    prop::collection::vec(prop::array::uniform8(sample), 1..80).prop_map(|mut ticks| {
+        let mut at = [[0.02; 3]; LANES];
+        for (position, sample) in ticks.iter_mut().flat_map(|tick| (0..LANES).zip(tick)) {
+            for (x, dx) in at[position].iter_mut().zip(&mut sample[0]) {
+                *x += *dx;
+                *dx = (*x / QUANTUM_M).round() * QUANTUM_M;
+            }
+        }
+        ticks
+    })
+}
+
+/// m, b, c; mu, `V_t`, `F_t`, zeta, alpha, `F_t` of HSC; delta, eta, alpha of PC, hold-off, ramp; four bounds.
+type Numbers = ([f64; 3], [f64; 6], [f64; 5], [f64; 4]);
+
+fn numbers() -> impl Strategy<Value = [Numbers; LANES]> {
+    let device = [0.1..0.4, -0.01..0.5, 0.0..0.1];
+    let thresholds = [0.5..20.0, 0.2..1.0, 0.5..3.0, 1.1..3.0, 1e-4..1e-2, 0.05..2.0];
+    let energies = [-0.03..-1e-3, 0.2..1.0, 0.5..20.0, 0.0..0.02, 0.0..0.03];
+    let bounds = [2.0..9.0, 100.0..5000.0, 0.5..20.0, 0.0..0.03];
+    prop::array::uniform8((device, thresholds, energies, bounds))
+}
+
+/// What must be the same in all lanes.
+type Shared = ([bool; 4], bool, usize);
+
+fn shared() -> impl Strategy<Value = Shared> {
+    (prop::array::uniform4(any::<bool>()), any::<bool>(), 1_usize..30)
+}
+
+fn device<const N: usize>(numbers: &Numbers) -> DeviceModel<N> {
+    let [mass, viscous, coulomb] = numbers.0;
+    DeviceModel::new(
+        Axes::from_fn(|axis, _| mass * (1.0 + 0.1 * axis as f64)),
+        Axes::repeat(viscous),
+        Axes::repeat(coulomb),
+    )
+    .unwrap()
+}
+
+fn safety(([vfc, hsc, wsc, pc], both, window): Shared, numbers: &Numbers) -> SafetySettings {
+    let (_, thresholds, energies, _) = *numbers;
+    let [damping, velocity_threshold, vfc_force_threshold_n, grasp_threshold, grasp_floor_n, hsc_force] =
+        thresholds;
+    let [energy_threshold_j, energy_ratio, pc_max_damping, hold_off_s, ramp] = energies;
+    SafetySettings {
+        vfc,
+        hsc,
+        wsc,
+        pc,
+        damping,
+        velocity_threshold,
+        vfc_force_threshold_n,
+        vfc_form: if both { VelocityForceForm::Both } else { VelocityForceForm::Product },
+        grasp_threshold,
+        grasp_floor_n,
+        hsc_force_threshold_n: hsc_force,
+        energy_threshold_j,
+        energy_ratio,
+        window,
+        pc_max_damping,
+        hold_off_s,
+        // Some without a ramp, for then Eq. 14 stands as printed.
+        release_ramp_s: (ramp - 0.01).max(0.0),
+    }
+}
+
+fn limits(numbers: &Numbers) -> LimiterSettings {
+    let [max_force_n, max_slew_n_per_s, max_power_w, ramp_in_s] = numbers.3;
+    LimiterSettings { max_force_n, max_slew_n_per_s, max_power_w, ramp_in_s: (ramp_in_s - 0.01).max(0.0) }
+}
+
+/// An estimator of the `which`th kind; what may differ between lanes does.
+fn kind(which: usize, numbers: &Numbers) -> EstimatorKind {
+    let own = numbers.3[0];
+    let noise_bound_m = QUANTUM_M * own;
+    match which {
+        0 => EstimatorKind::BackwardDifference,
+        1 => EstimatorKind::LowPass { cutoff_hz: 10.0 * own },
+        2 => EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
+        3 => EstimatorKind::Kalman { jerk_density: 10.0 * own, quantum_m: QUANTUM_M },
+        4 if own > 5.0 => EstimatorKind::AdaptiveWindow { noise_bound_m, max_window: 8, fit: Fit::Best },
+        _ => EstimatorKind::AdaptiveWindow { noise_bound_m, max_window: 16, fit: Fit::End },
+    }
+}
+
+fn layer<const N: usize>(which: usize, shared: Shared, numbers: &Numbers) -> SafetyLayer<N> {
+    SafetyLayer::new(&LayerSettings {
+        device: device(numbers),
+        period_s: PERIOD_S,
+        estimator: kind(which, numbers),
+        safety: safety(shared, numbers),
+        limiter: limits(numbers),
+    })
+    .unwrap()
+}
+
+/// Runs an expression over lanes and over each `f64` alone, and wants the same bits of both.
+macro_rules! agree {
+    ($ones:expr, $gather:expr, $ticks:expr, |$it:ident, $at:ident| $numbers:expr) => {{
+        let mut ones: Vec<_> = $ones;
+        let mut lanes = $gather(&ones).unwrap();
+        for tick in $ticks {
+            let all = {
+                let ($it, $at) = (&mut lanes, &inputs::<N, L>(tick));
+                $numbers
+            };
+            for (lane, (one, sample)) in ones.iter_mut().zip(tick).enumerate() {
+                let alone = {
+                    let ($it, $at) = (one, &input(sample));
+                    $numbers
+                };
+                prop_assert_eq!(all.extract(lane).map(f64::to_bits), alone.map(f64::to_bits));
+            }
+        }
+    }};
+}
+
+/// Three numbers as one.
+fn three<S: Real>(a: S, b: S, c: S) -> nalgebra::Vector3<S> {
+    nalgebra::Vector3::new(a, b, c)
+}
+
+fn number<S: Real>(a: S) -> nalgebra::Vector1<S> {
+    nalgebra::Vector1::new(a)
+}
+
+fn observers_agree<const N: usize, L: Real>(
+    shared: Shared,
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
+    let settings = |of: &Numbers| safety(shared, of);
+    let vfo = |of: &Numbers| {
+        let SafetySettings { velocity_threshold, vfc_force_threshold_n, vfc_form, .. } = settings(of);
+        VelocityForceObserver::new(velocity_threshold, vfc_force_threshold_n, vfc_form).unwrap()
+    };
+    let hgo = |of: &Numbers| HandGraspObserver::new(settings(of).grasp_floor_n).unwrap();
+    let so =
+        |of: &Numbers| SafetyObserver::<N>::new(device(of), PERIOD_S, settings(of).energy_ratio).unwrap();
+    let wso = |of: &Numbers| {
+        let SafetySettings { energy_ratio, window, .. } = settings(of);
+        WindowedSafetyObserver::<N>::new(device(of), PERIOD_S, energy_ratio, window).unwrap()
+    };
+    let each = || numbers[..L::LANES].iter();
+    agree!(each().map(device::<N>).collect(), DeviceModel::<N, L>::gather, ticks, |it, at| {
+        it.grasp_force(&Motion { velocity: at.velocity, acceleration: at.force }, &at.seen.grasp_force)
+    });
+    agree!(each().map(vfo).collect(), VelocityForceObserver::<L>::gather, ticks, |it, at| number(
+        it.observe::<N>(&at.seen)
+    ));
+    agree!(each().map(hgo).collect(), HandGraspObserver::<L>::gather, ticks, |it, at| number(
+        it.observe::<N>(&at.seen)
+    ));
+    agree!(each().map(so).collect(), SafetyObserver::<N, L>::gather, ticks, |it, at| number(
+        it.step(&at.seen)
+    ));
+    agree!(each().map(wso).collect(), WindowedSafetyObserver::<N, L>::gather, ticks, |it, at| {
+        number(it.step(&at.seen))
+    });
+    let po = each().map(|_| PassivityObserver::<N>::new()).collect();
+    agree!(po, PassivityObserver::<N, L>::gather, ticks, |it, at| number(it.step(&at.position, &at.force)));
+    Ok(())
+}
+
+/// A mask as numbers, for it is not compared lane by lane itself.
+fn told<S: Real>(place: (S, S::SimdBool)) -> nalgebra::Vector3<S> {
+    three(place.0, S::splat(1.0).select(place.1, S::splat(0.0)), S::splat(0.0))
+}
+
+fn controllers_agree<const N: usize, L: Real>(
+    shared: Shared,
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
+    let settings = |of: &Numbers| safety(shared, of);
+    let vfc = |of: &Numbers| {
+        let SafetySettings { velocity_threshold, vfc_force_threshold_n, vfc_form, .. } = settings(of);
+        let observer =
+            VelocityForceObserver::new(velocity_threshold, vfc_force_threshold_n, vfc_form).unwrap();
+        VelocityForceController::new(observer)
+    };
+    let hsc = |of: &Numbers| {
+        let SafetySettings { grasp_floor_n, grasp_threshold, hsc_force_threshold_n, .. } = settings(of);
+        let observer = HandGraspObserver::new(grasp_floor_n).unwrap();
+        HandGraspController::new(observer, grasp_threshold, hsc_force_threshold_n).unwrap()
+    };
+    let wsc = |of: &Numbers| {
+        let SafetySettings { energy_ratio, window, energy_threshold_j, .. } = settings(of);
+        let observer = WindowedSafetyObserver::<N>::new(device(of), PERIOD_S, energy_ratio, window).unwrap();
+        WindowedSafetyController::new(observer, energy_threshold_j).unwrap()
+    };
+    let pc = |of: &Numbers| {
+        let SafetySettings { energy_ratio, pc_max_damping, .. } = settings(of);
+        let observer = SafetyObserver::<N>::new(device(of), PERIOD_S, energy_ratio).unwrap();
+        PassivityController::new(observer, &device(of), PERIOD_S, pc_max_damping).unwrap()
+    };
+    let each = || numbers[..L::LANES].iter();
+    agree!(each().map(vfc).collect(), VelocityForceController::<L>::gather, ticks, |it, at| told(
+        it.judge::<N>(&at.seen)
+    ));
+    agree!(each().map(hsc).collect(), HandGraspController::<L>::gather, ticks, |it, at| told(
+        it.judge::<N>(&at.seen)
+    ));
+    agree!(each().map(wsc).collect(), WindowedSafetyController::<N, L>::gather, ticks, |it, at| {
+        told(it.step(&at.seen))
+    });
+    agree!(each().map(pc).collect(), PassivityController::<N, L>::gather, ticks, |it, at| {
+        let action = it.step(&at.seen);
+        let owed = it.owed_energy_j(action.energy_j, &at.force, &at.velocity);
+        three(action.energy_j, action.force[0], owed)
+    });
+    Ok(())
+}
+
+fn estimators_agree<const N: usize, L: Real>(
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
+    for which in 0..5 {
+        let build = |of: &Numbers| kind(which, of).build::<N>(PERIOD_S).unwrap();
+        let ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
+        agree!(ones.clone(), AnyEstimator::<N, L>::gather, ticks, |it, at| {
+            it.step(&at.position).velocity
+        });
+        agree!(ones, AnyEstimator::<N, L>::gather, ticks, |it, at| {
+            let acceleration = it.step(&at.position).acceleration;
+            acceleration - it.align(&at.force)
+        });
+    }
+    let measured =
+        numbers[..L::LANES].iter().map(|_| MeasuredVelocity::<N>::new(PERIOD_S).unwrap()).collect();
+    agree!(measured, MeasuredVelocity::<N, L>::gather, ticks, |it, at| {
+        let Motion { velocity, acceleration } = it.step(&at.velocity);
+        acceleration + velocity - it.align(&at.force)
+    });
+    Ok(())
+}
+
+/// An intervention to the bit; every NaN is one.
+fn bits<const N: usize>(of: &Intervention<N>) -> ([u64; N], [u64; 4], u8) {
+    let values = [of.velocity_force, of.grasp, of.windowed_energy_j, of.energy_j];
+    let plain = values.map(|value| if value.is_nan() { f64::NAN } else { value });
+    (of.safety_force.map(f64::to_bits).into(), plain.map(f64::to_bits), of.tripped.bits())
+}
+
+/// A tick to the bit.
+fn tick_bits<const N: usize>(
+    tick: &SafetyTick<N>,
+) -> ([[u64; N]; 5], impl PartialEq + std::fmt::Debug + use<N>) {
+    let SafetyTick { motion, rendered_force, grasp_force, device_force, .. } = *tick;
+    let vectors = [motion.velocity, motion.acceleration, rendered_force, grasp_force, device_force];
+    let rest = (bits(&tick.intervention), tick.acted.bits(), tick.owed_energy_j.to_bits());
+    (vectors.map(|vector| vector.map(f64::to_bits).into()), rest)
+}
+
+fn controller_agrees<const N: usize, L: Real>(
+    shared: Shared,
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
+    let build =
+        |of: &Numbers| SafetyController::<N>::new(&device(of), PERIOD_S, &safety(shared, of)).unwrap();
+    let mut ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
+    let mut lanes = SafetyController::<N, L>::gather(&ones).unwrap();
+    let authority = numbers.map(|of| of.1[1]);
+    for tick in ticks {
+        let response = lanes.respond(&inputs::<N, L>(tick).seen, spread(|lane| authority[lane]));
+        for (lane, (one, sample)) in ones.iter_mut().zip(tick).enumerate() {
+            let alone = one.step_with_authority(&input(sample).seen, authority[lane]).unwrap();
+            prop_assert_eq!(bits(&response.lane(lane)), bits(&alone));
+        }
+    }
+    Ok(())
+}
+
+fn limiter_agrees<const N: usize, L: Real>(
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
+    let build = |of: &Numbers| Limiter::<N>::new(PERIOD_S, limits(of)).unwrap();
+    let mut ones: Vec<_> = numbers[..L::LANES].iter().map(build).collect();
+    let mut lanes = Limiter::<N, L>::gather(&ones).unwrap();
+    for (n, tick) in ticks.iter().enumerate() {
+        let mut tick = *tick;
+        // A lane that is not finite waits with its ramp, and disturbs no other.
+        if n % 5 == 1 {
+            tick[n % L::LANES][2][0] = f64::NAN;
+        }
+        let at = inputs::<N, L>(&tick);
+        let bounded = lanes.limit(&at.force, &at.velocity);
+        for (lane, (one, sample)) in ones.iter_mut().zip(&tick).enumerate() {
+            let Input { force, velocity, .. } = input(sample);
+            let alone = one.step(&force, &velocity);
+            prop_assert_eq!(bounded.force.extract(lane).map(f64::to_bits), alone.force.map(f64::to_bits));
+            prop_assert_eq!(bounded.acted(lane), alone.acted);
+        }
+    }
+    Ok(())
+}
+
+fn layer_agrees<const N: usize, L: Real>(
+    which: usize,
+    measures_velocity: bool,
+    shared: Shared,
+    numbers: &[Numbers; LANES],
+    ticks: &[Tick],
+) -> Result<(), TestCaseError> {
+    let mut ones: Vec<_> = numbers[..L::LANES].iter().map(|of| layer::<N>(which, shared, of)).collect();
+    let mut lanes = SafetyLayer::<N, L>::gather(&ones).unwrap();
+    let first = &ticks[0];
+    lanes.rest_at(&inputs::<N, L>(first).position);
+    for (one, sample) in ones.iter_mut().zip(first) {
+        one.reset(&input(sample).position).unwrap();
+    }
+    let authority = numbers.map(|of| of.1[1]);
+    // In one lane a number goes bad, which stops its layer and disturbs no other.
+    let (bad_lane, bad_from) = (which % L::LANES, ticks.len() / 2);
+    for (n, tick) in ticks.iter().enumerate() {
+        let mut tick = *tick;
+        if n >= bad_from {
+            tick[bad_lane][0][0] = f64::NAN;
+        }
+        let at = inputs::<N, L>(&tick);
+        let velocity = measures_velocity.then_some(&at.velocity);
+        let advance = lanes.advance(&at.position, velocity, &at.force, spread(|lane| authority[lane]));
+        let passes = advance.seen().passes().bitmask();
+        for (lane, (one, sample)) in ones.iter_mut().zip(&tick).enumerate() {
+            let Input { position, velocity, force, .. } = input(sample);
+            let velocity = measures_velocity.then_some(&velocity);
+            let alone = one.tick_with_authority(&position, velocity, &force, authority[lane]);
+            if alone.fault.is_none() {
+                prop_assert!(passes >> lane & 1 == 1);
+                prop_assert_eq!(tick_bits(&advance.lane(lane)), tick_bits(&alone));
+            } else {
+                prop_assert!(lane == bad_lane && n >= bad_from);
+            }
+        }
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn observers(shared in shared(), numbers in numbers(), ticks in ticks()) {
+        observers_agree::<1, AutoF64x8>(shared, &numbers, &ticks)?;
+        observers_agree::<3, AutoF64x8>(shared, &numbers, &ticks)?;
+        observers_agree::<1, WideF64x4>(shared, &numbers, &ticks)?;
+    }
+
+    #[test]
+    fn each_controller(shared in shared(), numbers in numbers(), ticks in ticks()) {
+        controllers_agree::<1, AutoF64x8>(shared, &numbers, &ticks)?;
+        controllers_agree::<3, AutoF64x8>(shared, &numbers, &ticks)?;
+        controllers_agree::<1, WideF64x4>(shared, &numbers, &ticks)?;
+    }
+
+    #[test]
+    fn estimators(numbers in numbers(), ticks in ticks()) {
+        estimators_agree::<1, AutoF64x8>(&numbers, &ticks)?;
+        estimators_agree::<3, AutoF64x8>(&numbers, &ticks)?;
+        estimators_agree::<1, WideF64x4>(&numbers, &ticks)?;
+    }
+
+    #[test]
+    fn controllers_together(shared in shared(), numbers in numbers(), ticks in ticks()) {
+        controller_agrees::<1, AutoF64x8>(shared, &numbers, &ticks)?;
+        controller_agrees::<3, AutoF64x8>(shared, &numbers, &ticks)?;
+        controller_agrees::<1, WideF64x4>(shared, &numbers, &ticks)?;
+    }
+
+    #[test]
+    fn the_limiter(numbers in numbers(), ticks in ticks()) {
+        limiter_agrees::<1, AutoF64x8>(&numbers, &ticks)?;
+        limiter_agrees::<3, AutoF64x8>(&numbers, &ticks)?;
+        limiter_agrees::<1, WideF64x4>(&numbers, &ticks)?;
+    }
+
+    #[test]
+    fn the_layer(
+        which in 0_usize..5,
+        measures_velocity in any::<bool>(),
+        shared in shared(),
+        numbers in numbers(),
+        ticks in ticks(),
+    ) {
+        layer_agrees::<1, AutoF64x8>(which, measures_velocity, shared, &numbers, &ticks)?;
+        layer_agrees::<3, AutoF64x8>(which, measures_velocity, shared, &numbers, &ticks)?;
+        layer_agrees::<1, WideF64x4>(which, measures_velocity, shared, &numbers, &ticks)?;
+    }
+}
+
+/// Eight layers, of which the last has other settings.
+fn gathers(change: impl FnOnce(&mut LayerSettings<1>)) -> bool {
+    let mut settings = LayerSettings {
+        device: DeviceModel::phantom_desktop(),
+        period_s: PERIOD_S,
+        estimator: EstimatorKind::default(),
+        safety: SafetySettings { vfc: true, wsc: true, ..SafetySettings::default() },
+        limiter: LimiterSettings::default(),
+    };
+    let mut layers = vec![SafetyLayer::new(&settings).unwrap(); LANES - 1];
+    change(&mut settings);
+    layers.push(SafetyLayer::new(&settings).unwrap());
+    SafetyLayer::<1, AutoF64x8>::gather(&layers).is_some()
+}
+
+#[test]
+fn only_what_takes_the_same_way_is_gathered() {
+    assert!(gathers(|_| ()));
+    assert!(gathers(|of| of.device = DeviceModel::uniform(0.2, 0.0, 0.0).unwrap()));
+    assert!(gathers(|of| of.safety.hold_off_s = 0.1));
+    assert!(gathers(|of| of.limiter.ramp_in_s = 0.1));
+    assert!(gathers(|of| of.estimator = EstimatorKind::Kalman { jerk_density: 1e4, quantum_m: QUANTUM_M }));
+    assert!(!gathers(|of| of.period_s = 2e-3));
+    assert!(!gathers(|of| of.safety.hsc = true));
+    assert!(!gathers(|of| of.safety.vfc = false));
+    assert!(!gathers(|of| of.safety.window = 50));
+    assert!(!gathers(|of| of.safety.vfc_form = VelocityForceForm::Both));
+    assert!(!gathers(|of| of.estimator = EstimatorKind::BackwardDifference));
+    let too_few = vec![Limiter::<1>::new(PERIOD_S, LimiterSettings::default()).unwrap(); LANES - 1];
+    assert!(Limiter::<1, AutoF64x8>::gather(&too_few).is_none());
+}
