@@ -27,6 +27,7 @@ from haptether.bridge.scene_series import embed_recordings
 from haptether.bridge.scene_tables import Scene
 
 _SHIPPED = FilePath(__file__).parent / "scenes"
+_BARE_WORD = re.compile(r"(?<![\"\w.+-])(?!(?:true|false)\b)([A-Za-z_][\w-]*)(?![\"\w])")
 
 
 def scene_names() -> tuple[str, ...]:
@@ -178,10 +179,12 @@ def toml_value(text: str, path: Path) -> Plain:
     Raises:
         SceneError: It is no value of TOML.
     """
-    for candidate in (text, f'"{text}"', re.sub(r"(?<![\"\w.+-])([A-Za-z_][\w.-]*)(?![\"\w])", r'"\1"', text)):
-        quotes_a_word = candidate != text and not text.startswith("[")
-        if quotes_a_word and not re.fullmatch(r"[\w./-]+", text):
-            continue
+    candidates = [text]
+    if re.fullmatch(r"[\w./-]+", text):
+        candidates.append(f'"{text}"')
+    elif text.startswith(("[", "{")):
+        candidates.append(_BARE_WORD.sub(r'"\1"', text))
+    for candidate in candidates:
         try:
             plain = tomllib.loads(f"value = {candidate}")
         except tomllib.TOMLDecodeError:

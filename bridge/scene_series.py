@@ -6,6 +6,7 @@ import zipfile
 from pathlib import Path as FilePath
 
 import numpy as np
+from msgspec import ValidationError, convert, to_builtins
 from msgspec.structs import replace
 
 from haptether.bridge.scene_error import SceneError
@@ -50,7 +51,12 @@ def read_series(path: FilePath) -> SeriesTable:
         message = f"{path}: must be a .csv or .npz file"
         raise SceneError(message)
     try:
-        return readers[path.suffix](path)
+        series = readers[path.suffix](path)
+        # What came from a file is held against the ranges that hold for what stands in a scene.
+        return convert(to_builtins(series), SeriesTable)
+    except ValidationError as error:
+        message = f"{path}: {error}"
+        raise SceneError(message) from None
     except (OSError, UnicodeDecodeError, zipfile.BadZipFile, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         message = f"{path}: cannot be read: {reason}"
@@ -96,7 +102,7 @@ def _read_npz(path: FilePath) -> SeriesTable:
     except (KeyError, ValueError, TypeError) as error:
         message = f"{path}: must hold the arrays time_s and values of numbers: {error}"
         raise SceneError(message) from None
-    values = values.reshape(len(values), -1) if values.ndim else values
+    values = values[:, np.newaxis] if values.ndim == 1 else values
     if time_s.ndim != 1 or values.ndim != 2 or len(time_s) != len(values) or len(time_s) == 0:
         message = f"{path}: time_s of shape {time_s.shape}, values {values.shape}: must be (n,) and (n, axes), n > 0"
         raise SceneError(message)

@@ -218,8 +218,9 @@ def _check_range(path: Path, values: Array) -> None:
         good |= inside
     if not good.all():
         row = int(np.flatnonzero(~good)[0])
-        seen = float(values[row])
-        raise SceneError(f"row {row}: {wrong(path, _as_typed(seen), allowed_at(path, seen))}")
+        seen = _as_typed(float(values[row]))
+        message = f"row {row}: {wrong(path, seen, allowed_at(path, seen))}"
+        raise SceneError(message)
 
 
 def _joint_columns(
