@@ -1,7 +1,9 @@
 """Haptic devices that a scene can name: their numbers, each with where it comes from.
 
-"Data sheet" is that of SensAble, later 3D Systems, for the device. What no source gives is said to be chosen, and
-how. Resistance to back-driving is taken as Coulomb friction; viscous friction is in no data sheet and taken as none.
+"Data sheet" is that of SensAble, later 3D Systems, for the device. The sheets themselves were not at hand: their
+numbers stand here as they are commonly quoted, and a second source that was read is named beside them. What no source
+gives is said to be chosen, and how. Resistance to back-driving is taken as Coulomb friction; viscous friction is in no
+data sheet and taken as none.
 """
 
 from collections.abc import Mapping
@@ -63,7 +65,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
     ),
     "touch": DevicePreset(
         title="3D Systems Touch",
-        # Successor of the Omni with the same mechanism; its data sheet repeats the Omni's numbers.
+        # Successor of the Omni with the same mechanism; taken to have the Omni's numbers.
         mass_kg=0.045,
         viscous=0.0,
         coulomb=0.26,
@@ -97,8 +99,9 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
     ),
     "dynamixel-leader": DevicePreset(
         title="Joint of a leader arm: ROBOTIS DYNAMIXEL XL330-M288-T at 5 V",
-        # m, b, c: identified by Duclusaud et al. 2024 (github.com/Rhoban/bam, params/xl330/m1.json: armature,
-        # friction_viscous, friction_base), of the servo alone: add what the joint carries. Other fits there differ.
+        # m, b, c: identified by Duclusaud et al. 2024 (github.com/Rhoban/bam, bam/params/xl330/m1.json at 11bb7ec:
+        # armature, friction_viscous, friction_base), of the servo alone: add what the joint carries. Other fits there
+        # differ. That it is the M288 follows from its kt of 0.37 N m/A: the e-manual's 0.52 N m at 1.47 A is 0.354.
         mass_kg=0.00199,  # kg m²
         viscous=0.0059,  # N m s/rad
         coulomb=0.0182,  # N m
