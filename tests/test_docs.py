@@ -36,9 +36,17 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
+def test_the_scene_of_the_readme_can_be_built(tmp_path: Path) -> None:
+    from haptether.bridge import load_scene
+
+    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (tmp_path / "scene.toml").write_text(text)
+    assert load_scene(tmp_path / "scene.toml").record is not None
+
+
 def test_commands_of_the_readme_exist() -> None:
     shown = re.findall(r"^haptether ([a-z]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert {name for name, _ in shown} == {"demo", "paper", "slave", "netsim", "master"}
+    assert {name for name, _ in shown} == {"demo", "paper", "simulate", "sweep", "slave", "netsim", "master"}
     for name, arguments in shown:
         flags = re.findall(r"--[a-z-]+", arguments)
         text = subprocess.run(

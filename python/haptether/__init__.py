@@ -1,9 +1,25 @@
 """Haptether: a bilateral teleoperation bridge that keeps a hand safe when the remote end pushes back.
 
-Rooms: `haptether.safety`, `haptether.netsim`, `haptether.master`, `haptether.slave`, `haptether.bridge`,
-`haptether.studies`. SI units and radians throughout; a positive force pushes along +x.
+`simulate` runs a scene, `sweep` runs it for many values of its numbers. Rooms: `haptether.safety`,
+`haptether.netsim`, `haptether.master`, `haptether.slave`, `haptether.bridge`, `haptether.studies`. SI units and
+radians throughout; a positive force pushes along +x.
 """
+
+from typing import TYPE_CHECKING
 
 from haptether._core import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from haptether.bridge import simulate, sweep
+
+__all__ = ["__version__", "simulate", "sweep"]
+
+
+def __getattr__(name: str) -> object:
+    # Whoever only asks for the version, or for one room, does not wait for the bridge and NumPy.
+    if name in {"simulate", "sweep"}:
+        from haptether import bridge  # noqa: PLC0415
+
+        return getattr(bridge, name)
+    message = f"module {__name__!r} has no attribute {name!r}"
+    raise AttributeError(message)

@@ -13,8 +13,8 @@ count or seed with `OverflowError`.
 "Paper" in a `Source:` is "Safety Control for Impedance Haptic Interfaces".
 """
 
-from collections.abc import Sequence
-from typing import ClassVar, Literal, TypeAlias, final, overload
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Literal, TypeAlias, final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -50,6 +50,7 @@ __all__ = [
     "SafetySettings",
     "SafetyTick",
     "SafetyTicks",
+    "SceneRun",
     "Sinusoid",
     "SlaveSettings",
     "SlaveTrace",
@@ -62,6 +63,8 @@ __all__ = [
     "ladder_state_name",
     "run_bridge",
     "run_local",
+    "simulate_scene",
+    "sweep_scenes",
 ]
 
 _Array: TypeAlias = npt.NDArray[np.float64]
@@ -1808,4 +1811,59 @@ def ladder_state_name(code: int) -> str:
     Raises:
         ValueError: No such code.
         OverflowError: A code outside 0 to 255.
+    """
+
+# ---------------------------------------------------------------------------------------------- scenes
+
+@final
+class SceneRun:
+    """What `simulate_scene` saw."""
+
+    @property
+    def signals(self) -> dict[str, npt.NDArray[Any]]:
+        """Recorded signals by name, each with the first axis of `time_s`; empty where nothing is recorded.
+
+        Signals with a value per axis have the shape `(n, axes)`, for one axis `(n,)`.
+        """
+
+    @property
+    def events(self) -> list[tuple[float, str, str]]:
+        """What happened, in the order of time: time in s, kind, detail."""
+
+    @property
+    def metrics(self) -> dict[str, float | int | bool | None]:
+        """What the run comes to, by name; none where it does not apply."""
+
+def simulate_scene(scene_json: bytes) -> SceneRun:
+    """Runs a scene in virtual time, without the interpreter's lock.
+
+    Args:
+        scene_json: The scene as `haptether.bridge.scene_json` writes it: every field, nothing else.
+
+    Raises:
+        ValueError: JSON that is no such scene, or a number that a part of it does not take.
+    """
+
+def sweep_scenes(
+    scene_json: bytes,
+    columns: list[tuple[str, _Array]],
+    threads: int,
+    lanes: bool,
+    progress: Callable[[int], None] | None,
+) -> dict[str, npt.NDArray[Any]]:
+    """Runs a scene once per row, without the interpreter's lock. Threads and lanes change no number.
+
+    Args:
+        scene_json: The scene that all rows share, as for `simulate_scene`.
+        columns: Numbers that differ, by their dotted path in the JSON ("operator.legs.0.end.0"), with one value
+            per row; whole numbers for fields that count.
+        threads: How many threads, 1 or more.
+        lanes: Whether rows may be advanced side by side in one thread.
+        progress: Told from time to time how many rows are done; what it raises ends the sweep.
+
+    Returns:
+        The metrics by name, one value per row; NaN where one does not apply.
+
+    Raises:
+        ValueError: As `simulate_scene`, with the row; columns of different lengths, or a path that is not there.
     """

@@ -1,4 +1,4 @@
-"""The command line: `haptether demo | paper | master | slave | netsim`, one file a command."""
+"""The command line: `haptether demo | paper | simulate | sweep | master | slave | netsim`, one file a command."""
 
 from haptether.cli.entry import main
 

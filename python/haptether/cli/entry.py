@@ -16,7 +16,9 @@ from haptether.cli.demo import Demo
 from haptether.cli.master import Master
 from haptether.cli.netsim import Netsim
 from haptether.cli.paper import Paper
+from haptether.cli.simulate import Simulate
 from haptether.cli.slave import Slave
+from haptether.cli.sweep import Sweep
 
 
 class Command(Protocol):
@@ -29,6 +31,8 @@ class Command(Protocol):
 COMMANDS: dict[str, type[Command]] = {
     "demo": Demo,
     "paper": Paper,
+    "simulate": Simulate,
+    "sweep": Sweep,
     "master": Master,
     "slave": Slave,
     "netsim": Netsim,
@@ -82,8 +86,8 @@ def parse(arguments: Sequence[str]) -> Command:
             commands,
             prog="haptether",
             description=DESCRIPTION,
-            args=list(arguments),
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff),
+            args=with_overrides(arguments),
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
         )
     except SystemExit as ended:
         if ended.code == 0 and arguments and arguments[0] in COMMANDS:
@@ -91,6 +95,38 @@ def parse(arguments: Sequence[str]) -> Command:
             print(f"\n{(inspect.getdoc(COMMANDS[arguments[0]]) or '').partition(chr(10))[2].strip()}")
         raise
     return command
+
+
+SCENE_COMMANDS = {"simulate", "sweep"}
+
+
+def with_overrides(arguments: Sequence[str]) -> list[str]:
+    """The arguments of a command that runs a scene with each `--table.key value` as `--set table.key=value`.
+
+    Several values after one `--set` or `--vary` get one each.
+    """
+    if not arguments or arguments[0] not in SCENE_COMMANDS:
+        return list(arguments)
+    plain: list[str] = []
+    waiting = list(arguments)
+    while waiting:
+        argument = waiting.pop(0)
+        name, equals, value = argument.partition("=")
+        if name.startswith("--") and "." in name:
+            if not equals:
+                value = waiting.pop(0) if waiting else ""
+            plain += ["--set", f"{name.removeprefix('--')}={value}"]
+        elif argument in {"--set", "--vary"} and waiting:
+            plain += [argument, waiting.pop(0)]
+            while waiting and _is_assignment(waiting[0]):
+                plain += [argument, waiting.pop(0)]
+        else:
+            plain.append(argument)
+    return plain
+
+
+def _is_assignment(argument: str) -> bool:
+    return "=" in argument and not argument.startswith("-")
 
 
 def summary(command: type[Command]) -> str:

@@ -1,0 +1,229 @@
+"""Scenes: read by name or path, changed, checked, and turned into what the Rust side takes."""
+
+import re
+import tomllib
+from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path as FilePath
+from typing import Any, cast
+
+import msgspec
+
+from haptether.bridge.scene_checks import checked_spec
+from haptether.bridge.scene_error import (
+    Path,
+    Plain,
+    SceneError,
+    closest,
+    explained,
+    place,
+    refuse_infinite,
+    shown,
+    table_type,
+    types_at,
+    unknown_key,
+)
+from haptether.bridge.scene_series import embed_recordings
+from haptether.bridge.scene_tables import Scene
+
+_SHIPPED = FilePath(__file__).parent / "scenes"
+_BARE_WORD = re.compile(r"(?<![\"\w.+-])(?!(?:true|false)\b)([A-Za-z_][\w-]*)(?![\"\w])")
+
+
+def scene_names() -> tuple[str, ...]:
+    """Names of the scenes that come with Haptether."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+
+
+def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> Scene:
+    """Reads a scene.
+
+    Args:
+        name_or_path: One of `scene_names()`, or the path of a TOML file.
+        overrides: `table.key=value` each, in TOML; bare words are strings. `operator.legs.0.end=-0.03` reaches into
+            a list.
+
+    Returns:
+        The scene, checked, with the recordings that it names.
+
+    Raises:
+        SceneError: No such scene, or one that cannot be built: file, table, key, what was seen, what is allowed.
+    """
+    path = _find(name_or_path)
+    try:
+        plain = cast("dict[str, Plain]", tomllib.loads(path.read_text(encoding="utf-8")))
+        for override in overrides:
+            plain = overridden(plain, override)
+        return scene_from_plain(plain, path.parent)
+    except tomllib.TOMLDecodeError as error:
+        message = f"{path.name}: {_with_line(error)}"
+    except SceneError as error:
+        message = f"{path.name}: {error}"
+    except UnicodeDecodeError as error:
+        message = f"{path.name}: must be UTF-8: {error.reason} at byte {error.start}"
+    except OSError as error:
+        message = f"{path}: cannot be read: {error.strerror}"
+    raise SceneError(message)
+
+
+def _find(name_or_path: str | PathLike[str]) -> FilePath:
+    if isinstance(name_or_path, str) and name_or_path in scene_names():
+        return _SHIPPED / f"{name_or_path}.toml"
+    path = FilePath(name_or_path)
+    if not path.is_file():
+        message = f"{path}: no shipped scene and no such file: {closest(path.stem, scene_names())}"
+        raise SceneError(message)
+    return path
+
+
+def _with_line(error: tomllib.TOMLDecodeError) -> str:
+    found = re.fullmatch(r"(.*?) \(at (.*)\)", str(error), re.DOTALL)
+    return f"{found[2]}: {found[1]}" if found else str(error)
+
+
+def scene_from_plain(plain: Plain, folder: FilePath) -> Scene:
+    """A scene from tables as TOML gives them; the files that it names lie relative to `folder`.
+
+    Raises:
+        SceneError: It cannot be built.
+    """
+    refuse_infinite(plain)
+    scene = embed_recordings(typed_scene(plain), folder)
+    checked_spec(scene)
+    return scene
+
+
+def typed_scene(plain: Plain) -> Scene:
+    """A scene of finite numbers, held against its types and ranges only.
+
+    Raises:
+        SceneError: A key, type or range that is not the schema's.
+    """
+    try:
+        return msgspec.convert(plain, Scene)
+    except msgspec.ValidationError as error:
+        raise explained(error, plain) from None
+
+
+def override_scene(scene: Scene, overrides: Iterable[str]) -> Scene:
+    """A scene with some of its fields changed, each `table.key=value`.
+
+    Raises:
+        SceneError: A path that is not in the schema, or a scene that cannot be built.
+    """
+    plain = cast("dict[str, Plain]", msgspec.to_builtins(scene))
+    for override in overrides:
+        plain = overridden(plain, override)
+    return scene_from_plain(plain, FilePath())
+
+
+def scene_json(scene: Scene) -> bytes:
+    """The scene as JSON with exactly the fields of `bridge/src/scene/spec.rs`: defaults and presets filled in.
+
+    The same scene gives the same bytes.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+    """
+    return msgspec.json.encode(scene_spec(scene))
+
+
+def scene_spec(scene: Scene) -> dict[str, Any]:
+    """As `scene_json`, before it is written.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+    """
+    # A struct that was built in Python has not been held against its ranges yet.
+    return checked_spec(scene_from_plain(cast("Plain", msgspec.to_builtins(scene)), FilePath()))
+
+
+# ------------------------------------------------------------------------------------------------ overrides
+
+
+def overridden(plain: dict[str, Plain], override: str) -> dict[str, Plain]:
+    """Tables with one field changed, `table.key=value`; what is given stays as it is.
+
+    Raises:
+        SceneError: No `=`, a path that is not in the schema, or a value that TOML does not know.
+    """
+    key, equals, text = override.partition("=")
+    if not equals:
+        message = f"{shown(override)}: must be table.key=value"
+        raise SceneError(message)
+    path = path_of(key.strip())
+    return cast("dict[str, Plain]", with_value(plain, path, toml_value(text.strip(), path)))
+
+
+def path_of(text: str) -> Path:
+    """`operator.legs.0.end` as a path of the schema; `-` may stand for `_`.
+
+    Raises:
+        SceneError: A path that is not in the schema, with the nearest that is.
+    """
+    path: Path = tuple(
+        int(step) if re.fullmatch(r"\d{1,9}", step) else step.replace("-", "_") for step in text.split(".")
+    )
+    for length in range(1, len(path) + 1):
+        if not types_at(path[:length]):
+            if table_type(path[: length - 1]) is not None:
+                raise unknown_key(path[:length])
+            message = f"{shown(text)}: {place(path[: length - 1])} has no part {path[length - 1]}"
+            raise SceneError(message)
+    return path
+
+
+def toml_value(text: str, path: Path) -> Plain:
+    """A value in TOML; words without quotes are strings, also inside a list.
+
+    Raises:
+        SceneError: It is no value of TOML.
+    """
+    candidates = [text]
+    if re.fullmatch(r"[\w./-]+", text):
+        candidates.append(f'"{text}"')
+    elif text.startswith(("[", "{")):
+        candidates.append(_BARE_WORD.sub(r'"\1"', text))
+    for candidate in candidates:
+        try:
+            plain = tomllib.loads(f"value = {candidate}")
+        except tomllib.TOMLDecodeError:
+            continue
+        if len(plain) == 1:
+            return cast("Plain", plain["value"])
+    message = f"{place(path)} = {shown(text)}: must be a value in TOML"
+    raise SceneError(message)
+
+
+def with_value(plain: Plain, path: Path, value: Plain, at: Path = ()) -> Plain:
+    """Plain tables with the value at a path of the schema; tables on the way are made where they are absent.
+
+    Raises:
+        SceneError: A place in a list that the scene does not have.
+    """
+    if not path:
+        return value
+    step, rest = path[0], path[1:]
+    if isinstance(step, int):
+        if isinstance(plain, int | float):
+            message = f"{place((*at, step))}: the scene has one number for all axes: name it without the axis"
+            raise SceneError(message)
+        if not isinstance(plain, list | tuple) or step >= len(plain):
+            count = len(plain) if isinstance(plain, list | tuple) else 0
+            message = f"{place((*at, step))}: the scene has {count} of these, counted from 0"
+            raise SceneError(message)
+        return [
+            with_value(item, rest, value, (*at, step)) if index == step else item for index, item in enumerate(plain)
+        ]
+    table = dict(plain) if isinstance(plain, dict) else _default_table(at)
+    table[step] = with_value(table.get(step), rest, value, (*at, step))
+    return table
+
+
+def _default_table(path: Path) -> dict[str, Plain]:
+    """What stands at a path when the scene leaves the table out: only its kind matters, its fields have defaults."""
+    parents = table_type(path[:-1]) if path else None
+    for field in (field for parent in parents or () for field in parent.fields if field.name == path[-1]):
+        if isinstance(field.default, msgspec.Struct):
+            return cast("dict[str, Plain]", msgspec.to_builtins(field.default))
+    return {}

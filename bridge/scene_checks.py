@@ -1,0 +1,193 @@
+"""What does not go together in a scene."""
+
+from collections.abc import Iterator
+
+from haptether.bridge.scene_error import Path, SceneError, contradiction, wrong
+from haptether.bridge.scene_far import ContactTable, EnvironmentTable, ObjectTable, Plane, PusherTable, SlaveTable
+from haptether.bridge.scene_near import OperatorTable
+from haptether.bridge.scene_ranges import MOST_TICKS
+from haptether.bridge.scene_spec import Spec, most_damping, spec_of
+from haptether.bridge.scene_tables import LimiterTable, LowPass, RunTable, SafetyTable, SavitzkyGolay, Scene
+
+SLAVE_PERIOD_S = (1e-5, 2e-2)
+KALMAN_BANDWIDTH = (1e-3, 10.0)
+"""Bounds on omega dT of the Kalman filter."""
+
+
+def checked_spec(scene: Scene) -> Spec:
+    """The numbers of a scene whose parts go together.
+
+    Raises:
+        SceneError: The first thing that does not, with its table and key.
+    """
+    for refusal in contradictions(scene):
+        raise refusal
+    spec = spec_of(scene)
+    for refusal in _of_numbers(spec):
+        raise refusal
+    return spec
+
+
+def contradictions(scene: Scene) -> Iterator[SceneError]:
+    """Everything in a scene that does not go together, as far as its tables alone show it."""
+    yield from _run(scene.run)
+    if scene.operator is not None:
+        yield from _operator(scene.operator)
+    if scene.slave is not None:
+        yield from _slave(scene.slave, scene.run)
+    for key in ("link", "coupling"):
+        if scene.slave is None and getattr(scene, key) is not None:
+            yield contradiction((key,), "needs an arm to lead to: add [slave] or leave it out")
+    if scene.environment is not None:
+        yield from _environment(scene.environment, scene.slave is not None, scene.master.axes)
+    for direction in ("forward", "backward"):
+        link = scene.link and getattr(scene.link, direction)
+        if link and link.jitter_s > link.delay_s:
+            allowed = f"at most delay_s = {link.delay_s:g}, or packets would arrive before they are sent"
+            yield wrong(("link", direction, "jitter_s"), link.jitter_s, allowed)
+    yield from _safety(scene.safety, scene.run.period_s)
+
+
+def _run(run: RunTable) -> Iterator[SceneError]:
+    if run.seed >= 2**64:
+        yield wrong(("run", "seed"), run.seed, "0 to 2^64 - 1")
+    if abs(run.period_s * 1e9 - round(run.period_s * 1e9)) > 1e-3:
+        yield wrong(("run", "period_s"), run.period_s, "a whole number of ns")
+    if run.duration_s < run.period_s:
+        yield wrong(("run", "duration_s"), run.duration_s, f"at least one period of {run.period_s:g} s")
+    if run.duration_s / run.period_s > MOST_TICKS * (1.0 + 1e-9):
+        allowed = f"at most 2e7 ticks, {MOST_TICKS * run.period_s:g} s at period_s = {run.period_s:g}"
+        yield wrong(("run", "duration_s"), run.duration_s, allowed)
+    if run.step_s is not None:
+        steps = run.period_s / run.step_s
+        if run.integrator == "exact":
+            yield contradiction(("run", "step_s"), "the exact integrator has no step: leave it out or name another")
+        elif steps < 1.0 - 1e-9 or abs(steps - round(steps)) > 1e-6 * steps:
+            yield wrong(("run", "step_s"), run.step_s, f"a whole fraction of period_s = {run.period_s:g}")
+
+
+def _operator(table: OperatorTable) -> Iterator[SceneError]:
+    if table.recorded is not None:
+        if table.legs:
+            yield contradiction(("operator", "recorded"), "stands instead of legs: give one of the two")
+        if table.start != 0.0:
+            yield contradiction(("operator", "start"), "a recorded path begins where it begins: leave it out")
+    if table.regrasp is not None and table.release is None:
+        yield contradiction(("operator", "regrasp"), "needs [operator.release]: who never lets go takes no new hold")
+    if table.release is not None:
+        if table.stiffness == 0.0 and table.damping == 0.0:
+            yield contradiction(("operator", "release"), "needs a hand: stiffness or damping above 0")
+        if table.release.kind == "strength" and table.grip_strength_n is None:
+            yield contradiction(
+                ("operator", "release", "kind"),
+                'a strength without bound does not decay: give grip_strength_n, or kind = "gain"',
+            )
+
+
+def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
+    low, high = SLAVE_PERIOD_S
+    if table.period_s is None and not low <= run.period_s <= high:
+        allowed = "1e-05 to 0.02 for an arm that runs at it: give [slave] period_s, or another"
+        yield wrong(("run", "period_s"), run.period_s, allowed)
+    if table.control == "pd" and table.stiffness is None:
+        yield contradiction(("slave", "stiffness"), 'control = "pd" needs it')
+    for key in ("stiffness", "damping"):
+        if table.control != "pd" and getattr(table, key) is not None:
+            yield contradiction(("slave", key), f'control = "{table.control}" has none, only "pd"')
+
+
+def _environment(table: EnvironmentTable, has_arm: bool, axes: int) -> Iterator[SceneError]:
+    continuous = table.rendering == "continuous"
+    if continuous and has_arm:
+        yield contradiction(("environment", "rendering"), "an arm stands between: continuous is for a device alone")
+    if table.delay_ticks and (has_arm or continuous):
+        yield contradiction(("environment", "delay_ticks"), "only a sampled environment without an arm is late")
+    for index, part in enumerate(table.objects):
+        path: Path = ("environment", "objects", index)
+        if continuous and not isinstance(part.shape, Plane):
+            yield contradiction((*path, "shape"), "continuous rendering knows only planes")
+        yield from _object(part, path)
+        yield from _contact(part.contact, (*path, "contact"), axes)
+    for index, pusher in enumerate(table.pushers):
+        yield from _pusher(pusher, ("environment", "pushers", index))
+
+
+def _object(table: ObjectTable, path: Path) -> Iterator[SceneError]:
+    if table.body is not None and table.motion is not None:
+        yield contradiction((*path, "body"), "what moves on its own does not slide freely: give motion or body")
+    if isinstance(table.shape, Plane) and table.shape.normal is not None:
+        normal = table.shape.normal
+        if not any(normal if isinstance(normal, tuple) else (normal,)):
+            yield wrong((*path, "shape", "normal"), normal, "of any length but 0")
+    motion = table.motion
+    if motion is not None:
+        if motion.until_s is not None and motion.until_s < motion.from_s:
+            yield wrong((*path, "motion", "until_s"), motion.until_s, f"at least from_s = {motion.from_s:g}")
+        amplitude = motion.amplitude
+        if any(amplitude if isinstance(amplitude, tuple) else (amplitude,)) and motion.frequency_hz == 0.0:
+            yield contradiction((*path, "motion", "amplitude"), "needs frequency_hz above 0")
+
+
+def _contact(table: ContactTable, path: Path, axes: int) -> Iterator[SceneError]:
+    if table.law == "kelvin-voigt" and table.exponent not in {None, 1.0}:
+        yield contradiction((*path, "exponent"), 'law = "kelvin-voigt" has none, only "hunt-crossley"')
+    if table.friction > 0.0 and axes == 1:
+        yield wrong((*path, "friction"), table.friction, "0 with one axis: nothing slides along a surface")
+
+
+_PUSHER_NEEDS = {
+    "step": {"force_n"},
+    "ramp": {"force_n", "rise_s"},
+    "half-sine": {"force_n", "duration_s"},
+    "sine": {"force_n", "frequency_hz"},
+    "recorded": {"recorded"},
+}
+_PUSHER_MAY_HAVE = {"duration_s"}
+
+
+def _pusher(table: PusherTable, path: Path) -> Iterator[SceneError]:
+    needed = _PUSHER_NEEDS[table.shape]
+    for key in ("force_n", "rise_s", "frequency_hz", "duration_s", "recorded"):
+        given = getattr(table, key) is not None
+        if key in needed and not given:
+            yield contradiction((*path, key), f'shape = "{table.shape}" needs it')
+        if given and key not in needed | _PUSHER_MAY_HAVE:
+            yield contradiction((*path, key), f'shape = "{table.shape}" has none')
+
+
+def _safety(table: SafetyTable, period_s: float) -> Iterator[SceneError]:
+    if len(set(table.controllers)) != len(table.controllers):
+        yield wrong(("safety", "controllers"), table.controllers, "each at most once")
+    estimator, path = table.estimator, ("safety", "estimator")
+    if isinstance(estimator, LowPass) and estimator.cutoff_hz > 0.5 / period_s:
+        yield wrong((*path, "cutoff_hz"), estimator.cutoff_hz, f"at most half the sample rate, {0.5 / period_s:g}")
+    if isinstance(estimator, SavitzkyGolay) and estimator.window <= estimator.degree:
+        yield wrong((*path, "window"), estimator.window, f"above degree = {estimator.degree}")
+    limiter = table.limiter
+    if not limiter.enabled and limiter != LimiterTable(enabled=False):
+        yield contradiction(("safety", "limiter", "enabled"), "bounds that are off have no other fields")
+
+
+def _of_numbers(spec: Spec) -> Iterator[SceneError]:
+    """What only the filled-in numbers show."""
+    run, master, safety = spec["run"], spec["master"], spec["safety"]
+    for axis, (low, high) in enumerate(master["stops"] or ()):
+        if low >= high:
+            yield wrong(("master", "stops"), [low, high], "the lower stop below the upper")
+        if not low <= master["position"][axis] <= high:
+            allowed = f"within the stops, {low:g} to {high:g}"
+            yield wrong(("master", "position"), master["position"][axis], allowed)
+    most = most_damping(master["mass_kg"], run["period_s"])
+    allowed = f"at most m / (5 dT) = {most:g}"
+    if {"vfc", "hsc", "wsc"} & set(safety["controllers"]) and safety["damping"] > most:
+        yield wrong(("safety", "damping"), safety["damping"], allowed)
+    if "pc" in safety["controllers"] and safety["pc_max_damping"] > most:
+        yield wrong(("safety", "pc_max_damping"), safety["pc_max_damping"], allowed)
+    estimator = safety["estimator"]
+    if estimator["kind"] == "kalman":
+        power = 12.0 * estimator["jerk_density"] / (estimator["quantum_m"] ** 2 * run["period_s"])
+        bandwidth = power ** (1.0 / 6.0) * run["period_s"]
+        low, high = KALMAN_BANDWIDTH
+        if not low <= bandwidth <= high:
+            allowed = f"such that omega dT is {low:g} to {high:g}, not {bandwidth:.3g}"
+            yield wrong(("safety", "estimator", "jerk_density"), estimator["jerk_density"], allowed)

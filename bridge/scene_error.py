@@ -1,0 +1,213 @@
+"""What is wrong with a scene, in one line: where, what was seen, what is allowed."""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Iterator
+from typing import TypeAlias, cast
+
+from msgspec import ValidationError, inspect
+
+from haptether.bridge.scene_tables import Scene
+
+Plain: TypeAlias = "dict[str, Plain] | list[Plain] | tuple[Plain, ...] | str | int | float | bool | None"
+"""What TOML, or a scene turned into plain values, consists of."""
+Path: TypeAlias = tuple[str | int, ...]
+"""Where something stands in a scene: keys of tables and places in lists."""
+
+
+class SceneError(ValueError):
+    """A scene that cannot be built. The message is one line: file, table, key, what was seen, what is allowed."""
+
+
+def place(path: Path) -> str:
+    """`("operator", "legs", 0, "end", 1)` as `[operator.legs.0] end.1`; a key of the top level as itself."""
+    table: Path = ()
+    for length in range(1, len(path)):
+        if not isinstance(path[length], int) and table_type(path[:length]) is not None:
+            table = path[:length]
+    key = ".".join(map(str, path[len(table) :]))
+    return f"[{'.'.join(map(str, table))}] {key}" if table else key
+
+
+def wrong(path: Path, seen: object, allowed: str) -> SceneError:
+    """A value that is not allowed."""
+    return SceneError(f"{place(path)} = {shown(seen)}: must be {allowed}")
+
+
+def contradiction(path: Path, problem: str) -> SceneError:
+    """A part that does not go together with another."""
+    return SceneError(f"{place(path)}: {problem}")
+
+
+def shown(value: object) -> str:
+    """A value as TOML writes it, a long one abridged."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        text = f'"{value}"'
+    elif isinstance(value, list | tuple):
+        text = f"[{', '.join(map(shown, value[:9]))}{', ...' if len(value) > 9 else ''}]"
+    elif isinstance(value, dict):
+        text = f"{{{', '.join(f'{key} = {shown(item)}' for key, item in value.items())}}}"
+    elif isinstance(value, float):
+        text = f"{value:g}" if float(f"{value:g}") == value else repr(value)
+    else:
+        text = str(value)
+    return text if len(text) <= 80 else f"{text[:76]} ..."
+
+
+def closest(word: str, words: Iterable[str]) -> str:
+    """Asks for the most similar word, or says all of them where none is similar."""
+    words = sorted(words)
+    near = difflib.get_close_matches(word, words, n=1, cutoff=0.5)
+    return f"did you mean {near[0]}?" if near else f"there is {', '.join(words)}"
+
+
+# ---------------------------------------------------------------------------------------------- types of a path
+
+
+def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:
+    """The alternatives of a union, or the type alone; what it is annotated with is peeled off."""
+    while isinstance(kind, inspect.Metadata):
+        kind = kind.type
+    return kind.types if isinstance(kind, inspect.UnionType) else (kind,)
+
+
+def _inside(kinds: Iterable[inspect.Type], step: str | int) -> Iterator[inspect.Type]:
+    for kind in kinds:
+        if isinstance(kind, inspect.StructType) and isinstance(step, str):
+            if step == kind.tag_field:
+                yield inspect.StrType()
+            yield from (part for field in kind.fields if field.name == step for part in members(field.type))
+        elif isinstance(kind, inspect.VarTupleType) and isinstance(step, int):
+            yield from members(kind.item_type)
+
+
+_ROOT = inspect.type_info(Scene)
+
+
+def types_at(path: Path) -> tuple[inspect.Type, ...]:
+    """The types that may stand at a path; none where the schema has no such path."""
+    kinds: tuple[inspect.Type, ...] = (_ROOT,)
+    for step in path:
+        kinds = tuple(_inside(kinds, step))
+    return kinds
+
+
+def table_type(path: Path) -> tuple[inspect.StructType, ...] | None:
+    """The tables that may stand at a path; none where no table can."""
+    return tuple(kind for kind in types_at(path) if isinstance(kind, inspect.StructType)) or None
+
+
+def keys_at(path: Path) -> set[str]:
+    """The keys that a table at a path may have."""
+    tables = table_type(path) or ()
+    keys = {field.name for table in tables for field in table.fields}
+    return keys | {table.tag_field for table in tables if table.tag_field is not None}
+
+
+def allowed_at(path: Path, seen: Plain = None) -> str:
+    """What may stand at a path, in words; where `seen` has the wrong type, the right one is named."""
+    if path[-1] == "kind" and (tagged := [table for table in table_type(path[:-1]) or () if table.tag_field == "kind"]):
+        return f"one of {_choices(table.tag for table in tagged)}"
+    tables = table_type(path)
+    if tables and len(tables) > 1:
+        return f"a table whose {tables[0].tag_field} is one of {_choices(table.tag for table in tables)}"
+    words = [word for kind in types_at(path) if (word := _words(kind))]
+    whole = isinstance(seen, float) and any(isinstance(kind, inspect.IntType) for kind in types_at(path))
+    return ("a whole number, " if whole else "") + " or ".join(dict.fromkeys(words)) or "left out"
+
+
+def _choices(values: Iterable[object]) -> str:
+    return ", ".join(shown(value) for value in values)
+
+
+def _words(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each type
+    match kind:
+        case inspect.FloatType() | inspect.IntType():
+            return _range(kind.gt, kind.ge, kind.lt, kind.le)
+        case inspect.LiteralType(values=(only,)):
+            return shown(only)
+        case inspect.LiteralType(values=values):
+            return f"one of {_choices(values)}"
+        case inspect.VarTupleType(item_type=inspect.StructType()):
+            return "a list of tables"
+        case inspect.VarTupleType(min_length=2, max_length=2):
+            return "a list of 2 such values"
+        case inspect.VarTupleType():
+            return "a list of such values" if kind.min_length is None else "a list with one value per axis"
+        case inspect.StructType():
+            return "a table"
+        case inspect.BoolType():
+            return "true or false"
+        case inspect.StrType():
+            return "a string"
+        case _:
+            return ""
+
+
+def _range(gt: float | None, ge: float | None, lt: float | None, le: float | None) -> str:
+    if ge is not None and le is not None:
+        return f"{bound(ge)} to {bound(le)}"
+    limits = (("above", gt), ("at least", ge), ("below", lt), ("at most", le))
+    return " and ".join(f"{word} {bound(limit)}" for word, limit in limits if limit is not None)
+
+
+def bound(value: float) -> str:
+    """A bound as short as it can be said exactly."""
+    return f"{value:.10g}" if abs(value) < 1e7 else f"{value:g}".replace("e+0", "e")
+
+
+# ------------------------------------------------------------------------------------------------- refusals
+
+
+def look_up(plain: Plain, path: Path) -> Plain:
+    """What stands at a path of plain values."""
+    for step in path:
+        plain = cast("dict[str | int, Plain]", plain)[step]
+    return plain
+
+
+def refuse_infinite(plain: Plain, path: Path = ()) -> None:
+    """Refuses numbers that are not finite.
+
+    Raises:
+        SceneError: With the place of the first.
+    """
+    if isinstance(plain, dict):
+        for key, value in plain.items():
+            refuse_infinite(value, (*path, key))
+    elif isinstance(plain, list | tuple):
+        for index, value in enumerate(plain):
+            refuse_infinite(value, (*path, index))
+    elif isinstance(plain, float) and not math.isfinite(plain):
+        raise wrong(path, plain, "a finite number")
+
+
+_WHERE = re.compile(r"(?P<said>.*?)(?: - at `\$(?P<path>.*)`)?$", re.DOTALL)
+
+
+def explained(error: ValidationError, plain: Plain) -> SceneError:
+    """The refusal of the schema, with the value that was seen and what the types allow there."""
+    found = _WHERE.match(str(error))
+    said, where = (found["said"], found["path"] or "") if found else (str(error), "")
+    path: Path = tuple(
+        int(step[1:-1]) if step.startswith("[") else step.removeprefix(".")
+        for step in re.findall(r"\.[^.\[]+|\[\d+\]", where)
+    )
+    if unknown := re.search(r"unknown field `(.*)`", said):
+        return unknown_key((*path, unknown[1]))
+    if missing := re.search(r"missing required field `(.*)`", said):
+        key = missing[1]
+        return SceneError(f"{place((*path, key))} is missing: must be {allowed_at((*path, key))}")
+    return wrong(path, look_up(plain, path), allowed_at(path, look_up(plain, path)))
+
+
+def unknown_key(path: Path) -> SceneError:
+    """A key that its table does not have."""
+    key, table = str(path[-1]), path[:-1]
+    name = f"[{'.'.join(map(str, table))}]" if table else "a scene"
+    return SceneError(f"{name} has no key {key}: {closest(key, keys_at(table))}")

@@ -1,0 +1,186 @@
+"""The tables of a scene on the side of the robot: `[slave]` and `[environment]`."""
+
+from typing import Annotated, Literal, TypeAlias
+
+from msgspec import Meta, Struct
+
+from haptether.bridge.scene_near import SeriesTable
+from haptether.bridge.scene_ranges import (
+    Duration,
+    ForcePerAxis,
+    NonNegative,
+    PerAxis,
+    PositionPerAxis,
+    Positive,
+    PositivePerAxis,
+    Seconds,
+    SpeedPerAxis,
+    Unbounded,
+)
+
+
+class ForceSensorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[slave.force_sensor]`: what stands between the force on the tool and what is sent back."""
+
+    noise_n: NonNegative = 0.0
+    """Standard deviation in N."""
+    bias_n: ForcePerAxis = 0.0
+    """Offset in N."""
+    quantum_n: NonNegative = 0.0
+    """Resolution in N; 0 is exact."""
+    rate_hz: Positive | None = None
+    """Samples per second; by default one at each tick."""
+
+
+class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[slave]`: the arm. Without this table the environment is rendered on the device itself."""
+
+    control: Literal["position", "velocity", "pd"] = "position"
+    """Tracks positions as a critically damped second-order system, velocities as a first-order system, or pulls with
+    `M x'' = K_s (x_set - x) + B_s (V_set - V) + F_e`."""
+    mass_kg: Positive = 4.0
+    """M in kg."""
+    bandwidth_hz: Positive = 15.0
+    """Bandwidth in Hz of position or velocity control."""
+    stiffness: Positive | None = None
+    """K_s in N/m: of "pd", which needs it, and of nothing else."""
+    damping: NonNegative | None = None
+    """B_s in N s/m, of "pd" only; by default critical, `2 sqrt(K_s M)`."""
+    max_speed: Positive | Unbounded = 1.0
+    """Fastest that the set position moves, in m/s, or "unbounded"; a UR moves at 1 m/s."""
+    max_acceleration: Positive | None = None
+    """Bound on its acceleration in m/s²; none by default."""
+    period_s: Annotated[float, Meta(ge=1e-5, le=2e-2)] | None = None
+    """Period of its loop in s, 10 us to 20 ms; by default that of the master."""
+    position: PositionPerAxis | None = None
+    """Where it starts, in m; by default where the master does."""
+    force_sensor: ForceSensorTable | None = None
+    """Its force sensor; by default the force is exact."""
+
+
+class Plane(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="plane"):
+    """Fills the side of a plane that its normal points away from."""
+
+    point: PositionPerAxis = 0.0
+    """A point on it, in m."""
+    normal: PerAxis | None = None
+    """Outward normal of any length; by default along +x."""
+
+
+class Sphere(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sphere"):
+    """A ball."""
+
+    centre: PositionPerAxis = 0.0
+    """In m."""
+    radius: Positive
+    """In m."""
+
+
+class Box(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="box"):
+    """A box along the axes."""
+
+    centre: PositionPerAxis = 0.0
+    """In m."""
+    half_extents: PositivePerAxis
+    """Half of its size in m."""
+
+
+class Spring(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="spring"):
+    """Pushes and pulls everywhere: `F = K (anchor - x) - B V`."""
+
+    anchor: PositionPerAxis = 0.0
+    """In m."""
+
+
+Shape: TypeAlias = Plane | Sphere | Box | Spring
+
+
+class ContactTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[environment.objects.contact]`: how an object resists, d deep.
+
+    Source: Hunt and Crossley 1975; paper Eq. 15 is Kelvin and Voigt.
+    """
+
+    law: Literal["kelvin-voigt", "hunt-crossley"] = "kelvin-voigt"
+    """`max(0, K d + B d')` or `max(0, K d^n (1 + chi d'))`."""
+    stiffness: NonNegative
+    """K in N/m, of Hunt and Crossley in N/m^n."""
+    damping: NonNegative = 0.0
+    """B in N s/m, of Hunt and Crossley chi in s/m."""
+    exponent: Annotated[float, Meta(ge=1.0, le=5.0)] | None = None
+    """n, of Hunt and Crossley only; by default 1.5, that of a ball on a plane (Hertz)."""
+    friction: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
+    """Coefficient of Coulomb friction along the surface; needs two axes."""
+
+
+class MotionTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[environment.objects.motion]`: a constant velocity for a while, and a sine on top."""
+
+    velocity: SpeedPerAxis = 0.0
+    """In m/s."""
+    from_s: Seconds = 0.0
+    """When the velocity begins, in s."""
+    until_s: Seconds | None = None
+    """When it ends, in s; by default with the run."""
+    amplitude: PositionPerAxis = 0.0
+    """Amplitude in m of the sine."""
+    frequency_hz: NonNegative = 0.0
+    """Its frequency in Hz."""
+
+
+class BodyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[environment.objects.body]`: the object slides freely on the ground."""
+
+    mass_kg: Positive
+    """In kg."""
+    viscous: NonNegative = 0.0
+    """Viscous friction with the ground in N s/m."""
+    coulomb: NonNegative = 0.0
+    """Coulomb friction with the ground in N."""
+    velocity: SpeedPerAxis = 0.0
+    """V at the start, in m/s."""
+
+
+class ObjectTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[environment.objects]]`: something that is touched."""
+
+    shape: Shape = Plane()
+    """`kind` "plane", "sphere", "box" or "spring" with its numbers; by default the wall that fills x < 0."""
+    contact: ContactTable
+    """How it resists."""
+    motion: MotionTable | None = None
+    """How it moves on its own; by default it stands."""
+    body: BodyTable | None = None
+    """Its mass; by default it gives way to nothing."""
+
+
+class PusherTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[environment.pushers]]`: a force that comes by itself, on the arm or, without one, rendered on the device."""
+
+    shape: Literal["step", "ramp", "half-sine", "sine", "recorded"] = "step"
+    """At once; rising linearly and staying; `F sin(pi t / duration)`; `F sin(2 pi f t)`; as recorded."""
+    at_s: Seconds = 0.0
+    """When it begins, in s since engagement; since the start without an arm."""
+    duration_s: Duration | None = None
+    """How long it lasts, in s; "half-sine" needs it. By default to the end of the run or of the recording."""
+    rise_s: Seconds | None = None
+    """Time in s in which a ramp rises; "ramp" needs it."""
+    frequency_hz: Positive | None = None
+    """f in Hz; "sine" needs it."""
+    force_n: ForcePerAxis | None = None
+    """F in N; all but "recorded" need it."""
+    recorded: SeriesTable | None = None
+    """The recording in N; "recorded" needs it."""
+
+
+class EnvironmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[environment]`: what is touched and what pushes."""
+
+    rendering: Literal["sampled", "continuous"] = "sampled"
+    """How it acts on a device without an arm between: held over each tick, as hardware does, or at every instant."""
+    delay_ticks: Annotated[int, Meta(ge=0, le=100_000)] = 0
+    """Ticks by which its force is late; only sampled and without an arm."""
+    objects: tuple[ObjectTable, ...] = ()
+    """What is touched."""
+    pushers: tuple[PusherTable, ...] = ()
+    """What pushes by itself."""

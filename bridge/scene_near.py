@@ -1,0 +1,141 @@
+"""The tables of a scene on the side of the hand: `[master]` and `[operator]`."""
+
+from typing import Literal
+
+from msgspec import Struct
+
+from haptether.bridge.scene_ranges import (
+    Axis,
+    Duration,
+    ForcePerAxis,
+    NonNegative,
+    NonNegativePerAxis,
+    PerAxis,
+    PositionPerAxis,
+    Positive,
+    PositivePerAxis,
+    Seconds,
+    SpeedPerAxis,
+    StopsPerAxis,
+    Unbounded,
+)
+
+DeviceName = Literal[
+    "phantom-desktop", "phantom-omni", "touch", "phantom-premium-1.5", "inverse3", "dynamixel-leader"
+]  # fmt: skip
+
+
+class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[master]`: the haptic device. `m A + b V + c sign(V) = F_device + F_h`.
+
+    A field without a default comes from the preset that `device` names; without one, `mass_kg` must be given and
+    the others are as said.
+
+    Source: paper Eq. 3.
+    """
+
+    device: DeviceName | None = None
+    """Preset of `haptether.master.DEVICE_PRESETS` that fills in what this table leaves out."""
+    axes: Axis = 1
+    """Number of axes: 1, 2, 3, 6 or 7."""
+    mass_kg: PositivePerAxis | None = None
+    """m in kg, above 0."""
+    viscous: PerAxis | None = None
+    """b in N s/m, of any sign; without a preset 0."""
+    coulomb: NonNegativePerAxis | None = None
+    """c in N, 0 or more; without a preset 0."""
+    friction: Literal["vector", "axis"] | None = None
+    """`c V / |V|` along the motion (a stylus) or `c sign(V)` on each axis (joints); without a preset "vector"."""
+    friction_speed: Positive = 1e-3
+    """|V| in m/s below which an integrator with steps takes friction as proportional to V."""
+    encoder_quantum: NonNegative | None = None
+    """Resolution of the position in m; 0 is exact, also without a preset."""
+    measures_velocity: bool | None = None
+    """Whether the device measures V itself; by default where the position is exact."""
+    max_force_n: Positive | Unbounded | None = None
+    """Largest |F| in N that its motors exert; "unbounded" and, without a preset, nothing: no bound."""
+    force_quantum_n: NonNegative = 0.0
+    """Resolution of its force in N; 0 is exact."""
+    stops: StopsPerAxis | None = None
+    """Lower and upper mechanical stop in m, or one such pair per axis; none by default."""
+    position: PositionPerAxis | None = None
+    """Where it starts, in m; by default where the hand's path begins, without a hand 0."""
+    velocity: SpeedPerAxis = 0.0
+    """V at the start, in m/s."""
+
+
+class SeriesTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A recording: `file`, or `time_s` and `values`. Linear between its points, constant outside."""
+
+    file: str | None = None
+    """CSV with the header `time_s,x[,y,z,...]` or .npz with the arrays `time_s` and `values`; relative to the scene."""
+    time_s: tuple[Seconds, ...] | None = None
+    """Times in s, increasing."""
+    values: tuple[ForcePerAxis, ...] | None = None
+    """One value, or a list of one per axis, for each time: m of a path, N of a push."""
+
+
+class LegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[operator.legs]]`: one leg of the hand's path. The hand rests after the last."""
+
+    duration_s: Duration
+    """Time in s that it takes, above 0."""
+    end: PositionPerAxis
+    """Where it ends, in m."""
+    shape: Literal["linear", "smooth", "minimum-jerk"] = "minimum-jerk"
+    """Share of the way at share s of the time: s, `3 s² - 2 s³` or `10 s³ - 15 s⁴ + 6 s⁵` (Flash and Hogan 1985)."""
+
+
+class ReleaseTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[operator.release]`: the hand lets go."""
+
+    at_s: Seconds
+    """When it begins, in s; counted from engagement where there is an arm."""
+    decay_s: Seconds = 0.05
+    """Time in s within which nothing is left; 0 is at once."""
+    kind: Literal["strength", "gain"] = "strength"
+    """What decays: the grip strength, so that nothing moves before it has fallen to the load, or the impedance."""
+
+
+class RegraspTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[operator.regrasp]`: the hand takes hold again after the release."""
+
+    reaction_s: Seconds = 0.3
+    """From the end of the release to the first grip, in s."""
+    rise_s: Seconds = 0.1
+    """From there to the full grip, in s."""
+
+
+class TremorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[operator.tremor]`: `a sin(2 pi f t)` on the path, on every axis."""
+
+    amplitude: NonNegative = 1e-4
+    """a in m."""
+    frequency_hz: Positive = 10.0
+    """f in Hz; physiological tremor lies at 8 to 12 Hz."""
+
+
+class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[operator]`: the hand. `F_h = K_h (target - x) - B_h V`, at most its grip strength.
+
+    Source: Hogan 1989 (impedance); Johansson and Westling 1984 (grip).
+    """
+
+    stiffness: NonNegative = 300.0
+    """K_h in N/m."""
+    damping: NonNegative = 5.0
+    """B_h in N s/m."""
+    grip_strength_n: NonNegative | None = None
+    """Grip strength in N; no bound by default."""
+    start: PositionPerAxis = 0.0
+    """Where the path begins, in m."""
+    legs: tuple[LegTable, ...] = ()
+    """The path, leg by leg; by default the hand stays at `start`."""
+    recorded: SeriesTable | None = None
+    """A recorded path in m instead of legs."""
+    release: ReleaseTable | None = None
+    """When it lets go; never by default."""
+    regrasp: RegraspTable | None = None
+    """How it takes hold again; never by default."""
+    tremor: TremorTable | None = None
+    """Tremor; none by default."""

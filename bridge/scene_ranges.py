@@ -1,0 +1,44 @@
+"""Numbers of a scene with their ranges, which validation, messages and tools read from the types."""
+
+from typing import Annotated, Literal, TypeAlias
+
+from msgspec import Meta
+
+LARGEST = 1e9
+"""No number of a scene is larger: every range is closed, so that infinity is in none."""
+MOST_AXES = 7
+MOST_TICKS = 20_000_000
+"""Ticks of the longest run."""
+
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
+NonNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Ratio = Annotated[float, Meta(gt=0.0, le=1.0)]
+Seconds = Annotated[float, Meta(ge=0.0, le=1e6)]
+Duration = Annotated[float, Meta(gt=0.0, le=1e6)]
+Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
+Delay = Annotated[float, Meta(ge=0.0, le=3600.0)]
+Period = Annotated[float, Meta(ge=1e-6, le=1.0)]
+Position = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+"""In m: what the safety layer takes for possible."""
+Speed = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+"""In m/s: what the safety layer takes for possible."""
+Force = Annotated[float, Meta(ge=-10000.0, le=10000.0)]
+"""In N: what the safety layer takes for possible."""
+Axis: TypeAlias = Literal[1, 2, 3, 6, 7]
+Unbounded: TypeAlias = Literal["unbounded"]
+"""What is written where a number would be a bound and there is to be none."""
+
+_axes = Meta(min_length=1, max_length=MOST_AXES)
+PerAxis: TypeAlias = Number | Annotated[tuple[Number, ...], _axes]
+"""One number for every axis, or a list of one number per axis."""
+PositivePerAxis: TypeAlias = Positive | Annotated[tuple[Positive, ...], _axes]
+NonNegativePerAxis: TypeAlias = NonNegative | Annotated[tuple[NonNegative, ...], _axes]
+PositionPerAxis: TypeAlias = Position | Annotated[tuple[Position, ...], _axes]
+SpeedPerAxis: TypeAlias = Speed | Annotated[tuple[Speed, ...], _axes]
+ForcePerAxis: TypeAlias = Force | Annotated[tuple[Force, ...], _axes]
+# Not tuple[Position, Position]: msgspec 0.22 crashes on such a type beside a number with a range.
+_pair = Annotated[tuple[Position, ...], Meta(min_length=2, max_length=2)]
+StopsPerAxis: TypeAlias = Annotated[tuple[Position | _pair, ...], _axes]
+"""Lower and upper stop for every axis, or one such pair per axis."""

@@ -1,0 +1,149 @@
+"""One scene, run in virtual time."""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from os import PathLike
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct, convert
+
+from haptether import _core
+from haptether.bridge.scene import load_scene, override_scene, scene_json
+from haptether.bridge.scene_tables import Scene
+
+
+class Signals(Mapping[str, npt.NDArray[Any]]):
+    """What was recorded, by name or as an attribute: one array per signal, its first axis that of `time_s`."""
+
+    def __init__(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        self._arrays = MappingProxyType(dict(arrays))
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        if name not in self._arrays:
+            message = f"no signal {name!r}: there is {', '.join(self._arrays) or 'none, the scene has no [record]'}"
+            raise KeyError(message)
+        return self._arrays[name]
+
+    def __getattr__(self, name: str) -> npt.NDArray[Any]:
+        # While being unpickled there are no arrays yet, and asking for them would ask here again.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        try:
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(error.args[0]) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._arrays]
+
+    def __reduce__(self) -> tuple[type["Signals"], tuple[dict[str, npt.NDArray[Any]]]]:
+        return Signals, (dict(self._arrays),)
+
+    def __repr__(self) -> str:
+        return f"Signals({', '.join(f'{name}: {array.shape}' for name, array in self._arrays.items())})"
+
+
+class Event(Struct, frozen=True):
+    """Something that happened once."""
+
+    time_s: float
+    """When, in s since the start."""
+    kind: str
+    """What: a trip, a change of the ladder's state, "diverged", ..."""
+    detail: str
+    """Which, or why."""
+
+
+class Metrics(Struct, frozen=True, kw_only=True):
+    """What a run comes to; none where it does not apply."""
+
+    max_ejection_velocity: float | None = None
+    """MEV: largest speed in m/s after the release away from what was pressed."""
+    peak_device_force: float | None = None
+    """Largest |F_device| in N."""
+    time_to_trip_s: float | None = None
+    """From the release to the first intervention after it, in s."""
+    false_trips: int | None = None
+    """Interventions that began while the hand held."""
+    intervention_s: float | None = None
+    """Time under intervention in s."""
+    position_rmse_m: float | None = None
+    """Root mean square of what the slave's position differs from the scaled master's, in m."""
+    force_rmse_n: float | None = None
+    """Root mean square of what the rendered force differs from the scaled remote one, in N."""
+    passivity_min_j: float | None = None
+    """Least energy in J that the hand's side had taken in, less what it had given out; below 0: active."""
+    diverged: bool = False
+    """Whether the loop left its bounds; the run ended there."""
+    ticks: int = 0
+    """Ticks of the master."""
+    wall_time_s: float = 0.0
+    """How long the run took, in s."""
+
+
+class Run(Struct, frozen=True, kw_only=True):
+    """A scene that has been run."""
+
+    scene: str
+    """Name of the scene, or its title."""
+    seed: int
+    """Seed of all randomness."""
+    version: str
+    """Version of Haptether. Same scene, seed and version: same numbers."""
+    signals: Signals
+    """What `[record]` asked for; empty without that table."""
+    events: tuple[Event, ...]
+    """What happened, in the order of time."""
+    metrics: Metrics
+    """What it comes to."""
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes every signal as an array of a NumPy `.npz` file."""
+        arrays: dict[str, Any] = dict(self.signals)
+        with open(path, "wb") as file:  # noqa: PTH123  # a path of any kind
+            np.savez_compressed(file, **arrays)
+
+
+def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) -> tuple[str, Scene]:
+    """What a scene is called, and the scene with its overrides.
+
+    Raises:
+        SceneError: It cannot be built.
+    """
+    if isinstance(scene, Scene):
+        return scene.title or "scene", override_scene(scene, overrides)
+    return str(scene), load_scene(scene, overrides)
+
+
+def simulate(scene: Scene | str | PathLike[str], *, overrides: Iterable[str] = ()) -> Run:
+    """Runs a scene in virtual time.
+
+    Args:
+        scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
+        overrides: Fields to change, `table.key=value` each.
+
+    Raises:
+        SceneError: A scene that cannot be built.
+    """
+    name, scene = named_scene(scene, overrides)
+    specification = scene_json(scene)
+    begun = time.perf_counter()
+    done = _core.simulate_scene(specification)
+    took = time.perf_counter() - begun
+    return Run(
+        scene=name,
+        seed=scene.run.seed,
+        version=_core.__version__,
+        signals=Signals(done.signals),
+        events=tuple(Event(*event) for event in done.events),
+        metrics=convert({"wall_time_s": took, **done.metrics}, Metrics),
+    )

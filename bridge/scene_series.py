@@ -1,0 +1,116 @@
+"""Recordings that a scene names: read from their files and embedded."""
+
+import csv
+import math
+import zipfile
+from pathlib import Path as FilePath
+
+import numpy as np
+from msgspec import ValidationError, convert, to_builtins
+from msgspec.structs import replace
+
+from haptether.bridge.scene_error import SceneError
+from haptether.bridge.scene_near import SeriesTable
+from haptether.bridge.scene_tables import Scene
+
+
+def embed_recordings(scene: Scene, folder: FilePath) -> Scene:
+    """The scene with the contents of the files that it names, relative to `folder`.
+
+    Raises:
+        SceneError: A file that cannot be read, with its line.
+    """
+    operator, environment = scene.operator, scene.environment
+    if operator is not None and operator.recorded is not None:
+        operator = replace(operator, recorded=_embedded(operator.recorded, folder))
+    if environment is not None:
+        pushers = tuple(
+            pusher if pusher.recorded is None else replace(pusher, recorded=_embedded(pusher.recorded, folder))
+            for pusher in environment.pushers
+        )
+        if any(new is not old for new, old in zip(pushers, environment.pushers, strict=True)):
+            environment = replace(environment, pushers=pushers)
+    return replace(scene, operator=operator, environment=environment)
+
+
+def _embedded(table: SeriesTable, folder: FilePath) -> SeriesTable:
+    # A table that has both is refused with all other contradictions.
+    if table.file is None or table.time_s is not None or table.values is not None:
+        return table
+    return read_series(folder / table.file)
+
+
+def read_series(path: FilePath) -> SeriesTable:
+    """A recording from a CSV or .npz file.
+
+    Raises:
+        SceneError: No such file, another format, a number that is not finite, or times that do not increase.
+    """
+    readers = {".csv": _read_csv, ".npz": _read_npz}
+    if path.suffix not in readers:
+        message = f"{path}: must be a .csv or .npz file"
+        raise SceneError(message)
+    try:
+        series = readers[path.suffix](path)
+        # What came from a file is held against the ranges that hold for what stands in a scene.
+        return convert(to_builtins(series), SeriesTable)
+    except ValidationError as error:
+        message = f"{path}: {error}"
+        raise SceneError(message) from None
+    except (OSError, UnicodeDecodeError, zipfile.BadZipFile, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        message = f"{path}: cannot be read: {reason}"
+        raise SceneError(message) from None
+
+
+def _read_csv(path: FilePath) -> SeriesTable:
+    times: list[float] = []
+    values: list[tuple[float, ...]] = []
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = csv.reader(line for line in file if not line.startswith("#"))
+        header = [name.strip() for name in next(lines, [])]
+        if len(header) < 2 or header[0] != "time_s":
+            message = f"{path}: header {','.join(header)!r}: must be time_s,x or time_s,x,y,z: one column per axis"
+            raise SceneError(message)
+        for row, cells in enumerate(lines, start=1):
+            numbers = [_number(cell) for cell in cells]
+            if len(numbers) != len(header) or not all(math.isfinite(number) for number in numbers):
+                message = f"{path}: row {row} {','.join(cells)!r}: must be {len(header)} finite numbers"
+                raise SceneError(message)
+            if times and numbers[0] <= times[-1]:
+                message = f"{path}: row {row}: time_s = {numbers[0]:g}: must be above the one before it, {times[-1]:g}"
+                raise SceneError(message)
+            times.append(numbers[0])
+            values.append(tuple(numbers[1:]))
+    if not times:
+        message = f"{path}: must have at least one row below its header"
+        raise SceneError(message)
+    return SeriesTable(time_s=tuple(times), values=tuple(values))
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def _read_npz(path: FilePath) -> SeriesTable:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            time_s, values = (np.asarray(arrays[name], dtype=np.float64) for name in ("time_s", "values"))
+    except (KeyError, ValueError, TypeError) as error:
+        message = f"{path}: must hold the arrays time_s and values of numbers: {error}"
+        raise SceneError(message) from None
+    values = values[:, np.newaxis] if values.ndim == 1 else values
+    if time_s.ndim != 1 or values.ndim != 2 or len(time_s) != len(values) or len(time_s) == 0:
+        message = f"{path}: time_s of shape {time_s.shape}, values {values.shape}: must be (n,) and (n, axes), n > 0"
+        raise SceneError(message)
+    if not (np.isfinite(time_s).all() and np.isfinite(values).all()):
+        message = f"{path}: must hold finite numbers"
+        raise SceneError(message)
+    if not (np.diff(time_s) > 0.0).all():
+        row = int(np.flatnonzero(np.diff(time_s) <= 0.0)[0]) + 1
+        message = f"{path}: time_s[{row}] = {time_s[row]:g}: must be above the one before it, {time_s[row - 1]:g}"
+        raise SceneError(message)
+    return SeriesTable(time_s=tuple(time_s.tolist()), values=tuple(map(tuple, values.tolist())))

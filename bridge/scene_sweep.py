@@ -1,0 +1,294 @@
+"""One scene, run for many values of some of its numbers."""
+
+import csv
+import importlib
+import importlib.util
+import itertools
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from os import PathLike
+from pathlib import Path as FilePath
+from types import MappingProxyType
+from typing import Any, TypeAlias, cast
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from msgspec import inspect
+
+from haptether import _core
+from haptether.bridge.scene import path_of, scene_json, scene_spec, typed_scene, with_value
+from haptether.bridge.scene_checks import checked_spec
+from haptether.bridge.scene_error import Path, Plain, SceneError, allowed_at, place, shown, types_at, wrong
+from haptether.bridge.scene_run import named_scene
+from haptether.bridge.scene_tables import Scene
+
+Array: TypeAlias = npt.NDArray[np.float64]
+Leaf: TypeAlias = "float | int | str | bool | None"
+
+# Numbers on which neither a check nor a default of another number depends: each value is checked once, by itself.
+# All others are checked together, row by row.
+_ALONE = re.compile(
+    r"run\.seed|operator\.(stiffness|damping|grip_strength_n|legs\.\d+\..*|release\..*|regrasp\..*|tremor\..*)"
+    r"|environment\.objects\.\d+\.(contact\.(stiffness|damping)|body\..*)|environment\.pushers\.\d+\.(at_s|force_n.*)"
+    r"|link\.\w+\.loss|coupling\..*|slave\.(bandwidth_hz|max_.*|force_sensor\..*)"
+    r"|safety\.(velocity_.*|vfc_.*|grasp_.*|hsc_.*|energy_.*|window|hold_off_s|release_ramp_s)"
+)
+LARGEST_EXACT = 2**53
+"""Values travel as float64: whole numbers beyond this are not exact."""
+
+
+class Sweep:
+    """Scenarios, one a row: the parameters that were varied, then the metrics, as columns."""
+
+    def __init__(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+        self.columns: Mapping[str, npt.NDArray[Any]] = MappingProxyType(dict(columns))
+        """Columns by name, all of one length."""
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        if name not in self.columns:
+            message = f"no column {name!r}: there is {', '.join(self.columns)}"
+            raise KeyError(message)
+        return self.columns[name]
+
+    def __repr__(self) -> str:
+        return f"Sweep({len(self)} rows: {', '.join(self.columns)})"
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The rows, each a value per column."""
+        for values in zip(*(column.tolist() for column in self.columns.values()), strict=True):
+            yield dict(zip(self.columns, values, strict=True))
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes all columns to a `.csv` or `.npz` file.
+
+        Raises:
+            ValueError: Another suffix.
+        """
+        path = FilePath(path)
+        if path.suffix == ".csv":
+            with path.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file, lineterminator="\n")
+                writer.writerow(self.columns)
+                writer.writerows(zip(*(column.tolist() for column in self.columns.values()), strict=True))
+        elif path.suffix == ".npz":
+            arrays: dict[str, Any] = dict(self.columns)
+            with path.open("wb") as file:
+                np.savez_compressed(file, **arrays)
+        else:
+            message = f"{path}: must end in .csv or .npz"
+            raise ValueError(message)
+
+    def to_polars(self) -> Any:  # noqa: ANN401  # polars is not ours to depend on
+        """The columns as a `polars.DataFrame`.
+
+        Raises:
+            ImportError: Polars is not installed.
+        """
+        if importlib.util.find_spec("polars") is None:
+            message = "to_polars needs polars: install it beside haptether"
+            raise ImportError(message)
+        return importlib.import_module("polars").DataFrame(dict(self.columns))
+
+
+def sweep(
+    scene: Scene | str | PathLike[str],
+    grid: Mapping[str, Sequence[float] | Array] | None = None,
+    samples: Mapping[str, Sequence[float] | Array] | None = None,
+    *,
+    overrides: Iterable[str] = (),
+    threads: int | None = None,
+    lanes: bool = True,
+    progress: Callable[[int], None] | None = None,
+) -> Sweep:
+    """Runs a scene for many values of some of its numbers. The same arguments give the same bytes.
+
+    Args:
+        scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
+        grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest.
+        samples: Values by dotted path, all of one length: row i takes the value i of each.
+        overrides: Fields to change for all rows, `table.key=value` each.
+        threads: How many threads; by default as many as there are processors.
+        lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
+        progress: Told from time to time how many rows are done.
+
+    Raises:
+        SceneError: A scene that cannot be built, a path that it does not have, or a value out of range, with its row.
+        ValueError: Neither or both of `grid` and `samples`, or samples of different lengths.
+    """
+    _, base = named_scene(scene, overrides)
+    varied = _varied(grid, samples)
+    if threads is None:
+        threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if threads < 1:
+        message = f"threads = {threads}: must be 1 or more"
+        raise ValueError(message)
+    columns = sweep_columns(base, varied)
+    metrics = _core.sweep_scenes(scene_json(base), columns, threads, lanes, progress)
+    return Sweep({**varied, **metrics})
+
+
+def _varied(
+    grid: Mapping[str, Sequence[float] | Array] | None,
+    samples: Mapping[str, Sequence[float] | Array] | None,
+) -> dict[str, Array]:
+    """The value of each parameter in each row."""
+    if (grid is None) == (samples is None):
+        message = "give grid or samples: exactly one of the two"
+        raise ValueError(message)
+    given = {path: _numbers(path, values) for path, values in (grid or samples or {}).items()}
+    if not given:
+        message = "nothing to vary: give at least one path with values"
+        raise ValueError(message)
+    if grid is not None:
+        rows = np.array(list(itertools.product(*given.values())), dtype=np.float64)
+        return {path: np.ascontiguousarray(rows[:, column]) for column, path in enumerate(given)}
+    lengths = {path: len(values) for path, values in given.items()}
+    if len(set(lengths.values())) > 1:
+        seen = ", ".join(f"{path} has {length}" for path, length in lengths.items())
+        message = f"samples of different lengths: {seen}"
+        raise ValueError(message)
+    return given
+
+
+def _numbers(path: str, values: Sequence[float] | Array) -> Array:
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        message = f"{path}: a sweep varies numbers; run it once per choice of anything else"
+        raise SceneError(message) from None
+    if numbers.ndim != 1 or numbers.size == 0:
+        message = f"{path}: values of shape {numbers.shape}: must be a list of at least one number"
+        raise SceneError(message)
+    if not np.isfinite(numbers).all():
+        message = f"{path} = {numbers[~np.isfinite(numbers)][0]}: must be a finite number"
+        raise SceneError(message)
+    return numbers
+
+
+# --------------------------------------------------------------------------------------------------- columns
+
+
+def sweep_columns(base: Scene, varied: Mapping[str, Array]) -> list[tuple[str, Array]]:
+    """The numbers of the specification that differ between rows, with their value in each row.
+
+    These are the varied ones, on every axis, and the defaults that follow from them.
+
+    Raises:
+        SceneError: A path that the scene does not have, or a row that cannot be built.
+    """
+    expected = dict(_leaves(scene_spec(base)))
+    plain = cast("dict[str, Plain]", msgspec.to_builtins(base))
+    columns: dict[str, Array] = {}
+    together: dict[Path, Array] = {}
+    for text, values in varied.items():
+        path = path_of(text)
+        leaves = _of_parameter(path, expected)
+        if _ALONE.fullmatch(".".join(map(str, path))):
+            _check_range(path, values)
+            columns |= dict.fromkeys(leaves, values)
+        else:
+            together[path] = values
+    if together:
+        columns |= _joint_columns(plain, expected, together)
+    return list(columns.items())
+
+
+def _check_range(path: Path, values: Array) -> None:
+    """Holds values against the range of their type, all at once.
+
+    Raises:
+        SceneError: With the first that is outside, and its row.
+    """
+    kinds = [kind for kind in types_at(path) if isinstance(kind, inspect.FloatType | inspect.IntType)]
+    good = np.zeros(len(values), dtype=bool)
+    for kind in kinds:
+        inside = np.ones(len(values), dtype=bool)
+        for limit, holds in (
+            (kind.gt, np.greater), (kind.ge, np.greater_equal), (kind.lt, np.less), (kind.le, np.less_equal)
+        ):  # fmt: skip
+            if limit is not None:
+                inside &= holds(values, limit)
+        if isinstance(kind, inspect.IntType):
+            inside &= (values == np.rint(values)) & (np.abs(values) <= LARGEST_EXACT)
+        good |= inside
+    if not good.all():
+        row = int(np.flatnonzero(~good)[0])
+        seen = _as_typed(float(values[row]))
+        message = f"row {row}: {wrong(path, seen, allowed_at(path, seen))}"
+        raise SceneError(message)
+
+
+def _joint_columns(
+    plain: dict[str, Plain], expected: dict[str, Leaf], varied: Mapping[Path, Array]
+) -> dict[str, Array]:
+    """Columns of parameters that are checked together, once per combination of their values."""
+    rows = np.column_stack(list(varied.values()))
+    combinations, first_rows, of_row = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    own = [leaf for path in varied for leaf in _of_parameter(path, expected)]
+    columns = {leaf: np.full(len(combinations), _number(leaf, expected[leaf])) for leaf in own}
+    for number, combination in enumerate(combinations.tolist()):
+        try:
+            changed = plain
+            for path, value in zip(varied, combination, strict=True):
+                changed = cast("dict[str, Plain]", with_value(changed, path, _as_typed(value)))
+            leaves = dict(_leaves(checked_spec(typed_scene(changed))))
+            for leaf in leaves.keys() ^ expected.keys():
+                message = f"{leaf}: a sweep changes numbers, not what the scene consists of"
+                raise SceneError(message)
+            for leaf, seen in leaves.items():
+                if seen != expected[leaf] and leaf not in columns:
+                    columns[leaf] = np.full(len(combinations), _number(leaf, expected[leaf]))
+            for leaf, column in columns.items():
+                column[number] = _number(leaf, leaves[leaf])
+        except SceneError as error:
+            message = f"row {int(first_rows[number])}: {error}"
+            raise SceneError(message) from None
+    return {leaf: np.ascontiguousarray(column[of_row.reshape(-1)]) for leaf, column in columns.items()}
+
+
+def _as_typed(value: float) -> float | int:
+    """Whole numbers as such, so that they fit fields that count; those that measure take either."""
+    if value.is_integer() and abs(value) <= LARGEST_EXACT:
+        return int(value)
+    return value
+
+
+def _leaves(spec: object, path: str = "") -> Iterator[tuple[str, Leaf]]:
+    if isinstance(spec, dict):
+        for key, value in spec.items():
+            yield from _leaves(value, f"{path}.{key}" if path else key)
+    elif isinstance(spec, list | tuple):
+        for index, value in enumerate(spec):
+            yield from _leaves(value, f"{path}.{index}")
+    else:
+        yield path, cast("Leaf", spec)
+
+
+def _number(path: str, leaf: Leaf) -> float:
+    if leaf is None:
+        message = f"{path}: the scene leaves it out; give it a value before varying it"
+        raise SceneError(message)
+    if isinstance(leaf, bool) or not isinstance(leaf, int | float):
+        message = f"{path} = {shown(leaf)}: a sweep varies numbers; set this for all rows"
+        raise SceneError(message)
+    if isinstance(leaf, int) and leaf > LARGEST_EXACT:
+        message = f"{path} = {leaf}: must be at most 2^53 in a sweep"
+        raise SceneError(message)
+    return float(leaf)
+
+
+def _of_parameter(path: Path, leaves: Mapping[str, Leaf]) -> list[str]:
+    """The numbers of the specification that a path means: itself, or one for every axis."""
+    text = ".".join(map(str, path))
+    found = [leaf for leaf in leaves if leaf == text or re.fullmatch(rf"{re.escape(text)}\.\d+", leaf)]
+    if not found:
+        message = f"{place(path)}: the scene has no such part; add it before varying it"
+        raise SceneError(message)
+    for leaf in found:
+        _number(leaf, leaves[leaf])
+    return found

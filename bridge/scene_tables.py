@@ -1,0 +1,213 @@
+"""A scene and its tables `[run]`, `[link]`, `[coupling]`, `[safety]` and `[record]`."""
+
+from typing import Annotated, Literal, TypeAlias
+
+from msgspec import Meta, Struct
+
+from haptether.bridge.scene_far import EnvironmentTable, SlaveTable
+from haptether.bridge.scene_near import MasterTable, OperatorTable
+from haptether.bridge.scene_ranges import (
+    LARGEST,
+    Delay,
+    Duration,
+    Hold,
+    NonNegative,
+    Period,
+    Positive,
+    Ratio,
+    Share,
+)
+
+
+class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[run]`: how long and how it is computed."""
+
+    duration_s: Duration = 5.0
+    """In s; at most 2e7 ticks."""
+    period_s: Period = 1e-3
+    """dT of the master in s, a whole number of ns."""
+    seed: Annotated[int, Meta(ge=0)] = 0
+    """Seed of all randomness, 0 to 2^64 - 1."""
+    integrator: Literal["exact", "semi-implicit-euler", "velocity-verlet", "rk4"] = "exact"
+    """How device and hand are advanced: the exact solution between located events, or a method with steps."""
+    step_s: Positive | None = None
+    """Step in s of a method that has one, a whole fraction of `period_s`; by default a tenth of it."""
+    stop_early: bool = False
+    """Ends the run when nothing that is measured can change any more."""
+    diverged_position: Positive = 10.0
+    """|x| in m beyond which the loop has diverged."""
+    diverged_speed: Positive = 100.0
+    """|V| in m/s beyond which the loop has diverged."""
+
+
+class LinkTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[link.forward]`, `[link.backward]`: the network in one direction."""
+
+    delay_s: Delay = 0.0
+    """One way, in s."""
+    jitter_s: Delay = 0.0
+    """Half-width in s of the uniform jitter, at most `delay_s`."""
+    loss: Share = 0.0
+    """Share of packets lost."""
+
+
+class LinksTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[link]`: the network; a direction without a table is perfect."""
+
+    forward: LinkTable | None = None
+    """From master to slave."""
+    backward: LinkTable | None = None
+    """From slave to master."""
+
+
+class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[coupling]`: how master and slave are coupled.
+
+    Source: Hannaford 1989; Lawrence 1993 (position-force coupling).
+    """
+
+    kind: Literal["position-force"] = "position-force"
+    """Position forth, measured force back."""
+    position_scale: Positive = 1.0
+    """lambda_p: motion of the slave over that of the master."""
+    force_scale: Positive = 1.0
+    """lambda_f: rendered force over measured force."""
+
+
+class BackwardDifference(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
+                         tag_field="kind", tag="backward-difference"):  # fmt: skip
+    """Differences of the position."""
+
+
+class LowPass(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="low-pass"):
+    """First-order low-pass on the difference."""
+
+    cutoff_hz: Positive
+    """Cut-off in Hz, at most half the sample rate."""
+
+
+class AdaptiveWindow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
+                     tag_field="kind", tag="adaptive-window"):  # fmt: skip
+    """Slope of the longest straight line through the last samples (Janabi-Sharifi, Hayward and Chen 2000)."""
+
+    noise_bound_m: Positive | None = None
+    """d in m; by default the resolution of the device."""
+    max_window: Annotated[int, Meta(ge=1, le=128)] = 32
+    """Longest window in ticks."""
+    fit: Literal["end", "best"] = "end"
+    """Chord or least squares."""
+
+
+class SavitzkyGolay(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
+                    tag_field="kind", tag="savitzky-golay"):  # fmt: skip
+    """Derivatives of a polynomial through the last samples."""
+
+    degree: Annotated[int, Meta(ge=2, le=3)] = 2
+    """Degree of the polynomial."""
+    window: Annotated[int, Meta(ge=3, le=128)] = 15
+    """In ticks, above the degree."""
+
+
+class Kalman(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="kalman"):
+    """Kalman filter of position, velocity and acceleration under white jerk."""
+
+    jerk_density: Positive = 10.0
+    """q in m²/s⁵."""
+    quantum_m: Positive | None = None
+    """Quantum of the encoder in m; by default the resolution of the device, of an exact one 2.3e-5."""
+
+
+EstimatorTable: TypeAlias = BackwardDifference | LowPass | AdaptiveWindow | SavitzkyGolay | Kalman
+
+
+class LimiterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[safety.limiter]`: bounds on the device force."""
+
+    enabled: bool = True
+    """Only studies of a model switch the bounds off; the other fields then have no place here."""
+    max_force_n: Positive | None = None
+    """Largest |F| in N; by default what the device exerts, without such a bound 7.9."""
+    max_slew_n_per_s: Positive = 1000.0
+    """Largest growth of the force in N/s; unloading is free."""
+    max_power_w: Positive = 20.0
+    """Largest power in W that the device may put into the hand."""
+    ramp_in_s: Hold = 0.2
+    """Time in s in which the force rises from zero at the start, 0 to 60."""
+
+
+class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[safety]`: who watches the hand. The defaults are the paper's.
+
+    Source: paper section 4 (thresholds).
+    """
+
+    controllers: tuple[Literal["vfc", "hsc", "wsc", "pc"], ...] = ()
+    """Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12); by default nobody."""
+    signals: Literal["estimated", "true"] = "estimated"
+    """What the observers are told: what the estimator makes of measured positions, as live, or the model's own."""
+    estimator: EstimatorTable = Kalman()
+    """How V and A are had from the position."""
+    damping: NonNegative | None = None
+    """mu in N s/m, at most m / (5 dT); by default 5, or that bound if it is less."""
+    velocity_threshold: Positive = 0.6
+    """V_t in m/s, of VFC."""
+    vfc_force_threshold_n: Positive = 1.0
+    """F_t in N, of VFC."""
+    vfc_form: Literal["product", "both"] = "product"
+    """Eq. 1 as printed, or both thresholds at the same time."""
+    grasp_threshold: Annotated[float, Meta(gt=1.0, le=LARGEST)] = 1.5
+    """zeta, above 1, of HSC."""
+    grasp_floor_n: Positive = 1e-3
+    """alpha in N, of HSC."""
+    hsc_force_threshold_n: NonNegative = 0.1
+    """F_t in N, of HSC."""
+    energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] = -0.03
+    """delta in J, below 0, of WSC."""
+    energy_ratio: Ratio = 0.5
+    """eta, above 0 and at most 1."""
+    window: Annotated[int, Meta(ge=1, le=3_600_000)] = 100
+    """w in ticks, of WSC."""
+    pc_max_damping: NonNegative | None = None
+    """Bound in N s/m on the damping of PC, at most m / (5 dT); by default 10, or that bound if it is less."""
+    hold_off_s: Hold = 0.0
+    """Least duration of an intervention in s, 0 to 60."""
+    release_ramp_s: Hold = 0.0
+    """Time in s over which an intervention fades out, 0 to 60."""
+    limiter: LimiterTable = LimiterTable()
+    """Bounds on the device force."""
+
+
+class RecordTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[record]`: the signals are kept; without this table only metrics and events."""
+
+    every: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
+    """Every so many ticks."""
+
+
+class Scene(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A scene. A table that is absent is a part that is not built; SI units; positive forces push along +x."""
+
+    schema: Literal[1]
+    """Version of the format."""
+    title: str = ""
+    """What it is, in a few words."""
+    shows: str = ""
+    """What it shows, in a sentence."""
+    run: RunTable = RunTable()
+    """How long and how it is computed."""
+    master: MasterTable
+    """The device."""
+    operator: OperatorTable | None = None
+    """The hand; by default nobody holds the device."""
+    slave: SlaveTable | None = None
+    """The arm; by default the environment is rendered on the device itself."""
+    environment: EnvironmentTable | None = None
+    """What is touched and what pushes; by default nothing."""
+    link: LinksTable | None = None
+    """The network; by default the two sides share one wire without delay."""
+    coupling: CouplingTable | None = None
+    """How master and slave are coupled; the default coupling where there is an arm."""
+    safety: SafetyTable = SafetyTable()
+    """Who watches the hand; by default only the bounds of the limiter."""
+    record: RecordTable | None = None
+    """What is kept of the signals; by default nothing."""

@@ -1,0 +1,115 @@
+"""Haptic devices that a scene can name: their numbers, each with where it comes from.
+
+"Data sheet" is that of SensAble, later 3D Systems, for the device. The sheets themselves were not at hand: their
+numbers stand here as they are commonly quoted, and a second source that was read is named beside them. What no source
+gives is said to be chosen, and how. Resistance to back-driving is taken as Coulomb friction; viscous friction is in no
+data sheet and taken as none.
+"""
+
+from collections.abc import Mapping
+from math import pi
+from types import MappingProxyType
+from typing import Literal
+
+import msgspec
+
+
+class DevicePreset(msgspec.Struct, frozen=True, kw_only=True):
+    """What is known of one model of haptic device, on each of its axes.
+
+    Of a device with joints, m is in kg m², forces are in N m and positions in rad.
+    """
+
+    title: str
+    """Maker and model."""
+    mass_kg: float
+    """m in kg: apparent mass at the tip."""
+    viscous: float
+    """b in N s/m."""
+    coulomb: float
+    """c in N."""
+    friction: Literal["vector", "axis"] = "vector"
+    """Whether friction acts along the motion of a stylus or on each joint by itself."""
+    encoder_quantum: float
+    """Resolution of the position in m."""
+    max_force_n: float
+    """Largest force in N, for a short time."""
+    continuous_force_n: float
+    """Force in N that it can exert without end; for information, a simulated device does not grow hot."""
+    workspace: tuple[float, ...]
+    """Width, height and depth of the workspace in m; for information, `stops` of a scene bound it."""
+
+
+DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
+    "phantom-desktop": DevicePreset(
+        title="SensAble PHANTOM Desktop",
+        # m, b, c: paper section 4.1, identified on the paper's own device. The data sheet says 45 g and 0.06 N;
+        # the paper's m holds the stylus as it was held and thrown.
+        mass_kg=0.157,
+        viscous=-0.005,
+        coulomb=0.038,
+        encoder_quantum=2.3e-5,  # data sheet: 0.023 mm (1100 dpi)
+        max_force_n=7.9,  # data sheet; CHAI3D (CPhantomDevices.cpp) has the same
+        continuous_force_n=1.75,  # data sheet
+        workspace=(0.16, 0.12, 0.12),  # data sheet
+    ),
+    "phantom-omni": DevicePreset(
+        title="SensAble PHANTOM Omni",
+        mass_kg=0.045,  # data sheet: 45 g apparent mass at the tip
+        viscous=0.0,  # in no data sheet
+        coulomb=0.26,  # data sheet: back-drive friction below 0.26 N
+        encoder_quantum=5.5e-5,  # data sheet: 0.055 mm (450 dpi)
+        max_force_n=3.3,  # data sheet; CHAI3D (CPhantomDevices.cpp) has the same
+        continuous_force_n=0.88,  # data sheet
+        workspace=(0.16, 0.12, 0.07),  # data sheet
+    ),
+    "touch": DevicePreset(
+        title="3D Systems Touch",
+        # Successor of the Omni with the same mechanism; taken to have the Omni's numbers.
+        mass_kg=0.045,
+        viscous=0.0,
+        coulomb=0.26,
+        encoder_quantum=5.5e-5,
+        max_force_n=3.3,  # CHAI3D (CPhantomDevices.cpp) has the same
+        continuous_force_n=0.88,
+        workspace=(0.16, 0.12, 0.07),
+    ),
+    "phantom-premium-1.5": DevicePreset(
+        title="SensAble PHANTOM Premium 1.5",
+        mass_kg=0.075,  # data sheet: below 75 g
+        viscous=0.0,  # in no data sheet
+        coulomb=0.04,  # data sheet: back-drive friction 0.04 N
+        encoder_quantum=3e-5,  # data sheet: 0.03 mm (860 dpi)
+        max_force_n=8.5,  # data sheet; CHAI3D (CPhantomDevices.cpp, its 6DOF model) has the same
+        continuous_force_n=1.4,  # data sheet
+        workspace=(0.381, 0.267, 0.191),  # data sheet
+    ),
+    "inverse3": DevicePreset(
+        title="Haply Inverse3",
+        # No number of this preset has a source: the maker's documentation that was at hand has none. Chosen as the
+        # identified PHANTOM Desktop, the only desktop device here whose m, b, c somebody measured, and with its bound
+        # on the force: it is a stand-in to be replaced by numbers of your own device.
+        mass_kg=0.157,
+        viscous=0.0,
+        coulomb=0.038,
+        encoder_quantum=2.3e-5,
+        max_force_n=7.9,
+        continuous_force_n=1.75,
+        workspace=(0.16, 0.12, 0.12),
+    ),
+    "dynamixel-leader": DevicePreset(
+        title="Joint of a leader arm: ROBOTIS DYNAMIXEL XL330-M288-T at 5 V",
+        # m, b, c: identified by Duclusaud et al. 2024 (github.com/Rhoban/bam, bam/params/xl330/m1.json at 11bb7ec:
+        # armature, friction_viscous, friction_base), of the servo alone: add what the joint carries. Other fits there
+        # differ. That it is the M288 follows from its kt of 0.37 N m/A: the e-manual's 0.52 N m at 1.47 A is 0.354.
+        mass_kg=0.00199,  # kg m²
+        viscous=0.0059,  # N m s/rad
+        coulomb=0.0182,  # N m
+        friction="axis",
+        encoder_quantum=2.0 * pi / 4096.0,  # rad; e-manual: 4096 pulse/rev
+        max_force_n=0.52,  # N m; e-manual: stall torque at 5.0 V
+        continuous_force_n=0.104,  # N m; chosen: the e-manual advises loads of a fifth of the stall torque or less
+        workspace=(2.0 * pi,),  # rad; e-manual: position control over 0 to 360 degrees
+    ),
+})  # fmt: skip
+"""The presets by the name that `[master] device` gives."""

@@ -1,0 +1,185 @@
+"""`haptether simulate`."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.bridge import Run
+
+SPINNER_AFTER_S = 2.0
+EVENTS_SHOWN = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate:
+    """Run a scene in virtual time: device, hand, arm, environment, network and safety from one TOML file.
+
+    SCENE is the name of a scene that comes with Haptether (--list) or the path of a TOML file. Any field can be
+    changed, as --set table.key=value or as --table.key value. The same scene and seed give the same numbers. Exit
+    status 1 says that the loop diverged, 2 that the scene cannot be built.
+
+    Examples:
+
+    haptether simulate --list
+
+    haptether simulate remote_push
+
+    haptether simulate remote_push --link.forward.delay-s 0.1 --set safety.controllers=[] --plot out/remote_push
+
+    haptether simulate my/scene.toml --json - --out run.npz
+    """
+
+    scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
+    """Name of a shipped scene, or path of a TOML file."""
+    set: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
+    ] = ()
+    """Change a field; may be given often. Values are TOML, bare words are strings."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write scene, seed, version, events and metrics as JSON; - for standard output."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Draw positions, forces and trips as a PNG into this folder."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
+    """Write every signal as a NumPy array."""
+    list: bool = False
+    """Say which scenes there are, and end."""
+
+    def run(self) -> int:
+        """Runs the scene; 0, or 1 if it diverged."""
+        from rich.console import Console
+
+        from haptether.bridge import SceneError, load_scene, simulate
+        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
+
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        if self.list:
+            self._list(console)
+            return 0
+        if self.scene is None:
+            message = "which scene? Name one of `haptether simulate --list`, or give the path of a TOML file"
+            raise SceneError(message)
+        check_target(self.json)
+        check_target(self.out)
+        if self.out is not None and self.out.suffix != ".npz":
+            message = f"{self.out}: must end in .npz"
+            raise ValueError(message)
+        if self.plot is not None:
+            require_matplotlib()
+        scene = load_scene(self.scene, self.set)
+        if scene.record is None and (self.plot is not None or self.out is not None):
+            message = f"{self.scene} has no [record], so there are no signals to keep: add --set record.every=1"
+            raise SceneError(message)
+        with spinner(f"running {self.scene}"):
+            run = simulate(self.scene, overrides=self.set)
+        return self._report(console, run)
+
+    def _report(self, console: "Console", run: "Run") -> int:
+        import msgspec
+
+        from haptether.cli.output import write_json
+
+        self._print(console, run)
+        if self.json is not None:
+            report = {
+                "scene": run.scene,
+                "seed": run.seed,
+                "version": run.version,
+                "events": run.events,
+                "metrics": run.metrics,
+            }
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        if self.out is not None:
+            run.save(self.out)
+            console.print(f"signals: {self.out}", highlight=False)
+        if self.plot is not None:
+            from haptether.cli.scene_picture import draw_run
+
+            self.plot.mkdir(parents=True, exist_ok=True)
+            picture = self.plot / f"{Path(run.scene).stem}.png"
+            draw_run(run, picture)
+            console.print(f"picture: {picture}", highlight=False)
+        if run.metrics.diverged:
+            last = next((event for event in run.events if event.kind == "diverged"), None)
+            cause = f" at {last.time_s:g} s: {last.detail}" if last is not None else ""
+            message = f"{run.scene} diverged{cause}"
+            raise RuntimeError(message)
+        return 0
+
+    def _print(self, console: "Console", run: "Run") -> None:
+        import msgspec
+        from rich.table import Table
+
+        table = Table(header_style="bold", pad_edge=False)
+        table.add_column(run.scene)
+        table.add_column(f"seed {run.seed}", justify="right")
+        for name, value in msgspec.to_builtins(run.metrics).items():
+            table.add_row(METRICS.get(name, name).replace("[", "\\["), shown(value))
+        console.print(table)
+        for event in run.events[:EVENTS_SHOWN]:
+            console.print(f"  {event.time_s:9.4f} s  {event.kind}  {event.detail}", highlight=False, markup=False)
+        if len(run.events) > EVENTS_SHOWN:
+            console.print(f"  and {len(run.events) - EVENTS_SHOWN} more events; --json has all", highlight=False)
+
+    def _list(self, console: "Console") -> None:
+        from rich.table import Table
+
+        from haptether.bridge import load_scene, scene_names
+
+        table = Table(header_style="bold", pad_edge=False)
+        table.add_column("scene")
+        table.add_column("shows")
+        for name in scene_names():
+            table.add_row(name, load_scene(name).shows)
+        console.print(table)
+
+
+METRICS = {
+    "max_ejection_velocity": "largest ejection velocity [m/s]",
+    "peak_device_force": "largest device force [N]",
+    "time_to_trip_s": "time to trip after the release [s]",
+    "false_trips": "interventions while the hand held",
+    "intervention_s": "time under intervention [s]",
+    "position_rmse_m": "position error, RMS [m]",
+    "force_rmse_n": "force error, RMS [N]",
+    "passivity_min_j": "least energy taken in [J]",
+    "diverged": "diverged",
+    "ticks": "ticks",
+    "wall_time_s": "computed in [s]",
+}
+"""What each metric is called in the table."""
+
+
+def shown(value: object) -> str:
+    """A metric for people."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+@contextlib.contextmanager
+def spinner(text: str) -> Iterator[None]:
+    """Says on standard error that something goes on, once it takes longer than two seconds."""
+    import threading
+
+    from rich.console import Console
+
+    status = Console(stderr=True).status(text)
+    timer = threading.Timer(SPINNER_AFTER_S, status.start)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+        status.stop()

@@ -1,0 +1,138 @@
+"""`haptether sweep`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.bridge import Sweep as SweepResult
+
+ROWS_SHOWN = 20
+MOST_ROWS = 10_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """Run a scene for many values of some of its numbers, every combination once.
+
+    A range a:b:n is n values from a to b, both included; a list is v1,v2,... The last path varies fastest. Prints the
+    first rows; --out and --json have all. Exit status 2 says that the scene or a value cannot be.
+
+    Examples:
+
+    haptether sweep remote_push --vary link.forward.delay_s=0.01:0.1:10 --vary safety.window=50,100,200 --out push.csv
+
+    haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:1000:9 --set safety.controllers=[hsc]
+    """
+
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
+    """Name of a shipped scene, or path of a TOML file."""
+    vary: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="PATH=A:B:N|V1,V2"),
+    ] = ()
+    """What varies; may be given often."""
+    set: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
+    ] = ()
+    """Change a field in all rows; may be given often."""
+    threads: int | None = None
+    """Threads to run in; as many as there are processors if not given."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write all rows as JSON; - for standard output."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.csv|FILE.npz")] = None
+    """Write all rows as CSV or as NumPy arrays."""
+
+    def run(self) -> int:
+        """Runs all rows."""
+        from math import prod
+
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+        from haptether.bridge import sweep
+        from haptether.cli.output import check_target, table_goes_to_stderr
+
+        check_target(self.json)
+        check_target(self.out)
+        if self.out is not None and self.out.suffix not in {".csv", ".npz"}:
+            message = f"{self.out}: must end in .csv or .npz"
+            raise ValueError(message)
+        if not self.vary:
+            message = "nothing to vary: give --vary path=a:b:n or path=v1,v2"
+            raise ValueError(message)
+        grid = dict(values_of(text) for text in self.vary)
+        rows = prod(len(values) for values in grid.values())
+        if rows > MOST_ROWS:
+            message = f"{rows} rows: must be at most {MOST_ROWS}"
+            raise ValueError(message)
+        bar = Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+        with bar:
+            task = bar.add_task("", total=rows)
+            result = sweep(
+                self.scene,
+                grid,
+                overrides=self.set,
+                threads=self.threads,
+                progress=lambda done: bar.update(task, completed=done),
+            )
+            bar.update(task, completed=rows)
+        self._report(Console(stderr=table_goes_to_stderr(self.json)), result)
+        return 0
+
+    def _report(self, console: "Console", result: "SweepResult") -> None:
+        import msgspec
+        import numpy as np
+        from rich.table import Table
+
+        from haptether import __version__
+        from haptether.cli.output import write_json
+        from haptether.cli.simulate import shown
+
+        # A metric that applies to no row is no news.
+        names = [
+            name for name, column in result.columns.items() if not (column.dtype.kind == "f" and np.isnan(column).all())
+        ]
+        table = Table(header_style="bold", pad_edge=False)
+        for name in names:
+            table.add_column(name, justify="right")
+        for row, _ in zip(result.rows(), range(ROWS_SHOWN), strict=False):
+            table.add_row(*(shown(row[name]) for name in names))
+        console.print(table)
+        if len(result) > ROWS_SHOWN:
+            console.print(f"and {len(result) - ROWS_SHOWN} more rows; --out and --json have all", highlight=False)
+        if self.json is not None:
+            # NaN, where a metric does not apply, is null in JSON.
+            report = {"scene": self.scene, "version": __version__, "rows": list(result.rows())}
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        if self.out is not None:
+            result.save(self.out)
+            console.print(f"rows: {self.out}", highlight=False)
+
+
+def values_of(text: str) -> tuple[str, list[float]]:
+    """The path and the values of `path=a:b:n` or `path=v1,v2,...`.
+
+    Raises:
+        ValueError: Another form, or a count that is none.
+    """
+    import numpy as np
+
+    path, _, values = text.partition("=")
+    try:
+        if ":" in values:
+            first, last, count = values.split(":")
+            numbers: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
+        else:
+            numbers = [float(value) for value in values.split(",")]
+    except ValueError:
+        numbers = []
+    if not path or not numbers or len(numbers) > MOST_ROWS:
+        message = f"--vary {text}: must be path=a:b:n with n of at least 1, or path=v1,v2,..."
+        raise ValueError(message)
+    return path, numbers

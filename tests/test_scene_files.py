@@ -1,0 +1,504 @@
+"""Scene files: names, overrides, recordings, and what a run and a sweep make of them."""
+
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import haptether
+from haptether.bridge import (
+    Event,
+    Scene,
+    SceneError,
+    Signals,
+    Sweep,
+    load_scene,
+    override_scene,
+    scene_json,
+    scene_names,
+    simulate,
+    sweep,
+)
+from haptether.bridge.scene_sweep import sweep_columns
+
+SHIPPED = {
+    "active_force",
+    "free_motion",
+    "moving_wall",
+    "paper_wall",
+    "playback",
+    "remote_push",
+    "sliding_mass",
+    "three_axis_box",
+}
+MINIMAL = 'schema = 1\nmaster = { device = "touch" }\n'
+
+
+def spec(scene: Scene) -> dict[str, Any]:
+    filled: dict[str, Any] = json.loads(scene_json(scene))
+    return filled
+
+
+def file(folder: Path, text: str) -> Path:
+    path = folder / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+# --------------------------------------------------------------------------------------------- files
+
+
+def test_the_shipped_scenes_are_found_by_name() -> None:
+    assert set(scene_names()) == SHIPPED
+
+
+def test_the_paper_wall_is_the_operator_of_the_paper() -> None:
+    from haptether.studies import Operator
+
+    operator, depth, stiffness = Operator(), 0.039, 200.0
+    hand = spec(load_scene("paper_wall"))["operator"]
+    pressed = operator.pressing(stiffness, depth)
+    assert hand["grip_strength_n"] == pytest.approx(operator.grip_margin * stiffness * depth)
+    assert hand["release"] == {"at_s": operator.release_at_s, "decay_s": operator.release_s, "kind": "strength"}
+    times = np.cumsum([leg["duration_s"] for leg in hand["legs"]])
+    assert [leg["end"][0] for leg in hand["legs"]] == pytest.approx([pressed.target(at_s) for at_s in times])
+
+
+def test_the_remote_push_is_that_of_the_demonstration() -> None:
+    from haptether.studies import DemoScene
+
+    demo, scene = DemoScene(), spec(load_scene("remote_push"))
+    (wall,), (pusher,) = scene["environment"]["objects"], scene["environment"]["pushers"]
+    assert scene["link"]["forward"] == scene["link"]["backward"]
+    assert scene["link"]["forward"] == {"delay_s": demo.delay_s, "jitter_s": demo.jitter_s, "loss": demo.loss}
+    assert wall["contact"]["stiffness"] == demo.wall_stiffness
+    assert scene["operator"]["legs"][0]["end"] == [-demo.depth]
+    assert scene["operator"]["release"]["at_s"] == demo.release_at_s
+    assert (pusher["at_s"], pusher["duration_s"]) == (demo.push_at_s, demo.push_duration_s)
+    assert pusher["force_n"] == [demo.push_force_n]
+
+
+def test_the_recordings_of_playback_are_their_formulas() -> None:
+    scene = spec(load_scene("playback"))
+    hand, force = scene["operator"]["recorded"], scene["environment"]["pushers"][0]["recorded"]
+    t = np.array(hand["time_s"])
+    assert np.allclose(t, np.arange(201) * 0.02)
+    assert np.allclose(np.ravel(hand["values"]), 0.02 * np.cos(np.pi * t) * np.exp(-t / 4), atol=1e-6)
+    expected = 2.5 * np.sin(np.pi * t / 4) ** 2 * (1 + 0.3 * np.sin(6 * np.pi * t))
+    assert np.allclose(np.ravel(force["values"]), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("schema = 1\n[master\n", "mine.toml: line 2, column 8: "),
+        ("schema = 1\nschema = 1\n", "mine.toml: line 2, column 11: Cannot overwrite a value"),
+        ("schema = 1979-05-27\nmaster = {}\n", "mine.toml: schema = 1979-05-27: must be 1"),
+        ("", "mine.toml: schema is missing: must be 1"),
+    ],
+)
+def test_what_is_no_scene_says_where(text: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(SceneError) as refused:
+        load_scene(file(tmp_path, text))
+    assert str(refused.value).startswith(said)
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes(b"title = '\xff'")
+    with pytest.raises(SceneError, match=r"mine\.toml: must be UTF-8: invalid start byte at byte 9"):
+        load_scene(path)
+
+
+@pytest.mark.parametrize("name", ["remote_psh", "/no/such/remote_psh.toml"])
+def test_a_scene_that_is_not_there_names_the_nearest(name: str) -> None:
+    with pytest.raises(SceneError, match=r"no shipped scene and no such file: did you mean remote_push\?"):
+        load_scene(name)
+
+
+# ----------------------------------------------------------------------------------------- overrides
+
+
+@pytest.mark.parametrize(
+    ("override", "path", "value"),
+    [
+        ("safety.window=50", "safety.window", 50),
+        ("safety.window = 50", "safety.window", 50),
+        ("run.integrator=rk4", "run.integrator", "rk4"),
+        ("run.integrator='velocity-verlet'", "run.integrator", "velocity-verlet"),
+        ("run.stop-early=true", "run.stop_early", True),
+        ("safety.controllers=[]", "safety.controllers", []),
+        ("safety.controllers=[hsc, wsc]", "safety.controllers", ["hsc", "wsc"]),
+        ('safety.controllers=["vfc"]', "safety.controllers", ["vfc"]),
+        ("operator.legs.0.end=-0.03", "operator.legs.0.end", [-0.03]),
+        ("link.forward.delay-s=0.1", "link.forward.delay_s", 0.1),
+        ("environment.objects.0.contact.stiffness=1e3", "environment.objects.0.contact.stiffness", 1e3),
+        ("environment.objects.0.shape={kind=sphere, radius=0.1}", "environment.objects.0.shape.radius", 0.1),
+        ("safety.limiter.max_force_n=3", "safety.limiter.max_force_n", 3),
+        ("safety.estimator.jerk_density=20", "safety.estimator.jerk_density", 20),
+        ("master.device=phantom-omni", "master.mass_kg", [0.045]),
+        ("master.device=phantom-premium-1.5", "master.mass_kg", [0.075]),
+        ("slave.force_sensor.noise_n=0.1", "slave.force_sensor.noise_n", 0.1),
+        ("operator.tremor={}", "operator.tremor.frequency_hz", 10.0),
+    ],
+)
+def test_a_field_can_be_overridden(override: str, path: str, value: object) -> None:
+    before = load_scene("remote_push")
+    for scene in (load_scene("remote_push", [override]), override_scene(before, [override])):
+        found: Any = spec(scene)
+        for step in path.split("."):
+            found = found[int(step)] if isinstance(found, list) else found[step]
+        assert found == value
+    assert before == load_scene("remote_push")
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("safety.window", '"safety.window": must be table.key=value'),
+        ("safety.windw=3", "[safety] has no key windw: did you mean window?"),
+        ("safty.window=3", "a scene has no key safty: did you mean safety?"),
+        ("safety.window=0", "[safety] window = 0: must be 1 to 3600000"),
+        ("safety.window=inf", "[safety] window = inf: must be a finite number"),
+        ("safety.window=", "[safety] window = \"\": must be a value in TOML"),
+        ("safety.window=1\nschema=2", "must be a value in TOML"),
+        ("operator.legs.1.end=0", "[operator] legs.1: the scene has 1 of these, counted from 0"),
+        ("operator.legs.x.end=0", '"operator.legs.x.end": [operator] legs has no part x'),
+        ("operator.legs.0.end.0=0", "[operator.legs.0] end.0: the scene has one number for all axes"),
+        ("link.forward.delay_s=0.001", "[link.forward] jitter_s = 0.01: must be at most delay_s = 0.001"),
+        ("safety.estimator.cutoff_hz=3", "[safety.estimator] has no key cutoff_hz: "),
+        ("=3", "a scene has no key : "),
+    ],
+)  # fmt: skip
+def test_an_override_that_does_not_fit_is_refused(override: str, said: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        load_scene("remote_push", [override])
+    assert str(refused.value).startswith("remote_push.toml: ")
+    assert said in str(refused.value)
+
+
+def test_a_table_that_an_override_needs_is_made(tmp_path: Path) -> None:
+    scene = load_scene(file(tmp_path, MINIMAL), ["slave.mass_kg=2", "link.backward.loss=0.5"])
+    filled = spec(scene)
+    assert filled["link"] == {"forward": None, "backward": {"delay_s": 0.0, "jitter_s": 0.0, "loss": 0.5}}
+    assert filled["slave"]["mass_kg"] == 2
+    assert filled["coupling"] == {"kind": "position-force", "position_scale": 1.0, "force_scale": 1.0}
+
+
+# ---------------------------------------------------------------------------------------- recordings
+
+
+def played(name: str) -> str:
+    return f'{MINIMAL}operator = {{ recorded = {{ file = "{name}" }} }}\n'
+
+
+def test_a_recording_is_read_beside_its_scene(tmp_path: Path) -> None:
+    (tmp_path / "hand.csv").write_text("# a comment\ntime_s, x\n0, 0.1\n0.5,0.2\n", encoding="utf-8")
+    np.savez(tmp_path / "hand.npz", time_s=[0.0, 0.5], values=[0.1, 0.2])
+    for name in ("hand.csv", "hand.npz"):
+        scene = load_scene(file(tmp_path, played(name)))
+        assert spec(scene)["operator"]["recorded"] == {"time_s": [0.0, 0.5], "values": [[0.1], [0.2]]}
+        assert spec(override_scene(scene, ["run.seed=3"]))["operator"]["recorded"]["values"] == [[0.1], [0.2]]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("hand.csv", "", "header '': must be time_s,x"),
+        ("hand.csv", "t,x\n0,0\n", "header 't,x': must be time_s,x"),
+        ("hand.csv", "time_s,x\n", "must have at least one row"),
+        ("hand.csv", "time_s,x\n0,0\n1\n", "row 2 '1': must be 2 finite numbers"),
+        ("hand.csv", "time_s,x\n0,nan\n", "row 1 '0,nan': must be 2 finite numbers"),
+        ("hand.csv", "time_s,x\n0,zero\n", "row 1 '0,zero': must be 2 finite numbers"),
+        ("hand.csv", "time_s,x\n0,0\n0,0\n", "row 2: time_s = 0: must be above the one before it, 0"),
+        ("hand.csv", "time_s,x,y\n0,0,0\n", "[operator.recorded] values.0 = [0, 0]: must be one number or a list of 1"),
+        ("hand.csv", "time_s,x\n-1,0\n", "hand.csv: Expected `float` >= 0.0 - at `$.time_s[0]`"),
+        ("hand.csv", "time_s,x\n0,1e5\n", "hand.csv: Expected `float` <= 10000.0 - at `$.values[0][0]`"),
+        ("hand.csv", None, "cannot be read: No such file"),
+        ("hand.txt", "", "hand.txt: must be a .csv or .npz file"),
+        ("hand.npz", "no zip", "hand.npz: must hold the arrays time_s and values"),
+    ],
+)
+def test_a_bad_recording_is_refused_with_its_place(name: str, text: str | None, said: str, tmp_path: Path) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError) as refused:
+        load_scene(file(tmp_path, played(name)))
+    assert said in str(refused.value)
+    assert str(refused.value).count("\n") == 0
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"time_s": [0.0]}, "must hold the arrays time_s and values"),
+        ({"time_s": [0.0], "values": ["a"]}, "must hold the arrays time_s and values of numbers"),
+        ({"time_s": [0.0, 1.0], "values": [0.0]}, "must be (n,) and (n, axes)"),
+        ({"time_s": [], "values": []}, "must be (n,) and (n, axes), n > 0"),
+        ({"time_s": [0.0], "values": [np.nan]}, "must hold finite numbers"),
+        ({"time_s": [0.0, 0.0], "values": [0.0, 0.0]}, "time_s[1] = 0: must be above the one before it"),
+    ],
+)
+def test_a_bad_npz_is_refused(arrays: dict[str, Any], said: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "hand.npz", **arrays)
+    with pytest.raises(SceneError) as refused:
+        load_scene(file(tmp_path, played("hand.npz")))
+    assert said in str(refused.value)
+
+
+# ---------------------------------------------------------------------------------------------- runs
+
+
+class FakeRun:
+    """What the extension gives."""
+
+    def __init__(self, ticks: int) -> None:
+        self.signals = {"time_s": np.arange(ticks) * 1e-3, "position": np.zeros((ticks, 3))}
+        self.events = [(0.1, "trip", "WSC"), (0.2, "release", "")]
+        self.metrics = {"max_ejection_velocity": 0.5, "time_to_trip_s": None, "diverged": False, "ticks": ticks}
+
+
+@pytest.fixture
+def scenes_run(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
+    """The scenes that were given to the extension."""
+    given: list[bytes] = []
+
+    def simulate_scene(scene: bytes) -> FakeRun:
+        given.append(scene)
+        return FakeRun(10)
+
+    monkeypatch.setattr("haptether._core.simulate_scene", simulate_scene, raising=False)
+    return given
+
+
+def test_a_run_is_what_the_extension_saw(scenes_run: list[bytes], tmp_path: Path) -> None:
+    run = simulate("remote_push", overrides=["run.seed=5"])
+    assert (run.scene, run.seed, run.version) == ("remote_push", 5, haptether.__version__)
+    assert scenes_run == [scene_json(load_scene("remote_push", ["run.seed=5"]))]
+    assert run.events == (Event(0.1, "trip", "WSC"), Event(0.2, "release", ""))
+    assert run.metrics.max_ejection_velocity == 0.5
+    assert run.metrics.time_to_trip_s is None
+    assert run.metrics.false_trips is None
+    assert run.metrics.ticks == 10
+    assert run.metrics.wall_time_s >= 0.0
+    assert run.signals.position.shape == (10, 3)
+    assert run.signals["time_s"] is run.signals.time_s
+    assert list(run.signals) == ["time_s", "position"]
+    run.save(tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz") as arrays:
+        assert set(arrays) == {"time_s", "position"}
+
+
+def test_a_scene_a_name_and_a_path_do_the_same(scenes_run: list[bytes], tmp_path: Path) -> None:
+    path = file(tmp_path, MINIMAL)
+    assert simulate(path).scene == str(path)
+    assert simulate(load_scene(path)).scene == "scene"
+    assert simulate(load_scene("remote_push")).scene == "Remote push"
+    assert scenes_run[0] == scenes_run[1]
+
+
+def test_signals_that_are_not_there_are_named() -> None:
+    signals = Signals({"time_s": np.zeros(3)})
+    with pytest.raises(KeyError, match="no signal 'x': there is time_s"):
+        signals["x"]
+    with pytest.raises(AttributeError, match="no signal 'x': there is time_s"):
+        _ = signals.x
+    with pytest.raises(AttributeError, match="the scene has no \\[record\\]"):
+        _ = Signals({}).x
+    assert len(pickle.loads(pickle.dumps(signals))["time_s"]) == 3
+
+
+def test_the_package_offers_both_without_loading_them() -> None:
+    import subprocess
+    import sys
+
+    program = (
+        "import sys, haptether\nassert not {'numpy', 'msgspec', 'haptether.bridge'} & set(sys.modules)\n"
+        "assert haptether.simulate.__module__ == 'haptether.bridge.scene_run'\nassert haptether.sweep"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+    assert haptether.simulate is simulate
+    assert haptether.sweep is sweep
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        _ = haptether.simulat
+
+
+# -------------------------------------------------------------------------------------------- sweeps
+
+
+def columns(varied: dict[str, Any], name: str = "remote_push") -> dict[str, list[float]]:
+    arrays = {path: np.asarray(values, dtype=np.float64) for path, values in varied.items()}
+    return {path: column.tolist() for path, column in sweep_columns(load_scene(name), arrays)}
+
+
+@pytest.mark.parametrize(
+    ("varied", "expected"),
+    [
+        ({"safety.window": [50, 200]}, {"safety.window": [50, 200]}),
+        ({"operator.damping": [5, 8]}, {"operator.damping": [5, 8]}),
+        ({"operator.legs.0.end": [-0.03]}, {"operator.legs.0.end.0": [-0.03]}),
+        ({"operator.legs.0.end.0": [-0.03]}, {"operator.legs.0.end.0": [-0.03]}),
+        ({"link.forward.delay-s": [0.02, 0.05]}, {"link.forward.delay_s": [0.02, 0.05]}),
+        (
+            {"environment.objects.0.contact.stiffness": [100]},
+            {"environment.objects.0.contact.stiffness": [100]},
+        ),
+        # what follows from a number varies with it
+        (
+            {"master.encoder_quantum": [1e-5, 2e-5]},
+            {"master.encoder_quantum": [1e-5, 2e-5], "safety.estimator.quantum_m": [1e-5, 2e-5]},
+        ),
+        ({"run.period_s": [1e-3, 5e-4]}, {"run.period_s": [1e-3, 5e-4], "slave.period_s": [1e-3, 5e-4]}),
+        ({"slave.position": [0.02]}, {"slave.position.0": [0.02]}),
+        # together allowed, each alone not
+        (
+            {"link.forward.delay_s": [0.005], "link.forward.jitter_s": [0.001]},
+            {"link.forward.delay_s": [0.005], "link.forward.jitter_s": [0.001]},
+        ),
+    ],
+)
+def test_paths_become_the_numbers_of_the_specification(
+    varied: dict[str, list[float]], expected: dict[str, list[float]]
+) -> None:
+    assert columns(varied) == expected
+
+
+def test_a_number_for_every_axis_is_spread() -> None:
+    assert columns({"operator.legs.0.end": [0.01, 0.02]}, "three_axis_box") == {
+        f"operator.legs.0.end.{axis}": [0.01, 0.02] for axis in range(3)
+    }
+    of_mass = columns({"master.mass_kg": [0.1, 0.02]}, "three_axis_box")
+    assert of_mass.pop("safety.damping") == [5.0, 4.0]
+    assert of_mass.pop("safety.pc_max_damping") == [10.0, 4.0]
+    assert of_mass == {f"master.mass_kg.{axis}": [0.1, 0.02] for axis in range(3)}
+
+
+def test_the_columns_are_those_of_each_scene_by_itself() -> None:
+    base = load_scene("remote_push")
+    rng = np.random.default_rng(3)
+    varied = {
+        "link.forward.delay_s": rng.uniform(0.02, 0.2, 20), "safety.window": rng.integers(1, 500, 20),
+        "operator.stiffness": rng.uniform(100, 500, 20), "master.mass_kg": rng.uniform(0.01, 0.2, 20),
+        "run.duration_s": rng.uniform(1, 5, 20),
+    }  # fmt: skip
+    found = columns(varied)
+    for row in range(20):
+        alone = spec(override_scene(base, [f"{path}={values[row].item()!r}" for path, values in varied.items()]))
+        changed = spec(base)
+        for path, values in found.items():
+            *tables, key = (int(step) if step.isdigit() else step for step in path.split("."))
+            table: Any = changed
+            for step in tables:
+                table = table[step]
+            table[key] = values[row]
+        assert changed == alone
+
+
+@pytest.mark.parametrize(
+    ("varied", "said"),
+    [
+        ({"safety.windw": [1]}, "[safety] has no key windw: did you mean window?"),
+        ({"safety.window": [10, 0]}, "row 1: [safety] window = 0: must be 1 to 3600000"),
+        ({"safety.window": [1.5]}, "row 0: [safety] window = 1.5: must be a whole number, 1 to 3600000"),
+        ({"operator.damping": [1, 2, -1]}, "row 2: [operator] damping = -1: must be 0 to 1e9"),
+        ({"link.forward.delay_s": [0.05, 0.005]}, "row 1: [link.forward] jitter_s = 0.01: must be at most"),
+        ({"master.mass_kg": [0.1, 0.0]}, "row 1: [master] mass_kg = 0: must be above 0"),
+        ({"operator.regrasp.rise_s": [1]}, "[operator.regrasp] rise_s: the scene has no such part"),
+        ({"slave.max_acceleration": [1]}, "slave.max_acceleration: the scene leaves it out"),
+        ({"operator.legs.3.end": [1]}, "[operator.legs.3] end: the scene has no such part"),
+        ({"run.integrator": [1]}, 'run.integrator = "exact": a sweep varies numbers'),
+        ({"safety.controllers": [1]}, 'safety.controllers.0 = "wsc": a sweep varies numbers'),
+        ({"run.seed": [2.0**60]}, "row 0: [run] seed"),
+        ({"master.encoder_quantum": [0, 1e-5]}, "row 0: master.measures_velocity = false: a sweep varies numbers"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_refused_with_its_row(varied: dict[str, list[float]], said: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        columns(varied)
+    assert str(refused.value).startswith(said)
+
+
+@pytest.fixture
+def sweeps_run(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """What was given to the extension to sweep."""
+    given: list[dict[str, Any]] = []
+
+    def sweep_scenes(
+        scene: bytes,
+        columns: list[tuple[str, npt.NDArray[np.float64]]],
+        threads: int,
+        lanes: bool,
+        progress: Callable[[int], None] | None,
+    ) -> dict[str, npt.NDArray[Any]]:
+        given.append({"scene": scene, "columns": dict(columns), "threads": threads, "lanes": lanes})
+        rows = len(columns[0][1])
+        if progress is not None:
+            progress(rows)
+        return {"max_ejection_velocity": np.linspace(0, 1, rows), "time_to_trip_s": np.full(rows, np.nan)}
+
+    monkeypatch.setattr("haptether._core.sweep_scenes", sweep_scenes, raising=False)
+    return given
+
+
+def test_a_grid_is_every_combination_and_the_last_varies_fastest(sweeps_run: list[dict[str, Any]]) -> None:
+    done: list[int] = []
+    result = sweep(
+        "paper_wall",
+        {"environment.objects.0.contact.stiffness": [200, 300], "safety.window": [50, 100, 200]},
+        threads=3, lanes=False, progress=done.append,
+    )  # fmt: skip
+    assert len(result) == 6
+    assert result["environment.objects.0.contact.stiffness"].tolist() == [200, 200, 200, 300, 300, 300]
+    assert result["safety.window"].tolist() == [50, 100, 200] * 2
+    assert result["max_ejection_velocity"].tolist() == np.linspace(0, 1, 6).tolist()
+    (given,) = sweeps_run
+    assert given["scene"] == scene_json(load_scene("paper_wall"))
+    assert (given["threads"], given["lanes"], done) == (3, False, [6])
+    assert all(column.dtype == np.float64 and column.flags.c_contiguous for column in given["columns"].values())
+
+
+def test_samples_are_taken_row_by_row(sweeps_run: list[dict[str, Any]]) -> None:
+    result = sweep("paper_wall", samples={"safety.window": [10, 20], "operator.damping": np.array([5.0, 6.0])})
+    assert [(row["safety.window"], row["operator.damping"]) for row in result.rows()] == [(10, 5), (20, 6)]
+    assert sweeps_run[0]["threads"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({}, "give grid or samples"),
+        ({"grid": {"safety.window": [1]}, "samples": {"safety.window": [1]}}, "give grid or samples"),
+        ({"grid": {}}, "nothing to vary"),
+        ({"grid": {"safety.window": []}}, "safety.window: values of shape (0,)"),
+        ({"grid": {"safety.window": ["a"]}}, "safety.window: a sweep varies numbers"),
+        ({"grid": {"safety.window": [np.inf]}}, "safety.window = inf: must be a finite number"),
+        (
+            {"samples": {"safety.window": [1], "operator.damping": [1, 2]}},
+            "window has 1, operator.damping has 2",
+        ),
+        ({"grid": {"safety.window": [1]}, "threads": 0}, "threads = 0: must be 1 or more"),
+    ],
+)
+def test_a_sweep_of_nothing_is_refused(arguments: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=r".") as refused:
+        sweep("paper_wall", **arguments)
+    assert said in str(refused.value)
+
+
+def test_a_sweep_can_be_kept(tmp_path: Path) -> None:
+    result = Sweep({"safety.window": np.array([1.0, 2.0]), "ticks": np.array([3, 4])})
+    result.save(tmp_path / "sweep.csv")
+    assert (tmp_path / "sweep.csv").read_text() == "safety.window,ticks\n1.0,3\n2.0,4\n"
+    result.save(tmp_path / "sweep.npz")
+    with np.load(tmp_path / "sweep.npz") as arrays:
+        assert arrays["ticks"].tolist() == [3, 4]
+    with pytest.raises(ValueError, match=r"must end in \.csv or \.npz"):
+        result.save(tmp_path / "sweep.txt")
+    with pytest.raises(KeyError, match=r"no column 'x': there is safety\.window, ticks"):
+        result["x"]
+    assert "2 rows" in repr(result)

@@ -1,0 +1,569 @@
+"""Tables of a scene: what is refused and in which words, presets, and that the JSON is what the Rust side reads."""
+
+# ruff: noqa: ANN401, E501  # tables of anything, one bad scene a line
+
+import copy
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from haptether.bridge import (
+    ContactTable,
+    EnvironmentTable,
+    LegTable,
+    MasterTable,
+    ObjectTable,
+    OperatorTable,
+    RunTable,
+    SafetyTable,
+    Scene,
+    SceneError,
+    Sphere,
+    load_scene,
+    scene_json,
+    scene_names,
+)
+from haptether.bridge.scene_error import types_at
+from haptether.master import DEVICE_PRESETS
+
+SPEC = Path(__file__).resolve().parents[1] / "bridge" / "src" / "scene" / "spec.rs"
+
+# ------------------------------------------------------------------------------------------- TOML
+
+
+def toml(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return json.dumps(value) if isinstance(value, str) else repr(value)
+
+
+def written(scene: Mapping[str, Any], folder: Path) -> Path:
+    path = folder / "scene.toml"
+    path.write_text("".join(f"{key} = {toml(value)}\n" for key, value in scene.items()), encoding="utf-8")
+    return path
+
+
+def full_scene() -> dict[str, Any]:
+    """A scene with every table."""
+    return {
+        "schema": 1,
+        "title": "everything",
+        "shows": "all tables",
+        "run": {"duration_s": 2.0, "period_s": 1e-3, "seed": 7},
+        "master": {"device": "touch", "stops": [-0.1, 0.1]},
+        "operator": {
+            "grip_strength_n": 5.0,
+            "start": 0.02,
+            "legs": [{"duration_s": 1.0, "end": -0.03, "shape": "smooth"}],
+            "release": {"at_s": 1.0},
+            "regrasp": {"reaction_s": 0.2},
+            "tremor": {},
+        },
+        "slave": {"force_sensor": {"noise_n": 0.1, "rate_hz": 500.0}},
+        "environment": {
+            "objects": [
+                {"contact": {"stiffness": 100.0}, "motion": {"amplitude": 0.01, "frequency_hz": 1.0}},
+                {"shape": {"kind": "sphere", "radius": 0.1}, "contact": {"law": "hunt-crossley", "stiffness": 1e4}},
+                {"shape": {"kind": "box", "half_extents": 0.1}, "contact": {"stiffness": 1.0}, "body": {"mass_kg": 1}},
+                {"shape": {"kind": "spring"}, "contact": {"stiffness": 10.0}},
+            ],
+            "pushers": [
+                {"at_s": 0.5, "force_n": 1.0},
+                {"shape": "recorded", "recorded": {"time_s": [0.0, 1.0], "values": [0.0, 1.0]}},
+            ],
+        },
+        "link": {"forward": {"delay_s": 0.05, "jitter_s": 0.01, "loss": 0.1}, "backward": {}},
+        "coupling": {"force_scale": 0.5},
+        "safety": {"controllers": ["wsc", "hsc"], "estimator": {"kind": "savitzky-golay"}},
+        "record": {"every": 2},
+    }
+
+
+def local_scene() -> dict[str, Any]:
+    """A scene without an arm."""
+    return {
+        "schema": 1,
+        "master": {"device": "phantom-desktop"},
+        "operator": {},
+        "environment": {"objects": [{"contact": {"stiffness": 100.0}}]},
+    }
+
+
+ABSENT = object()
+
+
+def changed(scene: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    scene = copy.deepcopy(scene)
+    for path, value in changes.items():
+        *tables, key = path.split(".")
+        table: Any = scene
+        for step in tables:
+            table = table[int(step)] if isinstance(table, list) else table.setdefault(step, {})
+        if value is ABSENT:
+            del table[key]
+        else:
+            table[key] = value
+    return scene
+
+
+# ----------------------------------------------------------------------------------- bad scenes
+
+NAN, INF = float("nan"), float("inf")
+
+BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
+    # unknown keys
+    ({"safety.windw": 3}, "[safety] has no key windw: did you mean window?"),
+    ({"zoo": {}}, "a scene has no key zoo: there is coupling, environment, link, master"),
+    ({"link.forwards": {}}, "[link] has no key forwards: did you mean forward?"),
+    ({"operator.legs.0.duration": 1.0}, "[operator.legs.0] has no key duration: did you mean duration_s?"),
+    ({"environment.objects.1.shape.radios": 1.0}, "[environment.objects.1.shape] has no key radios: did you mean radius?"),
+    # types
+    ({"run.seed": 1.5}, "[run] seed = 1.5: must be a whole number, at least 0"),
+    ({"run.duration_s": "long"}, '[run] duration_s = "long": must be above 0'),
+    ({"run.stop_early": 1}, "[run] stop_early = 1: must be true or false"),
+    ({"run": 3}, "run = 3: must be a table"),
+    ({"operator.legs": 3}, "[operator] legs = 3: must be a list of tables"),
+    ({"title": 3}, "title = 3: must be a string"),
+    ({"environment.objects.0.shape": "plane"}, "must be a table whose kind is one of"),
+    ({"environment.objects.0.shape": {"kind": "cone"}}, '[environment.objects.0.shape] kind = "cone": must be one of "plane"'),
+    ({"environment.objects.0.shape": {}}, "[environment.objects.0.shape] kind is missing: must be one of"),
+    ({"safety.estimator": {"kind": "kalmn"}}, '[safety.estimator] kind = "kalmn": must be one of "backward-difference"'),
+    ({"master.device": "phantom"}, '[master] device = "phantom": must be one of "dynamixel-leader"'),
+    ({"safety.controllers": ["wso"]}, '[safety] controllers.0 = "wso": must be one of "hsc", "pc", "vfc", "wsc"'),
+    # missing
+    ({"schema": ABSENT}, "schema is missing: must be 1"),
+    ({"master": ABSENT}, "master is missing: must be a table"),
+    ({"environment.objects.0.contact": {}}, "[environment.objects.0.contact] stiffness is missing: must be 0 to 1e9"),
+    ({"master.device": ABSENT}, "[master] mass_kg is missing: give it, or name a device"),
+    # ranges
+    ({"schema": 2}, "schema = 2: must be 1"),
+    ({"safety.window": 0}, "[safety] window = 0: must be 1 to 3600000"),
+    ({"safety.grasp_threshold": 1.0}, "[safety] grasp_threshold = 1: must be above 1"),
+    ({"safety.energy_threshold_j": 0.0}, "[safety] energy_threshold_j = 0: must be at least -1e9 and below 0"),
+    ({"safety.energy_ratio": 1.5}, "[safety] energy_ratio = 1.5: must be above 0 and at most 1"),
+    ({"safety.hold_off_s": 61.0}, "[safety] hold_off_s = 61: must be 0 to 60"),
+    ({"master.axes": 4}, "[master] axes = 4: must be one of 1, 2, 3, 6, 7"),
+    ({"master.mass_kg": 0.0}, "[master] mass_kg = 0: must be above 0"),
+    ({"link.forward.loss": 1.5}, "[link.forward] loss = 1.5: must be 0 to 1"),
+    ({"slave.period_s": 0.03}, "[slave] period_s = 0.03: must be 1e-05 to 0.02"),
+    ({"slave.max_speed": "fast"}, '[slave] max_speed = "fast": must be above 0 and at most 1e9 or "unbounded"'),
+    ({"record.every": 0}, "[record] every = 0: must be 1 to 1000000"),
+    ({"environment.objects.1.contact.exponent": 0.5}, "[environment.objects.1.contact] exponent = 0.5: must be 1 to 5"),
+    ({"safety.estimator.degree": 4}, "[safety.estimator] degree = 4: must be 2 to 3"),
+    # not finite
+    ({"operator.damping": NAN}, "[operator] damping = nan: must be a finite number"),
+    ({"operator.start": [INF]}, "[operator] start.0 = inf: must be a finite number"),
+    ({"master.stops": [-INF, INF]}, "[master] stops.0 = -inf: must be a finite number"),
+    # lists per axis
+    ({"operator.start": [0.0, 1.0]}, "[operator] start = [0, 1]: must be one number or a list of 1, one per axis"),
+    ({"operator.legs.0.end": [0.0, 0.0, 0.0]}, "[operator.legs.0] end = [0, 0, 0]: must be one number or a list of 1"),
+    ({"master.stops": [1.0]}, "[master] stops = [1]: must be [lower, upper] or a list of 1 such pairs"),
+    ({"master.stops": [[0.0, 1.0, 2.0]]}, "[master] stops.0 = [0, 1, 2]: must be"),
+    ({"environment.pushers.1.recorded.values": [[0.0, 0.0], [1.0, 1.0]]}, "[environment.pushers.1.recorded] values.0 = [0, 0]"),
+    # what does not go together
+    ({"operator.release": ABSENT}, "[operator] regrasp: needs [operator.release]"),
+    ({"operator.grip_strength_n": ABSENT}, "[operator.release] kind: a strength without bound does not decay"),
+    ({"operator.stiffness": 0.0, "operator.damping": 0.0}, "[operator] release: needs a hand"),
+    ({"operator.recorded": {"time_s": [0.0], "values": [0.0]}}, "[operator] recorded: stands instead of legs"),
+    ({"run.step_s": 1e-4}, "[run] step_s: the exact integrator has no step"),
+    ({"run.integrator": "rk4", "run.step_s": 3e-4}, "[run] step_s = 0.0003: must be a whole fraction of period_s = 0.001"),
+    ({"run.integrator": "rk4", "run.step_s": 2e-3}, "[run] step_s = 0.002: must be a whole fraction"),
+    ({"run.period_s": 1.23456789012e-3}, "[run] period_s = 0.00123456789012: must be a whole number of ns"),
+    ({"run.duration_s": 20001.0}, "[run] duration_s = 20001: must be at most 2e7 ticks, 20000 s at period_s = 0.001"),
+    ({"run.duration_s": 1e-4}, "[run] duration_s = 0.0001: must be at least one period of 0.001 s"),
+    ({"run.period_s": 0.025}, "[run] period_s = 0.025: must be 1e-05 to 0.02 for an arm"),
+    ({"link.forward.jitter_s": 0.06}, "[link.forward] jitter_s = 0.06: must be at most delay_s = 0.05"),
+    ({"slave.stiffness": 100.0}, '[slave] stiffness: control = "position" has none, only "pd"'),
+    ({"slave.control": "pd"}, '[slave] stiffness: control = "pd" needs it'),
+    ({"environment.rendering": "continuous"}, "[environment] rendering: an arm stands between"),
+    ({"environment.delay_ticks": 3}, "[environment] delay_ticks: only a sampled environment without an arm is late"),
+    ({"environment.objects.0.body": {"mass_kg": 1.0}}, "[environment.objects.0] body: what moves on its own does not slide"),
+    ({"environment.objects.0.contact.exponent": 1.5}, '[environment.objects.0.contact] exponent: law = "kelvin-voigt" has none'),
+    ({"environment.objects.0.contact.friction": 0.3}, "[environment.objects.0.contact] friction = 0.3: must be 0 with one axis"),
+    ({"environment.objects.0.motion": {"amplitude": 0.1}}, "[environment.objects.0.motion] amplitude: needs frequency_hz"),
+    ({"environment.objects.0.motion": {"from_s": 2.0, "until_s": 1.0}}, "until_s = 1: must be at least from_s = 2"),
+    ({"environment.objects.0.shape": {"kind": "plane", "normal": 0.0}}, "normal = 0: must be of any length but 0"),
+    ({"environment.pushers.0.shape": "recorded", "environment.pushers.0.force_n": ABSENT},
+     '[environment.pushers.0] recorded: shape = "recorded" needs it'),
+    ({"environment.pushers.0.force_n": ABSENT}, '[environment.pushers.0] force_n: shape = "step" needs it'),
+    ({"environment.pushers.0.shape": "ramp"}, '[environment.pushers.0] rise_s: shape = "ramp" needs it'),
+    ({"environment.pushers.0.shape": "sine"}, '[environment.pushers.0] frequency_hz: shape = "sine" needs it'),
+    ({"environment.pushers.0.shape": "half-sine"}, '[environment.pushers.0] duration_s: shape = "half-sine" needs it'),
+    ({"environment.pushers.0.rise_s": 0.1}, '[environment.pushers.0] rise_s: shape = "step" has none'),
+    ({"environment.pushers.1.recorded": {"time_s": [0.0, 1.0], "values": [1.0]}}, "2 times and 1 values: must be as many"),
+    ({"environment.pushers.1.recorded": {"time_s": [0.0, 0.0], "values": [1.0, 1.0]}}, "time_s.1 = 0: must be above the time"),
+    ({"environment.pushers.1.recorded": {}}, "[environment.pushers.1] recorded: needs file, or time_s and values"),
+    ({"environment.pushers.1.recorded.file": "a.csv"}, "[environment.pushers.1.recorded] file: either file, or time_s"),
+    ({"safety.controllers": ["wsc", "wsc"]}, '[safety] controllers = ["wsc", "wsc"]: must be each at most once'),
+    ({"safety.damping": 10.0}, "[safety] damping = 10: must be at most m / (5 dT) = 9"),
+    ({"safety.controllers": ["pc"], "safety.pc_max_damping": 10.0}, "[safety] pc_max_damping = 10: must be at most m / (5 dT) = 9"),
+    ({"safety.estimator": {"kind": "low-pass", "cutoff_hz": 501.0}}, "cutoff_hz = 501: must be at most half the sample rate, 500"),
+    ({"safety.estimator": {"kind": "savitzky-golay", "degree": 3, "window": 3}}, "window = 3: must be above degree = 3"),
+    ({"safety.estimator": {"kind": "kalman", "jerk_density": 1e9, "quantum_m": 1e-9}}, "such that omega dT is 0.001 to 10"),
+    ({"safety.limiter": {"enabled": False, "max_power_w": 5.0}}, "[safety.limiter] enabled: bounds that are off have no other"),
+    ({"master.stops": [0.1, -0.1]}, "[master] stops = [0.1, -0.1]: must be the lower stop below the upper"),
+    ({"master.stops": [0.05, 0.1]}, "[master] position = 0.02: must be within the stops, 0.05 to 0.1"),
+]  # fmt: skip
+
+BAD_LOCAL_SCENES: list[tuple[dict[str, Any], str]] = [
+    ({"link": {"forward": {"delay_s": 0.1}}}, "link: needs an arm to lead to"),
+    ({"coupling": {}}, "coupling: needs an arm to lead to"),
+    ({"environment.rendering": "continuous", "environment.objects.0.shape": {"kind": "sphere", "radius": 0.1}},
+     "[environment.objects.0] shape: continuous rendering knows only planes"),
+    ({"environment.rendering": "continuous", "environment.delay_ticks": 2}, "[environment] delay_ticks: only a sampled"),
+    ({"operator.start": 0.1, "operator.recorded": {"time_s": [0.0], "values": [0.0]}}, "[operator] start: a recorded path"),
+]  # fmt: skip
+
+
+def refusal(scene: dict[str, Any], folder: Path) -> str:
+    with pytest.raises(SceneError) as refused:
+        load_scene(written(scene, folder))
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(("changes", "said"), BAD_ARM_SCENES, ids=[said[:60] for _, said in BAD_ARM_SCENES])
+def test_a_bad_scene_is_refused_in_one_line(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
+    message = refusal(changed(full_scene(), changes), tmp_path)
+    assert message.startswith("scene.toml: ")
+    assert said in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(("changes", "said"), BAD_LOCAL_SCENES, ids=[said[:60] for _, said in BAD_LOCAL_SCENES])
+def test_a_bad_scene_without_an_arm_is_refused_in_one_line(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
+    assert said in refusal(changed(local_scene(), changes), tmp_path)
+
+
+def test_the_scenes_that_are_spoilt_above_are_good(tmp_path: Path) -> None:
+    for scene in (full_scene(), local_scene()):
+        load_scene(written(scene, tmp_path))
+
+
+def test_a_scene_made_in_python_is_held_against_its_ranges_too() -> None:
+    scene = Scene(schema=1, master=MasterTable(device="touch"), safety=SafetyTable(window=0))
+    with pytest.raises(SceneError, match=r"\[safety\] window = 0: must be 1 to 3600000"):
+        scene_json(scene)
+
+
+# ---------------------------------------------------------------------------------- the Rust side
+
+RustTypes = dict[str, dict[str, Any]]
+
+
+def kebab(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
+
+
+def rust_types() -> RustTypes:
+    """Structs as fields with their types, enums as variants with theirs, as serde names them."""
+    source = re.sub(r"//.*", "", SPEC.read_text(encoding="utf-8"))
+    types: RustTypes = {}
+    for attributes, what, name, body in re.findall(
+        r"((?:#\[[^\]]*\]\s*)+)pub (struct|enum) (\w+) \{(.*?)\n\}", source, re.DOTALL
+    ):
+        assert what == "enum" or "deny_unknown_fields" in attributes, name
+        if what == "struct":
+            types[name] = {"fields": dict(re.findall(r"pub (\w+): (.+),", body))}
+            continue
+        rename = {"kebab-case": kebab, "lowercase": str.lower}[re.findall(r'rename_all = "([^"]+)"', attributes)[0]]
+        variants = {
+            rename(variant): dict(re.findall(r"(\w+): ([^,]+),", fields)) if fields else None
+            for variant, fields in re.findall(r"(\w+)(?: (\{.*?\}))?,\n", f"{body}\n", re.DOTALL)
+        }
+        types[name] = {"variants": variants, "tag": (re.findall(r'tag = "(\w+)"', attributes) or [None])[0]}
+    return types
+
+
+RUST = rust_types()
+
+
+def faults(value: Any, kind: str, path: str = "scene") -> list[str]:  # noqa: PLR0911  # one for each type
+    """Where a value is not what serde takes for a Rust type."""
+    kind = kind.strip()
+    if inner := re.fullmatch(r"Option<(.*)>", kind):
+        return [] if value is None else faults(value, inner[1], path)
+    if inner := re.fullmatch(r"Vec<(.*)>", kind):
+        if not isinstance(value, list):
+            return [f"{path}: no list"]
+        return [fault for index, item in enumerate(value) for fault in faults(item, inner[1], f"{path}.{index}")]
+    if kind == "(f64, f64)":
+        fits = isinstance(value, list) and len(value) == 2 and not any(faults(item, "f64") for item in value)
+        return [] if fits else [f"{path}: no pair"]
+    if kind in ("f64", "u64", "usize", "bool"):
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        fits = {
+            "f64": number, "bool": isinstance(value, bool),
+            "u64": number and isinstance(value, int) and 0 <= value < 2**64,
+            "usize": number and isinstance(value, int) and 0 <= value < 2**64,
+        }[kind]  # fmt: skip
+        return [] if fits else [f"{path} = {value!r}: no {kind}"]
+    described = RUST[kind]
+    if "fields" in described:
+        expected = described["fields"]
+    elif described["tag"] is None:
+        return [] if value in described["variants"] else [f"{path} = {value!r}: none of {kind}"]
+    else:
+        value = dict(value)
+        expected = described["variants"][value.pop(described["tag"])] or {}
+    different = [f"{path}: {key}" for key in sorted(set(value) ^ set(expected))]
+    return different + [
+        fault for key in set(value) & set(expected) for fault in faults(value[key], expected[key], f"{path}.{key}")
+    ]
+
+
+def test_the_types_of_the_rust_side_are_all_found() -> None:
+    assert len(RUST) == SPEC.read_text(encoding="utf-8").count("\npub struct ") + SPEC.read_text(
+        encoding="utf-8"
+    ).count("\npub enum ")
+    assert set(RUST["SceneSpec"]["fields"]) > {"run", "master", "operator", "slave", "safety"}
+    assert RUST["ShapeSpec"]["variants"]["sphere"] == {"centre": "Vec<f64>", "radius": "f64"}
+    assert RUST["EstimatorSpec"]["variants"]["backward-difference"] == {}
+
+
+def test_what_does_not_fit_the_rust_side_would_be_found() -> None:
+    spec = json.loads(scene_json(load_scene("remote_push")))
+    assert faults(changed(spec, {"run.step": 1.0}), "SceneSpec") == ["scene.run: step"]
+    assert faults(changed(spec, {"run.seed": 1.0}), "SceneSpec") == ["scene.run.seed = 1.0: no u64"]
+    assert faults(changed(spec, {"slave.control": "pid"}), "SceneSpec") == [
+        "scene.slave.control = 'pid': none of ControlSpec"
+    ]
+    assert faults(changed(spec, {"master.mass_kg": 1.0}), "SceneSpec") == ["scene.master.mass_kg: no list"]
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_shipped_scene_is_what_the_rust_side_reads(name: str) -> None:
+    scene = load_scene(name)
+    assert scene.title
+    assert scene.shows
+    assert faults(json.loads(scene_json(scene)), "SceneSpec") == []
+    assert scene_json(scene) == scene_json(load_scene(name))
+
+
+def test_a_scene_with_every_table_is_what_the_rust_side_reads(tmp_path: Path) -> None:
+    spec = json.loads(scene_json(load_scene(written(full_scene(), tmp_path))))
+    assert faults(spec, "SceneSpec") == []
+    assert all(value is not None for value in spec.values())
+
+
+@pytest.mark.parametrize(
+    ("rust", "path"),
+    [
+        ("IntegratorSpec", "run.integrator"),
+        ("FrictionSpec", "master.friction"),
+        ("LegShapeSpec", "operator.legs.0.shape"),
+        ("ReleaseKindSpec", "operator.release.kind"),
+        ("ControlSpec", "slave.control"),
+        ("RenderingSpec", "environment.rendering"),
+        ("ShapeSpec", "environment.objects.0.shape"),
+        ("ContactLawSpec", "environment.objects.0.contact.law"),
+        ("PusherShapeSpec", "environment.pushers.0.shape"),
+        ("CouplingKindSpec", "coupling.kind"),
+        ("ControllerSpec", "safety.controllers.0"),
+        ("SignalsSpec", "safety.signals"),
+        ("VfcFormSpec", "safety.vfc_form"),
+        ("EstimatorSpec", "safety.estimator"),
+        ("FitSpec", "safety.estimator.fit"),
+    ],
+)
+def test_both_sides_know_the_same_names(rust: str, path: str) -> None:
+    steps = tuple(int(step) if step.isdigit() else step for step in path.split("."))
+    names: set[object] = set()
+    for kind in types_at(steps):
+        if isinstance(kind, msgspec.inspect.LiteralType):
+            names |= set(kind.values)
+        elif isinstance(kind, msgspec.inspect.StructType):
+            names.add(kind.tag)
+    assert names == set(RUST[rust]["variants"])
+
+
+def test_every_table_of_the_rust_side_is_compared_somewhere(tmp_path: Path) -> None:
+    seen: set[str] = set()
+
+    def visit(value: Any, kind: str) -> None:
+        kind = kind.strip()
+        if inner := re.fullmatch(r"(?:Option|Vec)<(.*)>", kind):
+            for item in value if kind.startswith("Vec") else [value] * (value is not None):
+                visit(item, inner[1])
+        elif kind in RUST:
+            seen.add(kind)
+            for key, field in RUST[kind].get("fields", {}).items():
+                visit(value[key], field)
+
+    visit(json.loads(scene_json(load_scene(written(full_scene(), tmp_path)))), "SceneSpec")
+    assert seen == set(RUST) - {"FitSpec"}  # of one estimator only; its names are compared above
+
+
+# --------------------------------------------------------------------------------- defaults, presets
+
+
+def spec(**tables: Any) -> dict[str, Any]:
+    filled: dict[str, Any] = json.loads(scene_json(Scene(schema=1, **tables)))
+    return filled
+
+
+def test_what_is_absent_is_not_built() -> None:
+    filled = spec(master=MasterTable(device="phantom-desktop"))
+    absent = {key for key, value in filled.items() if value is None}
+    assert absent == {"operator", "slave", "environment", "link", "coupling", "record"}
+    assert filled["safety"]["controllers"] == []
+    assert filled["safety"]["limiter"] == {
+        "max_force_n": 7.9, "max_slew_n_per_s": 1000.0, "max_power_w": 20.0, "ramp_in_s": 0.2
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DEVICE_PRESETS)
+def test_a_preset_fills_what_the_table_leaves_out(name: Any) -> None:
+    preset = DEVICE_PRESETS[name]
+    filled = spec(master=MasterTable(device=name, axes=3, coulomb=0.5))
+    master = filled["master"]
+    assert master["mass_kg"] == [preset.mass_kg] * 3
+    assert master["viscous"] == [preset.viscous] * 3
+    assert master["coulomb"] == [0.5] * 3
+    assert master["encoder_quantum"] == preset.encoder_quantum
+    assert master["friction"] == preset.friction
+    assert filled["safety"]["limiter"]["max_force_n"] == master["max_force_n"] == preset.max_force_n
+    assert filled["safety"]["estimator"]["quantum_m"] == preset.encoder_quantum
+    assert filled["safety"]["damping"] <= preset.mass_kg / (5 * 1e-3)
+    assert faults(filled, "SceneSpec") == []
+
+
+def test_the_presets_are_those_that_a_scene_can_name() -> None:
+    (literal,) = (kind for kind in types_at(("master", "device")) if isinstance(kind, msgspec.inspect.LiteralType))
+    assert set(literal.values) == set(DEVICE_PRESETS)
+    desktop = DEVICE_PRESETS["phantom-desktop"]
+    assert (desktop.mass_kg, desktop.viscous, desktop.coulomb) == (0.157, -0.005, 0.038)
+    for preset in DEVICE_PRESETS.values():
+        assert 0 < preset.continuous_force_n <= preset.max_force_n
+        assert preset.encoder_quantum > 0
+
+
+def test_a_device_of_ones_own_needs_only_a_mass() -> None:
+    master = spec(master=MasterTable(mass_kg=0.2))["master"]
+    assert master["mass_kg"] == [0.2]
+    assert master["encoder_quantum"] == 0.0
+    assert master["measures_velocity"] is True
+    assert master["max_force_n"] is None
+
+
+def test_a_bound_can_be_taken_off() -> None:
+    filled = spec(master=MasterTable(device="touch", max_force_n="unbounded"))
+    assert filled["master"]["max_force_n"] is None
+    assert filled["safety"]["limiter"]["max_force_n"] == 7.9
+
+
+def test_numbers_are_spread_over_all_axes() -> None:
+    filled = spec(
+        master=MasterTable(device="touch", axes=3, stops=(-0.1, 0.1), velocity=(0.0, 0.1, 0.0)),
+        operator=OperatorTable(start=0.01, legs=(LegTable(duration_s=1, end=(0.0, 0.1, 0.2)),)),
+        environment=EnvironmentTable(
+            objects=(
+                ObjectTable(contact=ContactTable(stiffness=100)),
+                ObjectTable(shape=Sphere(radius=0.1), contact=ContactTable(stiffness=100, law="hunt-crossley")),
+            )
+        ),
+    )
+    assert filled["master"]["stops"] == [[-0.1, 0.1]] * 3
+    assert filled["master"]["position"] == filled["operator"]["start"] == [0.01] * 3
+    assert filled["master"]["velocity"] == [0.0, 0.1, 0.0]
+    assert filled["operator"]["legs"][0]["end"] == [0.0, 0.1, 0.2]
+    assert [part["shape"] for part in filled["environment"]["objects"]] == [
+        {"kind": "plane", "point": [0.0] * 3, "normal": [1.0, 0.0, 0.0]},
+        {"kind": "sphere", "centre": [0.0] * 3, "radius": 0.1},
+    ]
+    assert [part["contact"]["exponent"] for part in filled["environment"]["objects"]] == [1.0, 1.5]
+
+
+def test_a_method_with_steps_takes_a_tenth_of_a_period() -> None:
+    master = MasterTable(device="touch")
+    assert spec(master=master, run=RunTable(integrator="rk4"))["run"]["step_s"] == pytest.approx(1e-4)
+    assert spec(master=master)["run"]["step_s"] is None
+
+
+def test_a_recorded_path_begins_where_it_begins(tmp_path: Path) -> None:
+    scene = changed(local_scene(), {"operator.recorded": {"time_s": [0, 1], "values": [0.03, 0.0]}})
+    filled = json.loads(scene_json(load_scene(written(scene, tmp_path))))
+    assert filled["master"]["position"] == filled["operator"]["start"] == [0.03]
+
+
+# ------------------------------------------------------------------------------------- random scenes
+
+
+def numbers(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_nan=False, allow_subnormal=False)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> dict[str, Any]:
+    axes = draw(st.sampled_from([1, 2, 3, 6, 7]))
+    arm = draw(st.booleans())
+
+    def per_axis(low: float, high: float) -> Any:
+        return draw(numbers(low, high) | st.lists(numbers(low, high), min_size=axes, max_size=axes))
+
+    def some(table: dict[str, Any]) -> dict[str, Any]:
+        return {key: value for key, value in table.items() if draw(st.booleans())}
+
+    delay = draw(numbers(0, 1))
+    shape = draw(
+        st.sampled_from([
+            {"kind": "plane", "point": per_axis(-1, 1)},
+            {"kind": "sphere", "centre": per_axis(-1, 1), "radius": draw(numbers(0.01, 1))},
+            {"kind": "box", "half_extents": per_axis(0.01, 1)},
+            {"kind": "spring", "anchor": per_axis(-1, 1)},
+        ])
+    )  # fmt: skip
+    scene: dict[str, Any] = {
+        "schema": 1,
+        "run": some({"duration_s": draw(numbers(0.1, 100)), "seed": draw(st.integers(0, 2**63 - 1))}),
+        "master": {"device": draw(st.sampled_from(sorted(DEVICE_PRESETS))), "axes": axes}
+        | some({"viscous": per_axis(-1, 1), "coulomb": per_axis(0, 1), "velocity": per_axis(-1, 1)}),
+        "operator": some({
+            "stiffness": draw(numbers(0, 1e4)),
+            "start": per_axis(-1, 1),
+            "legs": [{"duration_s": draw(numbers(0.01, 10)), "end": per_axis(-1, 1)}],
+            "tremor": {"amplitude": draw(numbers(0, 0.01))},
+        }),
+        "environment": some({
+            "objects": [{"shape": shape, "contact": {"stiffness": draw(numbers(0, 1e5))}}],
+            "pushers": [{"shape": "half-sine", "duration_s": draw(numbers(0.01, 10)), "force_n": per_axis(-10, 10)}],
+        }),
+        "safety": some({
+            "controllers": draw(st.lists(st.sampled_from(["vfc", "hsc", "wsc", "pc"]), unique=True)),
+            "window": draw(st.integers(1, 3_600_000)),
+            "estimator": draw(st.sampled_from([{"kind": "kalman"}, {"kind": "adaptive-window"}, {"kind": "low-pass", "cutoff_hz": 50.0}])),
+            "limiter": draw(st.sampled_from([{}, {"enabled": False}, {"max_force_n": 3.0}])),
+        }),
+        "record": {"every": draw(st.integers(1, 100))},
+    }  # fmt: skip
+    if arm:
+        scene["slave"] = some(
+            {"mass_kg": draw(numbers(0.1, 10)), "position": per_axis(-1, 1), "max_speed": "unbounded"}
+        )
+        scene["link"] = {"forward": {"delay_s": delay, "jitter_s": draw(numbers(0, delay))}}
+    return scene
+
+
+@given(scene=scenes())
+def test_a_valid_scene_survives_the_way_to_the_rust_side(
+    scene: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    loaded = load_scene(written(scene, tmp_path_factory.mktemp("scene")))
+    specification = scene_json(loaded)
+    filled = json.loads(specification)
+    assert faults(filled, "SceneSpec") == []
+    axes = scene["master"]["axes"]
+    assert {len(filled["master"][key]) for key in ("mass_kg", "viscous", "coulomb", "position", "velocity")} == {axes}
+    # Once filled in and written, nothing is left to chance.
+    again = msgspec.convert(msgspec.to_builtins(loaded), Scene)
+    assert scene_json(again) == specification

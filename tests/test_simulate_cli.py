@@ -1,0 +1,233 @@
+"""`haptether simulate` and `haptether sweep`: what they print, keep and refuse. The extension is played."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import haptether
+from haptether.cli import main
+from haptether.cli.entry import with_overrides
+from haptether.cli.sweep import values_of
+
+
+class Played:
+    """A run that ended well, or diverged."""
+
+    def __init__(self, diverged: bool, ticks: int = 200) -> None:
+        time_s = np.arange(ticks) * 1e-3
+        self.signals = {
+            "time_s": time_s, "position": np.sin(time_s), "slave_position": np.cos(time_s), "velocity": np.cos(time_s),
+            "device_force": np.sin(9 * time_s), "rendered_force": np.sin(9 * time_s), "hand_force": -np.sin(9 * time_s),
+            "tripped": (time_s > 0.1).astype(np.uint8) * 4,
+        }  # fmt: skip
+        self.events = [(0.1, "trip", "WSC")] + [(0.15, "diverged", "|x| = 12 m")] * diverged
+        self.metrics = {"max_ejection_velocity": 0.5, "time_to_trip_s": None, "diverged": diverged, "ticks": ticks}
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """The scenes that were run; a seed of 13 diverges."""
+    scenes: list[dict[str, Any]] = []
+
+    def simulate_scene(scene: bytes) -> Played:
+        scenes.append(json.loads(scene))
+        return Played(diverged=scenes[-1]["run"]["seed"] == 13)
+
+    def sweep_scenes(
+        scene: bytes,
+        columns: list[tuple[str, npt.NDArray[np.float64]]],
+        threads: int,
+        lanes: bool,
+        progress: Callable[[int], None],
+    ) -> dict[str, npt.NDArray[Any]]:
+        assert threads >= 1
+        assert lanes
+        scenes.append(json.loads(scene))
+        rows = len(columns[0][1])
+        progress(rows)
+        return {"peak_device_force": np.arange(rows) * 1.0, "time_to_trip_s": np.full(rows, np.nan)}
+
+    monkeypatch.setattr("haptether._core.simulate_scene", simulate_scene, raising=False)
+    monkeypatch.setattr("haptether._core.sweep_scenes", sweep_scenes, raising=False)
+    monkeypatch.setenv("COLUMNS", "200")
+    return scenes
+
+
+def test_a_scene_is_run_and_reported(given: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "remote_push"]) == 0
+    said = capsys.readouterr().out
+    assert "largest ejection velocity [m/s]" in said
+    assert "0.1000 s  trip  WSC" in said
+    assert given[0]["run"]["seed"] == 1
+
+
+def test_json_alone_is_on_standard_output(given: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "remote_push", "--json", "-", "--run.seed", "4"]) == 0
+    assert given[0]["run"]["seed"] == 4
+    captured = capsys.readouterr()
+    report = json.loads(captured.out)
+    assert report["scene"] == "remote_push"
+    assert report["seed"] == 4
+    assert report["version"] == haptether.__version__
+    assert report["events"] == [{"time_s": 0.1, "kind": "trip", "detail": "WSC"}]
+    assert set(report["metrics"]) == {
+        "max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "intervention_s",
+        "position_rmse_m", "force_rmse_n", "passivity_min_j", "diverged", "ticks", "wall_time_s",
+    }  # fmt: skip
+    assert report["metrics"]["time_to_trip_s"] is None
+    assert "largest device force" in captured.err
+
+
+def test_signals_and_a_picture_are_kept(given: list[dict[str, Any]], tmp_path: Path) -> None:
+    out, plot = tmp_path / "run.npz", tmp_path / "pictures"
+    assert main(["simulate", "remote_push", "--out", str(out), "--plot", str(plot)]) == 0
+    assert len(given) == 1
+    with np.load(out) as arrays:
+        assert arrays["position"].shape == (200,)
+    (picture,) = plot.iterdir()
+    assert picture.name == "remote_push.png"
+    assert picture.stat().st_size > 10_000
+
+
+def test_a_run_that_diverged_is_status_1(given: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "remote_push", "--set", "run.seed=13"]) == 1
+    assert len(given) == 1
+    assert capsys.readouterr().err == "haptether: remote_push diverged at 0.15 s: |x| = 12 m\n"
+
+
+def test_overrides_have_two_forms(given: list[dict[str, Any]]) -> None:
+    assert main([
+        "simulate", "remote_push", "--link.forward.delay-s", "0.1", "--operator.legs.0.end=-0.03",
+        "--set", "safety.controllers=[hsc]", "safety.window=50", "--set", "run.seed=9",
+    ]) == 0  # fmt: skip
+    (scene,) = given
+    assert scene["link"]["forward"]["delay_s"] == 0.1
+    assert scene["operator"]["legs"][0]["end"] == [-0.03]
+    assert scene["safety"]["controllers"] == ["hsc"]
+    assert scene["safety"]["window"] == 50
+    assert scene["run"]["seed"] == 9
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["simulate", "s", "--a.b", "-1"], ["simulate", "s", "--set", "a.b=-1"]),
+        (["simulate", "--a.b=-1", "s"], ["simulate", "--set", "a.b=-1", "s"]),
+        (["simulate", "--set", "a=1", "b=2", "s"], ["simulate", "--set", "a=1", "--set", "b=2", "s"]),
+        (["sweep", "s", "--vary", "a=1", "b=2"], ["sweep", "s", "--vary", "a=1", "--vary", "b=2"]),
+        (["simulate", "s", "--set"], ["simulate", "s", "--set"]),
+        (["simulate", "s", "--out", "a.npz"], ["simulate", "s", "--out", "a.npz"]),
+        (["master", "--a.b", "1"], ["master", "--a.b", "1"]),
+        ([], []),
+    ],
+)
+def test_flags_with_a_dot_are_overrides(arguments: list[str], expected: list[str]) -> None:
+    assert with_overrides(arguments) == expected
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["simulate"], "which scene? Name one of `haptether simulate --list`"),
+        (["simulate", "remote_psh"], "remote_psh: no shipped scene and no such file: did you mean remote_push?"),
+        (["simulate", "remote_push", "--safety.window", "0"], "remote_push.toml: [safety] window = 0: must be 1 to"),
+        (["simulate", "remote_push", "--safety.windw", "3"], "remote_push.toml: [safety] has no key windw: did you"),
+        (["simulate", "remote_push", "--safety.window"], "[safety] window = \"\": must be a value in TOML"),
+        (["simulate", "remote_push", "--out", "run.csv"], "run.csv: must end in .npz"),
+        (["sweep", "remote_push"], "nothing to vary"),
+        (["sweep", "remote_push", "--vary", "safety.window"], "--vary safety.window: must be path=a:b:n"),
+        (["sweep", "remote_push", "--vary", "safety.window=1,0"], "row 1: [safety] window = 0: must be 1 to 3600000"),
+        (["sweep", "remote_push", "--vary", "safety.window=1", "--out", "a.txt"], "a.txt: must end in .csv or .npz"),
+        (["sweep", "remote_push", "--vary", "run.seed=0:1:9999999", "operator.damping=1,2"], "must be at most 1000000"),
+        (["sweep", "remote_push", "--vary", "safety.window=1", "--threads", "0"], "threads = 0: must be 1 or more"),
+    ],
+)  # fmt: skip
+def test_a_bad_request_is_one_line_and_status_2(
+    arguments: list[str], said: str, given: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("haptether: ")]
+    assert said in line
+    assert not given
+
+
+def test_signals_of_a_scene_that_records_none_are_refused(
+    given: list[dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('schema = 1\nmaster = { device = "touch" }\n')
+    assert main(["simulate", str(path), "--out", str(tmp_path / "a.npz")]) == 2
+    assert "has no [record], so there are no signals to keep: add --set record.every=1" in capsys.readouterr().err
+    assert main(["simulate", str(path), "--out", str(tmp_path / "a.npz"), "--set", "record.every=1"]) == 0
+    assert len(given) == 1
+
+
+def test_the_scenes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    from haptether.bridge import scene_names
+
+    assert main(["simulate", "--list"]) == 0
+    said = capsys.readouterr().out
+    assert all(name in said for name in scene_names())
+
+
+def test_a_sweep_is_shown_and_kept(
+    given: list[dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, table = tmp_path / "sweep.json", tmp_path / "sweep.csv"
+    assert main([
+        "sweep", "remote_push", "--vary", "safety.window=50,100", "--vary", "link.forward.delay_s=0.01:0.1:4",
+        "--set", "run.seed=3", "--json", str(out), "--out", str(table),
+    ]) == 0  # fmt: skip
+    assert given[0]["run"]["seed"] == 3
+    rows = json.loads(out.read_text())["rows"]
+    assert len(rows) == 8
+    assert rows[5] == {
+        "safety.window": 100.0, "link.forward.delay_s": 0.04, "peak_device_force": 5.0, "time_to_trip_s": None
+    }  # fmt: skip
+    assert len(table.read_text().splitlines()) == 9
+    said = capsys.readouterr().out
+    assert "peak_device_force" in said
+    assert "time_to_trip_s" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("a.b=1", ("a.b", [1.0])),
+        ("a.b=1,-2,3e-1", ("a.b", [1.0, -2.0, 0.3])),
+        ("a.b=0:1:3", ("a.b", [0.0, 0.5, 1.0])),
+    ],
+)
+def test_what_varies_has_two_forms(text: str, expected: tuple[str, list[float]]) -> None:
+    assert values_of(text) == expected
+
+
+@pytest.mark.parametrize("text", ["a", "a=", "=1", "a=x", "a=0:1", "a=0:1:0", "a=0:1:x", "a=1,,2"])
+def test_what_varies_in_no_form_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="must be path=a:b:n with n of at least 1, or path=v1,v2"):
+        values_of(text)
+
+
+def test_a_run_loads_no_library_that_it_does_not_need() -> None:
+    heavy = ("casadi", "matplotlib", "pyvista", "rtde_control", "scipy")
+    program = f"""
+import sys, numpy as np
+from haptether import _core
+class Run:
+    signals, events, metrics = {{"time_s": np.zeros(3)}}, [], {{"ticks": 3}}
+_core.simulate_scene = lambda scene: Run()
+from haptether.cli import main
+assert main(["simulate", "remote_push"]) == 0
+print("loaded:", *sorted(set({heavy!r}) & set(sys.modules)))
+"""
+    answer = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert answer.stdout.rpartition("loaded:")[2].strip() == ""
