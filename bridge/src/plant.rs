@@ -72,11 +72,7 @@ impl<const N: usize> MasterPlant<N> for SimulatedMaster<N> {
     }
 
     fn truth(&self) -> Option<Truth<N>> {
-        Some(Truth {
-            position: *self.position(),
-            velocity: *self.velocity(),
-            hand_force: self.hand_force(),
-        })
+        Some(Truth { position: *self.position(), velocity: *self.velocity(), hand_force: self.hand_force() })
     }
 }
 
@@ -99,11 +95,7 @@ impl<const N: usize> MasterPlant<N> for SteppedMaster<N> {
     }
 
     fn truth(&self) -> Option<Truth<N>> {
-        Some(Truth {
-            position: *self.position(),
-            velocity: *self.velocity(),
-            hand_force: *self.hand_force(),
-        })
+        Some(Truth { position: *self.position(), velocity: *self.velocity(), hand_force: *self.hand_force() })
     }
 }
 

@@ -19,8 +19,8 @@ fn at(now_ns: u64) -> TickTime {
     TickTime { now_ns, ..TickTime::default() }
 }
 
-type Master = MasterSide<SimulatedMaster, 1>;
-type Slave = SlaveSide<SimulatedSlave, 1>;
+type Master = MasterSide<SimulatedMaster<1>, 1>;
+type Slave = SlaveSide<SimulatedSlave<1>, 1>;
 
 fn master_settings() -> MasterSettings<1> {
     MasterSettings {
@@ -36,9 +36,9 @@ fn master_settings() -> MasterSettings<1> {
 }
 
 fn sides() -> (Master, Slave) {
-    let legs = vec![Leg { duration_s: 0.5, end: -0.03, shape: LegShape::MinimumJerk }];
-    let hand = Hand::new(300.0, 8.0, 20.0, Path::new(0.02, legs).unwrap(), None).unwrap();
-    let mut device = SimulatedMaster::new(DeviceParameters::PHANTOM_DESKTOP, hand, 0).unwrap();
+    let legs = vec![Leg { duration_s: 0.5, end: Axes::<1>::new(-0.03), shape: LegShape::MinimumJerk }];
+    let hand = Hand::new(300.0, 8.0, 20.0, Path::new(Axes::<1>::new(0.02), legs).unwrap(), None).unwrap();
+    let mut device = SimulatedMaster::new(DeviceParameters::phantom_desktop(), hand, 0).unwrap();
     device.set_waiting(true);
     let master = MasterEndpoint::new(&master_settings()).unwrap();
     let slave = SlaveEndpoint::new(&SlaveSettings {

@@ -10,9 +10,9 @@ use haptether_bridge::{
     LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
     SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
 };
-use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, SimulatedMaster};
+use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, SimulatedMaster};
 use haptether_safety::{
-    DeviceModel, LimiterSettings,
+    Axes, DeviceModel, LimiterSettings,
     controller::SafetySettings,
     estimator::{EstimatorKind, Fit},
 };
@@ -55,12 +55,12 @@ fn a_tick_of_both_sides_allocates_nothing() {
         EstimatorKind::SavitzkyGolay { degree: 2, window: 21 },
         EstimatorKind::default(),
     ] {
-        let legs = vec![Leg { duration_s: 0.5, end: -0.03, shape: LegShape::MinimumJerk }];
-        let path = Path::new(0.02, legs).unwrap();
-        let release = Some(Release { at_s: 1.2, duration_s: 0.05 });
+        let legs = vec![Leg { duration_s: 0.5, end: Axes::<1>::new(-0.03), shape: LegShape::MinimumJerk }];
+        let path = Path::new(Axes::<1>::new(0.02), legs).unwrap();
+        let release = Some(Release { at_s: 1.2, duration_s: 0.05, kind: ReleaseKind::Strength });
         let hand = Hand::new(300.0, 8.0, 12.0, path, release).unwrap();
-        let stops = (-0.08, 0.08);
-        let device = DeviceParameters { stops, ..DeviceParameters::PHANTOM_DESKTOP };
+        let stops = (Axes::<1>::new(-0.08), Axes::<1>::new(0.08));
+        let device = DeviceParameters { stops, ..DeviceParameters::phantom_desktop() };
         let mut plant = SimulatedMaster::new(device, hand, 0).unwrap();
         plant.set_waiting(true);
         let safety =

@@ -23,9 +23,6 @@ pub(crate) fn gather<T, S: Real>(of: &[T], field: impl Fn(&T) -> f64) -> S {
 }
 
 /// [`gather`] for each axis.
-pub(crate) fn gather_axes<T, const N: usize, S: Real>(
-    of: &[T],
-    field: impl Fn(&T) -> Axes<N>,
-) -> Axes<N, S> {
+pub(crate) fn gather_axes<T, const N: usize, S: Real>(of: &[T], field: impl Fn(&T) -> Axes<N>) -> Axes<N, S> {
     Axes::from_fn(|axis, _| gather(of, |one| field(one)[axis]))
 }

@@ -77,8 +77,18 @@ impl<const N: usize> DeviceParameters<N> {
                 return Err(ModelError { name: "lower stop", seen: lower, allowed: "below the upper stop" });
             }
         }
-        require("encoder_quantum", self.encoder_quantum, self.encoder_quantum >= 0.0, "finite and 0 or more")?;
-        require("force_quantum_n", self.force_quantum_n, self.force_quantum_n >= 0.0, "finite and 0 or more")?;
+        require(
+            "encoder_quantum",
+            self.encoder_quantum,
+            self.encoder_quantum >= 0.0,
+            "finite and 0 or more",
+        )?;
+        require(
+            "force_quantum_n",
+            self.force_quantum_n,
+            self.force_quantum_n >= 0.0,
+            "finite and 0 or more",
+        )?;
         if self.max_force_n > 0.0 {
             Ok(())
         } else {
@@ -145,7 +155,8 @@ mod tests {
         for device in bad {
             assert!(device.check().is_err(), "{device:?}");
         }
-        let joints = DeviceParameters { friction: Friction::Axis, coulomb: Axes::<3>::new(0.1, 0.2, 0.3), ..good };
+        let joints =
+            DeviceParameters { friction: Friction::Axis, coulomb: Axes::<3>::new(0.1, 0.2, 0.3), ..good };
         assert!(joints.check().is_ok());
     }
 }

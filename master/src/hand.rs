@@ -104,7 +104,11 @@ impl<const N: usize> Hand<N> {
         require("reaction time", reaction_s, reaction_s >= 0.0, "finite and 0 or more")?;
         require("grip rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
         if self.release.is_none() {
-            return Err(ModelError { name: "reaction time", seen: reaction_s, allowed: "given with a release" });
+            return Err(ModelError {
+                name: "reaction time",
+                seen: reaction_s,
+                allowed: "given with a release",
+            });
         }
         Ok(Self { regrasp: Some(regrasp), ..self })
     }
@@ -150,7 +154,8 @@ impl<const N: usize> Hand<N> {
 
     /// Where the hand means to be at time t in s, tremor included.
     pub fn target_at(&self, t: f64) -> Axes<N> {
-        let shake = self.tremor.map_or(0.0, |tremor| tremor.amplitude * (TAU * tremor.frequency_hz * t).sin());
+        let shake =
+            self.tremor.map_or(0.0, |tremor| tremor.amplitude * (TAU * tremor.frequency_hz * t).sin());
         self.path.at(t).add_scalar(shake)
     }
 
@@ -195,6 +200,14 @@ impl<const N: usize> Hand<N> {
         held.max(regained)
     }
 
+    /// Grip strength in N at time t in s; a release of the gain leaves it as it is.
+    pub fn strength_at(&self, t: f64) -> f64 {
+        match self.release.map(|release| release.kind) {
+            Some(ReleaseKind::Strength) => self.grip_at(t) * self.strength_n,
+            _ => self.strength_n,
+        }
+    }
+
     /// The grip just before `end`, continued from the time t before it: at a sudden change, what it was.
     fn grip_before(&self, t: f64, end: f64) -> f64 {
         let [begins, _, regains, _] = self.kinks();
@@ -216,12 +229,11 @@ impl<const N: usize> Hand<N> {
 
     /// The force in N of the hand on the device at time t.
     pub fn force(&self, t: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
-        let grip = self.grip_at(t);
-        let (gain, strength) = match self.release.map(|release| release.kind) {
-            Some(ReleaseKind::Gain) => (grip, self.strength_n),
-            Some(ReleaseKind::Strength) => (1.0, grip * self.strength_n),
-            None => (1.0, self.strength_n),
+        let gain = match self.release.map(|release| release.kind) {
+            Some(ReleaseKind::Gain) => self.grip_at(t),
+            _ => 1.0,
         };
+        let strength = self.strength_at(t);
         let wish = ((self.target_at(t) - position) * self.stiffness - velocity * self.damping) * gain;
         let norm = wish.norm();
         if norm <= strength { wish } else { wish * (strength / norm) }

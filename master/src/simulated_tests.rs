@@ -2,7 +2,6 @@
 
 use crate::*;
 
-
 const TICK_NS: u64 = 1_000_000;
 const MASS: f64 = 0.157;
 
@@ -103,7 +102,8 @@ fn a_stop_takes_the_speed_and_lets_go_again() {
 #[test]
 fn rests_where_hand_and_force_balance() {
     let path =
-        Path::new(at(0.02), vec![Leg { duration_s: 0.5, end: at(-0.03), shape: LegShape::MinimumJerk }]).unwrap();
+        Path::new(at(0.02), vec![Leg { duration_s: 0.5, end: at(-0.03), shape: LegShape::MinimumJerk }])
+            .unwrap();
     let hand = Hand::new(300.0, 5.0, 50.0, path, None).unwrap();
     let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
     master.write(&at(3.0));
@@ -265,8 +265,13 @@ fn the_tick_does_not_change_the_motion_in_space() {
     let path = Path::new(Axes::<3>::zeros(), vec![leg(0.02, -0.01, 0.005), leg(0.0, 0.01, 0.0)]).unwrap();
     let release = Some(Release { at_s: 0.15, duration_s: 0.03, kind: ReleaseKind::Strength });
     let hand = Hand::new(300.0, 5.0, 1.5, path, release).unwrap();
-    let wall =
-        ContinuousWall::new(Axes::<3>::new(0.01, 0.0, 0.0), Axes::<3>::new(-1.0, 0.2, 0.0), 500.0, 0.5, false);
+    let wall = ContinuousWall::new(
+        Axes::<3>::new(0.01, 0.0, 0.0),
+        Axes::<3>::new(-1.0, 0.2, 0.0),
+        500.0,
+        0.5,
+        false,
+    );
     let master = SimulatedMaster::new(device, hand, 0).unwrap().among(vec![wall.unwrap()]).unwrap();
     let (mut coarse, mut fine) = (master.clone(), master);
     coarse.write(&Axes::<3>::new(0.3, 0.9, -0.2));

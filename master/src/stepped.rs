@@ -282,8 +282,9 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     fn rubbing(&self, velocity: &Axes<N, S>) -> Axes<N, S> {
         let one = S::splat(1.0);
         if N == 1 || self.friction == Friction::Axis {
-            return velocity
-                .zip_map(&self.coulomb, |v, coulomb| coulomb * (v / self.friction_speed).simd_clamp(-one, one));
+            return velocity.zip_map(&self.coulomb, |v, coulomb| {
+                coulomb * (v / self.friction_speed).simd_clamp(-one, one)
+            });
         }
         let speed = velocity.dot(velocity).simd_sqrt().simd_max(self.friction_speed);
         velocity.zip_map(&self.coulomb, |v, coulomb| coulomb * (v / speed))

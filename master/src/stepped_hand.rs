@@ -110,7 +110,8 @@ impl<const N: usize> SteppedHand<N> {
             return None;
         }
         let leg = |index: usize| {
-            let times = |time: fn(&SteppedLeg<N, f64>) -> f64| of.iter().map(move |one| time(&one.legs[index]));
+            let times =
+                |time: fn(&SteppedLeg<N, f64>) -> f64| of.iter().map(move |one| time(&one.legs[index]));
             SteppedLeg {
                 begins: gather(of, |one| one.legs[index].begins),
                 rate: gather(of, |one| one.legs[index].rate),

@@ -25,8 +25,7 @@ fn hand(depth: f64, strength: f64, kind: ReleaseKind) -> Hand<1> {
 fn error(stepping: Stepping, step_s: f64) -> f64 {
     let device = DeviceParameters::<1>::ideal(0.157, 0.5, 0.0);
     let hand = hand(-0.02, f64::INFINITY, ReleaseKind::Gain);
-    let wall =
-        ContinuousWall::new(Axes::<1>::zeros(), Axes::<1>::new(1.0), 200.0, 1.0, true).unwrap();
+    let wall = ContinuousWall::new(Axes::<1>::zeros(), Axes::<1>::new(1.0), 200.0, 1.0, true).unwrap();
     let mut exact = SimulatedMaster::new(device, hand.clone(), 0).unwrap().among(vec![wall]).unwrap();
     let mut stepped = SteppedMaster::new(&device, &hand, &[wall], stepping, step_s, 1e-3).unwrap();
     let mut worst: f64 = 0.0;
@@ -100,8 +99,7 @@ proptest! {
 #[test]
 fn what_lanes_cannot_share_is_refused() {
     let row = (-0.02, 0.157, 0.0, 200.0, 5.0);
-    let mut of: Vec<_> =
-        (0..8).map(|_| build(&row, Stepping::RungeKutta4, ReleaseKind::Gain)).collect();
+    let mut of: Vec<_> = (0..8).map(|_| build(&row, Stepping::RungeKutta4, ReleaseKind::Gain)).collect();
     assert!(SteppedMaster::gather::<Lanes>(&of).is_some());
     of[3] = build(&row, Stepping::VelocityVerlet, ReleaseKind::Gain);
     assert!(SteppedMaster::gather::<Lanes>(&of).is_none());

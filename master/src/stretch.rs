@@ -246,12 +246,8 @@ mod tests {
             gain: [1.0, 0.0],
             strength: [0.0; 2],
         };
-        let regime = Regime {
-            grip: Grip::Holds,
-            rub: Rub::Constant(Axes::zeros()),
-            stuck: [false],
-            pushing: 0,
-        };
+        let regime =
+            Regime { grip: Grip::Holds, rub: Rub::Constant(Axes::zeros()), stuck: [false], pushing: 0 };
         law.follow(&regime, Axes::<1>::new(x), Axes::<1>::new(v))
     }
 
@@ -299,12 +295,7 @@ mod tests {
             gain: [1.0, 0.0],
             strength: [0.0; 2],
         };
-        let regime = Regime {
-            grip: Grip::Holds,
-            rub: Rub::AlongMotion(0.5),
-            stuck: [false; 3],
-            pushing: 0,
-        };
+        let regime = Regime { grip: Grip::Holds, rub: Rub::AlongMotion(0.5), stuck: [false; 3], pushing: 0 };
         let velocity = Axes::<3>::new(0.4, 0.1, -0.2);
         let stretch = law.follow(&regime, Axes::zeros(), velocity);
         let end = stretch.reach;
@@ -312,7 +303,15 @@ mod tests {
         // Work of friction is -c times the length of the path, by Simpson's rule on 200 intervals.
         let speed = |i: i32| stretch.velocity(end * f64::from(i) / 200.0).norm();
         let simpson: f64 = (0..=200)
-            .map(|i| f64::from(if i == 0 || i == 200 { 1 } else if i % 2 == 1 { 4 } else { 2 }) * speed(i))
+            .map(|i| {
+                f64::from(if i == 0 || i == 200 {
+                    1
+                } else if i % 2 == 1 {
+                    4
+                } else {
+                    2
+                }) * speed(i)
+            })
             .sum();
         let length = simpson * end / 600.0;
         let gained = 0.1 * (stretch.velocity(end).norm_squared() - velocity.norm_squared());

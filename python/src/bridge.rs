@@ -1,9 +1,12 @@
 //! `haptether.bridge`: both runners.
 
-use std::sync::{Mutex, PoisonError};
+use std::{
+    ops::ControlFlow,
+    sync::{Mutex, PoisonError},
+};
 
 use haptether_bridge::{
-    LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide, Side,
+    Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide, Side,
     SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
     live::{LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, run_live},
     run_virtual,
@@ -50,14 +53,14 @@ fn ladder_state_name(code: u8) -> PyResult<&'static str> {
         .ok_or_else(|| PyValueError::new_err(format!("state {code}: must be 0 to 4")))
 }
 
-type SimulatedMasterSide = MasterSide<SimulatedMaster, 1>;
-type SimulatedSlaveSide = SlaveSide<SimulatedSlave, 1>;
+type SimulatedMasterSide = MasterSide<SimulatedMaster<1>, 1>;
+type SimulatedSlaveSide = SlaveSide<SimulatedSlave<1>, 1>;
 
 #[pyclass(name = "MasterSettings", module = "haptether.bridge", frozen)]
 #[derive(Clone)]
 pub(crate) struct PyMasterSettings {
     device: PyHapticDevice,
-    hand: Hand,
+    hand: Hand<1>,
     endpoint: MasterSettings<1>,
 }
 
@@ -128,7 +131,7 @@ impl PySlaveSettings {
         let settings = Self {
             arm: *arm,
             wall: *wall,
-            pusher: pusher.copied(),
+            pusher: pusher.cloned(),
             position,
             endpoint: SlaveSettings {
                 period_ns: nanoseconds("period_s", period_s)?,
@@ -145,7 +148,7 @@ impl PySlaveSettings {
 impl PySlaveSettings {
     fn side(&self, session: u64) -> PyResult<SimulatedSlaveSide> {
         let endpoint = SlaveEndpoint::new(&SlaveSettings { session, ..self.endpoint }).map_err(refuse)?;
-        let pusher = self.pusher.map(|pusher| pusher.inner);
+        let pusher = self.pusher.as_ref().map(|pusher| pusher.inner.clone());
         let plant =
             SimulatedSlave::new(self.arm.inner, self.wall.inner, pusher, self.position, 0).map_err(refuse)?;
         Ok(SlaveSide { plant, endpoint })
@@ -173,14 +176,23 @@ fn run_bridge(
         let text = format!("duration_s = {duration_s}: {ticks} ticks, must be at most {MOST_TICKS}");
         return Err(PyValueError::new_err(text));
     }
-    let settings =
-        VirtualSettings { period_ns, ticks, forward: forward.inner, backward: backward.inner, seed };
+    let settings = VirtualSettings {
+        period_ns,
+        slave_period_ns: period_ns,
+        ticks,
+        forward: forward.inner,
+        backward: backward.inner,
+        seed,
+    };
     let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);
     let (mut master_records, mut slave_records) = (Vec::new(), Vec::new());
     py.detach(|| {
-        run_virtual(&settings, &mut master, &mut slave, |master, slave| {
-            master_records.push(master);
-            slave_records.push(slave);
+        run_virtual(&settings, &mut master, &mut slave, |event| {
+            match event {
+                Event::Master(record) => master_records.push(record),
+                Event::Slave(record) => slave_records.push(record),
+            }
+            ControlFlow::Continue(())
         })
     })
     .map_err(refuse)?;

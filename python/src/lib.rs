@@ -12,6 +12,7 @@ mod bridge_trace;
 mod local;
 mod netsim;
 mod safety;
+mod scene;
 
 /// Entry point of the module.
 #[pymodule(gil_used = true)]
@@ -20,6 +21,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     safety::register(module)?;
     local::register(module)?;
     netsim::register(module)?;
+    scene::register(module)?;
     bridge_trace::register(module)?;
     bridge::register(module)
 }

@@ -1,9 +1,13 @@
 //! Models of `haptether.master` and `haptether.slave`, and the loop without a network.
 
-use haptether_bridge::{LocalLoop, LocalRecord, RenderedForce};
-use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, SimulatedMaster};
-use haptether_safety::{DeviceModel, LayerSettings, LimiterSettings, estimator::EstimatorKind};
-use haptether_slave::{ArmParameters, Pusher, SimulatedSlave, Wall};
+use haptether_bridge::{DelayLine, LocalLoop, LocalTick, Watch};
+use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, SimulatedMaster};
+use haptether_safety::{
+    Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer, estimator::EstimatorKind,
+};
+use haptether_slave::{
+    ArmParameters, PushShape, Pusher, RenderedPush, RenderedWall, RenderedWalls, SimulatedSlave, Wall,
+};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{
@@ -26,7 +30,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 #[pyclass(name = "HapticDevice", module = "haptether.master", frozen, eq)]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PyHapticDevice {
-    pub(crate) inner: DeviceParameters,
+    pub(crate) inner: DeviceParameters<1>,
 }
 
 #[pymethods]
@@ -41,38 +45,41 @@ impl PyHapticDevice {
         encoder_quantum: f64,
         stops: (f64, f64),
     ) -> PyResult<Self> {
-        let inner = DeviceParameters { mass_kg, viscous, coulomb, encoder_quantum, stops };
-        // A device that no hand holds checks the parameters.
-        let hand = Hand::absent(0.0).map_err(refuse)?;
-        SimulatedMaster::new(inner, hand, 0).map_err(refuse)?;
+        let inner = DeviceParameters {
+            encoder_quantum,
+            measures_velocity: encoder_quantum == 0.0,
+            stops: (Axes::<1>::new(stops.0), Axes::<1>::new(stops.1)),
+            ..DeviceParameters::ideal(mass_kg, viscous, coulomb)
+        };
+        inner.check().map_err(refuse)?;
         Ok(Self { inner })
     }
 
     #[staticmethod]
     #[pyo3(signature = (*, encoder_quantum=2.3e-5, stops=(f64::NEG_INFINITY, f64::INFINITY)))]
     fn phantom_desktop(encoder_quantum: f64, stops: (f64, f64)) -> PyResult<Self> {
-        let DeviceParameters { mass_kg, viscous, coulomb, .. } = DeviceParameters::PHANTOM_DESKTOP;
-        Self::new(mass_kg, viscous, coulomb, encoder_quantum, stops)
+        let desktop = DeviceParameters::<1>::phantom_desktop();
+        Self::new(desktop.mass_kg[0], desktop.viscous[0], desktop.coulomb[0], encoder_quantum, stops)
     }
 
     #[getter]
     fn mass_kg(&self) -> f64 {
-        self.inner.mass_kg
+        self.inner.mass_kg[0]
     }
 
     #[getter]
     fn viscous(&self) -> f64 {
-        self.inner.viscous
+        self.inner.viscous[0]
     }
 
     #[getter]
     fn coulomb(&self) -> f64 {
-        self.inner.coulomb
+        self.inner.coulomb[0]
     }
 
     #[getter]
     fn stops(&self) -> (f64, f64) {
-        self.inner.stops
+        (self.inner.stops.0[0], self.inner.stops.1[0])
     }
 
     #[getter]
@@ -97,14 +104,14 @@ impl PyHapticDevice {
     }
 
     pub(crate) fn model(&self) -> PyResult<DeviceModel<1>> {
-        DeviceModel::uniform(self.inner.mass_kg, self.inner.viscous, self.inner.coulomb).map_err(refuse)
+        DeviceModel::new(self.inner.mass_kg, self.inner.viscous, self.inner.coulomb).map_err(refuse)
     }
 }
 
 #[pyclass(name = "Hand", module = "haptether.master", frozen, eq)]
 #[derive(Clone, PartialEq)]
 pub(crate) struct PyHand {
-    pub(crate) inner: Hand,
+    pub(crate) inner: Hand<1>,
 }
 
 #[pymethods]
@@ -124,28 +131,32 @@ impl PyHand {
             .map(|(duration_s, end, shape)| {
                 let shape = match shape.as_str() {
                     "linear" => LegShape::Linear,
+                    "smooth" => LegShape::Smooth,
                     "minimum-jerk" => LegShape::MinimumJerk,
                     other => {
-                        let text = format!("leg shape {other:?}: must be \"linear\" or \"minimum-jerk\"");
+                        let text = format!(
+                            "leg shape {other:?}: must be \"linear\", \"smooth\" or \"minimum-jerk\""
+                        );
                         return Err(PyValueError::new_err(text));
                     }
                 };
-                Ok(Leg { duration_s, end, shape })
+                Ok(Leg { duration_s, end: Axes::<1>::new(end), shape })
             })
             .collect::<PyResult<Vec<_>>>()?;
-        let path = Path::new(start, legs).map_err(refuse)?;
-        let release = release.map(|(at_s, duration_s)| Release { at_s, duration_s });
+        let path = Path::new(Axes::<1>::new(start), legs).map_err(refuse)?;
+        let release =
+            release.map(|(at_s, duration_s)| Release { at_s, duration_s, kind: ReleaseKind::Strength });
         Ok(Self { inner: Hand::new(stiffness, damping, strength_n, path, release).map_err(refuse)? })
     }
 
     #[staticmethod]
     #[pyo3(signature = (*, position=0.0))]
     fn absent(position: f64) -> PyResult<Self> {
-        Ok(Self { inner: Hand::absent(position).map_err(refuse)? })
+        Ok(Self { inner: Hand::absent(Axes::<1>::new(position)).map_err(refuse)? })
     }
 
     fn target(&self, time_s: f64) -> f64 {
-        self.inner.path().at(time_s)
+        self.inner.path().at(time_s)[0]
     }
 
     fn strength(&self, time_s: f64) -> f64 {
@@ -181,7 +192,7 @@ impl PyWall {
 }
 
 #[pyclass(name = "Pusher", module = "haptether.slave", frozen, eq)]
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub(crate) struct PyPusher {
     pub(crate) inner: Pusher,
 }
@@ -195,7 +206,7 @@ impl PyPusher {
     }
 
     fn force(&self, time_s: f64) -> f64 {
-        self.inner.force(time_s)
+        self.inner.force(time_s)[0]
     }
 
     fn __repr__(&self) -> String {
@@ -246,6 +257,40 @@ impl PySinusoid {
             return Ok(Self { amplitude_n, rate });
         }
         Err(PyValueError::new_err(format!("amplitude_n = {amplitude_n}, rate = {rate}: must be finite")))
+    }
+}
+
+/// One tick of a local loop on one axis.
+struct LocalRecord {
+    position: f64,
+    velocity: f64,
+    hand_force: f64,
+    rendered_force: f64,
+    grasp_force: f64,
+    device_force: f64,
+    velocity_force: f64,
+    grasp: f64,
+    windowed_energy_j: f64,
+    energy_j: f64,
+    tripped: u8,
+}
+
+impl LocalRecord {
+    fn new(tick: &LocalTick<1>) -> Self {
+        let intervention = tick.response.lane(0);
+        Self {
+            position: tick.position[0],
+            velocity: tick.velocity[0],
+            hand_force: tick.hand_force[0],
+            rendered_force: tick.asked_force[0],
+            grasp_force: tick.grasp_force[0],
+            device_force: tick.device_force[0],
+            velocity_force: intervention.velocity_force,
+            grasp: intervention.grasp,
+            windowed_energy_j: intervention.windowed_energy_j,
+            energy_j: intervention.energy_j,
+            tripped: intervention.tripped.bits(),
+        }
     }
 }
 
@@ -310,20 +355,31 @@ fn run_local(
     start: Option<(f64, f64)>,
 ) -> PyResult<LocalTrace> {
     let rendered = if let Ok(wall) = rendered.cast::<PyWall>() {
-        RenderedForce::Wall(wall.get().inner)
+        let wall = wall.get().inner;
+        let wall = RenderedWall {
+            normal: Axes::<1>::new(1.0),
+            point: Axes::<1>::new(wall.surface()),
+            stiffness: wall.stiffness(),
+            damping: 0.0,
+            is_two_sided: false,
+        };
+        RenderedWalls::new(&[wall], &[])
     } else if let Ok(sinusoid) = rendered.cast::<PySinusoid>() {
         let PySinusoid { amplitude_n, rate } = *sinusoid.get();
-        RenderedForce::Sinusoid { amplitude_n, rate }
+        let force_n = Axes::<1>::new(amplitude_n * rate.signum());
+        let shape = PushShape::Sine { frequency_hz: rate.abs() / std::f64::consts::TAU };
+        RenderedWalls::new(&[], &[RenderedPush { shape, at_s: 0.0, duration_s: 1e9, force_n }])
     } else {
         let text = format!("rendered: {}, must be a Wall or a Sinusoid", rendered.get_type().name()?);
         return Err(PyValueError::new_err(text));
-    };
+    }
+    .map_err(refuse)?;
     if ticks > MOST_TICKS {
         return Err(PyValueError::new_err(format!("ticks = {ticks}: must be at most {MOST_TICKS}")));
     }
     let mut master = SimulatedMaster::new(device.inner, hand.inner.clone(), 0).map_err(refuse)?;
     if let Some((position, velocity)) = start {
-        master.place(position, velocity).map_err(refuse)?;
+        master.place(Axes::<1>::new(position), Axes::<1>::new(velocity)).map_err(refuse)?;
     }
     let layer = LayerSettings {
         device: device.model()?,
@@ -335,7 +391,16 @@ fn run_local(
             |limiter| limiter.inner,
         ),
     };
-    let mut looped = LocalLoop::new(master, &layer, rendered).map_err(refuse)?;
-    let records = py.detach(|| (0..ticks).map(|_| looped.step()).collect());
+    let period_ns = period_s * 1e9;
+    if !(1e3..=1e9).contains(&period_ns) || (period_ns - period_ns.round()).abs() > 1e-3 {
+        return Err(PyValueError::new_err(format!(
+            "period_s (dT) = {period_s}: must be a whole number of nanoseconds between 1e-6 and 1"
+        )));
+    }
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
+    let period_ns = period_ns.round() as u64;
+    let watch = Watch::Estimated(Box::new(SafetyLayer::new(&layer).map_err(refuse)?));
+    let mut looped = LocalLoop::new(master, rendered, DelayLine::new(0), watch, period_ns);
+    let records = py.detach(|| (0..ticks).map(|_| LocalRecord::new(&looped.step())).collect());
     Ok(LocalTrace { records, period_s })
 }

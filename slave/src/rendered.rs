@@ -111,13 +111,7 @@ impl<const N: usize> RenderedWalls<N> {
                     (Course::Sine, TAU * frequency_hz)
                 }
             };
-            Ok(Push {
-                course,
-                at: push.at_s,
-                ends: push.at_s + push.duration_s,
-                rate,
-                force: push.force_n,
-            })
+            Ok(Push { course, at: push.at_s, ends: push.at_s + push.duration_s, rate, force: push.force_n })
         });
         Ok(Self { walls: walls.collect::<Result<_, _>>()?, pushes: pushes.collect::<Result<_, _>>()? })
     }
@@ -236,9 +230,12 @@ mod tests {
         };
         let one = RenderedWalls::new(&[wall], &[]).unwrap();
         let both = RenderedWalls::new(&[RenderedWall { is_two_sided: true, ..wall }], &[]).unwrap();
-        for (y, v, pushes, pulls) in
-            [(-0.1, 0.0, 10.0, 10.0), (0.1, 0.0, 0.0, -10.0), (-0.1, -2.0, 12.0, 12.0), (-0.1, 20.0, 0.0, -10.0)]
-        {
+        for (y, v, pushes, pulls) in [
+            (-0.1, 0.0, 10.0, 10.0),
+            (0.1, 0.0, 0.0, -10.0),
+            (-0.1, -2.0, 12.0, 12.0),
+            (-0.1, 20.0, 0.0, -10.0),
+        ] {
             let (x, v) = (Axes::<2>::new(5.0, y), Axes::<2>::new(9.0, v));
             assert!((one.force(0.0, &x, &v) - Axes::<2>::new(0.0, pushes)).norm() < 1e-12);
             assert!((both.force(0.0, &x, &v) - Axes::<2>::new(0.0, pulls)).norm() < 1e-12);

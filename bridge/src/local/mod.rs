@@ -55,13 +55,7 @@ pub struct LocalLoop<P, R, const N: usize, S: Real = f64> {
 
 impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop<P, R, N, S> {
     /// A loop at time 0 with a period of `period_ns`; what is rendered acts `delay` ticks late.
-    pub fn new(
-        plant: P,
-        rendering: R,
-        delay: DelayLine<N, S>,
-        watch: Watch<N, S>,
-        period_ns: u64,
-    ) -> Self {
+    pub fn new(plant: P, rendering: R, delay: DelayLine<N, S>, watch: Watch<N, S>, period_ns: u64) -> Self {
         let last_position = plant.measured_position();
         let period_s = period_ns as f64 * 1e-9;
         Self { plant, rendering, delay, watch, period_ns, period_s, tick: 0, last_position }

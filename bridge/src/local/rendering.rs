@@ -40,13 +40,7 @@ impl<const N: usize> Rendering<N, f64> for SceneRendering<N> {
         true
     }
 
-    fn force(
-        &mut self,
-        time_s: f64,
-        period_s: f64,
-        position: &Axes<N>,
-        velocity: &Axes<N>,
-    ) -> Axes<N> {
+    fn force(&mut self, time_s: f64, period_s: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let force = self.0.force(position, velocity, time_s);
         self.0.advance(time_s, period_s, position, velocity);
         force

@@ -17,8 +17,8 @@ use super::{
     spec::{CouplingSpec, SceneSpec, SignalsSpec, SlaveSpec},
 };
 use crate::{
-    Event, LadderSettings, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings, MasterSide,
-    Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings, run_virtual,
+    Event, LadderSettings, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings,
+    MasterSide, Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings, run_virtual,
 };
 
 /// Sessions of the two sides: constants, for nobody listens in.

@@ -1,8 +1,8 @@
 //! From the numbers of a scene to its parts.
 
 use haptether_master::{
-    ContinuousWall, DeviceParameters, Friction, Hand, Leg, LegShape, ModelError as MasterError, Path, Regrasp,
-    Release, ReleaseKind, SimulatedMaster, SteppedMaster, Stepping, Tremor,
+    ContinuousWall, DeviceParameters, Friction, Hand, Leg, LegShape, ModelError as MasterError, Path,
+    Regrasp, Release, ReleaseKind, SimulatedMaster, SteppedMaster, Stepping, Tremor,
 };
 use haptether_netsim::LinkSettings;
 use haptether_safety::{
@@ -92,12 +92,14 @@ pub(crate) fn ticks(scene: &SceneSpec) -> Result<u64, SceneError> {
 
 pub(crate) fn device<const N: usize>(spec: &MasterSpec) -> Result<DeviceParameters<N>, SceneError> {
     let stops = match &spec.stops {
-        Some(stops) if stops.len() == N => (
-            Axes::from_fn(|axis, _| stops[axis].0),
-            Axes::from_fn(|axis, _| stops[axis].1),
-        ),
+        Some(stops) if stops.len() == N => {
+            (Axes::from_fn(|axis, _| stops[axis].0), Axes::from_fn(|axis, _| stops[axis].1))
+        }
         Some(stops) => {
-            return contradiction(format!("master.stops: {} pairs, must have {N}, one per axis", stops.len()));
+            return contradiction(format!(
+                "master.stops: {} pairs, must have {N}, one per axis",
+                stops.len()
+            ));
         }
         None => (Axes::repeat(f64::NEG_INFINITY), Axes::repeat(f64::INFINITY)),
     };
@@ -168,8 +170,7 @@ pub(crate) fn hand<const N: usize>(scene: &SceneSpec) -> Result<Hand<N>, SceneEr
         hand = hand.with_regrasp(Regrasp { reaction_s: regrasp.reaction_s, rise_s: regrasp.rise_s })?;
     }
     if let Some(tremor) = &spec.tremor {
-        hand = hand
-            .with_tremor(Tremor { amplitude: tremor.amplitude, frequency_hz: tremor.frequency_hz })?;
+        hand = hand.with_tremor(Tremor { amplitude: tremor.amplitude, frequency_hz: tremor.frequency_hz })?;
     }
     Ok(hand)
 }
@@ -299,13 +300,8 @@ fn object<const N: usize>(spec: &ObjectSpec) -> Result<Object<N>, SceneError> {
         (Some(motion), None) => {
             let velocity = axes(&key("motion.velocity"), &motion.velocity)?;
             let amplitude = axes(&key("motion.amplitude"), &motion.amplitude)?;
-            let motion = ObjectMotion::new(
-                velocity,
-                motion.from_s,
-                motion.until_s,
-                amplitude,
-                motion.frequency_hz,
-            )?;
+            let motion =
+                ObjectMotion::new(velocity, motion.from_s, motion.until_s, amplitude, motion.frequency_hz)?;
             Object::moving(shape, contact, motion)?
         }
         (None, Some(body)) => {
@@ -313,7 +309,9 @@ fn object<const N: usize>(spec: &ObjectSpec) -> Result<Object<N>, SceneError> {
             Object::free(shape, contact, FreeBody::new(body.mass_kg, body.viscous, body.coulomb, velocity)?)?
         }
         (Some(_), Some(_)) => {
-            return contradiction("environment.objects: an object has a motion of its own or a body, not both");
+            return contradiction(
+                "environment.objects: an object has a motion of its own or a body, not both",
+            );
         }
     })
 }
@@ -464,8 +462,8 @@ pub(crate) fn walls_on_device<const N: usize>(
 
 /// The device advanced by its exact solution.
 pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec) -> Result<SimulatedMaster<N>, SceneError> {
-    let mut master = SimulatedMaster::new(device(&scene.master)?, hand(scene)?, 0)?
-        .among(walls_on_device(scene)?)?;
+    let mut master =
+        SimulatedMaster::new(device(&scene.master)?, hand(scene)?, 0)?.among(walls_on_device(scene)?)?;
     let position = axes("master.position", &scene.master.position)?;
     master.place(position, axes("master.velocity", &scene.master.velocity)?)?;
     Ok(master)

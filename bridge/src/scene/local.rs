@@ -26,6 +26,7 @@ pub(crate) enum Ending {
 
 impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
     /// Runs all scenarios to their ends.
+    #[allow(clippy::inline_always)] // into a caller that was built for the processor's widest vectors
     #[inline(always)]
     pub(crate) fn run(&mut self, outcomes: &mut [Option<(Outcome, Ending)>]) {
         self.run_telling(|_, _, _| {}, outcomes);
@@ -34,6 +35,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
     /// Runs all scenarios to their ends; tells each tick and its time in s to `observe`.
     ///
     /// A scenario that ends early keeps the measures of that moment; its lane runs on unseen until all have ended.
+    #[allow(clippy::inline_always)] // into a caller that was built for the processor's widest vectors
     #[inline(always)]
     pub(crate) fn run_telling(
         &mut self,

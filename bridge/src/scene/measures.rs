@@ -238,11 +238,8 @@ impl<const N: usize, S: Real> Measures<N, S> {
         let has_begun = time.simd_ge(self.release);
         let along = velocity.dot(&self.direction);
         let has_direction = self.direction.dot(&self.direction).simd_gt(zero);
-        let along = if has_direction.all() {
-            along
-        } else {
-            along.select(has_direction, squared_speed.simd_sqrt())
-        };
+        let along =
+            if has_direction.all() { along } else { along.select(has_direction, squared_speed.simd_sqrt()) };
         self.ejection = self.ejection.simd_max(along.select(has_begun, zero));
 
         let on = one.select(is_on, zero);

@@ -86,10 +86,9 @@ struct Touches {
 impl Touches {
     fn tell<const N: usize>(&mut self, master: &SimulatedMaster<N>, log: &mut EventLog) {
         let touch = master.touch();
-        for (seen, now, kind) in [
-            (&mut self.made_s, touch.made_s, "contact"),
-            (&mut self.broke_s, touch.broke_s, "free"),
-        ] {
+        for (seen, now, kind) in
+            [(&mut self.made_s, touch.made_s, "contact"), (&mut self.broke_s, touch.broke_s, "free")]
+        {
             if let Some(time_s) = now.filter(|_| *seen != now) {
                 *seen = now;
                 log.add(time_s, kind, "");

@@ -217,9 +217,9 @@ pub struct SlaveSpec {
     pub mass_kg: f64,
     /// Bandwidth in Hz of its position or velocity control.
     pub bandwidth_hz: f64,
-    /// K_s in N/m, of `pd` only.
+    /// `K_s` in N/m, of `pd` only.
     pub stiffness: f64,
-    /// B_s in N s/m, of `pd` only.
+    /// `B_s` in N s/m, of `pd` only.
     pub damping: f64,
     /// In m/s; none without a bound.
     pub max_speed: Option<f64>,

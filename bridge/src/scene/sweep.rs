@@ -70,6 +70,17 @@ pub enum SweepError {
     Threads(String),
 }
 
+impl SweepError {
+    /// The same error of a part of the rows that began at row `first`.
+    #[must_use]
+    pub fn from_row(self, first: usize) -> Self {
+        match self {
+            Self::Scenario { row, why } => Self::Scenario { row: row + first, why },
+            other => other,
+        }
+    }
+}
+
 /// Scenarios that a thread takes at once: enough that most fill their lanes, few enough that all threads have some.
 const BLOCK: usize = 64;
 
@@ -143,8 +154,7 @@ fn run_block(
     let mut scene = base.clone();
     // Outcomes need no recording, and a copy of what is recorded for each row would cost more than the row.
     scene["record"] = Value::Null;
-    let specs =
-        block.clone().map(|row| row_spec(&mut scene, columns, row)).collect::<Result<Vec<_>, _>>()?;
+    let specs = block.clone().map(|row| row_spec(&mut scene, columns, row)).collect::<Result<Vec<_>, _>>()?;
     let first = block.start;
     let refused = |(index, error): (usize, SceneError)| SweepError::Scenario {
         row: first + index,
@@ -270,7 +280,11 @@ fn gather<const N: usize, S: Real>(of: Vec<&PlainRun<N, f64>>) -> Option<PlainRu
     }
     let measures: Vec<_> = of.iter().map(|one| one.measures).collect();
     let loops: Vec<_> = of.into_iter().map(|one| &one.looped).collect();
-    Some(LocalRun { looped: crate::local::gather(&loops)?, measures: super::measures::Measures::gather(&measures)?, ticks })
+    Some(LocalRun {
+        looped: crate::local::gather(&loops)?,
+        measures: super::measures::Measures::gather(&measures)?,
+        ticks,
+    })
 }
 
 /// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
@@ -281,6 +295,7 @@ fn vectorised<const N: usize>(run: &mut PlainRun<N, Lanes>, ended: &mut [Option<
     impl<const N: usize> pulp::WithSimd for Job<'_, N> {
         type Output = ();
 
+        #[allow(clippy::inline_always)] // what is not inlined here is built without those instructions
         #[inline(always)]
         fn with_simd<A: pulp::Simd>(self, _: A) {
             self.0.run(self.1);

@@ -1,0 +1,159 @@
+//! Scenes: one run, or many.
+
+use haptether_bridge::scene::{
+    Outcome, SceneRun, SceneSpec, Signal, SweepSettings, Variation, simulate, sweep,
+};
+use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
+use pyo3::{
+    exceptions::PyValueError,
+    prelude::*,
+    types::{PyDict, PyList},
+};
+
+use crate::{arrays::column, axes::refuse};
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PySceneRun>()?;
+    module.add_function(wrap_pyfunction!(simulate_scene, module)?)?;
+    module.add_function(wrap_pyfunction!(sweep_scenes, module)?)
+}
+
+#[pyclass(name = "SceneRun", module = "haptether.bridge", frozen)]
+pub(crate) struct PySceneRun {
+    signals: Py<PyDict>,
+    events: Py<PyList>,
+    metrics: Py<PyDict>,
+}
+
+#[pymethods]
+impl PySceneRun {
+    #[getter]
+    fn signals(&self, py: Python<'_>) -> Py<PyDict> {
+        self.signals.clone_ref(py)
+    }
+
+    #[getter]
+    fn events(&self, py: Python<'_>) -> Py<PyList> {
+        self.events.clone_ref(py)
+    }
+
+    #[getter]
+    fn metrics(&self, py: Python<'_>) -> Py<PyDict> {
+        self.metrics.clone_ref(py)
+    }
+}
+
+/// Signals that count or name: whole numbers.
+const CODES: [&str; 3] = ["tripped", "state", "slave_state"];
+
+fn signal_out(py: Python<'_>, signal: &Signal) -> PyResult<Py<PyAny>> {
+    if CODES.contains(&signal.name) {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // codes of one byte
+        let codes = signal.values.iter().map(|value| *value as u8).collect();
+        return Ok(column::<u8>(py, codes));
+    }
+    let flat = signal.values.to_pyarray(py);
+    if signal.width == 1 {
+        return Ok(flat.into_any().unbind());
+    }
+    Ok(flat.reshape([signal.values.len() / signal.width, signal.width])?.into_any().unbind())
+}
+
+fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<PyDict>> {
+    let metrics = PyDict::new(py);
+    metrics.set_item("max_ejection_velocity", outcome.max_ejection_velocity)?;
+    metrics.set_item("peak_device_force", outcome.peak_device_force)?;
+    metrics.set_item("time_to_trip_s", outcome.time_to_trip_s)?;
+    metrics.set_item("false_trips", outcome.false_trips)?;
+    metrics.set_item("intervention_s", outcome.intervention_ticks as f64 * period_s)?;
+    metrics.set_item("position_rmse_m", outcome.position_rmse_m)?;
+    metrics.set_item("force_rmse_n", outcome.force_rmse_n)?;
+    metrics.set_item("passivity_min_j", outcome.passivity_min_j)?;
+    metrics.set_item("diverged", outcome.diverged.is_some())?;
+    metrics.set_item("ticks", outcome.ticks)?;
+    Ok(metrics.unbind())
+}
+
+/// Runs a scene.
+#[pyfunction]
+fn simulate_scene(py: Python<'_>, scene_json: &[u8]) -> PyResult<PySceneRun> {
+    let SceneRun { signals, events, outcome, period_s } = py
+        .detach(|| {
+            let scene: SceneSpec =
+                serde_json::from_slice(scene_json).map_err(|error| format!("scene: {error}"))?;
+            simulate(&scene).map_err(|error| error.to_string())
+        })
+        .map_err(PyValueError::new_err)?;
+    let by_name = PyDict::new(py);
+    for signal in &signals {
+        by_name.set_item(signal.name, signal_out(py, signal)?)?;
+    }
+    let told = events.into_iter().map(|event| (event.time_s, event.kind, event.detail));
+    Ok(PySceneRun {
+        signals: by_name.unbind(),
+        events: PyList::new(py, told.collect::<Vec<_>>())?.unbind(),
+        metrics: metrics_out(py, &outcome, period_s)?,
+    })
+}
+
+/// Scenarios between two words to `progress`, for each thread.
+const BETWEEN_WORDS: usize = 1024;
+
+/// Runs a scene once per row.
+#[pyfunction]
+fn sweep_scenes(
+    py: Python<'_>,
+    scene_json: &[u8],
+    columns: Vec<(String, PyReadonlyArray1<'_, f64>)>,
+    threads: usize,
+    lanes: bool,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Py<PyDict>> {
+    let columns: Vec<(String, Vec<f64>)> =
+        columns.into_iter().map(|(path, values)| (path, values.as_array().to_vec())).collect();
+    let rows = columns.first().map_or(1, |(_, values)| values.len());
+    let settings = SweepSettings { threads, lanes };
+    let at_once = if progress.is_some() { BETWEEN_WORDS * threads.max(1) } else { rows.max(1) };
+    let period_s = serde_json::from_slice::<SceneSpec>(scene_json)
+        .map_err(|error| PyValueError::new_err(format!("scene: {error}")))?
+        .run
+        .period_s;
+    let mut outcomes = Vec::with_capacity(rows);
+    for first in (0..rows).step_by(at_once) {
+        let last = rows.min(first + at_once);
+        let variations: Vec<_> = columns
+            .iter()
+            .map(|(path, values)| Variation {
+                path: path.clone(),
+                values: values.get(first..last).unwrap_or(values).to_vec(),
+            })
+            .collect();
+        let part = py.detach(|| sweep(scene_json, &variations, settings));
+        outcomes.extend(part.map_err(|error| refuse(error.from_row(first)))?);
+        py.check_signals()?;
+        if let Some(progress) = &progress {
+            progress.call1(py, (last,))?;
+        }
+    }
+    let periods = columns.iter().find(|(path, _)| path == "run.period_s").map(|(_, values)| values);
+    let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);
+    let table = PyDict::new(py);
+    let numbers = |of: &dyn Fn(&Outcome) -> f64| column(py, outcomes.iter().map(of).collect::<Vec<f64>>());
+    let counts = |of: &dyn Fn(&Outcome) -> u64| column(py, outcomes.iter().map(of).collect::<Vec<u64>>());
+    let or_nan = |value: Option<f64>| value.unwrap_or(f64::NAN);
+    table.set_item("max_ejection_velocity", numbers(&|one| one.max_ejection_velocity))?;
+    table.set_item("peak_device_force", numbers(&|one| one.peak_device_force))?;
+    table.set_item("time_to_trip_s", numbers(&|one| or_nan(one.time_to_trip_s)))?;
+    table.set_item("false_trips", counts(&|one| one.false_trips))?;
+    let intervention =
+        outcomes.iter().enumerate().map(|(row, one)| one.intervention_ticks as f64 * period(row));
+    table.set_item("intervention_s", column(py, intervention.collect::<Vec<f64>>()))?;
+    table.set_item("intervention_ticks", counts(&|one| one.intervention_ticks))?;
+    table.set_item("position_rmse_m", numbers(&|one| or_nan(one.position_rmse_m)))?;
+    table.set_item("force_rmse_n", numbers(&|one| or_nan(one.force_rmse_n)))?;
+    table.set_item("passivity_min_j", numbers(&|one| one.passivity_min_j))?;
+    let diverged = outcomes.iter().map(|one| one.diverged.is_some()).collect::<Vec<bool>>();
+    table.set_item("diverged", column(py, diverged))?;
+    table.set_item("ticks", counts(&|one| one.ticks))?;
+    Ok(table.unbind())
+}
