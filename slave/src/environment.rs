@@ -4,7 +4,8 @@ use crate::{
     Axes, Object, Pusher,
     contact::{Mode, Reaction},
     reach::Reach,
-    solve::{Drive, Solver, Tool},
+    solve::{Drive, Tool},
+    solver::Solver,
 };
 
 /// Objects and pushers.
@@ -23,6 +24,8 @@ pub struct Environment<const N: usize> {
     /// Where the free bodies that are near stand in the state of the solver.
     pub(crate) slots: Vec<usize>,
     pub(crate) solver: Solver<N>,
+    /// The objects that move on their own.
+    movers: Vec<usize>,
     /// How many objects are free bodies.
     pub(crate) bodies: usize,
 }
@@ -31,6 +34,8 @@ impl<const N: usize> Environment<N> {
     /// Objects, in an order that numbers them, and pushers.
     pub fn new(objects: Vec<Object<N>>, pushers: Vec<Pusher<N>>) -> Self {
         let bodies = objects.iter().filter(|object| object.body().is_some()).count();
+        // Near or not: one may come near between two kinks.
+        let movers = (0..objects.len()).filter(|&index| objects[index].moves()).collect();
         Self {
             push_from: 0.0,
             reach: Reach::new(objects.len()),
@@ -38,6 +43,7 @@ impl<const N: usize> Environment<N> {
             slots: vec![usize::MAX; objects.len()],
             solver: Solver::new(bodies),
             bodies,
+            movers,
             objects,
             pushers,
         }
@@ -131,7 +137,7 @@ impl<const N: usize> Environment<N> {
                 next = next.min(pusher.next_kink(t) + self.push_from);
             }
         }
-        for &index in &self.reach.near {
+        for &index in &self.movers {
             next = next.min(self.objects[index].next_kink(time_s));
         }
         next

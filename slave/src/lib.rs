@@ -15,6 +15,7 @@ mod environment;
 mod force_sensor;
 mod held;
 mod linear;
+mod located;
 mod motion;
 mod object;
 mod pusher;
@@ -25,6 +26,7 @@ mod set_point;
 mod shape;
 mod simulated;
 mod solve;
+mod solver;
 mod transition;
 mod wall;
 
