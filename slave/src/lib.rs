@@ -39,7 +39,7 @@ pub use force_sensor::ForceSensor;
 pub use motion::ObjectMotion;
 pub use object::Object;
 pub use pusher::{PushShape, Pusher, Series};
-pub use rendered::{RenderedPush, RenderedWall, RenderedWalls};
+pub use rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
 pub use shape::Shape;
 pub use simulated::{SimulatedSlave, SlaveSample};
 pub use wall::Wall;

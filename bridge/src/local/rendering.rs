@@ -20,12 +20,12 @@ pub trait Rendering<const N: usize, S: Real> {
 }
 
 impl<const N: usize, S: Real> Rendering<N, S> for RenderedWalls<N, S> {
-    #[inline]
+    #[inline(always)]
     fn needs_velocity(&self) -> bool {
         self.is_damped()
     }
 
-    #[inline]
+    #[inline(always)]
     fn force(&mut self, time_s: f64, _: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
         RenderedWalls::force(self, time_s, position, velocity)
     }

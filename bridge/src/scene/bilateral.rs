@@ -198,7 +198,7 @@ impl<const N: usize> Watched<N> {
             self.diverged = Some(Divergence { time_s, cause });
             return ControlFlow::Break(());
         }
-        self.settled = self.measures.take(
+        let settled = self.measures.take(
             time_s,
             x,
             v,
@@ -206,7 +206,8 @@ impl<const N: usize> Watched<N> {
             force,
             &record.hand_force,
             record.tripped != 0,
-        ) && self.engaged_s.is_some();
+        );
+        self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(record.tripped));
         if self.states == [LadderState::Engaged; 2] {

@@ -1,12 +1,10 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
 use haptether_master::SteppedMaster;
-use haptether_safety::Real;
 use haptether_slave::RenderedWalls;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
-use simba::simd::AutoSimd;
 
 use super::{
     build::{SceneError, is_continuous, is_plain, rendered_walls, stepped_master, stepping},
@@ -15,10 +13,7 @@ use super::{
     run::{check_local, local_run, simulate},
     spec::SceneSpec,
 };
-
-/// Scenarios that are advanced side by side. The array is a vector of the processor where it has one, and is computed
-/// in parts where it has not.
-pub(crate) type Lanes = AutoSimd<[f64; 8]>;
+use crate::lanes::{LANES, Lanes};
 
 /// One number of a scene that differs from scenario to scenario.
 #[derive(Clone, Debug, PartialEq)]
@@ -191,20 +186,15 @@ fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcom
     if !specs.iter().all(can_share) {
         return Ok(None);
     }
-    let mut left: Vec<(usize, PlainRun<N, f64>)> = Vec::with_capacity(specs.len());
+    let mut left: Vec<(usize, Box<PlainRun<N, f64>>)> = Vec::with_capacity(specs.len());
     for (index, spec) in specs.iter().enumerate() {
-        left.push((index, plain_run(spec).map_err(|error| (index, error))?));
+        left.push((index, Box::new(plain_run(spec).map_err(|error| (index, error))?)));
     }
     let mut outcomes = vec![None; specs.len()];
+    let mut beside = Vec::new();
     while let Some(taken) = take_block(&mut left) {
         match taken {
-            Block::Lanes(rows, mut run) => {
-                let mut ended = vec![None; rows.len()];
-                vectorised(&mut run, &mut ended);
-                for (row, outcome) in rows.into_iter().zip(ended) {
-                    outcomes[row] = outcome;
-                }
-            }
+            Block::Lanes(block) => beside.push(block),
             Block::Single(row, mut run) => {
                 let mut ended = [None];
                 run.run(&mut ended);
@@ -212,8 +202,20 @@ fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcom
             }
         }
     }
+    for blocks in beside.chunks_mut(AT_ONCE) {
+        vectorised(blocks);
+        for block in blocks {
+            for (row, outcome) in block.rows.iter().zip(&block.ended) {
+                outcomes[*row] = *outcome;
+            }
+        }
+    }
     Ok(outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect())
 }
+
+/// Blocks of lanes that take turns in one loop: each tick of one waits for its own last one, and leaves the processor
+/// time for another.
+const AT_ONCE: usize = 2;
 
 fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, SceneError> {
     check_local(spec)?;
@@ -225,13 +227,19 @@ fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, Scene
 }
 
 enum Block<const N: usize> {
-    /// Rows, and their scenarios side by side.
-    Lanes(Vec<usize>, Box<PlainRun<N, Lanes>>),
+    Lanes(LaneBlock<N>),
     Single(usize, Box<PlainRun<N, f64>>),
 }
 
+/// Scenarios side by side.
+struct LaneBlock<const N: usize> {
+    rows: Vec<usize>,
+    run: Box<PlainRun<N, Lanes>>,
+    ended: [Option<(Outcome, Ending)>; LANES],
+}
+
 /// Takes scenarios that can share lanes with the first one left; alone it is taken alone.
-fn take_block<const N: usize>(left: &mut Vec<(usize, PlainRun<N, f64>)>) -> Option<Block<N>> {
+fn take_block<const N: usize>(left: &mut Vec<(usize, Box<PlainRun<N, f64>>)>) -> Option<Block<N>> {
     if left.is_empty() {
         return None;
     }
@@ -256,24 +264,19 @@ fn take_block<const N: usize>(left: &mut Vec<(usize, PlainRun<N, f64>)>) -> Opti
             index += 1;
             !take.contains(&(index - 1))
         });
-        return Some(Block::Lanes(rows, Box::new(run)));
+        return Some(Block::Lanes(LaneBlock { rows, run: Box::new(run), ended: [None; LANES] }));
     }
     let (row, run) = left.remove(0);
-    Some(Block::Single(row, Box::new(run)))
+    Some(Block::Single(row, run))
 }
-
-const LANES: usize = 8;
 
 /// Some scenarios side by side; lanes that are left over repeat the last one.
 fn gathered<const N: usize>(
-    left: &[(usize, PlainRun<N, f64>)],
+    left: &[(usize, Box<PlainRun<N, f64>>)],
     take: &[usize],
 ) -> Option<PlainRun<N, Lanes>> {
     let padded = |lane: usize| &left[take[lane.min(take.len() - 1)]].1;
-    gather((0..LANES).map(padded).collect())
-}
-
-fn gather<const N: usize, S: Real>(of: Vec<&PlainRun<N, f64>>) -> Option<PlainRun<N, S>> {
+    let of: Vec<_> = (0..LANES).map(padded).collect();
     let ticks = of.first()?.ticks;
     if of.iter().any(|one| one.ticks != ticks) {
         return None;
@@ -289,17 +292,32 @@ fn gather<const N: usize, S: Real>(of: Vec<&PlainRun<N, f64>>) -> Option<PlainRu
 
 /// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
 /// across lanes, and none is fused.
-fn vectorised<const N: usize>(run: &mut PlainRun<N, Lanes>, ended: &mut [Option<(Outcome, Ending)>]) {
-    struct Job<'a, const N: usize>(&'a mut PlainRun<N, Lanes>, &'a mut [Option<(Outcome, Ending)>]);
+fn vectorised<const N: usize>(blocks: &mut [LaneBlock<N>]) {
+    struct Job<'a, const N: usize>(&'a mut [LaneBlock<N>]);
 
     impl<const N: usize> pulp::WithSimd for Job<'_, N> {
         type Output = ();
 
-        #[allow(clippy::inline_always)] // what is not inlined here is built without those instructions
         #[inline(always)]
         fn with_simd<A: pulp::Simd>(self, _: A) {
-            self.0.run(self.1);
+            take_turns(self.0);
         }
     }
-    pulp::Arch::new().dispatch(Job(run, ended));
+    pulp::Arch::new().dispatch(Job(blocks));
+}
+
+#[inline(always)]
+fn take_turns<const N: usize>(blocks: &mut [LaneBlock<N>]) {
+    let ticks = blocks.iter().map(|block| block.run.ticks).max().unwrap_or(0);
+    let mut has_ended = [false; AT_ONCE];
+    for tick in 0..ticks {
+        for (block, has_ended) in blocks.iter_mut().zip(&mut has_ended) {
+            if !*has_ended && tick < block.run.ticks {
+                *has_ended = block.run.turn(tick, &mut |_, _, _| {}, &mut block.ended);
+            }
+        }
+    }
+    for block in blocks {
+        block.run.complete(&mut block.ended);
+    }
 }
