@@ -2,8 +2,8 @@ use std::time::Instant;
 use haptether_bridge::scene::*;
 fn main(){
     let scene = std::fs::read("/tmp/wu.json").unwrap();
-    for n in [10000usize] { for lanes in [true] {
-        let values: Vec<f64> = (0..n).map(|i| -(0.01+0.05*(i as f64)/((n-1) as f64))).collect();
+    for n in [1usize, 10000] { for lanes in [true,false] {
+        let values: Vec<f64> = (0..n).map(|i| -(0.01+0.05*(i as f64)/(((n-1).max(1)) as f64))).collect();
         let v=[Variation{path:"operator.legs.0.end.0".into(), values}];
         let mut best=f64::MAX; let mut s=(0.0,0);
         for _ in 0..5 { let t=Instant::now(); let o=sweep(&scene,&v,SweepSettings{threads:1,lanes}).unwrap(); best=best.min(t.elapsed().as_secs_f64());

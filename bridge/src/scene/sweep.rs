@@ -104,15 +104,18 @@ pub fn sweep(
         };
         columns.push((pointer, is_whole, values.as_slice()));
     }
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(settings.threads)
-        .build()
-        .map_err(|error| SweepError::Threads(error.to_string()))?;
     let blocks: Vec<_> = (0..rows).step_by(BLOCK).map(|first| first..rows.min(first + BLOCK)).collect();
-    let results: Vec<_> = pool.install(|| {
-        let run = |block| run_block(&base, &columns, block, settings.lanes);
-        blocks.into_par_iter().map(run).collect()
-    });
+    let run = |block| run_block(&base, &columns, block, settings.lanes);
+    let results: Vec<_> = if settings.threads == 1 || blocks.len() == 1 {
+        // Making a thread takes longer than many a scenario.
+        blocks.into_iter().map(run).collect()
+    } else {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(settings.threads)
+            .build()
+            .map_err(|error| SweepError::Threads(error.to_string()))?;
+        pool.install(|| blocks.into_par_iter().map(run).collect())
+    };
     let mut outcomes = Vec::with_capacity(rows);
     for result in results {
         outcomes.extend(result?);
@@ -155,16 +158,14 @@ fn run_block(
         row: first + index,
         why: error.to_string(),
     };
-    if lanes {
-        let shared = match specs.first().map(|spec| spec.master.axes) {
-            Some(1) => run_in_lanes::<1>(&specs),
-            Some(2) => run_in_lanes::<2>(&specs),
-            Some(3) => run_in_lanes::<3>(&specs),
-            _ => Ok(None),
-        };
-        if let Some(outcomes) = shared.map_err(refused)? {
-            return Ok(outcomes);
-        }
+    let shared = match specs.first().map(|spec| spec.master.axes) {
+        Some(1) => run_plain::<1>(&specs, lanes),
+        Some(2) => run_plain::<2>(&specs, lanes),
+        Some(3) => run_plain::<3>(&specs, lanes),
+        _ => Ok(None),
+    };
+    if let Some(outcomes) = shared.map_err(refused)? {
+        return Ok(outcomes);
     }
     let run = |(index, spec): (usize, &SceneSpec)| {
         simulate(spec).map(|run| run.outcome).map_err(|error| refused((index, error)))
@@ -174,9 +175,12 @@ fn run_block(
 
 type PlainRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>;
 
-/// Runs scenarios side by side; none if one of them cannot be: an arm, located events, or an environment of more
-/// than resting walls.
-fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
+/// Runs plain scenarios, side by side if they may; none if one of them is not plain: an arm, located events, or an
+/// environment of more than resting walls.
+fn run_plain<const N: usize>(
+    specs: &[SceneSpec],
+    lanes: bool,
+) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
     let can_share = |spec: &SceneSpec| {
         spec.slave.is_none()
             && spec.master.axes == N
@@ -192,7 +196,7 @@ fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcom
     }
     let mut outcomes = vec![None; specs.len()];
     let mut beside = Vec::new();
-    while let Some(taken) = take_block(&mut left) {
+    while let Some(taken) = take_block(&mut left, lanes) {
         match taken {
             Block::Lanes(block) => beside.push(block),
             Block::Single(row, mut run) => {
@@ -239,7 +243,13 @@ struct LaneBlock<const N: usize> {
 }
 
 /// Takes scenarios that can share lanes with the first one left; alone it is taken alone.
-fn take_block<const N: usize>(left: &mut Vec<(usize, Box<PlainRun<N, f64>>)>) -> Option<Block<N>> {
+fn take_block<const N: usize>(
+    left: &mut Vec<(usize, Box<PlainRun<N, f64>>)>,
+    lanes: bool,
+) -> Option<Block<N>> {
+    if !lanes {
+        return left.pop().map(|(row, run)| Block::Single(row, run));
+    }
     if left.is_empty() {
         return None;
     }
