@@ -39,7 +39,8 @@ pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
         power *= end;
     }
     let total: f64 = scaled.iter().map(|term| term.abs()).sum();
-    if scaled[0] >= total - scaled[0].abs() {
+    // What is not a number crosses nothing: bounds on it would never give an interval up.
+    if scaled[0] >= total - scaled[0].abs() || !total.is_finite() {
         return None;
     }
     // Divide the zeros at the start away.
@@ -130,6 +131,7 @@ mod tests {
             // (t - 0.5)²: touches and does not cross.
             (vec![0.25, -1.0, 1.0], 1.0, None),
             (vec![0.0; 3], 1.0, None),
+            (vec![1.0, f64::NAN], 1.0, None),
         ] {
             let found = first_negative(&series(&terms), end);
             match (found, expected) {

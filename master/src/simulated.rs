@@ -58,6 +58,8 @@ pub struct SimulatedMaster<const N: usize> {
     held_force: Axes<N>,
     /// Time in s of the hand: 0 where its path begins.
     time: f64,
+    /// The same at the last tick, in ns: a sum of ticks in s would drift by a rounding at each.
+    hand_ns: u64,
     waits: bool,
     now_ns: u64,
     position: Axes<N>,
@@ -84,6 +86,7 @@ impl<const N: usize> SimulatedMaster<N> {
             walls: Vec::new(),
             held_force: Axes::zeros(),
             time: 0.0,
+            hand_ns: 0,
             waits: false,
             now_ns,
             position,
@@ -124,7 +127,12 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Advances to `now_ns` (monotonic) and tells what the device measures there.
     pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
         if now_ns > self.now_ns {
-            self.advance((now_ns - self.now_ns) as f64 * 1e-9);
+            let past_ns = now_ns - self.now_ns;
+            self.advance(past_ns as f64 * 1e-9);
+            if !self.waits {
+                self.hand_ns += past_ns;
+                self.time = self.hand_ns as f64 / 1e9;
+            }
             self.now_ns = now_ns;
         }
         self.measured()
@@ -208,15 +216,12 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Follows one stretch for `wanted` s or until the next event, whichever is first, but at least `least` s;
     /// says how long it was.
     fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> f64 {
-        let end = self.time + wanted;
         let mut target = self.hand.target_series(self.time);
-        let (gain, strength) = if self.waits {
+        let (mut gain, mut strength) = self.hand.grip_line(self.time);
+        if self.waits {
             target[1..].fill(Axes::zeros());
-            let (gain, strength) = self.hand.grip_line(self.time, self.time + 1.0);
-            ([gain[0], 0.0], [strength[0], 0.0])
-        } else {
-            self.hand.grip_line(self.time, end)
-        };
+            (gain[1], strength[1]) = (0.0, 0.0);
+        }
         self.meet_walls(clock);
         let law = Law {
             device: &self.device,
@@ -437,8 +442,10 @@ impl<const N: usize> SimulatedMaster<N> {
                     consider(EventKind::Leaves(index), &push);
                 }
             } else if depth[0] > 0.0 {
-                // Inside a wall that would have to pull.
-                consider(EventKind::Meets(index), &push.map(|term| -term));
+                // Inside a wall that would have to pull. Where it ceased to push, what is left is rounding.
+                let mut pulls = push.map(|term| -term);
+                pulls[0] += wall.slight(depth[0], &self.velocity);
+                consider(EventKind::Meets(index), &pulls);
                 consider(EventKind::Leaves(index), &depth);
             } else {
                 consider(EventKind::Meets(index), &depth.map(|term| -term));
@@ -494,7 +501,7 @@ impl<const N: usize> SimulatedMaster<N> {
             let (depth, push) = (wall.depth(&self.position), wall.push(&self.position, &self.velocity));
             // Within rounding of an edge, the event that led there has decided.
             let edge = 1e-15 * (1.0 + wall.surface.abs());
-            let slight = 1e-14 * (wall.stiffness * depth.abs() + wall.damping * self.velocity.norm());
+            let slight = wall.slight(depth, &self.velocity);
             if depth > edge && push > slight {
                 self.set_pushing(index, true, clock);
             } else if depth < -edge || (depth > edge && push < -slight) {
