@@ -123,12 +123,13 @@ pub fn sweep(
     Ok(outcomes)
 }
 
-/// The specification of one row.
-fn row_spec(
+/// Sets the numbers of one row, and reads again the tables that they are in.
+fn set_row(
+    spec: &mut SceneSpec,
     scene: &mut Value,
     columns: &[(String, bool, &[f64])],
     row: usize,
-) -> Result<SceneSpec, SweepError> {
+) -> Result<(), SweepError> {
     for (pointer, is_whole, values) in columns {
         let value = values[row];
         if let Some(place) = scene.pointer_mut(pointer) {
@@ -140,7 +141,32 @@ fn row_spec(
             };
         }
     }
-    SceneSpec::deserialize(&*scene).map_err(|error| SweepError::Scenario { row, why: error.to_string() })
+    let mut read = Vec::with_capacity(columns.len());
+    for (pointer, _, _) in columns {
+        let table = pointer[1..].split('/').next().unwrap_or_default();
+        if !read.contains(&table) {
+            read.push(table);
+            read_table(spec, scene, table)
+                .map_err(|error| SweepError::Scenario { row, why: format!("{table}: {error}") })?;
+        }
+    }
+    Ok(())
+}
+
+fn read_table(spec: &mut SceneSpec, scene: &Value, table: &str) -> Result<(), serde_json::Error> {
+    let value = &scene[table];
+    match table {
+        "run" => spec.run = Deserialize::deserialize(value)?,
+        "master" => spec.master = Deserialize::deserialize(value)?,
+        "operator" => spec.operator = Deserialize::deserialize(value)?,
+        "slave" => spec.slave = Deserialize::deserialize(value)?,
+        "environment" => spec.environment = Deserialize::deserialize(value)?,
+        "link" => spec.link = Deserialize::deserialize(value)?,
+        "coupling" => spec.coupling = Deserialize::deserialize(value)?,
+        "safety" => spec.safety = Deserialize::deserialize(value)?,
+        _ => *spec = Deserialize::deserialize(scene)?,
+    }
+    Ok(())
 }
 
 fn run_block(
@@ -150,9 +176,15 @@ fn run_block(
     lanes: bool,
 ) -> Result<Vec<Outcome>, SweepError> {
     let mut scene = base.clone();
-    // Outcomes need no recording, and a copy of what is recorded for each row would cost more than the row.
+    // Outcomes need no recording.
     scene["record"] = Value::Null;
-    let specs = block.clone().map(|row| row_spec(&mut scene, columns, row)).collect::<Result<Vec<_>, _>>()?;
+    let mut spec =
+        SceneSpec::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
+    let mut specs = Vec::with_capacity(block.len());
+    for row in block.clone() {
+        set_row(&mut spec, &mut scene, columns, row)?;
+        specs.push(spec.clone());
+    }
     let first = block.start;
     let refused = |(index, error): (usize, SceneError)| SweepError::Scenario {
         row: first + index,
