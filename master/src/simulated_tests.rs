@@ -305,3 +305,29 @@ fn a_hand_that_regrasps_catches_the_stylus() {
     assert!(far(once) > 2.0);
     assert!((far(again) - 0.3 / 300.0).abs() < 1e-6);
 }
+
+/// A force that grows slowly past friction moves the device slowly, along the force, and no faster than all of the
+/// excess would: `V <= j t² / 2 m`.
+#[test]
+fn a_device_in_space_sets_off_gently() {
+    let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.05);
+    // Minimum-jerk and linear legs: the force passes friction with any small rate.
+    for (duration_s, shape) in [(1.5, LegShape::MinimumJerk), (20.0, LegShape::Linear), (0.05, LegShape::Linear)] {
+        let leg = Leg { duration_s, end: Axes::<3>::new(0.0, 0.04, 0.02), shape };
+        let path = Path::new(Axes::<3>::zeros(), vec![leg]).unwrap();
+        let hand = Hand::new(300.0, 8.0, 12.0, path, None).unwrap();
+        let mut master = SimulatedMaster::new(device, hand, 0).unwrap();
+        let mut fastest = 0.0_f64;
+        let mut before = Axes::<3>::zeros();
+        for tick in 1..2000_u64 {
+            master.read(tick * 1_000_000);
+            let v = *master.velocity();
+            // The hand's spring and damper: no more than its strength, 12 N, can push.
+            assert!((v - before).norm() <= 12.0 / MASS * 1e-3, "{tick} {v}");
+            assert!(v[0].abs() < 1e-9 && (v[1] - 2.0 * v[2]).abs() < 1e-6, "{tick} {v}");
+            (fastest, before) = (fastest.max(v.norm()), v);
+        }
+        // The path's own speed is at most 1.875 L / T.
+        assert!(fastest < 2.0 * 1.875 * 0.0448 / duration_s, "{fastest}");
+    }
+}

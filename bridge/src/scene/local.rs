@@ -1,5 +1,7 @@
 //! Runs of a scene without an arm: what is touched is rendered on the device itself.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use haptether_safety::Real;
 use nalgebra::SimdBool as _;
 
@@ -25,25 +27,30 @@ pub(crate) enum Ending {
 }
 
 impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
-    /// Runs all scenarios to their ends.
+    /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
     #[allow(clippy::inline_always)] // into a caller that was built for the processor's widest vectors
     #[inline(always)]
-    pub(crate) fn run(&mut self, outcomes: &mut [Option<(Outcome, Ending)>]) {
-        self.run_telling(|_, _, _| {}, outcomes);
+    pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<(Outcome, Ending)>]) {
+        self.run_telling(stop, |_, _, _| {}, outcomes);
     }
 
-    /// Runs all scenarios to their ends; tells each tick and its time in s to `observe`.
+    /// Runs all scenarios to their ends; tells each tick, its time in s and the loop to `observe`. None has an outcome
+    /// once `stop` is set before its end.
     ///
     /// A scenario that ends early keeps the measures of that moment; its lane runs on unseen until all have ended.
     #[allow(clippy::inline_always)] // into a caller that was built for the processor's widest vectors
     #[inline(always)]
     pub(crate) fn run_telling(
         &mut self,
-        mut observe: impl FnMut(f64, &LocalTick<N, S>, &P),
+        stop: &AtomicBool,
+        mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
         outcomes: &mut [Option<(Outcome, Ending)>],
     ) {
         let mut left = S::LANES;
         for tick in 0..self.ticks {
+            if stop.load(Ordering::Relaxed) {
+                return;
+            }
             let time_s = self.looped.time_s();
             let step = self.looped.step();
             let diverged = self.measures.diverged(&step.position, &step.velocity, &step.device_force);
@@ -64,7 +71,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
                 &step.hand_force,
                 is_on,
             );
-            observe(time_s, &step, self.looped.plant());
+            observe(time_s, &step, &self.looped);
             if settled.any() {
                 left -= self.end(settled.bitmask(), tick + 1, Ending::Settled, outcomes);
                 if left == 0 {

@@ -1,5 +1,7 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
 use haptether_master::SteppedMaster;
 use haptether_safety::Real;
 use haptether_slave::RenderedWalls;
@@ -38,6 +40,15 @@ pub struct SweepSettings {
     pub lanes: bool,
 }
 
+/// What another thread sees of a sweep, and how it ends one.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// Scenarios that have been run.
+    pub done: AtomicUsize,
+    /// Set from outside: the sweep ends soon, with [`SweepError::Stopped`].
+    pub stop: AtomicBool,
+}
+
 /// A sweep that cannot be run.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SweepError {
@@ -65,20 +76,12 @@ pub enum SweepError {
         /// What is wrong with it.
         why: String,
     },
+    /// It was told to stop.
+    #[error("stopped")]
+    Stopped,
     /// The threads could not be made.
     #[error("threads: {0}")]
     Threads(String),
-}
-
-impl SweepError {
-    /// The same error of a part of the rows that began at row `first`.
-    #[must_use]
-    pub fn from_row(self, first: usize) -> Self {
-        match self {
-            Self::Scenario { row, why } => Self::Scenario { row: row + first, why },
-            other => other,
-        }
-    }
 }
 
 /// Scenarios that a thread takes at once: enough that most fill their lanes, few enough that all threads have some.
@@ -91,6 +94,7 @@ pub fn sweep(
     scene: &[u8],
     variations: &[Variation],
     settings: SweepSettings,
+    progress: &Progress,
 ) -> Result<Vec<Outcome>, SweepError> {
     let base: Value = serde_json::from_slice(scene).map_err(|error| SweepError::Scene(error.to_string()))?;
     SceneSpec::deserialize(&base).map_err(|error| SweepError::Scene(error.to_string()))?;
@@ -115,7 +119,7 @@ pub fn sweep(
         .map_err(|error| SweepError::Threads(error.to_string()))?;
     let blocks: Vec<_> = (0..rows).step_by(BLOCK).map(|first| first..rows.min(first + BLOCK)).collect();
     let results: Vec<_> = pool.install(|| {
-        let run = |block| run_block(&base, &columns, block, settings.lanes);
+        let run = |block| run_block(&base, &columns, block, settings.lanes, progress);
         blocks.into_par_iter().map(run).collect()
     });
     let mut outcomes = Vec::with_capacity(rows);
@@ -150,21 +154,26 @@ fn run_block(
     columns: &[(String, bool, &[f64])],
     block: std::ops::Range<usize>,
     lanes: bool,
+    progress: &Progress,
 ) -> Result<Vec<Outcome>, SweepError> {
+    let Progress { done, stop } = progress;
+    if stop.load(Ordering::Relaxed) {
+        return Err(SweepError::Stopped);
+    }
     let mut scene = base.clone();
     // Outcomes need no recording, and a copy of what is recorded for each row would cost more than the row.
     scene["record"] = Value::Null;
     let specs = block.clone().map(|row| row_spec(&mut scene, columns, row)).collect::<Result<Vec<_>, _>>()?;
     let first = block.start;
-    let refused = |(index, error): (usize, SceneError)| SweepError::Scenario {
-        row: first + index,
-        why: error.to_string(),
+    let refused = |(index, error): (usize, SceneError)| match error {
+        SceneError::Stopped => SweepError::Stopped,
+        error => SweepError::Scenario { row: first + index, why: error.to_string() },
     };
     if lanes {
         let shared = match specs.first().map(|spec| spec.master.axes) {
-            Some(1) => run_in_lanes::<1>(&specs),
-            Some(2) => run_in_lanes::<2>(&specs),
-            Some(3) => run_in_lanes::<3>(&specs),
+            Some(1) => run_in_lanes::<1>(&specs, progress),
+            Some(2) => run_in_lanes::<2>(&specs, progress),
+            Some(3) => run_in_lanes::<3>(&specs, progress),
             _ => Ok(None),
         };
         if let Some(outcomes) = shared.map_err(refused)? {
@@ -172,7 +181,9 @@ fn run_block(
         }
     }
     let run = |(index, spec): (usize, &SceneSpec)| {
-        simulate(spec).map(|run| run.outcome).map_err(|error| refused((index, error)))
+        let outcome = simulate(spec, stop).map_err(|error| refused((index, error)))?.outcome;
+        done.fetch_add(1, Ordering::Relaxed);
+        Ok(outcome)
     };
     specs.iter().enumerate().map(run).collect()
 }
@@ -181,7 +192,10 @@ type PlainRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N
 
 /// Runs scenarios side by side; none if one of them cannot be: an arm, located events, or an environment of more
 /// than resting walls.
-fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
+fn run_in_lanes<const N: usize>(
+    specs: &[SceneSpec],
+    Progress { done, stop }: &Progress,
+) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
     let can_share = |spec: &SceneSpec| {
         spec.slave.is_none()
             && spec.master.axes == N
@@ -200,19 +214,23 @@ fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcom
         match taken {
             Block::Lanes(rows, mut run) => {
                 let mut ended = vec![None; rows.len()];
-                vectorised(&mut run, &mut ended);
+                vectorised(&mut run, stop, &mut ended);
+                done.fetch_add(rows.len(), Ordering::Relaxed);
                 for (row, outcome) in rows.into_iter().zip(ended) {
                     outcomes[row] = outcome;
                 }
             }
             Block::Single(row, mut run) => {
                 let mut ended = [None];
-                run.run(&mut ended);
+                run.run(stop, &mut ended);
+                done.fetch_add(1, Ordering::Relaxed);
                 [outcomes[row]] = ended;
             }
         }
     }
-    Ok(outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect())
+    let outcomes: Option<Vec<_>> =
+        outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect();
+    outcomes.map(Some).ok_or((0, SceneError::Stopped))
 }
 
 fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, SceneError> {
@@ -289,8 +307,16 @@ fn gather<const N: usize, S: Real>(of: Vec<&PlainRun<N, f64>>) -> Option<PlainRu
 
 /// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
 /// across lanes, and none is fused.
-fn vectorised<const N: usize>(run: &mut PlainRun<N, Lanes>, ended: &mut [Option<(Outcome, Ending)>]) {
-    struct Job<'a, const N: usize>(&'a mut PlainRun<N, Lanes>, &'a mut [Option<(Outcome, Ending)>]);
+fn vectorised<const N: usize>(
+    run: &mut PlainRun<N, Lanes>,
+    stop: &AtomicBool,
+    ended: &mut [Option<(Outcome, Ending)>],
+) {
+    struct Job<'a, const N: usize>(
+        &'a mut PlainRun<N, Lanes>,
+        &'a AtomicBool,
+        &'a mut [Option<(Outcome, Ending)>],
+    );
 
     impl<const N: usize> pulp::WithSimd for Job<'_, N> {
         type Output = ();
@@ -298,8 +324,8 @@ fn vectorised<const N: usize>(run: &mut PlainRun<N, Lanes>, ended: &mut [Option<
         #[allow(clippy::inline_always)] // what is not inlined here is built without those instructions
         #[inline(always)]
         fn with_simd<A: pulp::Simd>(self, _: A) {
-            self.0.run(self.1);
+            self.0.run(self.1, self.2);
         }
     }
-    pulp::Arch::new().dispatch(Job(run, ended));
+    pulp::Arch::new().dispatch(Job(run, stop, ended));
 }

@@ -1,7 +1,8 @@
 """`haptether simulate`."""
 
 import contextlib
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +12,7 @@ import tyro
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptether.bridge import Run
+    from haptether.bridge import Event, Run
 
 SPINNER_AFTER_S = 2.0
 EVENTS_SHOWN = 20
@@ -123,10 +124,11 @@ class Simulate:
         for name, value in msgspec.to_builtins(run.metrics).items():
             table.add_row(METRICS.get(name, name).replace("[", "\\["), shown(value))
         console.print(table)
-        for event in run.events[:EVENTS_SHOWN]:
-            console.print(f"  {event.time_s:9.4f} s  {event.kind}  {event.detail}", highlight=False, markup=False)
-        if len(run.events) > EVENTS_SHOWN:
-            console.print(f"  and {len(run.events) - EVENTS_SHOWN} more events; --json has all", highlight=False)
+        told = told_events(run.events)
+        for time_s, text in told[:EVENTS_SHOWN]:
+            console.print(f"  {time_s:9.4f} s  {text}", highlight=False, markup=False)
+        if len(told) > EVENTS_SHOWN:
+            console.print(f"  and {len(told) - EVENTS_SHOWN} more; --json has all events", highlight=False)
 
     def _list(self, console: "Console") -> None:
         from rich.table import Table
@@ -139,6 +141,29 @@ class Simulate:
         for name in scene_names():
             table.add_row(name, load_scene(name).shows)
         console.print(table)
+
+
+REPEATED = {"trip", "recover"}, {"contact", "free"}
+"""Events that chatter: the same two over and over."""
+
+
+def told_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
+    """Events for people, with a time in s each: what chatters is told once, with how often and until when."""
+    told: list[tuple[float, str]] = []
+    waiting = list(events)
+    while waiting:
+        first = waiting[0]
+        pair = next((pair for pair in REPEATED if first.kind in pair), set())
+        same = list(itertools.takewhile(lambda event, kinds=pair: event.kind in kinds, waiting))
+        times = sum(event.kind == first.kind for event in same)
+        text = f"{first.kind}  {first.detail}".rstrip()
+        if times > 2:
+            told.append((first.time_s, f"{text}  {times} times, until {same[-1].time_s:.4f} s"))
+        else:
+            same = same[:1] or [first]
+            told.append((first.time_s, text))
+        del waiting[: len(same)]
+    return told
 
 
 METRICS = {
