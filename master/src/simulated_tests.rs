@@ -312,7 +312,9 @@ fn a_hand_that_regrasps_catches_the_stylus() {
 fn a_device_in_space_sets_off_gently() {
     let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.05);
     // Minimum-jerk and linear legs: the force passes friction with any small rate.
-    for (duration_s, shape) in [(1.5, LegShape::MinimumJerk), (20.0, LegShape::Linear), (0.05, LegShape::Linear)] {
+    for (duration_s, shape) in
+        [(1.5, LegShape::MinimumJerk), (20.0, LegShape::Linear), (0.05, LegShape::Linear)]
+    {
         let leg = Leg { duration_s, end: Axes::<3>::new(0.0, 0.04, 0.02), shape };
         let path = Path::new(Axes::<3>::zeros(), vec![leg]).unwrap();
         let hand = Hand::new(300.0, 8.0, 12.0, path, None).unwrap();

@@ -118,8 +118,11 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             judged: measures(scene),
             measures: Measures::new(&measures(scene), &start),
             log: EventLog::default(),
-            near: Recorder::new(every),
-            far: Recorder::new(far_every),
+            near: Recorder::new(every, settings.ticks),
+            far: Recorder::new(
+                far_every,
+                (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
+            ),
             coupling,
             states: [LadderState::Waiting; 2],
             engaged_s: None,

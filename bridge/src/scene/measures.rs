@@ -26,8 +26,12 @@ pub struct Divergence {
 impl std::fmt::Display for Divergence {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.cause {
-            DivergenceCause::Position(x) => write!(f, "the device was {x:.4e} m away, beyond run.diverged_position"),
-            DivergenceCause::Speed(v) => write!(f, "the device moved at {v:.4e} m/s, beyond run.diverged_speed"),
+            DivergenceCause::Position(x) => {
+                write!(f, "the device was {x:.4e} m away, beyond run.diverged_position")
+            }
+            DivergenceCause::Speed(v) => {
+                write!(f, "the device moved at {v:.4e} m/s, beyond run.diverged_speed")
+            }
             DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number"),
         }
     }

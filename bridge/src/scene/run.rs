@@ -162,7 +162,7 @@ fn follow<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
     mut tell: impl FnMut(f64, &LocalTick<N>, &LocalLoop<P, R, N>, &mut EventLog),
 ) -> Result<SceneRun, SceneError> {
     let mut log = EventLog::default();
-    let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every));
+    let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every), run.ticks);
     let mut outcomes = [None];
     run.run_telling(
         stop,

@@ -66,10 +66,9 @@ def _name_events(panel: "Axes", told: list[tuple[float, str]], width_s: float) -
     place = -np.inf
     for time_s, text in told:
         place = max(time_s, place + LEAST_GAP * width_s)
-        panel.annotate(
-            text, (time_s, 1.0), (place, 1.03), xycoords=("data", "axes fraction"), textcoords=("data", "axes fraction"),
-            fontsize=7, ha="center", va="bottom", rotation=90,
-        )  # fmt: skip
+        above = ("data", "axes fraction")
+        panel.annotate(text, (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,
+                       fontsize=7, ha="center", va="bottom", rotation=90)  # fmt: skip
 
 
 def _draw_trips(panel: "Axes", time_s: npt.NDArray[np.float64], tripped: npt.NDArray[np.uint8]) -> None:

@@ -1,7 +1,6 @@
 """`haptether simulate`."""
 
 import contextlib
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +57,7 @@ class Simulate:
         from rich.console import Console
 
         from haptether.bridge import SceneError, load_scene, simulate
-        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
+        from haptether.cli.output import check_target, make_folder, require_matplotlib, table_goes_to_stderr
 
         console = Console(stderr=table_goes_to_stderr(self.json))
         if self.list:
@@ -74,6 +73,7 @@ class Simulate:
             raise ValueError(message)
         if self.plot is not None:
             require_matplotlib()
+            make_folder(self.plot)
         scene = load_scene(self.scene, self.set)
         if scene.record is None and (self.plot is not None or self.out is not None):
             message = f"{self.scene} has no [record], so there are no signals to keep: add --set record.every=1"
@@ -103,7 +103,6 @@ class Simulate:
         if self.plot is not None:
             from haptether.cli.scene_picture import draw_run
 
-            self.plot.mkdir(parents=True, exist_ok=True)
             picture = self.plot / f"{Path(run.scene).stem}.png"
             draw_run(run, picture)
             console.print(f"picture: {picture}", highlight=False)
@@ -154,7 +153,7 @@ def told_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
     while waiting:
         first = waiting[0]
         pair = next((pair for pair in REPEATED if first.kind in pair), set())
-        same = list(itertools.takewhile(lambda event, kinds=pair: event.kind in kinds, waiting))
+        same = waiting[: next((n for n, event in enumerate(waiting) if event.kind not in pair), len(waiting))]
         times = sum(event.kind == first.kind for event in same)
         text = f"{first.kind}  {first.detail}".rstrip()
         if times > 2:
