@@ -21,9 +21,9 @@ STIFFNESS = "environment.objects.0.contact.stiffness"
 CASES: dict[str, tuple[str, list[str], str, npt.NDArray[np.float64]]] = {
     "stepped, estimated": ("paper_wall", STEPPED, STIFFNESS, np.linspace(100, 500, ROWS)),
     "stepped, true": ("paper_wall", [*STEPPED, "safety.signals=true"], STIFFNESS, np.linspace(100, 500, ROWS)),
-    "stepped, lanes apart": ("paper_wall", STEPPED, "safety.window", np.arange(ROWS) % 3 * 50.0 + 50.0),
+    "stepped, lanes apart": ("paper_wall", STEPPED, "safety.window", np.array([50.0, 100.0, 150.0] * 7)),
     "exact": ("moving_wall", [], "operator.stiffness", np.linspace(150, 500, ROWS)),
-    "bilateral": ("remote_push", [], "run.seed", np.arange(ROWS) * 1.0),
+    "bilateral": ("remote_push", [], "run.seed", np.linspace(0, ROWS - 1, ROWS)),
     "bilateral, delay": ("remote_push", [], "link.forward.delay_s", np.linspace(0.01, 0.1, ROWS)),
 }  # fmt: skip
 
@@ -104,11 +104,19 @@ def test_a_run_that_ends_early_says_so_and_measures_the_same(overrides: list[str
     ],
 )
 def test_a_signal_ends_a_run_promptly(arguments: list[str]) -> None:
+    # Who is started in the background by a shell inherits that SIGINT is ignored.
+    program = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from haptether.cli import main; print('ready', file=sys.stderr, flush=True); sys.exit(main(sys.argv[1:]))"
+    )
     process = subprocess.Popen(
-        [sys.executable, "-m", "haptether", *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", program, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
     try:
-        time.sleep(6.0)
+        assert process.stderr is not None
+        assert process.stderr.readline() == "ready\n"
+        # Until the rows have been checked and some are running.
+        time.sleep(4.0)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         begun = time.monotonic()
