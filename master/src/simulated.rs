@@ -31,8 +31,13 @@ const MOST_STRETCHES: u32 = 4096;
 /// turns with the motion, and the last bit of the speed would take ever shorter stretches.
 const STOPPED: f64 = 1e-10;
 
-/// Longest first stretch in s of a device that sets off: its direction is that of the force.
+/// Longest stretch in s of a device that sets off: its direction is that of the force.
 const SETTING_OFF: f64 = 1e-6;
+
+/// Time in s within which a slow device turns into the direction of the force, `m |V| / |F|`, below which it counts as
+/// still setting off: where the force grows slowly past friction, the series of the direction would take ever shorter
+/// stretches.
+const TURNS_AT_ONCE: f64 = 1e-6;
 
 /// When the device last touched a continuous wall and last left one, in s since the clock's zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -258,6 +263,13 @@ impl<const N: usize> SimulatedMaster<N> {
             duration = slips_at.unwrap_or(duration).max(least).min(wanted);
             break;
         }
+        if let Rub::AlongMotion(coulomb) = regime.rub
+            && duration > stretch.reach
+        {
+            // Further than the series of the direction reaches: it is kept.
+            regime.rub = Rub::Constant(self.velocity * (coulomb / self.velocity.norm()));
+            stretch = law.follow(&regime, self.position, self.velocity);
+        }
         let event = self.first_event(&stretch, &regime, duration);
         duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
         add(&mut self.position, &mut self.lost[0], &stretch.displacement(duration));
@@ -298,7 +310,11 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         if self.device.rubs_along_motion() {
             let coulomb = self.device.coulomb[0];
-            if self.velocity != Axes::<N>::zeros() {
+            let momentum = self.device.mass_kg.max() * self.velocity.norm();
+            let turns_at_once = push.norm() > coulomb
+                && momentum < TURNS_AT_ONCE * push.norm()
+                && self.velocity.dot(&push) > 0.0;
+            if self.velocity != Axes::<N>::zeros() && !turns_at_once {
                 regime.rub = Rub::AlongMotion(coulomb);
                 return (regime, false);
             }

@@ -357,3 +357,28 @@ fn a_hand_that_regrasps_catches_the_stylus() {
     assert!(far(once) > 2.0);
     assert!((far(again) - 0.3 / 300.0).abs() < 1e-6);
 }
+
+/// A force that grows slowly past friction, and turns, moves the device slowly: no faster than the path.
+#[test]
+fn a_device_in_space_sets_off_gently() {
+    let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.038);
+    for (duration_s, shape) in
+        [(1.5, LegShape::MinimumJerk), (20.0, LegShape::Linear), (0.05, LegShape::Linear)]
+    {
+        for aside in [0.0, 0.0068, 0.03] {
+            let leg = Leg { duration_s, end: Axes::<3>::new(0.0, 0.04, 0.02), shape };
+            let path = Path::new(Axes::<3>::zeros(), vec![leg]).unwrap();
+            let hand = Hand::new(300.0, 8.0, 12.0, path, None).unwrap();
+            let mut master = SimulatedMaster::new(device, hand, 0).unwrap();
+            master.write(&Axes::<3>::new(aside, 0.0, 0.0));
+            let mut fastest = 0.0_f64;
+            for tick in 1..2000_u64 {
+                master.read(tick * 1_000_000);
+                fastest = fastest.max(master.velocity().norm());
+            }
+            // The path's own speed is at most 1.875 L / T; what friction had held back is let go, c / sqrt(K m).
+            let most = 1.5 * 1.875 * 0.0448 / duration_s + 0.038 / (300.0 * MASS).sqrt();
+            assert!(fastest > 0.0 && fastest < most, "{duration_s} {aside}: {fastest} {most}");
+        }
+    }
+}

@@ -160,6 +160,8 @@ impl<const N: usize> Law<'_, N> {
             }
             let hand = match regime.grip {
                 Grip::Holds => wish[n],
+                // Who has let go pulls in no direction.
+                Grip::Slips if self.strength == [0.0; 2] => Axes::zeros(),
                 Grip::Slips if N == 1 => wish[0].map(f64::signum) * strength[n],
                 Grip::Slips => {
                     slipping[n] = grip_direction.coefficient(&wish, n);
@@ -193,7 +195,7 @@ impl<const N: usize> Law<'_, N> {
             x[n + 2] = masked(next, &regime.stuck);
         }
         let mut reach = self.linear_reach(regime.pushing);
-        if N > 1 && regime.grip == Grip::Slips {
+        if N > 1 && regime.grip == Grip::Slips && self.strength != [0.0; 2] {
             reach = reach.min(grip_direction.reach());
         }
         if matches!(regime.rub, Rub::AlongMotion(_)) {

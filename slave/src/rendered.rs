@@ -144,6 +144,11 @@ impl<const N: usize> RenderedWalls<N> {
         Ok(Self { walls: walls.collect::<Result<_, _>>()?, pushes: pushes.collect::<Result<_, _>>()? })
     }
 
+    /// Whether a point at `position` in m is inside a wall; a two-sided one has no inside.
+    pub fn touches(&self, position: &Axes<N>) -> bool {
+        self.walls.iter().any(|wall| !wall.is_two_sided && wall.normal.dot(position) < wall.surface)
+    }
+
     /// Several scenarios side by side; none if they differ in which walls and courses there are.
     pub fn gather<S: Real>(of: &[Self]) -> Option<RenderedWalls<N, S>> {
         let kinds = |one: &Self| {

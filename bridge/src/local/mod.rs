@@ -12,6 +12,7 @@ use nalgebra::SimdValue as _;
 
 pub use delay::DelayLine;
 pub use plant::LocalPlant;
+pub(crate) use rendering::Surfaces;
 pub use rendering::{Rendering, SceneRendering};
 pub use watch::{Watch, Watched};
 

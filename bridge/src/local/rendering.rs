@@ -19,6 +19,24 @@ pub trait Rendering<const N: usize, S: Real> {
     ) -> Axes<N, S>;
 }
 
+/// A force field of surfaces.
+pub(crate) trait Surfaces<const N: usize> {
+    /// Whether a point at `position` in m, for which the force was asked for last, is inside an object.
+    fn touches(&self, position: &Axes<N>) -> bool;
+}
+
+impl<const N: usize> Surfaces<N> for RenderedWalls<N> {
+    fn touches(&self, position: &Axes<N>) -> bool {
+        RenderedWalls::touches(self, position)
+    }
+}
+
+impl<const N: usize> Surfaces<N> for SceneRendering<N> {
+    fn touches(&self, _: &Axes<N>) -> bool {
+        self.0.touches()
+    }
+}
+
 impl<const N: usize, S: Real> Rendering<N, S> for RenderedWalls<N, S> {
     #[inline(always)]
     fn needs_velocity(&self) -> bool {

@@ -1,5 +1,7 @@
 //! Runs of a scene without an arm: what is touched is rendered on the device itself.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use haptether_safety::Real;
 use nalgebra::SimdBool as _;
 
@@ -25,23 +27,25 @@ pub(crate) enum Ending {
 }
 
 impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
-    /// Runs all scenarios to their ends.
+    /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
     #[inline(always)]
-    pub(crate) fn run(&mut self, outcomes: &mut [Option<(Outcome, Ending)>]) {
-        self.run_telling(|_, _, _| {}, outcomes);
+    pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<(Outcome, Ending)>]) {
+        self.run_telling(stop, |_, _, _| {}, outcomes);
     }
 
-    /// Runs all scenarios to their ends; tells each tick and its time in s to `observe`.
+    /// Runs all scenarios to their ends; tells each tick, its time in s and the loop to `observe`. None has an outcome
+    /// once `stop` is set before its end.
     ///
     /// A scenario that ends early keeps the measures of that moment; its lane runs on unseen until all have ended.
     #[inline(always)]
     pub(crate) fn run_telling(
         &mut self,
-        mut observe: impl FnMut(f64, &LocalTick<N, S>, &P),
+        stop: &AtomicBool,
+        mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
         outcomes: &mut [Option<(Outcome, Ending)>],
     ) {
         for tick in 0..self.ticks {
-            if self.turn(tick, &mut observe, outcomes) {
+            if stop.load(Ordering::Relaxed) || self.turn(tick, &mut observe, outcomes) {
                 return;
             }
         }
@@ -53,7 +57,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
     pub(crate) fn turn(
         &mut self,
         tick: u64,
-        observe: &mut impl FnMut(f64, &LocalTick<N, S>, &P),
+        observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
         outcomes: &mut [Option<(Outcome, Ending)>],
     ) -> bool {
         let time_s = self.looped.time_s();
@@ -72,7 +76,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
             &step.hand_force,
             step.response.acts,
         );
-        observe(time_s, &step, self.looped.plant());
+        observe(time_s, &step, &self.looped);
         match settled {
             Some(settled) if settled.any() => {
                 self.end(settled.bitmask(), tick + 1, Ending::Settled, outcomes)

@@ -28,11 +28,14 @@ pub struct Divergence {
 impl std::fmt::Display for Divergence {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.cause {
-            DivergenceCause::Position(x) => write!(f, "the device was {x:.3e} m away")?,
-            DivergenceCause::Speed(v) => write!(f, "the device moved at {v:.3e} m/s")?,
-            DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number")?,
+            DivergenceCause::Position(x) => {
+                write!(f, "the device was {x:.4e} m away, beyond run.diverged_position")
+            }
+            DivergenceCause::Speed(v) => {
+                write!(f, "the device moved at {v:.4e} m/s, beyond run.diverged_speed")
+            }
+            DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number"),
         }
-        write!(f, " at {:.6} s", self.time_s)
     }
 }
 

@@ -1,5 +1,7 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
 use haptether_master::SteppedMaster;
 use haptether_slave::RenderedWalls;
 use rayon::prelude::*;
@@ -33,6 +35,15 @@ pub struct SweepSettings {
     pub lanes: bool,
 }
 
+/// What another thread sees of a sweep, and how it ends one.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// Scenarios that have been run.
+    pub done: AtomicUsize,
+    /// Set from outside: the sweep ends soon, with [`SweepError::Stopped`].
+    pub stop: AtomicBool,
+}
+
 /// A sweep that cannot be run.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SweepError {
@@ -60,20 +71,12 @@ pub enum SweepError {
         /// What is wrong with it.
         why: String,
     },
+    /// It was told to stop.
+    #[error("stopped")]
+    Stopped,
     /// The threads could not be made.
     #[error("threads: {0}")]
     Threads(String),
-}
-
-impl SweepError {
-    /// The same error of a part of the rows that began at row `first`.
-    #[must_use]
-    pub fn from_row(self, first: usize) -> Self {
-        match self {
-            Self::Scenario { row, why } => Self::Scenario { row: row + first, why },
-            other => other,
-        }
-    }
 }
 
 /// Scenarios that a thread takes at once: enough that most fill their lanes, few enough that all threads have some.
@@ -86,6 +89,7 @@ pub fn sweep(
     scene: &[u8],
     variations: &[Variation],
     settings: SweepSettings,
+    progress: &Progress,
 ) -> Result<Vec<Outcome>, SweepError> {
     let base: Value = serde_json::from_slice(scene).map_err(|error| SweepError::Scene(error.to_string()))?;
     SceneSpec::deserialize(&base).map_err(|error| SweepError::Scene(error.to_string()))?;
@@ -105,7 +109,7 @@ pub fn sweep(
         columns.push((pointer, is_whole, values.as_slice()));
     }
     let blocks: Vec<_> = (0..rows).step_by(BLOCK).map(|first| first..rows.min(first + BLOCK)).collect();
-    let run = |block| run_block(&base, &columns, block, settings.lanes);
+    let run = |block| run_block(&base, &columns, block, settings.lanes, progress);
     let results: Vec<_> = if settings.threads == 1 || blocks.len() == 1 {
         // Making a thread takes longer than many a scenario.
         blocks.into_iter().map(run).collect()
@@ -174,7 +178,12 @@ fn run_block(
     columns: &[(String, bool, &[f64])],
     block: std::ops::Range<usize>,
     lanes: bool,
+    progress: &Progress,
 ) -> Result<Vec<Outcome>, SweepError> {
+    let Progress { done, stop } = progress;
+    if stop.load(Ordering::Relaxed) {
+        return Err(SweepError::Stopped);
+    }
     let mut scene = base.clone();
     // Outcomes need no recording.
     scene["record"] = Value::Null;
@@ -186,21 +195,23 @@ fn run_block(
         specs.push(spec.clone());
     }
     let first = block.start;
-    let refused = |(index, error): (usize, SceneError)| SweepError::Scenario {
-        row: first + index,
-        why: error.to_string(),
+    let refused = |(index, error): (usize, SceneError)| match error {
+        SceneError::Stopped => SweepError::Stopped,
+        error => SweepError::Scenario { row: first + index, why: error.to_string() },
     };
     let shared = match specs.first().map(|spec| spec.master.axes) {
-        Some(1) => run_plain::<1>(&specs, lanes),
-        Some(2) => run_plain::<2>(&specs, lanes),
-        Some(3) => run_plain::<3>(&specs, lanes),
+        Some(1) => run_plain::<1>(&specs, lanes, progress),
+        Some(2) => run_plain::<2>(&specs, lanes, progress),
+        Some(3) => run_plain::<3>(&specs, lanes, progress),
         _ => Ok(None),
     };
     if let Some(outcomes) = shared.map_err(refused)? {
         return Ok(outcomes);
     }
     let run = |(index, spec): (usize, &SceneSpec)| {
-        simulate(spec).map(|run| run.outcome).map_err(|error| refused((index, error)))
+        let outcome = simulate(spec, stop).map_err(|error| refused((index, error)))?.outcome;
+        done.fetch_add(1, Ordering::Relaxed);
+        Ok(outcome)
     };
     specs.iter().enumerate().map(run).collect()
 }
@@ -212,6 +223,7 @@ type PlainRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N
 fn run_plain<const N: usize>(
     specs: &[SceneSpec],
     lanes: bool,
+    Progress { done, stop }: &Progress,
 ) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
     let can_share = |spec: &SceneSpec| {
         spec.slave.is_none()
@@ -227,31 +239,28 @@ fn run_plain<const N: usize>(
         left.push((index, Box::new(plain_run(spec).map_err(|error| (index, error))?)));
     }
     let mut outcomes = vec![None; specs.len()];
-    let mut beside = Vec::new();
     while let Some(taken) = take_block(&mut left, lanes) {
         match taken {
-            Block::Lanes(block) => beside.push(block),
+            Block::Lanes(rows, mut run) => {
+                let mut ended = vec![None; rows.len()];
+                vectorised(&mut run, stop, &mut ended);
+                done.fetch_add(rows.len(), Ordering::Relaxed);
+                for (row, outcome) in rows.into_iter().zip(ended) {
+                    outcomes[row] = outcome;
+                }
+            }
             Block::Single(row, mut run) => {
                 let mut ended = [None];
-                run.run(&mut ended);
+                run.run(stop, &mut ended);
+                done.fetch_add(1, Ordering::Relaxed);
                 [outcomes[row]] = ended;
             }
         }
     }
-    for blocks in beside.chunks_mut(AT_ONCE) {
-        vectorised(blocks);
-        for block in blocks {
-            for (row, outcome) in block.rows.iter().zip(&block.ended) {
-                outcomes[*row] = *outcome;
-            }
-        }
-    }
-    Ok(outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect())
+    let outcomes: Option<Vec<_>> =
+        outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect();
+    outcomes.map(Some).ok_or((0, SceneError::Stopped))
 }
-
-/// Blocks of lanes that take turns in one loop: each tick of one waits for its own last one, and leaves the processor
-/// time for another.
-const AT_ONCE: usize = 2;
 
 fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, SceneError> {
     check_local(spec)?;
@@ -263,15 +272,9 @@ fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, Scene
 }
 
 enum Block<const N: usize> {
-    Lanes(LaneBlock<N>),
+    /// Rows, and their scenarios side by side.
+    Lanes(Vec<usize>, Box<PlainRun<N, Lanes>>),
     Single(usize, Box<PlainRun<N, f64>>),
-}
-
-/// Scenarios side by side.
-struct LaneBlock<const N: usize> {
-    rows: Vec<usize>,
-    run: Box<PlainRun<N, Lanes>>,
-    ended: [Option<(Outcome, Ending)>; LANES],
 }
 
 /// Takes scenarios that can share lanes with the first one left; alone it is taken alone.
@@ -306,7 +309,7 @@ fn take_block<const N: usize>(
             index += 1;
             !take.contains(&(index - 1))
         });
-        return Some(Block::Lanes(LaneBlock { rows, run: Box::new(run), ended: [None; LANES] }));
+        return Some(Block::Lanes(rows, Box::new(run)));
     }
     let (row, run) = left.remove(0);
     Some(Block::Single(row, run))
@@ -334,32 +337,24 @@ fn gathered<const N: usize>(
 
 /// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
 /// across lanes, and none is fused.
-fn vectorised<const N: usize>(blocks: &mut [LaneBlock<N>]) {
-    struct Job<'a, const N: usize>(&'a mut [LaneBlock<N>]);
+fn vectorised<const N: usize>(
+    run: &mut PlainRun<N, Lanes>,
+    stop: &AtomicBool,
+    ended: &mut [Option<(Outcome, Ending)>],
+) {
+    struct Job<'a, const N: usize>(
+        &'a mut PlainRun<N, Lanes>,
+        &'a AtomicBool,
+        &'a mut [Option<(Outcome, Ending)>],
+    );
 
     impl<const N: usize> pulp::WithSimd for Job<'_, N> {
         type Output = ();
 
         #[inline(always)]
         fn with_simd<A: pulp::Simd>(self, _: A) {
-            take_turns(self.0);
+            self.0.run(self.1, self.2);
         }
     }
-    pulp::Arch::new().dispatch(Job(blocks));
-}
-
-#[inline(always)]
-fn take_turns<const N: usize>(blocks: &mut [LaneBlock<N>]) {
-    let ticks = blocks.iter().map(|block| block.run.ticks).max().unwrap_or(0);
-    let mut has_ended = [false; AT_ONCE];
-    for tick in 0..ticks {
-        for (block, has_ended) in blocks.iter_mut().zip(&mut has_ended) {
-            if !*has_ended && tick < block.run.ticks {
-                *has_ended = block.run.turn(tick, &mut |_, _, _| {}, &mut block.ended);
-            }
-        }
-    }
-    for block in blocks {
-        block.run.complete(&mut block.ended);
-    }
+    pulp::Arch::new().dispatch(Job(run, stop, ended));
 }
