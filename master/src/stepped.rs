@@ -232,7 +232,8 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     /// Holds this force in N from now on, as far as the motors exert it.
     #[inline(always)]
     pub fn write(&mut self, force: &Axes<N, S>) {
-        self.held_force = exerted(force, self.max_force_n, self.force_quantum_n, self.is_exact[1], self.is_unbounded);
+        self.held_force =
+            exerted(force, self.max_force_n, self.force_quantum_n, self.is_exact[1], self.is_unbounded);
     }
 
     /// True position in m.

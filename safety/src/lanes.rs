@@ -3,7 +3,8 @@
 use std::{fmt::Debug, ops::Neg};
 
 use nalgebra::{
-    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPartialOrd, SimdRealField, SimdValue,
+    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPartialOrd,
+    SimdRealField, SimdValue,
 };
 use num_traits::{One, Zero};
 
@@ -30,9 +31,11 @@ pub trait Real:
     + SimdValue<Element = f64, SimdBool: Debug>
 {
     /// The square root of each lane.
+    #[must_use]
     fn root(self) -> Self;
 
     /// The absolute value of each lane.
+    #[must_use]
     fn magnitude(self) -> Self;
 }
 

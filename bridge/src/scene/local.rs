@@ -92,13 +92,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
 
     /// Keeps the outcome of the lanes in `mask` that have none yet; says whether now all have one.
     #[cold]
-    fn end(
-        &self,
-        mask: u64,
-        ticks: u64,
-        ending: Ending,
-        outcomes: &mut [Option<(Outcome, Ending)>],
-    ) -> bool {
+    fn end(&self, mask: u64, ticks: u64, ending: Ending, outcomes: &mut [Option<(Outcome, Ending)>]) -> bool {
         for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
             if mask >> lane & 1 == 1 && outcome.is_none() {
                 *outcome = Some((self.measures.outcome(lane, ticks, None), ending));

@@ -187,8 +187,7 @@ fn run_block(
     let mut scene = base.clone();
     // Outcomes need no recording.
     scene["record"] = Value::Null;
-    let mut spec =
-        SceneSpec::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
+    let mut spec = SceneSpec::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
     let mut specs = Vec::with_capacity(block.len());
     for row in block.clone() {
         set_row(&mut spec, &mut scene, columns, row)?;

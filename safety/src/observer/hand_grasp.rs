@@ -1,6 +1,7 @@
 //! Hand grasp observer, HGO.
 
-use crate::{Observation, ParameterError, Real,
+use crate::{
+    Observation, ParameterError, Real,
     lanes::{norm, pack},
     parameter::positive,
 };

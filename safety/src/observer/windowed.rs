@@ -74,8 +74,7 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
     pub fn step(&mut self, seen: &Observation<N, S>) -> S {
         let power = seen.grasp_force.dot(&seen.velocity);
         self.push(power);
-        S::splat(self.period_s) * self.running
-            - self.device.kinetic_energy_j(&seen.velocity) * self.per_ratio
+        S::splat(self.period_s) * self.running - self.device.kinetic_energy_j(&seen.velocity) * self.per_ratio
     }
 
     #[inline(always)]
