@@ -25,12 +25,13 @@ fn batch(criterion: &mut Criterion) {
     for scenarios in [100, 10_000] {
         let variations = [depths(scenarios)];
         group.throughput(Throughput::Elements(u64::from(scenarios) * TICKS));
-        for (name, threads, lanes) in [("lanes", 1, true), ("lanes, 2 threads", 2, true), ("single", 1, false)] {
+        for (name, threads, lanes) in
+            [("lanes", 1, true), ("lanes, 2 threads", 2, true), ("single", 1, false)]
+        {
             let settings = SweepSettings { threads, lanes };
             group.bench_with_input(BenchmarkId::new(name, scenarios), &settings, |bencher, settings| {
-                bencher.iter(|| {
-                    black_box(sweep(SCENE, &variations, *settings, &Progress::default()).unwrap())
-                });
+                bencher
+                    .iter(|| black_box(sweep(SCENE, &variations, *settings, &Progress::default()).unwrap()));
             });
         }
     }

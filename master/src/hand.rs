@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::{
     Axes, ModelError, Path,
-    path::DEGREE,
+    path::{DEGREE, LEAST_LEG_S},
     polynomial::{Series, TERMS},
     require,
 };
@@ -90,6 +90,7 @@ impl<const N: usize> Hand<N> {
                 require("grip strength", strength_n, true, "finite, for a release of the strength")?;
             }
         }
+        let release = release.map(|one| Release { duration_s: or_at_once(one.duration_s), ..one });
         Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, tremor: None })
     }
 
@@ -110,7 +111,7 @@ impl<const N: usize> Hand<N> {
                 allowed: "given with a release",
             });
         }
-        Ok(Self { regrasp: Some(regrasp), ..self })
+        Ok(Self { regrasp: Some(Regrasp { reaction_s, rise_s: or_at_once(rise_s) }), ..self })
     }
 
     /// The same hand with a tremor.
@@ -255,6 +256,11 @@ impl<const N: usize> Hand<N> {
         let kinks = self.kinks().into_iter().flatten().chain(self.path.next_knot(t));
         kinks.filter(|&kink| kink > t).min_by(f64::total_cmp)
     }
+}
+
+/// A time in s in which a grip changes, or 0 where it is too short for a rate: powers of it would overflow.
+fn or_at_once(duration_s: f64) -> f64 {
+    if duration_s < LEAST_LEG_S { 0.0 } else { duration_s }
 }
 
 /// A line as a series.

@@ -131,6 +131,8 @@ mod tests {
             // (t - 0.5)²: touches and does not cross.
             (vec![0.25, -1.0, 1.0], 1.0, None),
             (vec![0.0; 3], 1.0, None),
+            (vec![0.0, f64::NAN], 1.0, None),
+            (vec![0.1, f64::NEG_INFINITY, f64::INFINITY], 1.0, None),
             (vec![1.0, f64::NAN], 1.0, None),
         ] {
             let found = first_negative(&series(&terms), end);

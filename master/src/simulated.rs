@@ -205,22 +205,25 @@ impl<const N: usize> SimulatedMaster<N> {
             };
             let kink = if self.waits { None } else { self.hand.next_kink(self.time) };
             let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.time));
-            let taken = self.stretch(wanted, least, clock + done);
-            stalls = if taken < LEAST_PROGRESS { stalls + 1 } else { 0 };
+            let (taken, to_its_reach) = self.stretch(wanted, least, clock + done);
+            // A direction that turns fast is followed in short stretches, which are progress.
+            let moves_on = taken >= LEAST_PROGRESS || (to_its_reach && taken > 0.0);
+            stalls = if moves_on { 0 } else { stalls + 1 };
             let reached_kink = taken == wanted && kink.is_some_and(|kink| kink - self.time == wanted);
             done = if taken == duration - done { duration } else { done + taken };
             // Rounding of many small additions must not shift the clock.
             self.time = match kink {
                 _ if self.waits => begun,
                 Some(kink) if reached_kink => kink,
-                _ => begun + done,
+                // Nor may it fall back behind a kink that is over.
+                _ => self.time.max(begun + done),
             };
         }
     }
 
     /// Follows one stretch for `wanted` s or until the next event, whichever is first, but at least `least` s;
-    /// says how long it was.
-    fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> f64 {
+    /// says how long it was, and whether its series reached no further.
+    fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> (f64, bool) {
         let mut target = self.hand.target_series(self.time);
         let (mut gain, mut strength) = self.hand.grip_line(self.time);
         if self.waits {
@@ -263,17 +266,18 @@ impl<const N: usize> SimulatedMaster<N> {
             duration = slips_at.unwrap_or(duration).max(least).min(wanted);
             break;
         }
-        if let Rub::AlongMotion(coulomb) = regime.rub
-            && duration > stretch.reach
-        {
-            // Further than the series of the direction reaches: it is kept.
-            regime.rub = Rub::Constant(self.velocity * (coulomb / self.velocity.norm()));
-            stretch = law.follow(&regime, self.position, self.velocity);
+        let (event, moved, gained);
+        if duration > stretch.reach {
+            // Beyond their reach only the first terms of the series say something; events are met where they are.
+            event = None;
+            (moved, gained) = law.coarse_step(&regime, &stretch, duration);
+        } else {
+            event = self.first_event(&stretch, &regime, duration);
+            duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
+            (moved, gained) = (stretch.displacement(duration), stretch.speed_gained(duration));
         }
-        let event = self.first_event(&stretch, &regime, duration);
-        duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
-        add(&mut self.position, &mut self.lost[0], &stretch.displacement(duration));
-        add(&mut self.velocity, &mut self.lost[1], &stretch.speed_gained(duration));
+        add(&mut self.position, &mut self.lost[0], &moved);
+        add(&mut self.velocity, &mut self.lost[1], &gained);
         for axis in 0..N {
             if regime.stuck[axis] {
                 self.halt(axis);
@@ -290,7 +294,7 @@ impl<const N: usize> SimulatedMaster<N> {
             (0..N).for_each(|axis| self.halt(axis));
         }
         self.meet_stops();
-        duration
+        (duration, event.is_none() && duration == stretch.reach)
     }
 
     fn halt(&mut self, axis: usize) {
@@ -314,7 +318,7 @@ impl<const N: usize> SimulatedMaster<N> {
             let turns_at_once = push.norm() > coulomb
                 && momentum < TURNS_AT_ONCE * push.norm()
                 && self.velocity.dot(&push) > 0.0;
-            if self.velocity != Axes::<N>::zeros() && !turns_at_once {
+            if self.velocity.norm() >= STOPPED && !turns_at_once {
                 regime.rub = Rub::AlongMotion(coulomb);
                 return (regime, false);
             }

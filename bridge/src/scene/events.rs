@@ -32,6 +32,13 @@ impl EventLog {
         }
     }
 
+    /// How many steps of the environment were too stiff to be followed to the usual accuracy, if any.
+    pub(crate) fn coarse(&mut self, time_s: f64, steps: u64) {
+        if steps > 0 {
+            self.add(time_s, "coarse", format!("{steps} steps of the environment were too stiff"));
+        }
+    }
+
     /// Who intervenes at this tick.
     #[inline]
     pub(crate) fn tripped(&mut self, time_s: f64, tripped: Tripped) {

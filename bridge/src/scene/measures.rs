@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use haptether_safety::{Axes, Real};
+use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
 
 /// What left its bounds when a loop diverged.
@@ -14,6 +14,10 @@ pub enum DivergenceCause {
     Speed(f64),
     /// A signal was no longer a finite number.
     NotFinite,
+    /// Distance of the arm in m.
+    Arm(f64),
+    /// A number at the door of the master or the slave was bad; nothing couples the two any more.
+    Fault(&'static str, Fault),
 }
 
 /// When and why a loop has diverged.
@@ -35,6 +39,10 @@ impl std::fmt::Display for Divergence {
                 write!(f, "the device moved at {v:.4e} m/s, beyond run.diverged_speed")
             }
             DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number"),
+            DivergenceCause::Arm(x) => {
+                write!(f, "the arm was {x:.4e} m away, beyond run.diverged_position")
+            }
+            DivergenceCause::Fault(side, fault) => write!(f, "fault of the {side}: {fault}"),
         }
     }
 }
