@@ -182,7 +182,7 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"run.period_s": 1.23456789012e-3}, "[run] period_s = 0.00123456789012: must be a whole number of ns"),
     ({"run.duration_s": 20001.0}, "[run] duration_s = 20001: must be at most 2e7 ticks, 20000 s at period_s = 0.001"),
     ({"run.duration_s": 1e-4}, "[run] duration_s = 0.0001: must be at least one period of 0.001 s"),
-    ({"run.period_s": 0.025}, "[run] period_s = 0.025: must be 1e-05 to 0.02 for an arm"),
+    ({"run.period_s": 0.025}, "[run] period_s = 0.025: must be 1e-05 to 0.02"),
     ({"link.forward.jitter_s": 0.06}, "[link.forward] jitter_s = 0.06: must be at most delay_s = 0.05"),
     ({"slave.stiffness": 100.0}, '[slave] stiffness: control = "position" has none, only "pd"'),
     ({"slave.control": "pd"}, '[slave] stiffness: control = "pd" needs it'),

@@ -2,6 +2,9 @@
 
 use crate::{Axes, ModelError, axes::require_axes, random::normal, require};
 
+/// Streams of the noise, one per axis: apart from those that the same seed has in the network.
+const STREAM: u64 = 0x5E << 32;
+
 /// What a force sensor makes of a force: `q round((F + bias + noise) / q)`, at its own rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceSensor<const N: usize> {
@@ -38,7 +41,7 @@ impl<const N: usize> ForceSensor<N> {
         let mut measured = force + self.bias_n;
         if self.noise_n > 0.0 {
             for axis in 0..N {
-                measured[axis] += self.noise_n * normal(self.seed, axis as u64, index);
+                measured[axis] += self.noise_n * normal(self.seed, STREAM | axis as u64, index);
             }
         }
         if self.quantum_n > 0.0 {

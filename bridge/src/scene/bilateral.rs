@@ -14,7 +14,7 @@ use super::{
         is_continuous, limiter, link, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
     },
     events::EventLog,
-    measures::{Divergence, DivergenceCause, Measures},
+    measures::{Divergence, DivergenceCause, MeasureSettings, Measures},
     run::{SceneRun, tell_schedule},
     signals::{Recorder, Sample},
     spec::{CouplingSpec, SceneSpec, SignalsSpec, SlaveSpec},
@@ -74,7 +74,15 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             backward: link(links.and_then(|links| links.backward.as_ref())),
             seed: scene.run.seed,
         };
-        let ladder = LadderSettings::default();
+        let ladder = match &scene.safety.limiter {
+            // The ladder fades the force in, at engagement and after every hold.
+            Some(limiter) if limiter.ramp_in_s > 0.0 => {
+                #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 60 s
+                let fade_in_ns = (limiter.ramp_in_s * 1e9).round() as u64;
+                LadderSettings { fade_in_ns, ..LadderSettings::default() }
+            }
+            _ => LadderSettings::default(),
+        };
         let endpoint = MasterEndpoint::new(&MasterSettings {
             period_ns: settings.period_ns,
             session: SESSIONS.0,
@@ -114,9 +122,14 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         let every = scene.record.as_ref().map_or(0, |record| record.every);
         // The recording keeps about the same rate on both sides.
         let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
+        // Until the two engage, a release that is scheduled lies ahead.
+        let ahead = MeasureSettings {
+            release_s: measures(scene).release_s.map(|_| f64::INFINITY),
+            ..measures(scene)
+        };
         let mut watched = Watched {
             judged: measures(scene),
-            measures: Measures::new(&measures(scene), &start),
+            measures: Measures::new(&ahead, &start),
             most_distance: scene.run.diverged_position * coupling.position_scale.max(1.0),
             log: EventLog::default(),
             near: Recorder::new(every, settings.ticks),
@@ -152,7 +165,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
 
 /// What is seen of both sides as they run.
 struct Watched<const N: usize> {
-    judged: super::measures::MeasureSettings,
+    judged: MeasureSettings,
     measures: Measures<N>,
     /// Of the arm in m, beyond which the loop has diverged.
     most_distance: f64,
@@ -266,9 +279,10 @@ impl<const N: usize> Watched<N> {
         }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
         self.log.touches(time_s, touches);
-        if let Some(newest) = &self.newest
-            && self.states == [LadderState::Engaged; 2]
-        {
+        if self.states != [LadderState::Engaged; 2] {
+            // They engage anew from where both are then.
+            self.anchor = None;
+        } else if let Some(newest) = &self.newest {
             let [near, far] = self.anchor.get_or_insert([newest.true_position, record.position]);
             let wanted = (newest.true_position - *near) * self.coupling.position_scale;
             self.squares[0] += (record.position - *far - wanted).norm_squared();

@@ -535,9 +535,9 @@ pub(crate) fn measures(scene: &SceneSpec) -> MeasureSettings {
             let regrips = regrasp.map_or(0.0, |regrasp| regrasp.reaction_s + regrasp.rise_s);
             quiet_after = quiet_after.max(release.at_s + release.decay_s + regrips);
         }
-        if operator.tremor.is_some() {
-            // A hand that trembles is never quiet.
-            quiet_after = quiet_after.max(release.map_or(f64::MAX, |_| quiet_after));
+        if operator.tremor.is_some() && (release.is_none() || operator.regrasp.is_some()) {
+            // A hand that trembles and holds is never quiet.
+            quiet_after = f64::MAX;
         }
     }
     if let Some(environment) = &scene.environment {
@@ -554,6 +554,13 @@ pub(crate) fn measures(scene: &SceneSpec) -> MeasureSettings {
             }
         }
     }
+    // What was scheduled last arrives late.
+    let late = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
+    let link = |spec: Option<&LinkSpec>| spec.map_or(0.0, |spec| spec.delay_s + spec.jitter_s);
+    let round_trip =
+        scene.link.as_ref().map_or(0.0, |links| link(links.forward.as_ref()) + link(links.backward.as_ref()));
+    let ramp = scene.safety.limiter.as_ref().map_or(0.0, |limiter| limiter.ramp_in_s);
+    quiet_after += late as f64 * scene.run.period_s + 2.0 * round_trip + ramp;
     MeasureSettings {
         release_s: release.map(|release| release.at_s),
         diverged_position: scene.run.diverged_position,

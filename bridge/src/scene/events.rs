@@ -19,6 +19,8 @@ pub struct SceneEvent {
 pub(crate) struct EventLog {
     events: Vec<SceneEvent>,
     tripped: u8,
+    /// Trips and contacts beyond the most that are kept.
+    dropped: u64,
     touches: bool,
 }
 
@@ -27,7 +29,10 @@ const MOST_EVENTS: usize = 10_000;
 
 impl EventLog {
     pub(crate) fn add(&mut self, time_s: f64, kind: &'static str, detail: impl Into<String>) {
-        if self.events.len() < MOST_EVENTS {
+        let chatters = matches!(kind, "trip" | "recover" | "contact" | "free");
+        if chatters && self.events.len() >= MOST_EVENTS {
+            self.dropped += 1;
+        } else {
             self.events.push(SceneEvent { time_s, kind, detail: detail.into() });
         }
     }
@@ -74,6 +79,11 @@ impl EventLog {
 
     /// All events in the order of their times.
     pub(crate) fn into_events(mut self) -> Vec<SceneEvent> {
+        if self.dropped > 0 {
+            let last = self.events.iter().map(|event| event.time_s).fold(0.0, f64::max);
+            let text = format!("{} more trips and contacts are not listed", self.dropped);
+            self.add(last, "truncated", text);
+        }
         self.events.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         self.events
     }

@@ -304,10 +304,12 @@ impl<const N: usize, S: Real> Measures<N, S> {
         }
 
         self.quiet_after.map(|quiet_after| {
-            // A device that nobody holds and nothing pushes may drift: it has been ejected.
+            // A device that nobody holds and nothing pushes may drift: it has been ejected. One that rests because a
+            // controller holds the force back will move when that ends.
             let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
-            let forced = (squared_force + hand_force.dot(hand_force)).simd_gt(zero);
-            self.active = time.select((moves & forced) | time.simd_le(quiet_after), self.active);
+            let forces = squared_force + hand_force.dot(hand_force) + rendered_force.dot(rendered_force);
+            let acts = (moves & forces.simd_gt(zero)) | is_on;
+            self.active = time.select(acts | time.simd_le(quiet_after), self.active);
             (time - self.active).simd_gt(S::splat(SETTLED_S))
         })
     }

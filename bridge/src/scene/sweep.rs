@@ -136,6 +136,10 @@ fn set_row(
 ) -> Result<(), SweepError> {
     for (pointer, is_whole, values) in columns {
         let value = values[row];
+        if !value.is_finite() {
+            let why = format!("{pointer} = {value}: must be finite");
+            return Err(SweepError::Scenario { row, why });
+        }
         if let Some(place) = scene.pointer_mut(pointer) {
             *place = if *is_whole && value >= 0.0 && value.fract() == 0.0 && value < 2f64.powi(53) {
                 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
