@@ -3,7 +3,15 @@
 from collections.abc import Iterator
 
 from haptether.bridge.scene_error import Path, SceneError, contradiction, wrong
-from haptether.bridge.scene_far import ContactTable, EnvironmentTable, ObjectTable, Plane, PusherTable, SlaveTable
+from haptether.bridge.scene_far import (
+    ContactTable,
+    EnvironmentTable,
+    ObjectTable,
+    Plane,
+    PusherTable,
+    SlaveTable,
+    Spring,
+)
 from haptether.bridge.scene_near import OperatorTable
 from haptether.bridge.scene_ranges import MOST_TICKS
 from haptether.bridge.scene_spec import Spec, most_damping, spec_of
@@ -108,6 +116,8 @@ def _environment(table: EnvironmentTable, has_arm: bool, axes: int) -> Iterator[
             yield contradiction((*path, "shape"), "continuous rendering knows only planes")
         yield from _object(part, path)
         yield from _contact(part.contact, (*path, "contact"), axes)
+        if isinstance(part.shape, Spring):
+            yield from _spring(part.contact, (*path, "contact"))
     for index, pusher in enumerate(table.pushers):
         yield from _pusher(pusher, ("environment", "pushers", index))
 
@@ -133,6 +143,13 @@ def _contact(table: ContactTable, path: Path, axes: int) -> Iterator[SceneError]
         yield contradiction((*path, "exponent"), 'law = "kelvin-voigt" has none, only "hunt-crossley"')
     if table.friction > 0.0 and axes == 1:
         yield wrong((*path, "friction"), table.friction, "0 with one axis: nothing slides along a surface")
+
+
+def _spring(table: ContactTable, path: Path) -> Iterator[SceneError]:
+    if table.law != "kelvin-voigt":
+        yield contradiction((*path, "law"), "a spring is linear: leave it out, or take another shape")
+    if table.friction > 0.0:
+        yield wrong((*path, "friction"), table.friction, "0 for a spring: it has no surface")
 
 
 _PUSHER_NEEDS = {

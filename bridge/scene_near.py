@@ -79,7 +79,7 @@ class LegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     """`[[operator.legs]]`: one leg of the hand's path. The hand rests after the last."""
 
     duration_s: Duration
-    """Time in s that it takes, above 0."""
+    """Time in s that it takes, at least 1e-9."""
     end: PositionPerAxis
     """Where it ends, in m."""
     shape: Literal["linear", "smooth", "minimum-jerk"] = "minimum-jerk"

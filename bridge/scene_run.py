@@ -83,7 +83,7 @@ class Metrics(Struct, frozen=True, kw_only=True):
     passivity_min_j: float | None = None
     """Least energy in J that the hand's side had taken in, less what it had given out; below 0: active."""
     diverged: bool = False
-    """Whether the loop left its bounds; the run ended there."""
+    """Whether device or arm left their bounds or a number could not be; the run ended there."""
     ticks: int = 0
     """Ticks of the master."""
     wall_time_s: float = 0.0

@@ -9,6 +9,7 @@ import msgspec
 from haptether.bridge.scene_error import Path, SceneError, contradiction, place, wrong
 from haptether.bridge.scene_far import ObjectTable, Plane, PusherTable, SlaveTable
 from haptether.bridge.scene_near import MasterTable, OperatorTable, SeriesTable
+from haptether.bridge.scene_ranges import LEAST_DURATION_S
 from haptether.bridge.scene_tables import AdaptiveWindow, Kalman, Scene
 from haptether.master import DEVICE_PRESETS
 
@@ -178,6 +179,9 @@ def series_spec(table: SeriesTable, axes: int, path: Path) -> Spec:
     for index, (before, after) in enumerate(zip(table.time_s, table.time_s[1:], strict=False), start=1):
         if after <= before:
             raise wrong((*path, "time_s", index), after, f"above the time before it, {before:g}")
+        if after - before < LEAST_DURATION_S:
+            allowed = f"at least {LEAST_DURATION_S:g} s after the time before it, {before:g}"
+            raise wrong((*path, "time_s", index), after, allowed)
     values = [spread(value, axes, (*path, "values", index)) for index, value in enumerate(table.values)]
     return {"time_s": list(table.time_s), "values": values}
 

@@ -35,7 +35,7 @@ class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     stop_early: bool = False
     """Ends the run when nothing that is measured can change any more."""
     diverged_position: Positive = 10.0
-    """|x| in m beyond which the loop has diverged."""
+    """|x| in m beyond which the loop has diverged; an arm has lambda_p times as much room if that is more."""
     diverged_speed: Positive = 100.0
     """|V| in m/s beyond which the loop has diverged."""
 

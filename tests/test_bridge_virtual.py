@@ -334,8 +334,8 @@ def build_slave(position: float = 0.0, position_scale: float = 1.0, period_s: fl
             lambda: build_slave(position_scale=-1.0),
             "position_scale (lambda_p) = -1: must be finite and above 0",
         ),
-        (lambda: build_master(period_s=0.0), "period = 0 ns: must be between 50000 and 20000000"),
-        (lambda: build_slave(period_s=0.021), "period = 21000000 ns: must be between 50000 and"),
+        (lambda: build_master(period_s=0.0), "period = 0 ns: must be between 10000 and 20000000"),
+        (lambda: build_slave(period_s=0.021), "period = 21000000 ns: must be between 10000 and"),
         (lambda: build_master(period_s=np.nan), "period_s = NaN: must be between 0 and 1e9 s"),
         (lambda: build_slave(position=np.inf), "arm position = inf: must be finite"),
         (

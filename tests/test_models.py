@@ -50,9 +50,9 @@ TABLE: list[tuple[float, str, Callable[[], object]]] = [
     (-0.5, NON_NEGATIVE, lambda: HapticDevice.phantom_desktop(encoder_quantum=-0.5)),
     *((x, NON_NEGATIVE, hand(stiffness=x)) for x in (-0.5, NAN, INF)),
     *((x, NON_NEGATIVE, hand(damping=x)) for x in (-0.5, NAN)),
-    *((x, NON_NEGATIVE, hand(strength_n=x)) for x in (-0.5, INF)),
+    *((x, "0 or more", hand(strength_n=x)) for x in (-0.5, NAN)),
     *((x, "finite", hand(start=x)) for x in (NAN, INF)),
-    *((x, POSITIVE, hand(legs=[(1.0, 0.0, "linear"), (x, 0.0, "linear")])) for x in (0.0, NAN)),
+    *((x, "finite and at least 1e-9", hand(legs=[(1.0, 0.0, "linear"), (x, 0.0, "linear")])) for x in (0.0, NAN)),
     *((x, "finite", hand(legs=[(1.0, x, "linear")])) for x in (NAN, INF)),
     *((x, "finite", hand(release=(x, 0.1))) for x in (NAN, INF)),
     *((x, NON_NEGATIVE, hand(release=(0.1, x))) for x in (-0.5, NAN)),
@@ -77,7 +77,7 @@ def test_a_parameter_out_of_range_is_refused(seen: float, allowed: str, build: C
 
 
 def test_other_shapes_of_legs_are_refused() -> None:
-    told = 'leg shape "cubic": must be "linear" or "minimum-jerk"'
+    told = 'leg shape "cubic": must be "linear", "smooth" or "minimum-jerk"'
     with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
         hand(legs=[(1.0, 0.0, "cubic")])()
 

@@ -36,10 +36,22 @@ struct Way {
 }
 
 impl Way {
-    fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
+    /// For a sender that sends `ticks` packets, one each `period_ns`.
+    fn new(
+        direction: Direction,
+        seed: u64,
+        settings: &LinkSettings,
+        ticks: u64,
+        period_ns: u64,
+    ) -> Result<Self, LinkError> {
+        let link = Link::new(direction, seed, settings)?;
+        // All that can be under way at once: a long delay at a high rate is no full queue.
+        let longest = (settings.delay_s + settings.jitter_s) * 1e9 / period_ns as f64;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0, and saturates
+        let most = (longest.ceil() as u64).min(ticks).saturating_add(2);
         Ok(Self {
-            link: Link::new(direction, seed, settings)?,
-            in_flight: InFlight::default(),
+            link,
+            in_flight: InFlight::growing(usize::try_from(most).unwrap_or(usize::MAX)),
             index: 0,
             direction,
         })
@@ -85,11 +97,14 @@ pub fn run_virtual<M: Side, S: Side>(
     slave: &mut S,
     mut observe: impl FnMut(Event<M::Record, S::Record>) -> ControlFlow<()>,
 ) -> Result<(), LinkError> {
-    let mut forward = Way::new(Direction::Forward, settings.seed, &settings.forward)?;
-    let mut backward = Way::new(Direction::Backward, settings.seed, &settings.backward)?;
+    let end_ns = settings.ticks * settings.period_ns;
+    let way = |direction, link, period_ns: u64| {
+        Way::new(direction, settings.seed, link, end_ns.div_ceil(period_ns), period_ns)
+    };
+    let mut forward = way(Direction::Forward, &settings.forward, settings.period_ns)?;
+    let mut backward = way(Direction::Backward, &settings.backward, settings.slave_period_ns)?;
     master.begin(0);
     slave.begin(0);
-    let end_ns = settings.ticks * settings.period_ns;
     let (mut master_ns, mut slave_ns) = (0, 0);
     while master_ns < end_ns || slave_ns < end_ns {
         let event = if master_ns <= slave_ns {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::{
     Axes, ModelError, Path,
-    path::DEGREE,
+    path::{DEGREE, LEAST_LEG_S},
     polynomial::{Series, TERMS},
     require,
 };
@@ -90,6 +90,7 @@ impl<const N: usize> Hand<N> {
                 require("grip strength", strength_n, true, "finite, for a release of the strength")?;
             }
         }
+        let release = release.map(|one| Release { duration_s: or_at_once(one.duration_s), ..one });
         Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, tremor: None })
     }
 
@@ -110,7 +111,7 @@ impl<const N: usize> Hand<N> {
                 allowed: "given with a release",
             });
         }
-        Ok(Self { regrasp: Some(regrasp), ..self })
+        Ok(Self { regrasp: Some(Regrasp { reaction_s, rise_s: or_at_once(rise_s) }), ..self })
     }
 
     /// The same hand with a tremor.
@@ -219,7 +220,9 @@ impl<const N: usize> Hand<N> {
     /// Gain and grip strength in N over \[t, end\] without a kink, each as value and rate.
     pub(crate) fn grip_line(&self, t: f64, end: f64) -> ([f64; 2], [f64; 2]) {
         let grip = self.grip_at(t);
-        let line = [grip, (self.grip_before(t, end) - grip) / (end - t)];
+        // What is left of a tick may be less than the clock can tell.
+        let rate = if end > t { (self.grip_before(t, end) - grip) / (end - t) } else { 0.0 };
+        let line = [grip, rate];
         match self.release.map(|release| release.kind) {
             Some(ReleaseKind::Gain) => (line, [self.strength_n, 0.0]),
             Some(ReleaseKind::Strength) => ([1.0, 0.0], line.map(|term| term * self.strength_n)),
@@ -251,6 +254,11 @@ impl<const N: usize> Hand<N> {
         let kinks = self.kinks().into_iter().flatten().chain(self.path.next_knot(t));
         kinks.filter(|&kink| kink > t).min_by(f64::total_cmp)
     }
+}
+
+/// A time in s in which a grip changes, or 0 where it is too short for a rate: powers of it would overflow.
+fn or_at_once(duration_s: f64) -> f64 {
+    if duration_s < LEAST_LEG_S { 0.0 } else { duration_s }
 }
 
 /// A line as a series.

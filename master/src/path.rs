@@ -29,10 +29,13 @@ impl LegShape {
     }
 }
 
+/// Shortest leg in s: the powers of its rate stay far from overflow.
+pub(crate) const LEAST_LEG_S: f64 = 1e-9;
+
 /// One leg: from where the last one ended to `end`, within `duration_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leg<const N: usize> {
-    /// Duration in s (> 0).
+    /// Duration in s (>= 1e-9).
     pub duration_s: f64,
     /// Position at its end in m.
     pub end: Axes<N>,
@@ -58,7 +61,8 @@ impl<const N: usize> Path<N> {
         let mut begins = vec![0.0];
         let mut time = 0.0;
         for leg in &legs {
-            require("duration_s", leg.duration_s, leg.duration_s > 0.0, "finite and above 0")?;
+            let allowed = "finite and at least 1e-9";
+            require("duration_s", leg.duration_s, leg.duration_s >= LEAST_LEG_S, allowed)?;
             for x in &leg.end {
                 require("end", *x, true, "finite")?;
             }

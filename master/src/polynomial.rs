@@ -39,7 +39,8 @@ pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
         power *= end;
     }
     let total: f64 = scaled.iter().map(|term| term.abs()).sum();
-    if scaled[0] >= total - scaled[0].abs() {
+    // Of what is not a number no bound holds, and the search would try every interval.
+    if !total.is_finite() || scaled[0] >= total - scaled[0].abs() {
         return None;
     }
     // Divide the zeros at the start away.
@@ -130,6 +131,8 @@ mod tests {
             // (t - 0.5)²: touches and does not cross.
             (vec![0.25, -1.0, 1.0], 1.0, None),
             (vec![0.0; 3], 1.0, None),
+            (vec![0.0, f64::NAN], 1.0, None),
+            (vec![0.1, f64::NEG_INFINITY, f64::INFINITY], 1.0, None),
         ] {
             let found = first_negative(&series(&terms), end);
             match (found, expected) {

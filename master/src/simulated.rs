@@ -192,22 +192,25 @@ impl<const N: usize> SimulatedMaster<N> {
             };
             let kink = if self.waits { None } else { self.hand.next_kink(self.time) };
             let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.time));
-            let taken = self.stretch(wanted, least, clock + done);
-            stalls = if taken < LEAST_PROGRESS { stalls + 1 } else { 0 };
+            let (taken, to_its_reach) = self.stretch(wanted, least, clock + done);
+            // A direction that turns fast is followed in short stretches, which are progress.
+            let moves_on = taken >= LEAST_PROGRESS || (to_its_reach && taken > 0.0);
+            stalls = if moves_on { 0 } else { stalls + 1 };
             let reached_kink = taken == wanted && kink.is_some_and(|kink| kink - self.time == wanted);
             done = if taken == duration - done { duration } else { done + taken };
             // Rounding of many small additions must not shift the clock.
             self.time = match kink {
                 _ if self.waits => begun,
                 Some(kink) if reached_kink => kink,
-                _ => begun + done,
+                // Nor may it fall back behind a kink that is over.
+                _ => self.time.max(begun + done),
             };
         }
     }
 
     /// Follows one stretch for `wanted` s or until the next event, whichever is first, but at least `least` s;
-    /// says how long it was.
-    fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> f64 {
+    /// says how long it was, and whether its series reached no further.
+    fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> (f64, bool) {
         let end = self.time + wanted;
         let mut target = self.hand.target_series(self.time);
         let (gain, strength) = if self.waits {
@@ -255,8 +258,14 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         let event = self.first_event(&stretch, &regime, duration);
         duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
-        add(&mut self.position, &mut self.lost[0], &stretch.displacement(duration));
-        add(&mut self.velocity, &mut self.lost[1], &stretch.speed_gained(duration));
+        // What is taken beyond the reach of the series follows its first terms: the others say nothing there.
+        let (moved, gained) = if duration > stretch.reach {
+            law.coarse_step(&regime, &stretch, duration)
+        } else {
+            (stretch.displacement(duration), stretch.speed_gained(duration))
+        };
+        add(&mut self.position, &mut self.lost[0], &moved);
+        add(&mut self.velocity, &mut self.lost[1], &gained);
         for axis in 0..N {
             if regime.stuck[axis] {
                 self.halt(axis);
@@ -273,7 +282,7 @@ impl<const N: usize> SimulatedMaster<N> {
             (0..N).for_each(|axis| self.halt(axis));
         }
         self.meet_stops();
-        duration
+        (duration, event.is_none() && duration == stretch.reach)
     }
 
     fn halt(&mut self, axis: usize) {
@@ -293,7 +302,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         if self.device.rubs_along_motion() {
             let coulomb = self.device.coulomb[0];
-            if self.velocity != Axes::<N>::zeros() {
+            if self.velocity.norm() >= STOPPED {
                 regime.rub = Rub::AlongMotion(coulomb);
                 return (regime, false);
             }

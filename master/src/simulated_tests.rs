@@ -305,3 +305,63 @@ fn a_hand_that_regrasps_catches_the_stylus() {
     assert!(far(once) > 2.0);
     assert!((far(again) - 0.3 / 300.0).abs() < 1e-6);
 }
+
+/// Eight ticks of 5 ms end a rounding before 0.04 s, where the release ends: what is left of the tick is shorter than
+/// the clock can tell.
+#[test]
+fn a_release_may_end_within_rounding_of_a_tick() {
+    let places = [5_000_000_u64, 1_000_000, 700_000].map(|tick_ns| {
+        let legs = vec![Leg { duration_s: 0.1, end: at(0.0), shape: LegShape::MinimumJerk }];
+        let path = Path::new(at(0.01), legs).unwrap();
+        let release = Release { at_s: 0.0, duration_s: 0.04, kind: ReleaseKind::Gain };
+        let hand = Hand::new(300.0, 5.0, f64::INFINITY, path, Some(release)).unwrap();
+        let mut master = SimulatedMaster::new(DeviceParameters::ideal(0.1, 0.0, 0.0), hand, 0).unwrap();
+        for tick in 1..=60_000_000 / tick_ns {
+            master.read(tick * tick_ns);
+        }
+        master.read(60_000_000).position[0]
+    });
+    assert!(places.iter().all(|place| (place - places[0]).abs() < 1e-15), "{places:?}");
+}
+
+#[test]
+fn what_lasts_no_time_happens_at_once() {
+    let thrown = [0.0, 1e-300, 1e-13].map(|duration_s| {
+        let path = Path::new(at(0.01), Vec::new()).unwrap();
+        let release = Release { at_s: 0.01, duration_s, kind: ReleaseKind::Strength };
+        let hand = Hand::new(300.0, 5.0, 9.0, path, Some(release)).unwrap();
+        let hand = hand.with_regrasp(Regrasp { reaction_s: 0.01, rise_s: duration_s }).unwrap();
+        let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+        master.write(&at(1.0));
+        (1..=40).map(|tick| master.read(tick * 1_000_000).position[0]).last().unwrap()
+    });
+    assert!(thrown[0] > 0.01 && thrown.iter().all(|place| *place == thrown[0]), "{thrown:?}");
+    assert!(
+        Path::new(at(0.0), vec![Leg { duration_s: 1e-300, end: at(1.0), shape: LegShape::Linear }]).is_err()
+    );
+}
+
+/// Friction along the motion has no direction where the speed has none that its square could hold; a device that
+/// creeps, turns on the spot or is pushed out of rest by little more than friction stays finite and passive.
+#[test]
+fn friction_in_space_has_a_direction_at_any_speed() {
+    for speed in [1e-300, 1e-256, 1e-160, 1e-120, 1e-30, 1e-11, 1e-9, 1e-6] {
+        for push in [0.0, 0.5 - 1e-12, 0.5, 0.5 + 1e-12, 0.6, 5.0] {
+            for friction in [0.5, 1e-172] {
+                let device = DeviceParameters::<3>::ideal(0.2, 0.0, friction);
+                let hand = Hand::absent(Axes::<3>::zeros()).unwrap();
+                let mut master = SimulatedMaster::new(device, hand, 0).unwrap();
+                master.place(Axes::zeros(), Axes::<3>::new(speed, 0.0, -speed)).unwrap();
+                master.write(&Axes::<3>::new(0.0, push, 0.0));
+                master.read(20 * TICK_NS);
+                let velocity = master.velocity().norm();
+                let free = ((push - friction).max(0.0) * 0.02) / 0.2;
+                assert!(
+                    (velocity - free).abs() < 2e-6 + 1e-6 * free,
+                    "{speed} {push} {friction}: {velocity}"
+                );
+                assert!((master.position().norm() - 0.01 * free).abs() < 1e-7, "{speed} {push} {friction}");
+            }
+        }
+    }
+}

@@ -101,7 +101,9 @@ impl Direction {
     fn reach(&self) -> f64 {
         // |y_n| ~ y_0 / rho^n; (h / rho)^TERMS = 1e-16.
         let growth = |n: usize| (self.inverse[n] / self.inverse[0]).abs().powf(1.0 / n as f64);
-        let rate = (TERMS - 5..TERMS - 2).map(growth).fold(0.0, f64::max);
+        // The maximum of a number and NaN would be the number; a length that has overflowed reaches nowhere.
+        let larger = |most: f64, rate: f64| if rate.is_nan() { f64::INFINITY } else { most.max(rate) };
+        let rate = (TERMS - 5..TERMS - 2).map(growth).fold(0.0, larger);
         if rate > 0.0 { 0.1 / rate } else { f64::INFINITY }
     }
 }
@@ -179,11 +181,45 @@ impl<const N: usize> Law<'_, N> {
         if N > 1 && regime.grip == Grip::Slips {
             reach = reach.min(grip_direction.reach());
         }
-        if matches!(regime.rub, Rub::AlongMotion(_)) {
-            reach = reach.min(motion_direction.reach());
+        if let Rub::AlongMotion(coulomb) = regime.rub {
+            // Across the motion, friction is a damping of c / |V|; a part too slow to change |V| shows it all the same.
+            let turning = 0.5 * self.device.mass_kg.min() * velocity.norm() / coulomb;
+            reach = reach.min(motion_direction.reach()).min(turning);
         }
         Stretch { position: x, wish, push, reach }
     }
+}
+
+impl<const N: usize> Law<'_, N> {
+    /// Displacement in m and speed gained in m/s over a step of t in s under the forces at its beginning, with friction
+    /// along the motion as it is at its end: however fast the motion turns, friction then only brakes it.
+    pub(crate) fn coarse_step(&self, regime: &Regime<N>, stretch: &Stretch<N>, t: f64) -> (Axes<N>, Axes<N>) {
+        let velocity = stretch.position[1];
+        let gained = match regime.rub {
+            Rub::Constant(_) => stretch.position[2] * (2.0 * t),
+            Rub::AlongMotion(coulomb) => {
+                let driven = masked(stretch.push[0].component_div(&self.device.mass_kg) * t, &regime.stuck);
+                let braking = self.device.mass_kg.map(|mass| coulomb * t / mass);
+                braked(&(velocity + driven), &braking) - velocity
+            }
+        };
+        ((velocity + gained * 0.5) * t, gained)
+    }
+}
+
+/// The V with `V + k V / |V| = free`, axis by axis; zero where friction stops it.
+fn braked<const N: usize>(free: &Axes<N>, k: &Axes<N>) -> Axes<N> {
+    // Of the speed r: sum (free / (r + k))² falls with r, and is 1 at the solution.
+    let excess = |r: f64| free.zip_map(k, |free, k| free / (r + k)).norm_squared() - 1.0;
+    let (mut least, mut most) = (0.0, free.norm());
+    if excess(least) <= 0.0 {
+        return Axes::zeros();
+    }
+    for _ in 0..60 {
+        let middle = 0.5 * (least + most);
+        if excess(middle) > 0.0 { least = middle } else { most = middle }
+    }
+    free.zip_map(k, |free, k| free * (most / (most + k)))
 }
 
 fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {

@@ -26,6 +26,11 @@ impl<T> InFlight<T> {
         Self { packets: BinaryHeap::with_capacity(capacity), capacity, next_order: 0, overflowed: 0 }
     }
 
+    /// An empty queue for at most `capacity` packets, which grows beyond [`DEFAULT_CAPACITY`] only as they come.
+    pub fn growing(capacity: usize) -> Self {
+        Self { capacity, ..Self::with_capacity(capacity.min(DEFAULT_CAPACITY)) }
+    }
+
     /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::QueueFull`].
     pub fn push(&mut self, due_ns: u64, payload: T) -> Result<(), DropCause> {
         if self.packets.len() >= self.capacity {
@@ -147,5 +152,16 @@ mod tests {
         assert_eq!((queue.len(), queue.overflowed()), (2, 1));
         assert_eq!(queue.pop_due(5), Some((1, 'a')));
         queue.push(3, 'd').unwrap();
+    }
+
+    #[test]
+    fn what_grows_holds_as_much_as_it_may() {
+        let most = DEFAULT_CAPACITY + 10;
+        let mut queue = InFlight::growing(most);
+        for position in 0..most {
+            queue.push(1, position).unwrap();
+        }
+        assert_eq!(queue.push(1, most), Err(DropCause::QueueFull));
+        assert_eq!((queue.len(), queue.pop_due(1)), (most, Some((1, 0))));
     }
 }

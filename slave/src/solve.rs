@@ -18,6 +18,8 @@ const RELATIVE: f64 = 1e-10;
 const ABSOLUTE: f64 = 1e-13;
 /// Attempts for one millisecond before the rest of it is taken coarsely.
 const MOST_ATTEMPTS: u32 = 20_000;
+/// Attempts for the shortest piece.
+const LEAST_ATTEMPTS: u32 = 1_000;
 
 /// Blocks of the state before the bodies: position, velocity and set velocity of the tool.
 pub(crate) const TOOL: usize = 3;
@@ -138,8 +140,8 @@ impl<const N: usize> Environment<N> {
         let mut done = begin;
         let mut attempts = 0;
         // What was too stiff a moment ago will hardly be worth the whole trial again.
-        let patience =
-            if std::mem::take(&mut solver.gave_up) { MOST_ATTEMPTS / 200 } else { MOST_ATTEMPTS / 10 };
+        let most = allowed_attempts(end - begin);
+        let patience = most / if std::mem::take(&mut solver.gave_up) { 200 } else { 10 };
         // Until when the bodies that nothing can touch have been moved.
         let mut coasted = begin;
         let mut known = false;
@@ -177,7 +179,9 @@ impl<const N: usize> Environment<N> {
                 }
                 break;
             }
-            if attempts > MOST_ATTEMPTS || (attempts > patience && slow(attempts, begin, done, end)) {
+            if attempts > most
+                || (attempts > patience && slow(attempts, most, (done - begin) / (end - begin)))
+            {
                 coasted = self.coarsely(drive, &mut solver, piece, (done, end), (begin, coasted));
                 break;
             }
@@ -440,7 +444,14 @@ impl<const N: usize> Environment<N> {
     }
 }
 
-/// Whether so many attempts have brought it so little that the rest would need too many.
-fn slow(attempts: u32, begin: f64, done: f64, end: f64) -> bool {
-    f64::from(attempts) * (end - begin) > f64::from(MOST_ATTEMPTS) * (done - begin)
+/// Attempts for a piece of `span` in s: in proportion to it, or short ticks would each have the patience of a long one.
+fn allowed_attempts(span: f64) -> u32 {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to MOST_ATTEMPTS, and saturates
+    let share = (f64::from(MOST_ATTEMPTS) * (span / LONGEST)) as u32;
+    share.clamp(LEAST_ATTEMPTS, MOST_ATTEMPTS)
+}
+
+/// Whether so many attempts have brought so small a share of the piece that its rest would need more than `most`.
+fn slow(attempts: u32, most: u32, done: f64) -> bool {
+    f64::from(attempts) > f64::from(most) * done
 }

@@ -17,6 +17,11 @@ pub trait Rendering<const N: usize, S: Real> {
         position: &Axes<N, S>,
         velocity: &Axes<N, S>,
     ) -> Axes<N, S>;
+
+    /// Steps of free bodies that were too stiff to be followed to the usual accuracy.
+    fn coarse_steps(&self) -> u64 {
+        0
+    }
 }
 
 impl<const N: usize, S: Real> Rendering<N, S> for RenderedWalls<N, S> {
@@ -44,5 +49,9 @@ impl<const N: usize> Rendering<N, f64> for SceneRendering<N> {
         let force = self.0.force(position, velocity, time_s);
         self.0.advance(time_s, period_s, position, velocity);
         force
+    }
+
+    fn coarse_steps(&self) -> u64 {
+        self.0.coarse_steps()
     }
 }

@@ -11,7 +11,7 @@ use super::{
         is_continuous, limiter, link, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
     },
     events::EventLog,
-    measures::{Divergence, Measures},
+    measures::{Divergence, DivergenceCause, Measures},
     run::{SceneRun, tell_schedule},
     signals::{Recorder, Sample},
     spec::{CouplingSpec, SceneSpec, SignalsSpec, SlaveSpec},
@@ -117,6 +117,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         let mut watched = Watched {
             judged: measures(scene),
             measures: Measures::new(&measures(scene), &start),
+            most_distance: scene.run.diverged_position * coupling.position_scale.max(1.0),
             log: EventLog::default(),
             near: Recorder::new(every),
             far: Recorder::new(far_every),
@@ -146,6 +147,8 @@ impl<'a, const N: usize> Bilateral<'a, N> {
 struct Watched<const N: usize> {
     judged: super::measures::MeasureSettings,
     measures: Measures<N>,
+    /// Of the arm in m, beyond which the loop has diverged.
+    most_distance: f64,
     log: EventLog,
     near: Recorder,
     far: Recorder,
@@ -182,21 +185,29 @@ impl<const N: usize> Watched<N> {
         }
     }
 
+    fn diverge(&mut self, time_s: f64, cause: DivergenceCause) -> ControlFlow<()> {
+        self.diverged = Some(Divergence { time_s, cause });
+        ControlFlow::Break(())
+    }
+
+    /// Numbers that a model cannot have are those of a loop that has diverged: its two sides stay apart.
+    fn faults(&mut self, side: &'static str, time_s: f64, code: u8) -> ControlFlow<()> {
+        match Fault::from_code(code) {
+            Some(fault) => self.diverge(time_s, DivergenceCause::Fault(side, fault)),
+            None => ControlFlow::Continue(()),
+        }
+    }
+
     fn near(&mut self, record: &MasterRecord<N>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 * 1e-9;
         self.ladder(0, time_s, record.state);
-        if record.fault != 0 && self.newest.is_none_or(|before| before.fault == 0) {
-            let fault = Fault::from_code(record.fault).map_or(String::new(), |fault| fault.to_string());
-            self.log.add(time_s, "fault", fault);
-        }
+        self.faults("master", time_s, record.fault)?;
         if record.state == LadderState::Engaged && self.engaged_s.is_none() {
             self.engage(time_s, &record.true_position);
         }
         let (x, v, force) = (&record.true_position, &record.velocity, &record.device_force);
         if self.measures.diverged(x, v, force) {
-            let cause = self.measures.cause(0, x, v);
-            self.diverged = Some(Divergence { time_s, cause });
-            return ControlFlow::Break(());
+            return self.diverge(time_s, self.measures.cause(0, x, v));
         }
         self.settled = self.measures.take(
             time_s,
@@ -240,6 +251,11 @@ impl<const N: usize> Watched<N> {
     fn far(&mut self, record: &SlaveRecord<N>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 * 1e-9;
         self.ladder(1, time_s, record.state);
+        self.faults("slave", time_s, record.fault)?;
+        let distance = record.position.norm();
+        if distance.is_nan() || distance > self.most_distance {
+            return self.diverge(time_s, DivergenceCause::Arm(distance));
+        }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
         self.log.touches(time_s, record.environment_force.norm() > TOUCH_N);
         if let Some(newest) = &self.newest
@@ -277,9 +293,7 @@ impl<const N: usize> Watched<N> {
         if self.settled {
             self.log.add(end_s, "settled", "nothing more happens");
         }
-        if coarse > 0 {
-            self.log.add(end_s, "coarse", format!("{coarse} steps of the environment were too stiff"));
-        }
+        self.log.coarse(end_s, coarse);
         let missing: u64 = links.iter().map(|link| link.missing).sum();
         if missing > 0 {
             let sent: u64 = links.iter().map(|link| link.sent).sum();

@@ -62,6 +62,13 @@ pub(crate) fn axes<const N: usize>(name: &str, values: &[f64]) -> Result<Axes<N>
     }
 }
 
+/// One value per axis, of which only the direction counts: so short a vector that its square is 0 has one too.
+fn direction<const N: usize>(name: &str, values: &[f64]) -> Result<Axes<N>, SceneError> {
+    let vector = axes::<N>(name, values)?;
+    let most = vector.amax();
+    Ok(if most > 0.0 { vector / most } else { vector })
+}
+
 /// A period as a whole number of ns.
 pub(crate) fn period_ns(name: &str, seconds: f64) -> Result<u64, SceneError> {
     let ns = seconds * 1e9;
@@ -121,6 +128,9 @@ pub(crate) fn device<const N: usize>(spec: &MasterSpec) -> Result<DeviceParamete
     Ok(device)
 }
 
+/// Shortest leg of a path in s; `bridge/scene_spec.py` lets no two points of a recording be closer.
+const LEAST_LEG_S: f64 = 1e-9;
+
 fn path<const N: usize>(spec: &OperatorSpec) -> Result<Path<N>, SceneError> {
     let start = axes("operator.start", &spec.start)?;
     let Some(SeriesSpec { time_s, values }) = &spec.recorded else {
@@ -144,7 +154,7 @@ fn path<const N: usize>(spec: &OperatorSpec) -> Result<Path<N>, SceneError> {
     let mut legs = Vec::with_capacity(rows.len());
     let mut before = 0.0;
     for (time, row) in time_s.iter().zip(&rows) {
-        if *time > before {
+        if *time - before >= LEAST_LEG_S {
             legs.push(Leg { duration_s: time - before, end: *row, shape: LegShape::Linear });
             before = *time;
         }
@@ -195,7 +205,7 @@ fn planes<const N: usize>(environment: &EnvironmentSpec) -> Result<Vec<Plane<N>>
         match &object.shape {
             ShapeSpec::Plane { point, normal } => planes.push((
                 axes("environment.objects.shape.point", point)?,
-                axes("environment.objects.shape.normal", normal)?,
+                direction("environment.objects.shape.normal", normal)?,
                 stiffness,
                 damping,
                 false,
@@ -278,7 +288,7 @@ fn object<const N: usize>(spec: &ObjectSpec) -> Result<Object<N>, SceneError> {
     let key = |name: &str| format!("environment.objects.{name}");
     let shape = match &spec.shape {
         ShapeSpec::Plane { point, normal } => {
-            Shape::plane(axes(&key("shape.point"), point)?, axes(&key("shape.normal"), normal)?)?
+            Shape::plane(axes(&key("shape.point"), point)?, direction(&key("shape.normal"), normal)?)?
         }
         ShapeSpec::Sphere { centre, radius } => Shape::sphere(axes(&key("shape.centre"), centre)?, *radius)?,
         ShapeSpec::Box { centre, half_extents } => Shape::cuboid(

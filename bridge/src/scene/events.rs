@@ -7,8 +7,8 @@ use haptether_safety::controller::Tripped;
 pub struct SceneEvent {
     /// When, in s.
     pub time_s: f64,
-    /// `engaged`, `hold`, `stop`, `fault`, `release`, `regrasp`, `contact`, `free`, `trip`, `recover`, `settled` or
-    /// `diverged`.
+    /// `engaged`, `hold`, `stop`, `fault`, `release`, `regrasp`, `contact`, `free`, `trip`, `recover`, `coarse`, `lost`,
+    /// `settled` or `diverged`.
     pub kind: &'static str,
     /// What more there is to say.
     pub detail: String,
@@ -29,6 +29,13 @@ impl EventLog {
     pub(crate) fn add(&mut self, time_s: f64, kind: &'static str, detail: impl Into<String>) {
         if self.events.len() < MOST_EVENTS {
             self.events.push(SceneEvent { time_s, kind, detail: detail.into() });
+        }
+    }
+
+    /// How many steps of the environment were too stiff to be followed to the usual accuracy, if any.
+    pub(crate) fn coarse(&mut self, time_s: f64, steps: u64) {
+        if steps > 0 {
+            self.add(time_s, "coarse", format!("{steps} steps of the environment were too stiff"));
         }
     }
 

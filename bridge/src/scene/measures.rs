@@ -1,6 +1,6 @@
 //! What a run is judged by, for one scenario or for several side by side.
 
-use haptether_safety::{Axes, Real};
+use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
 
 /// What left its bounds when a loop diverged.
@@ -12,6 +12,10 @@ pub enum DivergenceCause {
     Speed(f64),
     /// A signal was no longer a finite number.
     NotFinite,
+    /// Distance of the arm in m.
+    Arm(f64),
+    /// A number at the door of the master or the slave was bad; nothing couples the two any more.
+    Fault(&'static str, Fault),
 }
 
 /// When and why a loop has diverged.
@@ -29,6 +33,8 @@ impl std::fmt::Display for Divergence {
             DivergenceCause::Position(x) => write!(f, "the device was {x:.3e} m away")?,
             DivergenceCause::Speed(v) => write!(f, "the device moved at {v:.3e} m/s")?,
             DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number")?,
+            DivergenceCause::Arm(x) => write!(f, "the arm was {x:.3e} m away")?,
+            DivergenceCause::Fault(side, fault) => write!(f, "fault of the {side}: {fault}")?,
         }
         write!(f, " at {:.6} s", self.time_s)
     }

@@ -159,9 +159,11 @@ fn follow<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
         return Err(SceneError::Contradiction("run: ended without an outcome".into()));
     };
     tell_schedule(scene, &outcome, &mut log);
+    let end_s = outcome.ticks as f64 * scene.run.period_s;
     if ending == Ending::Settled {
-        log.add(outcome.ticks as f64 * scene.run.period_s, "settled", "nothing more happens");
+        log.add(end_s, "settled", "nothing more happens");
     }
+    log.coarse(end_s, run.looped.rendering().coarse_steps());
     Ok(SceneRun {
         signals: recorder.into_signals(),
         events: log.into_events(),
