@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 from typing import Any, cast
 
 import msgspec
+from msgspec import inspect
 
 from haptether.bridge.scene_checks import checked_spec
 from haptether.bridge.scene_error import (
@@ -70,6 +71,9 @@ def _find(name_or_path: str | PathLike[str]) -> FilePath:
     if isinstance(name_or_path, str) and name_or_path in scene_names():
         return _SHIPPED / f"{name_or_path}.toml"
     path = FilePath(name_or_path)
+    if path.is_dir():
+        message = f"{path}: is a folder, must be the name of a shipped scene or a TOML file"
+        raise SceneError(message)
     if not path.is_file():
         message = f"{path}: no shipped scene and no such file: {closest(path.stem, scene_names())}"
         raise SceneError(message)
@@ -180,7 +184,10 @@ def toml_value(text: str, path: Path) -> Plain:
         SceneError: It is no value of TOML.
     """
     candidates = [text]
-    if re.fullmatch(r"[\w./-]+", text):
+    if text in {"true", "false"} and not any(isinstance(kind, inspect.BoolType) for kind in types_at(path)):
+        # A choice that reads like a boolean, `safety.signals=true`.
+        candidates = [f'"{text}"']
+    elif re.fullmatch(r"[\w./-]+", text):
         candidates.append(f'"{text}"')
     elif text.startswith(("[", "{")):
         candidates.append(_BARE_WORD.sub(r'"\1"', text))

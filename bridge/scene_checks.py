@@ -53,6 +53,10 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
         if link and link.jitter_s > link.delay_s:
             allowed = f"at most delay_s = {link.delay_s:g}, or packets would arrive before they are sent"
             yield wrong(("link", direction, "jitter_s"), link.jitter_s, allowed)
+    if scene.slave is not None and scene.safety.signals == "true":
+        yield contradiction(
+            ("safety", "signals"), 'with a [slave] only "estimated": an endpoint knows what is measured'
+        )
     yield from _safety(scene.safety, scene.run.period_s)
 
 

@@ -117,7 +117,7 @@ def allowed_at(path: Path, seen: Plain = None) -> str:
     if tables and len(tables) > 1:
         return f"a table whose {tables[0].tag_field} is one of {_choices(table.tag for table in tables)}"
     words = [word for kind in types_at(path) if (word := _words(kind))]
-    whole = isinstance(seen, float) and any(isinstance(kind, inspect.IntType) for kind in types_at(path))
+    whole = isinstance(seen, float | str) and any(isinstance(kind, inspect.IntType) for kind in types_at(path))
     return ("a whole number, " if whole else "") + " or ".join(dict.fromkeys(words)) or "left out"
 
 
@@ -137,6 +137,8 @@ def _words(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each type
             return "a list of tables"
         case inspect.VarTupleType(min_length=2, max_length=2):
             return "a list of 2 such values"
+        case inspect.VarTupleType(item_type=inspect.LiteralType(values=values)):
+            return f"a list of any of {_choices(values)}"
         case inspect.VarTupleType():
             return "a list of such values" if kind.min_length is None else "a list with one value per axis"
         case inspect.StructType():

@@ -136,7 +136,7 @@ def test_an_arm_that_meets_impossible_numbers_has_diverged() -> None:
     }  # fmt: skip
     done = run(plain)
     assert done.metrics.diverged
-    assert "fault of the slave: environment force exceeds 10000 N at 0.000000 s" in done.events[-1].detail
+    assert "fault of the slave: environment force exceeds 10000 N" in done.events[-1].detail
 
 
 def test_an_arm_that_leaves_its_room_has_diverged() -> None:

@@ -141,6 +141,10 @@ def test_flags_with_a_dot_are_overrides(arguments: list[str], expected: list[str
         (["simulate", "remote_push", "--safety.windw", "3"], "remote_push.toml: [safety] has no key windw: did you"),
         (["simulate", "remote_push", "--safety.window"], "[safety] window = \"\": must be a value in TOML"),
         (["simulate", "remote_push", "--out", "run.csv"], "run.csv: must end in .npz"),
+        (["simulate", "remote_push", "--run.seed", "abc"], "[run] seed = \"abc\": must be a whole number, at least 0"),
+        (["simulate", "remote_push", "--safety.controllers", "hsc"], "must be a list of any of \"hsc\", \"pc\","),
+        (["simulate", "remote_push", "--safety.signals", "true"], "signals: with a [slave] only \"estimated\""),
+        (["simulate", "."], ".: is a folder, must be the name of a shipped scene or a TOML file"),
         (["sweep", "remote_push"], "nothing to vary"),
         (["sweep", "remote_push", "--vary", "safety.window"], "--vary safety.window: must be path=a:b:n"),
         (["sweep", "remote_push", "--vary", "safety.window=1,0"], "row 1: [safety] window = 0: must be 1 to 3600000"),
@@ -231,3 +235,44 @@ print("loaded:", *sorted(set({heavy!r}) & set(sys.modules)))
         [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True, timeout=60
     )
     assert answer.stdout.rpartition("loaded:")[2].strip() == ""
+
+
+def test_a_folder_that_cannot_be_is_refused_before_the_run(
+    given: list[dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocked = tmp_path / "a file"
+    blocked.write_text("")
+    assert main(["simulate", "remote_push", "--plot", str(blocked / "pictures")]) == 1
+    assert "cannot be made: Not a directory; give another folder" in capsys.readouterr().err
+    assert not given
+
+
+def test_what_chatters_is_told_once() -> None:
+    from haptether.bridge import Event
+    from haptether.cli.simulate import told_events
+
+    chatter = [Event(n * 0.001, ("trip", "recover")[n % 2], ("wsc", "")[n % 2]) for n in range(100)]
+    around = [Event(-0.1, "contact", ""), *chatter, Event(0.2, "free", ""), Event(0.3, "trip", "hsc")]
+    assert told_events(around) == [
+        (-0.1, "contact"), (0.0, "trip  wsc  50 times, until 0.0990 s"), (0.2, "free"), (0.3, "trip  hsc")
+    ]  # fmt: skip
+
+
+def test_the_examples_in_the_help_work(
+    given: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import inspect
+    import shlex
+
+    from haptether.cli.simulate import Simulate
+    from haptether.cli.sweep import Sweep
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my").mkdir()
+    (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
+    lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
+    examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
+    assert len(examples) == 6
+    for example in examples:
+        assert main(example) == 0, example
+    assert len(given) == 5

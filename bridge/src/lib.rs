@@ -6,6 +6,7 @@
 pub mod coupling;
 mod endpoint;
 mod ladder;
+mod lanes;
 mod link;
 pub mod live;
 mod local;

@@ -85,8 +85,8 @@ pub enum Event<M, S> {
     Slave(S),
 }
 
-/// Runs both sides, each at its own rate, and gives each tick's record to `observe`, until that breaks off or the
-/// master has done its ticks.
+/// Runs both sides, each at its own rate, and gives each tick's record and the slave to `observe`, until that breaks
+/// off or the master has done its ticks.
 ///
 /// The next of the two loops to tick takes the frames that are due by then, ticks and sends; at the same instant the
 /// master is first. A frame without delay therefore reaches the slave in the same tick and the master in the next.
@@ -95,7 +95,7 @@ pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
-    mut observe: impl FnMut(Event<M::Record, S::Record>) -> ControlFlow<()>,
+    mut observe: impl FnMut(Event<M::Record, S::Record>, &S) -> ControlFlow<()>,
 ) -> Result<(), LinkError> {
     let end_ns = settings.ticks * settings.period_ns;
     let way = |direction, link, period_ns: u64| {
@@ -120,7 +120,7 @@ pub fn run_virtual<M: Side, S: Side>(
             slave_ns += settings.slave_period_ns;
             Event::Slave(record)
         };
-        if observe(event).is_break() {
+        if observe(event, slave).is_break() {
             break;
         }
     }

@@ -1,6 +1,12 @@
 //! Vectors over the axes of a device, and the numbers they are made of.
 
-use nalgebra::{SVector, SimdRealField};
+use std::ops::Neg;
+
+use nalgebra::{
+    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, SVector, Scalar, SimdPartialOrd,
+    SimdRealField, SimdValue,
+};
+use num_traits::{One, Zero};
 
 /// One value per axis: position in m (rad), velocity in m/s (rad/s) or force in N (N m).
 pub type Axes<const N: usize, S = f64> = SVector<S, N>;
@@ -9,9 +15,45 @@ pub type Axes<const N: usize, S = f64> = SVector<S, N>;
 ///
 /// Code that is generic over it chooses with `select` where scenarios may differ and branches only on what they share,
 /// so a lane computes exactly the bits that `f64` does.
-pub trait Real: SimdRealField<Element = f64> + Copy {}
+pub trait Real:
+    Scalar
+    + Copy
+    + Zero
+    + One
+    + ClosedAddAssign
+    + ClosedSubAssign
+    + ClosedMulAssign
+    + ClosedDivAssign
+    + Neg<Output = Self>
+    + SimdPartialOrd
+    + SimdValue<Element = f64>
+{
+    /// The square root of each.
+    fn root(self) -> Self;
 
-impl<S: SimdRealField<Element = f64> + Copy> Real for S {}
+    /// The absolute value of each.
+    fn magnitude(self) -> Self;
+
+    /// The nearest whole number of each, halves away from zero.
+    fn rounded(self) -> Self;
+}
+
+impl<S: SimdRealField + SimdValue<Element = f64> + Copy> Real for S {
+    #[inline(always)]
+    fn root(self) -> Self {
+        self.simd_sqrt()
+    }
+
+    #[inline(always)]
+    fn magnitude(self) -> Self {
+        self.simd_abs()
+    }
+
+    #[inline(always)]
+    fn rounded(self) -> Self {
+        self.simd_round()
+    }
+}
 
 /// One lane of numbers from each of `of`; `of` has as many as `S` has lanes.
 pub(crate) fn gather<T, S: Real>(of: &[T], field: impl Fn(&T) -> f64) -> S {

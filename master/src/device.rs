@@ -1,5 +1,7 @@
 //! A haptic device: mechanics, encoder and motors.
 
+use nalgebra::SimdBool as _;
+
 use crate::{Axes, ModelError, Real, require};
 
 /// How friction acts on several axes.
@@ -103,26 +105,34 @@ impl<const N: usize> DeviceParameters<N> {
 }
 
 /// A quantity rounded to a resolution; 0 leaves it as it is.
-#[inline]
+#[inline(always)]
 pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
     if is_exact {
         return value;
     }
-    let rounded = (value / quantum).simd_round() * quantum;
+    let rounded = (value / quantum).rounded() * quantum;
     rounded.select(quantum.simd_gt(S::splat(0.0)), value)
 }
 
 /// The force that the motors exert of what they are told: bounded as a vector, then rounded per axis.
-#[inline]
+#[inline(always)]
 pub(crate) fn exerted<const N: usize, S: Real>(
     told: &Axes<N, S>,
     max_force_n: S,
     quantum: S,
     is_exact: bool,
+    is_unbounded: bool,
 ) -> Axes<N, S> {
-    let norm = if N == 1 { told[0].simd_abs() } else { told.dot(told).simd_sqrt() };
+    if is_exact && is_unbounded {
+        return *told;
+    }
+    let norm = if N == 1 { told[0].magnitude() } else { told.dot(told).root() };
+    let is_within = norm.simd_le(max_force_n);
+    if is_exact && is_within.all() {
+        return *told;
+    }
     // An infinite bound must not meet 0 in a quotient.
-    let share = S::splat(1.0).select(norm.simd_le(max_force_n), max_force_n / norm);
+    let share = S::splat(1.0).select(is_within, max_force_n / norm);
     told.map(|force| quantised(force * share, quantum, is_exact))
 }
 
@@ -133,10 +143,10 @@ mod tests {
     #[test]
     fn motors_bound_the_vector_and_round_each_axis() {
         let told = Axes::<2>::new(6.0, 8.0);
-        assert!((exerted(&told, 5.0, 0.0, true) - Axes::<2>::new(3.0, 4.0)).norm() < 1e-15);
-        assert_eq!(exerted(&told, f64::INFINITY, 0.0, true), told);
-        assert!((exerted(&told, 5.0, 0.7, false) - Axes::<2>::new(2.8, 4.2)).norm() < 1e-15);
-        assert_eq!(exerted(&Axes::<1>::zeros(), 5.0, 0.0, true)[0], 0.0);
+        assert!((exerted(&told, 5.0, 0.0, true, false) - Axes::<2>::new(3.0, 4.0)).norm() < 1e-15);
+        assert_eq!(exerted(&told, f64::INFINITY, 0.0, true, false), told);
+        assert!((exerted(&told, 5.0, 0.7, false, false) - Axes::<2>::new(2.8, 4.2)).norm() < 1e-15);
+        assert_eq!(exerted(&Axes::<1>::zeros(), 5.0, 0.0, true, false)[0], 0.0);
     }
 
     #[test]

@@ -209,20 +209,22 @@ impl<const N: usize> Hand<N> {
         }
     }
 
-    /// The grip just before `end`, continued from the time t before it: at a sudden change, what it was.
-    fn grip_before(&self, t: f64, end: f64) -> f64 {
-        let [begins, _, regains, _] = self.kinks();
-        let jumps = (begins == Some(end) && self.release.is_some_and(|release| release.duration_s == 0.0))
-            || (regains == Some(end) && self.regrasp.is_some_and(|regrasp| regrasp.rise_s == 0.0));
-        if jumps { self.grip_at(t) } else { self.grip_at(end) }
+    /// How fast the grip changes just after time t, in 1/s.
+    fn grip_rate(&self, t: f64) -> f64 {
+        let Some(Release { at_s, duration_s, .. }) = self.release else { return 0.0 };
+        let ends = at_s + duration_s;
+        if t >= at_s && t < ends {
+            return -duration_s.recip();
+        }
+        self.regrasp.map_or(0.0, |Regrasp { reaction_s, rise_s }| {
+            let begins = ends + reaction_s;
+            if t >= begins && t < begins + rise_s { rise_s.recip() } else { 0.0 }
+        })
     }
 
-    /// Gain and grip strength in N over \[t, end\] without a kink, each as value and rate.
-    pub(crate) fn grip_line(&self, t: f64, end: f64) -> ([f64; 2], [f64; 2]) {
-        let grip = self.grip_at(t);
-        // What is left of a tick may be less than the clock can tell.
-        let rate = if end > t { (self.grip_before(t, end) - grip) / (end - t) } else { 0.0 };
-        let line = [grip, rate];
+    /// Gain and grip strength in N from t to the next kink, each as value and rate.
+    pub(crate) fn grip_line(&self, t: f64) -> ([f64; 2], [f64; 2]) {
+        let line = [self.grip_at(t), self.grip_rate(t)];
         match self.release.map(|release| release.kind) {
             Some(ReleaseKind::Gain) => (line, [self.strength_n, 0.0]),
             Some(ReleaseKind::Strength) => ([1.0, 0.0], line.map(|term| term * self.strength_n)),
@@ -294,7 +296,7 @@ mod tests {
         }
         let sudden = hand(Release { duration_s: 0.0, ..slow });
         assert_eq!((sudden.grip_at(0.999), sudden.grip_at(1.0)), (1.0, 0.0));
-        assert_eq!(sudden.grip_line(0.5, 1.0).1, [20.0, 0.0], "a sudden release is no ramp before it");
+        assert_eq!(sudden.grip_line(0.5).1, [20.0, 0.0], "a sudden release is no ramp before it");
     }
 
     #[test]

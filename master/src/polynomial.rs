@@ -39,8 +39,8 @@ pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
         power *= end;
     }
     let total: f64 = scaled.iter().map(|term| term.abs()).sum();
-    // Of what is not a number no bound holds, and the search would try every interval.
-    if !total.is_finite() || scaled[0] >= total - scaled[0].abs() {
+    // What is not a number crosses nothing: bounds on it would never give an interval up.
+    if scaled[0] >= total - scaled[0].abs() || !total.is_finite() {
         return None;
     }
     // Divide the zeros at the start away.
@@ -133,6 +133,7 @@ mod tests {
             (vec![0.0; 3], 1.0, None),
             (vec![0.0, f64::NAN], 1.0, None),
             (vec![0.1, f64::NEG_INFINITY, f64::INFINITY], 1.0, None),
+            (vec![1.0, f64::NAN], 1.0, None),
         ] {
             let found = first_negative(&series(&terms), end);
             match (found, expected) {

@@ -31,8 +31,13 @@ const MOST_STRETCHES: u32 = 4096;
 /// turns with the motion, and the last bit of the speed would take ever shorter stretches.
 const STOPPED: f64 = 1e-10;
 
-/// Longest first stretch in s of a device that sets off: its direction is that of the force.
+/// Longest stretch in s of a device that sets off: its direction is that of the force.
 const SETTING_OFF: f64 = 1e-6;
+
+/// Time in s within which a slow device turns into the direction of the force, `m |V| / |F|`, below which it counts as
+/// still setting off: where the force grows slowly past friction, the series of the direction would take ever shorter
+/// stretches.
+const TURNS_AT_ONCE: f64 = 1e-6;
 
 /// When the device last touched a continuous wall and last left one, in s since the clock's zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -58,6 +63,8 @@ pub struct SimulatedMaster<const N: usize> {
     held_force: Axes<N>,
     /// Time in s of the hand: 0 where its path begins.
     time: f64,
+    /// The same at the last tick, in ns: a sum of ticks in s would drift by a rounding at each.
+    hand_ns: u64,
     waits: bool,
     now_ns: u64,
     position: Axes<N>,
@@ -84,6 +91,7 @@ impl<const N: usize> SimulatedMaster<N> {
             walls: Vec::new(),
             held_force: Axes::zeros(),
             time: 0.0,
+            hand_ns: 0,
             waits: false,
             now_ns,
             position,
@@ -124,7 +132,12 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Advances to `now_ns` (monotonic) and tells what the device measures there.
     pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
         if now_ns > self.now_ns {
-            self.advance((now_ns - self.now_ns) as f64 * 1e-9);
+            let past_ns = now_ns - self.now_ns;
+            self.advance(past_ns as f64 * 1e-9);
+            if !self.waits {
+                self.hand_ns += past_ns;
+                self.time = self.hand_ns as f64 / 1e9;
+            }
             self.now_ns = now_ns;
         }
         self.measured()
@@ -143,7 +156,7 @@ impl<const N: usize> SimulatedMaster<N> {
     pub fn write(&mut self, force: &Axes<N>) {
         let told = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
         let quantum = self.device.force_quantum_n;
-        self.held_force = exerted(&told, self.device.max_force_n, quantum, quantum == 0.0);
+        self.held_force = exerted(&told, self.device.max_force_n, quantum, quantum == 0.0, false);
     }
 
     /// True position in m, which no encoder tells.
@@ -211,15 +224,12 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Follows one stretch for `wanted` s or until the next event, whichever is first, but at least `least` s;
     /// says how long it was, and whether its series reached no further.
     fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> (f64, bool) {
-        let end = self.time + wanted;
         let mut target = self.hand.target_series(self.time);
-        let (gain, strength) = if self.waits {
+        let (mut gain, mut strength) = self.hand.grip_line(self.time);
+        if self.waits {
             target[1..].fill(Axes::zeros());
-            let (gain, strength) = self.hand.grip_line(self.time, self.time + 1.0);
-            ([gain[0], 0.0], [strength[0], 0.0])
-        } else {
-            self.hand.grip_line(self.time, end)
-        };
+            (gain[1], strength[1]) = (0.0, 0.0);
+        }
         self.meet_walls(clock);
         let law = Law {
             device: &self.device,
@@ -256,14 +266,16 @@ impl<const N: usize> SimulatedMaster<N> {
             duration = slips_at.unwrap_or(duration).max(least).min(wanted);
             break;
         }
-        let event = self.first_event(&stretch, &regime, duration);
-        duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
-        // What is taken beyond the reach of the series follows its first terms: the others say nothing there.
-        let (moved, gained) = if duration > stretch.reach {
-            law.coarse_step(&regime, &stretch, duration)
+        let (event, moved, gained);
+        if duration > stretch.reach {
+            // Beyond their reach only the first terms of the series say something; events are met where they are.
+            event = None;
+            (moved, gained) = law.coarse_step(&regime, &stretch, duration);
         } else {
-            (stretch.displacement(duration), stretch.speed_gained(duration))
-        };
+            event = self.first_event(&stretch, &regime, duration);
+            duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
+            (moved, gained) = (stretch.displacement(duration), stretch.speed_gained(duration));
+        }
         add(&mut self.position, &mut self.lost[0], &moved);
         add(&mut self.velocity, &mut self.lost[1], &gained);
         for axis in 0..N {
@@ -302,7 +314,11 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         if self.device.rubs_along_motion() {
             let coulomb = self.device.coulomb[0];
-            if self.velocity.norm() >= STOPPED {
+            let momentum = self.device.mass_kg.max() * self.velocity.norm();
+            let turns_at_once = push.norm() > coulomb
+                && momentum < TURNS_AT_ONCE * push.norm()
+                && self.velocity.dot(&push) > 0.0;
+            if self.velocity.norm() >= STOPPED && !turns_at_once {
                 regime.rub = Rub::AlongMotion(coulomb);
                 return (regime, false);
             }
@@ -446,8 +462,10 @@ impl<const N: usize> SimulatedMaster<N> {
                     consider(EventKind::Leaves(index), &push);
                 }
             } else if depth[0] > 0.0 {
-                // Inside a wall that would have to pull.
-                consider(EventKind::Meets(index), &push.map(|term| -term));
+                // Inside a wall that would have to pull. Where it ceased to push, what is left is rounding.
+                let mut pulls = push.map(|term| -term);
+                pulls[0] += wall.slight(depth[0], &self.velocity);
+                consider(EventKind::Meets(index), &pulls);
                 consider(EventKind::Leaves(index), &depth);
             } else {
                 consider(EventKind::Meets(index), &depth.map(|term| -term));
@@ -503,7 +521,7 @@ impl<const N: usize> SimulatedMaster<N> {
             let (depth, push) = (wall.depth(&self.position), wall.push(&self.position, &self.velocity));
             // Within rounding of an edge, the event that led there has decided.
             let edge = 1e-15 * (1.0 + wall.surface.abs());
-            let slight = 1e-14 * (wall.stiffness * depth.abs() + wall.damping * self.velocity.norm());
+            let slight = wall.slight(depth, &self.velocity);
             if depth > edge && push > slight {
                 self.set_pushing(index, true, clock);
             } else if depth < -edge || (depth > edge && push < -slight) {

@@ -242,6 +242,58 @@ fn a_damped_wall_returns_what_its_closed_form_says() {
 }
 
 #[test]
+fn a_damped_wall_is_met_once_per_bounce() {
+    for phase in 0..100_u32 {
+        let device = frictionless();
+        let mut master =
+            alone(device, 0.02 + 1e-5 * f64::from(phase)).among(vec![wall(1000.0, 0.5)]).unwrap();
+        master.write(&at(-0.5));
+        let (mut bounces, mut was_out) = (0, true);
+        for tick in 1..=1500 {
+            master.read(tick * TICK_NS);
+            let is_out = master.position()[0] > 0.0;
+            bounces += u64::from(was_out && !is_out);
+            was_out = is_out;
+        }
+        assert!(bounces > 5);
+        assert_eq!(master.touch().count, bounces, "{phase}");
+    }
+}
+
+#[test]
+fn ticks_do_not_shift_the_time_of_the_hand() {
+    let path =
+        Path::new(at(0.0), vec![Leg { duration_s: 40.0, end: at(1.0), shape: LegShape::Linear }]).unwrap();
+    let hand = Hand::new(300.0, 0.0, f64::INFINITY, path, None).unwrap();
+    let device = DeviceParameters { mass_kg: at(1e12), ..frictionless() };
+    let mut master = SimulatedMaster::new(device, hand.clone(), 0).unwrap();
+    for tick in 1..=30_000_u64 {
+        master.read(tick * TICK_NS);
+        let expected = hand.force(tick as f64 / 1e3, master.position(), master.velocity());
+        // Rounding of the clock, 4e-15 s, and of the target.
+        assert!((master.hand_force() - expected).norm() < 1e-12, "{tick}");
+    }
+}
+
+/// Decimal times that are no sums of ticks: what is left of a tick after a kink may be less than the clock resolves.
+#[test]
+fn kinks_beside_a_tick_leave_numbers() {
+    for hundredths in 1..200_u32 {
+        let path = Path::new(at(0.0), Vec::new()).unwrap();
+        let release =
+            Release { at_s: f64::from(hundredths) * 0.01, duration_s: 0.05, kind: ReleaseKind::Strength };
+        let hand = Hand::new(300.0, 5.0, 6.0, path, Some(release)).unwrap();
+        let hand = hand.with_regrasp(Regrasp { reaction_s: 0.01, rise_s: 0.02 }).unwrap();
+        let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+        master.write(&at(3.0));
+        for tick in 1..=u64::from(hundredths) * 10 + 90 {
+            master.read(tick * TICK_NS);
+        }
+        assert!(master.position()[0].is_finite(), "{hundredths}");
+    }
+}
+
+#[test]
 fn friction_in_space_stops_on_a_straight_line_where_its_energy_says() {
     let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.05);
     let start = Axes::<3>::new(0.1, -0.05, 0.02);
@@ -362,6 +414,31 @@ fn friction_in_space_has_a_direction_at_any_speed() {
                 );
                 assert!((master.position().norm() - 0.01 * free).abs() < 1e-7, "{speed} {push} {friction}");
             }
+        }
+    }
+}
+
+/// A force that grows slowly past friction, and turns, moves the device slowly: no faster than the path.
+#[test]
+fn a_device_in_space_sets_off_gently() {
+    let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.038);
+    for (duration_s, shape) in
+        [(1.5, LegShape::MinimumJerk), (20.0, LegShape::Linear), (0.05, LegShape::Linear)]
+    {
+        for aside in [0.0, 0.0068, 0.03] {
+            let leg = Leg { duration_s, end: Axes::<3>::new(0.0, 0.04, 0.02), shape };
+            let path = Path::new(Axes::<3>::zeros(), vec![leg]).unwrap();
+            let hand = Hand::new(300.0, 8.0, 12.0, path, None).unwrap();
+            let mut master = SimulatedMaster::new(device, hand, 0).unwrap();
+            master.write(&Axes::<3>::new(aside, 0.0, 0.0));
+            let mut fastest = 0.0_f64;
+            for tick in 1..2000_u64 {
+                master.read(tick * 1_000_000);
+                fastest = fastest.max(master.velocity().norm());
+            }
+            // The path's own speed is at most 1.875 L / T; what friction had held back is let go, c / sqrt(K m).
+            let most = 1.5 * 1.875 * 0.0448 / duration_s + 0.038 / (300.0 * MASS).sqrt();
+            assert!(fastest > 0.0 && fastest < most, "{duration_s} {aside}: {fastest} {most}");
         }
     }
 }

@@ -30,6 +30,8 @@ pub struct SteppedMaster<const N: usize, S = f64> {
     steps: u64,
     now_ns: u64,
     step_ns: f64,
+    /// The last time between two reads in ns, and how many steps it holds.
+    usual: (u64, u64),
     waits: bool,
     mass: Axes<N, S>,
     viscous: Axes<N, S>,
@@ -43,6 +45,8 @@ pub struct SteppedMaster<const N: usize, S = f64> {
     force_quantum_n: S,
     /// Whether no scenario rounds positions, or forces.
     is_exact: [bool; 2],
+    /// Whether no scenario bounds the force.
+    is_unbounded: bool,
     hand: SteppedHand<N, S>,
     walls: Vec<SteppedWall<N, S>>,
     held_force: Axes<N, S>,
@@ -82,6 +86,7 @@ impl<const N: usize> SteppedMaster<N> {
             steps: 0,
             now_ns: 0,
             step_ns: step_s * 1e9,
+            usual: (0, 0),
             waits: false,
             mass: device.mass_kg,
             viscous: device.viscous,
@@ -94,6 +99,7 @@ impl<const N: usize> SteppedMaster<N> {
             max_force_n: device.max_force_n,
             force_quantum_n: device.force_quantum_n,
             is_exact: [device.encoder_quantum == 0.0, device.force_quantum_n == 0.0],
+            is_unbounded: device.max_force_n.is_infinite(),
             hand: SteppedHand::new(hand),
             walls: walls
                 .iter()
@@ -158,6 +164,7 @@ impl<const N: usize> SteppedMaster<N> {
             steps: first.steps,
             now_ns: first.now_ns,
             step_ns: first.step_ns,
+            usual: first.usual,
             waits: first.waits,
             mass: gather_axes(of, |one| one.mass),
             viscous: gather_axes(of, |one| one.viscous),
@@ -170,6 +177,7 @@ impl<const N: usize> SteppedMaster<N> {
             max_force_n: gather(of, |one| one.max_force_n),
             force_quantum_n: gather(of, |one| one.force_quantum_n),
             is_exact: [0, 1].map(|which| of.iter().all(|one| one.is_exact[which])),
+            is_unbounded: of.iter().all(|one| one.is_unbounded),
             hand: SteppedHand::gather(&hands)?,
             walls: (0..first.walls.len()).map(wall).collect(),
             held_force: gather_axes(of, |one| one.held_force),
@@ -192,75 +200,84 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     }
 
     /// Advances to `now_ns` (monotonic), by as many whole steps as the time since the last read holds.
-    #[inline]
+    #[inline(always)]
     pub fn advance(&mut self, now_ns: u64) {
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a time apart, not below 0
-        let steps = (now_ns.saturating_sub(self.now_ns) as f64 / self.step_ns).round() as u64;
-        self.now_ns = self.now_ns.max(now_ns);
-        for _ in 0..steps {
+        let elapsed_ns = now_ns.saturating_sub(self.now_ns);
+        if elapsed_ns == 0 {
+            return;
+        }
+        if elapsed_ns != self.usual.0 {
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a time apart, not below 0
+            let steps = (elapsed_ns as f64 / self.step_ns).round() as u64;
+            self.usual = (elapsed_ns, steps);
+        }
+        self.now_ns = now_ns;
+        for _ in 0..self.usual.1 {
             self.step();
         }
     }
 
     /// x in m, as the encoder sees it.
-    #[inline]
+    #[inline(always)]
     pub fn measured_position(&self) -> Axes<N, S> {
         self.position.map(|x| quantised(x, self.encoder_quantum, self.is_exact[0]))
     }
 
     /// V in m/s, only from a device that measures it.
-    #[inline]
+    #[inline(always)]
     pub fn measured_velocity(&self) -> Option<Axes<N, S>> {
         self.measures_velocity.then_some(self.velocity)
     }
 
     /// Holds this force in N from now on, as far as the motors exert it.
-    #[inline]
+    #[inline(always)]
     pub fn write(&mut self, force: &Axes<N, S>) {
-        self.held_force = exerted(force, self.max_force_n, self.force_quantum_n, self.is_exact[1]);
+        self.held_force =
+            exerted(force, self.max_force_n, self.force_quantum_n, self.is_exact[1], self.is_unbounded);
     }
 
     /// True position in m.
-    #[inline]
+    #[inline(always)]
     pub fn position(&self) -> &Axes<N, S> {
         &self.position
     }
 
     /// True velocity in m/s.
-    #[inline]
+    #[inline(always)]
     pub fn velocity(&self) -> &Axes<N, S> {
         &self.velocity
     }
 
     /// True force of the hand on the device in N.
-    #[inline]
+    #[inline(always)]
     pub fn hand_force(&self) -> &Axes<N, S> {
         &self.hand_force
     }
 
     /// Force in N that the motors exert since the last write.
-    #[inline]
+    #[inline(always)]
     pub fn motor_force(&self) -> &Axes<N, S> {
         &self.held_force
     }
 
     /// True force of the continuous walls on the device in N.
-    #[inline]
+    #[inline(always)]
     pub fn wall_force(&self) -> Axes<N, S> {
         self.forces_of_walls(&self.position, &self.velocity)
     }
 
+    #[inline(always)]
     fn feel_hand(&mut self) {
         self.hand_force = self.hand.force(self.time(0.0), &self.position, &self.velocity);
     }
 
     /// Time of the hand in s, `share` of a step from now.
-    #[inline]
+    #[inline(always)]
     fn time(&self, share: f64) -> f64 {
         (self.steps as f64 + share) * self.step_s
     }
 
-    #[inline]
+    #[inline(always)]
     fn forces_of_walls(&self, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
         let mut force = Axes::<N, S>::zeros();
         let nothing = S::splat(0.0);
@@ -278,7 +295,7 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     }
 
     /// `c V / max(|V|, V_f)`.
-    #[inline]
+    #[inline(always)]
     fn rubbing(&self, velocity: &Axes<N, S>) -> Axes<N, S> {
         let one = S::splat(1.0);
         if N == 1 || self.friction == Friction::Axis {
@@ -286,12 +303,12 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
                 coulomb * (v / self.friction_speed).simd_clamp(-one, one)
             });
         }
-        let speed = velocity.dot(velocity).simd_sqrt().simd_max(self.friction_speed);
+        let speed = velocity.dot(velocity).root().simd_max(self.friction_speed);
         velocity.zip_map(&self.coulomb, |v, coulomb| coulomb * (v / speed))
     }
 
     /// a in m/s² under the hand's force.
-    #[inline]
+    #[inline(always)]
     fn acceleration(
         &self,
         hand_force: &Axes<N, S>,
@@ -307,14 +324,14 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
         force.component_div(&self.mass)
     }
 
-    #[inline]
+    #[inline(always)]
     fn acceleration_at(&self, share: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
         let share = if self.waits { 0.0 } else { share };
         let hand_force = self.hand.force(self.time(share), position, velocity);
         self.acceleration(&hand_force, position, velocity)
     }
 
-    #[inline]
+    #[inline(always)]
     fn step(&mut self) {
         let h = S::splat(self.step_s);
         let half = S::splat(0.5 * self.step_s);

@@ -150,7 +150,7 @@ impl<const N: usize> SteppedHand<N> {
 
 impl<const N: usize, S: Real> SteppedHand<N, S> {
     /// Force in N on a device at x in m with V in m/s, at time t in s.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn force(&self, t: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
         let mut wish = (self.target(t) - position) * self.stiffness - velocity * self.damping;
         let grip = self.grip(t);
@@ -167,11 +167,11 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
         if N == 1 {
             return wish.map(|wish| wish.simd_clamp(-strength, strength));
         }
-        let norm = wish.dot(&wish).simd_sqrt();
+        let norm = wish.dot(&wish).root();
         wish * S::splat(1.0).select(norm.simd_le(strength), strength / norm)
     }
 
-    #[inline]
+    #[inline(always)]
     fn target(&self, t: f64) -> Axes<N, S> {
         let (zero, one) = (S::splat(0.0), S::splat(1.0));
         let mut target = self.start;
@@ -203,7 +203,7 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
     }
 
     /// The share of the grip; none where it never changes.
-    #[inline]
+    #[inline(always)]
     fn grip(&self, t: f64) -> Option<S> {
         let release = self.release.as_ref()?;
         let (zero, one, t) = (S::splat(0.0), S::splat(1.0), S::splat(t));

@@ -71,6 +71,18 @@ pub(crate) struct Stretch<const N: usize> {
     pub(crate) reach: f64,
 }
 
+/// `1 / ((n + 1) (n + 2))`: from the series of the acceleration to that of x. A division takes longer than all else
+/// that a term needs.
+const INVERSE: [f64; TERMS] = {
+    let mut inverse = [0.0; TERMS];
+    let mut n = 0;
+    while n < TERMS {
+        inverse[n] = 1.0 / ((n + 1) * (n + 2)) as f64;
+        n += 1;
+    }
+    inverse
+};
+
 /// A vector series divided by its length.
 struct Direction {
     square: Series,
@@ -132,6 +144,7 @@ impl<const N: usize> Law<'_, N> {
         let (mut wish, mut push) = ([Axes::zeros(); TERMS], [Axes::zeros(); TERMS]);
         let (mut grip_direction, mut motion_direction) = (Direction::new(), Direction::new());
         let (gain, strength) = (line(self.gain), line(self.strength));
+        let inverse_mass = self.device.mass_kg.map(f64::recip);
         let mut slipping = [Axes::zeros(); TERMS];
         let mut impedance = [Axes::zeros(); TERMS];
         (x[0], v[0]) = (position, velocity);
@@ -149,6 +162,8 @@ impl<const N: usize> Law<'_, N> {
             }
             let hand = match regime.grip {
                 Grip::Holds => wish[n],
+                // Who has let go pulls in no direction.
+                Grip::Slips if self.strength == [0.0; 2] => Axes::zeros(),
                 Grip::Slips if N == 1 => wish[0].map(f64::signum) * strength[n],
                 Grip::Slips => {
                     slipping[n] = grip_direction.coefficient(&wish, n);
@@ -174,11 +189,15 @@ impl<const N: usize> Law<'_, N> {
                 Rub::Constant(_) => {}
                 Rub::AlongMotion(coulomb) => force -= motion_direction.coefficient(&v, n) * coulomb,
             }
-            let acceleration = masked(force.component_div(&self.device.mass_kg), &regime.stuck);
-            x[n + 2] = acceleration / ((n + 1) * (n + 2)) as f64;
+            let next = match n {
+                // The acceleration itself, to rounding.
+                0 => force.component_div(&self.device.mass_kg) * 0.5,
+                _ => force.component_mul(&inverse_mass) * INVERSE[n],
+            };
+            x[n + 2] = masked(next, &regime.stuck);
         }
         let mut reach = self.linear_reach(regime.pushing);
-        if N > 1 && regime.grip == Grip::Slips {
+        if N > 1 && regime.grip == Grip::Slips && self.strength != [0.0; 2] {
             reach = reach.min(grip_direction.reach());
         }
         if let Rub::AlongMotion(coulomb) = regime.rub {

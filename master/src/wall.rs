@@ -48,6 +48,11 @@ impl<const N: usize> ContinuousWall<N> {
         self.stiffness * self.depth(position) - self.damping * self.normal.dot(velocity)
     }
 
+    /// A push in N that may be the rounding of its two parts.
+    pub(crate) fn slight(&self, depth: f64, velocity: &Axes<N>) -> f64 {
+        1e-14 * (self.stiffness * depth.abs() + self.damping * velocity.norm())
+    }
+
     /// Force on the device in N.
     pub fn force(&self, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let push = self.push(position, velocity);

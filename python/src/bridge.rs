@@ -187,7 +187,7 @@ fn run_bridge(
     let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);
     let (mut master_records, mut slave_records) = (Vec::new(), Vec::new());
     py.detach(|| {
-        run_virtual(&settings, &mut master, &mut slave, |event| {
+        run_virtual(&settings, &mut master, &mut slave, |event, _| {
             match event {
                 Event::Master(record) => master_records.push(record),
                 Event::Slave(record) => slave_records.push(record),

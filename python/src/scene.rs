@@ -1,7 +1,16 @@
 //! Scenes: one run, or many.
 
+use std::{
+    sync::{
+        atomic::Ordering,
+        mpsc::{self, RecvTimeoutError},
+    },
+    thread,
+    time::Duration,
+};
+
 use haptether_bridge::scene::{
-    Outcome, SceneRun, SceneSpec, Signal, SweepSettings, Variation, simulate, sweep,
+    Outcome, Progress, SceneRun, SceneSpec, Signal, SweepSettings, Variation, simulate, sweep,
 };
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
 use pyo3::{
@@ -77,13 +86,12 @@ fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<
 /// Runs a scene.
 #[pyfunction]
 fn simulate_scene(py: Python<'_>, scene_json: &[u8]) -> PyResult<PySceneRun> {
-    let SceneRun { signals, events, outcome, period_s } = py
-        .detach(|| {
-            let scene: SceneSpec =
-                serde_json::from_slice(scene_json).map_err(|error| format!("scene: {error}"))?;
-            simulate(&scene).map_err(|error| error.to_string())
-        })
-        .map_err(PyValueError::new_err)?;
+    let done = heeding_signals(py, None, |progress| {
+        let scene: SceneSpec =
+            serde_json::from_slice(scene_json).map_err(|error| format!("scene: {error}"))?;
+        simulate(&scene, &progress.stop).map_err(|error| error.to_string())
+    })?;
+    let SceneRun { signals, events, outcome, period_s } = done.map_err(PyValueError::new_err)?;
     let by_name = PyDict::new(py);
     for signal in &signals {
         by_name.set_item(signal.name, signal_out(py, signal)?)?;
@@ -96,8 +104,49 @@ fn simulate_scene(py: Python<'_>, scene_json: &[u8]) -> PyResult<PySceneRun> {
     })
 }
 
-/// Scenarios between two words to `progress`, for each thread.
-const BETWEEN_WORDS: usize = 1024;
+/// Time between two looks at signals and progress.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Does `work` on a thread of its own, so that a signal ends it at once and `tell` hears how far it is.
+fn heeding_signals<T: Send>(
+    py: Python<'_>,
+    tell: Option<&Py<PyAny>>,
+    work: impl FnOnce(&Progress) -> T + Send,
+) -> PyResult<T> {
+    let progress = Progress::default();
+    let (finished, mut finishes) = mpsc::channel();
+    thread::scope(|scope| {
+        let worker = scope.spawn(|| {
+            // Nobody has gone: this thread is waited for.
+            let _ = finished.send(work(&progress));
+            drop(finished);
+        });
+        let mut told = 0;
+        let mut interrupted = None;
+        loop {
+            let waiting = &mut finishes;
+            match py.detach(move || waiting.recv_timeout(LOOK_EVERY)) {
+                Ok(done) => return interrupted.map_or(Ok(done), Err),
+                Err(RecvTimeoutError::Disconnected) => break,
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            let done = progress.done.load(Ordering::Relaxed);
+            if interrupted.is_none() {
+                let tell = tell.filter(|_| done > told);
+                interrupted = py
+                    .check_signals()
+                    .and_then(|()| tell.map_or(Ok(()), |tell| tell.call1(py, (done,)).map(drop)))
+                    .err();
+                progress.stop.store(interrupted.is_some(), Ordering::Relaxed);
+                told = done;
+            }
+        }
+        match worker.join() {
+            Ok(()) => unreachable!("a thread that ends without a result has panicked"),
+            Err(panicked) => std::panic::resume_unwind(panicked),
+        }
+    })
+}
 
 /// Runs a scene once per row.
 #[pyfunction]
@@ -111,30 +160,19 @@ fn sweep_scenes(
 ) -> PyResult<Py<PyDict>> {
     let columns: Vec<(String, Vec<f64>)> =
         columns.into_iter().map(|(path, values)| (path, values.as_array().to_vec())).collect();
-    let rows = columns.first().map_or(1, |(_, values)| values.len());
     let settings = SweepSettings { threads, lanes };
-    let at_once = if progress.is_some() { BETWEEN_WORDS * threads.max(1) } else { rows.max(1) };
     let period_s = serde_json::from_slice::<SceneSpec>(scene_json)
         .map_err(|error| PyValueError::new_err(format!("scene: {error}")))?
         .run
         .period_s;
-    let mut outcomes = Vec::with_capacity(rows);
-    for first in (0..rows).step_by(at_once) {
-        let last = rows.min(first + at_once);
-        let variations: Vec<_> = columns
-            .iter()
-            .map(|(path, values)| Variation {
-                path: path.clone(),
-                values: values.get(first..last).unwrap_or(values).to_vec(),
-            })
-            .collect();
-        let part = py.detach(|| sweep(scene_json, &variations, settings));
-        outcomes.extend(part.map_err(|error| refuse(error.from_row(first)))?);
-        py.check_signals()?;
-        if let Some(progress) = &progress {
-            progress.call1(py, (last,))?;
-        }
-    }
+    let variations: Vec<_> = columns
+        .iter()
+        .map(|(path, values)| Variation { path: path.clone(), values: values.clone() })
+        .collect();
+    let swept = heeding_signals(py, progress.as_ref(), |progress| {
+        sweep(scene_json, &variations, settings, progress)
+    })?;
+    let outcomes = swept.map_err(refuse)?;
     let periods = columns.iter().find(|(path, _)| path == "run.period_s").map(|(_, values)| values);
     let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);
     let table = PyDict::new(py);

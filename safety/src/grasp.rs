@@ -5,7 +5,7 @@ use nalgebra::SimdBool as _;
 use crate::{
     Axes, ParameterError, Real,
     estimator::Motion,
-    lanes::pack,
+    lanes::{norm, pack},
     parameter::{finite, non_negative, positive},
 };
 
@@ -63,7 +63,7 @@ impl<const N: usize, S: Real> DeviceModel<N, S> {
     }
 
     /// m in kg.
-    #[inline]
+    #[inline(always)]
     pub fn mass_kg(&self) -> &Axes<N, S> {
         &self.mass
     }
@@ -75,9 +75,9 @@ impl<const N: usize, S: Real> DeviceModel<N, S> {
     /// the estimator averaged. The paper writes `F_v` for it, which is the same as long as no controller acts.
     ///
     /// Source: paper Eq. 4.
-    #[inline]
+    #[inline(always)]
     pub fn grasp_force(&self, motion: &Motion<N, S>, aligned_device_force: &Axes<N, S>) -> Axes<N, S> {
-        let speed = motion.velocity.norm();
+        let speed = norm(&motion.velocity);
         let direction = speed.simd_gt(S::splat(0.0)).if_else(|| motion.velocity / speed, Axes::zeros);
         self.mass.component_mul(&motion.acceleration)
             + self.viscous.component_mul(&motion.velocity)
@@ -86,7 +86,7 @@ impl<const N: usize, S: Real> DeviceModel<N, S> {
     }
 
     /// Kinetic energy `V' M V / 2` in J.
-    #[inline]
+    #[inline(always)]
     pub fn kinetic_energy_j(&self, velocity: &Axes<N, S>) -> S {
         S::splat(0.5) * self.mass.component_mul(velocity).dot(velocity)
     }

@@ -1,8 +1,14 @@
 //! One scenario, or several side by side: the scalar that the chain computes with.
 
-use std::fmt::Debug;
+use std::{fmt::Debug, ops::Neg};
 
-use nalgebra::{SimdRealField, SimdValue};
+use nalgebra::{
+    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPartialOrd,
+    SimdRealField, SimdValue,
+};
+use num_traits::{One, Zero};
+
+use crate::Axes;
 
 /// A real number `f64`, or several that are computed with at once, each in a lane of its own.
 ///
@@ -11,12 +17,49 @@ use nalgebra::{SimdRealField, SimdValue};
 /// branched on; for `f64`, [`SimdBool::if_else`](nalgebra::SimdBool::if_else) is a branch again.
 ///
 /// Parameters are checked one by one: an instance over lanes is gathered from as many instances over `f64`.
-pub trait Real: SimdRealField + SimdValue<Element = f64, SimdBool: Debug> + Copy {}
+pub trait Real:
+    Scalar
+    + Copy
+    + Zero
+    + One
+    + ClosedAddAssign
+    + ClosedSubAssign
+    + ClosedMulAssign
+    + ClosedDivAssign
+    + Neg<Output = Self>
+    + SimdPartialOrd
+    + SimdValue<Element = f64, SimdBool: Debug>
+{
+    /// The square root of each lane.
+    fn root(self) -> Self;
 
-impl<S> Real for S where S: SimdRealField + SimdValue<Element = f64, SimdBool: Debug> + Copy {}
+    /// The absolute value of each lane.
+    fn magnitude(self) -> Self;
+}
+
+impl<S> Real for S
+where
+    S: SimdRealField + SimdValue<Element = f64, SimdBool: Debug> + Copy,
+{
+    #[inline(always)]
+    fn root(self) -> Self {
+        self.simd_sqrt()
+    }
+
+    #[inline(always)]
+    fn magnitude(self) -> Self {
+        self.simd_abs()
+    }
+}
+
+/// The Euclidean norm in each lane.
+#[inline(always)]
+pub(crate) fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
+    value.dot(value).root()
+}
 
 /// False in all lanes.
-#[inline]
+#[inline(always)]
 pub(crate) fn nowhere<S: Real>() -> S::SimdBool {
     S::splat(0.0).simd_lt(S::splat(0.0))
 }
@@ -34,7 +77,7 @@ pub(crate) fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) 
 }
 
 /// The lesser of two, the second where they cannot be compared. What `simd_min` does there depends on the lanes' type.
-#[inline]
+#[inline(always)]
 pub(crate) fn lesser<S: Real>(a: S, b: S) -> S {
     a.select(a.simd_le(b), b)
 }

@@ -73,7 +73,7 @@ pub struct Advance<const N: usize, S: Real = f64> {
 
 impl<const N: usize, S: Real> Advance<N, S> {
     /// What the observers saw.
-    #[inline]
+    #[inline(always)]
     pub fn seen(&self) -> Observation<N, S> {
         Observation {
             velocity: self.motion.velocity,
@@ -84,7 +84,7 @@ impl<const N: usize, S: Real> Advance<N, S> {
     }
 
     /// The tick of one lane.
-    #[inline]
+    #[inline(always)]
     pub fn lane(&self, lane: usize) -> SafetyTick<N> {
         SafetyTick {
             motion: Motion {
@@ -253,7 +253,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     /// One tick as [`tick_with_authority`](SafetyLayer::tick_with_authority), in each lane and without its door: a bad
     /// number stops nothing. Where [`Advance::seen`] does not [pass](Observation::passes), or a number that is given
     /// here would not, the checked tick would have stopped.
-    #[inline]
+    #[inline(always)]
     pub fn advance(
         &mut self,
         position: &Axes<N, S>,
@@ -265,7 +265,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         self.act(&perceived, authority)
     }
 
-    #[inline]
+    #[inline(always)]
     fn perceive(
         &mut self,
         position: &Axes<N, S>,
@@ -279,7 +279,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         Perceived { rendering, motion, seen }
     }
 
-    #[inline]
+    #[inline(always)]
     fn act(&mut self, perceived: &Perceived<N, S>, authority: S) -> Advance<N, S> {
         let Perceived { rendering, motion, seen } = *perceived;
         let response = self.controller.respond(&seen, authority);
@@ -302,7 +302,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     }
 
     /// V and A, and what the observers see of them.
-    #[inline]
+    #[inline(always)]
     fn observe(
         &mut self,
         position: &Axes<N, S>,
@@ -333,7 +333,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     }
 
     /// `F_v` of the past ticks through the kernel of A, only where an observer compares it with `F_h`.
-    #[inline]
+    #[inline(always)]
     fn align_rendered(
         &mut self,
         position: &Axes<N, S>,

@@ -4,7 +4,7 @@ use nalgebra::SimdBool as _;
 
 use crate::{
     Axes, ParameterError, Real,
-    lanes::{nowhere, pack},
+    lanes::{norm, nowhere, pack},
     parameter::{in_range, positive},
 };
 
@@ -90,7 +90,7 @@ pub struct Bounded<const N: usize, S: Real = f64> {
 
 impl<const N: usize, S: Real> Bounded<N, S> {
     /// The bounds that acted in one lane.
-    #[inline]
+    #[inline(always)]
     pub fn acted(&self, lane: usize) -> Acted {
         let bit = |mask: S::SimdBool, bound: Acted| if mask.bitmask() >> lane & 1 == 1 { bound.0 } else { 0 };
         Acted(
@@ -139,7 +139,7 @@ impl<const N: usize> Limiter<N> {
     }
 
     /// Limits the force asked for at this tick, with V in m/s.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self, asked: &Axes<N>, velocity: &Axes<N>) -> Limited<N> {
         let bounded = self.limit(asked, velocity);
         Limited { force: bounded.force, acted: bounded.acted(0) }
@@ -160,33 +160,33 @@ impl<const N: usize, S: Real> Limiter<N, S> {
     }
 
     /// Limits the force asked for at this tick, with V in m/s, in each lane.
-    #[inline]
+    #[inline(always)]
     pub fn limit(&mut self, asked: &Axes<N, S>, velocity: &Axes<N, S>) -> Bounded<N, S> {
         // A comparison with NaN is false, so every bound below would let one through.
         let is_finite = asked
             .iter()
             .chain(velocity)
-            .fold(!nowhere::<S>(), |all, x| all & x.simd_abs().simd_lt(S::splat(f64::INFINITY)));
+            .fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_lt(S::splat(f64::INFINITY)));
         let mut force = *asked;
         let ramp = is_finite & self.ticks.simd_lt(self.ramp_ticks);
         change(&mut force, ramp, |force| force * (self.ticks / self.ramp_ticks));
         self.ticks = (self.ticks + S::splat(1.0)).select(ramp, self.ticks);
-        let length = force.norm();
-        let norm = is_finite & length.simd_gt(self.max_force_n);
-        change(&mut force, norm, |force| force * (self.max_force_n / length));
+        let length = norm(&force);
+        let long = is_finite & length.simd_gt(self.max_force_n);
+        change(&mut force, long, |force| force * (self.max_force_n / length));
         // The nearest point on the way from the last force to zero: getting there only unloads.
         let unloaded = self.last * nearest_share(&self.last, &force);
         let growth = force - unloaded;
-        let step_n = growth.norm();
+        let step_n = norm(&growth);
         let slew = is_finite & step_n.simd_gt(self.step_n);
         change(&mut force, slew, |_| unloaded + growth * (self.step_n / step_n));
         let watts = force.dot(velocity);
         let power = is_finite & watts.simd_gt(self.max_power_w);
         change(&mut force, power, |force| {
-            force - velocity * ((watts - self.max_power_w) / velocity.norm_squared())
+            force - velocity * ((watts - self.max_power_w) / velocity.dot(velocity))
         });
         self.last = is_finite.if_else(|| force, Axes::zeros);
-        Bounded { force: self.last, norm, slew, power, ramp, fault: !is_finite }
+        Bounded { force: self.last, norm: long, slew, power, ramp, fault: !is_finite }
     }
 
     /// Zero force at once, and the ramp starts anew.
@@ -200,7 +200,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
 fn seldom() {}
 
 /// Changes the force in some lanes; most ticks need it in none.
-#[inline]
+#[inline(always)]
 fn change<const N: usize, S: Real>(
     force: &mut Axes<N, S>,
     place: S::SimdBool,
@@ -214,10 +214,10 @@ fn change<const N: usize, S: Real>(
 }
 
 /// The share s in [0, 1] for which `s last` is nearest to `force`.
-#[inline]
+#[inline(always)]
 fn nearest_share<const N: usize, S: Real>(last: &Axes<N, S>, force: &Axes<N, S>) -> S {
     let (none, all) = (S::splat(0.0), S::splat(1.0));
-    let squared = last.norm_squared();
+    let squared = last.dot(last);
     squared.simd_gt(none).if_else(
         || {
             let share = last.dot(force) / squared;

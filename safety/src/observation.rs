@@ -23,13 +23,13 @@ pub struct Observation<const N: usize, S = f64> {
 
 impl<const N: usize, S: Real> Observation<N, S> {
     /// An observation of exact signals: `F_h` is not late, so `F_v` needs no alignment.
-    #[inline]
+    #[inline(always)]
     pub fn exact(velocity: Axes<N, S>, rendered_force: Axes<N, S>, grasp_force: Axes<N, S>) -> Self {
         Self { velocity, rendered_force, grasp_force, aligned_rendered_force: rendered_force }
     }
 
     /// Where [`check`](Observation::check) would let the numbers through.
-    #[inline]
+    #[inline(always)]
     pub fn passes(&self) -> S::SimdBool {
         [
             (Signal::Velocity, &self.velocity),
@@ -40,14 +40,14 @@ impl<const N: usize, S: Real> Observation<N, S> {
         .into_iter()
         .fold(!nowhere::<S>(), |passes, (signal, value)| {
             let bound = S::splat(signal.bound());
-            value.iter().fold(passes, |passes, x| passes & x.simd_abs().simd_le(bound))
+            value.iter().fold(passes, |passes, x| passes & x.magnitude().simd_le(bound))
         })
     }
 }
 
 impl<const N: usize> Observation<N> {
     /// Refuses numbers that are not finite or absurd.
-    #[inline]
+    #[inline(always)]
     pub fn check(&self) -> Result<(), Fault> {
         Signal::Velocity.check(&self.velocity)?;
         Signal::RenderedForce.check(&self.rendered_force)?;

@@ -5,7 +5,8 @@ use nalgebra::SMatrix;
 use crate::{
     Axes, Environment,
     axes::all_finite,
-    solve::{Drive, TOOL, Tool},
+    solve::{Drive, Tool},
+    solver::TOOL,
 };
 
 impl<const N: usize> Environment<N> {

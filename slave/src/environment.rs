@@ -4,7 +4,8 @@ use crate::{
     Axes, Object, Pusher,
     contact::{Mode, Reaction},
     reach::Reach,
-    solve::{Drive, Solver, Tool},
+    solve::{Drive, Tool},
+    solver::Solver,
 };
 
 /// Objects and pushers.
@@ -23,14 +24,19 @@ pub struct Environment<const N: usize> {
     /// Where the free bodies that are near stand in the state of the solver.
     pub(crate) slots: Vec<usize>,
     pub(crate) solver: Solver<N>,
+    /// The objects that move on their own.
+    movers: Vec<usize>,
     /// How many objects are free bodies.
     pub(crate) bodies: usize,
+    touches: bool,
 }
 
 impl<const N: usize> Environment<N> {
     /// Objects, in an order that numbers them, and pushers.
     pub fn new(objects: Vec<Object<N>>, pushers: Vec<Pusher<N>>) -> Self {
         let bodies = objects.iter().filter(|object| object.body().is_some()).count();
+        // Near or not: one may come near between two kinks.
+        let movers = (0..objects.len()).filter(|&index| objects[index].moves()).collect();
         Self {
             push_from: 0.0,
             reach: Reach::new(objects.len()),
@@ -38,6 +44,8 @@ impl<const N: usize> Environment<N> {
             slots: vec![usize::MAX; objects.len()],
             solver: Solver::new(bodies),
             bodies,
+            movers,
+            touches: false,
             objects,
             pushers,
         }
@@ -56,12 +64,20 @@ impl<const N: usize> Environment<N> {
     /// Force of objects and pushers on the tool in N at one instant; free bodies as they are now.
     pub fn force(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
         self.keep_near(position, velocity, time_s);
-        self.force_of(self.reach.near.iter().copied(), position, velocity, time_s)
+        let near = self.reach.near.iter().copied();
+        let (force, touches) = self.force_of(near, position, velocity, time_s);
+        self.touches = touches;
+        force
+    }
+
+    /// Whether the tool was inside an object when the force was last asked for; a spring has no inside.
+    pub fn touches(&self) -> bool {
+        self.touches
     }
 
     /// The same force with every object asked, near or not: what [`Environment::force`] is held to.
     pub fn force_of_all(&self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
-        self.force_of(0..self.objects.len(), position, velocity, time_s)
+        self.force_of(0..self.objects.len(), position, velocity, time_s).0
     }
 
     /// Moves the free bodies over a step in s that begins at `time_s`, while the tool moves from a position at a
@@ -131,39 +147,38 @@ impl<const N: usize> Environment<N> {
                 next = next.min(pusher.next_kink(t) + self.push_from);
             }
         }
-        for &index in &self.reach.near {
+        for &index in &self.movers {
             next = next.min(self.objects[index].next_kink(time_s));
         }
         next
     }
 
+    /// Force of pushers and of some objects, and whether the tool is inside one of these.
     fn force_of(
         &self,
         objects: impl Iterator<Item = usize>,
         position: &Axes<N>,
         velocity: &Axes<N>,
         time_s: f64,
-    ) -> Axes<N> {
+    ) -> (Axes<N>, bool) {
         let mut force = self.push(time_s, time_s);
+        let mut touches = false;
         for index in objects {
             let object = &self.objects[index];
             let (displacement, moving) = object.place(time_s, time_s);
-            if let Some(reaction) = self.reaction(index, &(position - displacement), &(velocity - moving)) {
-                force += reaction;
+            let (place, slip) = (position - displacement, velocity - moving);
+            if object.shape().is_spring() {
+                force += self.pull(index, &place, &slip);
+                continue;
+            }
+            let (distance, normal) = object.shape().surface(&place);
+            let mode = object.contact().mode(-distance, -normal.dot(&slip));
+            touches |= mode != Mode::Apart;
+            if mode == Mode::Touching {
+                force += object.contact().force(mode, distance, &normal, &slip);
             }
         }
-        force
-    }
-
-    /// Force of object `index` on what is at `place` relative to it, as its law says.
-    fn reaction(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Option<Axes<N>> {
-        let object = &self.objects[index];
-        if object.shape().is_spring() {
-            return Some(self.pull(index, place, velocity));
-        }
-        let (distance, normal) = object.shape().surface(place);
-        let mode = object.contact().mode(-distance, -normal.dot(velocity));
-        (mode == Mode::Touching).then(|| object.contact().force(mode, distance, &normal, velocity))
+        (force, touches)
     }
 
     /// Force of the spring that object `index` is.

@@ -115,6 +115,11 @@ impl HeldArm {
         [self.state.x, self.state.y, self.wall.force(self.state.x) + push]
     }
 
+    /// Whether the tool is inside the wall.
+    pub(crate) fn touches(&self) -> bool {
+        self.wall.force(self.state.x) != 0.0
+    }
+
     fn pusher_time(&self, now_ns: u64) -> f64 {
         match self.started_ns {
             Some(started) if now_ns >= started => (now_ns - started) as f64 * 1e-9,

@@ -70,6 +70,11 @@ impl<const N: usize> Object<N> {
         self.mobility == Mobility::Fixed
     }
 
+    /// Whether it moves on its own.
+    pub(crate) fn moves(&self) -> bool {
+        matches!(self.mobility, Mobility::Moving(_))
+    }
+
     /// Displacement in m and velocity in m/s at t in s, on the smooth piece that holds at `piece`; of a free body: as
     /// it is now.
     pub(crate) fn place(&self, piece: f64, t: f64) -> (Axes<N>, Axes<N>) {

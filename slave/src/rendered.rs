@@ -2,11 +2,39 @@
 
 use std::f64::consts::{PI, TAU};
 
-use nalgebra::SimdRealField;
+use nalgebra::{ClosedAddAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPartialOrd, SimdValue};
+use num_traits::{One, Zero};
 
 use crate::{ModelError, PushShape, require};
 
 type Axes<const N: usize, S = f64> = nalgebra::SVector<S, N>;
+
+/// A real number, or one for each of several scenarios that are rendered side by side.
+pub trait Real:
+    Scalar
+    + Copy
+    + Zero
+    + One
+    + ClosedAddAssign
+    + ClosedSubAssign
+    + ClosedMulAssign
+    + SimdPartialOrd
+    + SimdValue<Element = f64>
+{
+}
+
+impl<S> Real for S where
+    S: Scalar
+        + Copy
+        + Zero
+        + One
+        + ClosedAddAssign
+        + ClosedSubAssign
+        + ClosedMulAssign
+        + SimdPartialOrd
+        + SimdValue<Element = f64>
+{
+}
 
 /// The course of a push, without its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,8 +144,13 @@ impl<const N: usize> RenderedWalls<N> {
         Ok(Self { walls: walls.collect::<Result<_, _>>()?, pushes: pushes.collect::<Result<_, _>>()? })
     }
 
+    /// Whether a point at `position` in m is inside a wall; a two-sided one has no inside.
+    pub fn touches(&self, position: &Axes<N>) -> bool {
+        self.walls.iter().any(|wall| !wall.is_two_sided && wall.normal.dot(position) < wall.surface)
+    }
+
     /// Several scenarios side by side; none if they differ in which walls and courses there are.
-    pub fn gather<S: SimdRealField<Element = f64> + Copy>(of: &[Self]) -> Option<RenderedWalls<N, S>> {
+    pub fn gather<S: Real>(of: &[Self]) -> Option<RenderedWalls<N, S>> {
         let kinds = |one: &Self| {
             let walls: Vec<_> = one.walls.iter().map(|wall| wall.is_two_sided).collect();
             let pushes: Vec<_> = one.pushes.iter().map(|push| push.course).collect();
@@ -159,15 +192,15 @@ impl<const N: usize> RenderedWalls<N> {
     }
 }
 
-impl<const N: usize, S: SimdRealField<Element = f64> + Copy> RenderedWalls<N, S> {
+impl<const N: usize, S: Real> RenderedWalls<N, S> {
     /// Whether any wall needs the velocity.
-    #[inline]
+    #[inline(always)]
     pub fn is_damped(&self) -> bool {
         self.walls.iter().any(|wall| wall.is_damped)
     }
 
     /// Force in N at time t in s, x in m, V in m/s.
-    #[inline]
+    #[inline(always)]
     pub fn force(&self, t: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
         let (zero, one) = (S::splat(0.0), S::splat(1.0));
         let mut force = Axes::<N, S>::zeros();

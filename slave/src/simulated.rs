@@ -223,6 +223,14 @@ impl<const N: usize> SimulatedSlave<N> {
         if let Plant::Continuous(plant) = &self.plant { Some(&plant.environment) } else { None }
     }
 
+    /// Whether the tool was inside an object when it was last read, whatever pushes it.
+    pub fn touches(&self) -> bool {
+        match &self.plant {
+            Plant::Held(held) => held.touches(),
+            Plant::Continuous(plant) => plant.environment.touches(),
+        }
+    }
+
     /// Whether the motion is exact between located contacts.
     pub fn is_exact(&self) -> bool {
         match &self.plant {

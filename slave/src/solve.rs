@@ -4,25 +4,19 @@ use crate::{
     Axes, Environment,
     arm_drive::ArmDrive,
     axes::all_finite,
-    body::STANDS,
     contact::Mode,
-    dormand_prince::{ERROR, NODES, STAGES, dense},
+    dormand_prince::{NODES, STAGES},
+    solver::{Piece, Solver, TOOL},
 };
 
 /// Longest step in s, whatever the estimated error.
 const LONGEST: f64 = 1e-3;
 /// Shortest step in s: taken whatever the estimated error, so that a tick ends.
-const SHORTEST: f64 = 1e-11;
-/// Error of one step, relative and in m or m/s.
-const RELATIVE: f64 = 1e-10;
-const ABSOLUTE: f64 = 1e-13;
+pub(crate) const SHORTEST: f64 = 1e-11;
 /// Attempts for one millisecond before the rest of it is taken coarsely.
 const MOST_ATTEMPTS: u32 = 20_000;
 /// Attempts for the shortest piece.
 const LEAST_ATTEMPTS: u32 = 1_000;
-
-/// Blocks of the state before the bodies: position, velocity and set velocity of the tool.
-pub(crate) const TOOL: usize = 3;
 
 /// The tool as the solver sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,73 +32,6 @@ pub(crate) enum Drive<'a, const N: usize> {
     /// Nothing resists and nothing helps: a straight line.
     Straight,
     Arm(&'a mut ArmDrive<N>),
-}
-
-/// Room for the steps, and what they are told to remember.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Solver<const N: usize> {
-    state: Vec<Axes<N>>,
-    next: Vec<Axes<N>>,
-    slopes: [Vec<Axes<N>>; 7],
-    /// Next step to try, in s.
-    step: f64,
-    /// Whether the last piece ended coarsely.
-    gave_up: bool,
-    pub(crate) coarse_steps: u64,
-}
-
-impl<const N: usize> Solver<N> {
-    pub(crate) fn new(bodies: usize) -> Self {
-        let room = || vec![Axes::zeros(); TOOL + 2 * bodies];
-        Self {
-            state: room(),
-            next: room(),
-            slopes: std::array::from_fn(|_| room()),
-            step: 1e-4,
-            gave_up: false,
-            coarse_steps: 0,
-        }
-    }
-
-    /// `next = state + h sum(weights slopes)`
-    fn combine(&mut self, blocks: usize, step: f64, weights: &[f64]) {
-        for block in 0..blocks {
-            let mut sum = Axes::zeros();
-            for (slope, &weight) in self.slopes.iter().zip(weights) {
-                if weight != 0.0 {
-                    sum += slope[block] * weight;
-                }
-            }
-            self.next[block] = self.state[block] + sum * step;
-        }
-    }
-
-    /// Largest estimated error of the step, as a multiple of what is allowed.
-    fn error(&self, blocks: usize, step: f64) -> f64 {
-        let mut worst = 0.0_f64;
-        for block in 0..blocks {
-            let mut sum = Axes::zeros();
-            for (slope, &weight) in self.slopes.iter().zip(&ERROR) {
-                sum += slope[block] * weight;
-            }
-            for axis in 0..N {
-                let size = self.state[block][axis].abs().max(self.next[block][axis].abs());
-                let error = (sum[axis] * step).abs() / (ABSOLUTE + RELATIVE * size);
-                // The maximum of a number and NaN would be the number.
-                worst = if error.is_finite() { worst.max(error) } else { f64::INFINITY };
-            }
-        }
-        worst
-    }
-}
-
-/// Where in time a step is.
-#[derive(Clone, Copy)]
-struct Piece {
-    /// When the call began, in s.
-    origin: f64,
-    /// A time within the present smooth piece, in s.
-    inside: f64,
 }
 
 impl<const N: usize> Environment<N> {
@@ -211,104 +138,6 @@ impl<const N: usize> Environment<N> {
         self.solver = solver;
     }
 
-    pub(crate) fn near_bodies(&self) -> usize {
-        self.reach.near.iter().filter(|&&index| self.slots[index] != usize::MAX).count()
-    }
-
-    /// Looks at all objects again from where the state is; the far bodies are `late` in s.
-    fn look_around(&mut self, solver: &mut Solver<N>, now: f64, late: f64) {
-        self.store(solver);
-        self.coast(late);
-        self.look(&solver.state[0], &solver.state[1], now);
-        self.load_bodies(solver);
-    }
-
-    fn load(&self, solver: &mut Solver<N>, tool: &Tool<N>) {
-        solver.state[0] = tool.position;
-        solver.state[1] = tool.velocity;
-        solver.state[2] = tool.set_velocity;
-        self.load_bodies(solver);
-    }
-
-    fn load_bodies(&self, solver: &mut Solver<N>) {
-        for &index in &self.reach.near {
-            if let Some(body) = self.objects[index].body() {
-                let slot = TOOL + 2 * self.slots[index];
-                solver.state[slot] = body.displacement;
-                solver.state[slot + 1] = body.velocity;
-            }
-        }
-    }
-
-    fn store(&mut self, solver: &Solver<N>) {
-        for &index in &self.reach.near {
-            if let Some(body) = self.objects[index].body_mut() {
-                let slot = TOOL + 2 * self.slots[index];
-                body.displacement = solver.state[slot];
-                body.velocity = solver.state[slot + 1];
-            }
-        }
-    }
-
-    /// The bodies that nothing can touch slide on by themselves.
-    fn coast(&mut self, span: f64) {
-        if self.bodies > self.near_bodies() {
-            for (index, object) in self.objects.iter_mut().enumerate() {
-                if self.slots[index] == usize::MAX
-                    && let Some(body) = object.body_mut()
-                {
-                    body.coast(span);
-                }
-            }
-        }
-    }
-
-    /// Displacement and velocity of object `index` in a state.
-    pub(crate) fn place_of(
-        &self,
-        state: &[Axes<N>],
-        index: usize,
-        piece: f64,
-        now: f64,
-    ) -> (Axes<N>, Axes<N>) {
-        let slot = self.slots[index];
-        if slot == usize::MAX {
-            self.objects[index].place(piece, now)
-        } else {
-            (state[TOOL + 2 * slot], state[TOOL + 2 * slot + 1])
-        }
-    }
-
-    /// Position and velocity of the tool relative to object `index`.
-    fn relative(&self, state: &[Axes<N>], index: usize, piece: Piece, now: f64) -> (Axes<N>, Axes<N>) {
-        let (displacement, velocity) = self.place_of(state, index, piece.inside, now);
-        (state[0] - displacement, state[1] - velocity)
-    }
-
-    /// Takes note on which piece of its law each near object is, and which body friction holds; tells whether a body
-    /// has come to rest just now.
-    fn settle(&mut self, solver: &mut Solver<N>, piece: Piece, now: f64) -> bool {
-        let mut came_to_rest = false;
-        for near in 0..self.reach.near.len() {
-            let index = self.reach.near[near];
-            let (place, velocity) = self.relative(&solver.state, index, piece, now);
-            self.modes[index] = self.mode(index, &place, &velocity);
-            let reaction = -self.smooth(index, &place, &velocity);
-            let slot = self.slots[index];
-            if let Some(body) = self.objects[index].body_mut() {
-                let sliding = &mut solver.state[TOOL + 2 * slot + 1];
-                let rests = sliding.norm() <= STANDS && body.holds(&reaction);
-                if rests && !body.stands {
-                    // Zero, not small.
-                    *sliding = Axes::zeros();
-                    came_to_rest = true;
-                }
-                body.stands = rests;
-            }
-        }
-        came_to_rest
-    }
-
     /// Slopes of the state at a stage; the first stage's state is `state`, the others' is `next`.
     fn slopes(
         &self,
@@ -361,54 +190,6 @@ impl<const N: usize> Environment<N> {
             let ahead = NODES[stage] * step;
             self.slopes(drive, solver, stage, piece, now + ahead, since_plan + ahead);
         }
-    }
-
-    /// Whether, in the state `next`, a contact is on another piece of its law, or a body that stood is torn off.
-    fn changed(&self, solver: &Solver<N>, piece: Piece, now: f64) -> bool {
-        self.reach.near.iter().any(|&index| {
-            if self.objects[index].shape().is_spring() && self.objects[index].body().is_none() {
-                return false;
-            }
-            let (place, velocity) = self.relative(&solver.next, index, piece, now);
-            if self.mode(index, &place, &velocity) != self.modes[index] {
-                return true;
-            }
-            self.objects[index]
-                .body()
-                .is_some_and(|body| body.stands && !body.holds(&self.smooth(index, &place, &velocity)))
-        })
-    }
-
-    /// Share of the step after which the first change has just happened.
-    fn first_change(
-        &self,
-        solver: &mut Solver<N>,
-        blocks: usize,
-        piece: Piece,
-        now: f64,
-        step: f64,
-    ) -> Option<f64> {
-        if self.reach.near.is_empty() {
-            return None;
-        }
-        let mut before = 0.0;
-        let mut after = None;
-        for share in [0.25, 0.5, 0.75, 1.0] {
-            solver.combine(blocks, step, &dense(share));
-            if self.changed(solver, piece, now + share * step) {
-                after = Some(share);
-                break;
-            }
-            before = share;
-        }
-        let mut after = after?;
-        // To the rounding of the share, or to a time in which nothing moves.
-        while after - before > 1e-15 && (after - before) * step > 0.1 * SHORTEST {
-            let middle = 0.5 * (before + after);
-            solver.combine(blocks, step, &dense(middle));
-            if self.changed(solver, piece, now + middle * step) { after = middle } else { before = middle }
-        }
-        Some(after)
     }
 
     /// The rest of a piece by a method that is stable at any stiffness; tells until when the far bodies have moved.

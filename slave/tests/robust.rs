@@ -189,7 +189,7 @@ fn control() -> impl Strategy<Value = ArmControl> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(3000))]
+    #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
     fn nothing_is_ever_infinite(
         objects in prop::collection::vec(object(), 0..6),

@@ -22,7 +22,7 @@ impl<const N: usize, S: Real> DelayLine<N, S> {
     }
 
     /// Puts one in and takes one out.
-    #[inline]
+    #[inline(always)]
     pub fn pass(&mut self, force: Axes<N, S>) -> Axes<N, S> {
         let Some(slot) = self.under_way.get_mut(self.next) else { return force };
         let out = std::mem::replace(slot, force);

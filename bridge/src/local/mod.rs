@@ -12,6 +12,7 @@ use nalgebra::SimdValue as _;
 
 pub use delay::DelayLine;
 pub use plant::LocalPlant;
+pub(crate) use rendering::Surfaces;
 pub use rendering::{Rendering, SceneRendering};
 pub use watch::{Watch, Watched};
 
@@ -72,13 +73,13 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
     }
 
     /// Time of the next tick in s.
-    #[inline]
+    #[inline(always)]
     pub fn time_s(&self) -> f64 {
         self.tick as f64 * self.period_s
     }
 
     /// One tick.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self) -> LocalTick<N, S> {
         let time_s = self.time_s();
         self.plant.advance(self.tick * self.period_ns);
@@ -109,7 +110,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
 }
 
 /// Scenarios side by side; none if they differ in what lanes must share.
-pub(crate) fn gather<const N: usize, S: Real>(
+pub(crate) fn gather<const N: usize, S: Real + haptether_master::Real>(
     of: &[&LocalLoop<SteppedMaster<N>, RenderedWalls<N>, N>],
 ) -> Option<LocalLoop<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>> {
     let first = of.first()?;

@@ -64,43 +64,43 @@ impl<const N: usize> LocalPlant<N, f64> for SimulatedMaster<N> {
     }
 }
 
-impl<const N: usize, S: Real> LocalPlant<N, S> for SteppedMaster<N, S> {
-    #[inline]
+impl<const N: usize, S: Real + haptether_master::Real> LocalPlant<N, S> for SteppedMaster<N, S> {
+    #[inline(always)]
     fn advance(&mut self, now_ns: u64) {
         SteppedMaster::advance(self, now_ns);
     }
 
-    #[inline]
+    #[inline(always)]
     fn measured_position(&self) -> Axes<N, S> {
         SteppedMaster::measured_position(self)
     }
 
-    #[inline]
+    #[inline(always)]
     fn measured_velocity(&self) -> Option<Axes<N, S>> {
         SteppedMaster::measured_velocity(self)
     }
 
-    #[inline]
+    #[inline(always)]
     fn position(&self) -> Axes<N, S> {
         *SteppedMaster::position(self)
     }
 
-    #[inline]
+    #[inline(always)]
     fn velocity(&self) -> Axes<N, S> {
         *SteppedMaster::velocity(self)
     }
 
-    #[inline]
+    #[inline(always)]
     fn hand_force(&self) -> Axes<N, S> {
         *SteppedMaster::hand_force(self)
     }
 
-    #[inline]
+    #[inline(always)]
     fn wall_force(&self) -> Axes<N, S> {
         SteppedMaster::wall_force(self)
     }
 
-    #[inline]
+    #[inline(always)]
     fn write(&mut self, force: &Axes<N, S>) {
         SteppedMaster::write(self, force);
     }

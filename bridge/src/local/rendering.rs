@@ -24,13 +24,31 @@ pub trait Rendering<const N: usize, S: Real> {
     }
 }
 
+/// A force field of surfaces.
+pub(crate) trait Surfaces<const N: usize> {
+    /// Whether a point at `position` in m, for which the force was asked for last, is inside an object.
+    fn touches(&self, position: &Axes<N>) -> bool;
+}
+
+impl<const N: usize> Surfaces<N> for RenderedWalls<N> {
+    fn touches(&self, position: &Axes<N>) -> bool {
+        RenderedWalls::touches(self, position)
+    }
+}
+
+impl<const N: usize> Surfaces<N> for SceneRendering<N> {
+    fn touches(&self, _: &Axes<N>) -> bool {
+        self.0.touches()
+    }
+}
+
 impl<const N: usize, S: Real> Rendering<N, S> for RenderedWalls<N, S> {
-    #[inline]
+    #[inline(always)]
     fn needs_velocity(&self) -> bool {
         self.is_damped()
     }
 
-    #[inline]
+    #[inline(always)]
     fn force(&mut self, time_s: f64, _: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
         RenderedWalls::force(self, time_s, position, velocity)
     }

@@ -64,7 +64,7 @@ impl<const N: usize, S: Real> Watch<N, S> {
     }
 
     /// One tick: `position` in m as measured, `asked` in N.
-    #[inline]
+    #[inline(always)]
     pub fn step(
         &mut self,
         plant: &impl LocalPlant<N, S>,

@@ -1,6 +1,9 @@
 //! Runs of a scene with an arm: both endpoints, the network between them, and an environment at the far end.
 
-use std::ops::ControlFlow;
+use std::{
+    ops::ControlFlow,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use haptether_safety::{Axes, Fault, controller::Tripped};
 use haptether_slave::SimulatedSlave;
@@ -24,10 +27,7 @@ use crate::{
 /// Sessions of the two sides: constants, for nobody listens in.
 const SESSIONS: (u64, u64) = (1, 2);
 
-/// `|F_e|` in N above which the tool touches something.
-const TOUCH_N: f64 = 0.05;
-
-pub(crate) fn simulate<const N: usize>(scene: &SceneSpec) -> Result<SceneRun, SceneError> {
+pub(crate) fn simulate<const N: usize>(scene: &SceneSpec, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
     let Some(slave) = &scene.slave else {
         return Err(SceneError::Contradiction("slave: is missing".into()));
     };
@@ -42,12 +42,12 @@ pub(crate) fn simulate<const N: usize>(scene: &SceneSpec) -> Result<SceneRun, Sc
         None => {
             let mut plant = exact_master::<N>(scene)?;
             plant.set_waiting(true);
-            Bilateral::new(scene, slave)?.run(plant)
+            Bilateral::new(scene, slave)?.run(plant, stop)
         }
         Some(stepping) => {
             let mut plant = stepped_master::<N>(scene, stepping)?;
             plant.set_waiting(true);
-            Bilateral::new(scene, slave)?.run(plant)
+            Bilateral::new(scene, slave)?.run(plant, stop)
         }
     }
 }
@@ -107,7 +107,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         })
     }
 
-    fn run(self, plant: impl MasterPlant<N>) -> Result<SceneRun, SceneError> {
+    fn run(self, plant: impl MasterPlant<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
         let Self { scene, settings, endpoint, mut slave, coupling } = self;
         let start = plant.truth().map_or(Axes::zeros(), |truth| truth.position);
         let mut master = MasterSide { plant, endpoint };
@@ -119,8 +119,11 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             measures: Measures::new(&measures(scene), &start),
             most_distance: scene.run.diverged_position * coupling.position_scale.max(1.0),
             log: EventLog::default(),
-            near: Recorder::new(every),
-            far: Recorder::new(far_every),
+            near: Recorder::new(every, settings.ticks),
+            far: Recorder::new(
+                far_every,
+                (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
+            ),
             coupling,
             states: [LadderState::Waiting; 2],
             engaged_s: None,
@@ -134,10 +137,14 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             diverged: None,
             settled: false,
         };
-        run_virtual(&settings, &mut master, &mut slave, |event| match event {
+        run_virtual(&settings, &mut master, &mut slave, |event, slave| match event {
+            _ if stop.load(Ordering::Relaxed) => ControlFlow::Break(()),
             Event::Master(record) => watched.near(&record),
-            Event::Slave(record) => watched.far(&record),
+            Event::Slave(record) => watched.far(&record, slave.plant.touches()),
         })?;
+        if stop.load(Ordering::Relaxed) {
+            return Err(SceneError::Stopped);
+        }
         let coarse = slave.plant.coarse_steps();
         Ok(watched.finish(scene, coarse, [master.counts().0, slave.counts().0]))
     }
@@ -209,7 +216,7 @@ impl<const N: usize> Watched<N> {
         if self.measures.diverged(x, v, force) {
             return self.diverge(time_s, self.measures.cause(0, x, v));
         }
-        self.settled = self.measures.take(
+        let settled = self.measures.take(
             time_s,
             x,
             v,
@@ -217,7 +224,8 @@ impl<const N: usize> Watched<N> {
             force,
             &record.hand_force,
             record.tripped != 0,
-        ) && self.engaged_s.is_some();
+        );
+        self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(record.tripped));
         if self.states == [LadderState::Engaged; 2] {
@@ -248,7 +256,7 @@ impl<const N: usize> Watched<N> {
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    fn far(&mut self, record: &SlaveRecord<N>) -> ControlFlow<()> {
+    fn far(&mut self, record: &SlaveRecord<N>, touches: bool) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 * 1e-9;
         self.ladder(1, time_s, record.state);
         self.faults("slave", time_s, record.fault)?;
@@ -257,7 +265,7 @@ impl<const N: usize> Watched<N> {
             return self.diverge(time_s, DivergenceCause::Arm(distance));
         }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
-        self.log.touches(time_s, record.environment_force.norm() > TOUCH_N);
+        self.log.touches(time_s, touches);
         if let Some(newest) = &self.newest
             && self.states == [LadderState::Engaged; 2]
         {

@@ -44,6 +44,9 @@ pub enum SceneError {
     /// The network.
     #[error("link: {0}")]
     Link(#[from] haptether_netsim::LinkError),
+    /// It was told to stop.
+    #[error("stopped")]
+    Stopped,
     /// Tables or keys that contradict each other.
     #[error("{0}")]
     Contradiction(String),

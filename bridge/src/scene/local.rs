@@ -1,5 +1,7 @@
 //! Runs of a scene without an arm: what is touched is rendered on the device itself.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use haptether_safety::Real;
 use nalgebra::SimdBool as _;
 
@@ -25,94 +27,97 @@ pub(crate) enum Ending {
 }
 
 impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
-    /// Runs all scenarios to their ends.
-    #[allow(clippy::inline_always)] // into a caller that was built for the processor's widest vectors
+    /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
     #[inline(always)]
-    pub(crate) fn run(&mut self, outcomes: &mut [Option<(Outcome, Ending)>]) {
-        self.run_telling(|_, _, _| {}, outcomes);
+    pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<(Outcome, Ending)>]) {
+        self.run_telling(stop, |_, _, _| {}, outcomes);
     }
 
-    /// Runs all scenarios to their ends; tells each tick and its time in s to `observe`.
+    /// Runs all scenarios to their ends; tells each tick, its time in s and the loop to `observe`. None has an outcome
+    /// once `stop` is set before its end.
     ///
     /// A scenario that ends early keeps the measures of that moment; its lane runs on unseen until all have ended.
-    #[allow(clippy::inline_always)] // into a caller that was built for the processor's widest vectors
     #[inline(always)]
     pub(crate) fn run_telling(
         &mut self,
-        mut observe: impl FnMut(f64, &LocalTick<N, S>, &P),
+        stop: &AtomicBool,
+        mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
         outcomes: &mut [Option<(Outcome, Ending)>],
     ) {
-        let mut left = S::LANES;
         for tick in 0..self.ticks {
-            let time_s = self.looped.time_s();
-            let step = self.looped.step();
-            let diverged = self.measures.diverged(&step.position, &step.velocity, &step.device_force);
-            if diverged.any() {
-                left -= self.end_diverged(diverged.bitmask(), tick, time_s, &step, outcomes);
-                if left == 0 {
-                    return;
-                }
-            }
-            let response = &step.response;
-            let is_on = response.vfc | response.hsc | response.wsc | response.pc | response.held;
-            let settled = self.measures.take(
-                time_s,
-                &step.position,
-                &step.velocity,
-                &(step.asked_force + step.wall_force),
-                &step.device_force,
-                &step.hand_force,
-                is_on,
-            );
-            observe(time_s, &step, self.looped.plant());
-            if settled.any() {
-                left -= self.end(settled.bitmask(), tick + 1, Ending::Settled, outcomes);
-                if left == 0 {
-                    return;
-                }
+            if stop.load(Ordering::Relaxed) || self.turn(tick, &mut observe, outcomes) {
+                return;
             }
         }
+        self.complete(outcomes);
+    }
+
+    /// One tick; says whether all scenarios have ended early.
+    #[inline(always)]
+    pub(crate) fn turn(
+        &mut self,
+        tick: u64,
+        observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
+        outcomes: &mut [Option<(Outcome, Ending)>],
+    ) -> bool {
+        let time_s = self.looped.time_s();
+        let step = self.looped.step();
+        if self.measures.may_have_diverged(&step.position, &step.velocity, &step.device_force)
+            && self.end_diverged(tick, time_s, &step, outcomes)
+        {
+            return true;
+        }
+        let settled = self.measures.take(
+            time_s,
+            &step.position,
+            &step.velocity,
+            &(step.asked_force + step.wall_force),
+            &step.device_force,
+            &step.hand_force,
+            step.response.acts,
+        );
+        observe(time_s, &step, &self.looped);
+        match settled {
+            Some(settled) if settled.any() => {
+                self.end(settled.bitmask(), tick + 1, Ending::Settled, outcomes)
+            }
+            _ => false,
+        }
+    }
+
+    /// All ticks have been run.
+    pub(crate) fn complete(&self, outcomes: &mut [Option<(Outcome, Ending)>]) {
         self.end(u64::MAX, self.ticks, Ending::Complete, outcomes);
     }
 
-    /// Keeps the outcome of the lanes in `mask` that have none yet; says how many those were.
+    /// Keeps the outcome of the lanes in `mask` that have none yet; says whether now all have one.
     #[cold]
-    fn end(
-        &self,
-        mask: u64,
-        ticks: u64,
-        ending: Ending,
-        outcomes: &mut [Option<(Outcome, Ending)>],
-    ) -> usize {
-        let mut ended = 0;
+    fn end(&self, mask: u64, ticks: u64, ending: Ending, outcomes: &mut [Option<(Outcome, Ending)>]) -> bool {
         for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
             if mask >> lane & 1 == 1 && outcome.is_none() {
                 *outcome = Some((self.measures.outcome(lane, ticks, None), ending));
-                ended += 1;
             }
         }
-        ended
+        outcomes.iter().all(Option::is_some)
     }
 
     #[cold]
     fn end_diverged(
         &self,
-        mask: u64,
         tick: u64,
         time_s: f64,
         step: &LocalTick<N, S>,
         outcomes: &mut [Option<(Outcome, Ending)>],
-    ) -> usize {
-        let mut ended = 0;
+    ) -> bool {
+        let mask = self.measures.diverged(&step.position, &step.velocity, &step.device_force).bitmask();
         for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
             if mask >> lane & 1 == 1 && outcome.is_none() {
                 let cause = self.measures.cause(lane, &step.position, &step.velocity);
                 let divergence = Divergence { time_s, cause };
                 let measured = self.measures.outcome(lane, tick, Some(divergence));
                 *outcome = Some((measured, Ending::Diverged(divergence)));
-                ended += 1;
             }
         }
-        ended
+        outcomes.iter().all(Option::is_some)
     }
 }

@@ -1,5 +1,7 @@
 //! What a run is judged by, for one scenario or for several side by side.
 
+use std::cmp::Ordering;
+
 use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
 
@@ -30,13 +32,18 @@ pub struct Divergence {
 impl std::fmt::Display for Divergence {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.cause {
-            DivergenceCause::Position(x) => write!(f, "the device was {x:.3e} m away")?,
-            DivergenceCause::Speed(v) => write!(f, "the device moved at {v:.3e} m/s")?,
-            DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number")?,
-            DivergenceCause::Arm(x) => write!(f, "the arm was {x:.3e} m away")?,
-            DivergenceCause::Fault(side, fault) => write!(f, "fault of the {side}: {fault}")?,
+            DivergenceCause::Position(x) => {
+                write!(f, "the device was {x:.4e} m away, beyond run.diverged_position")
+            }
+            DivergenceCause::Speed(v) => {
+                write!(f, "the device moved at {v:.4e} m/s, beyond run.diverged_speed")
+            }
+            DivergenceCause::NotFinite => write!(f, "a force was no longer a finite number"),
+            DivergenceCause::Arm(x) => {
+                write!(f, "the arm was {x:.4e} m away, beyond run.diverged_position")
+            }
+            DivergenceCause::Fault(side, fault) => write!(f, "fault of the {side}: {fault}"),
         }
-        write!(f, " at {:.6} s", self.time_s)
     }
 }
 
@@ -92,12 +99,17 @@ const LEAST_SQUARED_FORCE: f64 = 1e-6;
 pub(crate) struct Measures<const N: usize, S: Real = f64> {
     release: S,
     has_release: bool,
-    /// After this time in s all have let go.
+    /// Before the first of these times in s none has let go, after the second all have.
+    earliest_release: f64,
     latest_release: f64,
     diverged_position: S,
     diverged_speed: S,
+    /// Twice the reciprocals of their squares: rounding must not hide what is on a bound.
+    bounds: [S; 2],
     quiet_after: Option<S>,
     direction: Axes<N, S>,
+    /// Whether all have one.
+    all_directed: bool,
     ejection: S,
     peak_squared_force: S,
     trip: S,
@@ -117,11 +129,14 @@ impl<const N: usize> Measures<N> {
         Self {
             release: settings.release_s.unwrap_or(0.0),
             has_release: settings.release_s.is_some(),
+            earliest_release: settings.release_s.unwrap_or(f64::NEG_INFINITY),
             latest_release: settings.release_s.unwrap_or(f64::INFINITY),
             diverged_position: settings.diverged_position,
             diverged_speed: settings.diverged_speed,
+            bounds: [settings.diverged_position, settings.diverged_speed].map(|bound| 2.0 / (bound * bound)),
             quiet_after: settings.quiet_after_s,
             direction: Axes::zeros(),
+            all_directed: false,
             ejection: 0.0,
             peak_squared_force: 0.0,
             trip: f64::INFINITY,
@@ -157,11 +172,14 @@ impl<const N: usize> Measures<N> {
         Some(Measures {
             release: number(&|one| one.release),
             has_release: first.has_release,
+            earliest_release: of.iter().map(|one| one.earliest_release).fold(f64::INFINITY, f64::min),
             latest_release: of.iter().map(|one| one.latest_release).fold(f64::NEG_INFINITY, f64::max),
+            bounds: [0, 1].map(|which| number(&|one| one.bounds[which])),
             diverged_position: number(&|one| one.diverged_position),
             diverged_speed: number(&|one| one.diverged_speed),
             quiet_after: first.quiet_after.map(|_| number(&|one| one.quiet_after.unwrap_or(0.0))),
             direction: Axes::zeros(),
+            all_directed: false,
             ejection: zero,
             peak_squared_force: zero,
             trip: S::splat(f64::INFINITY),
@@ -178,8 +196,25 @@ impl<const N: usize> Measures<N> {
 }
 
 impl<const N: usize, S: Real> Measures<N, S> {
+    /// Whether some loop may have diverged at this tick; nearly always none has, and this is all that it costs.
+    #[inline(always)]
+    pub(crate) fn may_have_diverged(
+        &self,
+        position: &Axes<N, S>,
+        velocity: &Axes<N, S>,
+        device_force: &Axes<N, S>,
+    ) -> bool {
+        let [room, speed] = self.bounds;
+        // What is not finite stays so when multiplied by 0, and fails every comparison.
+        let poison = device_force.dot(device_force) * S::splat(0.0);
+        let excess = position.dot(position) * room + velocity.dot(velocity) * speed + poison;
+        // From memory, or the sum over lanes would take what it is made of apart into lanes.
+        let excess = std::hint::black_box(excess);
+        let sum = (0..S::LANES).fold(0.0, |sum, lane| sum + excess.extract(lane));
+        !matches!(sum.partial_cmp(&1.0), Some(Ordering::Less))
+    }
+
     /// Where the loop has diverged at this tick, which is then not to be taken.
-    #[inline]
     pub(crate) fn diverged(
         &self,
         position: &Axes<N, S>,
@@ -208,8 +243,8 @@ impl<const N: usize, S: Real> Measures<N, S> {
     }
 
     /// Takes one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and whether a
-    /// controller acts; says in which scenarios nothing more will happen.
-    #[inline]
+    /// controller acts; says in which scenarios nothing more will happen, if any may end early.
+    #[inline(always)]
     #[allow(clippy::too_many_arguments)] // the signals of a tick
     pub(crate) fn take(
         &mut self,
@@ -220,7 +255,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         device_force: &Axes<N, S>,
         hand_force: &Axes<N, S>,
         is_on: S::SimdBool,
-    ) -> S::SimdBool {
+    ) -> Option<S::SimdBool> {
         let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
         // Work of the force that was held since the last tick.
         self.energy -= self.held.dot(&(position - self.last_position));
@@ -229,43 +264,52 @@ impl<const N: usize, S: Real> Measures<N, S> {
         let squared_force = device_force.dot(device_force);
         self.peak_squared_force = self.peak_squared_force.simd_max(squared_force);
 
+        let squared_speed = velocity.dot(velocity);
         if t <= self.latest_release {
             let squared = rendered_force.dot(rendered_force);
             let points = squared.simd_gt(S::splat(LEAST_SQUARED_FORCE));
             let points = if self.has_release { points & time.simd_le(self.release) } else { points };
-            if points.any() {
-                let norm = squared.simd_sqrt();
+            if N == 1 {
+                let side = one.select(rendered_force[0].simd_gt(zero), -one);
+                self.direction[0] = side.select(points, self.direction[0]);
+            } else if points.any() {
+                let norm = squared.root();
                 self.direction = self
                     .direction
                     .zip_map(rendered_force, |before, force| (force / norm).select(points, before));
             }
-        }
-        let squared_speed = velocity.dot(velocity);
-        let has_begun = time.simd_ge(self.release);
-        let along = velocity.dot(&self.direction);
-        let has_direction = self.direction.dot(&self.direction).simd_gt(zero);
-        let along =
-            if has_direction.all() { along } else { along.select(has_direction, squared_speed.simd_sqrt()) };
-        self.ejection = self.ejection.simd_max(along.select(has_begun, zero));
-
-        let on = one.select(is_on, zero);
-        let begins = on * (one - self.was_on);
-        let is_false = if self.has_release { zero.select(has_begun, begins) } else { begins };
-        self.false_trips += is_false;
-        self.on += on;
-        self.was_on = on;
-        self.trip = self.trip.simd_min(time.select(is_on & has_begun, S::splat(f64::INFINITY)));
-
-        match self.quiet_after {
-            Some(quiet_after) => {
-                // A device that nobody holds and nothing pushes may drift: it has been ejected.
-                let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
-                let forced = (squared_force + hand_force.dot(hand_force)).simd_gt(zero);
-                self.active = time.select((moves & forced) | time.simd_le(quiet_after), self.active);
-                (time - self.active).simd_gt(S::splat(SETTLED_S))
+            if !self.all_directed {
+                self.all_directed = self.direction.dot(&self.direction).simd_gt(zero).all();
             }
-            None => one.simd_lt(zero),
         }
+        let has_begun = time.simd_ge(self.release);
+        if t >= self.earliest_release {
+            let mut along = velocity.dot(&self.direction);
+            if !self.all_directed {
+                let has_direction = self.direction.dot(&self.direction).simd_gt(zero);
+                along = along.select(has_direction, squared_speed.root());
+            }
+            self.ejection = self.ejection.simd_max(along.select(has_begun, zero));
+        }
+        if is_on.any() {
+            let on = one.select(is_on, zero);
+            let begins = on * (one - self.was_on);
+            let is_false = if self.has_release { zero.select(has_begun, begins) } else { begins };
+            self.false_trips += is_false;
+            self.on += on;
+            self.was_on = on;
+            self.trip = self.trip.simd_min(time.select(is_on & has_begun, S::splat(f64::INFINITY)));
+        } else {
+            self.was_on = zero;
+        }
+
+        self.quiet_after.map(|quiet_after| {
+            // A device that nobody holds and nothing pushes may drift: it has been ejected.
+            let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
+            let forced = (squared_force + hand_force.dot(hand_force)).simd_gt(zero);
+            self.active = time.select((moves & forced) | time.simd_le(quiet_after), self.active);
+            (time - self.active).simd_gt(S::splat(SETTLED_S))
+        })
     }
 
     /// The outcome of one lane after `ticks` ticks.

@@ -16,4 +16,4 @@ pub use measures::{Divergence, DivergenceCause, Outcome};
 pub use run::{SceneRun, simulate};
 pub use signals::Signal;
 pub use spec::SceneSpec;
-pub use sweep::{SweepError, SweepSettings, Variation, sweep};
+pub use sweep::{Progress, SweepError, SweepSettings, Variation, sweep};

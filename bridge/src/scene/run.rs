@@ -1,7 +1,8 @@
 //! One scene, run to its end.
 
+use std::sync::atomic::AtomicBool;
+
 use haptether_master::SimulatedMaster;
-use haptether_safety::Axes;
 
 use super::{
     bilateral,
@@ -15,7 +16,7 @@ use super::{
     signals::{Recorder, Sample, Signal},
     spec::SceneSpec,
 };
-use crate::local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering};
+use crate::local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Surfaces};
 
 /// What a run leaves behind.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,50 +31,69 @@ pub struct SceneRun {
     pub period_s: f64,
 }
 
-/// Runs a scene.
+/// Runs a scene, unless `stop` is set meanwhile.
 ///
 /// # Errors
 ///
-/// A number or a combination that no part can have; a diverging loop is no error but an outcome.
-pub fn simulate(scene: &SceneSpec) -> Result<SceneRun, SceneError> {
+/// A number or a combination that no part can have, or [`SceneError::Stopped`]; a diverging loop is no error but an
+/// outcome.
+pub fn simulate(scene: &SceneSpec, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
     match scene.master.axes {
-        1 => simulate_axes::<1>(scene),
-        2 => simulate_axes::<2>(scene),
-        3 => simulate_axes::<3>(scene),
-        6 => simulate_axes::<6>(scene),
-        7 => simulate_axes::<7>(scene),
+        1 => simulate_axes::<1>(scene, stop),
+        2 => simulate_axes::<2>(scene, stop),
+        3 => simulate_axes::<3>(scene, stop),
+        6 => simulate_axes::<6>(scene, stop),
+        7 => simulate_axes::<7>(scene, stop),
         axes => Err(SceneError::Contradiction(format!("master.axes = {axes}: must be 1, 2, 3, 6 or 7"))),
     }
 }
 
-fn simulate_axes<const N: usize>(scene: &SceneSpec) -> Result<SceneRun, SceneError> {
+fn simulate_axes<const N: usize>(scene: &SceneSpec, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
     if scene.slave.is_some() {
-        return bilateral::simulate::<N>(scene);
+        return bilateral::simulate::<N>(scene, stop);
     }
     check_local(scene)?;
     let environment_spec = scene.environment.as_ref();
     let is_plain = environment_spec.is_none_or(is_plain);
+    let is_continuous = is_continuous(scene);
     match (stepping(scene.run.integrator), is_plain) {
         (None, true) => {
-            let rendering = rendered_walls::<N>(environment_spec, !is_continuous(scene))?;
-            let mut touches = Touches::default();
-            follow(local_run(scene, exact_master(scene)?, rendering)?, scene, move |master, log| {
-                touches.tell(master, log);
-            })
+            let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
+            let run = local_run(scene, exact_master(scene)?, rendering)?;
+            if is_continuous {
+                let mut touches = Touches::default();
+                follow(run, scene, stop, move |_, _, looped, log| touches.tell(looped.plant(), log))
+            } else {
+                follow(run, scene, stop, tell_touch)
+            }
         }
         (None, false) => {
             let rendering = SceneRendering(environment::<N>(environment_spec)?);
-            follow(local_run(scene, exact_master(scene)?, rendering)?, scene, |_, _| {})
+            follow(local_run(scene, exact_master(scene)?, rendering)?, scene, stop, tell_touch)
         }
         (Some(stepping), true) => {
-            let rendering = rendered_walls::<N>(environment_spec, !is_continuous(scene))?;
-            follow(local_run(scene, stepped_master(scene, stepping)?, rendering)?, scene, |_, _| {})
+            // Where the device is says whether it touches, however the walls act on it.
+            let walls = rendered_walls::<N>(environment_spec, true)?;
+            let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
+            let run = local_run(scene, stepped_master(scene, stepping)?, rendering)?;
+            follow(run, scene, stop, move |time_s, tick, _, log| {
+                log.touches(time_s, walls.touches(&tick.position));
+            })
         }
         (Some(stepping), false) => {
             let rendering = SceneRendering(environment::<N>(environment_spec)?);
-            follow(local_run(scene, stepped_master(scene, stepping)?, rendering)?, scene, |_, _| {})
+            follow(local_run(scene, stepped_master(scene, stepping)?, rendering)?, scene, stop, tell_touch)
         }
     }
+}
+
+fn tell_touch<P: LocalPlant<N, f64>, R: Rendering<N, f64> + Surfaces<N>, const N: usize>(
+    time_s: f64,
+    tick: &LocalTick<N>,
+    looped: &LocalLoop<P, R, N>,
+    log: &mut EventLog,
+) {
+    log.touches(time_s, looped.rendering().touches(&tick.position));
 }
 
 /// Contacts with continuous walls, at the times at which they were located.
@@ -138,25 +158,23 @@ pub(crate) fn local_run<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: us
 fn follow<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
     mut run: LocalRun<P, R, N>,
     scene: &SceneSpec,
-    mut tell: impl FnMut(&P, &mut EventLog),
+    stop: &AtomicBool,
+    mut tell: impl FnMut(f64, &LocalTick<N>, &LocalLoop<P, R, N>, &mut EventLog),
 ) -> Result<SceneRun, SceneError> {
     let mut log = EventLog::default();
-    let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every));
-    let is_continuous = is_continuous(scene);
+    let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every), run.ticks);
     let mut outcomes = [None];
     run.run_telling(
-        |time_s, tick, plant| {
-            if !is_continuous {
-                log.touches(time_s, tick.asked_force != Axes::<N>::zeros());
-            }
-            tell(plant, &mut log);
+        stop,
+        |time_s, tick, looped| {
+            tell(time_s, tick, looped, &mut log);
             log.tripped(time_s, tick.response.lane(0).tripped);
             record(&mut recorder, time_s, tick);
         },
         &mut outcomes,
     );
     let [Some((outcome, ending))] = outcomes else {
-        return Err(SceneError::Contradiction("run: ended without an outcome".into()));
+        return Err(SceneError::Stopped);
     };
     tell_schedule(scene, &outcome, &mut log);
     let end_s = outcome.ticks as f64 * scene.run.period_s;

@@ -17,6 +17,8 @@ pub struct Signal {
 #[derive(Clone, Debug)]
 pub(crate) struct Recorder {
     every: u64,
+    /// Ticks that the run has at most: room is made for them at once.
+    most: u64,
     ticks: u64,
     signals: Vec<Signal>,
 }
@@ -28,9 +30,9 @@ pub(crate) enum Sample<'a, const N: usize> {
 }
 
 impl Recorder {
-    /// Records every `every`-th tick; nothing for 0.
-    pub(crate) fn new(every: u64) -> Self {
-        Self { every, ticks: 0, signals: Vec::new() }
+    /// Records every `every`-th of `most` ticks; nothing for 0.
+    pub(crate) fn new(every: u64, most: u64) -> Self {
+        Self { every, most, ticks: 0, signals: Vec::new() }
     }
 
     /// Takes a tick: the same signals in the same order each time.
@@ -40,14 +42,12 @@ impl Recorder {
             return;
         }
         if self.signals.is_empty() {
-            self.signals = samples
-                .iter()
-                .map(|(name, sample)| Signal {
-                    name,
-                    width: if matches!(sample, Sample::Vector(_)) { N } else { 1 },
-                    values: Vec::new(),
-                })
-                .collect();
+            let signal = |(name, sample): &(&'static str, Sample<'_, N>)| {
+                let width = if matches!(sample, Sample::Vector(_)) { N } else { 1 };
+                let samples = usize::try_from(self.most.div_ceil(self.every)).unwrap_or(0);
+                Signal { name, width, values: Vec::with_capacity(samples * width) }
+            };
+            self.signals = samples.iter().map(signal).collect();
         }
         if self.ticks.is_multiple_of(self.every) {
             for (signal, (_, sample)) in self.signals.iter_mut().zip(samples) {
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn keeps_every_so_many_ticks() {
-        let mut recorder = Recorder::new(3);
+        let mut recorder = Recorder::new(3, 10);
         for tick in 0..10 {
             let x = Axes::<2>::new(f64::from(tick), -1.0);
             recorder.take(&[("t", Sample::Scalar(f64::from(tick))), ("x", Sample::Vector(&x))]);
@@ -79,7 +79,7 @@ mod tests {
         let signals = recorder.into_signals();
         assert_eq!(signals[0].values, [0.0, 3.0, 6.0, 9.0]);
         assert_eq!((signals[1].width, signals[1].values.len()), (2, 8));
-        let mut nothing = Recorder::new(0);
+        let mut nothing = Recorder::new(0, 10);
         nothing.take::<1>(&[("t", Sample::Scalar(0.0))]);
         assert!(nothing.into_signals().is_empty());
     }

@@ -1,12 +1,12 @@
 //! Many scenarios of one scene, over threads and in lanes.
 
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
 use haptether_master::SteppedMaster;
-use haptether_safety::Real;
 use haptether_slave::RenderedWalls;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
-use simba::simd::AutoSimd;
 
 use super::{
     build::{SceneError, is_continuous, is_plain, rendered_walls, stepped_master, stepping},
@@ -15,10 +15,7 @@ use super::{
     run::{check_local, local_run, simulate},
     spec::SceneSpec,
 };
-
-/// Scenarios that are advanced side by side. The array is a vector of the processor where it has one, and is computed
-/// in parts where it has not.
-pub(crate) type Lanes = AutoSimd<[f64; 8]>;
+use crate::lanes::{LANES, Lanes};
 
 /// One number of a scene that differs from scenario to scenario.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,6 +33,15 @@ pub struct SweepSettings {
     pub threads: usize,
     /// Whether scenarios that can be are advanced side by side.
     pub lanes: bool,
+}
+
+/// What another thread sees of a sweep, and how it ends one.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// Scenarios that have been run.
+    pub done: AtomicUsize,
+    /// Set from outside: the sweep ends soon, with [`SweepError::Stopped`].
+    pub stop: AtomicBool,
 }
 
 /// A sweep that cannot be run.
@@ -65,20 +71,12 @@ pub enum SweepError {
         /// What is wrong with it.
         why: String,
     },
+    /// It was told to stop.
+    #[error("stopped")]
+    Stopped,
     /// The threads could not be made.
     #[error("threads: {0}")]
     Threads(String),
-}
-
-impl SweepError {
-    /// The same error of a part of the rows that began at row `first`.
-    #[must_use]
-    pub fn from_row(self, first: usize) -> Self {
-        match self {
-            Self::Scenario { row, why } => Self::Scenario { row: row + first, why },
-            other => other,
-        }
-    }
 }
 
 /// Scenarios that a thread takes at once: enough that most fill their lanes, few enough that all threads have some.
@@ -91,6 +89,7 @@ pub fn sweep(
     scene: &[u8],
     variations: &[Variation],
     settings: SweepSettings,
+    progress: &Progress,
 ) -> Result<Vec<Outcome>, SweepError> {
     let base: Value = serde_json::from_slice(scene).map_err(|error| SweepError::Scene(error.to_string()))?;
     SceneSpec::deserialize(&base).map_err(|error| SweepError::Scene(error.to_string()))?;
@@ -109,15 +108,18 @@ pub fn sweep(
         };
         columns.push((pointer, is_whole, values.as_slice()));
     }
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(settings.threads)
-        .build()
-        .map_err(|error| SweepError::Threads(error.to_string()))?;
     let blocks: Vec<_> = (0..rows).step_by(BLOCK).map(|first| first..rows.min(first + BLOCK)).collect();
-    let results: Vec<_> = pool.install(|| {
-        let run = |block| run_block(&base, &columns, block, settings.lanes);
-        blocks.into_par_iter().map(run).collect()
-    });
+    let run = |block| run_block(&base, &columns, block, settings.lanes, progress);
+    let results: Vec<_> = if settings.threads == 1 || blocks.len() == 1 {
+        // Making a thread takes longer than many a scenario.
+        blocks.into_iter().map(run).collect()
+    } else {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(settings.threads)
+            .build()
+            .map_err(|error| SweepError::Threads(error.to_string()))?;
+        pool.install(|| blocks.into_par_iter().map(run).collect())
+    };
     let mut outcomes = Vec::with_capacity(rows);
     for result in results {
         outcomes.extend(result?);
@@ -125,12 +127,13 @@ pub fn sweep(
     Ok(outcomes)
 }
 
-/// The specification of one row.
-fn row_spec(
+/// Sets the numbers of one row, and reads again the tables that they are in.
+fn set_row(
+    spec: &mut SceneSpec,
     scene: &mut Value,
     columns: &[(String, bool, &[f64])],
     row: usize,
-) -> Result<SceneSpec, SweepError> {
+) -> Result<(), SweepError> {
     for (pointer, is_whole, values) in columns {
         let value = values[row];
         if let Some(place) = scene.pointer_mut(pointer) {
@@ -142,7 +145,32 @@ fn row_spec(
             };
         }
     }
-    SceneSpec::deserialize(&*scene).map_err(|error| SweepError::Scenario { row, why: error.to_string() })
+    let mut read = Vec::with_capacity(columns.len());
+    for (pointer, _, _) in columns {
+        let table = pointer[1..].split('/').next().unwrap_or_default();
+        if !read.contains(&table) {
+            read.push(table);
+            read_table(spec, scene, table)
+                .map_err(|error| SweepError::Scenario { row, why: format!("{table}: {error}") })?;
+        }
+    }
+    Ok(())
+}
+
+fn read_table(spec: &mut SceneSpec, scene: &Value, table: &str) -> Result<(), serde_json::Error> {
+    let value = &scene[table];
+    match table {
+        "run" => spec.run = Deserialize::deserialize(value)?,
+        "master" => spec.master = Deserialize::deserialize(value)?,
+        "operator" => spec.operator = Deserialize::deserialize(value)?,
+        "slave" => spec.slave = Deserialize::deserialize(value)?,
+        "environment" => spec.environment = Deserialize::deserialize(value)?,
+        "link" => spec.link = Deserialize::deserialize(value)?,
+        "coupling" => spec.coupling = Deserialize::deserialize(value)?,
+        "safety" => spec.safety = Deserialize::deserialize(value)?,
+        _ => *spec = Deserialize::deserialize(scene)?,
+    }
+    Ok(())
 }
 
 fn run_block(
@@ -150,38 +178,52 @@ fn run_block(
     columns: &[(String, bool, &[f64])],
     block: std::ops::Range<usize>,
     lanes: bool,
+    progress: &Progress,
 ) -> Result<Vec<Outcome>, SweepError> {
+    let Progress { done, stop } = progress;
+    if stop.load(Ordering::Relaxed) {
+        return Err(SweepError::Stopped);
+    }
     let mut scene = base.clone();
-    // Outcomes need no recording, and a copy of what is recorded for each row would cost more than the row.
+    // Outcomes need no recording.
     scene["record"] = Value::Null;
-    let specs = block.clone().map(|row| row_spec(&mut scene, columns, row)).collect::<Result<Vec<_>, _>>()?;
+    let mut spec = SceneSpec::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
+    let mut specs = Vec::with_capacity(block.len());
+    for row in block.clone() {
+        set_row(&mut spec, &mut scene, columns, row)?;
+        specs.push(spec.clone());
+    }
     let first = block.start;
-    let refused = |(index, error): (usize, SceneError)| SweepError::Scenario {
-        row: first + index,
-        why: error.to_string(),
+    let refused = |(index, error): (usize, SceneError)| match error {
+        SceneError::Stopped => SweepError::Stopped,
+        error => SweepError::Scenario { row: first + index, why: error.to_string() },
     };
-    if lanes {
-        let shared = match specs.first().map(|spec| spec.master.axes) {
-            Some(1) => run_in_lanes::<1>(&specs),
-            Some(2) => run_in_lanes::<2>(&specs),
-            Some(3) => run_in_lanes::<3>(&specs),
-            _ => Ok(None),
-        };
-        if let Some(outcomes) = shared.map_err(refused)? {
-            return Ok(outcomes);
-        }
+    let shared = match specs.first().map(|spec| spec.master.axes) {
+        Some(1) => run_plain::<1>(&specs, lanes, progress),
+        Some(2) => run_plain::<2>(&specs, lanes, progress),
+        Some(3) => run_plain::<3>(&specs, lanes, progress),
+        _ => Ok(None),
+    };
+    if let Some(outcomes) = shared.map_err(refused)? {
+        return Ok(outcomes);
     }
     let run = |(index, spec): (usize, &SceneSpec)| {
-        simulate(spec).map(|run| run.outcome).map_err(|error| refused((index, error)))
+        let outcome = simulate(spec, stop).map_err(|error| refused((index, error)))?.outcome;
+        done.fetch_add(1, Ordering::Relaxed);
+        Ok(outcome)
     };
     specs.iter().enumerate().map(run).collect()
 }
 
 type PlainRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>;
 
-/// Runs scenarios side by side; none if one of them cannot be: an arm, located events, or an environment of more
-/// than resting walls.
-fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
+/// Runs plain scenarios, side by side if they may; none if one of them is not plain: an arm, located events, or an
+/// environment of more than resting walls.
+fn run_plain<const N: usize>(
+    specs: &[SceneSpec],
+    lanes: bool,
+    Progress { done, stop }: &Progress,
+) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
     let can_share = |spec: &SceneSpec| {
         spec.slave.is_none()
             && spec.master.axes == N
@@ -191,28 +233,32 @@ fn run_in_lanes<const N: usize>(specs: &[SceneSpec]) -> Result<Option<Vec<Outcom
     if !specs.iter().all(can_share) {
         return Ok(None);
     }
-    let mut left: Vec<(usize, PlainRun<N, f64>)> = Vec::with_capacity(specs.len());
+    let mut left: Vec<(usize, Box<PlainRun<N, f64>>)> = Vec::with_capacity(specs.len());
     for (index, spec) in specs.iter().enumerate() {
-        left.push((index, plain_run(spec).map_err(|error| (index, error))?));
+        left.push((index, Box::new(plain_run(spec).map_err(|error| (index, error))?)));
     }
     let mut outcomes = vec![None; specs.len()];
-    while let Some(taken) = take_block(&mut left) {
+    while let Some(taken) = take_block(&mut left, lanes) {
         match taken {
             Block::Lanes(rows, mut run) => {
                 let mut ended = vec![None; rows.len()];
-                vectorised(&mut run, &mut ended);
+                vectorised(&mut run, stop, &mut ended);
+                done.fetch_add(rows.len(), Ordering::Relaxed);
                 for (row, outcome) in rows.into_iter().zip(ended) {
                     outcomes[row] = outcome;
                 }
             }
             Block::Single(row, mut run) => {
                 let mut ended = [None];
-                run.run(&mut ended);
+                run.run(stop, &mut ended);
+                done.fetch_add(1, Ordering::Relaxed);
                 [outcomes[row]] = ended;
             }
         }
     }
-    Ok(outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect())
+    let outcomes: Option<Vec<_>> =
+        outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect();
+    outcomes.map(Some).ok_or((0, SceneError::Stopped))
 }
 
 fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, SceneError> {
@@ -231,7 +277,13 @@ enum Block<const N: usize> {
 }
 
 /// Takes scenarios that can share lanes with the first one left; alone it is taken alone.
-fn take_block<const N: usize>(left: &mut Vec<(usize, PlainRun<N, f64>)>) -> Option<Block<N>> {
+fn take_block<const N: usize>(
+    left: &mut Vec<(usize, Box<PlainRun<N, f64>>)>,
+    lanes: bool,
+) -> Option<Block<N>> {
+    if !lanes {
+        return left.pop().map(|(row, run)| Block::Single(row, run));
+    }
     if left.is_empty() {
         return None;
     }
@@ -259,21 +311,16 @@ fn take_block<const N: usize>(left: &mut Vec<(usize, PlainRun<N, f64>)>) -> Opti
         return Some(Block::Lanes(rows, Box::new(run)));
     }
     let (row, run) = left.remove(0);
-    Some(Block::Single(row, Box::new(run)))
+    Some(Block::Single(row, run))
 }
-
-const LANES: usize = 8;
 
 /// Some scenarios side by side; lanes that are left over repeat the last one.
 fn gathered<const N: usize>(
-    left: &[(usize, PlainRun<N, f64>)],
+    left: &[(usize, Box<PlainRun<N, f64>>)],
     take: &[usize],
 ) -> Option<PlainRun<N, Lanes>> {
     let padded = |lane: usize| &left[take[lane.min(take.len() - 1)]].1;
-    gather((0..LANES).map(padded).collect())
-}
-
-fn gather<const N: usize, S: Real>(of: Vec<&PlainRun<N, f64>>) -> Option<PlainRun<N, S>> {
+    let of: Vec<_> = (0..LANES).map(padded).collect();
     let ticks = of.first()?.ticks;
     if of.iter().any(|one| one.ticks != ticks) {
         return None;
@@ -289,17 +336,24 @@ fn gather<const N: usize, S: Real>(of: Vec<&PlainRun<N, f64>>) -> Option<PlainRu
 
 /// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
 /// across lanes, and none is fused.
-fn vectorised<const N: usize>(run: &mut PlainRun<N, Lanes>, ended: &mut [Option<(Outcome, Ending)>]) {
-    struct Job<'a, const N: usize>(&'a mut PlainRun<N, Lanes>, &'a mut [Option<(Outcome, Ending)>]);
+fn vectorised<const N: usize>(
+    run: &mut PlainRun<N, Lanes>,
+    stop: &AtomicBool,
+    ended: &mut [Option<(Outcome, Ending)>],
+) {
+    struct Job<'a, const N: usize>(
+        &'a mut PlainRun<N, Lanes>,
+        &'a AtomicBool,
+        &'a mut [Option<(Outcome, Ending)>],
+    );
 
     impl<const N: usize> pulp::WithSimd for Job<'_, N> {
         type Output = ();
 
-        #[allow(clippy::inline_always)] // what is not inlined here is built without those instructions
         #[inline(always)]
         fn with_simd<A: pulp::Simd>(self, _: A) {
-            self.0.run(self.1);
+            self.0.run(self.1, self.2);
         }
     }
-    pulp::Arch::new().dispatch(Job(run, ended));
+    pulp::Arch::new().dispatch(Job(run, stop, ended));
 }

@@ -45,3 +45,19 @@ def check_target(target: Path | None) -> None:
     if not os.access(target if target.exists() else target.parent, os.W_OK):
         message = f"{target}: cannot be written: is the folder there, and yours?"
         raise OSError(message)
+
+
+def make_folder(folder: Path) -> None:
+    """Makes a folder for pictures, before the run rather than after it.
+
+    Raises:
+        OSError: With the path and what is in the way.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"{folder}: cannot be made: {error.strerror}; give another folder"
+        raise OSError(message) from None
+    if not os.access(folder, os.W_OK):
+        message = f"{folder}: cannot be written into; give another folder"
+        raise OSError(message)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from haptether.cli.simulate import told_events
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -21,6 +23,8 @@ PANELS = {
 """What is drawn below one another: signals and their labels."""
 TRIPPED = {1: "VFC", 2: "HSC", 4: "WSC", 8: "PC", 16: "held"}
 EVENTS_NAMED = 12
+LEAST_GAP = 0.012
+"""Share of the width that two names of events stand apart at least."""
 
 
 def draw_run(run: "Run", path: Path) -> None:
@@ -32,6 +36,7 @@ def draw_run(run: "Run", path: Path) -> None:
     from matplotlib.figure import Figure
 
     time_s = run.signals["time_s"]
+    told = told_events(run.events)
     figure = Figure(figsize=(10.0, 9.0), layout="constrained")
     figure.suptitle(f"{Path(run.scene).stem}, seed {run.seed}")
     panels = figure.subplots(len(PANELS), 1, sharex=True, height_ratios=[3, 3, 3, 1])
@@ -46,21 +51,33 @@ def draw_run(run: "Run", path: Path) -> None:
             for axis, values_of_axis in enumerate(values.reshape(len(values), -1).T):
                 along = f", {AXIS_NAMES[axis] if axis < 3 else axis}" if values.ndim > 1 else ""
                 panel.plot(time_s, values_of_axis, lw=1.2, label=f"{described}{along}")
-            panel.legend(fontsize=8, loc="upper left")
-        for event in run.events:
-            panel.axvline(event.time_s, color="k", lw=0.6, ls=":")
+            panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        for time_of_event, _ in told:
+            panel.axvline(time_of_event, color="k", lw=0.6, ls=":")
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
-    for event in run.events[:EVENTS_NAMED]:
-        panels[0].annotate(f"{event.kind} {event.detail}", (event.time_s, panels[0].get_ylim()[1]),
-                           fontsize=7, ha="right", va="top", rotation=90)  # fmt: skip
+    _name_events(panels[0], told[:EVENTS_NAMED], float(time_s[-1] - time_s[0]))
     panels[-1].set_xlabel("time [s]")
     figure.savefig(path, dpi=120)
 
 
+def _name_events(panel: "Axes", told: list[tuple[float, str]], width_s: float) -> None:
+    """Names above the panel, each right of the one before."""
+    place = -np.inf
+    for time_s, text in told:
+        place = max(time_s, place + LEAST_GAP * width_s)
+        above = ("data", "axes fraction")
+        panel.annotate(text, (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,
+                       fontsize=7, ha="center", va="bottom", rotation=90)  # fmt: skip
+
+
 def _draw_trips(panel: "Axes", time_s: npt.NDArray[np.float64], tripped: npt.NDArray[np.uint8]) -> None:
+    step = float(time_s[1] - time_s[0]) if len(time_s) > 1 else 0.0
     for row, bit in enumerate(TRIPPED):
-        on = (tripped & bit) > 0
-        panel.fill_between(time_s, row + 0.1, row + 0.9, where=on, step="post")
+        edges = np.diff(np.concatenate(([0], (tripped & bit) > 0, [0])).astype(np.int8))
+        begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+        # A trip of one tick must still be seen.
+        bars = [(time_s[a], time_s[b - 1] - time_s[a] + step) for a, b in zip(begins, ends, strict=True)]
+        panel.broken_barh(bars, (row + 0.1, 0.8), facecolor=f"C{row}", edgecolor=f"C{row}", lw=0.6)
     panel.set_yticks(np.arange(len(TRIPPED)) + 0.5, list(TRIPPED.values()), fontsize=7)
     panel.set_ylim(0, len(TRIPPED))

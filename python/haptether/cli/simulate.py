@@ -1,7 +1,7 @@
 """`haptether simulate`."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +11,7 @@ import tyro
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptether.bridge import Run
+    from haptether.bridge import Event, Run
 
 SPINNER_AFTER_S = 2.0
 EVENTS_SHOWN = 20
@@ -57,7 +57,7 @@ class Simulate:
         from rich.console import Console
 
         from haptether.bridge import SceneError, load_scene, simulate
-        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
+        from haptether.cli.output import check_target, make_folder, require_matplotlib, table_goes_to_stderr
 
         console = Console(stderr=table_goes_to_stderr(self.json))
         if self.list:
@@ -73,6 +73,7 @@ class Simulate:
             raise ValueError(message)
         if self.plot is not None:
             require_matplotlib()
+            make_folder(self.plot)
         scene = load_scene(self.scene, self.set)
         if scene.record is None and (self.plot is not None or self.out is not None):
             message = f"{self.scene} has no [record], so there are no signals to keep: add --set record.every=1"
@@ -102,7 +103,6 @@ class Simulate:
         if self.plot is not None:
             from haptether.cli.scene_picture import draw_run
 
-            self.plot.mkdir(parents=True, exist_ok=True)
             picture = self.plot / f"{Path(run.scene).stem}.png"
             draw_run(run, picture)
             console.print(f"picture: {picture}", highlight=False)
@@ -123,10 +123,11 @@ class Simulate:
         for name, value in msgspec.to_builtins(run.metrics).items():
             table.add_row(METRICS.get(name, name).replace("[", "\\["), shown(value))
         console.print(table)
-        for event in run.events[:EVENTS_SHOWN]:
-            console.print(f"  {event.time_s:9.4f} s  {event.kind}  {event.detail}", highlight=False, markup=False)
-        if len(run.events) > EVENTS_SHOWN:
-            console.print(f"  and {len(run.events) - EVENTS_SHOWN} more events; --json has all", highlight=False)
+        told = told_events(run.events)
+        for time_s, text in told[:EVENTS_SHOWN]:
+            console.print(f"  {time_s:9.4f} s  {text}", highlight=False, markup=False)
+        if len(told) > EVENTS_SHOWN:
+            console.print(f"  and {len(told) - EVENTS_SHOWN} more; --json has all events", highlight=False)
 
     def _list(self, console: "Console") -> None:
         from rich.table import Table
@@ -139,6 +140,29 @@ class Simulate:
         for name in scene_names():
             table.add_row(name, load_scene(name).shows)
         console.print(table)
+
+
+REPEATED = {"trip", "recover"}, {"contact", "free"}
+"""Events that chatter: the same two over and over."""
+
+
+def told_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
+    """Events for people, with a time in s each: what chatters is told once, with how often and until when."""
+    told: list[tuple[float, str]] = []
+    waiting = list(events)
+    while waiting:
+        first = waiting[0]
+        pair = next((pair for pair in REPEATED if first.kind in pair), set())
+        same = waiting[: next((n for n, event in enumerate(waiting) if event.kind not in pair), len(waiting))]
+        times = sum(event.kind == first.kind for event in same)
+        text = f"{first.kind}  {first.detail}".rstrip()
+        if times > 2:
+            told.append((first.time_s, f"{text}  {times} times, until {same[-1].time_s:.4f} s"))
+        else:
+            same = same[:1] or [first]
+            told.append((first.time_s, text))
+        del waiting[: len(same)]
+    return told
 
 
 METRICS = {

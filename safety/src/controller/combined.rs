@@ -208,14 +208,25 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
 
     /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
     #[inline(always)]
-    #[allow(clippy::inline_always)] // a call of its own costs more than all of VFC
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let unobserved = (S::splat(f64::NAN), nowhere::<S>());
-        let (velocity_force, vfc) = self.vfc.as_ref().map_or(unobserved, |vfc| vfc.judge(seen));
-        let (grasp, hsc) = self.hsc.as_ref().map_or(unobserved, |hsc| hsc.judge(&self.felt(seen)));
-        let (windowed_energy_j, wsc) = self.wsc.as_mut().map_or(unobserved, |wsc| wsc.step(seen));
-        let pc = self.pc.as_mut().map(|pc| pc.step(seen));
+        let (velocity_force, vfc) = match &self.vfc {
+            Some(vfc) => vfc.judge(seen),
+            None => unobserved,
+        };
+        let (grasp, hsc) = match &self.hsc {
+            Some(hsc) => hsc.judge(&self.felt(seen)),
+            None => unobserved,
+        };
+        let (windowed_energy_j, wsc) = match &mut self.wsc {
+            Some(wsc) => wsc.step(seen),
+            None => unobserved,
+        };
+        let pc = match &mut self.pc {
+            Some(pc) => Some(pc.step(seen)),
+            None => None,
+        };
 
         let is_unsafe = vfc | hsc | wsc;
         let gain = self.gain(is_unsafe);
@@ -227,6 +238,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         );
         let mut response = Response {
             safety_force,
+            acts: is_on,
             vfc,
             hsc,
             wsc,
@@ -240,6 +252,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         if let Some(action) = pc {
             let pushes = action.force.iter().fold(nowhere::<S>(), |any, force| any | force.simd_ne(nothing));
             response.pc = gain.simd_lt(all) & pushes;
+            response.acts = is_on | response.pc;
             response.safety_force = response
                 .pc
                 .if_else(|| safety_force + action.force * ((all - gain) * authority), || safety_force);
@@ -254,7 +267,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// large for ever and the hand that has come back would never get its force again. So the force comes back over
     /// the ramp, and `S_h` compares the hand with the share that is rendered: one that holds ends the intervention, one
     /// that is gone trips it anew as soon as that share exceeds `F_t`. Without a ramp, Eq. 14 stands as printed.
-    #[inline]
+    #[inline(always)]
     fn felt(&self, seen: &Observation<N, S>) -> Observation<N, S> {
         let nothing = S::splat(0.0);
         let fades = self.ramp_ticks.simd_gt(nothing) & self.on_for.simd_gt(nothing);
@@ -263,7 +276,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     }
 
     /// Share of the intervention that is on at this tick.
-    #[inline]
+    #[inline(always)]
     fn gain(&mut self, is_unsafe: S::SimdBool) -> S {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let Self { on_for, fading_for, hold_off_ticks, ramp_ticks, .. } = *self;
@@ -298,14 +311,14 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     }
 
     /// Whether a controller reads the grasp force.
-    #[inline]
+    #[inline(always)]
     pub fn needs_grasp_force(&self) -> bool {
         self.hsc.is_some() || self.wsc.is_some() || self.pc.is_some()
     }
 
     /// Energy in J that PC asked for (`E_so` of the tick) and the force `delivered` beyond `F_v` did not dissipate; 0
     /// without PC.
-    #[inline]
+    #[inline(always)]
     pub fn owed_energy_j(&self, energy_j: S, delivered: &Axes<N, S>, velocity: &Axes<N, S>) -> S {
         let nothing = S::splat(0.0);
         self.pc.as_ref().map_or(nothing, |pc| pc.owed_energy_j(energy_j, delivered, velocity))

@@ -2,7 +2,7 @@
 
 use crate::{
     Observation, ParameterError, Real,
-    lanes::{pack, part},
+    lanes::{norm, pack, part},
     observer::HandGraspObserver,
     parameter::{in_range, non_negative},
 };
@@ -50,12 +50,12 @@ impl<S: Real> HandGraspController<S> {
     }
 
     /// `S_h` and whether it is unsafe.
-    #[inline]
+    #[inline(always)]
     pub fn judge<const N: usize>(&self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
         let observed = self.observer.observe(seen);
         // F_t is there because S_h means little of small forces, so it must hold for the force that S_h is made of.
-        let pushing = seen.rendered_force.norm().simd_gt(self.force_threshold_n)
-            & seen.aligned_rendered_force.norm().simd_gt(self.force_threshold_n);
+        let pushing = norm(&seen.rendered_force).simd_gt(self.force_threshold_n)
+            & norm(&seen.aligned_rendered_force).simd_gt(self.force_threshold_n);
         (observed, pushing & observed.simd_gt(self.grasp_threshold))
     }
 }

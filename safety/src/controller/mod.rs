@@ -19,7 +19,7 @@ use crate::{Axes, DeviceModel, Observation, ParameterError, Real, parameter::in_
 /// `F_c = -F_v - mu V`: cancels the rendered force and damps the motion, so that the device renders `-mu V`.
 ///
 /// Source: paper Eq. 2, 13 and 14, which share it.
-#[inline]
+#[inline(always)]
 pub(crate) fn cancel_and_damp<const N: usize, S: Real>(seen: &Observation<N, S>, damping: S) -> Axes<N, S> {
     -seen.rendered_force - seen.velocity * damping
 }

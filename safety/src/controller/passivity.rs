@@ -59,10 +59,10 @@ impl<const N: usize, S: Real> PassivityController<N, S> {
     }
 
     /// `E_so` and `F_pc` after this tick.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self, seen: &Observation<N, S>) -> PassivityAction<N, S> {
         let energy_j = self.observer.step(seen);
-        let squared_speed = seen.velocity.norm_squared();
+        let squared_speed = seen.velocity.dot(&seen.velocity);
         let nothing = S::splat(0.0);
         let is_idle = energy_j.simd_ge(nothing) | squared_speed.simd_eq(nothing);
         let force = is_idle.if_else(Axes::zeros, || {
@@ -74,7 +74,7 @@ impl<const N: usize, S: Real> PassivityController<N, S> {
 
     /// Energy in J that `E_so` asked for and the force `delivered` (N, after every limit) will not have
     /// dissipated by the end of this tick.
-    #[inline]
+    #[inline(always)]
     pub fn owed_energy_j(&self, energy_j: S, delivered: &Axes<N, S>, velocity: &Axes<N, S>) -> S {
         let dissipated = -delivered.dot(velocity) * S::splat(self.period_s);
         above_zero(-energy_j - above_zero(dissipated))
@@ -87,7 +87,7 @@ impl<const N: usize, S: Real> PassivityController<N, S> {
 }
 
 /// The value where it is positive, else 0.
-#[inline]
+#[inline(always)]
 fn above_zero<S: Real>(value: S) -> S {
     let nothing = S::splat(0.0);
     value.select(value.simd_gt(nothing), nothing)

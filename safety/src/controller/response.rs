@@ -84,6 +84,8 @@ impl<const N: usize> Intervention<N> {
 pub struct Response<const N: usize, S: Real = f64> {
     /// `F_c` in N.
     pub safety_force: Axes<N, S>,
+    /// Where any of them acts.
+    pub acts: S::SimdBool,
     /// Where VFC called the tick unsafe.
     pub vfc: S::SimdBool,
     /// Where HSC did.

@@ -22,7 +22,7 @@ impl<S: Real> VelocityForceController<S> {
     }
 
     /// `S_vf` and whether it is unsafe.
-    #[inline]
+    #[inline(always)]
     pub fn judge<const N: usize>(&self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
         let observed = self.observer.observe(seen);
         (observed, observed.simd_gt(S::splat(1.0)))

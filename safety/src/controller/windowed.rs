@@ -41,7 +41,7 @@ impl<const N: usize, S: Real> WindowedSafetyController<N, S> {
     }
 
     /// `E_wso` in J after this tick and whether it is unsafe.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
         let observed = self.observer.step(seen);
         (observed, observed.simd_lt(self.energy_threshold_j))

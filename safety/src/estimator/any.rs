@@ -111,7 +111,7 @@ impl<const N: usize, S: Real> AnyEstimator<N, S> {
 }
 
 impl<const N: usize, S: Real> Estimator<N, S> for AnyEstimator<N, S> {
-    #[inline]
+    #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         match self {
             Self::BackwardDifference(estimator) => estimator.step(position),
@@ -122,7 +122,7 @@ impl<const N: usize, S: Real> Estimator<N, S> for AnyEstimator<N, S> {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         match self {
             Self::BackwardDifference(estimator) => estimator.align(device_force),

@@ -48,7 +48,7 @@ impl<const N: usize, S: Real> BackwardDifference<N, S> {
 }
 
 impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
-    #[inline]
+    #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let period_s = S::splat(self.period_s);
         let previous_position = self.previous_position.replace(*position).unwrap_or(*position);
@@ -58,7 +58,7 @@ impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
         Motion { velocity, acceleration }
     }
 
-    #[inline]
+    #[inline(always)]
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         let aligned = (device_force + self.previous_force) / S::splat(2.0);
         self.previous_force = *device_force;

@@ -87,7 +87,7 @@ impl<const N: usize, S: Real> Kalman<N, S> {
 }
 
 impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
-    #[inline]
+    #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let [k_x, k_v, k_a] = self.gain.into();
         let last = self.position.unwrap_or(*position);
@@ -102,7 +102,7 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         let [k_x, k_v, k_a] = self.gain.into();
         let unseen = device_force - self.aligned_force;

@@ -61,7 +61,7 @@ impl<const N: usize, S: Real> LowPass<N, S> {
 }
 
 impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
-    #[inline]
+    #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let difference = self.difference.step(position).velocity;
         let change = (difference - self.velocity) * self.share;
@@ -69,7 +69,7 @@ impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
         Motion { velocity: self.velocity, acceleration: change / S::splat(self.period_s) }
     }
 
-    #[inline]
+    #[inline(always)]
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         let mean = self.difference.align(device_force);
         self.aligned_force += (mean - self.aligned_force) * self.share;

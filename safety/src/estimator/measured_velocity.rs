@@ -33,7 +33,7 @@ impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
     }
 
     /// Takes the measured velocity V\[n\] in m/s and adds A\[n\]; the first velocity is taken to have been constant.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self, velocity: &Axes<N, S>) -> Motion<N, S> {
         let previous_velocity = self.previous_velocity.replace(*velocity).unwrap_or(*velocity);
         let acceleration = (velocity - previous_velocity) / S::splat(self.period_s);
@@ -41,7 +41,7 @@ impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
     }
 
     /// Gives `F_device`\[n-1\] back unchanged: A is the mean over the very tick in which that force was held.
-    #[inline]
+    #[inline(always)]
     pub fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         *device_force
     }

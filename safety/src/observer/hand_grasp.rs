@@ -1,6 +1,10 @@
 //! Hand grasp observer, HGO.
 
-use crate::{Observation, ParameterError, Real, lanes::pack, parameter::positive};
+use crate::{
+    Observation, ParameterError, Real,
+    lanes::{norm, pack},
+    parameter::positive,
+};
 
 /// HGO: near 1 while the hand holds against the rendered force, large when nobody holds.
 ///
@@ -27,9 +31,9 @@ impl<S: Real> HandGraspObserver<S> {
     }
 
     /// `S_h`, without unit; the grasp is safe up to zeta (Eq. 8).
-    #[inline]
+    #[inline(always)]
     pub fn observe<const N: usize>(&self, seen: &Observation<N, S>) -> S {
-        seen.aligned_rendered_force.norm() / (seen.grasp_force.norm() + self.grasp_floor_n)
+        norm(&seen.aligned_rendered_force) / (norm(&seen.grasp_force) + self.grasp_floor_n)
     }
 }
 

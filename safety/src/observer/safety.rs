@@ -19,7 +19,8 @@ use crate::{
 pub struct SafetyObserver<const N: usize, S = f64> {
     device: DeviceModel<N, S>,
     period_s: f64,
-    energy_ratio: S,
+    /// 1 / eta.
+    per_ratio: S,
     hand_energy_j: CompensatedSum<S>,
 }
 
@@ -29,7 +30,7 @@ impl<const N: usize> SafetyObserver<N> {
         Ok(Self {
             device,
             period_s: positive("period_s", "dT", period_s)?,
-            energy_ratio: ratio("energy_ratio", "eta", energy_ratio)?,
+            per_ratio: ratio("energy_ratio", "eta", energy_ratio)?.recip(),
             hand_energy_j: CompensatedSum::default(),
         })
     }
@@ -41,7 +42,7 @@ impl<const N: usize, S: Real> SafetyObserver<N, S> {
         Some(Self {
             device: part(of, |one| one.device, DeviceModel::gather)?,
             period_s: shared(of, |one| one.period_s)?,
-            energy_ratio: pack(of, |one| one.energy_ratio)?,
+            per_ratio: pack(of, |one| one.per_ratio)?,
             hand_energy_j: CompensatedSum {
                 sum: pack(of, |one| one.hand_energy_j.sum)?,
                 lost: pack(of, |one| one.hand_energy_j.lost)?,
@@ -50,10 +51,10 @@ impl<const N: usize, S: Real> SafetyObserver<N, S> {
     }
 
     /// `E_so` in J after this tick.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self, seen: &Observation<N, S>) -> S {
         self.hand_energy_j.add(S::splat(self.period_s) * seen.grasp_force.dot(&seen.velocity));
-        self.hand_energy_j.total() - self.device.kinetic_energy_j(&seen.velocity) / self.energy_ratio
+        self.hand_energy_j.total() - self.device.kinetic_energy_j(&seen.velocity) * self.per_ratio
     }
 
     /// Forgets all energy.
@@ -78,18 +79,18 @@ impl<S: Real> Default for CompensatedSum<S> {
 }
 
 impl<S: Real> CompensatedSum<S> {
-    #[inline]
+    #[inline(always)]
     fn add(&mut self, term: S) {
         let next = self.sum + term;
         self.lost += self
             .sum
-            .simd_abs()
-            .simd_ge(term.simd_abs())
+            .magnitude()
+            .simd_ge(term.magnitude())
             .if_else(|| (self.sum - next) + term, || (term - next) + self.sum);
         self.sum = next;
     }
 
-    #[inline]
+    #[inline(always)]
     fn total(self) -> S {
         self.sum + self.lost
     }

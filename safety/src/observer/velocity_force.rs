@@ -4,7 +4,7 @@ use nalgebra::SimdBool as _;
 
 use crate::{
     Observation, ParameterError, Real,
-    lanes::{lesser, pack, shared},
+    lanes::{lesser, norm, pack, shared},
     parameter::positive,
 };
 
@@ -55,13 +55,13 @@ impl<S: Real> VelocityForceObserver<S> {
     }
 
     /// `S_vf`, without unit; above 1 is unsafe. Negative while the hand pushes against the force.
-    #[inline]
+    #[inline(always)]
     pub fn observe<const N: usize>(&self, seen: &Observation<N, S>) -> S {
         let power = seen.velocity.dot(&seen.rendered_force);
         match self.form {
             VelocityForceForm::Product => power / (self.velocity_threshold * self.force_threshold_n),
             VelocityForceForm::Both => {
-                let force = seen.rendered_force.norm();
+                let force = norm(&seen.rendered_force);
                 let nothing = S::splat(0.0);
                 force.simd_eq(nothing).if_else(
                     || nothing,

@@ -19,7 +19,8 @@ use crate::{
 pub struct WindowedSafetyObserver<const N: usize, S = f64> {
     device: DeviceModel<N, S>,
     period_s: f64,
-    energy_ratio: S,
+    /// 1 / eta.
+    per_ratio: S,
     power: Box<[S]>,
     next: usize,
     /// Sum over the ring.
@@ -43,7 +44,7 @@ impl<const N: usize> WindowedSafetyObserver<N> {
         Ok(Self {
             device,
             period_s: positive("period_s", "dT", period_s)?,
-            energy_ratio: ratio("energy_ratio", "eta", energy_ratio)?,
+            per_ratio: ratio("energy_ratio", "eta", energy_ratio)?.recip(),
             power: vec![0.0; window].into_boxed_slice(),
             next: 0,
             running: 0.0,
@@ -60,7 +61,7 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
         Some(Self {
             device: part(of, |one| one.device, DeviceModel::gather)?,
             period_s: shared(of, |one| one.period_s)?,
-            energy_ratio: pack(of, |one| one.energy_ratio)?,
+            per_ratio: pack(of, |one| one.per_ratio)?,
             power: (0..window).map(|tick| pack(of, |one| one.power[tick])).collect::<Option<_>>()?,
             next: shared(of, |one| one.next)?,
             running: pack(of, |one| one.running)?,
@@ -69,15 +70,14 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
     }
 
     /// `E_wso` in J after this tick.
-    #[inline]
+    #[inline(always)]
     pub fn step(&mut self, seen: &Observation<N, S>) -> S {
         let power = seen.grasp_force.dot(&seen.velocity);
         self.push(power);
-        S::splat(self.period_s) * self.running
-            - self.device.kinetic_energy_j(&seen.velocity) / self.energy_ratio
+        S::splat(self.period_s) * self.running - self.device.kinetic_energy_j(&seen.velocity) * self.per_ratio
     }
 
-    #[inline]
+    #[inline(always)]
     fn push(&mut self, power: S) {
         self.running += power - self.power[self.next];
         self.fresh += power;

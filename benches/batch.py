@@ -1,0 +1,223 @@
+"""Time per scenario-tick of a sweep, against Numba, NumPy and plain Python in the same run.
+
+The scene is benches/work_unit.toml: hand, device, wall and WSC on one axis, 2000 ticks, swept over the depth of the
+press. Every implementation has to reproduce the sum of the peaks to nine digits and the ticks under intervention
+exactly. Ours is `haptether.sweep` as anybody calls it: reading the scene, building every scenario and measuring all
+that a sweep measures are in the time.
+
+The requirement: at most 6 ns per scenario-tick on one thread.
+"""
+
+import argparse
+import importlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+
+import haptether
+from haptether.bridge import load_scene
+
+Array = npt.NDArray[np.float64]
+Sums = tuple[float, int]
+"""Sum of the peaks in m/s, and of the ticks under intervention."""
+
+EXAMPLE = "example: python benches/batch.py --json - --repeats 9"
+SCENE = Path(__file__).with_name("work_unit.toml")
+TICKS = 2000
+REQUIRED_NS = 6.0
+EXPECTED: dict[int, Sums] = {
+    1: (0.329684270, 50),
+    100: (34.971638466, 2459),
+    10_000: (3500.394342658, 245_235),
+}
+M, B, C, K_WALL, K_HAND, B_HAND = 0.157, -0.005, 0.038, 200.0, 300.0, 5.0
+MU, ETA, DELTA, WINDOW, DT = 5.0, 0.5, -0.03, 100, 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """Least time of one implementation over N scenarios."""
+
+    name: str
+    scenarios: int
+    ns_per_scenario_tick: float
+    median_ns: float
+    agrees: bool
+
+
+def depths(scenarios: int) -> Array:
+    """Depth of the press in m for each of the scenarios."""
+    return np.array([0.05]) if scenarios == 1 else 0.01 + 0.05 * np.arange(scenarios) / (scenarios - 1)
+
+
+def ours(threads: int, lanes: bool) -> Callable[[Array], Sums]:
+    """`haptether.sweep` on so many threads."""
+    scene = load_scene(SCENE)
+
+    def run(depth: Array) -> Sums:
+        swept = haptether.sweep(scene, samples={"operator.legs.0.end": -depth}, threads=threads, lanes=lanes)
+        ticks = np.rint(swept["intervention_s"] / DT)
+        return float(swept["max_ejection_velocity"].sum()), int(ticks.sum())
+
+    return run
+
+
+def scalar_loop(depth: float) -> tuple[float, int]:
+    """One scenario in plain Python; Numba compiles this very function."""
+    z, v, s, peak, on = 0.02, 0.0, 0.0, 0.0, 0
+    ring = np.zeros(WINDOW)
+    for k in range(TICKS):
+        t = k * DT
+        g = min(max(1.0 - (t - 1.0) / 0.05, 0.0), 1.0)
+        r = min(2.0 * t, 1.0)
+        target = 0.02 + (-depth - 0.02) * r * r * (3.0 - 2.0 * r)
+        hand = g * (K_HAND * (target - z) - B_HAND * v)
+        wall = -K_WALL * z if z < 0.0 else 0.0
+        power = hand * v
+        s += power - ring[k % WINDOW]
+        ring[k % WINDOW] = power
+        energy = DT * s - M * v * v / (2.0 * ETA)
+        control = 0.0
+        if energy < DELTA:
+            control = -wall - MU * v
+            on += 1
+        friction = C * min(max(v / 1e-3, -1.0), 1.0)
+        v += DT * (hand + wall + control - B * v - friction) / M
+        z += DT * v
+        if t >= 1.0 and v > peak:
+            peak = v
+    return peak, on
+
+
+def plain_python(depth: Array) -> Sums:
+    """All scenarios, one after the other."""
+    results = [scalar_loop(float(d)) for d in depth]
+    return sum(peak for peak, _ in results), sum(on for _, on in results)
+
+
+def over_scenarios(depth: Array) -> Sums:
+    """All scenarios at once as arrays."""
+    n = len(depth)
+    z, v, s, peak = np.full(n, 0.02), np.zeros(n), np.zeros(n), np.zeros(n)
+    ring, on = np.zeros((WINDOW, n)), 0
+    for k in range(TICKS):
+        t = k * DT
+        g = min(max(1.0 - (t - 1.0) / 0.05, 0.0), 1.0)
+        r = min(2.0 * t, 1.0)
+        target = 0.02 + (-depth - 0.02) * r * r * (3.0 - 2.0 * r)
+        hand = g * (K_HAND * (target - z) - B_HAND * v)
+        wall = np.where(z < 0.0, -K_WALL * z, 0.0)
+        power = hand * v
+        s += power - ring[k % WINDOW]
+        ring[k % WINDOW] = power
+        trips = DT * s - M * v * v / (2.0 * ETA) < DELTA
+        on += int(np.count_nonzero(trips))
+        control = np.where(trips, -wall - MU * v, 0.0)
+        friction = C * np.clip(v / 1e-3, -1.0, 1.0)
+        v = v + DT * (hand + wall + control - B * v - friction) / M
+        z = z + DT * v
+        if t >= 1.0:
+            peak = np.maximum(peak, v)
+    return float(peak.sum()), on
+
+
+def compiled(parallel: bool) -> Callable[[Array], Sums] | None:
+    """The scalar loop through Numba, on one thread or on all; none where Numba is not installed."""
+    try:
+        numba: Any = importlib.import_module("numba")
+    except ImportError:
+        return None
+    one = numba.njit(scalar_loop)
+    indices = numba.prange if parallel else range
+
+    def each(depth: Array, peaks: Array, ons: npt.NDArray[np.int64]) -> None:
+        for i in indices(len(depth)):
+            peaks[i], ons[i] = one(depth[i])
+
+    loop = numba.njit(each, parallel=parallel)
+
+    def run(depth: Array) -> Sums:
+        peaks, ons = np.empty(len(depth)), np.empty(len(depth), np.int64)
+        loop(depth, peaks, ons)
+        return float(peaks.sum()), int(ons.sum())
+
+    return run
+
+
+def implementations() -> dict[str, tuple[Callable[[Array], Sums], int]]:
+    """Each with the most scenarios that it is given."""
+    found: dict[str, tuple[Callable[[Array], Sums], int]] = {
+        "haptether, lanes, 1 thread": (ours(1, True), 10_000),
+        "haptether, lanes, 2 threads": (ours(2, True), 10_000),
+        "haptether, no lanes, 1 thread": (ours(1, False), 10_000),
+        "NumPy over scenarios": (over_scenarios, 10_000),
+        "plain Python": (plain_python, 1),
+    }
+    for name, parallel in (("Numba, 1 thread", False), ("Numba, all threads", True)):
+        if (run := compiled(parallel)) is not None:
+            found[name] = (run, 10_000)
+    return found
+
+
+def measure(name: str, run: Callable[[Array], Sums], scenarios: int, repeats: int) -> Cost:
+    """Times one implementation; its first call, which may compile, is not counted."""
+    depth = depths(scenarios)
+    peaks, on = run(depth)
+    expected_peaks, expected_on = EXPECTED[scenarios]
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        run(depth)
+        times.append((time.perf_counter() - begun) * 1e9 / (scenarios * TICKS))
+    return Cost(
+        name=name,
+        scenarios=scenarios,
+        ns_per_scenario_tick=min(times),
+        median_ns=float(np.median(times)),
+        agrees=abs(peaks - expected_peaks) < 1e-9 * max(1.0, expected_peaks) and on == expected_on,
+    )
+
+
+def main() -> int:
+    """Prints the table; 1 if an implementation disagrees, or ours is slower than required."""
+    parser = argparse.ArgumentParser(description=__doc__, epilog=EXAMPLE)
+    parser.add_argument("--json", metavar="PATH", help="also write the figures as JSON; - for standard output")
+    parser.add_argument("--repeats", type=int, default=5, help="times that each is timed (default 5)")
+    arguments = parser.parse_args()
+    console = Console(stderr=arguments.json == "-")
+    costs = []
+    with console.status("timing"):
+        for name, (run, most) in implementations().items():
+            for scenarios in EXPECTED:
+                if scenarios <= most:
+                    repeats = arguments.repeats * (20 if scenarios < 1000 else 1)
+                    costs.append(measure(name, run, scenarios, repeats))
+    numba = {cost.scenarios: cost.ns_per_scenario_tick for cost in costs if cost.name == "Numba, 1 thread"}
+    table = Table("", "scenarios", "ns per scenario-tick", "median", "Numba / it", "same sums")
+    for cost in costs:
+        ratio = f"{numba[cost.scenarios] / cost.ns_per_scenario_tick:.2f}" if numba else ""
+        least, median = f"{cost.ns_per_scenario_tick:.2f}", f"{cost.median_ns:.2f}"
+        table.add_row(cost.name, str(cost.scenarios), least, median, ratio, "yes" if cost.agrees else "NO")
+    console.print(table)
+    if not numba:
+        console.print("Numba is not installed: `make bench` installs it (tools/bench.txt)")
+    best = min(cost.ns_per_scenario_tick for cost in costs if cost.name == "haptether, lanes, 1 thread")
+    console.print(f"best of ours on one thread: {best:.2f} ns, required {REQUIRED_NS} ns; {os.cpu_count()} processors")
+    if arguments.json:
+        text = json.dumps({"required_ns": REQUIRED_NS, "best_ns": best, "costs": [asdict(cost) for cost in costs]})
+        sys.stdout.write(text + "\n") if arguments.json == "-" else Path(arguments.json).write_text(text + "\n")
+    return 0 if best <= REQUIRED_NS and all(cost.agrees for cost in costs) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,237 @@
+"""What a scene costs per tick, and that it pays only for what it uses; what the commands cost before they begin.
+
+Each row is a scene that differs from its base in one thing. The time of a tick is that of a long run less that of a
+short one, by the number of ticks between them, so that what is built once does not count. All times are the
+processor's: what else the machine does hardly counts.
+
+Ends with status 1 if 1000 objects out of reach cost more than half as much again as none, if `haptether --help` takes
+longer than it may, or if running a scene loads a library that it does not use.
+"""
+
+import argparse
+import json
+import math
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.progress import track
+
+from haptether.bridge import Scene, simulate
+from haptether.cli.entry import COMMANDS
+
+EXAMPLE = """example:
+  .venv/bin/python benches/scene_cost.py --json -
+"""
+SHORT_S, LONG_S = 1.0, 11.0
+MOST_FOR_OBJECTS = 1.5
+"""Cost of 1000 objects out of reach over that of none."""
+MOST_FOR_HELP_S = 0.4
+PROCESSES = 5
+UNUSED = ("casadi", "matplotlib", "pyvista", "rtde_control", "rtde_receive", "scipy")
+
+Tables = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A scene, and the row that it is compared with."""
+
+    name: str
+    scene: Tables
+    base: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """ns per tick, least of the repeats, and over the base's."""
+
+    name: str
+    ns: float
+    base: str | None
+    ratio: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """s of a fresh process, least of the repeats."""
+
+    name: str
+    seconds: float
+
+
+def scene(axes: int = 1, *, arm: bool = False, depth: float = -0.02, **tables: Tables) -> Tables:
+    """A hand that trembles `depth` in m inside a wall, or, if it is negative, before it."""
+    wall = {"shape": {"kind": "plane"}, "contact": {"stiffness": 200.0}}
+    start = [-depth] + [0.0] * (axes - 1)
+    plain: Tables = {
+        "schema": 1,
+        "master": {"device": "phantom-desktop", "axes": axes},
+        "operator": {"start": start, "damping": 8.0, "tremor": {"amplitude": 1e-3, "frequency_hz": 5.0}},
+        "environment": {"objects": [wall]},
+        **tables,
+    }
+    return plain | ({"slave": {}} if arm else {})
+
+
+def far(count: int) -> Tables:
+    """So many balls that nothing reaches."""
+    ball = {"contact": {"stiffness": 500.0}}
+    return {
+        "objects": [
+            {"shape": {"kind": "sphere", "centre": [0.5 + 0.01 * n, 0.0, 0.0], "radius": 0.05}, **ball}
+            for n in range(count)
+        ]
+    }
+
+
+def rows() -> Iterator[Row]:
+    """Everything in the table, each after its base."""
+    yield Row(name="local, 1 axis", scene=scene())
+    yield Row(name="local, 3 axes", scene=scene(3), base="local, 1 axis")
+    joints = {"device": "phantom-desktop", "axes": 3, "friction": "axis"}
+    yield Row(name="local, 3 axes, friction on each", scene=scene(3, master=joints), base="local, 1 axis")
+    yield Row(name="in contact", scene=scene(depth=0.02), base="local, 1 axis")
+    yield Row(name="WSC", scene=scene(safety={"controllers": ["wsc"]}), base="local, 1 axis")
+    all_four = {"controllers": ["vfc", "hsc", "wsc", "pc"]}
+    yield Row(name="VFC + HSC + WSC + PC", scene=scene(safety=all_four), base="local, 1 axis")
+    yield Row(name="recorded", scene=scene(record={}), base="local, 1 axis")
+    for integrator in ("semi-implicit-euler", "velocity-verlet", "rk4"):
+        stepped = scene(run={"integrator": integrator})
+        yield Row(name=f"{integrator}, 10 steps", scene=stepped, base="local, 1 axis")
+    for where, arm in (("local", False), ("bilateral", True)):
+        base = f"{where}, 3 axes, 0 objects"
+        yield Row(name=base, scene=scene(3, arm=arm, environment=far(0)))
+        for count in (10, 1000):
+            crowded = scene(3, arm=arm, environment=far(count))
+            yield Row(name=f"{where}, 3 axes, {count} out of reach", scene=crowded, base=base)
+    yield Row(name="bilateral, 1 axis", scene=scene(arm=True), base="local, 1 axis")
+    yield Row(name="bilateral, in contact", scene=scene(arm=True, depth=0.02), base="bilateral, 1 axis")
+
+
+def processor_s(scene: Scene) -> float:
+    """Time of a run in s."""
+    begun = time.process_time()
+    simulate(scene)
+    return time.process_time() - begun
+
+
+def ticks_ns(found: list[Row], repeats: int) -> Iterator[list[float]]:
+    """Time of one tick of each scene in ns, better from round to round.
+
+    All scenes take turns, so that a machine that is busy for a while does not spoil one of them.
+    """
+
+    def lasting(tables: Tables, duration_s: float) -> Scene:
+        return msgspec.convert(tables | {"run": tables.get("run", {}) | {"duration_s": duration_s}}, Scene)
+
+    scenes = [(lasting(row.scene, SHORT_S), lasting(row.scene, LONG_S)) for row in found]
+    least = [[math.inf, math.inf] for _ in found]
+    for _ in range(repeats):
+        for known, pair in zip(least, scenes, strict=True):
+            known[:] = [min(s, processor_s(one)) for s, one in zip(known, pair, strict=True)]
+        yield [(long - short) / (LONG_S - SHORT_S) * 1e6 for short, long in least]
+
+
+def process_s(*command: str) -> float:
+    """Time of a process in s."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=60)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+
+
+def starts() -> list[Start]:
+    """Import, and the help of every command."""
+    program = (sys.executable, "-m", "haptether")
+    found = [
+        ("python alone", (sys.executable, "-c", "pass")),
+        ("import haptether", (sys.executable, "-c", "import haptether")),
+        ("haptether --help", (*program, "--help")),
+    ]
+    found += [(f"haptether {name} --help", (*program, name, "--help")) for name in COMMANDS]
+    rounds = [[process_s(*command) for _, command in found] for _ in range(PROCESSES)]
+    return [
+        Start(name=name, seconds=min(times)) for (name, _), times in zip(found, zip(*rounds, strict=True), strict=True)
+    ]
+
+
+def loaded_needlessly() -> list[str]:
+    """Libraries that a run of a scene loads and does not use."""
+    program = f"""
+import sys
+from haptether.cli import main
+main(["simulate", "remote_push", "--json", "-"])
+print(*sorted(set({UNUSED!r}) & set(sys.modules)), file=sys.stderr)
+"""
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    return answer.stderr.splitlines()[-1].split()
+
+
+def main() -> int:
+    """Measures, prints, and checks."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--repeats", type=int, default=7, help="default 7")
+    arguments = parser.parse_args()
+    if arguments.repeats < 1:
+        parser.error("--repeats must be at least 1")
+
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    costs: dict[str, Cost] = {}
+    found = list(rows())
+    turns = ticks_ns(found, arguments.repeats)
+    for times in track(turns, "scenes", total=arguments.repeats, console=Console(stderr=True), transient=True):
+        for row, ns in zip(found, times, strict=True):
+            ratio = None if row.base is None else ns / costs[row.base].ns
+            costs[row.name] = Cost(name=row.name, ns=ns, base=row.base, ratio=ratio)
+    begins = starts()
+    needless = loaded_needlessly()
+
+    print(f"ns per tick, least of {arguments.repeats}; over its base\n", file=out)
+    for cost in costs.values():
+        compared = "" if cost.ratio is None else f"{cost.ratio:>7.2f} x {cost.base}"
+        print(f"{cost.name:<38}{cost.ns:>8.0f}{compared}", file=out)
+    print(f"\ns of a fresh process, least of {PROCESSES}\n", file=out)
+    for start in begins:
+        print(f"{start.name:<38}{start.seconds:>8.3f}", file=out)
+
+    missed = [
+        f"{cost.name}: {cost.ratio:.2f} x, must be at most {MOST_FOR_OBJECTS}"
+        for cost in costs.values()
+        if "1000 out of reach" in cost.name and cost.ratio is not None and cost.ratio > MOST_FOR_OBJECTS
+    ]
+    help_s = next(start.seconds for start in begins if start.name == "haptether --help")
+    if help_s > MOST_FOR_HELP_S:
+        missed.append(f"haptether --help: {help_s:.3f} s, must be at most {MOST_FOR_HELP_S}")
+    if needless:
+        missed.append(f"haptether simulate loads {', '.join(needless)}")
+    print(f"\n{'; '.join(missed) or 'all as required'}", file=out)
+
+    if arguments.json is not None:
+        report = {
+            "repeats": arguments.repeats,
+            "costs": [asdict(cost) for cost in costs.values()],
+            "starts": [asdict(start) for start in begins],
+            "needless": needless,
+            "missed": missed,
+        }
+        text = json.dumps(report, indent=2)
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,163 @@
+//! Contacts and bodies within a step: where they are, on which piece of their law, and when that changes.
+
+use crate::{
+    Axes, Environment,
+    body::STANDS,
+    dormand_prince::dense,
+    solve::{SHORTEST, Tool},
+    solver::{Piece, Solver, TOOL},
+};
+
+impl<const N: usize> Environment<N> {
+    pub(crate) fn near_bodies(&self) -> usize {
+        self.reach.near.iter().filter(|&&index| self.slots[index] != usize::MAX).count()
+    }
+
+    /// Looks at all objects again from where the state is; the far bodies are `late` in s.
+    pub(crate) fn look_around(&mut self, solver: &mut Solver<N>, now: f64, late: f64) {
+        self.store(solver);
+        self.coast(late);
+        self.look(&solver.state[0], &solver.state[1], now);
+        self.load_bodies(solver);
+    }
+
+    pub(crate) fn load(&self, solver: &mut Solver<N>, tool: &Tool<N>) {
+        solver.state[0] = tool.position;
+        solver.state[1] = tool.velocity;
+        solver.state[2] = tool.set_velocity;
+        self.load_bodies(solver);
+    }
+
+    pub(crate) fn load_bodies(&self, solver: &mut Solver<N>) {
+        for &index in &self.reach.near {
+            if let Some(body) = self.objects[index].body() {
+                let slot = TOOL + 2 * self.slots[index];
+                solver.state[slot] = body.displacement;
+                solver.state[slot + 1] = body.velocity;
+            }
+        }
+    }
+
+    pub(crate) fn store(&mut self, solver: &Solver<N>) {
+        for &index in &self.reach.near {
+            if let Some(body) = self.objects[index].body_mut() {
+                let slot = TOOL + 2 * self.slots[index];
+                body.displacement = solver.state[slot];
+                body.velocity = solver.state[slot + 1];
+            }
+        }
+    }
+
+    /// The bodies that nothing can touch slide on by themselves.
+    pub(crate) fn coast(&mut self, span: f64) {
+        if self.bodies > self.near_bodies() {
+            for (index, object) in self.objects.iter_mut().enumerate() {
+                if self.slots[index] == usize::MAX
+                    && let Some(body) = object.body_mut()
+                {
+                    body.coast(span);
+                }
+            }
+        }
+    }
+
+    /// Displacement and velocity of object `index` in a state.
+    pub(crate) fn place_of(
+        &self,
+        state: &[Axes<N>],
+        index: usize,
+        piece: f64,
+        now: f64,
+    ) -> (Axes<N>, Axes<N>) {
+        let slot = self.slots[index];
+        if slot == usize::MAX {
+            self.objects[index].place(piece, now)
+        } else {
+            (state[TOOL + 2 * slot], state[TOOL + 2 * slot + 1])
+        }
+    }
+
+    /// Position and velocity of the tool relative to object `index`.
+    pub(crate) fn relative(
+        &self,
+        state: &[Axes<N>],
+        index: usize,
+        piece: Piece,
+        now: f64,
+    ) -> (Axes<N>, Axes<N>) {
+        let (displacement, velocity) = self.place_of(state, index, piece.inside, now);
+        (state[0] - displacement, state[1] - velocity)
+    }
+
+    /// Takes note on which piece of its law each near object is, and which body friction holds; tells whether a body
+    /// has come to rest just now.
+    pub(crate) fn settle(&mut self, solver: &mut Solver<N>, piece: Piece, now: f64) -> bool {
+        let mut came_to_rest = false;
+        for near in 0..self.reach.near.len() {
+            let index = self.reach.near[near];
+            let (place, velocity) = self.relative(&solver.state, index, piece, now);
+            self.modes[index] = self.mode(index, &place, &velocity);
+            let reaction = -self.smooth(index, &place, &velocity);
+            let slot = self.slots[index];
+            if let Some(body) = self.objects[index].body_mut() {
+                let sliding = &mut solver.state[TOOL + 2 * slot + 1];
+                let rests = sliding.norm() <= STANDS && body.holds(&reaction);
+                if rests && !body.stands {
+                    // Zero, not small.
+                    *sliding = Axes::zeros();
+                    came_to_rest = true;
+                }
+                body.stands = rests;
+            }
+        }
+        came_to_rest
+    }
+
+    /// Whether, in the state `next`, a contact is on another piece of its law, or a body that stood is torn off.
+    pub(crate) fn changed(&self, solver: &Solver<N>, piece: Piece, now: f64) -> bool {
+        self.reach.near.iter().any(|&index| {
+            if self.objects[index].shape().is_spring() && self.objects[index].body().is_none() {
+                return false;
+            }
+            let (place, velocity) = self.relative(&solver.next, index, piece, now);
+            if self.mode(index, &place, &velocity) != self.modes[index] {
+                return true;
+            }
+            self.objects[index]
+                .body()
+                .is_some_and(|body| body.stands && !body.holds(&self.smooth(index, &place, &velocity)))
+        })
+    }
+
+    /// Share of the step after which the first change has just happened.
+    pub(crate) fn first_change(
+        &self,
+        solver: &mut Solver<N>,
+        blocks: usize,
+        piece: Piece,
+        now: f64,
+        step: f64,
+    ) -> Option<f64> {
+        if self.reach.near.is_empty() {
+            return None;
+        }
+        let mut before = 0.0;
+        let mut after = None;
+        for share in [0.25, 0.5, 0.75, 1.0] {
+            solver.combine(blocks, step, &dense(share));
+            if self.changed(solver, piece, now + share * step) {
+                after = Some(share);
+                break;
+            }
+            before = share;
+        }
+        let mut after = after?;
+        // To the rounding of the share, or to a time in which nothing moves.
+        while after - before > 1e-15 && (after - before) * step > 0.1 * SHORTEST {
+            let middle = 0.5 * (before + after);
+            solver.combine(blocks, step, &dense(middle));
+            if self.changed(solver, piece, now + middle * step) { after = middle } else { before = middle }
+        }
+        Some(after)
+    }
+}

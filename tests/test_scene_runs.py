@@ -1,0 +1,129 @@
+"""The same numbers however a scene is run: alone or in a sweep, over threads, in lanes, in any order."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from haptether.bridge import Sweep, scene_names, simulate, sweep
+
+STEPPED = ["run.integrator=semi-implicit-euler", "run.duration_s=1.9", "operator.release.at_s=1.4"]
+ROWS = 21
+"""Not a multiple of the lanes."""
+
+STIFFNESS = "environment.objects.0.contact.stiffness"
+
+CASES: dict[str, tuple[str, list[str], str, npt.NDArray[np.float64]]] = {
+    "stepped, estimated": ("paper_wall", STEPPED, STIFFNESS, np.linspace(100, 500, ROWS)),
+    "stepped, true": ("paper_wall", [*STEPPED, "safety.signals=true"], STIFFNESS, np.linspace(100, 500, ROWS)),
+    "stepped, lanes apart": ("paper_wall", STEPPED, "safety.window", np.array([50.0, 100.0, 150.0] * 7)),
+    "exact": ("moving_wall", [], "operator.stiffness", np.linspace(150, 500, ROWS)),
+    "bilateral": ("remote_push", [], "run.seed", np.linspace(0, ROWS - 1, ROWS)),
+    "bilateral, delay": ("remote_push", [], "link.forward.delay_s", np.linspace(0.01, 0.1, ROWS)),
+}  # fmt: skip
+
+
+def same(one: Sweep, other: Sweep) -> None:
+    assert one.columns.keys() == other.columns.keys()
+    for name, column in one.columns.items():
+        assert column.tobytes() == other[name].tobytes(), name
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_the_same_scene_and_seed_give_the_same_bytes(name: str) -> None:
+    first, second = simulate(name), simulate(name)
+    assert first.events == second.events
+    assert list(first.signals) == list(second.signals)
+    for signal_name, values in first.signals.items():
+        assert values.tobytes() == second.signals[signal_name].tobytes(), signal_name
+
+
+def test_another_seed_gives_another_run() -> None:
+    one, other = simulate("remote_push"), simulate("remote_push", overrides=["run.seed=2"])
+    assert one.signals["position"].tobytes() != other.signals["position"].tobytes()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_neither_threads_nor_lanes_nor_order_change_a_row(case: str) -> None:
+    scene, overrides, path, values = CASES[case]
+    base = sweep(scene, {path: values}, overrides=overrides, threads=1)
+    assert len(np.unique(base["peak_device_force"])) + len(np.unique(base["max_ejection_velocity"])) > 2
+    same(base, sweep(scene, {path: values}, overrides=overrides, threads=2))
+    same(base, sweep(scene, {path: values}, overrides=overrides, threads=2, lanes=False))
+    order = np.random.default_rng(5).permutation(ROWS)
+    shuffled = sweep(scene, samples={path: values[order]}, overrides=overrides, threads=2)
+    back = np.argsort(order)
+    same(base, Sweep({name: column[back] for name, column in shuffled.columns.items()}))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_row_of_a_sweep_is_the_scene_alone(case: str) -> None:
+    scene, overrides, path, values = CASES[case]
+    swept = sweep(scene, {path: values}, overrides=overrides)
+    for row in (0, 7, ROWS - 1):
+        value = values[row]
+        text = str(int(value)) if value.is_integer() else repr(float(value))
+        metrics = simulate(scene, overrides=[*overrides, f"{path}={text}"]).metrics
+        for name in ("max_ejection_velocity", "peak_device_force", "passivity_min_j", "intervention_s"):
+            assert swept[name][row] == getattr(metrics, name), (row, name)
+        for name in ("time_to_trip_s", "position_rmse_m", "force_rmse_n"):
+            expected = getattr(metrics, name)
+            assert np.array_equal(swept[name][row], np.nan if expected is None else expected, equal_nan=True)
+        assert (swept["false_trips"][row], swept["diverged"][row], swept["ticks"][row]) == (
+            metrics.false_trips, metrics.diverged, metrics.ticks
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("overrides", [[], ["run.integrator=rk4"]])
+def test_a_run_that_ends_early_says_so_and_measures_the_same(overrides: list[str]) -> None:
+    long = ["run.duration_s=12", *overrides]
+    whole = simulate("paper_wall", overrides=long)
+    early = simulate("paper_wall", overrides=[*long, "run.stop_early=true"])
+    assert whole.metrics.ticks == 12_000
+    assert 6_400 < early.metrics.ticks < 12_000
+    assert early.events[-1].kind == "settled"
+    assert early.events[-1].time_s == pytest.approx(early.metrics.ticks * 1e-3)
+    assert early.metrics.max_ejection_velocity == whole.metrics.max_ejection_velocity
+    assert early.metrics.time_to_trip_s == whole.metrics.time_to_trip_s
+    assert "settled" not in {event.kind for event in whole.events}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        # Hours of rows, and one run of a minute and more.
+        ["sweep", "remote_push", "--vary", "run.seed=0:999999:1000000"],
+        ["sweep", "paper_wall", "--vary", "operator.damping=1:9:1000000", "--set", "run.integrator=rk4"],
+        ["simulate", "three_axis_box", "--set", "run.duration_s=20000", "record.every=1000000"],
+    ],
+)
+def test_a_signal_ends_a_run_promptly(arguments: list[str]) -> None:
+    # Who is started in the background by a shell inherits that SIGINT is ignored.
+    program = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from haptether.cli import main; print('ready', file=sys.stderr, flush=True); sys.exit(main(sys.argv[1:]))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stderr is not None
+        assert process.stderr.readline() == "ready\n"
+        # Until the rows have been checked and some are running.
+        time.sleep(4.0)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        _, said = process.communicate(timeout=20.0)
+        assert time.monotonic() - begun < 5.0
+        assert process.returncode == 130
+        assert "Traceback" not in said
+    finally:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,149 @@
+"""What each shipped scene shows, held on both sides, and its events."""
+
+from collections import Counter
+from typing import TypeAlias
+
+import numpy as np
+import pytest
+
+from haptether.bridge import Run, scene_names, simulate
+
+Bounds: TypeAlias = tuple[float, float]
+Shown: TypeAlias = tuple[str, list[str], Bounds, Bounds, Bounds | None, int]
+
+WITHOUT = "safety.controllers=[]"
+
+
+def kinds(run: Run) -> Counter[str]:
+    return Counter(event.kind for event in run.events)
+
+
+def time_of(run: Run, kind: str, detail: str = "") -> float:
+    return next(event.time_s for event in run.events if event.kind == kind and detail in event.detail)
+
+
+# Scene, overrides, largest ejection velocity in m/s, largest device force in N, time to trip in s (none: no trip),
+# interventions while the hand holds.
+SHOWN: list[Shown] = [
+    # The paper's own numbers: `haptether paper` runs the same with other code and gives the same digits.
+    ("paper_wall", [], (0.4328, 0.4330), (7.75, 7.85), (0.039, 0.041), 0),
+    ("paper_wall", [WITHOUT], (1.323, 1.324), (7.75, 7.85), None, 0),
+    ("active_force", [], (0.1842, 0.1843), (0.99, 1.01), (0.078, 0.080), 0),
+    ("active_force", [WITHOUT], (2.18, 2.20), (0.99, 1.01), None, 0),
+    # README: thrown at 2.8 m/s; the drop of WSC's first catch is of its threshold in free space, 0.44 m/s.
+    ("remote_push", [], (0.42, 0.48), (6.0, 6.4), (0.04, 0.06), 0),
+    ("remote_push", ["safety.controllers=[hsc]"], (0.18, 0.25), (6.0, 6.4), (0.03, 0.055), 0),
+    ("remote_push", [WITHOUT], (2.7, 2.9), (6.0, 6.4), None, 0),
+    ("moving_wall", [], (0.08, 0.10), (2.2, 2.5), (0.045, 0.06), 0),
+    ("moving_wall", ["safety.controllers=[wsc]"], (0.28, 0.30), (2.2, 2.5), None, 0),
+    # 0.1 m in 0.35 s along a minimum-jerk path: 1.875 L / T = 0.536 m/s at most.
+    ("free_motion", [], (0.52, 0.56), (0.0, 0.0), None, 0),
+    ("playback", [], (0.07, 0.10), (3.1, 3.3), None, 0),
+    ("sliding_mass", [], (0.01, 0.2), (1.0, 1.2), None, 0),
+    ("sliding_mass", ["environment.objects.0.contact.stiffness=400"], (0.01, 0.3), (1.0, 2.0), None, 1),
+    # 20 mm of target behind the resting depth of 150 and 300 N/m in series: 25 mm * 100 N/m = 2.5 N.
+    ("three_axis_box", [], (0.35, 0.48), (2.4, 2.6), (0.06, 0.09), 0),
+]
+
+
+@pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: " ".join([shown[0], *shown[1]]))
+def test_a_shipped_scene_shows_what_it_says(shown: Shown) -> None:
+    name, overrides, ejection, force, trip, false_trips = shown
+    metrics = simulate(name, overrides=overrides).metrics
+    assert not metrics.diverged
+    assert metrics.max_ejection_velocity is not None
+    assert ejection[0] <= metrics.max_ejection_velocity <= ejection[1]
+    assert metrics.peak_device_force is not None
+    assert force[0] <= metrics.peak_device_force <= force[1]
+    assert (metrics.time_to_trip_s is None) == (trip is None)
+    if trip is not None and metrics.time_to_trip_s is not None:
+        assert trip[0] <= metrics.time_to_trip_s <= trip[1]
+    assert metrics.false_trips == false_trips
+
+
+def test_every_shipped_scene_is_held() -> None:
+    assert {name for name, *_ in SHOWN} == set(scene_names())
+
+
+@pytest.mark.parametrize("name", ["active_force", "playback", "free_motion"])
+def test_a_push_is_no_contact(name: str) -> None:
+    assert not {"contact", "free"} & set(kinds(simulate(name)))
+
+
+def test_a_shove_of_an_arm_is_no_contact() -> None:
+    """The wall is out of reach; only the pusher acts on the arm."""
+    run = simulate("remote_push", overrides=["environment.objects.0.shape.point=-1.0"])
+    assert not {"contact", "free"} & set(kinds(run))
+    assert abs(run.signals["environment_force"]).max() == pytest.approx(3.5)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        ["run.integrator=rk4"],
+        ["environment.rendering=continuous"],
+        ["run.integrator=rk4", "environment.rendering=continuous"],
+        ["environment.delay_ticks=3"],
+    ],
+)
+def test_contact_with_a_wall_is_where_the_device_is_inside(overrides: list[str]) -> None:
+    run = simulate("paper_wall", overrides=overrides)
+    inside = run.signals["position"] < 0.0
+    changes = np.flatnonzero(np.diff(inside.astype(int)))
+    told = [event.time_s for event in run.events if event.kind in {"contact", "free"}]
+    # Told at the first tick inside, or at the instant itself between that tick and the one before.
+    assert len(told) == len(changes) >= 2
+    assert np.all(abs(np.array(told) - run.signals["time_s"][changes + 1]) <= 1.001e-3)
+
+
+def test_the_moving_wall_comes_to_the_hand() -> None:
+    run = simulate("moving_wall")
+    # 25 mm at 50 mm/s from 0.5 s on.
+    assert time_of(run, "contact") == pytest.approx(1.0, abs=2e-3)
+    assert time_of(run, "trip") > time_of(run, "release") == 2.0
+    # Wall and hand in series carry 15 mm: 300 N/m each, less friction.
+    held = run.signals["device_force"][1900]
+    assert 2.1 <= held <= 2.3
+    # The hand is pushed back by its share, half of it.
+    assert 0.031 <= run.signals["position"][1900] <= 0.034
+
+
+def test_the_block_slides_ahead() -> None:
+    run = simulate("sliding_mass")
+    assert 0.42 <= time_of(run, "contact") <= 0.46
+    assert 0.64 <= time_of(run, "free") <= 0.70
+    assert kinds(run)["contact"] == 1
+    assert run.metrics.intervention_s == 0.0
+
+
+def test_the_box_is_stroked_smoothly() -> None:
+    run = simulate("three_axis_box")
+    time_s, velocity = run.signals["time_s"], run.signals["velocity"]
+    stroke = (time_s > 1.6) & (time_s < 2.4)
+    # The minimum-jerk path itself moves at up to 1.875 L / T: 50 and 25 mm/s.
+    assert 0.045 <= velocity[stroke, 1].max() <= 0.055
+    assert 0.022 <= velocity[stroke, 2].max() <= 0.030
+    assert velocity[stroke, 1:].min() >= 0.0
+    assert abs(velocity[(time_s > 1.1) & (time_s < 3.0)]).max() < 0.06
+    slip = run.signals["environment_force"][1800]
+    assert np.hypot(slip[1], slip[2]) == pytest.approx(0.1 * slip[0], rel=1e-6)
+    assert time_of(run, "free") > time_of(run, "trip") > time_of(run, "release")
+
+
+def test_a_run_that_diverges_says_why() -> None:
+    """A sampled undamped spring far beyond m / dT²: 0.157 kg at 1 ms stands less than 4 * 157 kN/m."""
+    run = simulate(
+        "paper_wall",
+        overrides=[
+            'environment.objects.0={shape={kind="spring"},contact={stiffness=1e7}}',
+            "safety.limiter={enabled=false}",
+            "master.max_force_n=unbounded",
+            WITHOUT,
+        ],
+    )
+    assert run.metrics.diverged
+    last = run.events[-1]
+    assert last.kind == "diverged"
+    assert "beyond run.diverged_" in last.detail
+    assert run.signals["time_s"][-1] < last.time_s < 6.7
