@@ -61,10 +61,16 @@ lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the 
 	$(BIN)/python -m pytest --quiet tests/test_licences.py
 
 .PHONY: bench
-bench: $(EXTENSION) ## run benches/*.py, one after the other
+bench: $(EXTENSION) .venv/.bench ## run benches/*.py, one after the other
 	@for bench in $(wildcard benches/[!_]*.py); do \
 	    echo "== $$bench"; $(BIN)/python "$$bench" || exit 1; \
 	done
+
+# After the environment, which is made anew without it when its requirements change.
+.venv/.bench: tools/bench.txt $(ENVIRONMENT)
+	@echo "installing tools/bench.txt into .venv"
+	@$(USE_INDEX); "$(UV)" pip install --quiet --require-hashes --requirement tools/bench.txt
+	@touch $@
 
 .PHONY: setup
 setup: $(EXTENSION) ## only make the environment in .venv and build the extension
@@ -73,6 +79,8 @@ setup: $(EXTENSION) ## only make the environment in .venv and build the extensio
 lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest versions)
 	@$(USE_INDEX); set -x; \
 	    $(COMPILE) --extra analysis --group dev --output-file tools/requirements.txt pyproject.toml
+	@$(USE_INDEX); set -x; \
+	    $(COMPILE) --group bench --constraint tools/requirements.txt --output-file tools/bench.txt
 	@$(USE_INDEX); set -x; $(COMPILE) --output-file tools/uv.txt tools/uv.in
 
 .PHONY: clean

@@ -245,7 +245,7 @@ impl SimdValue for Lanes {
 
     #[inline(always)]
     fn select(self, mask: LaneMask, other: Self) -> Self {
-        Self(std::array::from_fn(|lane| if mask.0[lane] != FALSE { self.0[lane] } else { other.0[lane] }))
+        Self(std::array::from_fn(|lane| if mask.0[lane] == FALSE { other.0[lane] } else { self.0[lane] }))
     }
 }
 
@@ -428,7 +428,8 @@ mod tests {
                 prop_assert_eq!(x.simd_eq(y).extract(lane), p == q);
                 prop_assert_eq!(x.simd_ne(y).extract(lane), p != q);
                 prop_assert_eq!((x.simd_lt(y) | mask).extract(lane), p < q || m[lane]);
-                prop_assert_eq!((!x.simd_lt(y) & mask).extract(lane), !(p < q) && m[lane]);
+                let is_less = p < q;
+                prop_assert_eq!((!x.simd_lt(y) & mask).extract(lane), !is_less && m[lane]);
                 prop_assert_eq!(mask.bitmask() >> lane & 1 == 1, m[lane]);
             }
         }

@@ -29,12 +29,15 @@ pub trait Real:
     + SimdValue<Element = f64>
 {
     /// The square root of each.
+    #[must_use]
     fn root(self) -> Self;
 
     /// The absolute value of each.
+    #[must_use]
     fn magnitude(self) -> Self;
 
     /// The nearest whole number of each, halves away from zero.
+    #[must_use]
     fn rounded(self) -> Self;
 }
 

@@ -31,9 +31,11 @@ pub trait Real:
     + SimdValue<Element = f64, SimdBool: Debug>
 {
     /// The square root of each lane.
+    #[must_use]
     fn root(self) -> Self;
 
     /// The absolute value of each lane.
+    #[must_use]
     fn magnitude(self) -> Self;
 }
 

@@ -1,0 +1,33 @@
+"""The reference work unit: any implementation reproduces it, so ours must, however it is run."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import haptether
+from haptether.bridge import load_scene, scene_json
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENE = ROOT / "benches" / "work_unit.toml"
+
+
+def test_one_run() -> None:
+    metrics = haptether.simulate(SCENE).metrics
+    assert metrics.max_ejection_velocity == pytest.approx(0.329684270, abs=5e-10)
+    assert round(metrics.intervention_s / 1e-3) == 50
+
+
+@pytest.mark.parametrize(("threads", "lanes"), [(1, True), (2, True), (1, False), (2, False)])
+def test_a_hundred_depths(threads: int, lanes: bool) -> None:
+    depth = 0.01 + 0.05 * np.arange(100) / 99
+    samples = {"operator.legs.0.end": -depth}
+    swept = haptether.sweep(load_scene(SCENE), samples=samples, threads=threads, lanes=lanes)
+    assert swept["max_ejection_velocity"].sum() == pytest.approx(34.971638466, abs=5e-10)
+    assert np.rint(swept["intervention_s"] / 1e-3).sum() == 2459
+
+
+def test_the_rust_bench_has_the_same_scene() -> None:
+    told = json.loads((ROOT / "bridge" / "benches" / "work_unit.json").read_text())
+    assert told == json.loads(scene_json(load_scene(SCENE)))
