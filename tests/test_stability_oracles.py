@@ -4,7 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from benches.stability import (
+
+from stability import (
     Case,
     damped_plant,
     delayed_spring,
