@@ -17,6 +17,7 @@ from haptether.bridge.scene_ranges import (
     Seconds,
     SpeedPerAxis,
     StopsPerAxis,
+    TremorFrequency,
     Unbounded,
 )
 
@@ -111,8 +112,8 @@ class TremorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     amplitude: NonNegative = 1e-4
     """a in m."""
-    frequency_hz: Positive = 10.0
-    """f in Hz; physiological tremor lies at 8 to 12 Hz."""
+    frequency_hz: TremorFrequency = 10.0
+    """f in Hz, up to 100; physiological tremor lies at 8 to 12 Hz."""
 
 
 class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

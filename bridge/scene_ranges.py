@@ -21,6 +21,7 @@ Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=1e6)]
 Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
 Delay = Annotated[float, Meta(ge=0.0, le=3600.0)]
 Period = Annotated[float, Meta(ge=1e-5, le=2e-2)]
+TremorFrequency = Annotated[float, Meta(gt=0.0, le=100.0)]
 Position = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 """In m: what the safety layer takes for possible."""
 Speed = Annotated[float, Meta(ge=-1000.0, le=1000.0)]

@@ -81,7 +81,7 @@ class Metrics(Struct, frozen=True, kw_only=True):
     force_rmse_n: float | None = None
     """Root mean square of what the device's force differs from the scaled reading of the slave's sensor, in N."""
     passivity_min_j: float | None = None
-    """Least energy in J that what renders the force had taken in, less what it had given out; below 0: it was active."""
+    """Least energy in J that what renders the force had taken in, less what it had given out; below 0: active."""
     diverged: bool = False
     """Whether device or arm left their bounds or a number could not be; the run ended there."""
     ticks: int = 0

@@ -4,6 +4,7 @@ import csv
 import importlib
 import importlib.util
 import itertools
+import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -132,6 +133,10 @@ def sweep(
     return Sweep({**varied, **metrics})
 
 
+MOST_ROWS = 2_000_000
+"""Scenarios of a grid: more would not fit into memory."""
+
+
 def _varied(
     grid: Mapping[str, Sequence[float] | Array] | None,
     samples: Mapping[str, Sequence[float] | Array] | None,
@@ -145,6 +150,10 @@ def _varied(
         message = "nothing to vary: give at least one path with values"
         raise ValueError(message)
     if grid is not None:
+        total = math.prod(len(values) for values in given.values())
+        if total > MOST_ROWS:
+            message = f"a grid of {total} scenarios: must be at most {MOST_ROWS}"
+            raise ValueError(message)
         rows = np.array(list(itertools.product(*given.values())), dtype=np.float64)
         return {path: np.ascontiguousarray(rows[:, column]) for column, path in enumerate(given)}
     lengths = {path: len(values) for path, values in given.items()}

@@ -87,6 +87,9 @@ pub(crate) fn period_ns(name: &str, seconds: f64) -> Result<u64, SceneError> {
 /// Most ticks of one run.
 const MOST_TICKS: f64 = 2e7;
 
+/// Most steps of an integrator in one run: minutes.
+const MOST_STEPS: f64 = 1e9;
+
 /// How many ticks of `period_s` a run of `duration_s` has.
 pub(crate) fn ticks(scene: &SceneSpec) -> Result<u64, SceneError> {
     let (duration, period) = (scene.run.duration_s, scene.run.period_s);
@@ -493,6 +496,12 @@ pub(crate) fn stepped_master<const N: usize>(
         return contradiction(format!(
             "run.step_s = {step_s}: must go a whole number of times into period_s = {}",
             scene.run.period_s
+        ));
+    }
+    let total = steps * scene.run.duration_s / scene.run.period_s;
+    if total > MOST_STEPS {
+        return contradiction(format!(
+            "run.step_s = {step_s}: makes {total:.3e} steps of the run, must be at most {MOST_STEPS:e}"
         ));
     }
     let (device, hand, walls) = (device(&scene.master)?, hand(scene)?, walls_on_device(scene)?);
