@@ -62,9 +62,9 @@ lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the 
 
 .PHONY: bench
 bench: $(EXTENSION) .venv/.bench ## run benches/*.py, one after the other
-	@for bench in $(wildcard benches/[!_]*.py); do \
-	    echo "== $$bench"; $(BIN)/python "$$bench" || exit 1; \
-	done
+	@status=0; for bench in $(wildcard benches/[!_]*.py); do \
+	    echo "== $$bench"; $(BIN)/python "$$bench" || status=1; \
+	done; exit $$status
 
 # After the environment, which is made anew without it when its requirements change.
 .venv/.bench: tools/bench.txt $(ENVIRONMENT)
