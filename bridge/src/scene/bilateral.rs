@@ -312,7 +312,7 @@ impl<const N: usize> Watched<N> {
             release.at_s += self.engaged_s.unwrap_or(f64::INFINITY);
         }
         tell_schedule(&shifted, &outcome, &mut self.log);
-        if self.engaged_s.is_none() {
+        if self.engaged_s.is_none() && self.diverged.is_none() {
             self.log.add(end_s, "never-engaged", "master and slave did not hear each other");
         }
         if self.settled {
