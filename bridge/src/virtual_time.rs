@@ -10,7 +10,7 @@ use crate::{
 };
 
 /// How a run in virtual time goes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct VirtualSettings {
     /// Period of the master's loop in ns.
     pub period_ns: u64,
@@ -69,7 +69,7 @@ impl Way {
         let length = from.send(now_ns, &mut buffer).len();
         let packet = Packet { direction: self.direction, sent_ns: now_ns, size: length, index: self.index };
         self.index += 1;
-        if let Verdict::Deliver { at_ns } = self.link.judge(&packet) {
+        if let Verdict::Deliver { at_ns } = self.link.judge(&packet).verdict {
             // A full queue drops, as the network would; the link counts what it lost.
             let _ = self.in_flight.push(at_ns, (buffer, length));
         }

@@ -1,6 +1,7 @@
 //! Constant delay: arrival = sent + d.
 
-use crate::rule::Rule;
+use crate::rule::{Rule, Streams};
+use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, nanoseconds, within};
 use crate::verdict::{Packet, Verdict};
 
 #[derive(Clone, Copy, Debug)]
@@ -8,10 +9,10 @@ pub(crate) struct Delay {
     delay_ns: u64,
 }
 
-impl Delay {
-    pub(crate) fn new(delay_ns: u64) -> Self {
-        Self { delay_ns }
-    }
+pub(crate) fn build(settings: &LinkSettings, _: &Streams) -> Result<Option<Box<dyn Rule>>, LinkError> {
+    within("delay_s", settings.delay_s, 0.0, MAX_DELAY_S)?;
+    let delay_ns = nanoseconds(settings.delay_s);
+    Ok((delay_ns > 0).then(|| Box::new(Delay { delay_ns }) as Box<dyn Rule>))
 }
 
 impl Rule for Delay {

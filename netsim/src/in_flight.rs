@@ -31,11 +31,11 @@ impl<T> InFlight<T> {
         Self { capacity, ..Self::with_capacity(capacity.min(DEFAULT_CAPACITY)) }
     }
 
-    /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::QueueFull`].
+    /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::InFlight`].
     pub fn push(&mut self, due_ns: u64, payload: T) -> Result<(), DropCause> {
         if self.packets.len() >= self.capacity {
             self.overflowed += 1;
-            return Err(DropCause::QueueFull);
+            return Err(DropCause::InFlight);
         }
         self.packets.push(Entry { due_ns, order: self.next_order, payload });
         self.next_order += 1;
@@ -148,7 +148,7 @@ mod tests {
         let mut queue = InFlight::with_capacity(2);
         queue.push(1, 'a').unwrap();
         queue.push(2, 'b').unwrap();
-        assert_eq!(queue.push(0, 'c'), Err(DropCause::QueueFull));
+        assert_eq!(queue.push(0, 'c'), Err(DropCause::InFlight));
         assert_eq!((queue.len(), queue.overflowed()), (2, 1));
         assert_eq!(queue.pop_due(5), Some((1, 'a')));
         queue.push(3, 'd').unwrap();
@@ -161,7 +161,7 @@ mod tests {
         for position in 0..most {
             queue.push(1, position).unwrap();
         }
-        assert_eq!(queue.push(1, most), Err(DropCause::QueueFull));
+        assert_eq!(queue.push(1, most), Err(DropCause::InFlight));
         assert_eq!((queue.len(), queue.pop_due(1)), (most, Some((1, 0))));
     }
 }

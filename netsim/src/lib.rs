@@ -9,23 +9,32 @@
 //! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
 //! processes that know nothing of it.
 
+mod bernoulli;
+mod damage;
 mod delay;
 mod in_flight;
 mod jitter;
 mod link;
-mod loss;
+mod order;
 mod proxy;
 mod random;
 mod rule;
+mod settings;
 mod verdict;
 
 #[cfg(test)]
 mod tests;
 
+pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
-pub use link::{Link, LinkCounters, LinkError, LinkSettings, MAX_DELAY_S};
+pub use link::{Link, LinkCounters};
 pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, Proxy, ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics,
     SchedulingError,
 };
-pub use verdict::{Direction, DropCause, Packet, Verdict};
+pub use settings::{
+    Action, Attack, ByteRange, CrossTraffic, DelayChange, DelayTrace, Discipline, Distribution, FourState,
+    GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Opportunities, Outage, OutageEffect, OutageTimes,
+    Slots, Target,
+};
+pub use verdict::{Direction, DropCause, Extra, ExtraCause, Judgement, Packet, Verdict};

@@ -19,43 +19,132 @@ const ROUNDS: usize = 10;
 /// The numbers are part of the recorded results: a new impairment takes a new number, an old one keeps its
 /// own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u32)]
+#[repr(u16)]
 pub(crate) enum Impairment {
+    Unused = 0,
     Loss = 1,
+    /// Delay by packet index.
     Jitter = 2,
+    /// Delay by bin of time.
+    Wander = 3,
+    /// State of a Markov chain of losses.
+    LossState = 4,
+    Outage = 5,
+    CrossTraffic = 6,
+    Reorder = 7,
+    Duplicate = 8,
+    Corrupt = 9,
+    Truncate = 10,
+    Slots = 11,
+    Attack = 12,
+    Netem = 13,
 }
 
 /// The draws of one impairment in one direction.
-#[derive(Clone, Copy, Debug)]
+///
+/// Its number is made of (position in a list of such impairments, impairment, direction).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stream {
     seed: u64,
     id: u64,
 }
 
 impl Stream {
+    /// Of no impairment.
+    pub(crate) const UNUSED: Self = Self { seed: 0, id: Impairment::Unused as u64 };
+
     pub(crate) fn new(seed: u64, direction: Direction, impairment: Impairment) -> Self {
         let side = match direction {
             Direction::Forward => 0,
             Direction::Backward => 1,
         };
-        Self { seed, id: (u64::from(impairment as u32) << 1) | side }
+        Self { seed, id: (u64::from(impairment as u16) << 1) | side }
     }
 
-    /// 64 uniform bits for packet `index`.
+    /// The `position`-th stream beside this one, 0 being itself: of the second outage, say, or for another use of
+    /// the same impairment. Once more on the result is as deep as it goes.
+    pub(crate) const fn nth(self, position: u8) -> Self {
+        let outer = (self.id >> 16) & 0xFF;
+        Self { seed: self.seed, id: (self.id & 0xFFFF) | ((position as u64) << 16) | (outer << 24) }
+    }
+
+    /// 64 uniform bits for packet or bin `index`.
     pub(crate) fn bits(&self, index: u64) -> u64 {
-        let [low, high, ..] = draw(self.seed, self.id, index);
-        join(low, high)
+        self.pair(index)[0]
+    }
+
+    /// Twice 64 uniform bits for packet or bin `index`; the first are those of [`bits`](Self::bits).
+    pub(crate) fn pair(&self, index: u64) -> [u64; 2] {
+        let [a, b, c, d] = draw(self.seed, self.id, index);
+        [join(a, b), join(c, d)]
+    }
+
+    /// 64 uniform bits for position `position` of packet `index`, where one draw is not enough.
+    pub(crate) fn at(&self, index: u64, position: usize) -> u64 {
+        // The positions lie in the upper half of the stream's number, which nothing else uses.
+        Self { seed: self.seed, id: self.id | (1 << 63) | ((position as u64) << 32) }.bits(index)
+    }
+
+    /// A uniform number strictly between 0 and 1 for packet or bin `index`: the middles of 2^53 equal parts.
+    pub(crate) fn unit(&self, index: u64) -> f64 {
+        unit(self.bits(index))
     }
 
     /// A uniform integer in `0..=last` for packet `index`.
-    ///
-    /// Multiply-shift without rejection, so that a packet costs exactly one draw; the probability of a value
-    /// is off by less than 2^-64.
-    ///
-    /// Source: D. Lemire, "Fast random integer generation in an interval", ACM TOMACS 29(1), 2019.
     pub(crate) fn up_to(&self, last: u64, index: u64) -> u64 {
-        let product = u128::from(self.bits(index)) * (u128::from(last) + 1);
-        (product >> 64) as u64
+        scale(self.bits(index), last)
+    }
+
+    /// A uniform integer in `0..=last` for position `position` of packet `index`.
+    pub(crate) fn up_to_at(&self, last: u64, index: u64, position: usize) -> u64 {
+        scale(self.at(index, position), last)
+    }
+}
+
+/// A uniform number strictly between 0 and 1: the middle of one of 2^53 equal parts.
+pub(crate) fn unit(bits: u64) -> f64 {
+    const PART: f64 = 1.0 / 9_007_199_254_740_992.0;
+    // Halves below 2^53 round to even at the top; the last part would round to 1.
+    (((bits >> 11) as f64 + 0.5) * PART).min(1.0 - 0.5 * PART)
+}
+
+/// A uniform integer in `0..=last`.
+///
+/// Multiply-shift without rejection, so that a packet costs exactly one draw; the probability of a value
+/// is off by less than 2^-64.
+///
+/// Source: D. Lemire, "Fast random integer generation in an interval", ACM TOMACS 29(1), 2019.
+fn scale(bits: u64, last: u64) -> u64 {
+    let product = u128::from(bits) * (u128::from(last) + 1);
+    (product >> 64) as u64
+}
+
+/// An event of probability p: it occurs if r < p 2^64, r uniform on `0..2^64`.
+///
+/// Both sides are integers: p 2^64 is exact in binary floating point up to its last fractional bit, and the
+/// comparison is the same everywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Chance {
+    /// p 2^64; wider than a draw, so that p = 1 always occurs.
+    threshold: u128,
+}
+
+impl Chance {
+    /// For a probability that was checked to be in `[0, 1]`.
+    pub(crate) fn new(probability: f64) -> Self {
+        const TWO_POW_64: f64 = 18_446_744_073_709_551_616.0;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "0 <= probability <= 1; what is cut off is below 2^-64"
+        )]
+        let threshold = (probability * TWO_POW_64) as u128;
+        Self { threshold }
+    }
+
+    /// Whether the event occurs on a draw.
+    pub(crate) fn takes(&self, bits: u64) -> bool {
+        u128::from(bits) < self.threshold
     }
 }
 

@@ -2,15 +2,52 @@
 
 use std::fmt::Debug;
 
-use crate::verdict::{Packet, Verdict};
+use arrayvec::ArrayVec;
 
-/// One impairment of one direction.
+use crate::damage::Damage;
+use crate::random::{Impairment, Stream};
+use crate::settings::{LinkError, LinkSettings};
+use crate::verdict::{Direction, Extra, Packet, Verdict};
+
+/// What happens to a packet on its way.
 ///
-/// A link applies its rules in order: each is handed the arrival that the rules before it settled, and moves
-/// it or drops the packet, which ends the matter. A rule may keep state over the packets it has seen, but
-/// draws only from its own stream, at the packet's index; so a rule that comes or goes shifts no draw of
+/// A link applies its rules in order: each is handed the arrival that the rules before it settled, and moves it
+/// or drops the packet, which ends the matter. A rule may keep state over the packets it has seen, but draws only
+/// from its own stream, at the packet's index or a bin of time; so a rule that comes or goes shifts no draw of
 /// another.
 pub(crate) trait Rule: Debug + Send {
-    /// Decides on a packet that would arrive at `at_ns`.
+    /// Decides on a packet that would arrive at `at_ns`, which is never before it was sent.
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict;
 }
+
+/// Most that arrives beside one packet; more is left out.
+pub(crate) const MOST_EXTRAS: usize = 8;
+
+/// What arrives beside a packet.
+pub(crate) type Extras = ArrayVec<Extra, MOST_EXTRAS>;
+
+/// What happens to a packet at the end of its way: its bytes change, it is copied, somebody takes it.
+pub(crate) trait Ending: Debug + Send {
+    /// Changes what becomes of a packet that arrives at `at_ns`, and of what arrives beside it.
+    fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict;
+}
+
+/// Where a rule takes its randomness from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Streams {
+    pub(crate) seed: u64,
+    pub(crate) direction: Direction,
+}
+
+impl Streams {
+    /// The draws of one impairment.
+    pub(crate) fn of(&self, impairment: Impairment) -> Stream {
+        Stream::new(self.seed, self.direction, impairment)
+    }
+}
+
+/// Builds the rule that the settings ask for, if they do, or says what is wrong with its settings.
+pub(crate) type BuildRule = fn(&LinkSettings, &Streams) -> Result<Option<Box<dyn Rule>>, LinkError>;
+
+/// As [`BuildRule`].
+pub(crate) type BuildEnding = fn(&LinkSettings, &Streams) -> Result<Option<Box<dyn Ending>>, LinkError>;

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::damage::Damage;
+
 /// Which way a packet travels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Direction {
@@ -25,7 +27,7 @@ impl fmt::Display for Direction {
 pub struct Packet {
     /// Which way it travels.
     pub direction: Direction,
-    /// When it entered the network, monotonic ns.
+    /// When it entered the network, in ns since the link began.
     pub sent_ns: u64,
     /// Payload in bytes, without UDP and IP headers.
     pub size: usize,
@@ -38,7 +40,7 @@ pub struct Packet {
 pub enum Verdict {
     /// It arrives.
     Deliver {
-        /// Arrival, monotonic ns, never before the packet was sent.
+        /// Arrival in ns since the link began, never before the packet was sent.
         at_ns: u64,
     },
     /// It never arrives.
@@ -54,6 +56,100 @@ pub enum Verdict {
 pub enum DropCause {
     /// The loss rule took it.
     Loss,
-    /// More packets were in flight than the queue holds.
-    QueueFull,
+    /// It was sent during an outage.
+    Outage,
+    /// It is larger than the path carries.
+    Mtu,
+    /// The queue of the bottleneck was full.
+    Queue,
+    /// `CoDel` took it from the queue.
+    Codel,
+    /// The recording that is replayed lost it.
+    Trace,
+    /// Somebody on the path took it.
+    Attack,
+    /// More packets were in flight than the driver holds.
+    InFlight,
+}
+
+impl DropCause {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; 8] = [
+        Self::Loss,
+        Self::Outage,
+        Self::Mtu,
+        Self::Queue,
+        Self::Codel,
+        Self::Trace,
+        Self::Attack,
+        Self::InFlight,
+    ];
+
+    /// Its name in logs and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Loss => "loss",
+            Self::Outage => "outage",
+            Self::Mtu => "mtu",
+            Self::Queue => "queue",
+            Self::Codel => "codel",
+            Self::Trace => "trace",
+            Self::Attack => "attack",
+            Self::InFlight => "in-flight",
+        }
+    }
+}
+
+/// Something that arrives beside a packet and because of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extra {
+    /// Arrival in ns since the link began, never before the packet was sent.
+    pub at_ns: u64,
+    /// Why there is one.
+    pub cause: ExtraCause,
+    /// How its bytes differ from those of the packet.
+    pub damage: Damage,
+}
+
+/// Why something arrives beside a packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ExtraCause {
+    /// The network delivers the packet twice.
+    Duplicate,
+    /// Somebody sends what was seen again.
+    Replay,
+    /// Somebody sends made-up bytes.
+    Forge,
+    /// Somebody sends a sequence that is ahead.
+    SequenceLead,
+    /// Somebody sends it back: it goes to the sender.
+    Mirror,
+    /// Somebody sends it on from another address.
+    SecondSource,
+}
+
+impl ExtraCause {
+    /// Its name in logs and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Duplicate => "duplicate",
+            Self::Replay => "replay",
+            Self::Forge => "forge",
+            Self::SequenceLead => "sequence-lead",
+            Self::Mirror => "mirror",
+            Self::SecondSource => "second-source",
+        }
+    }
+}
+
+/// All that becomes of a packet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judgement<'a> {
+    /// What becomes of the packet itself.
+    pub verdict: Verdict,
+    /// How its bytes change on the way.
+    pub damage: Damage,
+    /// What arrives beside it.
+    pub extras: &'a [Extra],
 }

@@ -180,8 +180,8 @@ fn run_bridge(
         period_ns,
         slave_period_ns: period_ns,
         ticks,
-        forward: forward.inner,
-        backward: backward.inner,
+        forward: forward.inner.clone(),
+        backward: backward.inner.clone(),
         seed,
     };
     let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);

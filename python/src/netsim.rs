@@ -42,7 +42,7 @@ pub(crate) fn address(key: &str, text: &str) -> PyResult<SocketAddr> {
 }
 
 #[pyclass(name = "LinkSettings", module = "haptether.netsim", frozen, eq)]
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, PartialEq)]
 pub(crate) struct PyLinkSettings {
     pub(crate) inner: LinkSettings,
 }
@@ -52,7 +52,7 @@ impl PyLinkSettings {
     #[new]
     #[pyo3(signature = (*, delay_s=0.0, jitter_s=0.0, loss=0.0))]
     fn new(delay_s: f64, jitter_s: f64, loss: f64) -> PyResult<Self> {
-        let inner = LinkSettings { delay_s, jitter_s, loss };
+        let inner = LinkSettings { delay_s, jitter_s, loss, ..LinkSettings::default() };
         inner.validate().map_err(refuse)?;
         Ok(Self { inner })
     }
@@ -101,7 +101,7 @@ fn judge(
         let sent_ns = u64::try_from(*sent)
             .map_err(|_| PyValueError::new_err(format!("sent_ns[{index}] = {sent}: must be 0 or more")))?;
         let packet = Packet { direction, sent_ns, size: 0, index: index as u64 };
-        due.push(match link.judge(&packet) {
+        due.push(match link.judge(&packet).verdict {
             Verdict::Deliver { at_ns } => i64::try_from(at_ns).unwrap_or(i64::MAX),
             Verdict::Drop { .. } => -1,
         });
@@ -184,8 +184,8 @@ impl PyProxy {
         let mut proxy = Proxy::bind(&ProxySettings {
             listen: address("listen", listen)?,
             forward: address("forward", forward)?,
-            forward_link: forward_link.inner,
-            backward_link: backward_link.inner,
+            forward_link: forward_link.inner.clone(),
+            backward_link: backward_link.inner.clone(),
             seed,
         })
         .map_err(|error| PyOSError::new_err(error.to_string()))?;

@@ -11,7 +11,7 @@ use haptether_slave::SimulatedSlave;
 use super::{
     build::{
         SceneError, arm, axes, device_model, environment, estimator, exact_master, force_sensor,
-        is_continuous, limiter, link, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
+        is_continuous, limiter, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
     },
     events::EventLog,
     measures::{Divergence, DivergenceCause, MeasureSettings, Measures},
@@ -70,8 +70,8 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             period_ns: period_ns("run.period_s", scene.run.period_s)?,
             slave_period_ns: period_ns("slave.period_s", slave.period_s)?,
             ticks: ticks(scene)?,
-            forward: link(links.and_then(|links| links.forward.as_ref())),
-            backward: link(links.and_then(|links| links.backward.as_ref())),
+            forward: links.and_then(|links| links.forward.clone()).unwrap_or_default(),
+            backward: links.and_then(|links| links.backward.clone()).unwrap_or_default(),
             seed: scene.run.seed,
         };
         let ladder = match &scene.safety.limiter {

@@ -20,8 +20,8 @@ use super::{
     measures::MeasureSettings,
     spec::{
         ContactLawSpec, ControlSpec, ControllerSpec, EnvironmentSpec, EstimatorSpec, FitSpec, FrictionSpec,
-        IntegratorSpec, LegShapeSpec, LinkSpec, MasterSpec, ObjectSpec, OperatorSpec, PusherShapeSpec,
-        PusherSpec, ReleaseKindSpec, SafetySpec, SceneSpec, SeriesSpec, ShapeSpec, SlaveSpec, VfcFormSpec,
+        IntegratorSpec, LegShapeSpec, MasterSpec, ObjectSpec, OperatorSpec, PusherShapeSpec, PusherSpec,
+        ReleaseKindSpec, SafetySpec, SceneSpec, SeriesSpec, ShapeSpec, SlaveSpec, VfcFormSpec,
     },
 };
 use crate::local::Watch;
@@ -522,14 +522,6 @@ pub(crate) fn stepping(integrator: IntegratorSpec) -> Option<Stepping> {
     }
 }
 
-pub(crate) fn link(spec: Option<&LinkSpec>) -> LinkSettings {
-    spec.map_or(LinkSettings { delay_s: 0.0, jitter_s: 0.0, loss: 0.0 }, |spec| LinkSettings {
-        delay_s: spec.delay_s,
-        jitter_s: spec.jitter_s,
-        loss: spec.loss,
-    })
-}
-
 /// How a run is judged.
 pub(crate) fn measures(scene: &SceneSpec) -> MeasureSettings {
     let operator = scene.operator.as_ref();
@@ -565,7 +557,7 @@ pub(crate) fn measures(scene: &SceneSpec) -> MeasureSettings {
     }
     // What was scheduled last arrives late.
     let late = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
-    let link = |spec: Option<&LinkSpec>| spec.map_or(0.0, |spec| spec.delay_s + spec.jitter_s);
+    let link = |link: Option<&LinkSettings>| link.map_or(0.0, |link| link.delay_s + 4.0 * link.jitter_s);
     let round_trip =
         scene.link.as_ref().map_or(0.0, |links| link(links.forward.as_ref()) + link(links.backward.as_ref()));
     let ramp = scene.safety.limiter.as_ref().map_or(0.0, |limiter| limiter.ramp_in_s);

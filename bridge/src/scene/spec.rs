@@ -3,6 +3,7 @@
 //! The tables, their documentation, ranges and defaults are those of `bridge/scene.py`, which reads the file. Here
 //! every field is required, so that a table that the two sides describe differently cannot be misread.
 
+use haptether_netsim::LinkSettings;
 use serde::Deserialize;
 
 /// A scene.
@@ -426,21 +427,9 @@ pub enum PusherShapeSpec {
 #[serde(deny_unknown_fields)]
 pub struct LinksSpec {
     /// From master to slave.
-    pub forward: Option<LinkSpec>,
+    pub forward: Option<LinkSettings>,
     /// From slave to master.
-    pub backward: Option<LinkSpec>,
-}
-
-/// `[link.forward]`, `[link.backward]`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LinkSpec {
-    /// One way, in s.
-    pub delay_s: f64,
-    /// Half-width of the uniform jitter in s.
-    pub jitter_s: f64,
-    /// Share of packets lost.
-    pub loss: f64,
+    pub backward: Option<LinkSettings>,
 }
 
 /// `[coupling]`.

@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering::Relaxed;
 use super::buffers::{BufferPool, MAX_DATAGRAM, Slot};
 use super::statistics::{DirectionRecorder, count};
 use crate::in_flight::{DEFAULT_CAPACITY, InFlight};
-use crate::link::{Link, LinkError, LinkSettings};
+use crate::link::Link;
+use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::{Direction, DropCause, Packet, Verdict};
 
 /// A datagram on its way.
@@ -61,7 +62,7 @@ impl Lane {
         };
         self.next_index += 1;
         count(&record.received);
-        let verdict = match self.link.judge(&packet) {
+        let verdict = match self.link.judge(&packet).verdict {
             Verdict::Deliver { at_ns } => match self.enqueue(at_ns, datagram, destination) {
                 Ok(()) => Verdict::Deliver { at_ns },
                 Err(cause) => {
@@ -82,7 +83,7 @@ impl Lane {
     fn enqueue(&mut self, due_ns: u64, datagram: &[u8], destination: SocketAddr) -> Result<(), DropCause> {
         // Pool and queue have the same capacity: a slot in hand means room in the queue, so none is lost
         // below.
-        let slot = self.buffers.store(datagram).ok_or(DropCause::QueueFull)?;
+        let slot = self.buffers.store(datagram).ok_or(DropCause::InFlight)?;
         self.queue.push(due_ns, Datagram { slot, destination })
     }
 

@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-use crate::link::LinkSettings;
+use crate::settings::LinkSettings;
 use crate::verdict::{Direction, Packet, Verdict};
 use client::Client;
 use lane::Lane;

@@ -3,11 +3,11 @@
 use std::io;
 use std::net::SocketAddr;
 
-use crate::link::{LinkError, LinkSettings};
+use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::Direction;
 
 /// Where a proxy stands and what it does to the datagrams that pass.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ProxySettings {
     /// Address the client (the master) sends to; port 0 lets the system choose one.
     pub listen: SocketAddr,

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use super::{ROUGH, delay, virtual_delays};
+use super::{delay, rough, virtual_delays};
 use crate::{
     Direction, Link, LinkSettings, MAX_DATAGRAM, Packet, Proxy, ProxyError, ProxySettings, ProxyStatistics,
     Verdict,
@@ -22,7 +22,7 @@ fn socket() -> UdpSocket {
 }
 
 fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings {
-    ProxySettings { listen: LOOPBACK, forward, forward_link: link, backward_link: link, seed: 11 }
+    ProxySettings { listen: LOOPBACK, forward, forward_link: link.clone(), backward_link: link, seed: 11 }
 }
 
 /// A proxy on its own thread; stopping it gives its statistics and every verdict.
@@ -124,15 +124,15 @@ fn a_round_trip_takes_both_delays_and_never_less() {
 #[test]
 fn the_live_driver_applies_the_verdicts_of_the_virtual_one() {
     const COUNT: u64 = 1000;
-    let link = LinkSettings { loss: 0.1, ..ROUGH };
+    let link = LinkSettings { loss: 0.1, ..rough() };
     let count_delivered = |delays: &[Option<u64>]| delays.iter().flatten().count();
-    let seed = settings(LOOPBACK, link).seed;
+    let seed = settings(LOOPBACK, link.clone()).seed;
     let forward = virtual_delays(Direction::Forward, seed, &link, COUNT);
     let echoed = count_delivered(&forward);
     let backward = virtual_delays(Direction::Backward, seed, &link, echoed as u64);
 
     let (peer, echoing) = echo(echoed);
-    let proxy = Running::start(&settings(peer, link));
+    let proxy = Running::start(&settings(peer, link.clone()));
     let client = socket();
     client.connect(proxy.address).unwrap();
     let sender = client.try_clone().unwrap();
@@ -158,7 +158,7 @@ fn the_live_driver_applies_the_verdicts_of_the_virtual_one() {
         assert_eq!(applied, expected);
         // Fed the very packets, with their sending times, a fresh link gives the very verdicts.
         let mut link = Link::new(direction, seed, &link).unwrap();
-        assert!(log.iter().all(|(packet, verdict)| link.judge(packet) == *verdict));
+        assert!(log.iter().all(|(packet, verdict)| link.judge(packet).verdict == *verdict));
         assert_eq!(statistics.overtaking, link.counters().overtaking);
         assert_eq!(statistics.lost, link.counters().dropped);
     }
@@ -249,7 +249,7 @@ fn the_largest_datagram_passes_and_a_larger_one_is_counted() {
 #[test]
 fn an_idle_proxy_stops_soon() {
     let peer = socket();
-    let proxy = Running::start(&settings(peer.local_addr().unwrap(), ROUGH));
+    let proxy = Running::start(&settings(peer.local_addr().unwrap(), rough()));
     thread::sleep(Duration::from_millis(5));
     let asked = Instant::now();
     proxy.stop();
@@ -284,19 +284,19 @@ fn a_proxy_that_cannot_work_says_why() {
     let perfect = settings(forward, LinkSettings::default());
     let message = |settings| Proxy::bind(&settings).unwrap_err().to_string();
     assert_eq!(
-        message(ProxySettings { backward_link: bad_link, ..perfect }),
+        message(ProxySettings { backward_link: bad_link, ..perfect.clone() }),
         "link.backward: loss = 2: must be a finite number from 0 to 1"
     );
     assert_eq!(
-        message(ProxySettings { forward: LOOPBACK, ..perfect }),
+        message(ProxySettings { forward: LOOPBACK, ..perfect.clone() }),
         "forward = 127.0.0.1:0: must name a port from 1 to 65535"
     );
-    let taken = message(ProxySettings { listen: forward, ..perfect });
+    let taken = message(ProxySettings { listen: forward, ..perfect.clone() });
     assert!(taken.starts_with(&format!("listen = {forward}: ")), "{taken}");
     drop(peer);
     let any = SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), forward.port());
     for listen in [forward, any] {
-        let own = Proxy::bind(&ProxySettings { listen, ..perfect }).unwrap_err();
+        let own = Proxy::bind(&ProxySettings { listen, ..perfect.clone() }).unwrap_err();
         assert!(matches!(own, ProxyError::Loop { .. }), "{own}");
     }
 }
@@ -307,7 +307,7 @@ fn a_proxy_that_cannot_work_says_why() {
 fn scheduling_error_at_one_kilohertz() {
     const COUNT: usize = 10_000;
     let (peer, echoing) = echo(COUNT);
-    let link = LinkSettings { loss: 0.0, ..ROUGH };
+    let link = LinkSettings { loss: 0.0, ..rough() };
     let proxy = Running::start(&settings(peer, link));
     let times = round_trips(proxy.address, COUNT, Duration::from_millis(1));
     echoing.join().unwrap();

@@ -6,7 +6,9 @@ mod verdicts;
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
 
 /// A kilohertz stream over 50 ms +-10 ms with 1 % loss.
-const ROUGH: LinkSettings = LinkSettings { delay_s: 0.05, jitter_s: 0.01, loss: 0.01 };
+fn rough() -> LinkSettings {
+    LinkSettings { delay_s: 0.05, jitter_s: 0.005, loss: 0.01, ..LinkSettings::default() }
+}
 
 /// Verdicts of the virtual driver on packets sent at 1 kHz: the delay of each in ns, `None` if lost.
 fn virtual_delays(
@@ -20,7 +22,7 @@ fn virtual_delays(
         .map(|index| {
             let sent_ns = index * 1_000_000;
             let packet = Packet { direction, sent_ns, size: 64, index };
-            delay(&packet, link.judge(&packet))
+            delay(&packet, link.judge(&packet).verdict)
         })
         .collect()
 }

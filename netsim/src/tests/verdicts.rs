@@ -1,6 +1,6 @@
 //! Verdicts of the virtual driver: golden values, statistics, independence of the impairments.
 
-use super::{ROUGH, virtual_delays};
+use super::{rough, virtual_delays};
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
 
 const SEED: u64 = 0x5EED_0000_0000_0001;
@@ -30,8 +30,8 @@ fn verdicts_are_the_same_on_every_platform() {
         Some(56_759_361),
     ];
     let backward = [Some(41_558_923), Some(42_616_037), Some(53_562_547), Some(46_126_007)];
-    assert_eq!(virtual_delays(Direction::Forward, GOLDEN_SEED, &ROUGH, 16), forward);
-    assert_eq!(virtual_delays(Direction::Backward, GOLDEN_SEED, &ROUGH, 4), backward);
+    assert_eq!(virtual_delays(Direction::Forward, GOLDEN_SEED, &rough(), 16), forward);
+    assert_eq!(virtual_delays(Direction::Backward, GOLDEN_SEED, &rough(), 4), backward);
 }
 
 #[test]
@@ -58,7 +58,7 @@ fn the_ends_of_the_loss_range_are_exact() {
 #[test]
 fn jitter_is_uniform_around_the_delay() {
     const BINS: usize = 100;
-    let settings = LinkSettings { loss: 0.0, ..ROUGH };
+    let settings = LinkSettings { loss: 0.0, ..rough() };
     let delays = virtual_delays(Direction::Backward, SEED, &settings, MANY);
     let mut bins = [0_u64; BINS];
     let mut sum_ns = 0;
@@ -80,9 +80,9 @@ fn jitter_is_uniform_around_the_delay() {
 #[test]
 fn one_impairment_shifts_no_other() {
     let delays = |settings| virtual_delays(Direction::Forward, SEED, &settings, 10_000);
-    let both = delays(ROUGH);
-    let jitter_only = delays(LinkSettings { loss: 0.0, ..ROUGH });
-    let loss_only = delays(LinkSettings { jitter_s: 0.0, ..ROUGH });
+    let both = delays(rough());
+    let jitter_only = delays(LinkSettings { loss: 0.0, ..rough() });
+    let loss_only = delays(LinkSettings { jitter_s: 0.0, ..rough() });
     assert!(both.iter().any(Option::is_none));
     for ((both, jittered), lossy) in both.iter().zip(&jitter_only).zip(&loss_only) {
         assert_eq!(both.is_none(), lossy.is_none());
@@ -94,27 +94,27 @@ fn one_impairment_shifts_no_other() {
 
 #[test]
 fn a_verdict_depends_on_settings_seed_and_packet_alone() {
-    let delays = |direction, seed| virtual_delays(direction, seed, &ROUGH, 1000);
+    let delays = |direction, seed| virtual_delays(direction, seed, &rough(), 1000);
     let forward = delays(Direction::Forward, SEED);
     assert_eq!(forward, delays(Direction::Forward, SEED));
     assert_ne!(forward, delays(Direction::Forward, SEED + 1));
     assert_ne!(forward, delays(Direction::Backward, SEED));
     // The packets before it leave no trace on a packet.
-    let mut link = Link::new(Direction::Forward, SEED, &ROUGH).unwrap();
+    let mut link = Link::new(Direction::Forward, SEED, &rough()).unwrap();
     let packet = Packet { direction: Direction::Forward, sent_ns: 7, size: 1200, index: 999 };
     let expected = forward[999].unwrap();
-    assert_eq!(link.judge(&packet), Verdict::Deliver { at_ns: 7 + expected });
+    assert_eq!(link.judge(&packet).verdict, Verdict::Deliver { at_ns: 7 + expected });
 }
 
 #[test]
 fn counters_add_up_and_tell_overtaking() {
-    let mut link = Link::new(Direction::Forward, SEED, &ROUGH).unwrap();
+    let mut link = Link::new(Direction::Forward, SEED, &rough()).unwrap();
     let mut latest = 0;
     let mut overtaking = 0;
     for index in 0..10_000 {
         let sent_ns = index * 1_000_000;
         let packet = Packet { direction: Direction::Forward, sent_ns, size: 64, index };
-        if let Verdict::Deliver { at_ns } = link.judge(&packet) {
+        if let Verdict::Deliver { at_ns } = link.judge(&packet).verdict {
             overtaking += u64::from(at_ns < latest);
             latest = latest.max(at_ns);
         }

@@ -1,0 +1,85 @@
+//! Settings of what somebody on the path does.
+
+use serde::Deserialize;
+
+/// Something done to packets on purpose.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Attack {
+    /// What is done.
+    pub action: Action,
+    /// To which packets.
+    #[serde(default)]
+    pub target: Target,
+}
+
+/// What is done to packets on purpose.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum Action {
+    /// A copy arrives `after_s` later.
+    Replay {
+        /// How much later, in s.
+        after_s: f64,
+    },
+    /// A packet of the same size arrives beside it, with random bytes from `keep_bytes` on.
+    Forge {
+        /// How many bytes at its start are those of the packet seen.
+        #[serde(default)]
+        keep_bytes: usize,
+    },
+    /// Bits of its header are flipped.
+    BitFlip {
+        /// How many.
+        bits: u32,
+        /// Within which bytes.
+        within: ByteRange,
+    },
+    /// A copy arrives beside it whose sequence, a little-endian u64, is ahead.
+    SequenceLead {
+        /// By how much.
+        lead: u64,
+        /// First byte of the sequence.
+        offset: usize,
+    },
+    /// It does not arrive.
+    Drop,
+    /// A copy goes back to its sender.
+    Mirror,
+    /// A copy arrives from another source address.
+    SecondSource,
+}
+
+/// Bytes from `start` up to but not including `end`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ByteRange {
+    /// First byte.
+    pub start: usize,
+    /// First byte after it.
+    pub end: usize,
+}
+
+/// Which packets: those of the given times, every n-th of them, each with a probability.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Target {
+    /// From when on, in s since the link began.
+    pub from_s: f64,
+    /// Until when, in s; without it, for ever.
+    pub until_s: Option<f64>,
+    /// Only packets whose index is a multiple of it.
+    pub every: u64,
+    /// Smallest payload in bytes.
+    pub least_bytes: usize,
+    /// Largest payload in bytes.
+    pub most_bytes: Option<usize>,
+    /// With which probability.
+    pub probability: f64,
+}
+
+impl Default for Target {
+    fn default() -> Self {
+        Self { from_s: 0.0, until_s: None, every: 1, least_bytes: 0, most_bytes: None, probability: 1.0 }
+    }
+}

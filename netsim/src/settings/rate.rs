@@ -1,0 +1,47 @@
+//! Settings of the bottleneck.
+
+use serde::Deserialize;
+
+/// What a queue that fills does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Discipline {
+    /// It drops what comes while it is full.
+    #[default]
+    TailDrop,
+    /// Besides, it drops when packets have waited too long for a while: target 5 ms, interval 100 ms.
+    ///
+    /// Source: RFC 8289.
+    Codel,
+}
+
+/// Other traffic through the same bottleneck: packets at random times (Poisson).
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CrossTraffic {
+    /// Mean rate in bit/s while it sends, headers included.
+    pub rate_bps: f64,
+    /// Size of its packets in bytes, headers included.
+    #[serde(default = "full_size")]
+    pub packet_bytes: usize,
+    /// Mean time in s that it sends before it pauses; exponentially distributed. Without it, it never pauses.
+    #[serde(default)]
+    pub mean_on_s: Option<f64>,
+    /// Mean time in s that it pauses.
+    #[serde(default)]
+    pub mean_off_s: Option<f64>,
+}
+
+fn full_size() -> usize {
+    1500
+}
+
+/// Times at which the bottleneck may send 1500 bytes each, repeated for ever.
+///
+/// Source: mahimahi, `mm-link` traces.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Opportunities {
+    /// Times in ms, not decreasing, the last above 0: after it the list begins anew.
+    pub time_ms: Vec<u64>,
+}
