@@ -1,5 +1,7 @@
 //! How the bytes of a packet change on the way: which bits flip, where it is cut.
 
+use arrayvec::ArrayVec;
+
 use crate::random::Stream;
 
 /// A change of bytes, settled by (seed, packet index) before the bytes are at hand.
@@ -7,48 +9,65 @@ use crate::random::Stream;
 /// Applied in the order of its parts: forged bytes, sequence, flipped bits, cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Damage {
-    /// Bytes from here on are replaced by random ones.
-    pub(crate) forged_from: Option<u32>,
+    /// Bytes from here on are replaced by random ones of the stream.
+    pub(crate) forged: Option<(u32, Stream)>,
     /// First byte of a little-endian u64 and what is added to it.
     pub(crate) lead: Option<(u32, u64)>,
-    /// Bits that are flipped, all different.
-    pub(crate) flips: u32,
-    /// First byte of those in which bits are flipped.
-    pub(crate) flip_start: u32,
-    /// First byte after those in which bits are flipped.
-    pub(crate) flip_end: u32,
+    /// Bits that the network flips.
+    pub(crate) corrupted: Flips,
+    /// Bits that somebody flips.
+    pub(crate) attacked: Flips,
     /// Bytes that are kept.
     pub(crate) keep: u32,
-    /// Key of the random positions and bytes.
-    pub(crate) stream: Stream,
     /// Index of the packet.
     pub(crate) index: u64,
 }
 
-/// Most bits that are flipped in a packet.
+/// Bits that are flipped, all different, within a range of bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Flips {
+    /// How many.
+    pub(crate) bits: u32,
+    /// First byte of the range.
+    pub(crate) start: u32,
+    /// First byte after the range.
+    pub(crate) end: u32,
+    /// Key of the positions.
+    pub(crate) stream: Stream,
+}
+
+/// Most bits that are flipped in a packet at once.
 pub(crate) const MOST_FLIPS: u32 = 1024;
+
+/// A number of bytes as [`Damage`] keeps it: no packet has as many as are cut off here.
+pub(crate) fn bytes(count: usize) -> u32 {
+    u32::try_from(count).unwrap_or(u32::MAX)
+}
 
 impl Damage {
     /// None.
     pub(crate) const NONE: Self = Self {
-        forged_from: None,
+        forged: None,
         lead: None,
-        flips: 0,
-        flip_start: 0,
-        flip_end: u32::MAX,
+        corrupted: Flips::NONE,
+        attacked: Flips::NONE,
         keep: u32::MAX,
-        stream: Stream::UNUSED,
         index: 0,
     };
 
+    /// Keeps at most so many bytes.
+    pub(crate) fn cut_to(&mut self, kept: usize) {
+        self.keep = self.keep.min(bytes(kept));
+    }
+
     /// Whether the bytes stay as they are.
     pub fn is_none(&self) -> bool {
-        self.forged_from.is_none() && self.lead.is_none() && self.flips == 0 && self.keep == u32::MAX
+        self.forged.is_none() && self.lead.is_none() && !self.corrupts() && self.keep == u32::MAX
     }
 
     /// Whether bits of the packet are flipped.
     pub fn corrupts(&self) -> bool {
-        self.flips > 0
+        self.corrupted.bits > 0 || self.attacked.bits > 0
     }
 
     /// Whether the packet is cut short to `Some` bytes.
@@ -58,49 +77,54 @@ impl Damage {
 
     /// Changes the bytes; the result is how many are left.
     pub fn apply(&self, payload: &mut [u8]) -> usize {
-        if let Some(from) = self.forged_from {
-            self.forge(payload, from as usize);
+        if let Some((from, stream)) = self.forged {
+            forge(payload, from as usize, stream.nth(FORGED), self.index);
         }
         if let Some((offset, lead)) = self.lead {
             add(payload, offset as usize, lead);
         }
-        if self.flips > 0 {
-            self.flip(payload);
-        }
+        self.corrupted.apply(payload, self.index);
+        self.attacked.apply(payload, self.index);
         payload.len().min(self.keep as usize)
     }
+}
 
-    fn forge(&self, payload: &mut [u8], from: usize) {
-        let stream = self.stream.nth(1);
-        let forged = payload.get_mut(from..).unwrap_or_default();
-        for (position, bytes) in forged.chunks_mut(8).enumerate() {
-            let random = stream.at(self.index, position).to_le_bytes();
-            bytes.copy_from_slice(&random[..bytes.len()]);
-        }
-    }
+/// Streams of forged bytes and of positions, beside the one that decides whether.
+const FORGED: u8 = 1;
+const FLIPPED: u8 = 2;
+
+impl Flips {
+    /// None, in all bytes.
+    pub(crate) const NONE: Self = Self { bits: 0, start: 0, end: u32::MAX, stream: Stream::UNUSED };
 
     /// Flips bits at different places: by Floyd's choice of a subset, so that no bit is flipped back.
     ///
     /// Source: J. Bentley, R. Floyd, "A sample of brilliance", Comm. ACM 30(9), 1987.
-    fn flip(&self, payload: &mut [u8]) {
-        let start = (self.flip_start as usize).min(payload.len());
-        let end = (self.flip_end as usize).clamp(start, payload.len());
+    fn apply(&self, payload: &mut [u8], index: u64) {
+        let start = (self.start as usize).min(payload.len());
+        let end = (self.end as usize).clamp(start, payload.len());
         let bits = (end - start) as u64 * 8;
-        let wanted = u64::from(self.flips.min(MOST_FLIPS)).min(bits);
-        let stream = self.stream.nth(2);
-        let mut chosen = [0_u64; MOST_FLIPS as usize];
-        let mut count = 0;
+        let wanted = u64::from(self.bits.min(MOST_FLIPS)).min(bits);
+        let stream = self.stream.nth(FLIPPED);
+        let mut chosen = ArrayVec::<u64, { MOST_FLIPS as usize }>::new();
         for last in bits - wanted..bits {
-            let drawn = stream.up_to_at(last, self.index, count);
-            let bit = if chosen[..count].contains(&drawn) { last } else { drawn };
-            chosen[count] = bit;
-            count += 1;
+            let drawn = stream.up_to_at(last, index, chosen.len());
+            let bit = if chosen.contains(&drawn) { last } else { drawn };
+            chosen.push(bit);
         }
-        for &bit in &chosen[..count] {
-            #[expect(clippy::cast_possible_truncation, reason = "a position within the payload")]
+        for bit in chosen {
             let (byte, mask) = ((bit / 8) as usize, 1 << (bit % 8));
             payload[start + byte] ^= mask;
         }
+    }
+}
+
+/// Replaces the bytes from `from` on by random ones.
+fn forge(payload: &mut [u8], from: usize, stream: Stream, index: u64) {
+    let forged = payload.get_mut(from..).unwrap_or_default();
+    for (position, bytes) in forged.chunks_mut(8).enumerate() {
+        let random = stream.at(index, position).to_le_bytes();
+        bytes.copy_from_slice(&random[..bytes.len()]);
     }
 }
 
