@@ -135,3 +135,95 @@ fn add(payload: &mut [u8], offset: usize, lead: u64) {
     };
     *field = u64::from_le_bytes(*field).wrapping_add(lead).to_le_bytes();
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::random::Impairment;
+    use crate::verdict::Direction;
+
+    fn flips(bits: u32, start: u32, end: u32) -> Flips {
+        Flips { bits, start, end, stream: Stream::new(9, Direction::Forward, Impairment::Corrupt) }
+    }
+
+    #[test]
+    fn a_sequence_is_changed_only_where_there_is_one() {
+        let added = |size: usize, offset| {
+            let mut payload = vec![0xFF; size];
+            Damage { lead: Some((offset, 3)), ..Damage::NONE }.apply(&mut payload);
+            payload
+        };
+        assert_eq!(added(8, 0), [2, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(added(9, 1), [0xFF, 2, 0, 0, 0, 0, 0, 0, 0]);
+        for (size, offset) in [(0, 0), (7, 0), (9, 2), (9, u32::MAX)] {
+            assert_eq!(added(size, offset), vec![0xFF; size]);
+        }
+    }
+
+    #[test]
+    fn no_damage_leaves_the_bytes_and_says_so() {
+        let mut payload = [5; 100];
+        assert_eq!(Damage::NONE.apply(&mut payload), 100);
+        assert_eq!(payload, [5; 100]);
+        assert!(Damage::NONE.is_none() && !Damage::NONE.corrupts() && Damage::NONE.truncates_to().is_none());
+        let cut = Damage { keep: 3, ..Damage::NONE };
+        assert!(!cut.is_none() && cut.truncates_to() == Some(3));
+        assert_eq!(cut.apply(&mut payload), 3);
+    }
+
+    proptest! {
+        #[test]
+        fn as_many_different_bits_are_flipped_as_asked_within_the_range(
+            size in 0..400_usize, bits in 0..2000_u32, start in 0..500_u32, length in 0..500_u32, index: u64,
+        ) {
+            let end = start + length;
+            let mut payload = vec![0; size];
+            Damage { corrupted: flips(bits, start, end), index, ..Damage::NONE }.apply(&mut payload);
+            let range = (start as usize).min(size)..(end as usize).min(size);
+            let wanted = bits.min(MOST_FLIPS).min(8 * u32::try_from(range.len()).unwrap());
+            let flipped = |bytes: &[u8]| bytes.iter().map(|byte| byte.count_ones()).sum::<u32>();
+            prop_assert_eq!(flipped(&payload), wanted);
+            prop_assert_eq!(flipped(&payload[range]), wanted);
+        }
+
+        #[test]
+        fn any_damage_fits_any_payload(
+            size in 0..300_usize,
+            forged: Option<u32>,
+            lead: Option<(u32, u64)>,
+            numbers: [u32; 6],
+            keep: u32,
+            index: u64,
+        ) {
+            let [bits, start, end, more_bits, other_start, other_end] = numbers;
+            let stream = Stream::UNUSED;
+            let damage = Damage {
+                forged: forged.map(|from| (from, stream)),
+                lead,
+                corrupted: flips(bits, start, end),
+                attacked: flips(more_bits, other_start, other_end),
+                keep,
+                index,
+            };
+            let mut payload = vec![0xA5; size];
+            prop_assert_eq!(damage.apply(&mut payload), size.min(keep as usize));
+            prop_assert_eq!(payload.len(), size);
+            let mut again = vec![0xA5; size];
+            damage.apply(&mut again);
+            prop_assert_eq!(again, payload);
+        }
+
+        #[test]
+        fn forged_bytes_begin_where_asked(size in 0..300_usize, from in 0..400_usize, index: u64) {
+            let stream = Stream::new(9, Direction::Backward, Impairment::Attack);
+            let mut payload = vec![0xA5; size];
+            Damage { forged: Some((bytes(from), stream)), index, ..Damage::NONE }.apply(&mut payload);
+            let kept = from.min(size);
+            prop_assert!(payload[..kept].iter().all(|&byte| byte == 0xA5));
+            // Of 16 random bytes not all are as before: 2^-128.
+            prop_assert!(size - kept < 16 || payload[kept..].iter().any(|&byte| byte != 0xA5));
+        }
+    }
+}

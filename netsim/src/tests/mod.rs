@@ -1,6 +1,12 @@
 //! Tests of the crate as a whole, through its public names.
 
+mod adversary;
+mod chains;
+mod endings;
 mod live;
+mod loss;
+mod outage;
+mod reorder;
 mod verdicts;
 
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
