@@ -143,3 +143,65 @@ impl OnOff {
         Stretch { until_ns, ..stretch }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Impairment;
+    use crate::verdict::Direction;
+
+    fn process(mean_on_s: f64, mean_off_s: f64) -> OnOff {
+        OnOff::by_means(mean_on_s, mean_off_s, Stream::new(11, Direction::Forward, Impairment::Outage))
+    }
+
+    #[test]
+    fn the_state_is_a_function_of_time_whatever_was_asked_before() {
+        let mut forward = process(0.003, 0.002);
+        let states: Vec<_> = (0..50_000).map(|step| forward.is_off(step * 100_000)).collect();
+        let mut jumping = process(0.003, 0.002);
+        for step in (0..50_000).map(|step| step * 7919 % 50_000) {
+            let fresh = process(0.003, 0.002).is_off(step * 100_000);
+            let state = states[usize::try_from(step).unwrap()];
+            assert_eq!((jumping.is_off(step * 100_000), fresh), (state, state), "{step}");
+        }
+    }
+
+    #[test]
+    fn it_is_off_until_the_time_it_says_and_on_then() {
+        let mut process = process(0.003, 0.02);
+        let mut ends = 0;
+        for step in 0..20_000 {
+            let at_ns = step * 333_333;
+            let Some(end_ns) = process.off_until(at_ns) else { continue };
+            assert!(end_ns > at_ns);
+            for between in 0..=10 {
+                assert!(process.is_off(at_ns + (end_ns - 1 - at_ns) / 10 * between));
+            }
+            assert!(process.is_off(end_ns - 1) && !process.is_off(end_ns));
+            ends += 1;
+        }
+        assert!(ends > 10_000, "{ends}");
+    }
+
+    /// What is left of an exponential time is exponential with the same mean, whenever one looks.
+    #[test]
+    fn times_off_are_exponential() {
+        const MEAN_OFF_NS: f64 = 2e6;
+        let mut process = process(0.003, MEAN_OFF_NS * 1e-9);
+        // Looked at so far apart that nothing is remembered.
+        let times = (0..100_000).map(|step| step * 50_000_000);
+        let mut left: Vec<_> = times.filter_map(|at_ns| Some(process.off_until(at_ns)? - at_ns)).collect();
+        let n = left.len() as f64;
+        assert!((n - 40_000.0).abs() < 4.0 * (100_000.0 * 0.4 * 0.6_f64).sqrt(), "{n}");
+        let mean = left.iter().sum::<u64>() as f64 / n;
+        assert!((mean - MEAN_OFF_NS).abs() < 4.0 * MEAN_OFF_NS / n.sqrt(), "{mean}");
+        left.sort_unstable();
+        let distance = (0..).zip(&left).map(|(rank, &left_ns)| {
+            let law = 1.0 - (-(left_ns as f64) / MEAN_OFF_NS).exp();
+            (law - f64::from(rank) / n).abs()
+        });
+        // Kolmogorov-Smirnov at 1e-4.
+        let distance = distance.fold(0.0, f64::max);
+        assert!(distance < 2.23 / n.sqrt(), "{distance}");
+    }
+}

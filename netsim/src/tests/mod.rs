@@ -3,10 +3,13 @@
 mod adversary;
 mod chains;
 mod endings;
+mod independence;
 mod live;
 mod loss;
 mod outage;
+mod refusals;
 mod reorder;
+mod vectors;
 mod verdicts;
 
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
