@@ -1,5 +1,6 @@
 //! Tests of the crate as a whole, through its public names.
 
+mod jitter;
 mod live;
 mod verdicts;
 
