@@ -21,8 +21,7 @@ pub(super) struct Cells {
 
 impl Cells {
     pub(super) fn of(law: &DelayLaw) -> Self {
-        let points: Vec<Tails> =
-            (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect();
+        let points: Vec<Tails> = (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect();
         let mut mass: Box<[f64]> = points
             .windows(2)
             // The smaller tail has the digits.

@@ -10,9 +10,9 @@
 //! - `-d ln(g) / dy` along the run, where positive; `y` is the time it takes to get to z at that speed, and
 //!   `g = phi(z) s(z)` the density of y. Uphill a run goes on, downhill it turns the sooner the steeper it is. This
 //!   alone leaves the law as it is: what enters any stretch balances what leaves it.
-//! - `s(z)^2 tau / 2`, which is the same in both directions and so leaves the law too. It makes z diffuse at the rate
-//!   1 / tau everywhere: seen over more than a run, z is the Ornstein-Uhlenbeck process, AR(1) in time, of the
-//!   autocorrelation `exp(-t / tau)`.
+//! - `s(z)^2 tau / 2`, less the mean of the former over both directions. It is the same for both directions and so
+//!   leaves the law too. It makes z diffuse at the rate 1 / tau everywhere: seen over more than a run, z is the
+//!   Ornstein-Uhlenbeck process, AR(1) in time, of the autocorrelation `exp(-t / tau)`.
 //!
 //! With the cells of the law the density is a step function of y and the delay a line in each cell; for these the
 //! process is exact, not an approximation in small steps.
@@ -56,14 +56,24 @@ impl Path {
         };
         let speed = turns.sqrt() / tau_ns;
         let fastest = if keep_order { FASTEST } else { f64::INFINITY };
-        let cell = |k: usize| {
-            let [from_ns, to_ns] = [cells.delay_ns[k], cells.delay_ns[k + 1]];
-            let length_ns = (WIDTH / speed).max((to_ns - from_ns) / fastest);
-            let local = WIDTH / length_ns;
-            Cell { length_ns, from_ns, to_ns, mass: cells.mass[k], turn_rate: 0.5 * local * local * tau_ns }
-        };
-        let up = Way::through((0..COUNT).map(cell));
-        let down = Way::through((0..COUNT).rev().map(cell).map(Cell::reversed));
+        let mut cells: Vec<Cell> = (0..COUNT)
+            .map(|k| {
+                let [from_ns, to_ns] = [cells.delay_ns[k], cells.delay_ns[k + 1]];
+                let length_ns = (WIDTH / speed).max((to_ns - from_ns) / fastest);
+                Cell { length_ns, from_ns, to_ns, density: cells.mass[k] / length_ns, turn_rate: 0.0 }
+            })
+            .collect();
+        for k in 0..COUNT {
+            let [before, here, after] = [k.saturating_sub(1), k, (k + 1).min(COUNT - 1)].map(|k| cells[k]);
+            // What the slope of the density makes runs turn, on the mean of both directions.
+            let jumps = libm::log(before.density / here.density).abs()
+                + libm::log(here.density / after.density).abs();
+            let by_slope = 0.25 * jumps / here.length_ns;
+            let local = WIDTH / here.length_ns;
+            cells[k].turn_rate = (0.5 * local * local * tau_ns - by_slope).max(0.0);
+        }
+        let up = Way::through(cells.iter().copied());
+        let down = Way::through(cells.iter().rev().copied().map(Cell::reversed));
         Self { up, down, tau_ns }
     }
 }
@@ -74,17 +84,13 @@ struct Cell {
     length_ns: f64,
     from_ns: f64,
     to_ns: f64,
-    mass: f64,
+    density: f64,
     turn_rate: f64,
 }
 
 impl Cell {
     fn reversed(self) -> Self {
         Self { from_ns: self.to_ns, to_ns: self.from_ns, ..self }
-    }
-
-    fn density(&self) -> f64 {
-        self.mass / self.length_ns
     }
 }
 
@@ -115,8 +121,8 @@ impl Way {
         let (mut starts_ns, mut hazard, mut density) = (Vec::new(), Vec::new(), 0.0);
         for cell in &cells {
             // Into a thinner cell a run goes on with the probability of the quotient of their densities.
-            sum += libm::log(density / cell.density()).max(0.0);
-            density = cell.density();
+            sum += libm::log(density / cell.density).max(0.0);
+            density = cell.density;
             starts_ns.push(start);
             hazard.push(sum);
             start += cell.length_ns;
@@ -149,8 +155,12 @@ impl Way {
         let target = self.hazard[from.cell] + passed + exponential;
         let beyond = self.hazard[from.cell..].partition_point(|&hazard| hazard <= target);
         let cell = from.cell + beyond.max(1) - 1;
-        let y_ns = self.starts_ns[cell] + (target - self.hazard[cell]) / self.turn_rate[cell];
-        Place { y_ns: y_ns.min(self.starts_ns[cell + 1]), cell }
+        let end_ns = self.starts_ns[cell + 1];
+        let rate = self.turn_rate[cell];
+        // At the end of the cell the sum jumps.
+        let rest = target - self.hazard[cell];
+        let y_ns = if rate > 0.0 { (self.starts_ns[cell] + rest / rate).min(end_ns) } else { end_ns };
+        Place { y_ns, cell }
     }
 
     /// Where the way ends.

@@ -73,7 +73,11 @@ impl Wander {
         let way = self.way(rises);
         let to = way.turn(from, -libm::log(self.runs.unit(begin_ns)));
         // Time is whole: the run stops short of the turn by less than 1 ns.
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "never negative; saturates")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "never negative; saturates"
+        )]
         let length_ns = ((to.y_ns - from.y_ns) as u64).max(1);
         let y_ns = from.y_ns + length_ns as f64;
         let to = Place { y_ns: y_ns.min(way.end_ns()), cell: way.cell(y_ns, from.cell, to.cell) };

@@ -12,7 +12,13 @@ pub(super) struct Uniform {
 impl Uniform {
     pub(super) fn new(mean_s: f64, sigma_s: f64) -> Result<Self, LinkError> {
         let root = 3_f64.sqrt();
-        at_most(sigma_s, mean_s / root, "uniform", mean_s, "for more take the distribution gamma or lognormal")?;
+        at_most(
+            sigma_s,
+            mean_s / root,
+            "uniform",
+            mean_s,
+            "for more take the distribution gamma or lognormal",
+        )?;
         Ok(Self { mean_s, half_width_s: root * sigma_s })
     }
 
