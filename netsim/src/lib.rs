@@ -17,6 +17,7 @@ mod delay;
 mod duplicate;
 mod in_flight;
 mod jitter;
+mod law;
 mod link;
 mod loss;
 mod mtu;
@@ -37,6 +38,7 @@ mod tests;
 pub use clock::{ClockSettings, EndpointClock};
 pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
+pub use law::DelayLaw;
 pub use link::{Link, LinkCounters};
 pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, Proxy, ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics,
