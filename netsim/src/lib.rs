@@ -18,6 +18,7 @@ mod link;
 mod order;
 mod proxy;
 mod random;
+mod rate;
 mod rule;
 mod settings;
 mod verdict;
