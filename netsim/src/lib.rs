@@ -21,6 +21,9 @@ mod random;
 mod rate;
 mod rule;
 mod settings;
+mod slots;
+mod timeline;
+mod trace;
 mod verdict;
 
 #[cfg(test)]
@@ -37,5 +40,8 @@ pub use settings::{
     Action, Attack, ByteRange, CrossTraffic, DelayChange, DelayTrace, Discipline, Distribution, FourState,
     GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Opportunities, Outage, OutageEffect, OutageTimes,
     Slots, Target,
+};
+pub use trace::{
+    IrttDelay, IrttRecording, ParseError, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
 };
 pub use verdict::{Direction, DropCause, Extra, ExtraCause, Judgement, Packet, Verdict};

@@ -4,11 +4,21 @@ use crate::damage::Damage;
 use crate::rule::{BuildEnding, BuildRule, Ending, Extras, Rule, Streams};
 use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::{Direction, Judgement, Packet, Verdict};
-use crate::{bernoulli, delay, jitter, order, rate};
+use crate::{bernoulli, delay, jitter, order, rate, slots, timeline, trace};
 
 /// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, what waits there
 /// is delayed afterwards, and what was delayed is put in order.
-const WAY: &[BuildRule] = &[bernoulli::build, rate::build, delay::build, jitter::build, order::build];
+const WAY: &[BuildRule] = &[
+    bernoulli::build,
+    trace::build_loss,
+    rate::build,
+    delay::build,
+    timeline::build,
+    slots::build,
+    trace::build_delay,
+    jitter::build,
+    order::build,
+];
 
 /// What happens at the end of the way, in this order.
 const ENDINGS: &[BuildEnding] = &[];

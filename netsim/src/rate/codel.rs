@@ -5,7 +5,7 @@
 //! between: it counts the bytes that wait when the packet enters, its own included.
 //!
 //! Source: K. Nichols, V. Jacobson, A. McGregor, J. Iyengar, "Controlled delay active queue management", RFC 8289,
-//! section 5; `deque` is its `dodequeue` and `deque` taken packet by packet.
+//! section 5, taken packet by packet.
 
 /// Wait in ns that is acceptable for good.
 const TARGET_NS: u64 = 5_000_000;

@@ -21,6 +21,7 @@ use std::collections::VecDeque;
 
 use self::codel::Codel;
 use self::cross::Cross;
+pub(crate) use self::server::MOST_OPPORTUNITIES;
 use self::server::Server;
 use crate::random::Impairment;
 use crate::rule::{Rule, Streams};
