@@ -26,9 +26,13 @@ mod order;
 mod outage;
 mod proxy;
 mod random;
+mod rate;
 mod reorder;
 mod rule;
 mod settings;
+mod slots;
+mod timeline;
+mod trace;
 mod truncate;
 mod verdict;
 
@@ -48,5 +52,8 @@ pub use settings::{
     Action, Attack, ByteRange, CrossTraffic, DelayChange, DelayTrace, Discipline, Distribution, FourState,
     GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Opportunities, Outage, OutageEffect, OutageTimes,
     Slots, Target,
+};
+pub use trace::{
+    IrttDelay, IrttRecording, ParseError, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
 };
 pub use verdict::{Direction, DropCause, Extra, ExtraCause, Judgement, Packet, Verdict};
