@@ -3,16 +3,15 @@
 //! A packet and each copy of it are corrupted independently.
 
 use crate::damage::{Damage, Flips, MOST_FLIPS};
-use crate::random::{Chance, Impairment, Stream};
+use crate::random::{Event, Impairment};
 use crate::rule::{Ending, Extras, Streams};
 use crate::settings::{LinkError, LinkSettings, probability, within};
 use crate::verdict::{Packet, Verdict};
 
 #[derive(Clone, Copy, Debug)]
 struct Corrupt {
-    chance: Chance,
+    corrupted: Event,
     bits: u32,
-    stream: Stream,
 }
 
 pub(crate) fn build(
@@ -25,29 +24,21 @@ pub(crate) fn build(
         return Ok(None);
     }
     Ok(Some(Box::new(Corrupt {
-        chance: Chance::new(settings.corrupt),
+        corrupted: Event::new(settings.corrupt, streams.of(Impairment::Corrupt)),
         bits: settings.corrupt_bits,
-        stream: streams.of(Impairment::Corrupt),
     })))
-}
-
-impl Corrupt {
-    fn flip(&self, stream: Stream, index: u64, damage: &mut Damage) {
-        if self.chance.takes(stream.bits(index)) {
-            damage.index = index;
-            damage.corrupted = Flips { bits: self.bits, stream, ..Flips::NONE };
-        }
-    }
 }
 
 impl Ending for Corrupt {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
         // There is no bit to flip in an empty packet.
         if packet.size > 0 {
-            self.flip(self.stream, packet.index, damage);
-            for (position, extra) in (1..).zip(extras.iter_mut()) {
-                self.flip(self.stream.nth(position), packet.index, &mut extra.damage);
-            }
+            let bits = self.bits;
+            let copies = extras.iter_mut().map(|extra| &mut extra.damage);
+            self.corrupted.strike(packet.index, damage, copies, |damage, stream| {
+                damage.index = packet.index;
+                damage.corrupted = Flips { bits, stream, ..Flips::NONE };
+            });
         }
         Verdict::Deliver { at_ns }
     }

@@ -1,16 +1,15 @@
 //! Duplication: a packet arrives a second time.
 
 use crate::damage::Damage;
-use crate::random::{Chance, Impairment, Stream};
+use crate::random::{Event, Impairment};
 use crate::rule::{Ending, Extras, Streams, add_extra};
 use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, nanoseconds, probability, within};
 use crate::verdict::{ExtraCause, Packet, Verdict};
 
 #[derive(Clone, Copy, Debug)]
 struct Duplicate {
-    chance: Chance,
+    doubled: Event,
     gap_ns: u64,
-    stream: Stream,
 }
 
 pub(crate) fn build(
@@ -23,15 +22,14 @@ pub(crate) fn build(
         return Ok(None);
     }
     Ok(Some(Box::new(Duplicate {
-        chance: Chance::new(settings.duplicate),
+        doubled: Event::new(settings.duplicate, streams.of(Impairment::Duplicate)),
         gap_ns: nanoseconds(settings.duplicate_gap_s),
-        stream: streams.of(Impairment::Duplicate),
     })))
 }
 
 impl Ending for Duplicate {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
-        if self.chance.takes(self.stream.bits(packet.index)) {
+        if self.doubled.occurs(packet.index) {
             let again_ns = at_ns.saturating_add(self.gap_ns);
             add_extra(extras, again_ns, ExtraCause::Duplicate, *damage);
         }

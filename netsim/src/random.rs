@@ -148,6 +148,42 @@ impl Chance {
     }
 }
 
+/// An event that occurs to each packet with a probability, whatever happened to the others.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Event {
+    chance: Chance,
+    stream: Stream,
+}
+
+impl Event {
+    /// Of a probability that was checked to be in `[0, 1]`.
+    pub(crate) fn new(probability: f64, stream: Stream) -> Self {
+        Self { chance: Chance::new(probability), stream }
+    }
+
+    /// Whether it occurs to a packet.
+    pub(crate) fn occurs(&self, index: u64) -> bool {
+        self.chance.takes(self.stream.bits(index))
+    }
+
+    /// Changes what it occurs to: a packet, and independently each that arrives beside it. Each change is handed a
+    /// stream of its own.
+    pub(crate) fn strike<'a, T: 'a>(
+        &self,
+        index: u64,
+        packet: &'a mut T,
+        beside: impl Iterator<Item = &'a mut T>,
+        change: impl Fn(&mut T, Stream),
+    ) {
+        for (position, struck) in (0..).zip(std::iter::once(packet).chain(beside)) {
+            let event = Self { stream: self.stream.nth(position), ..*self };
+            if event.occurs(index) {
+                change(struck, event.stream);
+            }
+        }
+    }
+}
+
 /// 128 random bits for draw `index` of `stream`.
 pub(crate) fn draw(seed: u64, stream: u64, index: u64) -> [u32; 4] {
     let ([k0, k1], [i0, i1], [s0, s1]) = (split(seed), split(index), split(stream));

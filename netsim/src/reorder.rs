@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use crate::random::{Chance, Impairment, Stream};
+use crate::random::{Event, Impairment};
 use crate::rule::{Rule, Streams};
 use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, OutageEffect, nanoseconds, probability, within};
 use crate::verdict::{Packet, Verdict};
@@ -30,7 +30,7 @@ pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option
     if settings.reorder == 0.0 {
         return Ok(None);
     }
-    let chosen = Chosen { chance: Chance::new(settings.reorder), stream: streams.of(Impairment::Reorder) };
+    let chosen = Event::new(settings.reorder, streams.of(Impairment::Reorder));
     if let Some(hold_s) = settings.reorder_hold_s {
         return Ok(Some(Box::new(Held { chosen, hold_ns: nanoseconds(hold_s) })));
     }
@@ -55,35 +55,22 @@ fn delays(settings: &LinkSettings) -> bool {
         || settings.outages.iter().any(|outage| outage.effect == OutageEffect::Hold)
 }
 
-/// Which packets are reordered.
-#[derive(Clone, Copy, Debug)]
-struct Chosen {
-    chance: Chance,
-    stream: Stream,
-}
-
-impl Chosen {
-    fn takes(&self, packet: &Packet) -> bool {
-        self.chance.takes(self.stream.bits(packet.index))
-    }
-}
-
 #[derive(Clone, Copy, Debug)]
 struct Held {
-    chosen: Chosen,
+    chosen: Event,
     hold_ns: u64,
 }
 
 impl Rule for Held {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        let hold_ns = if self.chosen.takes(packet) { self.hold_ns } else { 0 };
+        let hold_ns = if self.chosen.occurs(packet.index) { self.hold_ns } else { 0 };
         Verdict::Deliver { at_ns: at_ns.saturating_add(hold_ns) }
     }
 }
 
 #[derive(Clone, Debug)]
 struct Jumping {
-    chosen: Chosen,
+    chosen: Event,
     depth: usize,
     /// The `depth` latest arrivals so far, in order.
     latest: VecDeque<u64>,
@@ -110,7 +97,8 @@ impl Jumping {
 
 impl Rule for Jumping {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        let ahead_ns = self.chosen.takes(packet).then(|| self.ahead_of_latest(packet.sent_ns)).flatten();
+        let ahead_ns =
+            self.chosen.occurs(packet.index).then(|| self.ahead_of_latest(packet.sent_ns)).flatten();
         let at_ns = ahead_ns.map_or(at_ns, |ahead_ns| ahead_ns.min(at_ns));
         self.remember(at_ns);
         Verdict::Deliver { at_ns }

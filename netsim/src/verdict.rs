@@ -157,6 +157,6 @@ pub struct Judgement<'a> {
     pub verdict: Verdict,
     /// How its bytes change on the way.
     pub damage: Damage,
-    /// What arrives beside it.
+    /// What arrives beside it; a packet that somebody took may leave copies behind.
     pub extras: &'a [Extra],
 }

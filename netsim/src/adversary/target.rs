@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::random::{Chance, Stream};
+use crate::random::{Event, Stream};
 use crate::settings::{LinkError, MAX_TIME_S, Target, nanoseconds, probability, within};
 use crate::verdict::Packet;
 
@@ -15,8 +15,7 @@ pub(super) struct Aim {
     until_ns: u64,
     every: u64,
     bytes: RangeInclusive<usize>,
-    chance: Chance,
-    stream: Stream,
+    chosen: Event,
 }
 
 impl Aim {
@@ -48,8 +47,7 @@ impl Aim {
             until_ns: target.until_s.map_or(u64::MAX, nanoseconds),
             every: target.every,
             bytes: target.least_bytes..=target.most_bytes.unwrap_or(usize::MAX),
-            chance: Chance::new(target.probability),
-            stream,
+            chosen: Event::new(target.probability, stream),
         })
     }
 
@@ -59,6 +57,6 @@ impl Aim {
             && packet.sent_ns < self.until_ns
             && packet.index.is_multiple_of(self.every)
             && self.bytes.contains(&packet.size)
-            && self.chance.takes(self.stream.bits(packet.index))
+            && self.chosen.occurs(packet.index)
     }
 }

@@ -6,7 +6,7 @@
 //! Source: E. O. Elliott, Bell Syst. Tech. J. 42, 1963.
 
 use super::chain::Chain;
-use crate::random::{Chance, Impairment, Stream};
+use crate::random::{Event, Impairment};
 use crate::rule::{Rule, Streams};
 use crate::settings::{GilbertElliott, LinkError, probability};
 use crate::verdict::{DropCause, Packet, Verdict};
@@ -15,8 +15,7 @@ use crate::verdict::{DropCause, Packet, Verdict};
 pub(super) struct GilbertElliottLoss {
     /// 0 good, 1 bad.
     state: Chain<2>,
-    loss: [Chance; 2],
-    stream: Stream,
+    loss: [Event; 2],
 }
 
 impl GilbertElliottLoss {
@@ -38,15 +37,14 @@ impl GilbertElliottLoss {
         let stationary = [to_good / turns, to_bad / turns];
         Ok(Self {
             state: Chain::new(stationary, rows, streams.of(Impairment::LossState)),
-            loss: [Chance::new(loss_good), Chance::new(loss_bad)],
-            stream: streams.of(Impairment::Loss),
+            loss: [loss_good, loss_bad].map(|loss| Event::new(loss, streams.of(Impairment::Loss))),
         })
     }
 }
 
 impl Rule for GilbertElliottLoss {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        let chance = self.loss[self.state.state(packet.index)];
-        Verdict::unless(chance.takes(self.stream.bits(packet.index)), DropCause::Loss, at_ns)
+        let loss = self.loss[self.state.state(packet.index)];
+        Verdict::unless(loss.occurs(packet.index), DropCause::Loss, at_ns)
     }
 }

@@ -81,7 +81,7 @@ pub enum OutageTimes {
     Random {
         /// Mean time in s between an end and the next beginning.
         mean_up_s: f64,
-        /// Mean time in s that one lasts.
+        /// Mean time in s that one lasts, at most 1000 times `mean_up_s`.
         mean_down_s: f64,
     },
 }

@@ -15,8 +15,11 @@ fn attacks(actions: &[Action]) -> LinkSettings {
     LinkSettings { delay_s: 0.01, attacks, ..LinkSettings::default() }
 }
 
+/// When after it was sent, why and with which bytes something arrives beside a packet.
+type Beside = (u64, ExtraCause, Vec<u8>);
+
 /// What becomes of a packet of 32 ones: itself if it arrives, and what arrives beside it.
-fn outcome(settings: &LinkSettings) -> (Option<Vec<u8>>, Vec<(u64, ExtraCause, Vec<u8>)>) {
+fn outcome(settings: &LinkSettings) -> (Option<Vec<u8>>, Vec<Beside>) {
     let mut link = Link::new(Direction::Forward, 3, settings).unwrap();
     let judgement = link.judge(&packet(7, 32));
     let changed = |damage: crate::Damage| {
@@ -60,7 +63,7 @@ fn a_forged_packet_keeps_its_beginning_only() {
     assert_eq!(itself, Some(vec![1; 32]));
     let [(10_000_000, ExtraCause::Forge, forged)] = &beside[..] else { panic!("{beside:?}") };
     assert_eq!(forged[..12], [1; 12]);
-    assert!(forged.len() == 32 && forged[12..].iter().filter(|&&byte| byte == 1).count() < 4);
+    assert!(forged.len() == 32 && forged[12..] != [1; 20]);
 }
 
 #[test]

@@ -36,7 +36,7 @@ impl<const N: usize> LossChain<N> {
     fn stationary(&self) -> [f64; N] {
         (0..200_000).fold([1.0 / N as f64; N], |law, _| {
             let next = self.step(law);
-            std::array::from_fn(|state| (law[state] + next[state]) / 2.0)
+            std::array::from_fn(|state| f64::midpoint(law[state], next[state]))
         })
     }
 

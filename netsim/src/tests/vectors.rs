@@ -61,7 +61,7 @@ const CASES: &[Case] = &[
     ),
 ];
 
-fn judge<T>(direction: Direction, settings: &str, mut look: impl FnMut(&Judgement) -> T) -> Vec<T> {
+fn judge<T>(direction: Direction, settings: &str, look: impl Fn(&Judgement) -> T) -> Vec<T> {
     let settings: LinkSettings = serde_json::from_str(settings).unwrap();
     let mut link = Link::new(direction, SEED, &settings).unwrap();
     let packet = |index| Packet { direction, sent_ns: index * 1_000_000, size: 64, index };
@@ -73,7 +73,7 @@ fn text() -> String {
         String::from("# Packets of 64 bytes sent every ms, seed 0x0123456789ABCDEF: 1 where it happens.\n");
     for &(name, settings, look) in CASES {
         for direction in [Direction::Forward, Direction::Backward] {
-            let happens = judge(direction, settings, |judgement| look(judgement));
+            let happens = judge(direction, settings, look);
             let digits: String = happens.iter().map(|&happens| if happens { '1' } else { '0' }).collect();
             writeln!(text, "{name} {direction} {digits}").unwrap();
         }
