@@ -10,6 +10,7 @@ from msgspec import ValidationError, convert, to_builtins
 from msgspec.structs import replace
 
 from haptether.bridge.scene_error import SceneError
+from haptether.bridge.scene_links import embed_link_files
 from haptether.bridge.scene_near import SeriesTable
 from haptether.bridge.scene_tables import Scene
 
@@ -30,7 +31,7 @@ def embed_recordings(scene: Scene, folder: FilePath) -> Scene:
         )
         if any(new is not old for new, old in zip(pushers, environment.pushers, strict=True)):
             environment = replace(environment, pushers=pushers)
-    return replace(scene, operator=operator, environment=environment)
+    return embed_link_files(replace(scene, operator=operator, environment=environment), folder)
 
 
 def _embedded(table: SeriesTable, folder: FilePath) -> SeriesTable:

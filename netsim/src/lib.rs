@@ -10,6 +10,7 @@
 //! processes that know nothing of it.
 
 mod bernoulli;
+mod bound;
 mod damage;
 mod delay;
 mod in_flight;
