@@ -38,9 +38,7 @@ def links_spec(scene: Scene) -> dict[str, dict[str, object] | None] | None:
     return None if scene.link is None else _each(scene.link, link_spec)
 
 
-def _each(
-    links: LinksTable, make: Callable[[LinkSettings, _Direction], _Made]
-) -> dict[str, _Made | None]:
+def _each(links: LinksTable, make: Callable[[LinkSettings, _Direction], _Made]) -> dict[str, _Made | None]:
     made: dict[str, _Made | None] = {}
     directions: tuple[_Direction, ...] = ("forward", "backward")
     for direction in directions:

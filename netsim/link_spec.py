@@ -40,7 +40,7 @@ def filled(settings: LinkSettings, direction: Direction) -> LinkSettings:
         return settings
     if settings.preset not in PRESETS:
         near = difflib.get_close_matches(settings.preset, PRESETS, n=1, cutoff=0.5)
-        allowed = f'one of {", ".join(PRESETS)}{f": did you mean {near[0]}?" if near else ""}'
+        allowed = f"one of {', '.join(PRESETS)}{f': did you mean {near[0]}?' if near else ''}"
         raise wrong("preset", settings.preset, allowed)
     given = {name: getattr(settings, name) for name in settings.__struct_fields__}
     given = {name: value for name, value in given.items() if value is not None}
@@ -95,12 +95,17 @@ def checked(settings: LinkSettings) -> LinkSettings:
     Raises:
         LinkError: The first that does not fit.
     """
-    plain = msgspec.to_builtins(settings)
+    plain = msgspec.to_builtins(settings, enc_hook=_of_numpy)
     refuse_infinite(plain)
     try:
         return msgspec.convert(plain, LinkSettings)
     except msgspec.ValidationError as error:
-        raise of_types(error, plain) from None
+        raise of_types(error, plain, LinkSettings) from None
+
+
+def _of_numpy(value: object) -> object:
+    """Numbers of NumPy as such of Python."""
+    return value.item() if hasattr(value, "item") else value
 
 
 def _json(spec: dict[str, Any]) -> str:

@@ -19,9 +19,7 @@ _BESIDE = VERDICT_CAUSES.index("duplicate")
 class Verdicts:
     """What becomes of packets, a row each; what arrives beside a packet has rows directly after it."""
 
-    def __init__(
-        self, index: Times, t_in_ns: Times, t_out_ns: Times, cause_code: npt.NDArray[np.uint8]
-    ) -> None:
+    def __init__(self, index: Times, t_in_ns: Times, t_out_ns: Times, cause_code: npt.NDArray[np.uint8]) -> None:
         self.index = index
         """Which packet, counted from 0."""
         self.t_in_ns = t_in_ns
