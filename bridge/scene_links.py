@@ -2,40 +2,36 @@
 
 from collections.abc import Callable
 from pathlib import Path as FilePath
-from typing import Literal, TypeVar
-
-from msgspec.structs import replace
+from typing import Any, Literal, TypeVar
 
 from haptether.bridge.scene_error import Path, SceneError, place
-from haptether.bridge.scene_tables import LinksTable, Scene
+from haptether.bridge.scene_tables import LinksTable
 from haptether.netsim import LinkError, LinkSettings, link_spec, with_files
 
 _Made = TypeVar("_Made")
 _Direction = Literal["forward", "backward"]
 
 
-def embed_link_files(scene: Scene, folder: FilePath) -> Scene:
-    """The scene with the contents of the files that its links name, relative to `folder`.
+def embedded_links(links: LinksTable, folder: FilePath) -> LinksTable:
+    """The links with the contents of the files that they name, relative to `folder`.
 
     Raises:
         SceneError: A file that cannot be read, with its line.
     """
-    if scene.link is None:
-        return scene
 
     def embedded(link: LinkSettings, direction: _Direction) -> LinkSettings:
         return with_files(link, folder, direction)
 
-    return replace(scene, link=LinksTable(**_each(scene.link, embedded)))
+    return LinksTable(**_each(links, embedded))
 
 
-def links_spec(scene: Scene) -> dict[str, dict[str, object] | None] | None:
+def spec_of_links(links: LinksTable) -> dict[str, dict[str, Any] | None]:
     """Both directions as the Rust side takes them.
 
     Raises:
         SceneError: Settings that describe no link.
     """
-    return None if scene.link is None else _each(scene.link, link_spec)
+    return _each(links, link_spec)
 
 
 def _each(links: LinksTable, make: Callable[[LinkSettings, _Direction], _Made]) -> dict[str, _Made | None]:

@@ -8,7 +8,7 @@ import msgspec
 
 from haptether.bridge.scene_error import Path, SceneError, contradiction, place, wrong
 from haptether.bridge.scene_far import ObjectTable, Plane, PusherTable, SlaveTable
-from haptether.bridge.scene_links import links_spec
+from haptether.bridge.scene_links import spec_of_links
 from haptether.bridge.scene_near import MasterTable, OperatorTable, SeriesTable
 from haptether.bridge.scene_ranges import LEAST_DURATION_S
 from haptether.bridge.scene_tables import AdaptiveWindow, Kalman, Scene
@@ -76,7 +76,7 @@ def spec_of(scene: Scene) -> Spec:
                 for index, part in enumerate(environment.pushers)
             ],
         },
-        "link": links_spec(scene),
+        "link": scene.link and spec_of_links(scene.link),
         "coupling": _coupling(scene),
         "safety": _safety(scene, master),
         "record": scene.record and _plain(scene.record),

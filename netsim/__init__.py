@@ -31,6 +31,7 @@ from haptether.netsim.link_settings import LinkSettings
 from haptether.netsim.link_spec import link_json, link_spec
 from haptether.netsim.presets import PRESETS
 from haptether.netsim.proxy import Proxy
+from haptether.netsim.statistics import LinkFigures, asked, burst_lengths, realised
 from haptether.netsim.verdicts import VERDICT_CAUSES, Verdicts, judge, judge_all, link_bounds
 
 __all__ = [
@@ -49,6 +50,7 @@ __all__ = [
     "FourState",
     "GilbertElliott",
     "LinkError",
+    "LinkFigures",
     "LinkSettings",
     "Mirror",
     "Once",
@@ -64,10 +66,13 @@ __all__ = [
     "Slots",
     "Target",
     "Verdicts",
+    "asked",
+    "burst_lengths",
     "judge",
     "judge_all",
     "link_bounds",
     "link_json",
     "link_spec",
+    "realised",
     "with_files",
 ]

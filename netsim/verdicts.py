@@ -37,6 +37,14 @@ class Verdicts:
         """The causes by name; "" for a packet that arrives as it was sent."""
         return [VERDICT_CAUSES[code] for code in self.cause_code.tolist()]
 
+    def causes_of(self, cause: str) -> npt.NDArray[np.bool_]:
+        """Which rows have a cause, by its name.
+
+        Raises:
+            ValueError: No such cause.
+        """
+        return self.cause_code == VERDICT_CAUSES.index(cause)
+
     @property
     def is_packet(self) -> npt.NDArray[np.bool_]:
         """Which rows are the packets themselves, not what arrives beside them."""
