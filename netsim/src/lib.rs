@@ -15,6 +15,7 @@ mod damage;
 mod delay;
 mod in_flight;
 mod jitter;
+mod law;
 mod link;
 mod order;
 mod proxy;
@@ -28,6 +29,7 @@ mod tests;
 
 pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
+pub use law::DelayLaw;
 pub use link::{Link, LinkCounters};
 pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, Proxy, ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics,

@@ -1,13 +1,19 @@
 //! Tests of the crate as a whole, through its public names.
 
+mod jitter;
 mod live;
 mod verdicts;
 
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
 
-/// A kilohertz stream over 50 ms +-10 ms with 1 % loss.
+/// 50 ms +-5 ms, normal and in order, with 1 % loss.
 fn rough() -> LinkSettings {
     LinkSettings { delay_s: 0.05, jitter_s: 0.005, loss: 0.01, ..LinkSettings::default() }
+}
+
+/// The same with delays that are independent from packet to packet, hence out of order.
+fn scattered() -> LinkSettings {
+    LinkSettings { keep_order: false, jitter_correlation_s: Some(0.0), ..rough() }
 }
 
 /// Verdicts of the virtual driver on packets sent at 1 kHz: the delay of each in ns, `None` if lost.

@@ -1,0 +1,47 @@
+//! Jitter: arrival + (D - E[D]), where D follows the law of the delay.
+//!
+//! With `keep_order` or a correlation time D is a [path](path) in time, else it is drawn for each packet by itself.
+
+mod cells;
+mod independent;
+mod path;
+mod wander;
+
+use cells::Cells;
+use independent::Independent;
+use wander::Wander;
+
+use crate::law::DelayLaw;
+use crate::random::Impairment;
+use crate::rule::{Rule, Streams};
+use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, nanoseconds, within};
+
+/// Correlation time in s where none is given.
+const DEFAULT_CORRELATION_S: f64 = 0.1;
+
+pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option<Box<dyn Rule>>, LinkError> {
+    within("jitter_s", settings.jitter_s, 0.0, MAX_DELAY_S)?;
+    let tau_s = settings.jitter_correlation_s.unwrap_or(DEFAULT_CORRELATION_S);
+    within("jitter_correlation_s", tau_s, 0.0, MAX_DELAY_S)?;
+    if settings.jitter_s == 0.0 {
+        return Ok(None);
+    }
+    let cells = Cells::of(&DelayLaw::new(settings)?);
+    let mean_ns = nanoseconds(settings.delay_s);
+    if settings.keep_order || tau_s > 0.0 {
+        let path = path::Path::new(&cells, tau_s, settings.jitter_s, settings.keep_order);
+        let stream = streams.of(Impairment::Wander);
+        return Ok(Some(Box::new(Wander::new(path, mean_ns, stream))));
+    }
+    Ok(Some(Box::new(Independent::new(cells, mean_ns, streams.of(Impairment::Jitter)))))
+}
+
+/// Moves an arrival by how far a delay lies off its mean, though not to before the packet was sent.
+fn shifted(at_ns: u64, delay_ns: u64, mean_ns: u64, sent_ns: u64) -> u64 {
+    at_ns.saturating_add(delay_ns).saturating_sub(mean_ns).max(sent_ns)
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "never negative; saturates")]
+fn whole(ns: f64) -> u64 {
+    ns.round() as u64
+}
