@@ -9,24 +9,34 @@
 //! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
 //! processes that know nothing of it.
 
-mod bernoulli;
 mod bound;
+mod adversary;
+mod clock;
+mod corrupt;
 mod damage;
 mod delay;
+mod duplicate;
 mod in_flight;
 mod jitter;
 mod law;
 mod link;
+mod loss;
+mod mtu;
+mod on_off;
 mod order;
+mod outage;
 mod proxy;
 mod random;
+mod reorder;
 mod rule;
 mod settings;
+mod truncate;
 mod verdict;
 
 #[cfg(test)]
 mod tests;
 
+pub use clock::{ClockSettings, EndpointClock};
 pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
 pub use law::DelayLaw;

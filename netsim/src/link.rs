@@ -4,14 +4,23 @@ use crate::damage::Damage;
 use crate::rule::{BuildEnding, BuildRule, Ending, Extras, Rule, Streams};
 use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::{Direction, Judgement, Packet, Verdict};
-use crate::{bernoulli, delay, jitter, order};
+use crate::{adversary, corrupt, delay, duplicate, jitter, loss, mtu, order, outage, reorder, truncate};
 
 /// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, what waits there
 /// is delayed afterwards, and what was delayed is put in order.
-const WAY: &[BuildRule] = &[bernoulli::build, delay::build, jitter::build, order::build];
+const WAY: &[BuildRule] = &[
+    mtu::build,
+    loss::build,
+    outage::build_dropping,
+    delay::build,
+    jitter::build,
+    outage::build_holding,
+    order::build,
+    reorder::build,
+];
 
 /// What happens at the end of the way, in this order.
-const ENDINGS: &[BuildEnding] = &[];
+const ENDINGS: &[BuildEnding] = &[duplicate::build, corrupt::build, truncate::build, adversary::build];
 
 /// What a link has decided so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -7,7 +7,7 @@ use arrayvec::ArrayVec;
 use crate::damage::Damage;
 use crate::random::{Impairment, Stream};
 use crate::settings::{LinkError, LinkSettings};
-use crate::verdict::{Direction, Extra, Packet, Verdict};
+use crate::verdict::{Direction, Extra, ExtraCause, Packet, Verdict};
 
 /// What happens to a packet on its way.
 ///
@@ -25,6 +25,12 @@ pub(crate) const MOST_EXTRAS: usize = 8;
 
 /// What arrives beside a packet.
 pub(crate) type Extras = ArrayVec<Extra, MOST_EXTRAS>;
+
+/// Lets something more arrive beside a packet, if there is room.
+pub(crate) fn add_extra(extras: &mut Extras, at_ns: u64, cause: ExtraCause, damage: Damage) {
+    // Full is full: the documentation of the limit says what becomes of the rest.
+    let _ = extras.try_push(Extra { at_ns, cause, damage });
+}
 
 /// What happens to a packet at the end of its way: its bytes change, it is copied, somebody takes it.
 pub(crate) trait Ending: Debug + Send {

@@ -50,6 +50,13 @@ pub enum Verdict {
     },
 }
 
+impl Verdict {
+    /// Drops a packet with a cause if something takes it; else it arrives at `at_ns`.
+    pub(crate) const fn unless(taken: bool, cause: DropCause, at_ns: u64) -> Self {
+        if taken { Self::Drop { cause } } else { Self::Deliver { at_ns } }
+    }
+}
+
 /// Why a packet never arrives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]

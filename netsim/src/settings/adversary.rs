@@ -2,7 +2,10 @@
 
 use serde::Deserialize;
 
-/// Something done to packets on purpose.
+/// Something done to packets on purpose, where they arrive: what was lost before is out of its reach.
+///
+/// Attacks act in the order of their list. What changes or takes a packet does so to the copies that the network
+/// made of it too; what adds one acts once. Of several attacks that flip bits of the same packet the last one does.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Attack {
@@ -15,7 +18,7 @@ pub struct Attack {
 
 /// What is done to packets on purpose.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Action {
     /// A copy arrives `after_s` later.
     Replay {
@@ -60,7 +63,7 @@ pub struct ByteRange {
     pub end: usize,
 }
 
-/// Which packets: those of the given times, every n-th of them, each with a probability.
+/// Which packets: those sent at the given times, every n-th of them, each with a probability.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Target {

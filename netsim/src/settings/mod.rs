@@ -15,6 +15,12 @@ pub use rate::{CrossTraffic, Discipline, Opportunities};
 /// Longest delay a link accepts, in s; Mars is within it, a slip of units is not.
 pub const MAX_DELAY_S: f64 = 3600.0;
 
+/// Latest time and longest span that a setting names, in s: 30 years, far from the end of 64 bits of ns.
+pub(crate) const MAX_TIME_S: f64 = 1e9;
+
+/// Largest payload that a setting names, in bytes; no UDP datagram has more.
+pub(crate) const MAX_PAYLOAD: usize = 65_535;
+
 /// What the network does to the packets of one direction. The default is a perfect network.
 ///
 /// What is absent or zero is a rule that is not built. The rules of a link run in the order in which their keys
@@ -77,7 +83,8 @@ pub struct LinkSettings {
 
     /// Probability that a packet is reordered.
     pub reorder: f64,
-    /// How many packets before it, if still under way, a reordered packet overtakes.
+    /// How many packets a reordered packet overtakes, from 1 to 1024: those that would arrive last of the packets
+    /// under way when it is sent.
     pub reorder_depth: usize,
     /// Instead: how long in s a reordered packet is held while later ones pass.
     pub reorder_hold_s: Option<f64>,
@@ -150,7 +157,7 @@ pub enum LinkError {
     /// A number is not finite or not in its range.
     #[error("{key} = {seen}: must be a finite number from {minimum} to {maximum}")]
     OutOfRange {
-        /// Name of the setting, with its place in a list or table, as in `outages.0.period_s`.
+        /// Name of the setting, with its place in a list or table, as in `outages.0.times.period_s`.
         key: String,
         /// Its value.
         seen: f64,

@@ -1,7 +1,16 @@
 //! Tests of the crate as a whole, through its public names.
 
 mod jitter;
+mod adversary;
+mod chains;
+mod endings;
+mod independence;
 mod live;
+mod loss;
+mod outage;
+mod refusals;
+mod reorder;
+mod vectors;
 mod verdicts;
 
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};

@@ -1,0 +1,118 @@
+//! Reordering: a packet jumps ahead of some that were sent before it, or is held while later ones pass.
+//!
+//! A packet that jumps arrives 1 ns before the k-th last of those under way, so that it overtakes exactly k, or
+//! all of them where fewer are under way. That much is known when it is sent: nothing is moved afterwards, and the
+//! others arrive when they would have.
+
+use std::collections::VecDeque;
+
+use crate::random::{Chance, Impairment, Stream};
+use crate::rule::{Rule, Streams};
+use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, OutageEffect, nanoseconds, probability, within};
+use crate::verdict::{Packet, Verdict};
+
+/// Most packets that one overtakes.
+const MOST_DEPTH: usize = 1024;
+
+pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option<Box<dyn Rule>>, LinkError> {
+    let depth = settings.reorder_depth;
+    probability("reorder", settings.reorder)?;
+    within("reorder_depth", depth as f64, 1.0, MOST_DEPTH as f64)?;
+    if let Some(hold_s) = settings.reorder_hold_s {
+        within("reorder_hold_s", hold_s, 1e-9, MAX_DELAY_S)?;
+        if depth != 1 {
+            return Err(LinkError::contradiction(
+                "reorder_depth",
+                "a packet that is held overtakes none: give reorder_depth or reorder_hold_s",
+            ));
+        }
+    }
+    if settings.reorder == 0.0 {
+        return Ok(None);
+    }
+    let chosen = Chosen { chance: Chance::new(settings.reorder), stream: streams.of(Impairment::Reorder) };
+    if let Some(hold_s) = settings.reorder_hold_s {
+        return Ok(Some(Box::new(Held { chosen, hold_ns: nanoseconds(hold_s) })));
+    }
+    if !delays(settings) {
+        return Err(LinkError::contradiction(
+            "reorder",
+            "without a delay no packet is ever under way to be overtaken: give delay_s, or reorder_hold_s",
+        ));
+    }
+    Ok(Some(Box::new(Jumping { chosen, depth, latest: VecDeque::with_capacity(depth) })))
+}
+
+/// Whether a packet can be under way at all when the next is sent.
+fn delays(settings: &LinkSettings) -> bool {
+    settings.delay_s > 0.0
+        || settings.jitter_s > 0.0
+        || settings.rate_bps.is_some()
+        || settings.opportunities.is_some()
+        || !settings.timeline.is_empty()
+        || settings.slots.is_some()
+        || settings.trace.is_some()
+        || settings.outages.iter().any(|outage| outage.effect == OutageEffect::Hold)
+}
+
+/// Which packets are reordered.
+#[derive(Clone, Copy, Debug)]
+struct Chosen {
+    chance: Chance,
+    stream: Stream,
+}
+
+impl Chosen {
+    fn takes(&self, packet: &Packet) -> bool {
+        self.chance.takes(self.stream.bits(packet.index))
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    chosen: Chosen,
+    hold_ns: u64,
+}
+
+impl Rule for Held {
+    fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
+        let hold_ns = if self.chosen.takes(packet) { self.hold_ns } else { 0 };
+        Verdict::Deliver { at_ns: at_ns.saturating_add(hold_ns) }
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Jumping {
+    chosen: Chosen,
+    depth: usize,
+    /// The `depth` latest arrivals so far, in order.
+    latest: VecDeque<u64>,
+}
+
+impl Jumping {
+    /// When a packet arrives that jumps ahead of the latest that are still under way when it is sent.
+    fn ahead_of_latest(&self, sent_ns: u64) -> Option<u64> {
+        let arrived = self.latest.partition_point(|&due_ns| due_ns <= sent_ns);
+        self.latest.get(arrived).map(|due_ns| due_ns - 1)
+    }
+
+    fn remember(&mut self, due_ns: u64) {
+        // Most arrive last of all, and those that jumped first of these.
+        let position = self.latest.partition_point(|&other_ns| other_ns <= due_ns);
+        if self.latest.len() < self.depth {
+            self.latest.insert(position, due_ns);
+        } else if position > 0 {
+            self.latest.pop_front();
+            self.latest.insert(position - 1, due_ns);
+        }
+    }
+}
+
+impl Rule for Jumping {
+    fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
+        let ahead_ns = self.chosen.takes(packet).then(|| self.ahead_of_latest(packet.sent_ns)).flatten();
+        let at_ns = ahead_ns.map_or(at_ns, |ahead_ns| ahead_ns.min(at_ns));
+        self.remember(at_ns);
+        Verdict::Deliver { at_ns }
+    }
+}

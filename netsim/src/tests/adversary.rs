@@ -1,0 +1,179 @@
+//! Attacks: what each leaves of a packet, and on which packets it acts.
+
+use crate::{
+    Action, Attack, ByteRange, Direction, DropCause, ExtraCause, Link, LinkSettings, Packet, Target, Verdict,
+};
+
+const SENT_NS: u64 = 5_000_000;
+
+fn packet(index: u64, size: usize) -> Packet {
+    Packet { direction: Direction::Forward, sent_ns: SENT_NS, size, index }
+}
+
+fn attacks(actions: &[Action]) -> LinkSettings {
+    let attacks = actions.iter().map(|&action| Attack { action, target: Target::default() }).collect();
+    LinkSettings { delay_s: 0.01, attacks, ..LinkSettings::default() }
+}
+
+/// What becomes of a packet of 32 ones: itself if it arrives, and what arrives beside it.
+fn outcome(settings: &LinkSettings) -> (Option<Vec<u8>>, Vec<(u64, ExtraCause, Vec<u8>)>) {
+    let mut link = Link::new(Direction::Forward, 3, settings).unwrap();
+    let judgement = link.judge(&packet(7, 32));
+    let changed = |damage: crate::Damage| {
+        let mut payload = vec![1; 32];
+        let left = damage.apply(&mut payload);
+        payload.truncate(left);
+        payload
+    };
+    let itself = match judgement.verdict {
+        Verdict::Deliver { at_ns } => {
+            assert_eq!(at_ns, SENT_NS + 10_000_000);
+            Some(changed(judgement.damage))
+        }
+        Verdict::Drop { cause } => {
+            assert_eq!(cause, DropCause::Attack);
+            None
+        }
+    };
+    let extras = judgement.extras.iter();
+    let beside = extras.map(|extra| (extra.at_ns - SENT_NS, extra.cause, changed(extra.damage))).collect();
+    (itself, beside)
+}
+
+#[test]
+fn copies_arrive_as_the_packet_did_or_later() {
+    let ones = vec![1; 32];
+    for (action, after_ns, cause) in [
+        (Action::Replay { after_s: 0.25 }, 250_000_000, ExtraCause::Replay),
+        (Action::Mirror, 0, ExtraCause::Mirror),
+        (Action::SecondSource, 0, ExtraCause::SecondSource),
+    ] {
+        let (itself, beside) = outcome(&attacks(&[action]));
+        assert_eq!(itself.as_ref(), Some(&ones));
+        assert_eq!(beside, [(10_000_000 + after_ns, cause, ones.clone())]);
+    }
+}
+
+#[test]
+fn a_forged_packet_keeps_its_beginning_only() {
+    let (itself, beside) = outcome(&attacks(&[Action::Forge { keep_bytes: 12 }]));
+    assert_eq!(itself, Some(vec![1; 32]));
+    let [(10_000_000, ExtraCause::Forge, forged)] = &beside[..] else { panic!("{beside:?}") };
+    assert_eq!(forged[..12], [1; 12]);
+    assert!(forged.len() == 32 && forged[12..].iter().filter(|&&byte| byte == 1).count() < 4);
+}
+
+#[test]
+fn flipped_bits_lie_within_the_range() {
+    let within = ByteRange { start: 4, end: 6 };
+    for bits in [1, 5, 16] {
+        let (itself, beside) = outcome(&attacks(&[Action::BitFlip { bits, within }]));
+        let itself = itself.unwrap();
+        let flipped: u32 = itself.iter().map(|byte| (byte ^ 1).count_ones()).sum();
+        let inside: u32 = itself[4..6].iter().map(|byte| (byte ^ 1).count_ones()).sum();
+        assert_eq!((flipped, inside, beside.len()), (bits, bits, 0));
+    }
+}
+
+#[test]
+fn a_sequence_that_is_ahead_wraps() {
+    let lead = u64::MAX;
+    let (itself, beside) = outcome(&attacks(&[Action::SequenceLead { lead, offset: 8 }]));
+    assert_eq!(itself, Some(vec![1; 32]));
+    let mut expected = vec![1; 32];
+    // One less, modulo 2^64.
+    expected[8] = 0;
+    assert_eq!(beside, [(10_000_000, ExtraCause::SequenceLead, expected)]);
+}
+
+#[test]
+fn a_dropped_packet_takes_the_copies_of_the_network_along_but_not_what_was_recorded() {
+    let settings = LinkSettings { duplicate: 1.0, ..attacks(&[Action::Drop, Action::Mirror]) };
+    assert_eq!(outcome(&settings), (None, vec![]));
+    let delayed = attacks(&[Action::Replay { after_s: 0.1 }, Action::Drop]);
+    assert_eq!(outcome(&delayed), (None, vec![(110_000_000, ExtraCause::Replay, vec![1; 32])]));
+}
+
+#[test]
+fn what_is_lost_or_damaged_before_is_so_for_the_adversary() {
+    let lost = LinkSettings { loss: 1.0, ..attacks(&[Action::Mirror]) };
+    let mut link = Link::new(Direction::Forward, 3, &lost).unwrap();
+    let judgement = link.judge(&packet(0, 32));
+    assert_eq!(judgement.verdict, Verdict::Drop { cause: DropCause::Loss });
+    assert!(judgement.extras.is_empty());
+
+    let within = ByteRange { start: 0, end: 1 };
+    let flip = Action::BitFlip { bits: 8, within };
+    let cut = LinkSettings {
+        truncate: 1.0,
+        truncate_bytes: 9,
+        duplicate: 1.0,
+        ..attacks(&[Action::Mirror, flip, Action::Replay { after_s: 0.0 }])
+    };
+    let mut flipped = vec![1; 9];
+    flipped[0] = 0xFE;
+    let (itself, beside) = outcome(&cut);
+    assert_eq!(itself.as_ref(), Some(&flipped));
+    let expected = [
+        (10_000_000, ExtraCause::Duplicate, flipped.clone()),
+        (10_000_000, ExtraCause::Mirror, vec![1; 9]),
+        (10_000_000, ExtraCause::Replay, flipped),
+    ];
+    assert_eq!(beside, expected);
+}
+
+#[test]
+fn no_more_arrives_beside_a_packet_than_there_is_room_for() {
+    let (itself, beside) = outcome(&attacks(&[Action::Mirror; 200]));
+    assert!(itself.is_some());
+    assert_eq!(beside.len(), 8);
+}
+
+#[test]
+fn what_is_too_short_for_an_attack_is_left_alone() {
+    let within = ByteRange { start: 32, end: 40 };
+    for action in [Action::BitFlip { bits: 1, within }, Action::SequenceLead { lead: 1, offset: 25 }] {
+        assert_eq!(outcome(&attacks(&[action])), (Some(vec![1; 32]), vec![]));
+    }
+}
+
+#[test]
+fn only_the_packets_aimed_at_are_met() {
+    let aimed = |target| {
+        let attacks = vec![Attack { action: Action::Drop, target }];
+        let settings = LinkSettings { attacks, ..LinkSettings::default() };
+        let mut link = Link::new(Direction::Forward, 3, &settings).unwrap();
+        let mut met = Vec::new();
+        for index in 0..1000 {
+            let size = usize::try_from(index % 10).unwrap();
+            let packet = Packet { direction: Direction::Forward, sent_ns: index * 1_000_000, size, index };
+            if matches!(link.judge(&packet).verdict, Verdict::Drop { .. }) {
+                met.push(index);
+            }
+        }
+        met
+    };
+    let all = Target::default();
+    assert_eq!(aimed(all), (0..1000).collect::<Vec<_>>());
+    let times = Target { from_s: 0.1, until_s: Some(0.2), ..all };
+    assert_eq!(aimed(times), (100..200).collect::<Vec<_>>());
+    let every = Target { every: 7, ..all };
+    assert_eq!(aimed(every), (0..1000).step_by(7).collect::<Vec<_>>());
+    let sizes = Target { least_bytes: 3, most_bytes: Some(4), ..all };
+    assert!(aimed(sizes).iter().all(|index| matches!(index % 10, 3 | 4)));
+    assert_eq!(aimed(sizes).len(), 200);
+    let some = aimed(Target { probability: 0.5, ..all }).len();
+    assert!((450..550).contains(&some), "{some}");
+}
+
+#[test]
+fn attacks_are_read_as_tables() {
+    let read = |text| serde_json::from_str::<Attack>(text);
+    let flip =
+        read(r#"{"action": {"kind": "bit-flip", "bits": 2, "within": {"start": 0, "end": 8}}}"#).unwrap();
+    let within = ByteRange { start: 0, end: 8 };
+    assert_eq!(flip, Attack { action: Action::BitFlip { bits: 2, within }, target: Target::default() });
+    let drop = read(r#"{"action": {"kind": "drop"}, "target": {"every": 3}}"#).unwrap();
+    assert_eq!(drop.target, Target { every: 3, ..Target::default() });
+    assert!(read(r#"{"action": {"kind": "replay", "after_s": 1, "before_s": 1}}"#).is_err());
+}
