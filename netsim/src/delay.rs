@@ -1,4 +1,4 @@
-//! Constant delay: arrival = sent + d.
+//! Constant delay: arrival = sent + d. Where it changes at given times, the timeline takes its place.
 
 use crate::rule::{Rule, Streams};
 use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, nanoseconds, within};
@@ -12,7 +12,8 @@ pub(crate) struct Delay {
 pub(crate) fn build(settings: &LinkSettings, _: &Streams) -> Result<Option<Box<dyn Rule>>, LinkError> {
     within("delay_s", settings.delay_s, 0.0, MAX_DELAY_S)?;
     let delay_ns = nanoseconds(settings.delay_s);
-    Ok((delay_ns > 0).then(|| Box::new(Delay { delay_ns }) as Box<dyn Rule>))
+    let constant = settings.timeline.is_empty();
+    Ok((constant && delay_ns > 0).then(|| Box::new(Delay { delay_ns }) as Box<dyn Rule>))
 }
 
 impl Rule for Delay {

@@ -9,8 +9,8 @@
 //! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
 //! processes that know nothing of it.
 
-mod bound;
 mod adversary;
+mod bound;
 mod clock;
 mod corrupt;
 mod damage;
@@ -27,9 +27,13 @@ mod order;
 mod outage;
 mod proxy;
 mod random;
+mod rate;
 mod reorder;
 mod rule;
 mod settings;
+mod slots;
+mod timeline;
+mod trace;
 mod truncate;
 mod verdict;
 
@@ -49,5 +53,8 @@ pub use settings::{
     Action, Attack, ByteRange, CrossTraffic, DelayChange, DelayTrace, Discipline, Distribution, FourState,
     GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Opportunities, Outage, OutageEffect, OutageTimes,
     Slots, Target,
+};
+pub use trace::{
+    IrttDelay, IrttRecording, ParseError, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
 };
 pub use verdict::{Direction, DropCause, Extra, ExtraCause, Judgement, Packet, Verdict};

@@ -4,7 +4,10 @@ use crate::damage::Damage;
 use crate::rule::{BuildEnding, BuildRule, Ending, Extras, Rule, Streams};
 use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::{Direction, Judgement, Packet, Verdict};
-use crate::{adversary, corrupt, delay, duplicate, jitter, loss, mtu, order, outage, reorder, truncate};
+use crate::{
+    adversary, corrupt, delay, duplicate, jitter, loss, mtu, order, outage, rate, reorder, slots, timeline,
+    trace, truncate,
+};
 
 /// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, what waits there
 /// is delayed afterwards, and what was delayed is put in order.
@@ -12,7 +15,12 @@ const WAY: &[BuildRule] = &[
     mtu::build,
     loss::build,
     outage::build_dropping,
+    trace::build_loss,
+    rate::build,
     delay::build,
+    timeline::build,
+    slots::build,
+    trace::build_delay,
     jitter::build,
     outage::build_holding,
     order::build,

@@ -50,7 +50,7 @@ pub struct LinkSettings {
     pub overhead_bytes: usize,
     /// Times at which the bottleneck may send, instead of `rate_bps` (mahimahi).
     pub opportunities: Option<Opportunities>,
-    /// Most packets that wait.
+    /// Most packets that wait; 1000 if none of the three bounds is given. What is on the line does not wait.
     pub queue_packets: Option<usize>,
     /// Most bytes that wait, headers included.
     pub queue_bytes: Option<usize>,

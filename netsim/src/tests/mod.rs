@@ -1,10 +1,10 @@
 //! Tests of the crate as a whole, through its public names.
 
-mod jitter;
 mod adversary;
 mod chains;
 mod endings;
 mod independence;
+mod jitter;
 mod live;
 mod loss;
 mod outage;

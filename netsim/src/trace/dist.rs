@@ -1,0 +1,39 @@
+//! Distribution tables of iproute2.
+
+use super::error::ParseError;
+use super::text::lines;
+
+/// Most values that netem takes.
+const MOST_VALUES: usize = 16_384;
+
+/// Reads a `.dist` table of iproute2: whole numbers from -32768 to 32767 between blanks, 1 to 16384 of them; lines that
+/// begin with `#` are left out. They are an inverse distribution function in units of 1/8192 standard deviation.
+///
+/// `tc` cuts larger numbers off silently and ends a line at what it cannot read; here both are errors.
+///
+/// Source: `tc-netem(8)`; `get_distribution` of iproute2 (`MAX_DIST`).
+pub fn parse_dist(bytes: &[u8]) -> Result<Vec<i16>, ParseError> {
+    let mut table = Vec::new();
+    let mut last_line = 1;
+    for line in lines(bytes) {
+        let line = line?;
+        last_line = line.line;
+        if line.text.starts_with('#') {
+            continue;
+        }
+        for word in line.words() {
+            let Ok(value) = word.text.parse::<i16>() else {
+                let shown = word.shown();
+                return Err(word.error(format!("{shown}: must be a whole number from -32768 to 32767")));
+            };
+            if table.len() == MOST_VALUES {
+                return Err(word.error(format!("more than {MOST_VALUES} values")));
+            }
+            table.push(value);
+        }
+    }
+    if table.is_empty() {
+        return Err(ParseError::new(last_line, 1, "no values"));
+    }
+    Ok(table)
+}
