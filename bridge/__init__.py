@@ -12,7 +12,6 @@ from haptether._core import (
     SlaveSettings,
     SlaveTrace,
     ladder_state_name,
-    run_bridge,
     run_local,
 )
 from haptether.bridge.scene import load_scene, override_scene, scene_json, scene_names
@@ -49,7 +48,6 @@ from haptether.bridge.scene_tables import (
     Kalman,
     LimiterTable,
     LinksTable,
-    LinkTable,
     LowPass,
     RecordTable,
     RunTable,
@@ -57,6 +55,7 @@ from haptether.bridge.scene_tables import (
     SavitzkyGolay,
     Scene,
 )
+from haptether.bridge.virtual_run import run_bridge
 
 __all__ = [
     "AdaptiveWindow",
@@ -72,7 +71,6 @@ __all__ = [
     "LegTable",
     "LimiterTable",
     "LinkStatistics",
-    "LinkTable",
     "LinksTable",
     "LiveMaster",
     "LiveSlave",

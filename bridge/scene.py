@@ -50,7 +50,7 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
     Raises:
         SceneError: No such scene, or one that cannot be built: file, table, key, what was seen, what is allowed.
     """
-    path = _find(name_or_path)
+    path = scene_path(name_or_path)
     try:
         plain = cast("dict[str, Plain]", tomllib.loads(path.read_text(encoding="utf-8")))
         for override in overrides:
@@ -67,7 +67,12 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
     raise SceneError(message)
 
 
-def _find(name_or_path: str | PathLike[str]) -> FilePath:
+def scene_path(name_or_path: str | PathLike[str]) -> FilePath:
+    """Where a scene lies.
+
+    Raises:
+        SceneError: No such scene, with the nearest that there is.
+    """
     if isinstance(name_or_path, str) and name_or_path in scene_names():
         return _SHIPPED / f"{name_or_path}.toml"
     path = FilePath(name_or_path)

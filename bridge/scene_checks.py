@@ -48,11 +48,6 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
             yield contradiction((key,), "needs an arm to lead to: add [slave] or leave it out")
     if scene.environment is not None:
         yield from _environment(scene.environment, scene.slave is not None, scene.master.axes)
-    for direction in ("forward", "backward"):
-        link = scene.link and getattr(scene.link, direction)
-        if link and link.jitter_s > link.delay_s:
-            allowed = f"at most delay_s = {link.delay_s:g}, or packets would arrive before they are sent"
-            yield wrong(("link", direction, "jitter_s"), link.jitter_s, allowed)
     if scene.slave is not None and scene.safety.signals == "true":
         yield contradiction(
             ("safety", "signals"), 'with a [slave] only "estimated": an endpoint knows what is measured'

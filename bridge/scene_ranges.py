@@ -13,13 +13,11 @@ MOST_TICKS = 20_000_000
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
 NonNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
-Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Ratio = Annotated[float, Meta(gt=0.0, le=1.0)]
 Seconds = Annotated[float, Meta(ge=0.0, le=1e6)]
 LEAST_DURATION_S = 1e-9
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=1e6)]
 Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
-Delay = Annotated[float, Meta(ge=0.0, le=3600.0)]
 Period = Annotated[float, Meta(ge=1e-5, le=2e-2)]
 TremorFrequency = Annotated[float, Meta(gt=0.0, le=100.0)]
 Position = Annotated[float, Meta(ge=-1000.0, le=1000.0)]

@@ -10,6 +10,7 @@ from msgspec import ValidationError, convert, to_builtins
 from msgspec.structs import replace
 
 from haptether.bridge.scene_error import SceneError
+from haptether.bridge.scene_links import embedded_links
 from haptether.bridge.scene_near import SeriesTable
 from haptether.bridge.scene_tables import Scene
 
@@ -30,7 +31,8 @@ def embed_recordings(scene: Scene, folder: FilePath) -> Scene:
         )
         if any(new is not old for new, old in zip(pushers, environment.pushers, strict=True)):
             environment = replace(environment, pushers=pushers)
-    return replace(scene, operator=operator, environment=environment)
+    link = scene.link and embedded_links(scene.link, folder)
+    return replace(scene, operator=operator, environment=environment, link=link)
 
 
 def _embedded(table: SeriesTable, folder: FilePath) -> SeriesTable:

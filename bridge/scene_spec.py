@@ -8,6 +8,7 @@ import msgspec
 
 from haptether.bridge.scene_error import Path, SceneError, contradiction, place, wrong
 from haptether.bridge.scene_far import ObjectTable, Plane, PusherTable, SlaveTable
+from haptether.bridge.scene_links import spec_of_links
 from haptether.bridge.scene_near import MasterTable, OperatorTable, SeriesTable
 from haptether.bridge.scene_ranges import LEAST_DURATION_S
 from haptether.bridge.scene_tables import AdaptiveWindow, Kalman, Scene
@@ -43,7 +44,7 @@ def spec_of(scene: Scene) -> Spec:
     """All tables of a scene.
 
     Raises:
-        SceneError: A list that does not have one value per axis, or a device without mass.
+        SceneError: A list that does not have one value per axis, a device without mass, or a link that cannot be.
     """
     axes, run = scene.master.axes, scene.run
     start = None if scene.operator is None else operator_start(scene.operator, axes)
@@ -75,7 +76,7 @@ def spec_of(scene: Scene) -> Spec:
                 for index, part in enumerate(environment.pushers)
             ],
         },
-        "link": scene.link and _plain(scene.link),
+        "link": scene.link and spec_of_links(scene.link),
         "coupling": _coupling(scene),
         "safety": _safety(scene, master),
         "record": scene.record and _plain(scene.record),

@@ -8,15 +8,14 @@ from haptether.bridge.scene_far import EnvironmentTable, SlaveTable
 from haptether.bridge.scene_near import MasterTable, OperatorTable
 from haptether.bridge.scene_ranges import (
     LARGEST,
-    Delay,
     Duration,
     Hold,
     NonNegative,
     Period,
     Positive,
     Ratio,
-    Share,
 )
+from haptether.netsim import LinkSettings
 
 
 class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -40,23 +39,12 @@ class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     """|V| in m/s beyond which the loop has diverged."""
 
 
-class LinkTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[link.forward]`, `[link.backward]`: the network in one direction."""
-
-    delay_s: Delay = 0.0
-    """One way, in s."""
-    jitter_s: Delay = 0.0
-    """Half-width in s of the uniform jitter, at most `delay_s`."""
-    loss: Share = 0.0
-    """Share of packets lost."""
-
-
 class LinksTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[link]`: the network; a direction without a table is perfect."""
 
-    forward: LinkTable | None = None
+    forward: LinkSettings | None = None
     """From master to slave."""
-    backward: LinkTable | None = None
+    backward: LinkSettings | None = None
     """From slave to master."""
 
 

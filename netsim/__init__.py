@@ -1,5 +1,78 @@
-"""Network impairment: delay, jitter and loss, decided once for virtual time and for live sockets."""
+"""Network impairment, decided once for virtual time and for live sockets."""
 
-from haptether._core import DirectionStatistics, LinkSettings, Proxy, ProxyStatistics, judge
+from haptether._core import DirectionStatistics, ProxyStatistics
+from haptether.netsim.link_error import LinkError
+from haptether.netsim.link_files import with_files
+from haptether.netsim.link_parts import (
+    Attack,
+    BitFlip,
+    ByteRange,
+    CrossTraffic,
+    DelayChange,
+    DelayTrace,
+    DistributionTable,
+    Drop,
+    Forge,
+    FourState,
+    GilbertElliott,
+    Mirror,
+    Once,
+    Opportunities,
+    Outage,
+    Periodic,
+    Random,
+    Replay,
+    SecondSource,
+    SequenceLead,
+    Slots,
+    Target,
+)
+from haptether.netsim.link_settings import LinkSettings
+from haptether.netsim.link_spec import link_json, link_spec
+from haptether.netsim.presets import PRESETS
+from haptether.netsim.proxy import Proxy
+from haptether.netsim.statistics import LinkFigures, asked, burst_lengths, realised
+from haptether.netsim.verdicts import VERDICT_CAUSES, Verdicts, judge, judge_all, link_bounds
 
-__all__ = ["DirectionStatistics", "LinkSettings", "Proxy", "ProxyStatistics", "judge"]
+__all__ = [
+    "PRESETS",
+    "VERDICT_CAUSES",
+    "Attack",
+    "BitFlip",
+    "ByteRange",
+    "CrossTraffic",
+    "DelayChange",
+    "DelayTrace",
+    "DirectionStatistics",
+    "DistributionTable",
+    "Drop",
+    "Forge",
+    "FourState",
+    "GilbertElliott",
+    "LinkError",
+    "LinkFigures",
+    "LinkSettings",
+    "Mirror",
+    "Once",
+    "Opportunities",
+    "Outage",
+    "Periodic",
+    "Proxy",
+    "ProxyStatistics",
+    "Random",
+    "Replay",
+    "SecondSource",
+    "SequenceLead",
+    "Slots",
+    "Target",
+    "Verdicts",
+    "asked",
+    "burst_lengths",
+    "judge",
+    "judge_all",
+    "link_bounds",
+    "link_json",
+    "link_spec",
+    "realised",
+    "with_files",
+]

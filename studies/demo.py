@@ -47,7 +47,7 @@ class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     delay_s: float = 0.05
-    jitter_s: float = 0.01
+    jitter_s: float = 0.005
     loss: float = 0.01
     seed: int = 1
     wall_stiffness: float = 100.0
@@ -91,7 +91,7 @@ def run_demo(
         ))  # fmt: skip
         slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
         netsim = stack.enter_context(_process(
-            "netsim", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
+            "netsim", "proxy", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
             "--jitter-s", str(scene.jitter_s), "--loss", str(scene.loss), "--seed", str(scene.seed),
             "--duration-s", limit,
         ))  # fmt: skip

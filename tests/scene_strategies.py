@@ -190,7 +190,7 @@ def slaves(draw: st.DrawFn, axes: int, period_s: float) -> Plain:
 @st.composite
 def links(draw: st.DrawFn) -> Plain:
     delay_s = draw(real(0.0, 0.1))
-    return {"delay_s": delay_s} | draw(table(jitter_s=real(0.0, delay_s), loss=real(0.0, 1.0)))
+    return {"delay_s": delay_s} | draw(table(jitter_s=real(0.0, delay_s / 4.0), loss=real(0.0, 1.0)))
 
 
 # ---------------------------------------------------------------------------------------------- safety

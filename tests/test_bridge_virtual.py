@@ -34,7 +34,8 @@ OPEN = LimiterSettings(max_force_n=100.0, max_slew_n_per_s=1e6, max_power_w=1e4)
 """Bounds that nothing reaches in a sound run."""
 
 PERFECT = LinkSettings()
-ROUGH = LinkSettings(delay_s=0.05, jitter_s=0.01, loss=0.01)
+# 50 ms +- 10 ms.
+ROUGH = LinkSettings(delay_s=0.05, jitter_s=0.01 / np.sqrt(3.0), distribution="uniform", loss=0.01)
 DEAD = LinkSettings(loss=1.0)
 
 BOTH = ("time_s", "position", "state", "overshoot_s")
@@ -246,8 +247,11 @@ def received(
     [
         (PERFECT, PERFECT),
         (ROUGH, ROUGH),
-        (LinkSettings(loss=0.3), LinkSettings(delay_s=0.003, jitter_s=0.003)),
-        (LinkSettings(delay_s=0.2, jitter_s=0.2, loss=0.5), LinkSettings(delay_s=5.0)),
+        (LinkSettings(loss=0.3), LinkSettings(delay_s=0.003, jitter_s=0.0015, keep_order=False)),
+        (
+            LinkSettings(delay_s=0.2, jitter_s=0.1, jitter_correlation_s=0.0, keep_order=False, loss=0.5),
+            LinkSettings(delay_s=5.0),
+        ),
     ],
 )
 @pytest.mark.parametrize("seed", [0, 1])

@@ -1,5 +1,6 @@
 """Verdicts of the network model: bounds, rates, determinism, and what is refused."""
 
+import math
 import re
 from typing import Any, Literal
 
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptether.netsim import LinkSettings, judge
+from haptether.netsim import DelayTrace, LinkError, LinkSettings, Once, Outage, judge
 
 Times = npt.NDArray[np.int64]
 
@@ -17,6 +18,16 @@ PACKETS = 20_000
 SENT_NS = np.arange(PACKETS, dtype=np.int64) * 1_000_000
 
 seeds = st.integers(0, 2**64 - 1)
+
+
+def uniform(half_width_s: float) -> dict[str, Any]:
+    """Jitter that is uniform and independent from packet to packet, so that packets overtake one another."""
+    return {
+        "jitter_s": half_width_s / math.sqrt(3.0),
+        "distribution": "uniform",
+        "jitter_correlation_s": 0.0,
+        "keep_order": False,
+    }
 
 
 def test_a_perfect_network_delivers_at_once() -> None:
@@ -35,14 +46,14 @@ def test_a_perfect_network_delivers_at_once() -> None:
 def test_what_arrives_does_so_within_the_jitter(
     delay_s: float, share: float, loss: float, seed: int, sent_ns: list[int]
 ) -> None:
-    jitter_s = delay_s * share
-    settings = LinkSettings(delay_s=delay_s, jitter_s=jitter_s, loss=loss)
-    sent = np.array(sent_ns, dtype=np.int64)
+    half_width_s = delay_s * share
+    settings = LinkSettings(delay_s=delay_s, loss=loss, **uniform(half_width_s))
+    sent = np.array(sorted(sent_ns), dtype=np.int64)
     due = judge(settings, sent, seed=seed)
     arrived = due >= 0
     assert np.all(due[~arrived] == -1)
     # Delay and jitter are rounded to a nanosecond each.
-    delay_ns, jitter_ns = round(delay_s * 1e9), round(jitter_s * 1e9)
+    delay_ns, jitter_ns = round(delay_s * 1e9), round(half_width_s * 1e9)
     travelled = (due - sent)[arrived]
     assert np.all(travelled >= max(0, delay_ns - jitter_ns - 1))
     assert np.all(travelled <= delay_ns + jitter_ns + 1)
@@ -77,7 +88,7 @@ def test_all_or_nothing() -> None:
 
 
 def test_jitter_is_uniform_around_the_delay() -> None:
-    due = judge(LinkSettings(delay_s=0.05, jitter_s=0.01), SENT_NS, seed=3)
+    due = judge(LinkSettings(delay_s=0.05, **uniform(0.01)), SENT_NS, seed=3)
     shift = (due - SENT_NS) / 1e9 - 0.05
     # Uniform with half-width w: mean 0 ± w / sqrt(3 n), mean square w²/3 ± w² sqrt(4 / (45 n)).
     assert abs(shift.mean()) <= 4 * 0.01 / np.sqrt(3 * PACKETS)
@@ -87,7 +98,7 @@ def test_jitter_is_uniform_around_the_delay() -> None:
     assert np.any(np.diff(due) < 0), "packets overtake one another"
 
 
-FULL = LinkSettings(delay_s=0.05, jitter_s=0.01, loss=0.05)
+FULL = LinkSettings(delay_s=0.05, loss=0.05, **uniform(0.01))
 
 
 @given(seed=seeds)
@@ -121,7 +132,7 @@ def test_the_layout_of_the_times_changes_nothing() -> None:
 def test_an_impairment_shifts_no_draw_of_another(seed: int) -> None:
     sent = SENT_NS[:500]
     both = judge(FULL, sent, seed=seed)
-    jitter = judge(LinkSettings(delay_s=0.05, jitter_s=0.01), sent, seed=seed)
+    jitter = judge(LinkSettings(delay_s=0.05, **uniform(0.01)), sent, seed=seed)
     loss = judge(LinkSettings(loss=0.05), sent, seed=seed)
     assert np.array_equal(both, np.where(loss == -1, -1, jitter))
     # What a smaller rate loses, a larger rate loses too.
@@ -132,18 +143,32 @@ def test_an_impairment_shifts_no_draw_of_another(seed: int) -> None:
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"delay_s": -0.1}, "delay_s = -0.1: must be a finite number from 0 to 3600"),
-        ({"delay_s": 3601.0}, "delay_s = 3601: must be a finite number from 0 to 3600"),
-        ({"delay_s": np.nan}, "delay_s = NaN: must be a finite number from 0 to 3600"),
-        ({"jitter_s": np.inf}, "jitter_s = inf: must be a finite number from 0 to 3600"),
-        ({"loss": 1.5}, "loss = 1.5: must be a finite number from 0 to 1"),
-        ({"loss": -0.1}, "loss = -0.1: must be a finite number from 0 to 1"),
-        ({"delay_s": 0.01, "jitter_s": 0.02}, "jitter_s = 0.02: must be at most delay_s = 0.01"),
+        ({"delay_s": -0.1}, "delay_s = -0.1: must be a number from 0 to 3600"),
+        ({"delay_s": 3601.0}, "delay_s = 3601.0: must be a number from 0 to 3600"),
+        ({"delay_s": np.nan}, "delay_s = nan: must be a finite number"),
+        ({"jitter_s": np.inf}, "jitter_s = inf: must be a finite number"),
+        ({"loss": 1.5}, "loss = 1.5: must be a number from 0 to 1"),
+        ({"loss": -0.1}, "loss = -0.1: must be a number from 0 to 1"),
+        ({"delay_s": 0.01, "jitter_s": 0.02}, "jitter_s"),
+        ({"delay_s": "50 ms"}, 'delay_s = "50 ms": must be a number from 0 to 3600'),
+        ({"rate_bps": 0.0}, "rate_bps = 0.0: must be a number above 0 and at most 1e+12"),
+        ({"mtu": -1}, "mtu = -1: must be a whole number from 0 to "),
+        ({"mtu": 1.5}, "mtu = 1.5: must be a whole number from 0 to "),
+        ({"discipline": "red"}, 'discipline = "red": must be one of codel, tail-drop'),
+        ({"outages": (Outage(times=Once(at_s=1.0, duration_s=-1.0)),)}, "outages.0.times.duration_s = -1.0: must be"),
+        ({"trace": DelayTrace(time_s=(0.0,))}, "trace: needs file, or time_s and delay_s"),
+        ({"distribution": "norml"}, 'distribution = "norml": must be one of normal, uniform'),
+        ({"preset": "star-link"}, 'preset = "star-link": must be one of wired-lan, '),
     ],
 )
-def test_settings_out_of_range_are_refused(settings: dict[str, float], told: str) -> None:
-    with pytest.raises(ValueError, match=f"^{re.escape(told)}"):
-        LinkSettings(**settings)
+def test_settings_out_of_range_are_refused(settings: dict[str, Any], told: str) -> None:
+    with pytest.raises(LinkError, match=f"^{re.escape(told)}"):
+        judge(LinkSettings(**settings), SENT_NS)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    settings = LinkSettings(delay_s=np.float64(0.05), loss=np.float32(0.0), mtu=np.int64(1000))  # type: ignore[arg-type]
+    assert np.array_equal(judge(settings, SENT_NS) - SENT_NS, [50_000_000] * PACKETS)
 
 
 def test_settings_tell_what_they_were_given() -> None:
@@ -157,6 +182,9 @@ def test_settings_tell_what_they_were_given() -> None:
     ("sent", "keywords", "error", "told"),
     [
         (np.array([0, 5, -1]), {}, ValueError, r"^sent_ns\[2\] = -1: must be 0 or more$"),
+        (np.array([0, 5, 4]), {}, ValueError, r"^sent_ns\[2\] = 4: must be at least the one before it, 5$"),
+        (np.array([0, 5]), {"sizes": np.array([1])}, ValueError, "^sizes: 1 of them, must be 2, one per packet$"),
+        (np.array([0, 5]), {"sizes": -1}, ValueError, r"^sizes\[0\] = -1: must be 0 or more$"),
         (
             SENT_NS,
             {"direction": "sideways"},

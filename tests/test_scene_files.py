@@ -25,6 +25,7 @@ from haptether.bridge import (
     sweep,
 )
 from haptether.bridge.scene_sweep import sweep_columns
+from haptether.netsim import LinkSettings, link_spec
 
 SHIPPED = {
     "active_force",
@@ -75,7 +76,8 @@ def test_the_remote_push_is_that_of_the_demonstration() -> None:
     demo, scene = DemoScene(), spec(load_scene("remote_push"))
     (wall,), (pusher,) = scene["environment"]["objects"], scene["environment"]["pushers"]
     assert scene["link"]["forward"] == scene["link"]["backward"]
-    assert scene["link"]["forward"] == {"delay_s": demo.delay_s, "jitter_s": demo.jitter_s, "loss": demo.loss}
+    asked = {"delay_s": demo.delay_s, "jitter_s": demo.jitter_s, "loss": demo.loss}
+    assert scene["link"]["forward"] == link_spec(LinkSettings(**asked), "forward")
     assert wall["contact"]["stiffness"] == demo.wall_stiffness
     assert scene["operator"]["legs"][0]["end"] == [-demo.depth]
     assert scene["operator"]["release"]["at_s"] == demo.release_at_s
@@ -170,7 +172,9 @@ def test_a_field_can_be_overridden(override: str, path: str, value: object) -> N
         ("operator.legs.1.end=0", "[operator] legs.1: the scene has 1 of these, counted from 0"),
         ("operator.legs.x.end=0", '"operator.legs.x.end": [operator] legs has no part x'),
         ("operator.legs.0.end.0=0", "[operator.legs.0] end.0: the scene has one number for all axes"),
-        ("link.forward.delay_s=0.001", "[link.forward] jitter_s = 0.01: must be at most delay_s = 0.001"),
+        ("link.forward.delay_s=3601", "[link.forward] delay_s = 3601: must be 0 to 3600"),
+        ("link.forward.preset=gee", "[link.forward] preset = \"gee\": must be one of "),
+        ("link.forward.outages.0.times.at_s=1", "[link.forward] outages.0: the scene has 0 of these"),
         ("safety.estimator.cutoff_hz=3", "[safety.estimator] has no key cutoff_hz: "),
         ("=3", "a scene has no key : "),
     ],
@@ -185,7 +189,7 @@ def test_an_override_that_does_not_fit_is_refused(override: str, said: str) -> N
 def test_a_table_that_an_override_needs_is_made(tmp_path: Path) -> None:
     scene = load_scene(file(tmp_path, MINIMAL), ["slave.mass_kg=2", "link.backward.loss=0.5"])
     filled = spec(scene)
-    assert filled["link"] == {"forward": None, "backward": {"delay_s": 0.0, "jitter_s": 0.0, "loss": 0.5}}
+    assert filled["link"] == {"forward": None, "backward": link_spec(LinkSettings(loss=0.5), "backward")}
     assert filled["slave"]["mass_kg"] == 2
     assert filled["coupling"] == {"kind": "position-force", "position_scale": 1.0, "force_scale": 1.0}
 
@@ -406,7 +410,9 @@ def test_the_columns_are_those_of_each_scene_by_itself() -> None:
         ({"safety.window": [10, 0]}, "row 1: [safety] window = 0: must be 1 to 3600000"),
         ({"safety.window": [1.5]}, "row 0: [safety] window = 1.5: must be a whole number, 1 to 3600000"),
         ({"operator.damping": [1, 2, -1]}, "row 2: [operator] damping = -1: must be 0 to 1e9"),
-        ({"link.forward.delay_s": [0.05, 0.005]}, "row 1: [link.forward] jitter_s = 0.01: must be at most"),
+        ({"link.forward.delay_s": [0.05, 0.001]}, "row 1: [link.forward] jitter_s"),
+        ({"link.forward.delay_s": [0.05, -1]}, "row 1: [link.forward] delay_s = -1: must be 0 to 3600"),
+        ({"link.forward.queue_ms": [10]}, "link.forward.queue_ms: the scene leaves it out"),
         ({"master.mass_kg": [0.1, 0.0]}, "row 1: [master] mass_kg = 0: must be above 0"),
         ({"operator.regrasp.rise_s": [1]}, "[operator.regrasp] rise_s: the scene has no such part"),
         ({"slave.max_acceleration": [1]}, "slave.max_acceleration: the scene leaves it out"),

@@ -32,8 +32,41 @@ from haptether.bridge import (
 )
 from haptether.bridge.scene_error import types_at
 from haptether.master import DEVICE_PRESETS
+from haptether.netsim import (
+    Attack,
+    BitFlip,
+    ByteRange,
+    CrossTraffic,
+    DelayChange,
+    DelayTrace,
+    Drop,
+    Forge,
+    FourState,
+    GilbertElliott,
+    LinkSettings,
+    Mirror,
+    Once,
+    Opportunities,
+    Outage,
+    Periodic,
+    Random,
+    Replay,
+    SecondSource,
+    SequenceLead,
+    Slots,
+    Target,
+    link_spec,
+)
+from haptether.netsim.link_settings import DISTRIBUTIONS
 
-SPEC = Path(__file__).resolve().parents[1] / "bridge" / "src" / "scene" / "spec.rs"
+LINK_TABLES = (
+    Attack, BitFlip, ByteRange, CrossTraffic, DelayChange, DelayTrace, Drop, Forge, FourState, GilbertElliott, Mirror,
+    Once, Opportunities, Outage, Periodic, Random, Replay, SecondSource, SequenceLead, Slots, Target,
+)  # fmt: skip
+
+ROOT = Path(__file__).resolve().parents[1]
+SPEC = ROOT / "bridge" / "src" / "scene" / "spec.rs"
+LINK_SETTINGS = sorted((ROOT / "netsim" / "src" / "settings").glob("*.rs"))
 
 # ------------------------------------------------------------------------------------------- TOML
 
@@ -90,6 +123,36 @@ def full_scene() -> dict[str, Any]:
     }
 
 
+def busy_links() -> dict[str, Any]:
+    """Links with every table between the two."""
+    return {
+        "forward": {
+            "mtu": 1400,
+            "gilbert_elliott": {"to_bad": 0.001, "to_good": 0.3},
+            "outages": [
+                {"times": {"kind": "once", "at_s": 1.0, "duration_s": 0.1}},
+                {"times": {"kind": "periodic", "at_s": 1.0, "period_s": 2.0, "duration_s": 0.1}, "effect": "hold"},
+                {"times": {"kind": "random", "mean_up_s": 10.0, "mean_down_s": 0.1}},
+            ],
+            "rate_bps": 1e6, "queue_ms": 50.0, "discipline": "codel", "cross_traffic": {"rate_bps": 1e5},
+            "delay_s": 0.05, "jitter_s": 0.005, "distribution": "gamma", "jitter_correlation_s": 0.1,
+            "timeline": [{"at_s": 1.0, "delay_s": 0.1, "ramp_s": 0.5}],
+            "slots": {"period_s": 15.0, "start_spike_s": 0.14, "end_spike_s": 0.075, "spike_delay_s": 0.03},
+            "attacks": [
+                {"action": {"kind": "bit-flip", "bits": 2, "within": {"start": 0, "end": 8}}},
+                {"action": {"kind": "replay", "after_s": 1.0}, "target": {"from_s": 1.0, "every": 10}},
+                {"action": {"kind": "mirror"}, "target": {"probability": 0.01}},
+            ],
+        },
+        "backward": {
+            "four_state": {"p13": 0.01, "p31": 0.5},
+            "opportunities": {"time_ms": [1, 2, 2, 4]}, "queue_packets": 10,
+            "trace": {"time_s": [0.0, 1.0], "delay_s": [0.05, 0.06], "repeat": False},
+            "reorder": 0.01, "duplicate": 0.01, "corrupt": 0.01, "truncate": 0.01,
+        },
+    }  # fmt: skip
+
+
 def local_scene() -> dict[str, Any]:
     """A scene without an arm."""
     return {
@@ -101,6 +164,7 @@ def local_scene() -> dict[str, Any]:
 
 
 ABSENT = object()
+NAN, INF = float("nan"), float("inf")
 
 
 def changed(scene: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -118,8 +182,6 @@ def changed(scene: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 
 
 # ----------------------------------------------------------------------------------- bad scenes
-
-NAN, INF = float("nan"), float("inf")
 
 BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     # unknown keys
@@ -183,7 +245,20 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"run.duration_s": 20001.0}, "[run] duration_s = 20001: must be at most 2e7 ticks, 20000 s at period_s = 0.001"),
     ({"run.duration_s": 1e-4}, "[run] duration_s = 0.0001: must be at least one period of 0.001 s"),
     ({"run.period_s": 0.025}, "[run] period_s = 0.025: must be 1e-05 to 0.02"),
-    ({"link.forward.jitter_s": 0.06}, "[link.forward] jitter_s = 0.06: must be at most delay_s = 0.05"),
+    # what netsim refuses
+    ({"link.forward.jiter_s": 0.06}, "[link.forward] has no key jiter_s: did you mean jitter_s?"),
+    ({"link.forward.jitter_s": 0.06}, "[link.forward] jitter_s"),
+    ({"link.forward.mean_burst": 0.5}, "[link.forward] mean_burst = 0.5: must be 1 to 1e9"),
+    ({"link.forward.rate_bps": 0.0}, "[link.forward] rate_bps = 0: must be above 0"),
+    ({"link.forward.delay_s": INF}, "[link.forward] delay_s = inf: must be a finite number"),
+    ({"link.forward.outages": [{"times": {"kind": "once", "at_s": 1.0, "duration_s": -1.0}}]}, "[link.forward.outages.0.times] duration_s = -1: must be"),
+    ({"link.forward.outages": [{"times": {"kind": "twice"}}]}, '[link.forward.outages.0.times] kind = "twice": must be one of "once", "periodic", "random"'),
+    ({"link.forward.preset": "mon"}, '[link.forward] preset = "mon": must be one of '),
+    ({"link.forward.distribution": "nrmal"}, '[link.forward] distribution = "nrmal": must be one of normal, uniform'),
+    ({"link.forward.trace": {}}, "[link.forward] trace: needs file, or time_s and delay_s"),
+    ({"link.forward.trace": {"file": "a.csv", "time_s": [0.0]}}, "[link.forward.trace] file: either file, or time_s and delay_s"),
+    ({"link.forward.gilbert_elliott": {"to_bad": 0.1, "to_good": 0.5}}, "[link.forward] "),
+    ({"link.forward.four_state": {"p13": 0.1, "p31": 0.5, "p32": 0.9}, "link.forward.loss": 0.0}, "[link.forward"),
     ({"slave.stiffness": 100.0}, '[slave] stiffness: control = "position" has none, only "pd"'),
     ({"slave.control": "pd"}, '[slave] stiffness: control = "pd" needs it'),
     ({"environment.rendering": "continuous"}, "[environment] rendering: an arm stands between"),
@@ -267,19 +342,23 @@ def kebab(name: str) -> str:
 
 def rust_types() -> RustTypes:
     """Structs as fields with their types, enums as variants with theirs, as serde names them."""
-    source = re.sub(r"//.*", "", SPEC.read_text(encoding="utf-8"))
+    files = [SPEC, *LINK_SETTINGS]
+    source = re.sub(r"//.*", "", "\n".join(file.read_text(encoding="utf-8") for file in files))
     types: RustTypes = {}
     for attributes, what, name, body in re.findall(
         r"((?:#\[[^\]]*\]\s*)+)pub (struct|enum) (\w+) \{(.*?)\n\}", source, re.DOTALL
     ):
+        if "Deserialize" not in attributes:
+            continue
         assert what == "enum" or "deny_unknown_fields" in attributes, name
         if what == "struct":
             types[name] = {"fields": dict(re.findall(r"pub (\w+): (.+),", body))}
             continue
         rename = {"kebab-case": kebab, "lowercase": str.lower}[re.findall(r'rename_all = "([^"]+)"', attributes)[0]]
-        variants = {
-            rename(variant): dict(re.findall(r"(\w+): ([^,]+),", fields)) if fields else None
-            for variant, fields in re.findall(r"(\w+)(?: (\{.*?\}))?,\n", f"{body}\n", re.DOTALL)
+        # A variant with one value in parentheses is a table of its own name.
+        variants: dict[str, Any] = {
+            rename(variant): dict(re.findall(r"(\w+): ([^,]+),", fields)) if fields else held or None
+            for variant, held, fields in re.findall(r"(\w+)(?:\(([^)]*)\)| (\{.*?\}))?,\n", f"{body}\n", re.DOTALL)
         }
         types[name] = {"variants": variants, "tag": (re.findall(r'tag = "(\w+)"', attributes) or [None])[0]}
     return types
@@ -300,19 +379,24 @@ def faults(value: Any, kind: str, path: str = "scene") -> list[str]:  # noqa: PL
     if kind == "(f64, f64)":
         fits = isinstance(value, list) and len(value) == 2 and not any(faults(item, "f64") for item in value)
         return [] if fits else [f"{path}: no pair"]
-    if kind in ("f64", "u64", "usize", "bool"):
+    if kind in ("f64", "u64", "u32", "i16", "usize", "bool"):
         number = isinstance(value, int | float) and not isinstance(value, bool)
         fits = {
             "f64": number, "bool": isinstance(value, bool),
             "u64": number and isinstance(value, int) and 0 <= value < 2**64,
             "usize": number and isinstance(value, int) and 0 <= value < 2**64,
+            "u32": number and isinstance(value, int) and 0 <= value < 2**32,
+            "i16": number and isinstance(value, int) and -(2**15) <= value < 2**15,
         }[kind]  # fmt: skip
         return [] if fits else [f"{path} = {value!r}: no {kind}"]
     described = RUST[kind]
     if "fields" in described:
         expected = described["fields"]
     elif described["tag"] is None:
-        return [] if value in described["variants"] else [f"{path} = {value!r}: none of {kind}"]
+        if isinstance(value, dict) and len(value) == 1 and isinstance(held := described["variants"].get(*value), str):
+            return faults(*value.values(), held, f"{path}.{next(iter(value))}")
+        fits = isinstance(value, str) and described["variants"].get(value, "") is None
+        return [] if fits else [f"{path} = {value!r}: none of {kind}"]
     else:
         value = dict(value)
         expected = described["variants"][value.pop(described["tag"])] or {}
@@ -323,12 +407,15 @@ def faults(value: Any, kind: str, path: str = "scene") -> list[str]:  # noqa: PL
 
 
 def test_the_types_of_the_rust_side_are_all_found() -> None:
-    assert len(RUST) == SPEC.read_text(encoding="utf-8").count("\npub struct ") + SPEC.read_text(
-        encoding="utf-8"
-    ).count("\npub enum ")
+    sources = [file.read_text(encoding="utf-8") for file in (SPEC, *LINK_SETTINGS)]
+    declared = sum(len(re.findall(r"^pub (?:struct|enum) ", source, re.MULTILINE)) for source in sources)
+    # All but the error of a link.
+    assert len(RUST) == declared - 1
     assert set(RUST["SceneSpec"]["fields"]) > {"run", "master", "operator", "slave", "safety"}
     assert RUST["ShapeSpec"]["variants"]["sphere"] == {"centre": "Vec<f64>", "radius": "f64"}
     assert RUST["EstimatorSpec"]["variants"]["backward-difference"] == {}
+    assert RUST["Action"]["variants"]["drop"] is None
+    assert RUST["Distribution"]["variants"]["table"] == "Vec<i16>"
 
 
 def test_what_does_not_fit_the_rust_side_would_be_found() -> None:
@@ -339,6 +426,12 @@ def test_what_does_not_fit_the_rust_side_would_be_found() -> None:
         "scene.slave.control = 'pid': none of ControlSpec"
     ]
     assert faults(changed(spec, {"master.mass_kg": 1.0}), "SceneSpec") == ["scene.master.mass_kg: no list"]
+    assert faults(changed(spec, {"link.forward.distribution": "norml"}), "SceneSpec") == [
+        "scene.link.forward.distribution = 'norml': none of Distribution"
+    ]
+    assert faults(changed(spec, {"link.forward.distribution": {"table": [0.5]}}), "SceneSpec") == [
+        "scene.link.forward.distribution.table.0 = 0.5: no i16"
+    ]
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -374,6 +467,10 @@ def test_a_scene_with_every_table_is_what_the_rust_side_reads(tmp_path: Path) ->
         ("VfcFormSpec", "safety.vfc_form"),
         ("EstimatorSpec", "safety.estimator"),
         ("FitSpec", "safety.estimator.fit"),
+        ("Discipline", "link.forward.discipline"),
+        ("OutageTimes", "link.forward.outages.0.times"),
+        ("OutageEffect", "link.forward.outages.0.effect"),
+        ("Action", "link.forward.attacks.0.action"),
     ],
 )
 def test_both_sides_know_the_same_names(rust: str, path: str) -> None:
@@ -397,11 +494,48 @@ def test_every_table_of_the_rust_side_is_compared_somewhere(tmp_path: Path) -> N
                 visit(item, inner[1])
         elif kind in RUST:
             seen.add(kind)
-            for key, field in RUST[kind].get("fields", {}).items():
+            variants = RUST[kind].get("variants", {})
+            tag = RUST[kind].get("tag")
+            fields = variants[value[tag]] or {} if tag else RUST[kind].get("fields", {})
+            for key, field in fields.items():
                 visit(value[key], field)
 
-    visit(json.loads(scene_json(load_scene(written(full_scene(), tmp_path)))), "SceneSpec")
+    for changes in ({}, {"link": busy_links()}):
+        scene = load_scene(written(changed(full_scene(), changes), tmp_path))
+        filled = json.loads(scene_json(scene))
+        assert faults(filled, "SceneSpec") == []
+        visit(filled, "SceneSpec")
     assert seen == set(RUST) - {"FitSpec"}  # of one estimator only; its names are compared above
+
+
+def test_a_link_has_the_settings_and_defaults_of_the_rust_side() -> None:
+    """What Python fills in for what is left out is what Rust takes, field by field and in the same order."""
+    fields = [name for name in LinkSettings.__struct_fields__ if name != "preset"]
+    assert fields == list(RUST["LinkSettings"]["fields"])
+    assert set(RUST["Distribution"]["variants"]) == {*DISTRIBUTIONS, "table"}
+    source = (ROOT / "netsim" / "src" / "settings" / "mod.rs").read_text(encoding="utf-8")
+    (body,) = re.findall(r"impl Default for LinkSettings \{.*?Self \{(.*?)\n        \}", source, re.DOTALL)
+    words = {"None": None, "true": True, "false": False, "Vec::new()": []}
+    rust = {
+        name: words[value] if value in words else kebab(value.split("::")[1]) if "::" in value else float(value)
+        for name, value in re.findall(r"(\w+): (.+),", body)
+    }
+    assert link_spec(LinkSettings(), "forward") == rust
+
+
+@pytest.mark.parametrize("table", LINK_TABLES, ids=lambda table: table.__name__)
+def test_a_table_of_a_link_has_the_fields_and_defaults_of_the_rust_side(table: type[msgspec.Struct]) -> None:
+    """A field that Rust requires has no default in Python, and one that it does not has."""
+    of_files = {"Opportunities": {"file"}, "DelayTrace": {"file", "format", "direction"}}
+    fields = [field for field in msgspec.structs.fields(table) if field.name not in of_files.get(table.__name__, ())]
+    tag = table.__struct_config__.tag
+    if tag is None:
+        described = RUST[table.__name__]["fields"]
+    else:
+        (described,) = (
+            RUST[enum]["variants"][tag] or {} for enum in ("OutageTimes", "Action") if tag in RUST[enum]["variants"]
+        )
+    assert [field.name for field in fields] == list(described)
 
 
 # --------------------------------------------------------------------------------- defaults, presets
@@ -550,7 +684,7 @@ def scenes(draw: st.DrawFn) -> dict[str, Any]:
         scene["slave"] = some(
             {"mass_kg": draw(numbers(0.1, 10)), "position": per_axis(-1, 1), "max_speed": "unbounded"}
         )
-        scene["link"] = {"forward": {"delay_s": delay, "jitter_s": draw(numbers(0, delay))}}
+        scene["link"] = {"forward": {"delay_s": delay, "jitter_s": draw(numbers(0, delay / 4))}}
     return scene
 
 

@@ -2,7 +2,9 @@
 
 use std::ops::ControlFlow;
 
-use haptether_netsim::{Direction, InFlight, Link, LinkError, LinkSettings, Packet, Verdict};
+use haptether_netsim::{
+    Damage, Direction, ExtraCause, InFlight, Judgement, Link, LinkError, LinkSettings, Packet, Verdict,
+};
 
 use crate::{
     side::{Side, TickTime},
@@ -26,6 +28,9 @@ pub struct VirtualSettings {
     pub seed: u64,
 }
 
+/// Most datagrams under way in one direction: more than an hour at 1 kHz. They take memory only as they come.
+const MOST_IN_FLIGHT: usize = 1 << 22;
+
 type Datagram = ([u8; MAX_FRAME], usize);
 
 struct Way {
@@ -36,25 +41,9 @@ struct Way {
 }
 
 impl Way {
-    /// For a sender that sends `ticks` packets, one each `period_ns`.
-    fn new(
-        direction: Direction,
-        seed: u64,
-        settings: &LinkSettings,
-        ticks: u64,
-        period_ns: u64,
-    ) -> Result<Self, LinkError> {
+    fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
         let link = Link::new(direction, seed, settings)?;
-        // All that can be under way at once: a long delay at a high rate is no full queue.
-        let longest = (settings.delay_s + settings.jitter_s) * 1e9 / period_ns as f64;
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not below 0, and saturates
-        let most = (longest.ceil() as u64).min(ticks).saturating_add(2);
-        Ok(Self {
-            link,
-            in_flight: InFlight::growing(usize::try_from(most).unwrap_or(usize::MAX)),
-            index: 0,
-            direction,
-        })
+        Ok(Self { link, in_flight: InFlight::growing(MOST_IN_FLIGHT), index: 0, direction })
     }
 
     fn deliver(&mut self, now_ns: u64, to: &mut impl Side) {
@@ -64,16 +53,30 @@ impl Way {
         }
     }
 
-    fn take(&mut self, now_ns: u64, from: &mut impl Side) {
+    /// Takes what `from` sends; `back` is the way that leads to it.
+    fn take(&mut self, now_ns: u64, from: &mut impl Side, back: &mut Self) {
         let mut buffer = [0; MAX_FRAME];
         let length = from.send(now_ns, &mut buffer).len();
         let packet = Packet { direction: self.direction, sent_ns: now_ns, size: length, index: self.index };
         self.index += 1;
-        if let Verdict::Deliver { at_ns } = self.link.judge(&packet).verdict {
-            // A full queue drops, as the network would; the link counts what it lost.
-            let _ = self.in_flight.push(at_ns, (buffer, length));
+        let Judgement { verdict, damage, extras } = self.link.judge(&packet);
+        // A full queue drops, as the network would, and counts it.
+        if let Verdict::Deliver { at_ns } = verdict {
+            let arrived = if damage.is_none() { (buffer, length) } else { damaged(&buffer, length, &damage) };
+            let _ = self.in_flight.push(at_ns, arrived);
+        }
+        for extra in extras {
+            let to =
+                if extra.cause == ExtraCause::Mirror { &mut back.in_flight } else { &mut self.in_flight };
+            let _ = to.push(extra.at_ns, damaged(&buffer, length, &extra.damage));
         }
     }
+}
+
+fn damaged(sent: &[u8; MAX_FRAME], length: usize, damage: &Damage) -> Datagram {
+    let mut buffer = *sent;
+    let length = damage.apply(&mut buffer[..length]);
+    (buffer, length)
 }
 
 /// What happened next.
@@ -90,19 +93,16 @@ pub enum Event<M, S> {
 ///
 /// The next of the two loops to tick takes the frames that are due by then, ticks and sends; at the same instant the
 /// master is first. A frame without delay therefore reaches the slave in the same tick and the master in the next.
-/// Both loops begin at time 0.
+/// Both loops begin at time 0. Gives how many datagrams were dropped because too many were under way.
 pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
     mut observe: impl FnMut(Event<M::Record, S::Record>, &S) -> ControlFlow<()>,
-) -> Result<(), LinkError> {
+) -> Result<u64, LinkError> {
     let end_ns = settings.ticks * settings.period_ns;
-    let way = |direction, link, period_ns: u64| {
-        Way::new(direction, settings.seed, link, end_ns.div_ceil(period_ns), period_ns)
-    };
-    let mut forward = way(Direction::Forward, &settings.forward, settings.period_ns)?;
-    let mut backward = way(Direction::Backward, &settings.backward, settings.slave_period_ns)?;
+    let mut forward = Way::new(Direction::Forward, settings.seed, &settings.forward)?;
+    let mut backward = Way::new(Direction::Backward, settings.seed, &settings.backward)?;
     master.begin(0);
     slave.begin(0);
     let (mut master_ns, mut slave_ns) = (0, 0);
@@ -110,13 +110,13 @@ pub fn run_virtual<M: Side, S: Side>(
         let event = if master_ns <= slave_ns {
             backward.deliver(master_ns, master);
             let record = master.tick(TickTime { now_ns: master_ns, ..TickTime::default() });
-            forward.take(master_ns, master);
+            forward.take(master_ns, master, &mut backward);
             master_ns += settings.period_ns;
             Event::Master(record)
         } else {
             forward.deliver(slave_ns, slave);
             let record = slave.tick(TickTime { now_ns: slave_ns, ..TickTime::default() });
-            backward.take(slave_ns, slave);
+            backward.take(slave_ns, slave, &mut forward);
             slave_ns += settings.slave_period_ns;
             Event::Slave(record)
         };
@@ -124,5 +124,5 @@ pub fn run_virtual<M: Side, S: Side>(
             break;
         }
     }
-    Ok(())
+    Ok(forward.in_flight.overflowed() + backward.in_flight.overflowed())
 }

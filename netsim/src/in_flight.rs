@@ -8,9 +8,12 @@ use crate::verdict::DropCause;
 /// Packets in flight that a queue holds unless told otherwise: a minute at 1 kHz.
 pub const DEFAULT_CAPACITY: usize = 65_536;
 
+/// Packets that a queue which grows holds before it does.
+const FIRST_CAPACITY: usize = 256;
+
 /// A bounded queue ordered by (due time, order of entry), so that packets due together leave as they came.
 ///
-/// Memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
+/// Unless it is one that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
 /// one should be a handle.
 #[derive(Debug)]
 pub struct InFlight<T> {
@@ -26,9 +29,9 @@ impl<T> InFlight<T> {
         Self { packets: BinaryHeap::with_capacity(capacity), capacity, next_order: 0, overflowed: 0 }
     }
 
-    /// An empty queue for at most `capacity` packets, which grows beyond [`DEFAULT_CAPACITY`] only as they come.
+    /// An empty queue for at most `capacity` packets, which takes memory only as they come.
     pub fn growing(capacity: usize) -> Self {
-        Self { capacity, ..Self::with_capacity(capacity.min(DEFAULT_CAPACITY)) }
+        Self { capacity, ..Self::with_capacity(capacity.min(FIRST_CAPACITY)) }
     }
 
     /// Takes a packet that arrives at `due_ns`, or drops it with [`DropCause::InFlight`].

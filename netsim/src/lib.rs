@@ -10,6 +10,7 @@
 //! processes that know nothing of it.
 
 mod adversary;
+mod bound;
 mod clock;
 mod corrupt;
 mod damage;

@@ -137,6 +137,10 @@ pub enum ExtraCause {
 }
 
 impl ExtraCause {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; 6] =
+        [Self::Duplicate, Self::Replay, Self::Forge, Self::SequenceLead, Self::Mirror, Self::SecondSource];
+
     /// Its name in logs and tables.
     pub const fn name(self) -> &'static str {
         match self {

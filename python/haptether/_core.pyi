@@ -32,7 +32,6 @@ __all__ = [
     "Interventions",
     "Limiter",
     "LimiterSettings",
-    "LinkSettings",
     "LinkStatistics",
     "LiveMaster",
     "LiveSlave",
@@ -58,13 +57,16 @@ __all__ = [
     "Wall",
     "WindowedSafetyObserver",
     "__version__",
+    "check_link",
     "fault_message",
-    "judge",
+    "judge_packets",
     "ladder_state_name",
+    "link_bounds",
     "run_bridge",
     "run_local",
     "simulate_scene",
     "sweep_scenes",
+    "verdict_causes",
 ]
 
 _Array: TypeAlias = npt.NDArray[np.float64]
@@ -1133,38 +1135,6 @@ class Arm:
 # ---------------------------------------------------------------------------------------------- netsim
 
 @final
-class LinkSettings:
-    """What the network does to the packets of one direction; the default is a perfect network.
-
-    Args:
-        delay_s: Constant one-way delay in s, 0 to 3600.
-        jitter_s: Half-width in s of uniform jitter around it, 0 to `delay_s`; drawn per packet, so packets
-            overtake.
-        loss: Probability that a packet is lost, 0 to 1.
-
-    Raises:
-        ValueError: A number outside its range.
-
-    Source: tc-netem(8).
-    """
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
-
-    def __new__(cls, *, delay_s: float = 0.0, jitter_s: float = 0.0, loss: float = 0.0) -> LinkSettings: ...
-    def __eq__(self, other: object, /) -> bool: ...
-    @property
-    def delay_s(self) -> float:
-        """Constant one-way delay in s."""
-
-    @property
-    def jitter_s(self) -> float:
-        """Half-width of the uniform jitter in s."""
-
-    @property
-    def loss(self) -> float:
-        """Probability that a packet is lost."""
-
-@final
 class DirectionStatistics:
     """What became of the datagrams of one direction of a proxy."""
 
@@ -1230,13 +1200,13 @@ class ProxyStatistics:
 
 @final
 class Proxy:
-    """A live UDP proxy between one client and one peer, which delays and drops; runs on its own thread.
+    """What `haptether.netsim.Proxy` wraps.
 
     Args:
         listen: Where the client sends to, `HOST:PORT`; port 0 lets the system choose.
         forward: The peer, `HOST:PORT`.
-        forward_link: Network from the client to the peer.
-        backward_link: Network from the peer to the client.
+        forward_link: Network from the client to the peer, as JSON.
+        backward_link: Network from the peer to the client, as JSON.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
 
     Raises:
@@ -1249,8 +1219,8 @@ class Proxy:
         *,
         listen: str,
         forward: str,
-        forward_link: LinkSettings,
-        backward_link: LinkSettings,
+        forward_link: str,
+        backward_link: str,
         seed: int = 0,
     ) -> Proxy: ...
     @property
@@ -1272,31 +1242,34 @@ class Proxy:
             RuntimeError: Its thread panicked.
         """
 
-def judge(
-    settings: LinkSettings,
-    sent_ns: npt.NDArray[np.int64],
-    *,
-    direction: Literal["forward", "backward"] = "forward",
-    seed: int = 0,
-) -> npt.NDArray[np.int64]:
-    """Decides when each packet of one direction arrives: the core that every driver of netsim uses.
-
-    `arrival = sent + delay + u` with u uniform in [-jitter, jitter]. A pure function of settings, seed,
-    direction, the packet's place in the array and its time: one impairment shifts no draw of another.
-
-    Args:
-        settings: The network.
-        sent_ns: When each packet was sent, in ns, 0 or more, shape `(n_packets,)`.
-        direction: Forward and backward have their own draws.
-        seed: Key of all draws, 0 to 2⁶⁴ - 1.
-
-    Returns:
-        Arrival in ns, -1 for a lost packet, shape `(n_packets,)`.
+def check_link(settings: str) -> None:
+    """Refuses settings of a link, as JSON, that describe none.
 
     Raises:
-        ValueError: A time below 0, with its index, or no such `direction`.
+        ValueError: `key = seen: must be ...` or `key: problem`.
+    """
 
-    Source: tc-netem(8); Salmon et al. 2011 (counter-based draws).
+def link_bounds(settings: str) -> tuple[float, float]:
+    """Longest time in s that a packet is under way, and time in s of the last scheduled change.
+
+    Raises:
+        ValueError: As `check_link`.
+    """
+
+def verdict_causes() -> list[str]:
+    """Names of the causes of `judge_packets`, by code."""
+
+def judge_packets(
+    settings: str,
+    sent_ns: npt.NDArray[np.int64],
+    sizes: npt.NDArray[np.int64] | None,
+    direction: str,
+    seed: int,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.uint8]]:
+    """What becomes of each packet: index, when sent, when it arrives, code of the cause; see `netsim.judge_all`.
+
+    Raises:
+        ValueError: As `check_link`, a number below 0, times that decrease, or no such `direction`.
     """
 
 # ---------------------------------------------------------------------------------------------- bridge
@@ -1780,29 +1753,15 @@ def run_bridge(
     master: MasterSettings,
     slave: SlaveSettings,
     *,
-    forward: LinkSettings,
-    backward: LinkSettings,
+    forward: str,
+    backward: str,
     duration_s: float,
     seed: int = 0,
 ) -> tuple[MasterTrace, SlaveTrace, LoopReport, LoopReport]:
-    """Runs both sides and the network between them in virtual time: no socket, no sleep, no clock.
-
-    A frame without delay reaches the slave in the same tick and the master in the next. The same
-    arguments give the same bytes.
-
-    Args:
-        master: The side of the hand.
-        slave: The side of the robot, with the same period.
-        forward: Network from master to slave.
-        backward: Network from slave to master.
-        duration_s: Length of the run in s.
-        seed: Key of all draws, 0 to 2⁶⁴ - 1.
-
-    Returns:
-        Ticks of the master and of the slave, and how the loop of each went.
+    """What `haptether.bridge.run_bridge` wraps; the links are JSON.
 
     Raises:
-        ValueError: Different periods, or a duration outside 0 to 1e9 s.
+        ValueError: Different periods, a duration outside 0 to 1e9 s, or settings that describe no link.
     """
 
 def ladder_state_name(code: int) -> str:

@@ -23,7 +23,7 @@ use crate::{
     axes::refuse,
     bridge_trace::{MasterTrace, PyLoopReport, SlaveTrace},
     local::{MOST_TICKS, PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
-    netsim::{PyLinkSettings, address},
+    netsim::{address, link_settings},
     safety::{PyEstimatorKind, PyLimiterSettings, PySafetySettings},
 };
 
@@ -162,8 +162,8 @@ fn run_bridge(
     py: Python<'_>,
     master: &PyMasterSettings,
     slave: &PySlaveSettings,
-    forward: &PyLinkSettings,
-    backward: &PyLinkSettings,
+    forward: &str,
+    backward: &str,
     duration_s: f64,
     seed: u64,
 ) -> PyResult<(MasterTrace, SlaveTrace, PyLoopReport, PyLoopReport)> {
@@ -180,8 +180,8 @@ fn run_bridge(
         period_ns,
         slave_period_ns: period_ns,
         ticks,
-        forward: forward.inner.clone(),
-        backward: backward.inner.clone(),
+        forward: link_settings(forward)?,
+        backward: link_settings(backward)?,
         seed,
     };
     let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);

@@ -10,8 +10,8 @@ use std::{
 };
 
 use haptether_netsim::{
-    Direction, DirectionStatistics, Link, LinkSettings, Packet, Proxy, ProxyMonitor, ProxySettings,
-    ProxyStatistics, Verdict,
+    Direction, DirectionStatistics, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Proxy,
+    ProxyMonitor, ProxySettings, ProxyStatistics, Verdict,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::{
@@ -25,11 +25,13 @@ use crate::{
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyLinkSettings>()?;
     module.add_class::<PyDirectionStatistics>()?;
     module.add_class::<PyProxyStatistics>()?;
     module.add_class::<PyProxy>()?;
-    module.add_function(wrap_pyfunction!(judge, module)?)
+    module.add_function(wrap_pyfunction!(check_link, module)?)?;
+    module.add_function(wrap_pyfunction!(link_bounds, module)?)?;
+    module.add_function(wrap_pyfunction!(verdict_causes, module)?)?;
+    module.add_function(wrap_pyfunction!(judge_packets, module)?)
 }
 
 /// An address written `HOST:PORT`.
@@ -41,72 +43,145 @@ pub(crate) fn address(key: &str, text: &str) -> PyResult<SocketAddr> {
     found.next().ok_or_else(|| refused("no such address".into()))
 }
 
-#[pyclass(name = "LinkSettings", module = "haptether.netsim", frozen, eq)]
-#[derive(Clone, PartialEq)]
-pub(crate) struct PyLinkSettings {
-    pub(crate) inner: LinkSettings,
+/// The settings of a link as JSON, as `haptether.netsim` writes them; the rules check the numbers.
+pub(crate) fn link_settings(json: &str) -> PyResult<LinkSettings> {
+    serde_json::from_str(json).map_err(|error| PyValueError::new_err(format!("link: {error}")))
 }
 
-#[pymethods]
-impl PyLinkSettings {
-    #[new]
-    #[pyo3(signature = (*, delay_s=0.0, jitter_s=0.0, loss=0.0))]
-    fn new(delay_s: f64, jitter_s: f64, loss: f64) -> PyResult<Self> {
-        let inner = LinkSettings { delay_s, jitter_s, loss, ..LinkSettings::default() };
-        inner.validate().map_err(refuse)?;
-        Ok(Self { inner })
-    }
-
-    #[getter]
-    fn delay_s(&self) -> f64 {
-        self.inner.delay_s
-    }
-
-    #[getter]
-    fn jitter_s(&self) -> f64 {
-        self.inner.jitter_s
-    }
-
-    #[getter]
-    fn loss(&self) -> f64 {
-        self.inner.loss
-    }
-
-    fn __repr__(&self) -> String {
-        format!("{:?}", self.inner)
-    }
-}
-
-#[pyfunction]
-#[pyo3(signature = (settings, sent_ns, *, direction="forward", seed=0))]
-fn judge(
-    py: Python<'_>,
-    settings: &PyLinkSettings,
-    sent_ns: PyReadonlyArray1<'_, i64>,
-    direction: &str,
-    seed: u64,
-) -> PyResult<Py<PyAny>> {
-    let direction = match direction {
-        "forward" => Direction::Forward,
-        "backward" => Direction::Backward,
+fn direction_of(name: &str) -> PyResult<Direction> {
+    match name {
+        "forward" => Ok(Direction::Forward),
+        "backward" => Ok(Direction::Backward),
         other => {
             let text = format!("direction = {other:?}: must be \"forward\" or \"backward\"");
+            Err(PyValueError::new_err(text))
+        }
+    }
+}
+
+/// Refuses settings that describe no link.
+#[pyfunction]
+fn check_link(settings: &str) -> PyResult<()> {
+    link_settings(settings)?.validate().map_err(refuse)
+}
+
+/// Longest delay and last scheduled change in s.
+#[pyfunction]
+fn link_bounds(settings: &str) -> PyResult<(f64, f64)> {
+    let settings = link_settings(settings)?;
+    settings.validate().map_err(refuse)?;
+    Ok((settings.longest_delay_s(), settings.last_change_s()))
+}
+
+/// Code of a packet that arrives as it was sent.
+const DELIVERED: u8 = 0;
+/// Code of a packet that arrives with bits flipped.
+const CORRUPTED: u8 = 1;
+/// Code of a packet that arrives cut short.
+const TRUNCATED: u8 = 2;
+/// Code of the first cause of a drop; those of what arrives beside a packet follow them.
+const DROPPED: u8 = 3;
+
+/// Names of the codes of [`judge_packets`].
+#[pyfunction]
+fn verdict_causes() -> Vec<&'static str> {
+    ["", "corrupt", "truncate"]
+        .into_iter()
+        .chain(DropCause::ALL.map(DropCause::name))
+        .chain(ExtraCause::ALL.map(ExtraCause::name))
+        .collect()
+}
+
+#[allow(clippy::cast_possible_truncation)] // there are fewer than 256
+fn place<T: PartialEq>(of: &T, all: &[T]) -> u8 {
+    all.iter().position(|one| one == of).unwrap_or(0) as u8
+}
+
+/// Reads an array of numbers of 64 bits that may lie anywhere.
+fn whole<'py>(array: PyReadonlyArray1<'py, i64>) -> PyResult<PyReadonlyArray1<'py, i64>> {
+    if is_aligned(&array)? { Ok(array) } else { Ok(array.call_method0("copy")?.extract()?) }
+}
+
+/// A packet, or what arrives beside it, as columns: index, when it was sent, when it arrives (-1 never), why.
+#[derive(Default)]
+struct Rows {
+    index: Vec<i64>,
+    sent_ns: Vec<i64>,
+    due_ns: Vec<i64>,
+    cause: Vec<u8>,
+}
+
+impl Rows {
+    fn add(&mut self, index: usize, sent_ns: i64, due_ns: Option<u64>, cause: u8) {
+        #[allow(clippy::cast_possible_wrap)] // an array has fewer elements
+        self.index.push(index as i64);
+        self.sent_ns.push(sent_ns);
+        self.due_ns.push(due_ns.map_or(-1, |due_ns| i64::try_from(due_ns).unwrap_or(i64::MAX)));
+        self.cause.push(cause);
+    }
+}
+
+/// What becomes of each packet of one direction.
+#[pyfunction]
+#[pyo3(signature = (settings, sent_ns, sizes, direction, seed))]
+fn judge_packets(
+    py: Python<'_>,
+    settings: &str,
+    sent_ns: PyReadonlyArray1<'_, i64>,
+    sizes: Option<PyReadonlyArray1<'_, i64>>,
+    direction: &str,
+    seed: u64,
+) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, Py<PyAny>)> {
+    let direction = direction_of(direction)?;
+    let (sent_ns, sizes) = (whole(sent_ns)?, sizes.map(whole).transpose()?);
+    if let Some(sizes) = &sizes
+        && sizes.len() != sent_ns.len()
+    {
+        let text = format!("sizes: {} of them, must be {}, one per packet", sizes.len(), sent_ns.len());
+        return Err(PyValueError::new_err(text));
+    }
+    let mut link = Link::new(direction, seed, &link_settings(settings)?).map_err(refuse)?;
+    let mut rows = Rows::default();
+    let mut latest = 0;
+    let sizes = sizes.as_ref().map(PyReadonlyArray1::as_array);
+    for (index, sent) in sent_ns.as_array().iter().enumerate() {
+        let at_least_0 = |key: &str, value: i64| {
+            u64::try_from(value)
+                .map_err(|_| PyValueError::new_err(format!("{key}[{index}] = {value}: must be 0 or more")))
+        };
+        let size = sizes.as_ref().map_or(Ok(0), |sizes| at_least_0("sizes", sizes[index]))?;
+        let sent_ns = at_least_0("sent_ns", *sent)?;
+        if sent_ns < latest {
+            let text = format!("sent_ns[{index}] = {sent}: must be at least the one before it, {latest}");
             return Err(PyValueError::new_err(text));
         }
-    };
-    let sent_ns = if is_aligned(&sent_ns)? { sent_ns } else { sent_ns.call_method0("copy")?.extract()? };
-    let mut link = Link::new(direction, seed, &settings.inner).map_err(refuse)?;
-    let mut due = Vec::with_capacity(sent_ns.len());
-    for (index, sent) in sent_ns.as_array().iter().enumerate() {
-        let sent_ns = u64::try_from(*sent)
-            .map_err(|_| PyValueError::new_err(format!("sent_ns[{index}] = {sent}: must be 0 or more")))?;
-        let packet = Packet { direction, sent_ns, size: 0, index: index as u64 };
-        due.push(match link.judge(&packet).verdict {
-            Verdict::Deliver { at_ns } => i64::try_from(at_ns).unwrap_or(i64::MAX),
-            Verdict::Drop { .. } => -1,
-        });
+        latest = sent_ns;
+        let packet = Packet {
+            direction,
+            sent_ns,
+            size: usize::try_from(size).unwrap_or(usize::MAX),
+            index: index as u64,
+        };
+        let Judgement { verdict, damage, extras } = link.judge(&packet);
+        match verdict {
+            Verdict::Deliver { at_ns } => {
+                let cut = damage.truncates_to().is_some_and(|left| left < packet.size);
+                let cause = match (cut, damage.is_none()) {
+                    (true, _) => TRUNCATED,
+                    (false, false) if damage.corrupts() => CORRUPTED,
+                    _ => DELIVERED,
+                };
+                rows.add(index, *sent, Some(at_ns), cause);
+            }
+            Verdict::Drop { cause } => rows.add(index, *sent, None, DROPPED + place(&cause, &DropCause::ALL)),
+        }
+        for extra in extras {
+            #[allow(clippy::cast_possible_truncation)] // there are fewer than 256
+            let first = DROPPED + DropCause::ALL.len() as u8;
+            rows.add(index, *sent, Some(extra.at_ns), first + place(&extra.cause, &ExtraCause::ALL));
+        }
     }
-    Ok(column(py, due))
+    Ok((column(py, rows.index), column(py, rows.sent_ns), column(py, rows.due_ns), column(py, rows.cause)))
 }
 
 #[pyclass(name = "DirectionStatistics", module = "haptether.netsim", frozen, get_all)]
@@ -177,15 +252,15 @@ impl PyProxy {
     fn new(
         listen: &str,
         forward: &str,
-        forward_link: &PyLinkSettings,
-        backward_link: &PyLinkSettings,
+        forward_link: &str,
+        backward_link: &str,
         seed: u64,
     ) -> PyResult<Self> {
         let mut proxy = Proxy::bind(&ProxySettings {
             listen: address("listen", listen)?,
             forward: address("forward", forward)?,
-            forward_link: forward_link.inner.clone(),
-            backward_link: backward_link.inner.clone(),
+            forward_link: link_settings(forward_link)?,
+            backward_link: link_settings(backward_link)?,
             seed,
         })
         .map_err(|error| PyOSError::new_err(error.to_string()))?;

@@ -149,8 +149,9 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             ticks: 0,
             diverged: None,
             settled: false,
+            overflowed: 0,
         };
-        run_virtual(&settings, &mut master, &mut slave, |event, slave| match event {
+        let overflowed = run_virtual(&settings, &mut master, &mut slave, |event, slave| match event {
             _ if stop.load(Ordering::Relaxed) => ControlFlow::Break(()),
             Event::Master(record) => watched.near(&record),
             Event::Slave(record) => watched.far(&record, slave.plant.touches()),
@@ -159,6 +160,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             return Err(SceneError::Stopped);
         }
         let coarse = slave.plant.coarse_steps();
+        watched.overflowed = overflowed;
         Ok(watched.finish(scene, coarse, [master.counts().0, slave.counts().0]))
     }
 }
@@ -187,6 +189,8 @@ struct Watched<const N: usize> {
     ticks: u64,
     diverged: Option<Divergence>,
     settled: bool,
+    /// Frames that were dropped because too many were under way.
+    overflowed: u64,
 }
 
 impl<const N: usize> Watched<N> {
@@ -323,6 +327,10 @@ impl<const N: usize> Watched<N> {
         if missing > 0 {
             let sent: u64 = links.iter().map(|link| link.sent).sum();
             self.log.add(end_s, "lost", format!("{missing} of {sent} frames did not arrive"));
+        }
+        if self.overflowed > 0 {
+            let detail = format!("{} frames were dropped: too many were under way", self.overflowed);
+            self.log.add(end_s, "overflow", detail);
         }
         let mut signals = self.near.into_signals();
         signals.extend(self.far.into_signals());

@@ -557,9 +557,9 @@ pub(crate) fn measures(scene: &SceneSpec) -> MeasureSettings {
     }
     // What was scheduled last arrives late.
     let late = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
-    let link = |link: Option<&LinkSettings>| link.map_or(0.0, |link| link.delay_s + 4.0 * link.jitter_s);
-    let round_trip =
-        scene.link.as_ref().map_or(0.0, |links| link(links.forward.as_ref()) + link(links.backward.as_ref()));
+    let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
+    let round_trip: f64 = links.clone().map(LinkSettings::longest_delay_s).sum();
+    quiet_after = links.map(LinkSettings::last_change_s).fold(quiet_after, f64::max);
     let ramp = scene.safety.limiter.as_ref().map_or(0.0, |limiter| limiter.ramp_in_s);
     quiet_after += late as f64 * scene.run.period_s + 2.0 * round_trip + ramp;
     MeasureSettings {

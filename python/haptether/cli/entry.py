@@ -14,7 +14,7 @@ import tyro
 from haptether import __version__
 from haptether.cli.demo import Demo
 from haptether.cli.master import Master
-from haptether.cli.netsim import Netsim
+from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
 from haptether.cli.paper import Paper
 from haptether.cli.simulate import Simulate
 from haptether.cli.slave import Slave
@@ -28,7 +28,7 @@ class Command(Protocol):
         """Does it and gives the exit status."""
 
 
-COMMANDS: dict[str, type[Command]] = {
+COMMANDS: dict[str, type[Any]] = {
     "demo": Demo,
     "paper": Paper,
     "simulate": Simulate,
@@ -37,6 +37,8 @@ COMMANDS: dict[str, type[Command]] = {
     "slave": Slave,
     "netsim": Netsim,
 }
+GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS}
+"""Commands that only name others."""
 
 
 DESCRIPTION = """Bilateral teleoperation bridge that keeps a hand safe when the remote end pushes back.
@@ -74,27 +76,53 @@ def parse(arguments: Sequence[str]) -> Command:
     Raises:
         SystemExit: With 2 for arguments that do not fit, and with 0 once help was given.
     """
+    if arguments and arguments[0] in GROUPS:
+        group = COMMANDS[arguments[0]]
+        return _parsed(GROUPS[arguments[0]], f"haptether {arguments[0]}", group, with_backward(arguments[1:]))
+    return _parsed(COMMANDS, "haptether", None, with_overrides(arguments))
+
+
+def _parsed(
+    commands: "dict[str, type[Command]]", prog: str, group: "type[object] | None", arguments: Sequence[str]
+) -> Command:
     # A union that is put together at run time has no static type.
-    commands: Any = Union[  # noqa: UP007
+    union: Any = Union[  # noqa: UP007
         tuple(
             Annotated[command, tyro.conf.subcommand(name, description=summary(command))]
-            for name, command in COMMANDS.items()
+            for name, command in commands.items()
         )
     ]
     try:
         command: Command = tyro.cli(
-            commands,
-            prog="haptether",
-            description=DESCRIPTION,
-            args=with_overrides(arguments),
+            union,
+            prog=prog,
+            description=DESCRIPTION if group is None else summary(group),
+            args=arguments,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
         )
     except SystemExit as ended:
-        if ended.code == 0 and arguments and arguments[0] in COMMANDS:
+        told = commands[arguments[0]] if arguments and arguments[0] in commands else group
+        if ended.code == 0 and told is not None:
             # The parser would fold the examples into one paragraph.
-            print(f"\n{(inspect.getdoc(COMMANDS[arguments[0]]) or '').partition(chr(10))[2].strip()}")
+            print(f"\n{(inspect.getdoc(told) or '').partition(chr(10))[2].strip()}")
         raise
     return command
+
+
+def with_backward(arguments: Sequence[str]) -> list[str]:
+    """The arguments with each `--backward.key value` as `--backward-set key=value`."""
+    plain: list[str] = []
+    waiting = list(arguments)
+    while waiting:
+        argument = waiting.pop(0)
+        name, equals, value = argument.partition("=")
+        if name.startswith("--backward."):
+            if not equals:
+                value = waiting.pop(0) if waiting else ""
+            plain += ["--backward-set", f"{name.removeprefix('--backward.')}={value}"]
+        else:
+            plain.append(argument)
+    return plain
 
 
 SCENE_COMMANDS = {"simulate", "sweep"}
@@ -129,7 +157,7 @@ def _is_assignment(argument: str) -> bool:
     return "=" in argument and not argument.startswith("-")
 
 
-def summary(command: type[Command]) -> str:
+def summary(command: type[object]) -> str:
     """The first line of what a command says of itself."""
     return (inspect.getdoc(command) or "").partition("\n")[0]
 

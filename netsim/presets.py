@@ -1,0 +1,5 @@
+"""Networks that were measured."""
+
+from types import MappingProxyType
+
+PRESETS: MappingProxyType[str, object] = MappingProxyType({})

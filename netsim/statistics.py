@@ -1,0 +1,102 @@
+"""What a link did to packets, in numbers."""
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Struct
+
+from haptether.netsim.link_settings import LinkSettings
+from haptether.netsim.link_spec import Direction, link_spec
+from haptether.netsim.verdicts import Verdicts
+
+
+class LinkFigures(Struct, frozen=True, kw_only=True):
+    """Figures of a link, as asked for or as realised; `None` for what is not known. Delays in s."""
+
+    mean_s: float | None = None
+    """Mean delay."""
+    sigma_s: float | None = None
+    """Standard deviation of the delay."""
+    p50_s: float | None = None
+    """Median of the delay."""
+    p99_s: float | None = None
+    """Delay that 1 % of the packets exceed."""
+    loss: float | None = None
+    """Share of packets that never arrive, whatever the cause."""
+    mean_burst: float | None = None
+    """Mean number of packets lost in a row."""
+    reordered: float | None = None
+    """Share of arrived packets that come after one that was sent later (RFC 4737)."""
+    duplicates: float | None = None
+    """Copies by the network per packet sent."""
+    damaged: float | None = None
+    """Share of packets that arrive with flipped bits or cut short."""
+
+
+def realised(verdicts: Verdicts) -> LinkFigures:
+    """What became of packets.
+
+    Source: RFC 4737 (reordering).
+    """
+    packets = verdicts.packets
+    arrived = packets.t_out_ns >= 0
+    causes = verdicts.causes_of
+    delays = (packets.t_out_ns - packets.t_in_ns)[arrived] * 1e-9
+    sent = max(len(packets), 1)
+    bursts = burst_lengths(packets)
+    return LinkFigures(
+        mean_s=float(delays.mean()) if delays.size else None,
+        sigma_s=float(delays.std()) if delays.size else None,
+        p50_s=float(np.quantile(delays, 0.5)) if delays.size else None,
+        p99_s=float(np.quantile(delays, 0.99)) if delays.size else None,
+        loss=float(np.count_nonzero(~arrived)) / sent,
+        mean_burst=float(bursts.mean()) if bursts.size else None,
+        reordered=_reordered(packets) / max(delays.size, 1),
+        duplicates=float(np.count_nonzero(causes("duplicate"))) / sent,
+        damaged=float(np.count_nonzero(causes("corrupt") | causes("truncate"))) / sent,
+    )
+
+
+def burst_lengths(packets: Verdicts) -> npt.NDArray[np.int64]:
+    """How many packets were lost in a row, each time that some were."""
+    lost = np.concatenate([[False], packets.t_out_ns < 0, [False]]).astype(np.int8)
+    edges = np.diff(lost)
+    return np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
+
+
+def _reordered(packets: Verdicts) -> int:
+    arrived = np.flatnonzero(packets.t_out_ns >= 0)
+    in_order_of_arrival = arrived[np.argsort(packets.t_out_ns[arrived], kind="stable")]
+    if not in_order_of_arrival.size:
+        return 0
+    return int(np.count_nonzero(in_order_of_arrival < np.maximum.accumulate(in_order_of_arrival)))
+
+
+def asked(settings: LinkSettings, direction: Direction) -> LinkFigures:
+    """What settings ask for, as far as they say it by themselves.
+
+    Raises:
+        LinkError: Settings that describe no link.
+    """
+    spec = link_spec(settings, direction)
+    delayed_otherwise = ("rate_bps", "opportunities", "slots", "trace", "netem")
+    is_simple = all(spec[name] is None for name in delayed_otherwise) and not spec["timeline"] and not spec["outages"]
+    loses_otherwise = any(spec[name] is not None for name in ("mtu", *delayed_otherwise)) or spec["outages"]
+    loss = spec["loss"]
+    chain = spec["gilbert_elliott"]
+    if chain is not None:
+        both = chain["to_bad"] + chain["to_good"]
+        bad = chain["to_bad"] / both if both else 0.0
+        loss = bad * chain["loss_bad"] + (1.0 - bad) * chain["loss_good"]
+    known_loss = not loses_otherwise and not spec["attacks"] and spec["four_state"] is None
+    burst = spec["mean_burst"]
+    if burst is None and chain is None and spec["mean_burst_s"] is None and 0.0 < loss < 1.0:
+        burst = 1.0 / (1.0 - loss)
+    return LinkFigures(
+        mean_s=spec["delay_s"] if is_simple else None,
+        sigma_s=spec["jitter_s"] if is_simple else None,
+        loss=loss if known_loss else None,
+        mean_burst=burst if known_loss else None,
+        reordered=spec["reorder"] if spec["keep_order"] and spec["netem"] is None else None,
+        duplicates=spec["duplicate"] if spec["netem"] is None else None,
+        damaged=None if spec["netem"] else 1.0 - (1.0 - spec["corrupt"]) * (1.0 - spec["truncate"]),
+    )

@@ -1,0 +1,150 @@
+"""Flags that say what a link does, the same for every command that has one."""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.netsim import LinkSettings
+
+FLAGS = (
+    "preset", "loss", "mean_burst", "rate_bps", "queue_ms", "delay_s", "jitter_s", "distribution",
+    "jitter_correlation_s", "reorder", "duplicate", "corrupt",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkOptions:
+    """What the network does; what is not given is not done."""
+
+    preset: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """A network of `haptether netsim list`."""
+    delay_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Mean one-way delay in s."""
+    jitter_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Standard deviation of the delay in s."""
+    jitter_correlation_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Time in s over which the delay forgets itself."""
+    distribution: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """normal, uniform, exponential, gamma, lognormal, pareto, or the path of a .dist file."""
+    loss: Annotated[float | None, tyro.conf.arg(metavar="P")] = None
+    """Probability that a packet is lost, 0 to 1."""
+    mean_burst: Annotated[float | None, tyro.conf.arg(metavar="N")] = None
+    """Mean number of packets lost together."""
+    reorder: Annotated[float | None, tyro.conf.arg(metavar="P")] = None
+    """Probability that a packet overtakes the one before it."""
+    duplicate: Annotated[float | None, tyro.conf.arg(metavar="P")] = None
+    """Probability that a packet arrives twice."""
+    corrupt: Annotated[float | None, tyro.conf.arg(metavar="P")] = None
+    """Probability that a bit of a packet is flipped."""
+    rate_bps: Annotated[float | None, tyro.conf.arg(metavar="BPS")] = None
+    """Rate of the bottleneck in bit/s."""
+    queue_ms: Annotated[float | None, tyro.conf.arg(metavar="MS")] = None
+    """Longest wait before the bottleneck in ms."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """Any setting of a link, in both directions; may be given often. Values are TOML, bare words are strings."""
+    backward_set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """The same in the backward direction alone, also as --backward.KEY VALUE; else it is as forward."""
+    seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Seed of all draws, by default that of SCENE or 0: the same seed treats the same packets alike."""
+
+    def links(self, scene: str | None) -> "Links":
+        """Both directions and the seed; what the flags say counts instead of what the scene says.
+
+        Raises:
+            SceneError: A scene, flag or setting that cannot be.
+        """
+        from haptether.bridge.scene import overridden
+        from haptether.cli.options import check_seed
+
+        plain, seed, folder = _read(scene)
+        flags = {name: value for name in FLAGS if (value := getattr(self, name)) is not None}
+        link: dict[str, Any] = plain.setdefault("link", {})
+        for direction in ("forward", "backward"):
+            link[direction] = {**link.get(direction, {}), **flags}
+        for direction, settings in (("forward", self.set), ("backward", (*self.set, *self.backward_set))):
+            for setting in settings:
+                plain = overridden(plain, f"link.{direction}.{setting}")
+        seed = seed if self.seed is None else self.seed
+        check_seed(seed)
+        return _typed(plain, folder, seed)
+
+
+@dataclass(frozen=True)
+class Links:
+    """Both directions of a network, and the seed of their draws."""
+
+    forward: "LinkSettings"
+    backward: "LinkSettings"
+    seed: int
+
+
+def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
+    """The tables of a scene's links, its seed, and the folder that its files lie in."""
+    from haptether.bridge import SceneError, load_scene, scene_names
+
+    if scene is None:
+        return {}, 0, Path()
+    path = Path(scene)
+    if scene in scene_names() or not path.is_file():
+        path = _shipped(scene)
+    plain = _toml(path)
+    if "master" in plain:
+        load_scene(scene)  # refuses all that is wrong with it
+        return {"link": plain.get("link", {})}, plain.get("run", {}).get("seed", 0), path.parent
+    for key in plain.keys() - {"schema", "title", "shows", "seed", "link"}:
+        message = f"{path.name}: {key}: a file of links has only schema, title, shows, seed and [link.*]"
+        raise SceneError(message)
+    if plain.get("schema") != 1:
+        message = f"{path.name}: schema = {plain.get('schema', 'nothing')}: must be 1"
+        raise SceneError(message)
+    seed = plain.get("seed", 0)
+    if not isinstance(seed, int) or isinstance(seed, bool):
+        message = f"{path.name}: seed = {seed!r}: must be a whole number"
+        raise SceneError(message)
+    return {"link": plain.get("link", {})}, seed, path.parent
+
+
+def _shipped(scene: str) -> Path:
+    from haptether.bridge import load_scene
+    from haptether.bridge.scene import scene_path
+
+    load_scene(scene)
+    return scene_path(scene)
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    from haptether.bridge import SceneError
+
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        message = f"{path.name}: {error}"
+    except UnicodeDecodeError as error:
+        message = f"{path.name}: must be UTF-8: {error.reason} at byte {error.start}"
+    raise SceneError(message)
+
+
+def _typed(plain: dict[str, Any], folder: Path, seed: int) -> Links:
+    import msgspec
+
+    from haptether.bridge.scene_error import explained, refuse_infinite
+    from haptether.bridge.scene_links import embedded_links, spec_of_links
+    from haptether.bridge.scene_tables import LinksTable
+    from haptether.netsim import LinkSettings
+
+    refuse_infinite(plain)
+
+    class Tables(msgspec.Struct):
+        link: LinksTable
+
+    try:
+        links = msgspec.convert(plain, Tables).link
+    except msgspec.ValidationError as error:
+        raise explained(error, plain) from None
+    links = embedded_links(links, folder)
+    spec_of_links(links)  # refuses what does not go together
+    return Links(links.forward or LinkSettings(), links.backward or LinkSettings(), seed)

@@ -1,0 +1,56 @@
+"""`haptether netsim list`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.netsim import Preset
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """Say which presets there are, with their numbers and where these come from.
+
+    Examples:
+
+    haptether netsim list
+
+    haptether netsim list --json -
+    """
+
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the presets with all their settings as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Prints a row per preset."""
+        import msgspec
+        from rich.console import Console
+        from rich.table import Table
+
+        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.netsim import PRESETS
+
+        check_target(self.json)
+        table = Table(header_style="bold", pad_edge=False, show_lines=True)
+        for name in ("preset", "round trip", "loss", "source"):
+            table.add_column(name)
+        for name, preset in PRESETS.items():
+            table.add_row(f"{name}\n{preset.title}", *_figures(preset), preset.source)
+        Console(stderr=table_goes_to_stderr(self.json)).print(table, highlight=False)
+        if self.json is not None:
+            report: dict[str, Any] = {name: msgspec.to_builtins(preset) for name, preset in PRESETS.items()}
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        return 0
+
+
+def _figures(preset: "Preset") -> tuple[str, str]:
+    claimed = {figure.quantity: figure.value for figure in preset.figures}
+    times = [
+        f"{quantity.removeprefix('round-trip-')} {value * 1e3:g} ms"
+        for quantity, value in claimed.items()
+        if quantity.startswith("round-trip-")
+    ]
+    return "\n".join(times), f"{claimed['loss']:.3g}" if "loss" in claimed else "-"

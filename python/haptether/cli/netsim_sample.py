@@ -1,0 +1,159 @@
+"""`haptether netsim sample`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from haptether.cli.link_options import LinkOptions
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.netsim import LinkFigures, Verdicts
+
+MOST_PACKETS = 50_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample(LinkOptions):
+    """Send packets at a constant rate through one direction of a link, in no time, and say what becomes of each.
+
+    The table sets what was asked for beside what came out. With --csv, a row per packet: index, t_in_ns, t_out_ns
+    (empty if it does not arrive), cause (empty if it arrives as it was sent); a copy has a row directly after its
+    packet. The same seed gives the same bytes.
+
+    Examples:
+
+    haptether netsim sample --delay-s 0.05 --jitter-s 0.005 --packets 100000 --csv delays.csv
+
+    haptether netsim sample --preset lte-driving --direction backward --plot lte.png
+
+    haptether netsim sample remote_push --loss 0.05 --mean-burst 10 --backward.delay-s 0.1 --json -
+    """
+
+    scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
+    """A shipped scene, a scene file, or a TOML file with only [link.*]; flags count instead of what it says."""
+    packets: int = 10_000
+    """How many packets."""
+    rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 1000.0
+    """Packets per second."""
+    size: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 111
+    """Payload of a packet in bytes; by default a frame of one axis."""
+    direction: Literal["forward", "backward"] = "forward"
+    """Which direction of the link."""
+    csv: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write a row per packet; - for standard output."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the figures as JSON; - for standard output."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PATH.png")] = None
+    """Draw delays over time, and how often each occurs."""
+
+    def run(self) -> int:
+        """Judges all packets."""
+        import numpy as np
+        from rich.console import Console
+
+        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
+        from haptether.netsim import asked, judge_all, realised
+
+        self._check()
+        for target in (self.csv, self.json, self.plot):
+            check_target(target)
+        if self.plot is not None:
+            require_matplotlib()
+        links = self.links(self.scene)
+        settings = getattr(links, self.direction)
+        sent_ns = np.rint(np.arange(self.packets) * (1e9 / self.rate)).astype(np.int64)
+        verdicts = judge_all(settings, sent_ns, direction=self.direction, seed=links.seed, sizes=self.size)
+        console = Console(stderr=table_goes_to_stderr(self.json) or table_goes_to_stderr(self.csv))
+        figures = {"asked": asked(settings, self.direction), "realised": realised(verdicts)}
+        _print(console, f"{self.packets} packets {self.direction}, seed {links.seed}", figures)
+        if self.csv is not None:
+            _write_csv(self.csv, verdicts)
+        if self.json is not None:
+            self._write_json(self.json, figures, links.seed)
+        if self.plot is not None:
+            from haptether.cli.netsim_picture import draw_sample
+
+            draw_sample(verdicts, self.plot)
+            console.print(f"picture: {self.plot}", highlight=False)
+        return 0
+
+    def _check(self) -> None:
+        for key, seen, least, most in (
+            ("packets", self.packets, 1, MOST_PACKETS),
+            ("rate", self.rate, 1e-3, 1e9),
+            ("size", self.size, 0, 65_535),
+        ):
+            if not least <= seen <= most:
+                message = f"{key} = {seen:g}: must be {least:g} to {most:g}"
+                raise ValueError(message)
+        if [self.csv, self.json].count(Path("-")) > 1:
+            message = "csv, json: only one of the two can go to standard output"
+            raise ValueError(message)
+
+    def _write_json(self, target: Path, figures: "dict[str, LinkFigures]", seed: int) -> None:
+        import msgspec
+
+        from haptether.cli.output import write_json
+
+        report = {
+            "packets": self.packets,
+            "rate_hz": self.rate,
+            "size": self.size,
+            "direction": self.direction,
+            "seed": seed,
+            **figures,
+        }
+        write_json(target, msgspec.json.format(msgspec.json.encode(report), indent=2))
+
+
+MILLISECONDS = {"mean_s": "mean delay", "sigma_s": "sigma", "p50_s": "p50", "p99_s": "p99"}
+SHARES = {"loss": "loss", "reordered": "reordered", "duplicates": "duplicates", "damaged": "damaged"}
+
+
+def shown(name: str, value: float | None) -> str:
+    """A figure for people."""
+    if value is None:
+        return "-"
+    if name in MILLISECONDS:
+        return f"{value * 1e3:.3f} ms"
+    return f"{value * 100:.4g} %" if name in SHARES else f"{value:.3f}"
+
+
+def _print(console: "Console", title: str, columns: "dict[str, LinkFigures]") -> None:
+    from rich.table import Table
+
+    table = Table(header_style="bold", pad_edge=False)
+    table.add_column(title)
+    for name in columns:
+        table.add_column(name, justify="right")
+    for name, words in {**MILLISECONDS, "loss": "loss", "mean_burst": "mean burst", **SHARES}.items():
+        table.add_row(words, *(shown(name, getattr(figures, name)) for figures in columns.values()))
+    console.print(table)
+
+
+def _write_csv(target: Path, verdicts: "Verdicts") -> None:
+    import contextlib
+    import sys
+
+    from haptether.netsim import VERDICT_CAUSES
+
+    rows_at_once = 100_000
+    with contextlib.ExitStack() as stack:
+        file = sys.stdout
+        if str(target) != "-":
+            file = stack.enter_context(target.open("w", encoding="utf-8", newline=""))
+        file.write("index,t_in_ns,t_out_ns,cause\n")
+        for start in range(0, len(verdicts), rows_at_once):
+            part = slice(start, start + rows_at_once)
+            columns = (verdicts.index, verdicts.t_in_ns, verdicts.t_out_ns, verdicts.cause_code)
+            rows = zip(*(column[part].tolist() for column in columns), strict=True)
+            file.write(
+                "".join(
+                    f"{index},{t_in},{'' if t_out < 0 else t_out},{VERDICT_CAUSES[cause]}\n"
+                    for index, t_in, t_out, cause in rows
+                )
+            )
