@@ -27,10 +27,10 @@ mod tests;
 
 pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
-pub use link::{Link, LinkCounters};
+pub use link::{Link, LinkCounters, Rules};
 pub use proxy::{
-    DirectionStatistics, MAX_DATAGRAM, Proxy, ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics,
-    SchedulingError,
+    DirectionStatistics, MAX_DATAGRAM, MOST_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
+    ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source,
 };
 pub use settings::{
     Action, Attack, ByteRange, CrossTraffic, DelayChange, DelayTrace, Discipline, Distribution, FourState,
