@@ -53,6 +53,13 @@ impl Rules {
         }
         Ok(Self { direction, way, endings, keeps_order: settings.keep_order })
     }
+
+    /// The same with something else at the end.
+    #[cfg(test)]
+    pub(crate) fn with_ending(mut self, ending: impl Ending + 'static) -> Self {
+        self.endings.push(Box::new(ending));
+        self
+    }
 }
 
 /// One direction of the network.

@@ -21,13 +21,16 @@ impl ProxyControl {
     /// They are checked and built on the caller's thread; the proxy takes them up when it next wakes, within 20 ms.
     /// What was asked for before and not yet taken up is forgotten.
     pub fn change(&self, direction: Direction, settings: &LinkSettings) -> Result<(), LinkError> {
-        let rules = Rules::build(direction, self.seed, settings)?;
+        self.change_rules(direction, Rules::build(direction, self.seed, settings)?);
+        Ok(())
+    }
+
+    pub(crate) fn change_rules(&self, direction: Direction, rules: Rules) {
         let change = match direction {
             Direction::Forward => &self.forward,
             Direction::Backward => &self.backward,
         };
         change.ask(rules);
-        Ok(())
     }
 }
 

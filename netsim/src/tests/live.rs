@@ -7,22 +7,22 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use super::{delay, rough, virtual_delays};
+use super::{delay, rough};
 use crate::{
     Direction, DropCause, Link, LinkSettings, MAX_DATAGRAM, MOST_FLOWS, Packet, Proxy, ProxyControl,
     ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics, Source, Verdict,
 };
 
-const PATIENCE: Duration = Duration::from_secs(5);
-const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+pub(super) const PATIENCE: Duration = Duration::from_secs(5);
+pub(super) const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-fn socket() -> UdpSocket {
+pub(super) fn socket() -> UdpSocket {
     let socket = UdpSocket::bind(LOOPBACK).unwrap();
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
     socket
 }
 
-fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings {
+pub(super) fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings {
     let seed = 11;
     ProxySettings {
         forward_link: link.clone(),
@@ -33,16 +33,16 @@ fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings {
 }
 
 /// A proxy on its own thread; stopping it gives its statistics and every verdict.
-struct Running {
-    address: SocketAddr,
-    monitor: ProxyMonitor,
-    control: ProxyControl,
+pub(super) struct Running {
+    pub(super) address: SocketAddr,
+    pub(super) monitor: ProxyMonitor,
+    pub(super) control: ProxyControl,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<(ProxyStatistics, Vec<(Packet, Verdict)>)>,
 }
 
 impl Running {
-    fn start(settings: &ProxySettings) -> Self {
+    pub(super) fn start(settings: &ProxySettings) -> Self {
         let mut proxy = Proxy::bind(settings).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let (address, monitor, control) = (proxy.listen_address(), proxy.monitor(), proxy.control());
@@ -56,7 +56,7 @@ impl Running {
         Self { address, monitor, control, stop, thread }
     }
 
-    fn stop(self) -> (ProxyStatistics, Vec<(Packet, Verdict)>) {
+    pub(super) fn stop(self) -> (ProxyStatistics, Vec<(Packet, Verdict)>) {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.join().unwrap()
     }
@@ -128,69 +128,6 @@ fn a_round_trip_takes_both_delays_and_never_less() {
         assert_eq!(direction.overtaking, 0);
     }
     assert_eq!(statistics.scheduling_error.count, 400);
-}
-
-#[test]
-fn the_live_driver_applies_the_verdicts_of_the_virtual_one() {
-    const COUNT: u64 = 1000;
-    let link = LinkSettings { loss: 0.1, ..rough() };
-    let count_delivered = |delays: &[Option<u64>]| delays.iter().flatten().count();
-    let seed = settings(LOOPBACK, link.clone()).seed;
-    let forward = virtual_delays(Direction::Forward, seed, &link, COUNT);
-    let echoed = count_delivered(&forward);
-    let backward = virtual_delays(Direction::Backward, seed, &link, echoed as u64);
-
-    let (peer, echoing) = echo(echoed);
-    let proxy = Running::start(&settings(peer, link.clone()));
-    let client = socket();
-    client.connect(proxy.address).unwrap();
-    let sender = client.try_clone().unwrap();
-    let sending = thread::spawn(move || {
-        for number in 0..COUNT {
-            sender.send(&number.to_be_bytes()).unwrap();
-            thread::sleep(Duration::from_micros(200));
-        }
-    });
-    let arrived: Vec<u64> = (0..count_delivered(&backward)).map(|_| receive_number(&client)).collect();
-    sending.join().unwrap();
-    echoing.join().unwrap();
-    let (statistics, log) = proxy.stop();
-
-    let echoed_order = due_order(&log, Direction::Forward);
-    let cases = [
-        (Direction::Forward, forward, statistics.forward),
-        (Direction::Backward, backward, statistics.backward),
-    ];
-    for (direction, expected, statistics) in cases {
-        let log: Vec<_> = log.iter().filter(|(packet, _)| packet.direction == direction).collect();
-        let applied: Vec<_> = log.iter().map(|(packet, verdict)| delay(packet, *verdict)).collect();
-        assert_eq!(applied, expected);
-        // Fed the very packets, with their sending times, a fresh link gives the very verdicts.
-        let mut link = Link::new(direction, seed, &link).unwrap();
-        assert!(log.iter().all(|(packet, verdict)| link.judge(packet).verdict == *verdict));
-        assert_eq!(statistics.overtaking, link.counters().overtaking);
-        assert_eq!(statistics.lost, link.counters().dropped);
-    }
-    // And the datagrams left by those verdicts: in order of due time, there and back.
-    let order: Vec<u64> = due_order(&log, Direction::Backward)
-        .into_iter()
-        .map(|index| echoed_order[usize::try_from(index).unwrap()])
-        .collect();
-    assert_eq!(arrived, order);
-}
-
-/// Indices of the packets to be delivered in one direction, in order of due time.
-fn due_order(log: &[(Packet, Verdict)], direction: Direction) -> Vec<u64> {
-    let mut due: Vec<(u64, u64)> = log
-        .iter()
-        .filter(|(packet, _)| packet.direction == direction)
-        .filter_map(|(packet, verdict)| match verdict {
-            Verdict::Deliver { at_ns } => Some((*at_ns, packet.index)),
-            Verdict::Drop { .. } => None,
-        })
-        .collect();
-    due.sort_unstable();
-    due.into_iter().map(|(_, index)| index).collect()
 }
 
 #[test]

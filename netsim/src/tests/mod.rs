@@ -1,6 +1,7 @@
 //! Tests of the crate as a whole, through its public names.
 
 mod live;
+mod live_parity;
 mod verdicts;
 
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
