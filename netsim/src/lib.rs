@@ -16,6 +16,7 @@ mod in_flight;
 mod jitter;
 mod link;
 mod order;
+mod probe;
 mod proxy;
 mod random;
 mod rule;
@@ -28,6 +29,9 @@ mod tests;
 pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
 pub use link::{Link, LinkCounters, Rules};
+pub use probe::{
+    Echo, EchoStatistics, MOST_PROBES, MOST_RATE_HZ, Probe, ProbeError, RecordSettings, Recording, record,
+};
 pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, MOST_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
     ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source,

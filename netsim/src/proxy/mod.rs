@@ -35,7 +35,7 @@ use batch::{Receiver, Sender};
 use lane::{Books, Lane};
 use log::Log;
 use ports::{Entrance, Exit, Exits, Ports, Ready};
-use realtime::prepare_thread;
+pub(crate) use realtime::prepare_thread;
 use rest::Rest;
 use statistics::{Recorder, count};
 

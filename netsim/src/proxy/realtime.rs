@@ -32,7 +32,7 @@ impl fmt::Display for Scheduling {
 }
 
 /// Lets timers of this thread be exact, and puts it before others if that is wanted and allowed.
-pub(super) fn prepare_thread(realtime: bool) -> Scheduling {
+pub(crate) fn prepare_thread(realtime: bool) -> Scheduling {
     // Without it a normal thread is woken up to 50 us late, to be woken together with others. A kernel that refuses
     // costs accuracy, which is measured anyway.
     let _ = set_current_timer_slack(NonZeroU64::new(1));

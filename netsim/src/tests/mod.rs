@@ -2,6 +2,7 @@
 
 mod live;
 mod live_parity;
+mod live_probe;
 mod verdicts;
 
 use crate::{Direction, Link, LinkSettings, Packet, Verdict};
