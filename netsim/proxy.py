@@ -1,5 +1,9 @@
 """The live proxy."""
 
+from collections.abc import Sequence
+from os import PathLike
+from typing import Literal
+
 from haptether import _core
 from haptether._core import ProxyStatistics
 from haptether.netsim.link_settings import LinkSettings
@@ -7,16 +11,21 @@ from haptether.netsim.link_spec import link_json
 
 
 class Proxy:
-    """A live UDP proxy between one client and one peer, which does to their datagrams what the links say.
+    """A live UDP proxy between clients and one peer, which does to their datagrams what the links say.
 
-    It runs on its own thread.
+    It runs on its own thread, forwards to the peer only, and serves clients of this machine and those that it is told
+    of, up to 64 at a time. All share the link of their direction.
 
     Args:
-        listen: Where the client sends to, `HOST:PORT`; port 0 lets the system choose.
+        listen: Where the clients send to, `HOST:PORT`; port 0 lets the system choose.
         forward: The peer, `HOST:PORT`.
         forward_link: Network from the client to the peer.
         backward_link: Network from the peer to the client.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
+        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`.
+        realtime: Whether to ask for real-time scheduling; the statistics say what was got.
+        max_error_s: Largest p99 of its scheduling error in s with which a run is valid.
+        log: CSV file for what became of each datagram.
 
     Raises:
         LinkError: Settings that describe no link.
@@ -32,6 +41,10 @@ class Proxy:
         forward_link: LinkSettings,
         backward_link: LinkSettings,
         seed: int = 0,
+        allow: Sequence[str] = (),
+        realtime: bool = True,
+        max_error_s: float = 1e-3,
+        log: str | PathLike[str] | None = None,
     ) -> None:
         self._proxy = _core.Proxy(
             listen=listen,
@@ -39,6 +52,10 @@ class Proxy:
             forward_link=link_json(forward_link, "forward"),
             backward_link=link_json(backward_link, "backward"),
             seed=seed,
+            allow=allow,
+            realtime=realtime,
+            max_error_s=max_error_s,
+            log=log,
         )
 
     @property
@@ -50,6 +67,15 @@ class Proxy:
     def finished(self) -> bool:
         """Whether its thread has ended."""
         return self._proxy.finished
+
+    def change(self, direction: Literal["forward", "backward"], settings: LinkSettings) -> None:
+        """Other settings for the datagrams that come from now on; taken up within 20 ms, in order.
+
+        Raises:
+            LinkError: Settings that describe no link.
+            ValueError: No such `direction`.
+        """
+        self._proxy.change(direction, link_json(settings, direction))
 
     def statistics(self) -> ProxyStatistics:
         """What it has done so far, while it goes on."""

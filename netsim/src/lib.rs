@@ -25,6 +25,7 @@ mod mtu;
 mod on_off;
 mod order;
 mod outage;
+mod probe;
 mod proxy;
 mod random;
 mod rate;
@@ -44,10 +45,13 @@ pub use clock::{ClockSettings, EndpointClock};
 pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
 pub use law::DelayLaw;
-pub use link::{Link, LinkCounters};
+pub use link::{Link, LinkCounters, Rules};
+pub use probe::{
+    Echo, EchoStatistics, MOST_PROBES, MOST_RATE_HZ, Probe, ProbeError, RecordSettings, Recording, record,
+};
 pub use proxy::{
-    DirectionStatistics, MAX_DATAGRAM, Proxy, ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics,
-    SchedulingError,
+    DirectionStatistics, MAX_DATAGRAM, MOST_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
+    ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source,
 };
 pub use settings::{
     Action, Attack, ByteRange, CrossTraffic, DelayChange, DelayTrace, Discipline, Distribution, FourState,

@@ -47,24 +47,18 @@ pub struct LinkCounters {
     pub overtaking: u64,
 }
 
-/// One direction of the network.
-///
-/// The verdict on a packet depends on settings, seed and the packets up to it alone; packets are judged in the order
-/// of their indices, with sending times that do not decrease.
+/// The rules that settings ask for, built and checked, for a link to take up.
 #[derive(Debug)]
-pub struct Link {
+pub struct Rules {
     direction: Direction,
-    seed: u64,
     way: Vec<Box<dyn Rule>>,
     endings: Vec<Box<dyn Ending>>,
-    counters: LinkCounters,
-    latest_due_ns: u64,
-    extras: Extras,
+    keeps_order: bool,
 }
 
-impl Link {
+impl Rules {
     /// Builds the rules that the settings ask for: an impairment that is absent costs nothing.
-    pub fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
+    pub fn build(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
         let streams = Streams { seed, direction };
         let mut way = Vec::new();
         for build in WAY {
@@ -74,29 +68,65 @@ impl Link {
         for build in ENDINGS {
             endings.extend(build(settings, &streams)?);
         }
+        Ok(Self { direction, way, endings, keeps_order: settings.keep_order })
+    }
+
+    /// The same with something else at the end.
+    #[cfg(test)]
+    pub(crate) fn with_ending(mut self, ending: impl Ending + 'static) -> Self {
+        self.endings.push(Box::new(ending));
+        self
+    }
+}
+
+/// One direction of the network.
+///
+/// The verdict on a packet depends on settings, seed and the packets up to it alone; packets are judged in the order
+/// of their indices, with sending times that do not decrease.
+#[derive(Debug)]
+pub struct Link {
+    seed: u64,
+    rules: Rules,
+    counters: LinkCounters,
+    latest_due_ns: u64,
+    /// No packet arrives earlier: the last arrival under the rules before, where those of now keep the order.
+    floor_ns: u64,
+    extras: Extras,
+}
+
+impl Link {
+    /// A link with the rules that the settings ask for.
+    pub fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
         Ok(Self {
-            direction,
             seed,
-            way,
-            endings,
+            rules: Rules::build(direction, seed, settings)?,
             counters: LinkCounters::default(),
             latest_due_ns: 0,
+            floor_ns: 0,
             extras: Extras::new(),
         })
     }
 
-    /// Takes other settings for the packets from now on. Counters go on, and so do the draws; what a rule remembers
-    /// of earlier packets, such as a queue, begins anew.
+    /// Takes other settings for the packets from now on, as [`swap`](Self::swap) does.
     pub fn change(&mut self, settings: &LinkSettings) -> Result<(), LinkError> {
-        let Self { way, endings, .. } = Self::new(self.direction, self.seed, settings)?;
-        self.way = way;
-        self.endings = endings;
+        let mut rules = Rules::build(self.rules.direction, self.seed, settings)?;
+        self.swap(&mut rules);
         Ok(())
+    }
+
+    /// Takes other rules for the packets from now on, and gives those of before back, so that nothing is freed here.
+    ///
+    /// Counters go on, and so do the draws, where the seed is the same; what a rule remembers of earlier packets, such
+    /// as a queue, begins anew. Where the new rules keep the order, no packet overtakes one from before.
+    pub fn swap(&mut self, rules: &mut Rules) {
+        debug_assert_eq!(rules.direction, self.rules.direction, "rules of the other direction");
+        std::mem::swap(&mut self.rules, rules);
+        self.floor_ns = if self.rules.keeps_order { self.latest_due_ns } else { 0 };
     }
 
     /// Decides what becomes of a packet of this link's direction.
     pub fn judge(&mut self, packet: &Packet) -> Judgement<'_> {
-        debug_assert_eq!(packet.direction, self.direction, "packet on the wrong link");
+        debug_assert_eq!(packet.direction, self.rules.direction, "packet on the wrong link");
         let mut damage = Damage::NONE;
         self.extras.clear();
         let verdict = self.pass(packet, &mut damage);
@@ -106,13 +136,14 @@ impl Link {
 
     fn pass(&mut self, packet: &Packet, damage: &mut Damage) -> Verdict {
         let mut at_ns = packet.sent_ns;
-        for rule in &mut self.way {
+        for rule in &mut self.rules.way {
             match rule.judge(packet, at_ns) {
                 Verdict::Deliver { at_ns: later } => at_ns = later,
                 drop @ Verdict::Drop { .. } => return drop,
             }
         }
-        for ending in &mut self.endings {
+        at_ns = at_ns.max(self.floor_ns);
+        for ending in &mut self.rules.endings {
             match ending.end(packet, at_ns, damage, &mut self.extras) {
                 Verdict::Deliver { at_ns: later } => at_ns = later,
                 drop @ Verdict::Drop { .. } => return drop,
@@ -137,7 +168,7 @@ impl Link {
 
     /// The direction this link carries.
     pub fn direction(&self) -> Direction {
-        self.direction
+        self.rules.direction
     }
 
     /// What was decided so far.
@@ -149,7 +180,7 @@ impl Link {
 impl LinkSettings {
     /// Checks every number and what goes together, by building the rules.
     pub fn validate(&self) -> Result<(), LinkError> {
-        Link::new(Direction::Forward, 0, self).map(drop)
+        Rules::build(Direction::Forward, 0, self).map(drop)
     }
 }
 
@@ -186,6 +217,29 @@ mod tests {
         let mut link = Link::new(Direction::Backward, 0, &LinkSettings::default()).unwrap();
         let packet = Packet { direction: Direction::Backward, sent_ns: 42, size: 64, index: 0 };
         assert_eq!(link.judge(&packet).verdict, Verdict::Deliver { at_ns: 42 });
-        assert!(link.way.is_empty() && link.endings.is_empty());
+        assert!(link.rules.way.is_empty() && link.rules.endings.is_empty());
+    }
+
+    #[test]
+    fn a_change_holds_for_later_packets_and_keeps_the_order() {
+        let slow = LinkSettings { delay_s: 0.05, ..LinkSettings::default() };
+        let fast = LinkSettings { delay_s: 0.01, ..LinkSettings::default() };
+        let free = LinkSettings { keep_order: false, ..fast.clone() };
+        for (changed, expected_ms) in [(&fast, [50, 52, 52, 61]), (&free, [50, 52, 13, 61])] {
+            let mut link = Link::new(Direction::Forward, 0, &slow).unwrap();
+            let mut dues_ms = Vec::new();
+            for (index, sent_ms) in [0, 2, 3, 51].into_iter().enumerate() {
+                if index == 2 {
+                    assert!(link.change(&LinkSettings { loss: 2.0, ..fast.clone() }).is_err());
+                    link.change(changed).unwrap();
+                }
+                let sent_ns = sent_ms * 1_000_000;
+                let packet = Packet { direction: Direction::Forward, sent_ns, size: 64, index: index as u64 };
+                let Verdict::Deliver { at_ns } = link.judge(&packet).verdict else { panic!("lost") };
+                dues_ms.push(at_ns / 1_000_000);
+            }
+            assert_eq!(dues_ms, expected_ms);
+            assert_eq!(link.counters().sent, 4);
+        }
     }
 }

@@ -1156,7 +1156,23 @@ class DirectionStatistics:
 
     @property
     def unsent(self) -> int:
-        """Of these, not sent on when due, because the socket refused them."""
+        """Of these, not sent on when due, because the socket refused them or the client was gone."""
+
+    @property
+    def damaged(self) -> int:
+        """Of these, with other bytes than came."""
+
+    @property
+    def extras(self) -> int:
+        """What was to arrive beside the packets: copies, and what somebody makes up."""
+
+    @property
+    def extras_released(self) -> int:
+        """Of these, sent."""
+
+    @property
+    def extras_lost(self) -> int:
+        """Of these, not sent: too many in flight, or refused by the socket."""
 
     @property
     def overtaking(self) -> int:
@@ -1169,6 +1185,10 @@ class DirectionStatistics:
     @property
     def refused(self) -> int:
         """Datagrams from a source that is not served, dropped before any rule saw them."""
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Datagrams accepted that were dropped, by cause: those of `lost` and `queue_full`."""
 
 @final
 class ProxyStatistics:
@@ -1183,6 +1203,10 @@ class ProxyStatistics:
         """From the peer to the client."""
 
     @property
+    def flows(self) -> int:
+        """Clients that are served now."""
+
+    @property
     def peer_unreachable(self) -> int:
         """Times the network reported that the peer cannot be reached."""
 
@@ -1195,19 +1219,56 @@ class ProxyStatistics:
         """How late all but 1 % of the datagrams left at most, in s."""
 
     @property
+    def scheduling_error_p999_s(self) -> float:
+        """How late all but 0.1 % of the datagrams left at most, in s."""
+
+    @property
     def scheduling_error_max_s(self) -> float:
         """How late the latest datagram left, in s."""
 
+    @property
+    def early(self) -> int:
+        """Datagrams that left before they were due: none, ever."""
+
+    @property
+    def log_lost(self) -> int:
+        """Records that the log lacks, because its writer was behind."""
+
+    @property
+    def scheduling(self) -> Literal["fifo", "normal"]:
+        """How its thread is scheduled."""
+
+    @property
+    def receive_buffer_bytes(self) -> int:
+        """What the kernel grants the listening socket for datagrams that wait, as it counts them."""
+
+    @property
+    def send_buffer_bytes(self) -> int:
+        """The same for sending."""
+
+    @property
+    def valid(self) -> bool:
+        """Whether the delays were those asked for: p99 of the scheduling error within its limit."""
+
 @final
 class Proxy:
-    """What `haptether.netsim.Proxy` wraps.
+    """What `haptether.netsim.Proxy` wraps: a live UDP proxy between clients and one peer, on its own thread.
+
+    It forwards to the peer only, and serves clients of this machine and those that it is told of, up to 64 at a time.
+    All share the link of their direction.
 
     Args:
-        listen: Where the client sends to, `HOST:PORT`; port 0 lets the system choose.
+        listen: Where the clients send to, `HOST:PORT`; port 0 lets the system choose.
         forward: The peer, `HOST:PORT`.
         forward_link: Network from the client to the peer, as JSON.
         backward_link: Network from the peer to the client, as JSON.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
+        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`.
+        realtime: Whether to ask for real-time scheduling; the statistics say what was got.
+        max_error_s: Largest p99 of the scheduling error in s with which a run is valid.
+        log: File for what became of each datagram, as CSV: `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,
+            error_ns,size`. `kind` is empty for the packet itself, else why there is a copy; `t_out_ns` is when the call
+            that sends it began.
 
     Raises:
         ValueError: An address that is none.
@@ -1222,6 +1283,10 @@ class Proxy:
         forward_link: str,
         backward_link: str,
         seed: int = 0,
+        allow: Sequence[str] = (),
+        realtime: bool = True,
+        max_error_s: float = 1e-3,
+        log: str | PathLike[str] | None = None,
     ) -> Proxy: ...
     @property
     def address(self) -> str:
@@ -1230,6 +1295,13 @@ class Proxy:
     @property
     def finished(self) -> bool:
         """Whether its thread has ended."""
+
+    def change(self, direction: Literal["forward", "backward"], settings: str) -> None:
+        """Other settings for the datagrams that come from now on; taken up within 20 ms, in order.
+
+        Raises:
+            ValueError: No such `direction`.
+        """
 
     def statistics(self) -> ProxyStatistics:
         """What it has done so far, while it goes on."""

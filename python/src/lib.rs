@@ -11,6 +11,7 @@ mod bridge;
 mod bridge_trace;
 mod local;
 mod netsim;
+mod netsim_live;
 mod safety;
 mod scene;
 
@@ -21,6 +22,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     safety::register(module)?;
     local::register(module)?;
     netsim::register(module)?;
+    netsim_live::register(module)?;
     scene::register(module)?;
     bridge_trace::register(module)?;
     bridge::register(module)

@@ -1,23 +1,10 @@
 //! `haptether.netsim`.
 
-use std::{
-    net::{SocketAddr, ToSocketAddrs},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    thread::JoinHandle,
-};
+use std::net::{SocketAddr, ToSocketAddrs};
 
-use haptether_netsim::{
-    Direction, DirectionStatistics, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Proxy,
-    ProxyMonitor, ProxySettings, ProxyStatistics, Verdict,
-};
+use haptether_netsim::{Direction, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Verdict};
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
-use pyo3::{
-    exceptions::{PyOSError, PyRuntimeError, PyValueError},
-    prelude::*,
-};
+use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{
     arrays::{column, is_aligned},
@@ -25,9 +12,6 @@ use crate::{
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyDirectionStatistics>()?;
-    module.add_class::<PyProxyStatistics>()?;
-    module.add_class::<PyProxy>()?;
     module.add_function(wrap_pyfunction!(check_link, module)?)?;
     module.add_function(wrap_pyfunction!(link_bounds, module)?)?;
     module.add_function(wrap_pyfunction!(verdict_causes, module)?)?;
@@ -48,12 +32,13 @@ pub(crate) fn link_settings(json: &str) -> PyResult<LinkSettings> {
     serde_json::from_str(json).map_err(|error| PyValueError::new_err(format!("link: {error}")))
 }
 
-fn direction_of(name: &str) -> PyResult<Direction> {
+/// A direction by its name.
+pub(crate) fn way(key: &str, name: &str) -> PyResult<Direction> {
     match name {
         "forward" => Ok(Direction::Forward),
         "backward" => Ok(Direction::Backward),
         other => {
-            let text = format!("direction = {other:?}: must be \"forward\" or \"backward\"");
+            let text = format!("{key} = {other:?}: must be \"forward\" or \"backward\"");
             Err(PyValueError::new_err(text))
         }
     }
@@ -132,7 +117,7 @@ fn judge_packets(
     direction: &str,
     seed: u64,
 ) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, Py<PyAny>)> {
-    let direction = direction_of(direction)?;
+    let direction = way("direction", direction)?;
     let (sent_ns, sizes) = (whole(sent_ns)?, sizes.map(whole).transpose()?);
     if let Some(sizes) = &sizes
         && sizes.len() != sent_ns.len()
@@ -182,124 +167,4 @@ fn judge_packets(
         }
     }
     Ok((column(py, rows.index), column(py, rows.sent_ns), column(py, rows.due_ns), column(py, rows.cause)))
-}
-
-#[pyclass(name = "DirectionStatistics", module = "haptether.netsim", frozen, get_all)]
-#[derive(Clone, Copy)]
-pub(crate) struct PyDirectionStatistics {
-    received: u64,
-    lost: u64,
-    queue_full: u64,
-    released: u64,
-    unsent: u64,
-    overtaking: u64,
-    oversize: u64,
-    refused: u64,
-}
-
-impl From<DirectionStatistics> for PyDirectionStatistics {
-    fn from(of: DirectionStatistics) -> Self {
-        Self {
-            received: of.received,
-            lost: of.lost,
-            queue_full: of.queue_full,
-            released: of.released,
-            unsent: of.unsent,
-            overtaking: of.overtaking,
-            oversize: of.oversize,
-            refused: of.refused,
-        }
-    }
-}
-
-#[pyclass(name = "ProxyStatistics", module = "haptether.netsim", frozen, get_all)]
-pub(crate) struct PyProxyStatistics {
-    forward: PyDirectionStatistics,
-    backward: PyDirectionStatistics,
-    peer_unreachable: u64,
-    scheduling_error_p50_s: f64,
-    scheduling_error_p99_s: f64,
-    scheduling_error_max_s: f64,
-}
-
-impl From<ProxyStatistics> for PyProxyStatistics {
-    fn from(of: ProxyStatistics) -> Self {
-        let seconds = |ns: u64| ns as f64 * 1e-9;
-        Self {
-            forward: of.forward.into(),
-            backward: of.backward.into(),
-            peer_unreachable: of.peer_unreachable,
-            scheduling_error_p50_s: seconds(of.scheduling_error.p50_ns),
-            scheduling_error_p99_s: seconds(of.scheduling_error.p99_ns),
-            scheduling_error_max_s: seconds(of.scheduling_error.max_ns),
-        }
-    }
-}
-
-#[pyclass(name = "Proxy", module = "haptether.netsim")]
-pub(crate) struct PyProxy {
-    thread: Option<JoinHandle<std::io::Result<ProxyStatistics>>>,
-    monitor: ProxyMonitor,
-    stop: Arc<AtomicBool>,
-    #[pyo3(get)]
-    address: String,
-}
-
-#[pymethods]
-impl PyProxy {
-    #[new]
-    #[pyo3(signature = (*, listen, forward, forward_link, backward_link, seed=0))]
-    fn new(
-        listen: &str,
-        forward: &str,
-        forward_link: &str,
-        backward_link: &str,
-        seed: u64,
-    ) -> PyResult<Self> {
-        let mut proxy = Proxy::bind(&ProxySettings {
-            listen: address("listen", listen)?,
-            forward: address("forward", forward)?,
-            forward_link: link_settings(forward_link)?,
-            backward_link: link_settings(backward_link)?,
-            seed,
-        })
-        .map_err(|error| PyOSError::new_err(error.to_string()))?;
-        let (monitor, address) = (proxy.monitor(), proxy.listen_address().to_string());
-        let stop = Arc::new(AtomicBool::new(false));
-        let seen = Arc::clone(&stop);
-        let thread = std::thread::Builder::new()
-            .name("haptether-netsim".into())
-            .spawn(move || proxy.run(&seen))
-            .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        Ok(Self { thread: Some(thread), monitor, stop, address })
-    }
-
-    fn statistics(&self) -> PyProxyStatistics {
-        self.monitor.snapshot().into()
-    }
-
-    #[getter]
-    fn finished(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
-    }
-
-    fn stop(&mut self, py: Python<'_>) -> PyResult<PyProxyStatistics> {
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let ended = py.detach(|| thread.join());
-            ended
-                .map_err(|_| PyRuntimeError::new_err("the proxy's thread panicked"))?
-                .map_err(|error| PyOSError::new_err(error.to_string()))?;
-        }
-        Ok(self.monitor.snapshot().into())
-    }
-}
-
-impl Drop for PyProxy {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
 }

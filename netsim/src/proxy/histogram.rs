@@ -1,6 +1,8 @@
-//! The proxy's own scheduling error: release time minus due time.
+//! The proxy's own scheduling error: from when a datagram was due until the call that sends it begins.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use super::statistics::count;
 
 const BIN_NS: u64 = 1_000;
 /// 1 us bins up to 10 ms; what is later still falls into one more bin.
@@ -38,7 +40,7 @@ impl Default for Histogram {
 impl Histogram {
     pub(super) fn record(&self, error_ns: u64) {
         let bin = usize::try_from(error_ns / BIN_NS).map_or(BINS, |bin| bin.min(BINS));
-        self.bins[bin].fetch_add(1, Relaxed);
+        count(&self.bins[bin]);
         self.max_ns.fetch_max(error_ns, Relaxed);
     }
 

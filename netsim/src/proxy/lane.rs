@@ -1,36 +1,76 @@
 //! One direction of the proxy: a link, what is in flight on it, and its record.
 
-use std::net::SocketAddr;
+use std::io::IoSlice;
+use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
+use arrayvec::ArrayVec;
+
+use super::Clock;
+use super::batch::{Destinations, MOST_SENT, Outgoing, Sender};
 use super::buffers::{BufferPool, MAX_DATAGRAM, Slot};
-use super::statistics::{DirectionRecorder, count};
+use super::control::Change;
+use super::log::{Log, Record};
+use super::ports::{Door, Exit, Exits, Ports};
+use super::statistics::{DirectionRecorder, Recorder, count};
+use crate::damage::Damage;
 use crate::in_flight::{DEFAULT_CAPACITY, InFlight};
 use crate::link::Link;
 use crate::settings::{LinkError, LinkSettings};
-use crate::verdict::{Direction, DropCause, Packet, Verdict};
+use crate::verdict::{Direction, DropCause, ExtraCause, Judgement, Packet, Verdict};
 
-/// A datagram on its way.
-#[derive(Debug)]
+/// In the log: the socket refused it, or its client was gone.
+const UNSENT: &str = "unsent";
+/// In the log: the proxy was stopped before it was due.
+const UNFINISHED: &str = "unfinished";
+
+/// What is known of a datagram on its way.
+#[derive(Clone, Copy, Debug)]
 struct Datagram {
-    slot: Slot,
     /// Settled on arrival, so that an answer to a client that has since been replaced does not reach the new
     /// one.
-    destination: SocketAddr,
+    exit: Exit,
+    index: u64,
+    extra: Option<ExtraCause>,
+    in_ns: u64,
+    size: usize,
 }
 
 #[derive(Debug)]
 pub(super) struct Lane {
     link: Link,
-    queue: InFlight<Datagram>,
-    buffers: BufferPool,
+    pub(super) change: Arc<Change>,
+    queue: InFlight<Slot>,
+    buffers: BufferPool<Datagram>,
     next_index: u64,
+}
+
+/// Where the lanes write down what they do.
+pub(super) struct Books<'a> {
+    pub(super) record: &'a Recorder,
+    pub(super) log: &'a mut Option<Log>,
+}
+
+impl Books<'_> {
+    fn of(&self, direction: Direction) -> &DirectionRecorder {
+        match direction {
+            Direction::Forward => &self.record.forward,
+            Direction::Backward => &self.record.backward,
+        }
+    }
+
+    fn log(&mut self, record: impl FnOnce() -> Record) {
+        if let Some(log) = self.log {
+            log.push(record(), &self.record.log_lost);
+        }
+    }
 }
 
 impl Lane {
     pub(super) fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
         Ok(Self {
             link: Link::new(direction, seed, settings)?,
+            change: Arc::default(),
             queue: InFlight::with_capacity(DEFAULT_CAPACITY),
             buffers: BufferPool::with_capacity(DEFAULT_CAPACITY),
             next_index: 0,
@@ -41,66 +81,181 @@ impl Lane {
         self.queue.next_due()
     }
 
-    /// Judges a datagram that came at `now_ns` and keeps it until it is due.
+    /// Takes up other rules, if some wait.
+    pub(super) fn take_up_change(&mut self) {
+        self.change.take_up(&mut self.link);
+    }
+
+    /// Judges a datagram that came at `now_ns` and keeps it, and what arrives beside it, until it is due.
     pub(super) fn accept(
         &mut self,
         now_ns: u64,
         datagram: &[u8],
-        destination: SocketAddr,
-        record: &DirectionRecorder,
-        mut observe: impl FnMut(&Packet, Verdict),
+        exits: &Exits,
+        books: &mut Books<'_>,
+        mut observe: impl FnMut(&Packet, &Judgement<'_>),
     ) {
+        let direction = self.link.direction();
         if datagram.len() > MAX_DATAGRAM {
-            count(&record.oversize);
+            count(&books.of(direction).oversize);
             return;
         }
-        let packet = Packet {
-            direction: self.link.direction(),
-            sent_ns: now_ns,
-            size: datagram.len(),
-            index: self.next_index,
-        };
+        let packet = Packet { direction, sent_ns: now_ns, size: datagram.len(), index: self.next_index };
         self.next_index += 1;
-        count(&record.received);
-        let verdict = match self.link.judge(&packet).verdict {
-            Verdict::Deliver { at_ns } => match self.enqueue(at_ns, datagram, destination) {
-                Ok(()) => Verdict::Deliver { at_ns },
-                Err(cause) => {
-                    count(&record.queue_full);
-                    Verdict::Drop { cause }
-                }
-            },
-            lost @ Verdict::Drop { .. } => {
-                count(&record.lost);
-                lost
-            }
+        let Self { link, queue, buffers, .. } = self;
+        let judgement = link.judge(&packet);
+        let mut enqueue = |at_ns, damage: &Damage, about: Datagram| {
+            // Pool and queue have the same capacity: a slot in hand means room in the queue, so none is lost
+            // below.
+            let slot = buffers.store(datagram, about, |bytes| damage.apply(bytes));
+            slot.ok_or(DropCause::InFlight).and_then(|slot| queue.push(at_ns, slot))
         };
+        let about =
+            Datagram { exit: exits.on, index: packet.index, extra: None, in_ns: now_ns, size: packet.size };
+        let verdict = match judgement.verdict {
+            Verdict::Deliver { at_ns } => match enqueue(at_ns, &judgement.damage, about) {
+                Ok(()) => judgement.verdict,
+                Err(cause) => Verdict::Drop { cause },
+            },
+            lost @ Verdict::Drop { .. } => lost,
+        };
+        count(&books.of(direction).received);
+        match verdict {
+            Verdict::Deliver { .. } if !judgement.damage.is_none() => count(&books.of(direction).damaged),
+            Verdict::Deliver { .. } => {}
+            Verdict::Drop { cause } => {
+                books.of(direction).dropped(cause);
+                books.log(|| about.record(direction, None, None, cause.name()));
+            }
+        }
+        for extra in judgement.extras {
+            let exit = match extra.cause {
+                ExtraCause::Mirror => exits.back,
+                ExtraCause::SecondSource => exits.beside,
+                _ => exits.on,
+            };
+            let about = Datagram { exit, extra: Some(extra.cause), ..about };
+            count(&books.of(direction).extras);
+            if let Err(cause) = enqueue(extra.at_ns, &extra.damage, about) {
+                count(&books.of(direction).extras_lost);
+                books.log(|| about.record(direction, Some(extra.at_ns), None, cause.name()));
+            }
+        }
+        observe(&packet, &Judgement { verdict, ..judgement });
         let overtaking = self.link.counters().overtaking;
-        record.overtaking.store(overtaking, Relaxed);
-        observe(&packet, verdict);
+        books.of(direction).overtaking.store(overtaking, Relaxed);
     }
 
-    fn enqueue(&mut self, due_ns: u64, datagram: &[u8], destination: SocketAddr) -> Result<(), DropCause> {
-        // Pool and queue have the same capacity: a slot in hand means room in the queue, so none is lost
-        // below.
-        let slot = self.buffers.store(datagram).ok_or(DropCause::InFlight)?;
-        self.queue.push(due_ns, Datagram { slot, destination })
-    }
-
-    /// Hands the next datagram due by `now_ns` to `send` with its due time; whether there was one.
+    /// Sends what is due by `now_ns`: what leaves by the same socket one after the other, with one call.
     pub(super) fn release(
         &mut self,
         now_ns: u64,
-        record: &DirectionRecorder,
-        send: impl FnOnce(&[u8], SocketAddr, u64) -> bool,
-    ) -> bool {
-        let Some((due_ns, datagram)) = self.queue.pop_due(now_ns) else {
-            return false;
-        };
-        let Datagram { slot, destination } = datagram;
-        let sent = send(self.buffers.read(&slot), destination, due_ns);
-        count(if sent { &record.released } else { &record.unsent });
-        self.buffers.release(slot);
-        true
+        clock: Clock,
+        ports: &Ports,
+        sender: &mut Sender,
+        books: &mut Books<'_>,
+    ) {
+        let mut next = self.queue.pop_due(now_ns);
+        while let Some((due_ns, slot)) = next.take() {
+            let mut batch: ArrayVec<(u64, Slot), MOST_SENT> = ArrayVec::new();
+            let door = self.door(&slot);
+            batch.push((due_ns, slot));
+            while !batch.is_full() {
+                let Some((due_ns, slot)) = self.queue.pop_due(now_ns) else {
+                    break;
+                };
+                if self.door(&slot) != door {
+                    next = Some((due_ns, slot));
+                    break;
+                }
+                batch.push((due_ns, slot));
+            }
+            self.send(batch, door, clock, ports, sender, books);
+            if next.is_none() {
+                next = self.queue.pop_due(now_ns);
+            }
+        }
+    }
+
+    fn door(&self, slot: &Slot) -> Option<Door> {
+        self.buffers.about(slot).map(|datagram| datagram.exit.door().0)
+    }
+
+    fn send(
+        &mut self,
+        batch: ArrayVec<(u64, Slot), MOST_SENT>,
+        door: Option<Door>,
+        clock: Clock,
+        ports: &Ports,
+        sender: &mut Sender,
+        books: &mut Books<'_>,
+    ) {
+        let direction = self.link.direction();
+        let mut taken = 0;
+        let mut out_ns = 0;
+        if let Some(socket) = door.and_then(|door| ports.door_socket(door)) {
+            let outgoing: Outgoing<'_> =
+                batch.iter().map(|(_, slot)| [IoSlice::new(self.buffers.read(slot))]).collect();
+            let destinations: Destinations = batch
+                .iter()
+                .map(|(_, slot)| self.buffers.about(slot).and_then(|datagram| datagram.exit.door().1))
+                .collect();
+            out_ns = clock.now_ns();
+            taken = sender.send(socket, &outgoing, &destinations, &books.record.peer_unreachable);
+        }
+        for (n, (due_ns, slot)) in batch.into_iter().enumerate() {
+            let is_sent = taken & (1 << n) != 0;
+            if is_sent {
+                match out_ns.checked_sub(due_ns) {
+                    Some(error_ns) => books.record.scheduling_error.record(error_ns),
+                    None => count(&books.record.early),
+                }
+            }
+            if let Some(datagram) = self.buffers.about(&slot) {
+                let to = books.of(direction);
+                count(match (datagram.extra, is_sent) {
+                    (None, true) => &to.released,
+                    (None, false) => &to.unsent,
+                    (Some(_), true) => &to.extras_released,
+                    (Some(_), false) => &to.extras_lost,
+                });
+                let cause = if is_sent { "" } else { UNSENT };
+                books.log(|| datagram.record(direction, Some(due_ns), is_sent.then_some(out_ns), cause));
+            }
+            self.buffers.release(slot);
+        }
+    }
+
+    /// Writes down what will not leave any more.
+    pub(super) fn give_up(&mut self, books: &mut Books<'_>) {
+        let direction = self.link.direction();
+        while let Some((due_ns, slot)) = self.queue.pop_due(u64::MAX) {
+            if let Some(datagram) = self.buffers.about(&slot) {
+                books.log(|| datagram.record(direction, Some(due_ns), None, UNFINISHED));
+            }
+            self.buffers.release(slot);
+        }
+    }
+}
+
+impl Datagram {
+    fn record(
+        &self,
+        direction: Direction,
+        due_ns: Option<u64>,
+        out_ns: Option<u64>,
+        cause: &'static str,
+    ) -> Record {
+        let kind = self.extra.map_or("", ExtraCause::name);
+        Record {
+            direction,
+            index: self.index,
+            kind,
+            in_ns: self.in_ns,
+            due_ns,
+            out_ns,
+            cause,
+            size: self.size,
+        }
     }
 }

@@ -1,99 +1,133 @@
-//! The live driver: a UDP proxy that delays and drops real datagrams by the verdicts of two links.
+//! The live driver: a UDP proxy that does to real datagrams what two links decide.
 //!
-//! One thread serves both directions. It sleeps in `ppoll` until a datagram comes or the next one in flight
-//! is nearly due, and spends the last [`SPIN_NS`] awake: the kernel wakes a sleeper some tens of us late (50
-//! us timer slack for a normal thread), never a spinner. Deadlines are absolute times of the monotonic clock,
-//! so errors do not add up. While it spins it goes on receiving, so that arrivals are stamped when they
-//! happen.
+//! One thread serves both directions and all clients. It sleeps in `ppoll` until a datagram comes or the next one in
+//! flight is nearly due, and spends the last part awake (see [`rest`]). Deadlines are absolute times of the monotonic
+//! clock, so errors do not add up. While it spins it goes on receiving, so that arrivals are stamped when they happen.
+//! Datagrams come and go many at a call; nothing is allocated for one.
 
+mod batch;
 mod buffers;
-mod client;
+mod control;
+mod flows;
 mod histogram;
 mod lane;
+mod log;
+mod ports;
+mod realtime;
+mod rest;
 mod settings;
 mod socket;
 mod statistics;
+mod writer;
 
+use std::fs::File;
 use std::io;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::event::Timespec;
 
-use crate::settings::LinkSettings;
-use crate::verdict::{Direction, Packet, Verdict};
-use client::Client;
-use lane::Lane;
-use socket::{is_own, is_unreachable, open_listening, open_upstream, receive_from};
+use crate::settings::{LinkSettings, nanoseconds};
+use crate::verdict::{Direction, Judgement, Packet};
+use batch::{Receiver, Sender};
+use lane::{Books, Lane};
+use log::Log;
+use ports::{Entrance, Exit, Exits, Ports, Ready};
+pub(crate) use realtime::prepare_thread;
+use rest::Rest;
 use statistics::{Recorder, count};
 
 pub use buffers::MAX_DATAGRAM;
+pub use control::ProxyControl;
+pub use flows::MOST_FLOWS;
 pub use histogram::SchedulingError;
-pub use settings::{ProxyError, ProxySettings};
+pub use realtime::Scheduling;
+pub use settings::{ProxyError, ProxySettings, Source};
 pub use statistics::{DirectionStatistics, ProxyMonitor, ProxyStatistics};
 
-/// Awake for at most this long before a datagram is due.
-const SPIN_NS: u64 = 100_000;
-/// Asleep for at most this long, so that a stop is noticed.
-const SLEEP_NS: u64 = 20_000_000;
-/// Datagrams received from each socket before what is due is looked at again.
-const BATCH: usize = 64;
+/// The proxy's clock: monotonic ns since it was bound. It wraps after 584 years.
+#[derive(Clone, Copy, Debug)]
+struct Clock(Instant);
 
-/// A UDP proxy between one client and one peer.
+impl Clock {
+    #[expect(clippy::cast_possible_truncation, reason = "584 years")]
+    fn now_ns(self) -> u64 {
+        self.0.elapsed().as_nanos() as u64
+    }
+}
+
+/// How often flows that have long been silent are looked for.
+const EXPIRY_PERIOD_NS: u64 = 1_000_000_000;
+
+/// A UDP proxy between clients and one peer.
+///
+/// It is no open relay: it forwards to the named peer only, and only what comes from this machine or from a source
+/// that it was told of. Each client has its own socket towards the peer; all share one link in either direction.
 #[derive(Debug)]
 pub struct Proxy {
-    listen: UdpSocket,
-    listen_address: SocketAddr,
-    /// Connected to the peer, so that the kernel refuses other sources and reports an absent peer.
-    upstream: UdpSocket,
-    peer: SocketAddr,
-    client: Client,
+    ports: Ports,
     forward: Lane,
     backward: Lane,
-    /// One byte more than is carried, which tells a datagram that is too large.
-    arrival: [u8; MAX_DATAGRAM + 1],
+    seed: u64,
+    is_realtime: bool,
     record: Arc<Recorder>,
-    /// Time 0 of the proxy's clock.
-    origin: Instant,
+    log: Option<Log>,
+    clock: Clock,
+    next_expiry_ns: u64,
+}
+
+/// What has the kernel's addresses in it and so stays on the thread that runs.
+struct Batches {
+    /// For the listening socket, whose family of addresses may be another than that of the peer.
+    from_clients: Receiver,
+    from_peer: Receiver,
+    sender: Sender,
+    ready: Ready,
+    rest: Rest,
 }
 
 impl Proxy {
     /// Takes the sockets and all memory the proxy will use.
     pub fn bind(settings: &ProxySettings) -> Result<Self, ProxyError> {
-        let ProxySettings { listen, forward, seed, .. } = *settings;
         let lane = |direction, link: &LinkSettings| {
-            Lane::new(direction, seed, link).map_err(|source| ProxyError::Link { direction, source })
+            Lane::new(direction, settings.seed, link).map_err(|source| ProxyError::Link { direction, source })
         };
-        let forward_lane = lane(Direction::Forward, &settings.forward_link)?;
-        let backward_lane = lane(Direction::Backward, &settings.backward_link)?;
-        if forward.port() == 0 {
-            return Err(ProxyError::NoPort { forward });
+        let forward = lane(Direction::Forward, &settings.forward_link)?;
+        let backward = lane(Direction::Backward, &settings.backward_link)?;
+        let max_error_s = settings.max_error_s;
+        if !(max_error_s > 0.0 && max_error_s <= 1.0) {
+            return Err(ProxyError::MaxError { seen: max_error_s });
         }
-        let refuse = |key, address| move |source| ProxyError::Socket { key, address, source };
-        let (listen, listen_address) = open_listening(listen).map_err(refuse("listen", listen))?;
-        let (upstream, peer) = open_upstream(forward).map_err(refuse("forward", forward))?;
-        if is_own(listen_address, peer) {
-            return Err(ProxyError::Loop { forward });
-        }
+        let ports = Ports::open(settings)?;
+        let begin = |path| File::create(path).and_then(Log::begin);
+        let log = settings.log.as_ref().map(|path| {
+            begin(path).map_err(|source| ProxyError::Log { path: path.display().to_string(), source })
+        });
+        let (receive_buffer_bytes, send_buffer_bytes) = ports.granted();
+        let record = Recorder {
+            receive_buffer_bytes,
+            send_buffer_bytes,
+            max_error_ns: nanoseconds(max_error_s),
+            ..Recorder::default()
+        };
         Ok(Self {
-            listen,
-            listen_address,
-            upstream,
-            peer,
-            client: Client::default(),
-            forward: forward_lane,
-            backward: backward_lane,
-            arrival: [0; MAX_DATAGRAM + 1],
-            record: Arc::default(),
-            origin: Instant::now(),
+            ports,
+            forward,
+            backward,
+            seed: settings.seed,
+            is_realtime: settings.realtime,
+            record: Arc::new(record),
+            log: log.transpose()?,
+            clock: Clock(Instant::now()),
+            next_expiry_ns: EXPIRY_PERIOD_NS,
         })
     }
 
-    /// Address the client sends to, with the port that was chosen.
+    /// Address the clients send to, with the port that was chosen.
     pub fn listen_address(&self) -> SocketAddr {
-        self.listen_address
+        self.ports.listen_address
     }
 
     /// A handle that reads the statistics while the proxy runs.
@@ -101,24 +135,52 @@ impl Proxy {
         ProxyMonitor(Arc::clone(&self.record))
     }
 
+    /// A handle that gives the proxy other rules while it runs.
+    pub fn control(&self) -> ProxyControl {
+        ProxyControl {
+            seed: self.seed,
+            forward: Arc::clone(&self.forward.change),
+            backward: Arc::clone(&self.backward.change),
+        }
+    }
+
     /// Serves until `stop` is set, which is noticed within 20 ms. What is still in flight then is not sent.
+    ///
+    /// The thread that calls it is given real-time scheduling, if that is wanted and allowed, and keeps it. The log
+    /// ends with the run.
     pub fn run(&mut self, stop: &AtomicBool) -> io::Result<ProxyStatistics> {
         self.run_observed(stop, |_, _| {})
     }
 
-    /// As [`run`](Proxy::run), showing every packet with its verdict to `observe` on the proxy's own thread.
+    /// As [`run`](Proxy::run), showing every packet with what becomes of it to `observe` on the proxy's own thread.
     ///
     /// The index of a packet is its order of arrival in its direction. What `observe` spends, datagrams wait.
     pub fn run_observed(
         &mut self,
         stop: &AtomicBool,
-        mut observe: impl FnMut(&Packet, Verdict),
+        mut observe: impl FnMut(&Packet, &Judgement<'_>),
     ) -> io::Result<ProxyStatistics> {
+        let scheduling = prepare_thread(self.is_realtime);
+        self.record.is_fifo.store(scheduling == Scheduling::Fifo, Relaxed);
+        let mut batches = Batches {
+            from_clients: Receiver::new(),
+            from_peer: Receiver::new(),
+            sender: Sender::new(),
+            ready: Ready::new(),
+            rest: Rest::default(),
+        };
         while !stop.load(Relaxed) {
-            self.release_due();
-            self.sleep()?;
-            self.receive(&mut observe)?;
+            self.forward.take_up_change();
+            self.backward.take_up_change();
+            self.release_due(&mut batches.sender);
+            self.expire();
+            self.sleep(&mut batches.rest)?;
+            self.receive(&mut batches, &mut observe)?;
         }
+        let mut books = Books { record: &self.record, log: &mut self.log };
+        self.forward.give_up(&mut books);
+        self.backward.give_up(&mut books);
+        self.log.take().map_or(Ok(()), Log::end)?;
         Ok(self.monitor().snapshot())
     }
 
@@ -129,97 +191,101 @@ impl Proxy {
 
     /// Sends what is due by now; what falls due meanwhile waits for the next round, so that receiving is not
     /// starved.
-    fn release_due(&mut self) {
-        let Self { record, upstream, listen, .. } = self;
-        let now_ns = elapsed_ns(self.origin);
-        let origin = self.origin;
-        let send_upstream = |datagram: &[u8], _, due_ns| {
-            record.scheduling_error.record(elapsed_ns(origin) - due_ns);
-            let mut sent = upstream.send(datagram);
-            if is_unreachable(&sent) {
-                // The socket reports what became of an earlier datagram and keeps this one back: send it
-                // again.
-                count(&record.peer_unreachable);
-                sent = upstream.send(datagram);
-            }
-            sent.is_ok()
-        };
-        let send_to_client = |datagram: &[u8], client, due_ns| {
-            record.scheduling_error.record(elapsed_ns(origin) - due_ns);
-            listen.send_to(datagram, client).is_ok()
-        };
-        while self.forward.release(now_ns, &record.forward, send_upstream) {}
-        while self.backward.release(now_ns, &record.backward, send_to_client) {}
-    }
-
-    /// Sleeps until a datagram comes, the next one in flight is nearly due, or a stop must be looked for.
-    fn sleep(&self) -> io::Result<()> {
-        let until_due =
-            self.next_due().map_or(u64::MAX, |due_ns| due_ns.saturating_sub(elapsed_ns(self.origin)));
-        let Some(sleep_ns) = until_due.checked_sub(SPIN_NS) else {
-            return Ok(());
-        };
-        let timeout = Duration::from_nanos(sleep_ns.min(SLEEP_NS));
-        let timeout = Timespec::try_from(timeout).map_err(io::Error::other)?;
-        let mut sockets =
-            [PollFd::new(&self.listen, PollFlags::IN), PollFd::new(&self.upstream, PollFlags::IN)];
-        match poll(&mut sockets, Some(&timeout)) {
-            // A signal is as good a reason to wake as any.
-            Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),
-            Err(error) => Err(error.into()),
+    fn release_due(&mut self, sender: &mut Sender) {
+        let Self { ports, forward, backward, record, log, clock, .. } = self;
+        let mut books = Books { record, log };
+        let now_ns = clock.now_ns();
+        for lane in [forward, backward] {
+            lane.release(now_ns, *clock, ports, sender, &mut books);
         }
     }
 
-    /// Takes what has come, until a datagram in flight is due.
-    fn receive(&mut self, observe: &mut impl FnMut(&Packet, Verdict)) -> io::Result<()> {
-        for _ in 0..BATCH {
-            let forward = self.receive_forward(observe)?;
-            let backward = self.receive_backward(observe)?;
-            let is_due = || self.next_due().is_some_and(|due_ns| due_ns <= elapsed_ns(self.origin));
-            if !(forward || backward) || is_due() {
-                break;
+    fn expire(&mut self) {
+        let now_ns = self.clock.now_ns();
+        if now_ns >= self.next_expiry_ns {
+            self.next_expiry_ns = now_ns + EXPIRY_PERIOD_NS;
+            self.ports.flows.expire(now_ns);
+            self.record.flows.store(self.ports.flows.len() as u64, Relaxed);
+        }
+    }
+
+    /// Sleeps until a datagram comes, the next one in flight is nearly due, or a stop must be looked for.
+    fn sleep(&self, rest: &mut Rest) -> io::Result<()> {
+        let Some(sleep_ns) = rest.sleep_ns(self.clock.now_ns(), self.next_due()) else {
+            return Ok(());
+        };
+        let timeout = Timespec::try_from(Duration::from_nanos(sleep_ns)).map_err(io::Error::other)?;
+        self.ports.wait(&timeout)
+    }
+
+    /// Takes what has come, and between sockets sends what falls due.
+    fn receive(
+        &mut self,
+        batches: &mut Batches,
+        observe: &mut impl FnMut(&Packet, &Judgement<'_>),
+    ) -> io::Result<()> {
+        let Batches { ready, from_clients, from_peer, sender, .. } = batches;
+        for entrance in self.ports.look(ready)? {
+            match entrance {
+                Entrance::Listen => self.receive_forward(from_clients, observe)?,
+                Entrance::Upstream(place) => self.receive_backward(place, from_peer, observe)?,
             }
+            self.release_due(sender);
         }
         Ok(())
     }
 
-    fn receive_forward(&mut self, observe: &mut impl FnMut(&Packet, Verdict)) -> io::Result<bool> {
-        let record = &self.record;
-        let unreachable = &record.peer_unreachable;
-        let Some((length, source)) = receive_from(&self.listen, &mut self.arrival, unreachable)? else {
-            return Ok(false);
+    fn receive_forward(
+        &mut self,
+        receiver: &mut Receiver,
+        observe: &mut impl FnMut(&Packet, &Judgement<'_>),
+    ) -> io::Result<()> {
+        let Self { ports, forward, record, log, clock, .. } = self;
+        let mut books = Books { record, log };
+        let Some(socket) = ports.entrance_socket(Entrance::Listen) else {
+            return Ok(());
         };
-        let now_ns = elapsed_ns(self.origin);
-        if self.client.admit(source, now_ns) {
-            let datagram = &self.arrival[..length];
-            self.forward.accept(now_ns, datagram, self.peer, &record.forward, observe);
-        } else {
-            count(&record.forward.refused);
-        }
-        Ok(true)
-    }
-
-    fn receive_backward(&mut self, observe: &mut impl FnMut(&Packet, Verdict)) -> io::Result<bool> {
-        let record = &self.record;
-        let unreachable = &record.peer_unreachable;
-        let Some((length, source)) = receive_from(&self.upstream, &mut self.arrival, unreachable)? else {
-            return Ok(false);
-        };
-        let now_ns = elapsed_ns(self.origin);
-        match self.client.address() {
-            // The kernel refuses other sources, except for what came between binding and connecting.
-            Some(client) if source == self.peer => {
-                let datagram = &self.arrival[..length];
-                self.backward.accept(now_ns, datagram, client, &record.backward, observe);
+        receiver.receive(socket, &record.peer_unreachable)?;
+        let now_ns = clock.now_ns();
+        for (datagram, source) in receiver.datagrams() {
+            let admitted = source.and_then(|client| Some((client, ports.admit(client, now_ns)?)));
+            if let Some((client, flow)) = admitted {
+                let exits =
+                    Exits { on: Exit::Peer(flow), back: Exit::Client(client), beside: Exit::PeerBeside };
+                forward.accept(now_ns, datagram, &exits, &mut books, &mut *observe);
+            } else {
+                count(&record.forward.refused);
             }
-            _ => count(&record.backward.refused),
         }
-        Ok(true)
+        record.flows.store(ports.flows.len() as u64, Relaxed);
+        Ok(())
     }
-}
 
-/// The proxy's clock: monotonic ns since it was bound. It wraps after 584 years.
-#[expect(clippy::cast_possible_truncation, reason = "584 years")]
-fn elapsed_ns(origin: Instant) -> u64 {
-    origin.elapsed().as_nanos() as u64
+    fn receive_backward(
+        &mut self,
+        place: usize,
+        receiver: &mut Receiver,
+        observe: &mut impl FnMut(&Packet, &Judgement<'_>),
+    ) -> io::Result<()> {
+        let Self { ports, backward, record, log, clock, .. } = self;
+        let mut books = Books { record, log };
+        let Some(socket) = ports.entrance_socket(Entrance::Upstream(place)) else {
+            return Ok(());
+        };
+        receiver.receive(socket, &record.peer_unreachable)?;
+        let now_ns = clock.now_ns();
+        for (datagram, source) in receiver.datagrams() {
+            if let Some((flow, client)) = source.and_then(|source| ports.client_of(place, source, now_ns)) {
+                let exits = Exits {
+                    on: Exit::Client(client),
+                    back: Exit::Peer(flow),
+                    beside: Exit::ClientBeside(client),
+                };
+                backward.accept(now_ns, datagram, &exits, &mut books, &mut *observe);
+            } else {
+                count(&record.backward.refused);
+            }
+        }
+        Ok(())
+    }
 }

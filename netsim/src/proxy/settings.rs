@@ -1,7 +1,8 @@
 //! What a proxy is asked to be, and why it may be refused.
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
+use std::path::PathBuf;
 
 use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::Direction;
@@ -19,6 +20,60 @@ pub struct ProxySettings {
     pub backward_link: LinkSettings,
     /// Key of all random draws.
     pub seed: u64,
+    /// Sources that are served beside those of this machine, which always are.
+    pub allow: Vec<Source>,
+    /// Whether to ask for real-time scheduling; what was got is in the statistics.
+    pub realtime: bool,
+    /// Largest p99 of the scheduling error in s with which a run is valid.
+    pub max_error_s: f64,
+    /// File to write what became of each datagram to, as CSV; an existing one is replaced.
+    pub log: Option<PathBuf>,
+}
+
+impl ProxySettings {
+    /// A perfect network on the way to `forward` and back.
+    pub fn new(listen: SocketAddr, forward: SocketAddr) -> Self {
+        Self {
+            listen,
+            forward,
+            forward_link: LinkSettings::default(),
+            backward_link: LinkSettings::default(),
+            seed: 0,
+            allow: Vec::new(),
+            realtime: true,
+            max_error_s: 1e-3,
+            log: None,
+        }
+    }
+}
+
+/// Whose datagrams are served.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// All of a machine.
+    Machine(IpAddr),
+    /// Those of one socket.
+    Socket(SocketAddr),
+}
+
+impl Source {
+    /// Whether a datagram from `source` is one of them.
+    pub(super) fn covers(self, source: SocketAddr) -> bool {
+        let ip = source.ip().to_canonical();
+        match self {
+            Self::Machine(machine) => ip == machine.to_canonical(),
+            Self::Socket(socket) => ip == socket.ip().to_canonical() && source.port() == socket.port(),
+        }
+    }
+}
+
+impl std::str::FromStr for Source {
+    type Err = std::net::AddrParseError;
+
+    /// An address with or without a port.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        text.parse().map(Self::Machine).or_else(|_| text.parse().map(Self::Socket))
+    }
 }
 
 /// A proxy that cannot be set up.
@@ -47,6 +102,20 @@ pub enum ProxyError {
         /// The address.
         forward: SocketAddr,
     },
+    /// The limit of the scheduling error is no duration.
+    #[error("max_error_s = {seen}: must be a finite number above 0, at most 1")]
+    MaxError {
+        /// The limit.
+        seen: f64,
+    },
+    /// The log cannot be written.
+    #[error("log = {path}: {source}")]
+    Log {
+        /// Its path.
+        path: String,
+        /// What the operating system says.
+        source: io::Error,
+    },
     /// An address cannot be used.
     #[error("{key} = {address}: {source}")]
     Socket {
@@ -57,4 +126,26 @@ pub enum ProxyError {
         /// What the operating system says.
         source: io::Error,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_source_is_a_machine_or_one_of_its_sockets() {
+        for (allowed, source, is_covered) in [
+            ("10.0.0.1", "10.0.0.1:7", true),
+            ("10.0.0.1", "10.0.0.2:7", false),
+            ("10.0.0.1", "[::ffff:10.0.0.1]:7", true),
+            ("10.0.0.1:7", "10.0.0.1:7", true),
+            ("10.0.0.1:7", "10.0.0.1:8", false),
+            ("fe80::1", "[fe80::1]:7", true),
+            ("[fe80::1]:7", "[fe80::1]:7", true),
+        ] {
+            let allowed: Source = allowed.parse().unwrap();
+            assert_eq!(allowed.covers(source.parse().unwrap()), is_covered, "{allowed:?} {source}");
+        }
+        assert!("master".parse::<Source>().is_err());
+    }
 }

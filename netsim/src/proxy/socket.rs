@@ -1,15 +1,17 @@
-//! The proxy's two sockets, and what their errors mean.
+//! The proxy's sockets: how they are opened, and how much they hold.
 
 use std::io;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
-use std::sync::atomic::AtomicU64;
 
-use super::statistics::count;
+use rustix::net::sockopt;
+
+/// Asked of the kernel for datagrams that wait: 100 ms at 50000 packets/s, at 800 bytes each with what the kernel
+/// keeps beside them.
+const BUFFER_BYTES: usize = 4 << 20;
 
 /// A socket at `listen`, and its address with the port that was chosen.
 pub(super) fn open_listening(listen: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
-    let socket = UdpSocket::bind(listen)?;
-    socket.set_nonblocking(true)?;
+    let socket = open(listen)?;
     let address = socket.local_addr()?;
     Ok((socket, address))
 }
@@ -20,45 +22,32 @@ pub(super) fn open_upstream(forward: SocketAddr) -> io::Result<(UdpSocket, Socke
         SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
         SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
     };
-    let socket = UdpSocket::bind(any)?;
-    socket.set_nonblocking(true)?;
+    let socket = open(any)?;
     socket.connect(forward)?;
     let peer = socket.peer_addr()?;
     Ok((socket, peer))
+}
+
+fn open(address: SocketAddr) -> io::Result<UdpSocket> {
+    let socket = UdpSocket::bind(address)?;
+    socket.set_nonblocking(true)?;
+    // Beyond its limit the kernel grants more to the privileged, and its limit to others.
+    let _ = sockopt::set_socket_recv_buffer_size_force(&socket, BUFFER_BYTES)
+        .or_else(|_| sockopt::set_socket_recv_buffer_size(&socket, BUFFER_BYTES));
+    let _ = sockopt::set_socket_send_buffer_size_force(&socket, BUFFER_BYTES)
+        .or_else(|_| sockopt::set_socket_send_buffer_size(&socket, BUFFER_BYTES));
+    Ok(socket)
+}
+
+/// Bytes granted for receiving and for sending.
+pub(super) fn granted(socket: &UdpSocket) -> (u64, u64) {
+    let receive = sockopt::socket_recv_buffer_size(socket).unwrap_or(0);
+    let send = sockopt::socket_send_buffer_size(socket).unwrap_or(0);
+    (receive as u64, send as u64)
 }
 
 /// Whether the proxy would be its own peer.
 pub(super) fn is_own(listen: SocketAddr, peer: SocketAddr) -> bool {
     let is_same_host = listen.ip() == peer.ip() || (listen.ip().is_unspecified() && peer.ip().is_loopback());
     is_same_host && listen.port() == peer.port()
-}
-
-/// The next datagram of a socket; `None` if there is none. An absent peer is counted and passed over.
-pub(super) fn receive_from(
-    socket: &UdpSocket,
-    buffer: &mut [u8],
-    unreachable: &AtomicU64,
-) -> io::Result<Option<(usize, SocketAddr)>> {
-    loop {
-        let received = socket.recv_from(buffer);
-        if is_unreachable(&received) {
-            count(unreachable);
-            continue;
-        }
-        match received {
-            Ok(datagram) => return Ok(Some(datagram)),
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-}
-
-/// Whether the socket reports, by ICMP, that an earlier datagram found no peer: no reason to stop, it may
-/// come up yet.
-pub(super) fn is_unreachable<T>(result: &io::Result<T>) -> bool {
-    use io::ErrorKind::{ConnectionRefused, HostUnreachable, NetworkDown, NetworkUnreachable};
-    result.as_ref().is_err_and(|error| {
-        matches!(error.kind(), ConnectionRefused | HostUnreachable | NetworkUnreachable | NetworkDown)
-    })
 }

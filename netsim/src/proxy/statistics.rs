@@ -1,9 +1,13 @@
 //! What the proxy has done, readable from another thread while it runs.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 
 use super::histogram::{Histogram, SchedulingError};
+use super::realtime::Scheduling;
+use crate::verdict::DropCause;
+
+const CAUSES: usize = DropCause::ALL.len();
 
 /// What happened to the datagrams of one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -11,21 +15,30 @@ use super::histogram::{Histogram, SchedulingError};
 pub struct DirectionStatistics {
     /// Datagrams accepted and judged.
     pub received: u64,
-    /// Of these, taken by the link's rules.
+    /// Of these, taken by the link's rules, for whatever cause.
     pub lost: u64,
     /// Of these, dropped because too many were in flight.
     pub queue_full: u64,
     /// Of these, sent on.
     pub released: u64,
-    /// Of these, not sent on when due, because the socket refused them.
+    /// Of these, not sent on when due, because the socket refused them or the client was gone.
     pub unsent: u64,
+    /// Of these, sent on or to be sent on with other bytes than came.
+    pub damaged: u64,
+    /// What was to arrive beside the packets: copies, and what somebody makes up.
+    pub extras: u64,
+    /// Of these, sent.
+    pub extras_released: u64,
+    /// Of these, not sent: too many in flight, or refused by the socket.
+    pub extras_lost: u64,
     /// Datagrams due before one accepted earlier: each overtakes at least one.
     pub overtaking: u64,
     /// Datagrams above [`MAX_DATAGRAM`](super::MAX_DATAGRAM) bytes, dropped before any rule saw them.
     pub oversize: u64,
-    /// Datagrams from a source that is not served, dropped before any rule saw them. Forward: another source
-    /// than the client. Backward: another than the peer, or before there was a client.
+    /// Datagrams from a source that is not served, dropped before any rule saw them. Forward: one that is neither
+    /// loopback nor allowed, or for which there is no room. Backward: another than the peer.
     pub refused: u64,
+    causes: [u64; CAUSES],
 }
 
 impl DirectionStatistics {
@@ -33,6 +46,11 @@ impl DirectionStatistics {
     pub fn in_flight(&self) -> u64 {
         let gone = self.lost + self.queue_full + self.released + self.unsent;
         self.received.saturating_sub(gone)
+    }
+
+    /// Datagrams accepted that were dropped for this cause.
+    pub fn dropped(&self, cause: DropCause) -> u64 {
+        self.causes[cause as usize]
     }
 }
 
@@ -44,10 +62,24 @@ pub struct ProxyStatistics {
     pub forward: DirectionStatistics,
     /// Peer to client.
     pub backward: DirectionStatistics,
+    /// Clients that are served now.
+    pub flows: u64,
     /// Times the network reported that the peer cannot be reached, as when it is not up yet.
     pub peer_unreachable: u64,
     /// How late datagrams left, both directions together.
     pub scheduling_error: SchedulingError,
+    /// Datagrams that left before they were due: none, ever.
+    pub early: u64,
+    /// Records that the log lacks, because its writer was behind.
+    pub log_lost: u64,
+    /// How the proxy's thread is scheduled.
+    pub scheduling: Scheduling,
+    /// Bytes that the kernel grants the listening socket for datagrams that wait, both as it counts them.
+    pub receive_buffer_bytes: u64,
+    /// The same for sending.
+    pub send_buffer_bytes: u64,
+    /// Whether the delays were those that were asked for: p99 of the scheduling error within its limit, nothing early.
+    pub valid: bool,
 }
 
 /// A handle by which any thread reads the statistics of a running proxy, without disturbing it.
@@ -57,11 +89,21 @@ pub struct ProxyMonitor(pub(super) Arc<Recorder>);
 impl ProxyMonitor {
     /// What the proxy has done so far. Each number is exact; taken together they may be a few packets apart.
     pub fn snapshot(&self) -> ProxyStatistics {
+        let Recorder { flows, peer_unreachable, early, log_lost, .. } = &*self.0;
+        let scheduling_error = self.0.scheduling_error.summary();
+        let early = early.load(Relaxed);
         ProxyStatistics {
             forward: self.0.forward.snapshot(),
             backward: self.0.backward.snapshot(),
-            peer_unreachable: self.0.peer_unreachable.load(Relaxed),
-            scheduling_error: self.0.scheduling_error.summary(),
+            flows: flows.load(Relaxed),
+            peer_unreachable: peer_unreachable.load(Relaxed),
+            scheduling_error,
+            early,
+            log_lost: log_lost.load(Relaxed),
+            scheduling: if self.0.is_fifo.load(Relaxed) { Scheduling::Fifo } else { Scheduling::Normal },
+            receive_buffer_bytes: self.0.receive_buffer_bytes,
+            send_buffer_bytes: self.0.send_buffer_bytes,
+            valid: early == 0 && scheduling_error.p99_ns <= self.0.max_error_ns,
         }
     }
 }
@@ -71,38 +113,60 @@ impl ProxyMonitor {
 pub(super) struct Recorder {
     pub(super) forward: DirectionRecorder,
     pub(super) backward: DirectionRecorder,
+    pub(super) flows: AtomicU64,
     pub(super) peer_unreachable: AtomicU64,
     pub(super) scheduling_error: Histogram,
+    pub(super) early: AtomicU64,
+    pub(super) log_lost: AtomicU64,
+    pub(super) is_fifo: AtomicBool,
+    pub(super) receive_buffer_bytes: u64,
+    pub(super) send_buffer_bytes: u64,
+    pub(super) max_error_ns: u64,
 }
 
 #[derive(Debug, Default)]
 pub(super) struct DirectionRecorder {
     pub(super) received: AtomicU64,
-    pub(super) lost: AtomicU64,
-    pub(super) queue_full: AtomicU64,
     pub(super) released: AtomicU64,
     pub(super) unsent: AtomicU64,
+    pub(super) damaged: AtomicU64,
+    pub(super) extras: AtomicU64,
+    pub(super) extras_released: AtomicU64,
+    pub(super) extras_lost: AtomicU64,
     pub(super) overtaking: AtomicU64,
     pub(super) oversize: AtomicU64,
     pub(super) refused: AtomicU64,
+    pub(super) causes: [AtomicU64; CAUSES],
 }
 
 impl DirectionRecorder {
+    /// Counts a datagram that was dropped.
+    pub(super) fn dropped(&self, cause: DropCause) {
+        count(&self.causes[cause as usize]);
+    }
+
     fn snapshot(&self) -> DirectionStatistics {
+        let causes = self.causes.each_ref().map(|cause| cause.load(Relaxed));
+        let queue_full = causes[DropCause::InFlight as usize];
         DirectionStatistics {
             received: self.received.load(Relaxed),
-            lost: self.lost.load(Relaxed),
-            queue_full: self.queue_full.load(Relaxed),
+            lost: causes.iter().sum::<u64>() - queue_full,
+            queue_full,
             released: self.released.load(Relaxed),
             unsent: self.unsent.load(Relaxed),
+            damaged: self.damaged.load(Relaxed),
+            extras: self.extras.load(Relaxed),
+            extras_released: self.extras_released.load(Relaxed),
+            extras_lost: self.extras_lost.load(Relaxed),
             overtaking: self.overtaking.load(Relaxed),
             oversize: self.oversize.load(Relaxed),
             refused: self.refused.load(Relaxed),
+            causes,
         }
     }
 }
 
-/// Adds one to a counter.
+/// Adds one to a counter that only this thread writes, without locking the bus.
 pub(super) fn count(counter: &AtomicU64) {
-    counter.fetch_add(1, Relaxed);
+    counter.store(counter.load(Relaxed) + 1, Relaxed);
 }

@@ -1,53 +1,62 @@
 //! The live driver on the loopback interface, between real threads.
 
+use std::collections::HashSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use super::{delay, rough, scattered, virtual_delays};
+use super::{delay, rough};
 use crate::{
-    Direction, Link, LinkSettings, MAX_DATAGRAM, Packet, Proxy, ProxyError, ProxySettings, ProxyStatistics,
-    Verdict,
+    Direction, DropCause, Link, LinkSettings, MAX_DATAGRAM, MOST_FLOWS, Packet, Proxy, ProxyControl,
+    ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics, Source, Verdict,
 };
 
-const PATIENCE: Duration = Duration::from_secs(5);
-const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+pub(super) const PATIENCE: Duration = Duration::from_secs(5);
+pub(super) const LOOPBACK: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-fn socket() -> UdpSocket {
+pub(super) fn socket() -> UdpSocket {
     let socket = UdpSocket::bind(LOOPBACK).unwrap();
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
     socket
 }
 
-fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings {
-    ProxySettings { listen: LOOPBACK, forward, forward_link: link.clone(), backward_link: link, seed: 11 }
+pub(super) fn settings(forward: SocketAddr, link: LinkSettings) -> ProxySettings {
+    let seed = 11;
+    ProxySettings {
+        forward_link: link.clone(),
+        backward_link: link,
+        seed,
+        ..ProxySettings::new(LOOPBACK, forward)
+    }
 }
 
 /// A proxy on its own thread; stopping it gives its statistics and every verdict.
-struct Running {
-    address: SocketAddr,
+pub(super) struct Running {
+    pub(super) address: SocketAddr,
+    pub(super) monitor: ProxyMonitor,
+    pub(super) control: ProxyControl,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<(ProxyStatistics, Vec<(Packet, Verdict)>)>,
 }
 
 impl Running {
-    fn start(settings: &ProxySettings) -> Self {
+    pub(super) fn start(settings: &ProxySettings) -> Self {
         let mut proxy = Proxy::bind(settings).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
-        let address = proxy.listen_address();
+        let (address, monitor, control) = (proxy.listen_address(), proxy.monitor(), proxy.control());
         let stop_seen = Arc::clone(&stop);
         let thread = thread::spawn(move || {
             let mut log = Vec::new();
             let statistics =
-                proxy.run_observed(&stop_seen, |packet, verdict| log.push((*packet, verdict))).unwrap();
+                proxy.run_observed(&stop_seen, |packet, judged| log.push((*packet, judged.verdict))).unwrap();
             (statistics, log)
         });
-        Self { address, stop, thread }
+        Self { address, monitor, control, stop, thread }
     }
 
-    fn stop(self) -> (ProxyStatistics, Vec<(Packet, Verdict)>) {
+    pub(super) fn stop(self) -> (ProxyStatistics, Vec<(Packet, Verdict)>) {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.join().unwrap()
     }
@@ -122,91 +131,112 @@ fn a_round_trip_takes_both_delays_and_never_less() {
 }
 
 #[test]
-fn the_live_driver_applies_the_verdicts_of_the_virtual_one() {
-    const COUNT: u64 = 1000;
-    // Live packets come at other times than virtual ones: only delays that are drawn by packet are the same.
-    let link = LinkSettings { loss: 0.1, ..scattered() };
-    let count_delivered = |delays: &[Option<u64>]| delays.iter().flatten().count();
-    let seed = settings(LOOPBACK, link.clone()).seed;
-    let forward = virtual_delays(Direction::Forward, seed, &link, COUNT);
-    let echoed = count_delivered(&forward);
-    let backward = virtual_delays(Direction::Backward, seed, &link, echoed as u64);
-
-    let (peer, echoing) = echo(echoed);
-    let proxy = Running::start(&settings(peer, link.clone()));
-    let client = socket();
-    client.connect(proxy.address).unwrap();
-    let sender = client.try_clone().unwrap();
-    let sending = thread::spawn(move || {
-        for number in 0..COUNT {
-            sender.send(&number.to_be_bytes()).unwrap();
-            thread::sleep(Duration::from_micros(200));
-        }
-    });
-    let arrived: Vec<u64> = (0..count_delivered(&backward)).map(|_| receive_number(&client)).collect();
-    sending.join().unwrap();
-    echoing.join().unwrap();
-    let (statistics, log) = proxy.stop();
-
-    let echoed_order = due_order(&log, Direction::Forward);
-    let cases = [
-        (Direction::Forward, forward, statistics.forward),
-        (Direction::Backward, backward, statistics.backward),
-    ];
-    for (direction, expected, statistics) in cases {
-        let log: Vec<_> = log.iter().filter(|(packet, _)| packet.direction == direction).collect();
-        let applied: Vec<_> = log.iter().map(|(packet, verdict)| delay(packet, *verdict)).collect();
-        assert_eq!(applied, expected);
-        // Fed the very packets, with their sending times, a fresh link gives the very verdicts.
-        let mut link = Link::new(direction, seed, &link).unwrap();
-        assert!(log.iter().all(|(packet, verdict)| link.judge(packet).verdict == *verdict));
-        assert_eq!(statistics.overtaking, link.counters().overtaking);
-        assert_eq!(statistics.lost, link.counters().dropped);
+fn each_client_gets_its_own_answers() {
+    let peer = socket();
+    let proxy = Running::start(&settings(peer.local_addr().unwrap(), LinkSettings::default()));
+    let clients = [socket(), socket(), socket()];
+    let mut buffer = [0; 16];
+    let mut upstreams = Vec::new();
+    for (client, name) in clients.iter().zip([b"a", b"b", b"c"]) {
+        client.send_to(name, proxy.address).unwrap();
+        let (length, upstream) = peer.recv_from(&mut buffer).unwrap();
+        assert_eq!(&buffer[..length], name);
+        upstreams.push(upstream);
     }
-    // And the datagrams left by those verdicts: in order of due time, there and back.
-    let order: Vec<u64> = due_order(&log, Direction::Backward)
-        .into_iter()
-        .map(|index| echoed_order[usize::try_from(index).unwrap()])
-        .collect();
-    assert_eq!(arrived, order);
-}
-
-/// Indices of the packets to be delivered in one direction, in order of due time.
-fn due_order(log: &[(Packet, Verdict)], direction: Direction) -> Vec<u64> {
-    let mut due: Vec<(u64, u64)> = log
-        .iter()
-        .filter(|(packet, _)| packet.direction == direction)
-        .filter_map(|(packet, verdict)| match verdict {
-            Verdict::Deliver { at_ns } => Some((*at_ns, packet.index)),
-            Verdict::Drop { .. } => None,
-        })
-        .collect();
-    due.sort_unstable();
-    due.into_iter().map(|(_, index)| index).collect()
+    for (upstream, answer) in upstreams.iter().zip([b"A", b"B", b"C"]).rev() {
+        peer.send_to(answer, upstream).unwrap();
+    }
+    for (client, answer) in clients.iter().zip([b"A", b"B", b"C"]) {
+        let (length, source) = client.recv_from(&mut buffer).unwrap();
+        assert_eq!((&buffer[..length], source), (&answer[..], proxy.address));
+    }
+    // Nobody but the peer reaches a client.
+    let upstream = SocketAddr::new(LOOPBACK.ip(), upstreams[0].port());
+    clients[1].send_to(b"forged", upstream).unwrap();
+    peer.send_to(b"answer", upstream).unwrap();
+    let length = clients[0].recv(&mut buffer).unwrap();
+    assert_eq!(&buffer[..length], b"answer");
+    let (statistics, log) = proxy.stop();
+    assert_eq!((statistics.flows, statistics.forward.refused), (3, 0));
+    assert_eq!((statistics.forward.received, statistics.backward.received), (3, 4));
+    // The link is shared: the index goes on from client to client.
+    let indices = log.iter().filter(|(packet, _)| packet.direction == Direction::Forward);
+    assert!(indices.map(|(packet, _)| packet.index).eq(0..3));
 }
 
 #[test]
-fn a_second_source_is_refused() {
+fn no_more_clients_are_served_than_there_is_room_for() {
     let peer = socket();
     let proxy = Running::start(&settings(peer.local_addr().unwrap(), LinkSettings::default()));
-    let [first, second] = [socket(), socket()];
+    let clients: Vec<_> = (0..=MOST_FLOWS).map(|_| socket()).collect();
+    for client in &clients {
+        client.send_to(b"hello", proxy.address).unwrap();
+    }
     let mut buffer = [0; 16];
-    first.send_to(b"first", proxy.address).unwrap();
-    let (_, upstream) = peer.recv_from(&mut buffer).unwrap();
-    second.send_to(b"second", proxy.address).unwrap();
-    first.send_to(b"again", proxy.address).unwrap();
-    let length = peer.recv(&mut buffer).unwrap();
-    assert_eq!(&buffer[..length], b"again");
-    // Nor does anyone but the peer reach the client.
-    let upstream = SocketAddr::new(LOOPBACK.ip(), upstream.port());
-    second.send_to(b"forged", upstream).unwrap();
-    peer.send_to(b"answer", upstream).unwrap();
-    let length = first.recv(&mut buffer).unwrap();
-    assert_eq!(&buffer[..length], b"answer");
+    let sources: HashSet<_> = (0..MOST_FLOWS).map(|_| peer.recv_from(&mut buffer).unwrap().1).collect();
+    assert_eq!(sources.len(), MOST_FLOWS);
     let (statistics, _) = proxy.stop();
-    assert_eq!(statistics.forward.refused, 1);
-    assert_eq!(statistics.forward.received, 2);
-    assert_eq!(statistics.backward.received, 1);
+    assert_eq!((statistics.flows, statistics.forward.refused), (MOST_FLOWS as u64, 1));
+}
+
+#[test]
+fn a_source_from_elsewhere_is_served_only_if_allowed() {
+    // An address of this machine that is none of the loopback, if it has one.
+    let probe = UdpSocket::bind("0.0.0.0:0").unwrap();
+    if probe.connect("192.0.2.1:9").is_err() {
+        return;
+    }
+    let outside = probe.local_addr().unwrap().ip();
+    if outside.is_loopback() {
+        return;
+    }
+    let peer = socket();
+    let client = UdpSocket::bind((outside, 0)).unwrap();
+    let base = settings(peer.local_addr().unwrap(), LinkSettings::default());
+    let listen = SocketAddr::new(outside, 0);
+    let exact = Source::Socket(client.local_addr().unwrap());
+    for (allow, served) in [(vec![], 0), (vec![Source::Machine(outside)], 1), (vec![exact], 1)] {
+        let proxy = Running::start(&ProxySettings { listen, allow, ..base.clone() });
+        client.send_to(b"hello", proxy.address).unwrap();
+        let patience = Instant::now();
+        let seen = || proxy.monitor.snapshot().forward;
+        while seen().received + seen().refused == 0 && patience.elapsed() < PATIENCE {
+            thread::yield_now();
+        }
+        let (statistics, _) = proxy.stop();
+        assert_eq!((statistics.forward.received, statistics.forward.refused), (served, 1 - served));
+    }
+}
+
+#[test]
+fn a_change_holds_for_datagrams_from_then_on_and_keeps_the_order() {
+    let peer = socket();
+    let slow = LinkSettings { delay_s: 0.1, ..LinkSettings::default() };
+    let proxy = Running::start(&settings(peer.local_addr().unwrap(), slow));
+    let client = socket();
+    client.connect(proxy.address).unwrap();
+    let change = |settings: LinkSettings| proxy.control.change(Direction::Forward, &settings);
+    client.send(&0_u64.to_be_bytes()).unwrap();
+    // Taken up before what comes 40 ms later.
+    thread::sleep(Duration::from_millis(20));
+    assert!(change(LinkSettings { delay_s: f64::NAN, ..LinkSettings::default() }).is_err());
+    change(LinkSettings { delay_s: 0.01, ..LinkSettings::default() }).unwrap();
+    thread::sleep(Duration::from_millis(40));
+    client.send(&1_u64.to_be_bytes()).unwrap();
+    assert_eq!([receive_number(&peer), receive_number(&peer)], [0, 1]);
+    change(LinkSettings { loss: 1.0, ..LinkSettings::default() }).unwrap();
+    thread::sleep(Duration::from_millis(40));
+    client.send(&2_u64.to_be_bytes()).unwrap();
+    let patience = Instant::now();
+    while proxy.monitor.snapshot().forward.lost == 0 && patience.elapsed() < PATIENCE {
+        thread::yield_now();
+    }
+    let (statistics, log) = proxy.stop();
+    assert_eq!(statistics.forward.dropped(DropCause::Loss), 1);
+    let due =
+        |number: usize| delay(&log[number].0, log[number].1).map(|delay_ns| log[number].0.sent_ns + delay_ns);
+    assert_eq!(due(0), due(1), "the second waits for the first");
+    assert_eq!((delay(&log[0].0, log[0].1), due(2)), (Some(100_000_000), None));
 }
 
 #[test]
@@ -288,6 +318,12 @@ fn a_proxy_that_cannot_work_says_why() {
         message(ProxySettings { backward_link: bad_link, ..perfect.clone() }),
         "link.backward: loss = 2: must be a finite number from 0 to 1"
     );
+    assert_eq!(
+        message(ProxySettings { max_error_s: f64::NAN, ..perfect.clone() }),
+        "max_error_s = NaN: must be a finite number above 0, at most 1"
+    );
+    let nowhere = message(ProxySettings { log: Some("/nowhere/log.csv".into()), ..perfect.clone() });
+    assert!(nowhere.starts_with("log = /nowhere/log.csv: "), "{nowhere}");
     assert_eq!(
         message(ProxySettings { forward: LOOPBACK, ..perfect.clone() }),
         "forward = 127.0.0.1:0: must name a port from 1 to 65535"

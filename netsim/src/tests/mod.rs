@@ -6,6 +6,8 @@ mod endings;
 mod independence;
 mod jitter;
 mod live;
+mod live_parity;
+mod live_probe;
 mod loss;
 mod outage;
 mod refusals;
