@@ -3,7 +3,7 @@
 //! Within a cell the delay is linear. This moves mean and standard deviation by about 1e-5 of the latter, and the rest
 //! of the tails, 1e-16 on each side, is missing; so the delays are scaled and shifted to the moments asked for.
 
-use crate::law::{DelayLaw, Tails, gaussian};
+use crate::law::{DelayLaw, Tails};
 
 const PER_UNIT: usize = 64;
 pub(super) const WIDTH: f64 = 1.0 / PER_UNIT as f64;

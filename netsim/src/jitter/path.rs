@@ -33,6 +33,9 @@ const LEAST_TAU_NS: f64 = 20_000.0;
 const LEAST_TURNS: f64 = 12.0;
 const MOST_TURNS: f64 = 50.0;
 
+/// Cells that a run often passes.
+const NEAR: usize = 16;
+
 /// The ways up and down through the cells, and the memory of the path.
 #[derive(Debug)]
 pub(super) struct Path {
@@ -153,7 +156,12 @@ impl Way {
     pub(super) fn turn(&self, from: Place, exponential: f64) -> Place {
         let passed = self.turn_rate[from.cell] * (from.y_ns - self.starts_ns[from.cell]);
         let target = self.hazard[from.cell] + passed + exponential;
-        let beyond = self.hazard[from.cell..].partition_point(|&hazard| hazard <= target);
+        // Most runs are short: look near first.
+        let mut end = (from.cell + NEAR).min(COUNT);
+        while end < COUNT && self.hazard[end] <= target {
+            end = (end + 4 * NEAR).min(COUNT);
+        }
+        let beyond = self.hazard[from.cell..end].partition_point(|&hazard| hazard <= target);
         let cell = from.cell + beyond.max(1) - 1;
         let end_ns = self.starts_ns[cell + 1];
         let rate = self.turn_rate[cell];
