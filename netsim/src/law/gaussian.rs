@@ -43,6 +43,7 @@ fn ratio(x: f64, [above, below]: &Rational) -> f64 {
     polynomial(above) / polynomial(below)
 }
 
+#[expect(clippy::excessive_precision, reason = "as published")]
 const CENTRE: Rational = [
     [
         2.509_080_928_730_122_672_7e3,
@@ -66,6 +67,7 @@ const CENTRE: Rational = [
     ],
 ];
 
+#[expect(clippy::excessive_precision, reason = "as published")]
 const TAIL: Rational = [
     [
         7.745_450_142_783_414_076_4e-4,
@@ -89,6 +91,7 @@ const TAIL: Rational = [
     ],
 ];
 
+#[expect(clippy::excessive_precision, reason = "as published")]
 const FAR_TAIL: Rational = [
     [
         2.010_334_399_292_288_132_65e-7,
