@@ -8,8 +8,8 @@
 //! `s(z) = min(c, m / |dD/dz|)`, up and down in turns. A run ends at a rate that is the sum of two:
 //!
 //! - `-d ln(g) / dy` along the run, where positive; `y` is the time it takes to get to z at that speed, and
-//!   `g = phi(z) s(z)` the density of y. Uphill a run goes on, downhill it turns the sooner the steeper it is. This
-//!   alone leaves the law as it is: what enters any stretch balances what leaves it.
+//!   `g = phi(z) s(z)` the density of y. Towards likelier delays a run goes on, away from them it turns the sooner the
+//!   faster they thin out. This alone leaves the law as it is: what enters any stretch balances what leaves it.
 //! - `s(z)^2 tau / 2`, less the mean of the former over both directions. It is the same for both directions and so
 //!   leaves the law too. It makes z diffuse at the rate 1 / tau everywhere: seen over more than a run, z is the
 //!   Ornstein-Uhlenbeck process, AR(1) in time, of the autocorrelation `exp(-t / tau)`.
