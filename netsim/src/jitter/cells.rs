@@ -3,7 +3,7 @@
 //! Within a cell the delay is linear. This moves mean and standard deviation by about 1e-5 of the latter, and the rest
 //! of the tails, 1e-16 on each side, is missing; so the delays are scaled and shifted to the moments asked for.
 
-use crate::law::{DelayLaw, Tails, gaussian};
+use crate::law::{DelayLaw, Tails};
 
 const PER_UNIT: usize = 64;
 pub(super) const WIDTH: f64 = 1.0 / PER_UNIT as f64;
@@ -22,14 +22,18 @@ pub(super) struct Cells {
 impl Cells {
     pub(super) fn of(law: &DelayLaw) -> Self {
         let points: Vec<Tails> = (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect();
-        let mut mass: Box<[f64]> = points
-            .windows(2)
-            // The smaller tail has the digits.
-            .map(|ends| match ends[1].z > 0.0 {
-                true => ends[0].above - ends[1].above,
-                false => ends[1].below - ends[0].below,
-            })
-            .collect();
+        let mut mass: Box<[f64]> =
+            points
+                .windows(2)
+                // The smaller tail has the digits.
+                .map(|ends| {
+                    if ends[1].z > 0.0 {
+                        ends[0].above - ends[1].above
+                    } else {
+                        ends[1].below - ends[0].below
+                    }
+                })
+                .collect();
         let total: f64 = mass.iter().sum();
         mass.iter_mut().for_each(|mass| *mass /= total);
         let mut latest = 0.0_f64;

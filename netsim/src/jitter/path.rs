@@ -8,8 +8,8 @@
 //! `s(z) = min(c, m / |dD/dz|)`, up and down in turns. A run ends at a rate that is the sum of two:
 //!
 //! - `-d ln(g) / dy` along the run, where positive; `y` is the time it takes to get to z at that speed, and
-//!   `g = phi(z) s(z)` the density of y. Uphill a run goes on, downhill it turns the sooner the steeper it is. This
-//!   alone leaves the law as it is: what enters any stretch balances what leaves it.
+//!   `g = phi(z) s(z)` the density of y. Towards likelier delays a run goes on, away from them it turns the sooner the
+//!   faster they thin out. This alone leaves the law as it is: what enters any stretch balances what leaves it.
 //! - `s(z)^2 tau / 2`, less the mean of the former over both directions. It is the same for both directions and so
 //!   leaves the law too. It makes z diffuse at the rate 1 / tau everywhere: seen over more than a run, z is the
 //!   Ornstein-Uhlenbeck process, AR(1) in time, of the autocorrelation `exp(-t / tau)`.
@@ -32,6 +32,9 @@ const LEAST_TAU_NS: f64 = 20_000.0;
 /// Number of velocity's correlation times in tau: at least, and where the order asks for no less, at most.
 const LEAST_TURNS: f64 = 12.0;
 const MOST_TURNS: f64 = 50.0;
+
+/// Cells that a run often passes.
+const NEAR: usize = 16;
 
 /// The ways up and down through the cells, and the memory of the path.
 #[derive(Debug)]
@@ -153,7 +156,12 @@ impl Way {
     pub(super) fn turn(&self, from: Place, exponential: f64) -> Place {
         let passed = self.turn_rate[from.cell] * (from.y_ns - self.starts_ns[from.cell]);
         let target = self.hazard[from.cell] + passed + exponential;
-        let beyond = self.hazard[from.cell..].partition_point(|&hazard| hazard <= target);
+        // Most runs are short: look near first.
+        let mut end = (from.cell + NEAR).min(COUNT);
+        while end < COUNT && self.hazard[end] <= target {
+            end = (end + 4 * NEAR).min(COUNT);
+        }
+        let beyond = self.hazard[from.cell..end].partition_point(|&hazard| hazard <= target);
         let cell = from.cell + beyond.max(1) - 1;
         let end_ns = self.starts_ns[cell + 1];
         let rate = self.turn_rate[cell];

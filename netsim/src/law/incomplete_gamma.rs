@@ -5,24 +5,24 @@
 use super::Tails;
 
 const PRECISION: f64 = 1e-15;
+const NEWTON_PRECISION: f64 = 1e-7;
 const MOST_TERMS: usize = 10_000;
 /// From here on the normal law of the cube root is closer than the inversion is worth its time.
 const LARGE_SHAPE: f64 = 2000.0;
 
-/// `x^k e^-x / Gamma(k + 1)`, which is P but for its series.
-fn front(k: f64, x: f64) -> f64 {
-    libm::exp(k * libm::log(x) - x - libm::lgamma(k + 1.0))
+/// The gamma law of shape k and scale 1.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StandardGamma {
+    k: f64,
+    log_factorial: f64,
 }
 
-/// `P(k, x)` and `Q(k, x)`; the smaller one has the digits.
-fn both(k: f64, x: f64) -> (f64, f64) {
-    if x < k + 1.0 {
-        let p = front(k, x) * series(k, x);
-        (p, 1.0 - p)
-    } else {
-        let q = front(k, x) * k * fraction(k, x);
-        (1.0 - q, q)
-    }
+/// `P(k, x)`, `Q(k, x)`, of which the smaller one has the digits, and dP/dx.
+#[derive(Clone, Copy, Debug)]
+struct Values {
+    p: f64,
+    q: f64,
+    slope: f64,
 }
 
 /// `1 + x / (k + 1) + x^2 / ((k + 1) (k + 2)) + ...`
@@ -58,46 +58,65 @@ fn fraction(k: f64, x: f64) -> f64 {
     product
 }
 
-/// The x at which `P(k, x)` is the lower tail of a point.
-pub(super) fn quantile(k: f64, point: Tails) -> f64 {
-    let cube_root = 1.0 - 1.0 / (9.0 * k) + point.z / (3.0 * k.sqrt());
-    let wilson_hilferty = k * cube_root * cube_root * cube_root;
-    if k > LARGE_SHAPE || !wilson_hilferty.is_finite() {
-        // An end of the law: 0 or infinity.
-        return wilson_hilferty.max(0.0);
+impl StandardGamma {
+    pub(super) fn new(k: f64) -> Self {
+        Self { k, log_factorial: libm::lgamma(k + 1.0) }
     }
-    // P is below x^k / Gamma(k + 1), so this is below the x sought, and close to it where x is small.
-    let log_least = (libm::log(point.below) + libm::lgamma(k + 1.0)) / k;
-    if log_least < -700.0 {
-        return 0.0;
-    }
-    let mut low = libm::exp(log_least);
-    let mut high = f64::INFINITY;
-    let mut x = if cube_root > 0.3 { wilson_hilferty.max(low) } else { low };
-    for _ in 0..60 {
-        let (p, q) = both(k, x);
-        if (p < point.below) || (q > point.above) {
-            low = low.max(x);
+
+    fn values(&self, x: f64) -> Values {
+        let k = self.k;
+        // x^k e^-x / Gamma(k + 1)
+        let front = libm::exp(k * libm::log(x) - x - self.log_factorial);
+        let slope = front * k / x;
+        if x < k + 1.0 {
+            let p = front * series(k, x);
+            Values { p, q: 1.0 - p, slope }
         } else {
-            high = high.min(x);
+            let q = front * k * fraction(k, x);
+            Values { p: 1.0 - q, q, slope }
         }
-        // Newton on the logarithm of the smaller tail: nearly a line, of ln x below and of x above.
-        let slope = front(k, x) * k / x;
-        let newton = if point.below < point.above {
-            x * libm::exp(libm::log(point.below / p) * p / (slope * x))
-        } else {
-            x + libm::log(q / point.above) * q / slope
-        };
-        let inside = newton > low && newton < high;
-        let next = match (inside, high.is_finite()) {
-            (true, _) => newton,
-            (false, true) => 0.5 * (low + high),
-            (false, false) => 2.0 * x,
-        };
-        if (next - x).abs() <= 1e-13 * x {
-            return next;
-        }
-        x = next;
     }
-    x
+
+    /// The x at which P is the lower tail of a point.
+    pub(super) fn quantile(&self, point: Tails) -> f64 {
+        let k = self.k;
+        let cube_root = 1.0 - 1.0 / (9.0 * k) + point.z / (3.0 * k.sqrt());
+        let wilson_hilferty = k * cube_root * cube_root * cube_root;
+        if k > LARGE_SHAPE || !wilson_hilferty.is_finite() {
+            // An end of the law: 0 or infinity.
+            return wilson_hilferty.max(0.0);
+        }
+        // P is below x^k / Gamma(k + 1), so this is below the x sought, and close to it where x is small.
+        let log_least = (libm::log(point.below) + self.log_factorial) / k;
+        if log_least < -700.0 {
+            return 0.0;
+        }
+        let mut low = libm::exp(log_least);
+        let mut high = f64::INFINITY;
+        let mut x = if cube_root > 0.3 { wilson_hilferty.max(low) } else { low };
+        for _ in 0..60 {
+            let Values { p, q, slope } = self.values(x);
+            if p < point.below || q > point.above {
+                low = low.max(x);
+            } else {
+                high = high.min(x);
+            }
+            // Newton on the logarithm of the smaller tail: nearly a line, of ln x below and of x above.
+            let newton = if point.below < point.above {
+                x * libm::exp(libm::log(point.below / p) * p / (slope * x))
+            } else {
+                x + libm::log(q / point.above) * q / slope
+            };
+            // Its error is squared with each step.
+            if (newton - x).abs() <= NEWTON_PRECISION * x {
+                return newton;
+            }
+            x = match (newton > low && newton < high, high.is_finite()) {
+                (true, _) => newton,
+                (false, true) => 0.5 * (low + high),
+                (false, false) => 2.0 * x,
+            };
+        }
+        x
+    }
 }

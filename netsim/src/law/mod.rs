@@ -97,12 +97,15 @@ impl DelayLaw {
 
     /// The delay in s that a share `p` of the packets stays below; NaN for a `p` outside 0 to 1.
     pub fn quantile_s(&self, p: f64) -> f64 {
+        if !(0.0..=1.0).contains(&p) {
+            return f64::NAN;
+        }
         self.at(Tails { below: p, above: 1.0 - p, z: gaussian::quantile(p) })
     }
 
     pub(crate) fn at(&self, point: Tails) -> f64 {
         if self.sigma_s == 0.0 {
-            return self.mean_s + 0.0 * point.below;
+            return self.mean_s;
         }
         match &self.shape {
             Shape::Normal(law) => law.at(point),

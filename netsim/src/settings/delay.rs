@@ -17,7 +17,7 @@ pub enum Distribution {
     Gamma,
     /// Lognormal, from zero.
     Lognormal,
-    /// A least delay and a Pareto excess of index `distribution_shape`, above 2, by default 5.
+    /// A least delay and a Pareto excess of index `distribution_shape`, at least 2.5, by default 5.
     Pareto,
     /// An inverse distribution function at evenly spaced probabilities, as in the `.dist` files of iproute2, in
     /// units of 1/8192 standard deviation around the mean.

@@ -69,8 +69,9 @@ pub struct LinkSettings {
     pub distribution: Distribution,
     /// Shape of the law where it has one to choose: that of Pareto and of gamma.
     pub distribution_shape: Option<f64>,
-    /// Time in s over which the delay forgets itself: its autocorrelation is `exp(-t / tau)`. 0 with
-    /// `keep_order` is as short as the order permits, 0 without it independent from packet to packet.
+    /// Time in s over which the delay forgets itself, by default 0.1: its autocorrelation is `exp(-t / tau)`. With
+    /// `keep_order` it is at least four times `jitter_s`, as short as the order permits; 0 without it is independent
+    /// from packet to packet.
     pub jitter_correlation_s: Option<f64>,
     /// Changes of the mean delay at given times.
     pub timeline: Vec<DelayChange>,

@@ -1,6 +1,7 @@
 //! Verdicts of the virtual driver: golden values, statistics, independence of the impairments.
 
 use super::{rough, scattered, virtual_delays};
+use crate::settings::nanoseconds;
 use crate::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 
 const SEED: u64 = 0x5EED_0000_0000_0001;
@@ -60,15 +61,15 @@ fn uniform_jitter_is_uniform_around_the_delay() {
     const BINS: usize = 100;
     let settings = LinkSettings { loss: 0.0, distribution: Distribution::Uniform, ..scattered() };
     let delays = virtual_delays(Direction::Backward, SEED, &settings, MANY);
-    let half_width_ns = 5e6 * 3_f64.sqrt();
+    let half_width_ns = nanoseconds(0.005 * 3_f64.sqrt());
+    let least_ns = 50_000_000 - half_width_ns;
     let mut bins = [0_u64; BINS];
     let mut sum_ns = 0;
     for delay_ns in delays.into_iter().flatten() {
+        assert!((least_ns..=least_ns + 2 * half_width_ns).contains(&delay_ns), "{delay_ns}");
         sum_ns += delay_ns;
-        let part = (delay_ns as f64 - 50e6) / half_width_ns;
-        assert!(part.abs() <= 1.0 + 1e-6, "{part}");
-        let bin = ((part + 1.0) / 2.0 * BINS as f64) as usize;
-        bins[bin.min(BINS - 1)] += 1;
+        let bin = usize::try_from((delay_ns - least_ns) * BINS as u64 / (2 * half_width_ns + 1)).unwrap();
+        bins[bin] += 1;
     }
     // The mean of a million is within 4 sigma / 1000.
     let mean_ns = sum_ns as f64 / MANY as f64;
