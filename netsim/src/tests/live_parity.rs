@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use super::live::{PATIENCE, Running, settings, socket};
-use crate::damage::Damage;
+use crate::damage::{Damage, Flips};
 use crate::link::Rules;
 use crate::random::{Impairment, Stream};
 use crate::rule::{Ending, Extras};
@@ -177,7 +177,8 @@ struct Copies;
 impl Ending for Copies {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
         let stream = Stream::new(1, packet.direction, Impairment::Attack);
-        let flipped = Damage { flips: 1, stream, index: packet.index, ..Damage::NONE };
+        let corrupted = Flips { bits: 1, stream, ..Flips::NONE };
+        let flipped = Damage { corrupted, index: packet.index, ..Damage::NONE };
         *damage = Damage { keep: 3, ..Damage::NONE };
         for (later_ns, cause, damage) in [
             (0, ExtraCause::Duplicate, flipped),
