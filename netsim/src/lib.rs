@@ -15,6 +15,7 @@ mod delay;
 mod in_flight;
 mod jitter;
 mod link;
+pub mod netem;
 mod order;
 mod proxy;
 mod random;

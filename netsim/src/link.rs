@@ -4,7 +4,7 @@ use crate::damage::Damage;
 use crate::rule::{BuildEnding, BuildRule, Ending, Extras, Rule, Streams};
 use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::{Direction, Judgement, Packet, Verdict};
-use crate::{bernoulli, delay, jitter, order, rate, slots, timeline, trace};
+use crate::{bernoulli, delay, jitter, netem, order, rate, slots, timeline, trace};
 
 /// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, what waits there
 /// is delayed afterwards, and what was delayed is put in order.
@@ -21,7 +21,7 @@ const WAY: &[BuildRule] = &[
 ];
 
 /// What happens at the end of the way, in this order.
-const ENDINGS: &[BuildEnding] = &[];
+const ENDINGS: &[BuildEnding] = &[netem::build];
 
 /// What a link has decided so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

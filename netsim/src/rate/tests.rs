@@ -96,10 +96,13 @@ fn scheduled(time_ms: &[u64]) -> LinkSettings {
     LinkSettings { opportunities, overhead_bytes: 0, ..LinkSettings::default() }
 }
 
+/// Times in ns and payloads in bytes.
+type Arrivals<'a> = &'a [(u64, usize)];
+
 #[test]
 fn opportunities_carry_1500_bytes_each() {
     let settings = scheduled(&[2, 2, 5, 10]);
-    let cases: [(&[(u64, usize)], &[u64]); 6] = [
+    let cases: [(Arrivals, &[u64]); 6] = [
         (&[(0, 1500)], &[2]),
         // Two small ones share one opportunity.
         (&[(0, 700), (0, 800), (0, 10)], &[2, 2, 2]),
@@ -201,6 +204,7 @@ impl RfcCodel {
         (Some(packet), ok_to_drop)
     }
 
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 1e8")]
     fn law(from: u64, count: u32) -> u64 {
         from + (1e8 / f64::from(count).sqrt()).round() as u64
     }
