@@ -311,7 +311,7 @@ impl<'a> Words<'a> {
         self.number_is_next() || self.peek().is_some_and(|word| word.text.starts_with('-'))
     }
 
-    fn integer<T: FromStr + PartialOrd + std::fmt::Display>(
+    fn integer<T: FromStr + PartialOrd + Copy + std::fmt::Display>(
         &mut self,
         name: &str,
         minimum: T,
@@ -319,7 +319,7 @@ impl<'a> Words<'a> {
     ) -> Result<T, ParseError> {
         let word = self.need(name)?;
         match word.text.parse::<T>() {
-            Ok(number) if (&minimum..=&maximum).contains(&&number) => Ok(number),
+            Ok(number) if (minimum..=maximum).contains(&number) => Ok(number),
             _ => Err(word.error(format!(
                 "{name} = \"{}\": must be a whole number from {minimum} to {maximum}",
                 word.text

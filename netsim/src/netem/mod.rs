@@ -17,7 +17,8 @@
 //!
 //! Differences: netem draws everything from one generator, here each draw belongs to the packet, so that runs repeat and
 //! one packet more shifts nothing but the correlated states. The length of a packet for `rate` is its payload and 42
-//! bytes of headers (Ethernet, IPv4, UDP). `slot` and `seed` are refused.
+//! bytes of headers (Ethernet, IPv4, UDP). A draw that equals a bound exactly, one in 2^32, may fall on its other side.
+//! `slot` and `seed` are refused.
 //!
 //! Source: `sch_netem.c` of Linux 6.18; `tc-netem(8)`.
 
@@ -55,9 +56,19 @@ const BIT: u8 = 6;
 const COPY_BIT: u8 = 7;
 const FIRST_STATE: u8 = 8;
 
-/// Which of the two a draw is for.
-const ITSELF: usize = 0;
-const COPY: usize = 1;
+/// The draws of a packet, or of its copy.
+#[derive(Clone, Copy, Debug)]
+struct Draws {
+    stream: Stream,
+    index: u64,
+    is_copy: bool,
+}
+
+impl Draws {
+    fn of(&self, usage: u8) -> u32 {
+        upper(self.stream.nth(usage).pair(self.index)[usize::from(self.is_copy)])
+    }
+}
 
 /// The correlated generator of netem.
 #[derive(Clone, Copy, Debug)]
@@ -74,10 +85,8 @@ impl Correlated {
         }
         let rho = u64::from(self.rho) + 1;
         let mixed = u64::from(uniform) * ((1 << 32) - rho) + u64::from(self.last) * rho;
-        #[expect(clippy::cast_possible_truncation, reason = "a weighted mean of two 32-bit numbers")]
-        let next = (mixed >> 32) as u32;
-        self.last = next;
-        next
+        self.last = upper(mixed);
+        self.last
     }
 }
 
@@ -93,8 +102,8 @@ impl Event {
         Self { probability: chance.probability, draws: Correlated { rho: chance.rho, last: first } }
     }
 
-    fn occurs(&mut self, uniform: u32) -> bool {
-        self.probability > 0 && self.probability >= self.draws.next(uniform)
+    fn occurs(&mut self, draws: &Draws, usage: u8) -> bool {
+        self.probability > 0 && self.probability >= self.draws.next(draws.of(usage))
     }
 }
 
@@ -117,21 +126,21 @@ impl Losing {
         }
     }
 
-    fn loses(&mut self, uniform: u32, second: u32) -> bool {
+    fn loses(&mut self, draws: &Draws) -> bool {
         match self {
-            Self::Random(event) => event.occurs(uniform),
+            Self::Random(event) => event.occurs(draws, LOSS),
             Self::State { state, p13, p31, p32, p23, p14 } => {
-                let entered = four_state(*state, uniform, [*p13, *p31, *p32, *p23, *p14]);
-                let stayed_within = *state == 2 && entered == 2;
-                *state = entered;
-                !stayed_within && (entered == 3 || entered == 4)
+                *state = four_state(*state, draws.of(STATE), [*p13, *p31, *p32, *p23, *p14]);
+                *state == 3 || *state == 4
             }
+            // The state moves on first, and the loss is that of the state before.
             Self::Gilbert { is_bad, p, r, loss_bad, loss_good } => {
                 let was_bad = *is_bad;
-                if uniform < if was_bad { *r } else { *p } {
+                if draws.of(STATE) < if was_bad { *r } else { *p } {
                     *is_bad = !was_bad;
                 }
-                if was_bad { second > u32::MAX - *loss_bad } else { second < *loss_good }
+                let uniform = draws.of(LOSS);
+                if was_bad { uniform > u32::MAX - *loss_bad } else { uniform < *loss_good }
             }
         }
     }
@@ -217,20 +226,22 @@ impl Ending for Netem {
         while self.held.peek().is_some_and(|Reverse(due_ns)| *due_ns <= at_ns) {
             self.held.pop();
         }
-        let is_doubled = self.duplicate.occurs(self.draw(DUPLICATE, packet.index, ITSELF));
-        let is_lost = self.loses(packet.index, ITSELF);
+        let draws = Draws { stream: self.stream, index: packet.index, is_copy: false };
+        let is_doubled = self.duplicate.occurs(&draws, DUPLICATE);
+        let is_lost = self.losing.loses(&draws);
         if is_lost && !is_doubled {
             return Verdict::Drop { cause: DropCause::Loss };
         }
+        let copy = Draws { is_copy: true, ..draws };
         if is_doubled
             && !is_lost
-            && !self.loses(packet.index, COPY)
-            && let Ok((at_ns, damage)) = self.hold(packet, at_ns, COPY)
+            && !self.losing.loses(&copy)
+            && let Ok((at_ns, damage)) = self.hold(packet, at_ns, &copy)
         {
             // There is room: it is the only one.
             let _ = extras.try_push(Extra { at_ns, cause: ExtraCause::Duplicate, damage });
         }
-        match self.hold(packet, at_ns, ITSELF) {
+        match self.hold(packet, at_ns, &draws) {
             Ok((at_ns, change)) => {
                 *damage = change;
                 Verdict::Deliver { at_ns }
@@ -241,31 +252,22 @@ impl Ending for Netem {
 }
 
 impl Netem {
-    fn draw(&self, usage: u8, index: u64, which: usize) -> u32 {
-        upper(self.stream.nth(usage).pair(index)[which])
-    }
-
-    fn loses(&mut self, index: u64, which: usize) -> bool {
-        let (uniform, second) = (self.draw(LOSS, index, which), self.draw(STATE, index, which));
-        self.losing.loses(uniform, second)
-    }
-
     /// Corrupts and holds a packet until it leaves.
-    fn hold(&mut self, packet: &Packet, now_ns: u64, which: usize) -> Result<(u64, Damage), DropCause> {
+    fn hold(&mut self, packet: &Packet, now_ns: u64, draws: &Draws) -> Result<(u64, Damage), DropCause> {
         let mut damage = Damage::NONE;
-        if self.corrupt.occurs(self.draw(CORRUPT, packet.index, which)) {
-            let stream = self.stream.nth(if which == COPY { COPY_BIT } else { BIT });
+        if self.corrupt.occurs(draws, CORRUPT) {
+            let stream = self.stream.nth(if draws.is_copy { COPY_BIT } else { BIT });
             damage = Damage { flips: 1, stream, index: packet.index, ..Damage::NONE };
         }
         if self.held.len() >= self.limit {
             return Err(DropCause::Queue);
         }
-        if self.jumps_ahead(packet.index, which) {
+        if self.jumps_ahead(draws) {
             self.since_reordered = 0;
             return Ok((now_ns, damage));
         }
         self.since_reordered = self.since_reordered.saturating_add(1);
-        let due_ns = self.due_ns(packet, now_ns, which);
+        let due_ns = self.due_ns(packet, now_ns, draws);
         self.latest_ns = self.latest_ns.max(due_ns);
         if due_ns > now_ns {
             self.held.push(Reverse(due_ns));
@@ -273,17 +275,12 @@ impl Netem {
         Ok((due_ns, damage))
     }
 
-    fn jumps_ahead(&mut self, index: u64, which: usize) -> bool {
-        if self.gap == 0 || self.since_reordered < self.gap - 1 {
-            return false;
-        }
-        let uniform = self.draw(REORDER, index, which);
-        self.reorder.occurs(uniform)
+    fn jumps_ahead(&mut self, draws: &Draws) -> bool {
+        self.gap > 0 && self.since_reordered >= self.gap - 1 && self.reorder.occurs(draws, REORDER)
     }
 
-    fn due_ns(&mut self, packet: &Packet, now_ns: u64, which: usize) -> u64 {
-        let uniform = self.draw(DELAY, packet.index, which);
-        let delay_ns = self.delay_ns(uniform);
+    fn due_ns(&mut self, packet: &Packet, now_ns: u64, draws: &Draws) -> u64 {
+        let delay_ns = self.delay_ns(draws);
         let mut due_ns = i128::from(now_ns) + i128::from(delay_ns);
         if let Some(rate) = self.rate {
             if self.latest_ns > now_ns {
@@ -295,12 +292,12 @@ impl Netem {
         u64::try_from(due_ns.clamp(i128::from(now_ns), i128::from(u64::MAX))).unwrap_or(u64::MAX)
     }
 
-    fn delay_ns(&mut self, uniform: u32) -> i64 {
+    fn delay_ns(&mut self, draws: &Draws) -> i64 {
         let sigma = self.jitter_ns;
         if sigma == 0 {
             return self.latency_ns;
         }
-        let random = self.delay.next(uniform);
+        let random = self.delay.next(draws.of(DELAY));
         let Some(length) = u32::try_from(self.table.len()).ok().filter(|length| *length > 0) else {
             return i64::from(random) % (2 * sigma) + self.latency_ns - sigma;
         };
@@ -324,7 +321,6 @@ impl Rate {
 }
 
 /// The upper half of a draw.
-#[expect(clippy::cast_possible_truncation, reason = "32 bits are left")]
 fn upper(bits: u64) -> u32 {
     (bits >> 32) as u32
 }

@@ -119,10 +119,10 @@ fn loss(text: &str, count: u64) -> f64 {
     delays(text, count).iter().filter(|delay| delay.is_none()).count() as f64 / count as f64
 }
 
-/// A correlated draw hardly ever comes near zero: 4e6 draws, in per cent.
+/// A correlated draw hardly ever comes near zero; in per cent.
 #[test]
 fn a_correlated_loss_all_but_ceases() {
-    const DRAWS: u64 = 4_000_000;
+    const DRAWS: u64 = 2_000_000;
     for (text, expected, within) in [
         ("loss 1%", 1.0, 0.03),
         ("loss 1% 25%", 0.0003, 0.0003),
