@@ -244,6 +244,13 @@ fn one_option_shifts_no_draw_of_another() {
 }
 
 #[test]
+fn verdicts_are_the_same_on_every_platform() {
+    let seen = delays("delay 50ms 5ms 25% distribution paretonormal loss 20% 10% reorder 20%", 10);
+    let expected = [0, 49_364_014, 0, 0, 67_896_729, 57_131_958, 0, 0, 52_821_045, 45_161_133].map(Some);
+    assert_eq!(seen, expected);
+}
+
+#[test]
 fn arguments_are_read_as_tc_reads_them() {
     let read = |text| Arguments::read(text).unwrap();
     let short =

@@ -267,6 +267,51 @@ proptest! {
     }
 }
 
+/// mahimahi's own account: each opportunity in turn, with what arrived before it.
+fn by_opportunities(arrivals: &[(u64, usize)], time_ms: &[u64]) -> Vec<Option<u64>> {
+    let mut left_ms = vec![None; arrivals.len()];
+    let mut next = 0;
+    let mut owed = arrivals[0].1;
+    for cycle in 0.. {
+        for ms in time_ms.iter().map(|ms| cycle * time_ms.last().unwrap() + ms) {
+            let mut bytes = 1500;
+            while arrivals[next].0 < ms * MS && owed.min(bytes) + usize::from(owed == 0) > 0 {
+                let carried = owed.min(bytes);
+                owed -= carried;
+                bytes -= carried;
+                if owed == 0 {
+                    left_ms[next] = Some(ms * MS);
+                    next += 1;
+                    let Some(&(_, size)) = arrivals.get(next) else {
+                        return left_ms;
+                    };
+                    owed = size;
+                }
+            }
+        }
+    }
+    left_ms
+}
+
+proptest! {
+    #[test]
+    fn opportunities_agree_with_an_account_of_each(
+        packets in prop::collection::vec((0_u64..5, 1_usize..4000), 1..60),
+        mut time_ms in prop::collection::vec(0_u64..20, 1..12),
+    ) {
+        time_ms.sort_unstable();
+        time_ms.push(20);
+        let mut now_ms = 0;
+        let mut arrivals = Vec::new();
+        for (gap_ms, size) in packets {
+            now_ms += gap_ms;
+            arrivals.push((now_ms * MS, size));
+        }
+        let expected = by_opportunities(&arrivals, &time_ms);
+        prop_assert_eq!(departures(&verdicts(&scheduled(&time_ms), &arrivals)), expected);
+    }
+}
+
 /// Loads from just below to twice the rate, with the queue emptying in between.
 #[test]
 fn codel_agrees_with_its_rfc() {
@@ -384,4 +429,21 @@ fn own_packets_do_not_shift_other_traffic() {
     let dense: Vec<(u64, usize)> = (0..=900).map(|step| (step * MS, 0)).collect();
     let dense = verdicts(&settings, &dense);
     assert_eq!(sparse, [dense[500], dense[900]]);
+}
+
+#[test]
+fn waits_are_the_same_on_every_platform() {
+    let mut settings = crossed(12e6, 1500, 9e6);
+    let cross = settings.cross_traffic.as_mut().unwrap();
+    (cross.mean_on_s, cross.mean_off_s) = (Some(0.02), Some(0.01));
+    let packets: Vec<(u64, usize)> = (0..20).map(|index| (index * 7 * MS, 64)).collect();
+    let waits: Vec<u64> = departures(&verdicts(&settings, &packets))
+        .iter()
+        .zip(&packets)
+        .map(|(at, sent)| at.unwrap() - sent.0)
+        .collect();
+    assert_eq!(
+        waits[10..],
+        [958_025, 42_667, 1_166_934, 42_667, 42_667, 1_249_303, 42_667, 368_920, 42_667, 2_274_363]
+    );
 }
