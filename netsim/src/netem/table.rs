@@ -42,7 +42,7 @@ fn scaled_normal(position: u16) -> f64 {
     // Below half a part of 16384 everything counts as nothing.
     let below = (4.0 * f64::from(position) + 0.5) / 16_384.0;
     let (mut low, mut high) = (-10.0, 10.0);
-    for _ in 0..60 {
+    for _ in 0..40 {
         let middle = 0.5 * (low + high);
         if 0.5 * libm::erfc(-middle / std::f64::consts::SQRT_2) < below {
             low = middle;
