@@ -22,6 +22,7 @@ mod law;
 mod link;
 mod loss;
 mod mtu;
+pub mod netem;
 mod on_off;
 mod order;
 mod outage;

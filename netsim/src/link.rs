@@ -5,8 +5,8 @@ use crate::rule::{BuildEnding, BuildRule, Ending, Extras, Rule, Streams};
 use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::{Direction, Judgement, Packet, Verdict};
 use crate::{
-    adversary, corrupt, delay, duplicate, jitter, loss, mtu, order, outage, rate, reorder, slots, timeline,
-    trace, truncate,
+    adversary, corrupt, delay, duplicate, jitter, loss, mtu, netem, order, outage, rate, reorder, slots,
+    timeline, trace, truncate,
 };
 
 /// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, what waits there
@@ -28,7 +28,8 @@ const WAY: &[BuildRule] = &[
 ];
 
 /// What happens at the end of the way, in this order.
-const ENDINGS: &[BuildEnding] = &[duplicate::build, corrupt::build, truncate::build, adversary::build];
+const ENDINGS: &[BuildEnding] =
+    &[netem::build, duplicate::build, corrupt::build, truncate::build, adversary::build];
 
 /// What a link has decided so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -205,6 +205,20 @@ mod tests {
     }
 
     #[test]
+    fn delays_are_the_same_on_every_platform() {
+        let mut link = link(starlink());
+        let mut delay_ns = |sent_ns: u64| {
+            let packet = Packet { direction: Direction::Forward, sent_ns, size: 64, index: 0 };
+            match link.judge(&packet).verdict {
+                Verdict::Deliver { at_ns } => at_ns - sent_ns,
+                Verdict::Drop { .. } => 0,
+            }
+        };
+        let seen = [0, 1000, 14_999, 15_000, 16_000].map(|ms| delay_ns(ms * MS));
+        assert_eq!(seen, [102_029_684, 21_298_829, 34_315_899, 63_674_437, 19_756_270]);
+    }
+
+    #[test]
     fn slots_that_are_none_are_refused() {
         let cases = [
             (Slots { period_s: 0.0, ..starlink() }, "slots.period_s = 0"),

@@ -4,7 +4,7 @@
 //! of it is settled by then. Only the test that less than a full packet is waiting cannot look at what comes in
 //! between: it counts the bytes that wait when the packet enters, its own included.
 //!
-//! Source: K. Nichols, V. Jacobson, A. McGregor, J. Iyengar, "Controlled delay active queue management", RFC 8289,
+//! Source: K. Nichols, V. Jacobson et al., "Controlled delay active queue management", RFC 8289,
 //! section 5, taken packet by packet.
 
 /// Wait in ns that is acceptable for good.

@@ -96,10 +96,13 @@ fn scheduled(time_ms: &[u64]) -> LinkSettings {
     LinkSettings { opportunities, overhead_bytes: 0, ..LinkSettings::default() }
 }
 
+/// Times in ns and payloads in bytes.
+type Arrivals<'a> = &'a [(u64, usize)];
+
 #[test]
 fn opportunities_carry_1500_bytes_each() {
     let settings = scheduled(&[2, 2, 5, 10]);
-    let cases: [(&[(u64, usize)], &[u64]); 6] = [
+    let cases: [(Arrivals, &[u64]); 6] = [
         (&[(0, 1500)], &[2]),
         // Two small ones share one opportunity.
         (&[(0, 700), (0, 800), (0, 10)], &[2, 2, 2]),
@@ -201,6 +204,7 @@ impl RfcCodel {
         (Some(packet), ok_to_drop)
     }
 
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 1e8")]
     fn law(from: u64, count: u32) -> u64 {
         from + (1e8 / f64::from(count).sqrt()).round() as u64
     }
@@ -260,6 +264,51 @@ proptest! {
         let on_the_wire: Vec<_> = arrivals.iter().map(|&(arrival, size)| (arrival, size as u64 + 7)).collect();
         let expected = by_events(&on_the_wire, 1000, bound, None);
         prop_assert_eq!(departures(&verdicts(&settings, &arrivals)), expected);
+    }
+}
+
+/// mahimahi's own account: each opportunity in turn, with what arrived before it.
+fn by_opportunities(arrivals: &[(u64, usize)], time_ms: &[u64]) -> Vec<Option<u64>> {
+    let mut left_ms = vec![None; arrivals.len()];
+    let mut next = 0;
+    let mut owed = arrivals[0].1;
+    for cycle in 0.. {
+        for ms in time_ms.iter().map(|ms| cycle * time_ms.last().unwrap() + ms) {
+            let mut bytes = 1500;
+            while arrivals[next].0 < ms * MS && owed.min(bytes) + usize::from(owed == 0) > 0 {
+                let carried = owed.min(bytes);
+                owed -= carried;
+                bytes -= carried;
+                if owed == 0 {
+                    left_ms[next] = Some(ms * MS);
+                    next += 1;
+                    let Some(&(_, size)) = arrivals.get(next) else {
+                        return left_ms;
+                    };
+                    owed = size;
+                }
+            }
+        }
+    }
+    left_ms
+}
+
+proptest! {
+    #[test]
+    fn opportunities_agree_with_an_account_of_each(
+        packets in prop::collection::vec((0_u64..5, 1_usize..4000), 1..60),
+        mut time_ms in prop::collection::vec(0_u64..20, 1..12),
+    ) {
+        time_ms.sort_unstable();
+        time_ms.push(20);
+        let mut now_ms = 0;
+        let mut arrivals = Vec::new();
+        for (gap_ms, size) in packets {
+            now_ms += gap_ms;
+            arrivals.push((now_ms * MS, size));
+        }
+        let expected = by_opportunities(&arrivals, &time_ms);
+        prop_assert_eq!(departures(&verdicts(&scheduled(&time_ms), &arrivals)), expected);
     }
 }
 
@@ -380,4 +429,21 @@ fn own_packets_do_not_shift_other_traffic() {
     let dense: Vec<(u64, usize)> = (0..=900).map(|step| (step * MS, 0)).collect();
     let dense = verdicts(&settings, &dense);
     assert_eq!(sparse, [dense[500], dense[900]]);
+}
+
+#[test]
+fn waits_are_the_same_on_every_platform() {
+    let mut settings = crossed(12e6, 1500, 9e6);
+    let cross = settings.cross_traffic.as_mut().unwrap();
+    (cross.mean_on_s, cross.mean_off_s) = (Some(0.02), Some(0.01));
+    let packets: Vec<(u64, usize)> = (0..20).map(|index| (index * 7 * MS, 64)).collect();
+    let waits: Vec<u64> = departures(&verdicts(&settings, &packets))
+        .iter()
+        .zip(&packets)
+        .map(|(at, sent)| at.unwrap() - sent.0)
+        .collect();
+    assert_eq!(
+        waits[10..],
+        [958_025, 42_667, 1_166_934, 42_667, 42_667, 1_249_303, 42_667, 368_920, 42_667, 2_274_363]
+    );
 }

@@ -9,7 +9,8 @@ pub enum Discipline {
     /// It drops what comes while it is full.
     #[default]
     TailDrop,
-    /// Besides, it drops when packets have waited too long for a while: target 5 ms, interval 100 ms.
+    /// Besides, it drops when packets have waited too long for a while: target 5 ms, interval 100 ms. What waits is
+    /// counted when a packet enters, not when it leaves.
     ///
     /// Source: RFC 8289.
     Codel,
@@ -36,7 +37,8 @@ fn full_size() -> usize {
     1500
 }
 
-/// Times at which the bottleneck may send 1500 bytes each, repeated for ever.
+/// Times at which the bottleneck may send 1500 bytes each, repeated for ever with the last time as the period. A packet
+/// leaves with the opportunity that carries its last byte; what nothing waits for is lost.
 ///
 /// Source: mahimahi, `mm-link` traces.
 #[derive(Clone, Debug, PartialEq, Deserialize)]

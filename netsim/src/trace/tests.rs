@@ -3,6 +3,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::{Direction, Link, Opportunities};
 
+const MS: u64 = 1_000_000;
 const CSV: &str = "# home, Sunday\ntime_s, delay_s\n0, 0.010\n\n1.0, 0.020\r\n2.0, lost\n3.0,\n4,0.03\n";
 const TWO_WAY: &str = "time_s,forward_delay_s,backward_delay_s\n0,0.01,0.02\n0.5,lost,0.04\n";
 const LINK: &str = "0\n3\n3\n10\n";
@@ -139,6 +140,8 @@ fn an_error_says_where_it_is() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(4000))]
+
     #[test]
     fn random_bytes_break_no_parser(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         for (parser, _) in PARSERS {
@@ -195,7 +198,6 @@ fn a_recording_is_replayed_between_its_records_and_over_again() {
         interpolate,
         repeat,
     };
-    const MS: u64 = 1_000_000;
     // The period is 4 s + 2 s.
     let cases = [
         (0.0, Some(10 * MS)),
