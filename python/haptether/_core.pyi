@@ -14,6 +14,7 @@ count or seed with `OverflowError`.
 """
 
 from collections.abc import Callable, Sequence
+from os import PathLike
 from typing import Any, ClassVar, Literal, TypeAlias, final, overload
 
 import numpy as np
