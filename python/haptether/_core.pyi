@@ -1345,6 +1345,106 @@ class Proxy:
             RuntimeError: Its thread panicked.
         """
 
+@final
+class Echo:
+    """Answers the probes of `record`, one for one and of the same size; runs on its own thread.
+
+    Args:
+        listen: Where it listens, `HOST:PORT`; port 0 lets the system choose.
+
+    Raises:
+        ValueError: An address that is none.
+        OSError: An address that cannot be used.
+    """
+
+    def __new__(cls, *, listen: str) -> Echo: ...
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether its thread has ended."""
+
+    def stop(self) -> tuple[int, int]:
+        """Ends it and tells how many probes it answered, and how many datagrams were none.
+
+        Raises:
+            OSError: It had ended on an error of its socket.
+            RuntimeError: It was stopped before, or its thread panicked.
+        """
+
+@final
+class Recording:
+    """What `record` measured: each array of shape `(n_probes,)`, nan for a loss.
+
+    Where the other way lost a probe, the delay is that of the probe before: there was nothing to measure.
+    """
+
+    def __len__(self) -> int: ...
+    @property
+    def time_s(self) -> _Array:
+        """When each probe was sent, in s since the first."""
+
+    @property
+    def forward_delay_s(self) -> _Array:
+        """Delay of the probe in s."""
+
+    @property
+    def backward_delay_s(self) -> _Array:
+        """Delay of its answer in s."""
+
+    @property
+    def lost_forward(self) -> int:
+        """Probes lost on the way there."""
+
+    @property
+    def lost_backward(self) -> int:
+        """Answers lost on the way back."""
+
+    @property
+    def shortest_s(self) -> float:
+        """Shortest round trip in s, without the time at the echo."""
+
+    @property
+    def offset_s(self) -> float:
+        """How far the echo's clock was taken to be ahead, in s, in the middle of the measurement."""
+
+    @property
+    def drift(self) -> float:
+        """How much faster the echo's clock was taken to run, as a share."""
+
+    @property
+    def latest_s(self) -> float:
+        """How late the latest probe was sent, in s."""
+
+    def write_csv(self, path: str | PathLike[str]) -> None:
+        """Writes `time_s,forward_delay_s,backward_delay_s`, an empty cell for a loss, below comments.
+
+        Raises:
+            OSError: A file that cannot be written.
+        """
+
+def record(peer: str, *, rate_hz: float = 1000.0, duration_s: float = 10.0, realtime: bool = True) -> Recording:
+    """Measures the network to an `Echo` and back with a stream of probes.
+
+    Only the round trip is measured for certain. With the echo's clock ahead by theta, a probe shows
+    `a = forward + theta` and `b = backward - theta`; where it waited least, in windows of time, both ways are taken to
+    be alike, `theta = (a - b) / 2`, and a line through the quieter half of the windows is theta(t).
+
+    Args:
+        peer: Where the echo is, `HOST:PORT`.
+        rate_hz: Probes a second, at most 1000.
+        duration_s: For how long, in s; at most ten million probes.
+        realtime: Whether to ask for real-time scheduling.
+
+    Raises:
+        ValueError: A number outside its range, or an address that is none.
+        OSError: Nobody answered, or the network cannot be used.
+
+    Source: Mills 1991 (minimum filter); Paxson 1998 (drift through minima).
+    """
+
 def judge(
     settings: LinkSettings,
     sent_ns: npt.NDArray[np.int64],
