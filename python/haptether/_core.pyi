@@ -24,6 +24,7 @@ __all__ = [
     "Arm",
     "DeviceModel",
     "DirectionStatistics",
+    "Echo",
     "Estimator",
     "EstimatorKind",
     "Hand",
@@ -45,6 +46,7 @@ __all__ = [
     "Proxy",
     "ProxyStatistics",
     "Pusher",
+    "Recording",
     "SafetyController",
     "SafetyLayer",
     "SafetyObserver",
@@ -62,6 +64,7 @@ __all__ = [
     "fault_message",
     "judge",
     "ladder_state_name",
+    "record",
     "run_bridge",
     "run_local",
     "simulate_scene",
@@ -1294,7 +1297,7 @@ class Proxy:
         forward_link: Network from the client to the peer.
         backward_link: Network from the peer to the client.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
-        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`.
+        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`; by default none.
         realtime: Whether to ask for real-time scheduling; the statistics say what was got.
         max_error_s: Largest p99 of the scheduling error in s with which a run is valid.
         log: File for what became of each datagram, as CSV: `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,
@@ -1314,7 +1317,7 @@ class Proxy:
         forward_link: LinkSettings,
         backward_link: LinkSettings,
         seed: int = 0,
-        allow: Sequence[str] = (),
+        allow: Sequence[str] = ...,
         realtime: bool = True,
         max_error_s: float = 1e-3,
         log: str | PathLike[str] | None = None,
