@@ -1,6 +1,6 @@
 """Network impairment, decided once for virtual time and for live sockets."""
 
-from haptether._core import DirectionStatistics, ProxyStatistics
+from haptether._core import DirectionStatistics, Echo, ProxyStatistics, Recording, record
 from haptether.netsim.link_error import LinkError
 from haptether.netsim.link_files import with_files
 from haptether.netsim.link_parts import (
@@ -46,6 +46,7 @@ __all__ = [
     "DirectionStatistics",
     "DistributionTable",
     "Drop",
+    "Echo",
     "Forge",
     "FourState",
     "GilbertElliott",
@@ -60,6 +61,7 @@ __all__ = [
     "Proxy",
     "ProxyStatistics",
     "Random",
+    "Recording",
     "Replay",
     "SecondSource",
     "SequenceLead",
@@ -74,5 +76,6 @@ __all__ = [
     "link_json",
     "link_spec",
     "realised",
+    "record",
     "with_files",
 ]

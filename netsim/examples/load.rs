@@ -1,9 +1,9 @@
 //! A load for a UDP proxy, and the sink behind it: one thread that sends both ways, receives both ways and never sleeps,
 //! so that what it measures is the proxy.
 //!
-//! `load LISTEN PEER RATE SECONDS`: sends RATE datagrams a second to the proxy at LISTEN, and as many back from PEER,
-//! where the proxy forwards to. The peer is bound first, then a line is read from standard input, so that the proxy may
-//! be started in between. One line of JSON: what was sent, what came, and how long it took.
+//! `load LISTEN PEER RATE SECONDS DELAY`: sends RATE datagrams a second to the proxy at LISTEN, and as many back from
+//! PEER, where the proxy forwards to. One line of JSON: what was sent, what came, how long it took, and how many took
+//! less than DELAY seconds.
 
 use std::array;
 use std::error::Error;
@@ -92,8 +92,12 @@ impl Side {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "584 years")]
+fn nanoseconds(time: Duration) -> u64 {
+    time.as_nanos() as u64
+}
+
 fn now_ns(origin: Instant) -> u64 {
-    origin.elapsed().as_nanos() as u64
+    nanoseconds(origin.elapsed())
 }
 
 /// One datagram there, so that the peer learns where answers go to.
@@ -112,15 +116,16 @@ fn meet(client: &UdpSocket, peer: &UdpSocket, proxy: SocketAddr) -> Result<Socke
     Err("nothing comes through the proxy".into())
 }
 
-fn report(name: &str, from: &Side, to: &mut Side) -> String {
+fn report(name: &str, from: &Side, to: &mut Side, delay_ns: u64) -> String {
     let travelled = &mut to.travelled_ns;
     travelled.sort_unstable();
     let at = |per_mille: usize| {
         let last = travelled.len().saturating_sub(1);
         travelled.get(last * per_mille / 1000).copied().unwrap_or(0)
     };
+    let early = travelled.partition_point(|&travelled_ns| travelled_ns < delay_ns);
     format!(
-        "\"{name}\": {{\"sent\": {}, \"refused\": {}, \"received\": {}, \"min_ns\": {}, \"p50_ns\": {}, \
+        "\"{name}\": {{\"sent\": {}, \"refused\": {}, \"received\": {}, \"early\": {early}, \"min_ns\": {}, \"p50_ns\": {}, \
          \"p99_ns\": {}, \"p999_ns\": {}, \"max_ns\": {}}}",
         from.sent,
         from.refused,
@@ -135,16 +140,16 @@ fn report(name: &str, from: &Side, to: &mut Side) -> String {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [proxy, peer, rate_hz, seconds] = &arguments[..] else {
-        return Err("usage: load LISTEN PEER RATE SECONDS".into());
+    let [proxy, peer, rate_hz, seconds, delay_s] = &arguments[..] else {
+        return Err("usage: load LISTEN PEER RATE SECONDS DELAY".into());
     };
     let (proxy, peer): (SocketAddr, SocketAddr) = (proxy.parse()?, peer.parse()?);
     let (rate_hz, seconds): (f64, f64) = (rate_hz.parse()?, seconds.parse()?);
     if !(rate_hz > 0.0 && seconds > 0.0 && seconds < 3600.0) {
         return Err("RATE and SECONDS must be above 0".into());
     }
+    let delay_ns = nanoseconds(Duration::try_from_secs_f64(delay_s.parse()?)?);
     let (client, peer) = (UdpSocket::bind((proxy.ip(), 0))?, UdpSocket::bind(peer)?);
-    std::io::stdin().read_line(&mut String::new())?;
     let answers_to = meet(&client, &peer, proxy)?;
     let (mut client, mut peer) = (Side::new(client, proxy)?, Side::new(peer, answers_to)?);
 
@@ -169,8 +174,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         client.receive(origin)?;
         peer.receive(origin)?;
     }
-    let forward = report("forward", &client, &mut peer);
-    let backward = report("backward", &peer, &mut client);
+    let forward = report("forward", &client, &mut peer, delay_ns);
+    let backward = report("backward", &peer, &mut client, delay_ns);
     println!("{{{forward}, {backward}}}");
     Ok(())
 }

@@ -11,6 +11,7 @@ pub(crate) struct Order {
     latest_ns: u64,
 }
 
+#[allow(clippy::unnecessary_wraps)] // as all rules are built
 pub(crate) fn build(settings: &LinkSettings, _: &Streams) -> Result<Option<Box<dyn Rule>>, LinkError> {
     // A constant delay keeps the order by itself.
     let varies = settings.jitter_s > 0.0

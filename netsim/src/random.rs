@@ -90,11 +90,6 @@ impl Stream {
         unit(self.bits(index))
     }
 
-    /// A uniform integer in `0..=last` for packet `index`.
-    pub(crate) fn up_to(&self, last: u64, index: u64) -> u64 {
-        scale(self.bits(index), last)
-    }
-
     /// A uniform integer in `0..=last` for position `position` of packet `index`.
     pub(crate) fn up_to_at(&self, last: u64, index: u64, position: usize) -> u64 {
         scale(self.at(index, position), last)

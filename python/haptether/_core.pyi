@@ -14,6 +14,7 @@ count or seed with `OverflowError`.
 """
 
 from collections.abc import Callable, Sequence
+from os import PathLike
 from typing import Any, ClassVar, Literal, TypeAlias, final, overload
 
 import numpy as np
@@ -23,6 +24,7 @@ __all__ = [
     "Arm",
     "DeviceModel",
     "DirectionStatistics",
+    "Echo",
     "Estimator",
     "EstimatorKind",
     "Hand",
@@ -43,6 +45,7 @@ __all__ = [
     "Proxy",
     "ProxyStatistics",
     "Pusher",
+    "Recording",
     "SafetyController",
     "SafetyLayer",
     "SafetyObserver",
@@ -62,6 +65,7 @@ __all__ = [
     "judge_packets",
     "ladder_state_name",
     "link_bounds",
+    "record",
     "run_bridge",
     "run_local",
     "simulate_scene",
@@ -1263,7 +1267,7 @@ class Proxy:
         forward_link: Network from the client to the peer, as JSON.
         backward_link: Network from the peer to the client, as JSON.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
-        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`.
+        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`; by default none.
         realtime: Whether to ask for real-time scheduling; the statistics say what was got.
         max_error_s: Largest p99 of the scheduling error in s with which a run is valid.
         log: File for what became of each datagram, as CSV: `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,
@@ -1283,7 +1287,7 @@ class Proxy:
         forward_link: str,
         backward_link: str,
         seed: int = 0,
-        allow: Sequence[str] = (),
+        allow: Sequence[str] = ...,
         realtime: bool = True,
         max_error_s: float = 1e-3,
         log: str | PathLike[str] | None = None,
@@ -1316,6 +1320,126 @@ class Proxy:
 
 def check_link(settings: str) -> None:
     """Refuses settings of a link, as JSON, that describe none.
+@final
+class Echo:
+    """Answers the probes of `record`, one for one and of the same size; runs on its own thread.
+
+    Args:
+        listen: Where it listens, `HOST:PORT`; port 0 lets the system choose.
+
+    Raises:
+        ValueError: An address that is none.
+        OSError: An address that cannot be used.
+    """
+
+    def __new__(cls, *, listen: str) -> Echo: ...
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether its thread has ended."""
+
+    def stop(self) -> tuple[int, int]:
+        """Ends it and tells how many probes it answered, and how many datagrams were none.
+
+        Raises:
+            OSError: It had ended on an error of its socket.
+            RuntimeError: It was stopped before, or its thread panicked.
+        """
+
+@final
+class Recording:
+    """What `record` measured: each array of shape `(n_probes,)`, nan for a loss.
+
+    Where the other way lost a probe, the delay is that of the probe before: there was nothing to measure.
+    """
+
+    def __len__(self) -> int: ...
+    @property
+    def time_s(self) -> _Array:
+        """When each probe was sent, in s since the first."""
+
+    @property
+    def forward_delay_s(self) -> _Array:
+        """Delay of the probe in s."""
+
+    @property
+    def backward_delay_s(self) -> _Array:
+        """Delay of its answer in s."""
+
+    @property
+    def lost_forward(self) -> int:
+        """Probes lost on the way there."""
+
+    @property
+    def lost_backward(self) -> int:
+        """Answers lost on the way back."""
+
+    @property
+    def shortest_s(self) -> float:
+        """Shortest round trip in s, without the time at the echo."""
+
+    @property
+    def offset_s(self) -> float:
+        """How far the echo's clock was taken to be ahead, in s, in the middle of the measurement."""
+
+    @property
+    def drift(self) -> float:
+        """How much faster the echo's clock was taken to run, as a share."""
+
+    @property
+    def latest_s(self) -> float:
+        """How late the latest probe was sent, in s."""
+
+    def write_csv(self, path: str | PathLike[str]) -> None:
+        """Writes `time_s,forward_delay_s,backward_delay_s`, an empty cell for a loss, below comments.
+
+        Raises:
+            OSError: A file that cannot be written.
+        """
+
+def record(peer: str, *, rate_hz: float = 1000.0, duration_s: float = 10.0, realtime: bool = True) -> Recording:
+    """Measures the network to an `Echo` and back with a stream of probes.
+
+    Only the round trip is measured for certain. With the echo's clock ahead by theta, a probe shows
+    `a = forward + theta` and `b = backward - theta`; where it waited least, in windows of time, both ways are taken to
+    be alike, `theta = (a - b) / 2`, and a line through the quieter half of the windows is theta(t).
+
+    Args:
+        peer: Where the echo is, `HOST:PORT`.
+        rate_hz: Probes a second, at most 1000.
+        duration_s: For how long, in s; at most ten million probes.
+        realtime: Whether to ask for real-time scheduling.
+
+    Raises:
+        ValueError: A number outside its range, or an address that is none.
+        OSError: Nobody answered, or the network cannot be used.
+
+    Source: Mills 1991 (minimum filter); Paxson 1998 (drift through minima).
+    """
+
+def judge(
+    settings: LinkSettings,
+    sent_ns: npt.NDArray[np.int64],
+    *,
+    direction: Literal["forward", "backward"] = "forward",
+    seed: int = 0,
+) -> npt.NDArray[np.int64]:
+    """Decides when each packet of one direction arrives: the core that every driver of netsim uses.
+
+    `arrival = sent + delay + u` with u uniform in [-jitter, jitter]. A pure function of settings, seed,
+    direction, the packet's place in the array and its time: one impairment shifts no draw of another.
+
+    Args:
+        settings: The network.
+        sent_ns: When each packet was sent, in ns, 0 or more, shape `(n_packets,)`.
+        direction: Forward and backward have their own draws.
+        seed: Key of all draws, 0 to 2⁶⁴ - 1.
+
+    Returns:
+        Arrival in ns, -1 for a lost packet, shape `(n_packets,)`.
 
     Raises:
         ValueError: `key = seen: must be ...` or `key: problem`.

@@ -12,6 +12,7 @@ mod bridge_trace;
 mod local;
 mod netsim;
 mod netsim_live;
+mod netsim_probe;
 mod safety;
 mod scene;
 
@@ -23,6 +24,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     local::register(module)?;
     netsim::register(module)?;
     netsim_live::register(module)?;
+    netsim_probe::register(module)?;
     scene::register(module)?;
     bridge_trace::register(module)?;
     bridge::register(module)

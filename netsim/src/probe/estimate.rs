@@ -12,6 +12,7 @@
 
 /// A probe that came back: when it was sent, and the differences of the clocks' readings, in s.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::struct_field_names, reason = "the unit")]
 pub(super) struct RoundTrip {
     pub(super) sent_s: f64,
     /// Received by the echo minus sent by the client.
@@ -26,11 +27,11 @@ impl RoundTrip {
     }
 }
 
-/// How far the echo's clock is ahead: `offset_s + drift (t - at_s)`.
+/// How far the echo's clock is ahead: `ahead_s + drift (t - at_s)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Offset {
     pub(super) at_s: f64,
-    pub(super) offset_s: f64,
+    pub(super) ahead_s: f64,
     pub(super) drift: f64,
 }
 
@@ -67,11 +68,11 @@ impl Offset {
         let common: f64 = minima.iter().map(|trip| (trip.sent_s - at_s) * (offset_s(trip) - mean_s)).sum();
         // Of two points a line says more than they know.
         let drift = if minima.len() > 2 && spread > 0.0 { common / spread } else { 0.0 };
-        Self { at_s, offset_s: mean_s, drift }
+        Self { at_s, ahead_s: mean_s, drift }
     }
 
     pub(super) fn at(&self, time_s: f64) -> f64 {
-        self.offset_s + self.drift * (time_s - self.at_s)
+        self.ahead_s + self.drift * (time_s - self.at_s)
     }
 }
 

@@ -138,8 +138,8 @@ impl Run {
     fn carry_out(mut self, stop: &AtomicBool) -> io::Result<(Vec<Sent>, f64)> {
         while self.sent.len() < self.count && !stop.load(Relaxed) {
             let due = self.period.mul_f64(self.sent.len() as f64);
-            if self.origin.elapsed() >= due {
-                self.latest = self.latest.max(self.origin.elapsed() - due);
+            if let Some(late) = self.origin.elapsed().checked_sub(due) {
+                self.latest = self.latest.max(late);
                 self.send()?;
             }
             let next = self.period.mul_f64(self.sent.len() as f64);
@@ -257,6 +257,6 @@ fn evaluate(sent: &[Sent], latest_s: f64) -> Option<Recording> {
         Probe { sent_s: seconds(probe.at_ns, 0) - begun_s, forward_s, backward_s }
     };
     let probes = sent.iter().map(probe).collect();
-    let (offset_s, drift) = (offset.offset_s, offset.drift);
+    let (offset_s, drift) = (offset.ahead_s, offset.drift);
     Some(Recording { probes, lost_forward, lost_backward, shortest_s, offset_s, drift, latest_s })
 }

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use super::{delay, rough};
 use crate::{
-    Direction, DropCause, Link, LinkSettings, MAX_DATAGRAM, MOST_FLOWS, Packet, Proxy, ProxyControl,
-    ProxyError, ProxyMonitor, ProxySettings, ProxyStatistics, Source, Verdict,
+    Direction, DropCause, LinkSettings, MAX_DATAGRAM, MOST_FLOWS, Packet, Proxy, ProxyControl, ProxyError,
+    ProxyMonitor, ProxySettings, ProxyStatistics, Source, Verdict,
 };
 
 pub(super) const PATIENCE: Duration = Duration::from_secs(5);

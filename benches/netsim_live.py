@@ -1,0 +1,313 @@
+"""The live proxy beside one of asyncio: how exact its delays are, and how much it carries.
+
+Required, at 20 ms each way: 1000 packets/s each way with a median error of at most 60 us and nothing early,
+and 50000 packets/s each way without loss.
+
+Load and sink are one process (`netsim/examples/load.rs`), which sends both ways, receives both ways and does
+not sleep. The error is the time from its sending to its receiving beyond the delay, so it holds both hops through
+the loopback interface and what the proxy takes. Where it is allowed, load and peers have real-time scheduling as the
+proxy asks for it. uvloop is measured where it is installed.
+"""
+
+import argparse
+import asyncio
+import importlib
+import importlib.util
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import cast
+
+from haptether.netsim import LinkSettings, Proxy, ProxyStatistics
+
+EXAMPLE = "example: python benches/netsim_live.py --json -"
+ROOT = Path(__file__).resolve().parents[1]
+DELAY_S = 0.02
+EXACT_HZ = 1000
+RATES_HZ = (2_000, 4_000, 8_000, 10_000, 20_000, 30_000, 50_000, 70_000, 100_000)
+REQUIRED_P50_US, REQUIRED_HZ = 60.0, 50_000
+# The load must have offered this share of a rate for the rate to count.
+OFFERED = 0.98
+
+
+# Peers
+
+
+class Client(asyncio.DatagramProtocol):
+    """Listens, delays, and hands on; answers go to whoever spoke last."""
+
+    transport: asyncio.DatagramTransport
+    source: tuple[str, int]
+
+    def __init__(self, delay_s: float) -> None:
+        self.delay_s = delay_s
+        self.loop = asyncio.get_running_loop()
+        self.upstream: asyncio.DatagramTransport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keeps what it sends with."""
+        self.transport = cast("asyncio.DatagramTransport", transport)
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """To the peer."""
+        self.source = addr
+        if self.upstream is not None:
+            self.loop.call_later(self.delay_s, self.upstream.sendto, data)
+
+
+class Peer(asyncio.DatagramProtocol):
+    """The way back."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """To the client."""
+        del addr
+        client = self.client
+        client.loop.call_later(client.delay_s, client.transport.sendto, data, client.source)
+
+
+async def forward(listen: tuple[str, int], peer: tuple[str, int]) -> None:
+    """A proxy as one would write it with asyncio, until it is killed."""
+    loop = asyncio.get_running_loop()
+    _, client = await loop.create_datagram_endpoint(lambda: Client(DELAY_S), local_addr=listen)
+    client.upstream, _ = await loop.create_datagram_endpoint(lambda: Peer(client), remote_addr=peer)
+    print("ready", flush=True)
+    await asyncio.Event().wait()
+
+
+def be_peer(name: str, listen: str, peer: str) -> None:
+    """Runs such a proxy in this process."""
+    ends = [(end.rpartition(":")[0], int(end.rpartition(":")[2])) for end in (listen, peer)]
+    if name == "uvloop":
+        importlib.import_module("uvloop").run(forward(*ends))
+    else:
+        asyncio.run(forward(*ends))
+
+
+# What is measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """One direction, as the load saw it."""
+
+    sent: int
+    refused: int
+    received: int
+    early: int
+    min_ns: int
+    p50_ns: int
+    p99_ns: int
+    p999_ns: int
+    max_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One load through one proxy; the proxy's own account where it keeps one."""
+
+    proxy: str
+    rate_hz: int
+    seconds: float
+    ways: tuple[Way, Way]
+    load_average: float
+    scheduling: str | None = None
+    own_p50_us: float | None = None
+    own_p99_us: float | None = None
+    own_early: int | None = None
+    buffer_bytes: int | None = None
+
+    @property
+    def offered_hz(self) -> float:
+        """What was sent each way, the lesser of the two."""
+        return min(way.sent - way.refused for way in self.ways) / self.seconds
+
+    @property
+    def lost(self) -> int:
+        """What did not arrive, both ways together."""
+        return sum(way.sent - way.refused - way.received for way in self.ways)
+
+    @property
+    def early(self) -> int:
+        """What arrived before the delay was over."""
+        return sum(way.early for way in self.ways) + (self.own_early or 0)
+
+    def error_us(self, quantile: str) -> float:
+        """Time beyond the delay, the worse of the two ways."""
+        worse_ns: int = max(getattr(way, f"{quantile}_ns") for way in self.ways)
+        return worse_ns / 1e3 - DELAY_S * 1e6
+
+    @property
+    def carried(self) -> bool:
+        """Whether the whole rate was offered, and all of it arrived."""
+        return self.lost == 0 and self.offered_hz >= OFFERED * self.rate_hz
+
+
+def build_load() -> Path:
+    """The load's program."""
+    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-netsim"]
+    subprocess.run([*command, "--example", "load"], cwd=ROOT, check=True)
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    return target / "release" / "examples" / "load"
+
+
+def free_address() -> str:
+    """An address that nobody has, so far."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{probe.getsockname()[1]}"
+
+
+def put_first(pid: int) -> None:
+    """Before whatever else the machine does, if that is allowed: what is measured is not its share of it."""
+    with suppress(PermissionError):
+        os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(1))
+
+
+@contextmanager
+def peer_proxy(name: str, listen: str, peer: str) -> Iterator[None]:
+    """Such a proxy in a process of its own."""
+    command = [sys.executable, __file__, "--as-peer", name, listen, peer]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        put_first(process.pid)
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+def offer(load: Path, listen: str, peer: str, rate_hz: int, seconds: float) -> tuple[Way, Way]:
+    """Runs the load."""
+    command = [str(load), listen, peer, str(rate_hz), str(seconds), str(DELAY_S)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        put_first(process.pid)
+        said = process.communicate()[0]
+    if process.returncode != 0:
+        raise SystemExit(process.returncode)
+    seen = json.loads(said)
+    return Way(**seen["forward"]), Way(**seen["backward"])
+
+
+def measure(load: Path, name: str, rate_hz: int, seconds: float) -> Run:
+    """One rate through one proxy."""
+    listen, peer = free_address(), free_address()
+    load_average = os.getloadavg()[0]
+    if name != "haptether":
+        with peer_proxy(name, listen, peer):
+            ways = offer(load, listen, peer, rate_hz, seconds)
+        return Run(proxy=name, rate_hz=rate_hz, seconds=seconds, ways=ways, load_average=load_average)
+    link = LinkSettings(delay_s=DELAY_S)
+    proxy = Proxy(listen=listen, forward=peer, forward_link=link, backward_link=link)
+    try:
+        ways = offer(load, listen, peer, rate_hz, seconds)
+    finally:
+        own: ProxyStatistics = proxy.stop()
+    return Run(
+        proxy=name,
+        rate_hz=rate_hz,
+        seconds=seconds,
+        ways=ways,
+        load_average=load_average,
+        scheduling=own.scheduling,
+        own_p50_us=own.scheduling_error_p50_s * 1e6,
+        own_p99_us=own.scheduling_error_p99_s * 1e6,
+        own_early=own.early,
+        buffer_bytes=own.receive_buffer_bytes,
+    )
+
+
+def ramp(load: Path, name: str, seconds: float) -> list[Run]:
+    """Ever more, until something is lost or the load cannot offer it."""
+    runs = []
+    for rate_hz in RATES_HZ:
+        runs.append(measure(load, name, rate_hz, seconds))
+        if not runs[-1].carried:
+            break
+    return runs
+
+
+def main() -> int:
+    """Measures, prints the table, and says whether the requirement is met."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of the exactness run; default 10")
+    parser.add_argument("--ramp-seconds", type=float, default=3.0, help="of each rate; default 3")
+    parser.add_argument("--as-peer", nargs=3, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.as_peer:
+        be_peer(*arguments.as_peer)
+        return 0
+    if not (0 < arguments.seconds <= 600 and 0 < arguments.ramp_seconds <= 600):
+        parser.error("--seconds and --ramp-seconds must be above 0, at most 600")
+
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    load = build_load()
+    names = ["haptether", "asyncio"]
+    if importlib.util.find_spec("uvloop") is not None:
+        names.append("uvloop")
+
+    print(f"{EXACT_HZ} packets/s each way, {DELAY_S * 1e3:g} ms each way: error in us, worse way\n", file=out)
+    head = ("p50", "p99", "p99.9", "max", "early", "lost", "own p50", "own p99")
+    print(f"{'':<12}" + "".join(f"{text:>10}" for text in head) + "  thread, load average", file=out)
+    exact = {name: measure(load, name, EXACT_HZ, arguments.seconds) for name in names}
+    for name, run in exact.items():
+        errors = "".join(f"{run.error_us(at):>10.1f}" for at in ("p50", "p99", "p999", "max"))
+        own = "".join("-".rjust(10) if us is None else f"{us:>10.1f}" for us in (run.own_p50_us, run.own_p99_us))
+        print(
+            f"{name:<12}{errors}{run.early:>10}{run.lost:>10}{own}  {run.scheduling or '-'}, {run.load_average:.1f}",
+            file=out,
+        )
+
+    print("\npackets/s each way, until one is lost or the load falls behind\n", file=out)
+    print(f"{'':<12}{'asked':>10}{'offered':>10}{'lost':>10}{'p99 us':>10}  load average", file=out)
+    ramps = {name: ramp(load, name, arguments.ramp_seconds) for name in names}
+    for name, runs in ramps.items():
+        for run in runs:
+            print(
+                f"{name:<12}{run.rate_hz:>10}{run.offered_hz:>10.0f}{run.lost:>10}{run.error_us('p99'):>10.0f}"
+                f"  {run.load_average:.1f}",
+                file=out,
+            )
+    carried = {name: max((run.rate_hz for run in runs if run.carried), default=0) for name, runs in ramps.items()}
+
+    ours = exact["haptether"]
+    met = {
+        f"median error at most {REQUIRED_P50_US:g} us": ours.error_us("p50") <= REQUIRED_P50_US,
+        "nothing early": ours.early + sum(run.early for run in ramps["haptether"]) == 0,
+        f"{REQUIRED_HZ} packets/s each way": carried["haptether"] >= REQUIRED_HZ,
+    }
+    print("\ncarried each way: " + ", ".join(f"{name} {rate}" for name, rate in carried.items()), file=out)
+    for what, is_met in met.items():
+        print(f"required {what}: {'met' if is_met else 'MISSED'}", file=out)
+    if arguments.json is not None:
+        text = json.dumps(
+            {
+                "delay_s": DELAY_S,
+                "exact": [asdict(run) for run in exact.values()],
+                "ramps": [asdict(run) for runs in ramps.values() for run in runs],
+                "carried_hz": carried,
+                "met": met,
+            },
+            indent=2,
+        )
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 0 if all(met.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
