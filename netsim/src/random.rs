@@ -240,11 +240,11 @@ mod tests {
         let stream = Stream::new(7, Direction::Forward, Impairment::Jitter);
         let mut seen = [0_u32; 5];
         for index in 0..1000 {
-            seen[usize::try_from(stream.up_to(4, index)).unwrap()] += 1;
+            seen[usize::try_from(scale(stream.bits(index), 4)).unwrap()] += 1;
         }
         assert!(seen.iter().all(|&count| count > 150), "{seen:?}");
-        assert_eq!(stream.up_to(0, 3), 0);
-        assert_eq!(stream.up_to(u64::MAX, 3), stream.bits(3));
+        assert_eq!(scale(stream.bits(3), 0), 0);
+        assert_eq!(scale(stream.bits(3), u64::MAX), stream.bits(3));
     }
 
     #[test]
