@@ -62,6 +62,7 @@ __all__ = [
     "judge_packets",
     "ladder_state_name",
     "link_bounds",
+    "read_link_file",
     "run_bridge",
     "run_local",
     "simulate_scene",
@@ -1254,6 +1255,18 @@ def link_bounds(settings: str) -> tuple[float, float]:
 
     Raises:
         ValueError: As `check_link`.
+    """
+
+def read_link_file(form: str, data: bytes, direction: str) -> str:
+    """What a file of a link says, as JSON of the setting that it stands for.
+
+    Args:
+        form: "csv", "irtt", "mahimahi" or "dist".
+        data: Its bytes.
+        direction: Whose delays, in a recording of both directions.
+
+    Raises:
+        ValueError: A file that is not what it should be, with line and column.
     """
 
 def verdict_causes() -> list[str]:

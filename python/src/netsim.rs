@@ -10,14 +10,17 @@ use std::{
 };
 
 use haptether_netsim::{
-    Direction, DirectionStatistics, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Proxy,
-    ProxyMonitor, ProxySettings, ProxyStatistics, Verdict,
+    DelayTrace, Direction, DirectionStatistics, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet,
+    Proxy, ProxyMonitor, ProxySettings, ProxyStatistics, Verdict, parse_delay_csv, parse_dist, parse_irtt,
+    parse_mahimahi,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::{
     exceptions::{PyOSError, PyRuntimeError, PyValueError},
     prelude::*,
 };
+
+use serde_json::json;
 
 use crate::{
     arrays::{column, is_aligned},
@@ -30,6 +33,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProxy>()?;
     module.add_function(wrap_pyfunction!(check_link, module)?)?;
     module.add_function(wrap_pyfunction!(link_bounds, module)?)?;
+    module.add_function(wrap_pyfunction!(read_link_file, module)?)?;
     module.add_function(wrap_pyfunction!(verdict_causes, module)?)?;
     module.add_function(wrap_pyfunction!(judge_packets, module)?)
 }
@@ -71,6 +75,25 @@ fn link_bounds(settings: &str) -> PyResult<(f64, f64)> {
     let settings = link_settings(settings)?;
     settings.validate().map_err(refuse)?;
     Ok((settings.longest_delay_s(), settings.last_change_s()))
+}
+
+/// What a file of a link says, as JSON of the setting that it stands for.
+#[pyfunction]
+fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> {
+    let direction = direction_of(direction)?;
+    let recorded = |trace: DelayTrace| json!({ "time_s": trace.time_s, "delay_s": trace.delay_s });
+    let setting = match form {
+        "csv" => parse_delay_csv(data, direction).map(recorded),
+        "irtt" => parse_irtt(data, direction).map(|recording| recorded(recording.delays)),
+        "mahimahi" => parse_mahimahi(data).map(|opportunities| json!({ "time_ms": opportunities.time_ms })),
+        "dist" => parse_dist(data).map(|table| json!({ "table": table })),
+        other => {
+            return Err(PyValueError::new_err(format!(
+                "form = {other:?}: must be csv, irtt, mahimahi or dist"
+            )));
+        }
+    };
+    Ok(setting.map_err(refuse)?.to_string())
 }
 
 /// Code of a packet that arrives as it was sent.
