@@ -93,8 +93,8 @@ _LOADED = LinkSettings(
 _VPN = LinkSettings(delay_s=0.02, jitter_s=0.002, distribution="exponential", loss=0.0025, mean_burst=4.9)
 
 # The round trips of experimental.dat have the mean 189.6 ms, the deviation 13.0 ms and the autocorrelation 0.48 from
-# one to the next, a second apart as ping sends them. Two exponential directions of 13.0 / sqrt(2) ms meet p1 to p90 within
-# 2 %, and p99 within 6 % (230 for 221 ms).
+# one to the next, a second apart as ping sends them. Two exponential directions of 13.0 / sqrt(2) ms meet p1 to p90
+# within 2 %, and p99 within 6 % (232 for 221 ms).
 _FAR = LinkSettings(
     delay_s=0.0948, jitter_s=0.00919, distribution="exponential", jitter_correlation_s=1.36, loss=0.0005
 )

@@ -141,8 +141,7 @@ def test_files_lie_beside_the_scene(tmp_path: Path) -> None:
     ("file", "setting", "said"),
     [
         (
-            "a.csv",
-            "time_s,delay_s\n0,0.1\n1,x\n",
+            ("a.csv", "time_s,delay_s\n0,0.1\n1,x\n"),
             'trace = { file = "a.csv" }',
             "trace.file: {path}: line 3, column 3: ",
         ),
