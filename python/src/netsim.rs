@@ -121,7 +121,7 @@ fn place<T: PartialEq>(of: &T, all: &[T]) -> u8 {
 }
 
 /// Reads an array of numbers of 64 bits that may lie anywhere.
-fn whole<'py>(array: PyReadonlyArray1<'py, i64>) -> PyResult<PyReadonlyArray1<'py, i64>> {
+fn whole(array: PyReadonlyArray1<'_, i64>) -> PyResult<PyReadonlyArray1<'_, i64>> {
     if is_aligned(&array)? { Ok(array) } else { Ok(array.call_method0("copy")?.extract()?) }
 }
 
@@ -144,6 +144,9 @@ impl Rows {
     }
 }
 
+/// Index, sending time, arrival and code of the cause, an array each.
+type Columns = (Py<PyAny>, Py<PyAny>, Py<PyAny>, Py<PyAny>);
+
 /// What becomes of each packet of one direction.
 #[pyfunction]
 #[pyo3(signature = (settings, sent_ns, sizes, direction, seed))]
@@ -154,7 +157,7 @@ fn judge_packets(
     sizes: Option<PyReadonlyArray1<'_, i64>>,
     direction: &str,
     seed: u64,
-) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, Py<PyAny>)> {
+) -> PyResult<Columns> {
     let direction = direction_of(direction)?;
     let (sent_ns, sizes) = (whole(sent_ns)?, sizes.map(whole).transpose()?);
     if let Some(sizes) = &sizes
