@@ -37,7 +37,7 @@ def thrown_at(controller: Controller, delay_s: float) -> float:
     )
     device = HapticDevice.phantom_desktop(stops=(-0.08, 0.08))
     pusher = Pusher(at_s=2.0, force_n=3.5, duration_s=2.0, rise_s=0.1)
-    link = LinkSettings(delay_s=delay_s, jitter_s=delay_s / 5.0, loss=0.01)
+    link = LinkSettings(delay_s=delay_s, jitter_s=delay_s / 10.0, loss=0.01)
     trace, *_ = run_bridge(
         MasterSettings(device, hand, safety=safety),
         SlaveSettings(Arm(), Wall(stiffness=100.0), pusher=pusher, position=0.02),

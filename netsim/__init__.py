@@ -29,7 +29,7 @@ from haptether.netsim.link_parts import (
 )
 from haptether.netsim.link_settings import LinkSettings
 from haptether.netsim.link_spec import link_json, link_spec
-from haptether.netsim.presets import PRESETS
+from haptether.netsim.presets import PRESETS, Figure, Preset
 from haptether.netsim.proxy import Proxy
 from haptether.netsim.statistics import LinkFigures, asked, burst_lengths, realised
 from haptether.netsim.verdicts import VERDICT_CAUSES, Verdicts, judge, judge_all, link_bounds
@@ -47,6 +47,7 @@ __all__ = [
     "DistributionTable",
     "Drop",
     "Echo",
+    "Figure",
     "Forge",
     "FourState",
     "GilbertElliott",
@@ -58,6 +59,7 @@ __all__ = [
     "Opportunities",
     "Outage",
     "Periodic",
+    "Preset",
     "Proxy",
     "ProxyStatistics",
     "Random",

@@ -73,7 +73,7 @@ def _types_at(root: type[Struct], steps: list[str | int]) -> tuple[inspect.Type,
     return kinds
 
 
-def _words(kind: inspect.Type) -> str:
+def _words(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each type
     match kind:
         case inspect.FloatType() | inspect.IntType():
             number = "a whole number" if isinstance(kind, inspect.IntType) else "a number"

@@ -149,7 +149,7 @@ class DelayTrace(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """The recording; relative to the scene."""
     format: Literal["csv", "irtt"] | None = None
     """What the file is; by default JSON is of IRTT, all else CSV."""
-    direction: Literal["forward", "backward", "half-rtt"] | None = None
+    direction: Literal["forward", "backward"] | None = None
     """Which delays of a recording of both directions; by default those of the link's own."""
     time_s: tuple[Time, ...] | None = None
     """Times in s since the link began, increasing, the first 0 or more."""

@@ -1,6 +1,6 @@
 """What the network does to the packets of one direction."""
 
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from msgspec import Struct
 
@@ -130,6 +130,9 @@ LINK_DEFAULTS = {
     "attacks": (),
 }
 """What a setting without a value is, where that is not `None`."""
+
+Direction: TypeAlias = Literal["forward", "backward"]
+"""From master to slave, or back."""
 
 DISTRIBUTIONS = ("normal", "uniform", "exponential", "gamma", "lognormal", "pareto")
 """Laws of the delay by name."""

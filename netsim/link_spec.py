@@ -1,17 +1,18 @@
 """A link as the Rust side takes it: preset and defaults filled in, every number held against its range."""
 
 import difflib
-from typing import Any, Literal, TypeAlias
+from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec.structs import replace
 
 from haptether import _core
 from haptether.netsim.link_error import LinkError, of_rules, of_types, refuse_infinite, wrong
+from haptether.netsim.link_files import with_files
 from haptether.netsim.link_parts import DelayTrace, Opportunities
-from haptether.netsim.link_settings import DISTRIBUTIONS, LINK_DEFAULTS, LinkSettings
-
-Direction: TypeAlias = Literal["forward", "backward"]
+from haptether.netsim.link_settings import DISTRIBUTIONS, LINK_DEFAULTS, Direction, LinkSettings
+from haptether.netsim.presets import PRESETS
 
 _LOSSES = ("loss", "mean_burst", "mean_burst_s", "gilbert_elliott", "four_state")
 _DELAYS = ("delay_s", "jitter_s", "distribution", "distribution_shape", "jitter_correlation_s", "timeline", "slots")
@@ -34,8 +35,6 @@ def filled(settings: LinkSettings, direction: Direction) -> LinkSettings:
     Raises:
         LinkError: No such preset.
     """
-    from haptether.netsim.presets import PRESETS
-
     if settings.preset is None:
         return settings
     if settings.preset not in PRESETS:
@@ -44,7 +43,8 @@ def filled(settings: LinkSettings, direction: Direction) -> LinkSettings:
         raise wrong("preset", settings.preset, allowed)
     given = {name: getattr(settings, name) for name in settings.__struct_fields__}
     given = {name: value for name, value in given.items() if value is not None}
-    base = getattr(PRESETS[settings.preset], direction)
+    preset = PRESETS[settings.preset]
+    base = preset.forward if direction == "forward" else preset.backward
     instead = {dropped for name in given for dropped in _INSTEAD.get(name, ())}
     if given.get("loss") == 0.0:
         instead |= {"mean_burst", "mean_burst_s"}
@@ -82,10 +82,6 @@ def link_json(settings: LinkSettings, direction: Direction) -> str:
     Raises:
         LinkError: As `link_spec`, or a file that cannot be read, with its line.
     """
-    from pathlib import Path
-
-    from haptether.netsim.link_files import with_files
-
     return _json(link_spec(with_files(settings, Path(), direction), direction))
 
 

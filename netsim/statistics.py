@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
 
-from haptether.netsim.link_settings import LinkSettings
-from haptether.netsim.link_spec import Direction, link_spec
+from haptether.netsim.link_settings import Direction, LinkSettings
+from haptether.netsim.link_spec import link_spec
 from haptether.netsim.verdicts import Verdicts
 
 

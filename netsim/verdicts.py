@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether import _core
-from haptether.netsim.link_settings import LinkSettings
-from haptether.netsim.link_spec import Direction, link_json
+from haptether.netsim.link_settings import Direction, LinkSettings
+from haptether.netsim.link_spec import link_json
 
 Times: TypeAlias = npt.NDArray[np.int64]
 
@@ -43,12 +43,14 @@ class Verdicts:
         Raises:
             ValueError: No such cause.
         """
-        return self.cause_code == VERDICT_CAUSES.index(cause)
+        has_cause: npt.NDArray[np.bool_] = self.cause_code == VERDICT_CAUSES.index(cause)
+        return has_cause
 
     @property
     def is_packet(self) -> npt.NDArray[np.bool_]:
         """Which rows are the packets themselves, not what arrives beside them."""
-        return self.cause_code < _BESIDE
+        is_packet: npt.NDArray[np.bool_] = self.cause_code < _BESIDE
+        return is_packet
 
     @property
     def packets(self) -> "Verdicts":

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,17 @@ from haptether.bridge import (
     run_bridge,
 )
 from haptether.master import Hand, HapticDevice
-from haptether.netsim import LinkSettings, judge
+from haptether.netsim import (
+    Attack,
+    Forge,
+    LinkSettings,
+    Mirror,
+    Replay,
+    Target,
+    judge,
+    judge_all,
+    link_bounds,
+)
 from haptether.safety import EstimatorKind, LimiterSettings, SafetySettings
 from haptether.slave import Arm, Pusher, Wall
 
@@ -392,3 +402,61 @@ def test_the_names_of_the_ladder() -> None:
     assert names == ["waiting", "engaged", "hold", "stop", "fault"]
     with pytest.raises(ValueError, match=r"^state 5: must be 0 to 4$"):
         ladder_state_name(5)
+
+
+def counts(forward: LinkSettings) -> tuple[LinkStatistics, LinkStatistics]:
+    """What the master and the slave counted in a second of this network."""
+    *_, master, slave = press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0)
+    return master.link, slave.link
+
+
+def expected(forward: LinkSettings, cause: str) -> int:
+    """How often something happens that has an effect within the second."""
+    sent = np.arange(1000, dtype=np.int64) * TICK_NS
+    verdicts = judge_all(forward, sent, seed=2, sizes=92)
+    return int(np.count_nonzero(verdicts.causes_of(cause) & (verdicts.t_out_ns <= 999 * TICK_NS)))
+
+
+def test_a_copy_is_a_frame_that_had_arrived_before() -> None:
+    forward = LinkSettings(delay_s=0.005, duplicate=0.1, duplicate_gap_s=0.002)
+    _, slave = counts(forward)
+    # 1000 packets, a tenth of them: 100 +- 4 * 9.5.
+    assert slave.duplicate == expected(forward, "duplicate")
+    assert 60 <= slave.duplicate <= 140
+    assert (slave.refused, slave.late, slave.missing) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("cause", "settings"),
+    [
+        ("corrupt", {"corrupt": 0.1, "corrupt_bits": 3}),
+        ("truncate", {"truncate": 0.1, "truncate_bytes": 50}),
+        ("forge", {"attacks": (Attack(action=Forge(keep_bytes=64), target=Target(every=10)),)}),
+    ],
+)
+def test_what_is_damaged_is_refused_by_its_checksum(cause: str, settings: dict[str, Any]) -> None:
+    forward = LinkSettings(delay_s=0.005, **settings)
+    _, slave = counts(forward)
+    assert slave.refused == expected(forward, cause)
+    assert 60 <= slave.refused <= 140
+
+
+def test_what_is_sent_back_reaches_its_sender_who_refuses_it() -> None:
+    forward = LinkSettings(delay_s=0.005, attacks=(Attack(action=Mirror(), target=Target(every=10)),))
+    master, slave = counts(forward)
+    assert master.refused == expected(forward, "mirror") > 90
+    assert (slave.refused, slave.duplicate) == (0, 0)
+
+
+def test_a_replay_seconds_later_is_held_back_until_then() -> None:
+    """More frames are under way than the delay alone would explain."""
+    forward = LinkSettings(attacks=(Attack(action=Replay(after_s=0.5)),))
+    _, slave = counts(forward)
+    assert slave.duplicate == expected(forward, "replay") == 500
+
+
+def test_a_link_has_bounds() -> None:
+    assert link_bounds(LinkSettings()) == (0.0, 0.0)
+    assert link_bounds(LinkSettings(delay_s=0.05)) == (0.05, 0.0)
+    assert link_bounds(LinkSettings(preset="starlink"))[1] == np.inf
+    assert link_bounds(LinkSettings(delay_s=0.05, jitter_s=0.01, distribution="lognormal"))[0] == np.inf

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+PROXY = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9"]
 COMMAND = [sys.executable, "-m", "haptether"]
 
 
@@ -25,6 +26,8 @@ def test_version_and_help() -> None:
     for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim"):
         assert name in shown
         assert "Examples" in run(name, "--help").stdout
+    for name in ("list", "sample", "proxy"):
+        assert "Examples" in run("netsim", name, "--help").stdout
 
 
 @pytest.mark.parametrize(
@@ -32,10 +35,10 @@ def test_version_and_help() -> None:
     [
         (["slave", "--listen", "nowhere"], "listen = \"nowhere\": "),
         (["master", "--peer", "127.0.0.1:99999"], "peer = \"127.0.0.1:99999\": "),
-        (["netsim", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--loss", "2"], "loss = 2: must be"),
+        ([*PROXY, "--loss", "2"], "loss = 2: must be"),
         (["demo", "--jitter-s", "0.1"], "jitter_s"),
         (["demo", "--seed", "-1"], "seed = -1: must be between 0 and 2^64 - 1"),
-        (["netsim", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--duration-s", "inf"], "duration_s = inf"),
+        ([*PROXY, "--duration-s", "inf"], "duration_s = inf"),
         (["paper", "--encoder-quantum", "-1"], "encoder_quantum = -1: must be"),
         (["slave", "--listen", "127.0.0.1:0", "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
     ],

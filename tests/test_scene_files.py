@@ -76,8 +76,8 @@ def test_the_remote_push_is_that_of_the_demonstration() -> None:
     demo, scene = DemoScene(), spec(load_scene("remote_push"))
     (wall,), (pusher,) = scene["environment"]["objects"], scene["environment"]["pushers"]
     assert scene["link"]["forward"] == scene["link"]["backward"]
-    asked = {"delay_s": demo.delay_s, "jitter_s": demo.jitter_s, "loss": demo.loss}
-    assert scene["link"]["forward"] == link_spec(LinkSettings(**asked), "forward")
+    asked = LinkSettings(delay_s=demo.delay_s, jitter_s=demo.jitter_s, loss=demo.loss)
+    assert scene["link"]["forward"] == link_spec(asked, "forward")
     assert wall["contact"]["stiffness"] == demo.wall_stiffness
     assert scene["operator"]["legs"][0]["end"] == [-demo.depth]
     assert scene["operator"]["release"]["at_s"] == demo.release_at_s

@@ -394,7 +394,8 @@ def faults(value: Any, kind: str, path: str = "scene") -> list[str]:  # noqa: PL
         expected = described["fields"]
     elif described["tag"] is None:
         if isinstance(value, dict) and len(value) == 1 and isinstance(held := described["variants"].get(*value), str):
-            return faults(*value.values(), held, f"{path}.{next(iter(value))}")
+            ((name, item),) = value.items()
+            return faults(item, held, f"{path}.{name}")
         fits = isinstance(value, str) and described["variants"].get(value, "") is None
         return [] if fits else [f"{path} = {value!r}: none of {kind}"]
     else:
@@ -515,7 +516,7 @@ def test_a_link_has_the_settings_and_defaults_of_the_rust_side() -> None:
     assert set(RUST["Distribution"]["variants"]) == {*DISTRIBUTIONS, "table"}
     source = (ROOT / "netsim" / "src" / "settings" / "mod.rs").read_text(encoding="utf-8")
     (body,) = re.findall(r"impl Default for LinkSettings \{.*?Self \{(.*?)\n        \}", source, re.DOTALL)
-    words = {"None": None, "true": True, "false": False, "Vec::new()": []}
+    words: dict[str, Any] = {"None": None, "true": True, "false": False, "Vec::new()": []}
     rust = {
         name: words[value] if value in words else kebab(value.split("::")[1]) if "::" in value else float(value)
         for name, value in re.findall(r"(\w+): (.+),", body)

@@ -5,6 +5,9 @@ use crate::settings::{Action, Distribution, LinkSettings, Outage, OutageEffect, 
 /// Largest payload of a UDP datagram in bytes, for the time that a packet takes on the wire.
 const LARGEST_PAYLOAD: usize = 65_535;
 
+/// Packets that wait where no bound is given.
+const DEFAULT_QUEUE_PACKETS: f64 = 1000.0;
+
 /// Standard deviations that a normal law stays within, with a probability of 1 - 1e-22.
 const NORMAL_TAIL: f64 = 10.0;
 
@@ -13,7 +16,7 @@ const EXPONENTIAL_TAIL: f64 = 40.0;
 
 impl LinkSettings {
     /// Time in s that no packet is under way for longer, nor a copy of it; infinite where nothing bounds it, as of a
-    /// heavy-tailed law or a queue without end.
+    /// heavy-tailed law or a recorded line.
     pub fn longest_delay_s(&self) -> f64 {
         if self.netem.is_some() {
             return f64::INFINITY;
@@ -93,7 +96,8 @@ impl LinkSettings {
             self.queue_bytes.map(|bytes| bytes as f64 * 8.0 / rate_bps),
             self.queue_packets.map(|packets| packets as f64 * packet_s),
         ];
-        bounds.into_iter().flatten().fold(f64::INFINITY, f64::min) + packet_s
+        let given = bounds.into_iter().flatten().reduce(f64::min);
+        given.unwrap_or(DEFAULT_QUEUE_PACKETS * packet_s) + packet_s
     }
 }
 
@@ -141,7 +145,7 @@ mod tests {
                 LinkSettings { jitter_s: 0.01, distribution: Distribution::Pareto, ..delayed.clone() },
                 f64::INFINITY,
             ),
-            (LinkSettings { rate_bps: Some(1e6), ..delayed.clone() }, f64::INFINITY),
+            (LinkSettings { rate_bps: Some(8.0 * 65_563.0), ..delayed.clone() }, 1001.05),
             (
                 LinkSettings { rate_bps: Some(8.0 * 65_563.0), queue_ms: Some(20.0), ..delayed.clone() },
                 0.05 + 0.02 + 1.0,

@@ -65,6 +65,7 @@ __all__ = [
     "judge_packets",
     "ladder_state_name",
     "link_bounds",
+    "read_link_file",
     "record",
     "run_bridge",
     "run_local",
@@ -1318,8 +1319,6 @@ class Proxy:
             RuntimeError: Its thread panicked.
         """
 
-def check_link(settings: str) -> None:
-    """Refuses settings of a link, as JSON, that describe none.
 @final
 class Echo:
     """Answers the probes of `record`, one for one and of the same size; runs on its own thread.
@@ -1420,26 +1419,8 @@ def record(peer: str, *, rate_hz: float = 1000.0, duration_s: float = 10.0, real
     Source: Mills 1991 (minimum filter); Paxson 1998 (drift through minima).
     """
 
-def judge(
-    settings: LinkSettings,
-    sent_ns: npt.NDArray[np.int64],
-    *,
-    direction: Literal["forward", "backward"] = "forward",
-    seed: int = 0,
-) -> npt.NDArray[np.int64]:
-    """Decides when each packet of one direction arrives: the core that every driver of netsim uses.
-
-    `arrival = sent + delay + u` with u uniform in [-jitter, jitter]. A pure function of settings, seed,
-    direction, the packet's place in the array and its time: one impairment shifts no draw of another.
-
-    Args:
-        settings: The network.
-        sent_ns: When each packet was sent, in ns, 0 or more, shape `(n_packets,)`.
-        direction: Forward and backward have their own draws.
-        seed: Key of all draws, 0 to 2⁶⁴ - 1.
-
-    Returns:
-        Arrival in ns, -1 for a lost packet, shape `(n_packets,)`.
+def check_link(settings: str) -> None:
+    """Refuses settings of a link, as JSON, that describe none.
 
     Raises:
         ValueError: `key = seen: must be ...` or `key: problem`.
@@ -1450,6 +1431,18 @@ def link_bounds(settings: str) -> tuple[float, float]:
 
     Raises:
         ValueError: As `check_link`.
+    """
+
+def read_link_file(form: str, data: bytes, direction: str) -> str:
+    """What a file of a link says, as JSON of the setting that it stands for.
+
+    Args:
+        form: "csv", "irtt", "mahimahi" or "dist".
+        data: Its bytes.
+        direction: Whose delays, in a recording of both directions.
+
+    Raises:
+        ValueError: A file that is not what it should be, with line and column.
     """
 
 def verdict_causes() -> list[str]:

@@ -2,9 +2,14 @@
 
 use std::net::{SocketAddr, ToSocketAddrs};
 
-use haptether_netsim::{Direction, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Verdict};
+use haptether_netsim::{
+    DelayTrace, Direction, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Verdict,
+    parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
+};
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::{exceptions::PyValueError, prelude::*};
+
+use serde_json::json;
 
 use crate::{
     arrays::{column, is_aligned},
@@ -14,6 +19,7 @@ use crate::{
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check_link, module)?)?;
     module.add_function(wrap_pyfunction!(link_bounds, module)?)?;
+    module.add_function(wrap_pyfunction!(read_link_file, module)?)?;
     module.add_function(wrap_pyfunction!(verdict_causes, module)?)?;
     module.add_function(wrap_pyfunction!(judge_packets, module)?)
 }
@@ -56,6 +62,25 @@ fn link_bounds(settings: &str) -> PyResult<(f64, f64)> {
     let settings = link_settings(settings)?;
     settings.validate().map_err(refuse)?;
     Ok((settings.longest_delay_s(), settings.last_change_s()))
+}
+
+/// What a file of a link says, as JSON of the setting that it stands for.
+#[pyfunction]
+fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> {
+    let direction = way("direction", direction)?;
+    let recorded = |trace: DelayTrace| json!({ "time_s": trace.time_s, "delay_s": trace.delay_s });
+    let setting = match form {
+        "csv" => parse_delay_csv(data, direction).map(recorded),
+        "irtt" => parse_irtt(data, direction).map(|recording| recorded(recording.delays)),
+        "mahimahi" => parse_mahimahi(data).map(|opportunities| json!({ "time_ms": opportunities.time_ms })),
+        "dist" => parse_dist(data).map(|table| json!({ "table": table })),
+        other => {
+            return Err(PyValueError::new_err(format!(
+                "form = {other:?}: must be csv, irtt, mahimahi or dist"
+            )));
+        }
+    };
+    Ok(setting.map_err(refuse)?.to_string())
 }
 
 /// Code of a packet that arrives as it was sent.
@@ -106,7 +131,7 @@ impl Rows {
     }
 }
 
-/// [`Rows`] as arrays.
+/// Index, sending time, arrival and code of the cause, an array each.
 type Columns = (Py<PyAny>, Py<PyAny>, Py<PyAny>, Py<PyAny>);
 
 /// What becomes of each packet of one direction.

@@ -26,7 +26,12 @@ pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option
     if settings.jitter_s == 0.0 {
         return Ok(None);
     }
-    let cells = Cells::of(&DelayLaw::new(settings)?);
+    let law = DelayLaw::new(settings)?;
+    if nanoseconds(settings.jitter_s) == 0 {
+        // Arrivals are whole ns, and a law that narrow has no quantiles to tell apart.
+        return Ok(None);
+    }
+    let cells = Cells::of(&law);
     let mean_ns = nanoseconds(settings.delay_s);
     if settings.keep_order || tau_s > 0.0 {
         let path = path::Path::new(&cells, tau_s, settings.jitter_s, settings.keep_order);

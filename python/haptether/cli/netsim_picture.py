@@ -25,7 +25,7 @@ def draw_sample(verdicts: Verdicts, path: Path) -> None:
     lost = sent_s[first][~arrived[first]]
     over_time.plot(lost, np.full(lost.size, 1.04 * top), "|", color="tab:red", label=f"lost ({(~arrived).mean():.2%})")
     over_time.set(xlabel="sent [s]", ylabel="one-way delay [ms]")
-    over_time.legend(loc="upper right")
+    over_time.legend(loc="center right")
     often.hist(delay_ms[arrived], bins=100, orientation="horizontal")
     often.set(xlabel="packets", xscale="log")
     figure.savefig(path, dpi=120)

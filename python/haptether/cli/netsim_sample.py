@@ -39,7 +39,7 @@ class Sample(LinkOptions):
     """How many packets."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 1000.0
     """Packets per second."""
-    size: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 111
+    size: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 92
     """Payload of a packet in bytes; by default a frame of one axis."""
     direction: Literal["forward", "backward"] = "forward"
     """Which direction of the link."""
