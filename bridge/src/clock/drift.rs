@@ -12,6 +12,7 @@ const LAST_BLOCK_NS: u64 = 16_000_000_000;
 
 /// An offset and what it rests on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(clippy::struct_field_names, reason = "they are of one unit")]
 pub(crate) struct Point {
     pub(crate) at_ns: u64,
     pub(crate) offset_ns: i64,
@@ -24,12 +25,14 @@ pub(crate) struct Drift {
     pub(crate) ppb: i64,
     /// None if no single rate explains all points: the path or the rate changed meanwhile.
     pub(crate) within_ppb: Option<u64>,
+    /// Whether it is certainly greater than believed, whatever the queues did.
+    pub(crate) too_great: bool,
 }
 
 /// Fits a rate through the points of least round trip of up to 32 blocks of time.
 ///
 /// The rate is the median of the slopes of all pairs, moved into the range that every pair allows: an offset measured
-/// at a round trip `r` is off by at most `(r - r_min) / 2` against the others. The blocks begin short, so that there
+/// at a round trip `r` is off by at most `(r - r_min) / 2` against the others, more or less the spread of the round trips. The blocks begin short, so that there
 /// is a first answer after a second, and double in length, two becoming one, until they reach back for 8.5 minutes.
 ///
 /// Source: H. Theil (1950), A rank-invariant method of linear and polynomial regression analysis; P. K. Sen (1968),
@@ -43,10 +46,12 @@ pub(crate) struct DriftFit {
     block_began_ns: u64,
     open: Option<Point>,
     drift: Option<Drift>,
+    max_ppb: i64,
 }
 
 impl DriftFit {
-    pub(crate) fn new() -> Self {
+    /// Believes in drifts up to `max_ppb`.
+    pub(crate) fn new(max_ppb: u64) -> Self {
         Self {
             points: [Point { at_ns: 0, offset_ns: 0, round_trip_ns: 0 }; POINTS],
             count: 0,
@@ -54,6 +59,7 @@ impl DriftFit {
             block_began_ns: 0,
             open: None,
             drift: None,
+            max_ppb: i64::try_from(max_ppb).unwrap_or(i64::MAX),
         }
     }
 
@@ -111,28 +117,37 @@ impl DriftFit {
         if points.len() < ENOUGH {
             return None;
         }
-        let least = points.iter().map(|point| point.round_trip_ns).min()?;
+        let mut trips = self.points.map(|point| point.round_trip_ns);
+        let trips = &mut trips[..self.count];
+        let (_, &mut typical, _) = trips.select_nth_unstable(self.count / 2);
+        let least = trips.iter().copied().min()?;
+        // The least of all is above the least possible too, hardly by more than the others are above it.
+        let spread = typical - least;
         let mut slopes = [0; PAIRS];
         let mut count = 0;
-        let (mut low, mut high) = (i64::MIN, i64::MAX);
+        let (mut low, mut high) = (-self.max_ppb, self.max_ppb);
+        let mut too_great = false;
         for (index, first) in points.iter().enumerate() {
             for second in &points[index + 1..] {
                 let apart = second.at_ns.saturating_sub(first.at_ns).max(1);
                 let slope = rate_ppb(second.offset_ns.saturating_sub(first.offset_ns), apart);
                 let excess = first.round_trip_ns.midpoint(second.round_trip_ns) - least;
-                let within = rate_ppb(excess.cast_signed(), apart).saturating_add(1);
+                let within = rate_ppb((excess + spread).cast_signed(), apart).saturating_add(1);
                 low = low.max(slope.saturating_sub(within));
                 high = high.min(slope.saturating_add(within));
+                // Without a belief in the path, each offset may be wrong by half its round trip.
+                let surely = rate_ppb((excess + least).cast_signed(), apart).saturating_add(1);
+                too_great |= slope.saturating_abs().saturating_sub(surely) > self.max_ppb;
                 slopes[count] = slope;
                 count += 1;
             }
         }
         let (_, &mut median, _) = slopes[..count].select_nth_unstable(count / 2);
         if low > high {
-            return Some(Drift { ppb: median, within_ppb: None });
+            return Some(Drift { ppb: median, within_ppb: None, too_great });
         }
         let ppb = median.clamp(low, high);
-        Some(Drift { ppb, within_ppb: Some(ppb.abs_diff(low).max(high.abs_diff(ppb))) })
+        Some(Drift { ppb, within_ppb: Some(ppb.abs_diff(low).max(high.abs_diff(ppb))), too_great })
     }
 }
 
@@ -148,7 +163,7 @@ mod tests {
     use super::*;
 
     fn fit_line(ppb: i64, round_trip: impl Fn(u64) -> u64, seconds: u64) -> Drift {
-        let mut fit = DriftFit::new();
+        let mut fit = DriftFit::new(200_000);
         for step in 0..seconds * 20 {
             let at_ns = step * 50_000_000;
             let offset_ns = at_ns.cast_signed() * ppb / BILLION.cast_signed();
@@ -171,7 +186,7 @@ mod tests {
     #[test]
     fn points_of_a_long_round_trip_do_not_bend_it() {
         // Blocks of bad minima: one in five, off by 10 ms, which their round trip confesses.
-        let mut fit = DriftFit::new();
+        let mut fit = DriftFit::new(200_000);
         for block in 0..32u64 {
             let bad = block % 5 == 2;
             let at_ns = block * FIRST_BLOCK_NS;

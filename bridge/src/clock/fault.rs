@@ -34,7 +34,9 @@ pub enum ClockFault {
         by_ns: i64,
     },
     /// A packet that arrived before it was sent, by more than the offset may be wrong.
-    #[error("a packet arrived {by_ns} ns before it was sent, though the offset is known within {bound_ns} ns")]
+    #[error(
+        "a packet arrived {by_ns} ns before it was sent, though the offset is known within {bound_ns} ns"
+    )]
     NegativeDelay {
         /// How long before.
         by_ns: u64,

@@ -55,6 +55,7 @@ pub struct Reading {
 
 /// The exchange of least round trip, as far as the offset needs it.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::struct_field_names, reason = "they are of one unit")]
 struct Reference {
     sent_ns: u64,
     middle_ns: u64,
@@ -82,7 +83,12 @@ pub struct PeerClock {
 impl PeerClock {
     /// Knows nothing yet.
     pub fn new(settings: ClockSettings) -> Self {
-        Self { settings, window: WindowMinimum::new(settings.window_ns), fit: DriftFit::new(), steps: 0 }
+        Self {
+            settings,
+            window: WindowMinimum::new(settings.window_ns),
+            fit: DriftFit::new(settings.max_drift_ppb),
+            steps: 0,
+        }
     }
 
     /// Takes an exchange; `received_ns` of successive ones does not decrease.
@@ -109,7 +115,7 @@ impl PeerClock {
         if let Some(by_ns) = stepped {
             return Err(ClockFault::Step { by_ns });
         }
-        if fitted && let Some(ppb) = self.fit.drift().map(|drift| drift.ppb).filter(|&ppb| !self.believes(ppb)) {
+        if fitted && let Some(Drift { ppb, too_great: true, .. }) = self.fit.drift() {
             return Err(ClockFault::Drift { ppb, allowed_ppb: self.settings.max_drift_ppb });
         }
         Ok(self.reading(times))
@@ -142,7 +148,8 @@ impl PeerClock {
     pub fn offset(&self, now_ns: u64) -> Option<PeerOffset> {
         let reference = self.window.least()?.value;
         let since = now_ns.saturating_sub(reference.sent_ns);
-        let bound_ns = reference.round_trip_ns.div_ceil(2).saturating_add(share_up(since, self.unknown_ppb()));
+        let bound_ns =
+            reference.round_trip_ns.div_ceil(2).saturating_add(share_up(since, self.unknown_ppb()));
         Some(PeerOffset { offset_ns: self.offset_at(now_ns)?, bound_ns })
     }
 
@@ -185,7 +192,7 @@ impl PeerClock {
     fn unknown_ppb(&self) -> u64 {
         let ClockSettings { max_drift_ppb, wander_ppb, .. } = self.settings;
         match self.fit.drift() {
-            Some(Drift { ppb, within_ppb: Some(within) }) if self.believes(ppb) => {
+            Some(Drift { ppb, within_ppb: Some(within), .. }) if self.believes(ppb) => {
                 within.saturating_add(wander_ppb).min(max_drift_ppb)
             }
             // A drift that was used though nothing bounds it may be wrong by itself and the whole range.
@@ -207,6 +214,6 @@ impl PeerClock {
     /// Forgets all but the count of steps: for a new session.
     pub fn restart(&mut self) {
         self.window.clear();
-        self.fit = DriftFit::new();
+        self.fit = DriftFit::new(self.settings.max_drift_ppb);
     }
 }

@@ -1,6 +1,6 @@
 //! The peer's clock and the age of its packets against closed forms.
 
-use haptether_netsim::{Direction, Link, LinkSettings, Packet, Verdict};
+use haptether_netsim::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 use proptest::prelude::*;
 
 use super::*;
@@ -94,8 +94,9 @@ fn a_day_of_drift_stays_within_the_bound() {
         let drift = clock.drift_ppb().unwrap();
         println!("{ppb} ppb: drift {drift}, worst error beside half the asymmetry {worst} ns");
         assert!(drift.abs_diff(ppb) < 15_000, "{drift} of {ppb}");
-        // Eighty exchanges a window: the least of them is rarely 8 ms above the least possible.
-        assert!(worst < 5 * MS, "{ppb}: {worst}");
+        // Two queues add s < 20 ms with probability s^2 / 800; the least of 70 exchanges of a window is above 16 ms with
+        // 2e-12, and an error of 8 ms needs that.
+        assert!(worst < 8 * MS, "{ppb}: {worst}");
     }
 }
 
@@ -116,7 +117,13 @@ fn without_queues_the_drift_is_exact() {
 #[test]
 fn netsim_links_are_measured_within_the_bound() {
     for seed in 0..4 {
-        let settings = LinkSettings { delay_s: 0.02, jitter_s: 0.004, loss: 0.1, ..LinkSettings::default() };
+        let settings = LinkSettings {
+            delay_s: 0.02,
+            jitter_s: 0.002,
+            distribution: Distribution::Uniform,
+            loss: 0.1,
+            ..LinkSettings::default()
+        };
         let mut links = [Direction::Forward, Direction::Backward]
             .map(|direction| (direction, Link::new(direction, seed, &settings).unwrap()));
         let mut pass = |way: usize, index, sent_ns| {
@@ -129,18 +136,24 @@ fn netsim_links_are_measured_within_the_bound() {
         let peer = Peer { ahead_ns: 77 * S, ppb: 50_000 };
         let mut clock = PeerClock::new(ClockSettings::default());
         for index in 0..60_000 {
-            let sent_ns = index * MS;
+            // Far enough apart that no packet meets another.
+            let sent_ns = index * 10 * MS;
             let Some(there) = pass(0, index, sent_ns) else { continue };
             let Some(received_ns) = pass(1, index, there) else { continue };
-            let times =
-                FourTimes { sent_ns, peer_received_ns: peer.at(there), peer_sent_ns: peer.at(there), received_ns };
+            let times = FourTimes {
+                sent_ns,
+                peer_received_ns: peer.at(there),
+                peer_sent_ns: peer.at(there),
+                received_ns,
+            };
             clock.take(&times).unwrap();
             let (error, bound) = peer.error(&clock, received_ns);
             assert!(error.unsigned_abs() <= bound);
         }
-        assert!(clock.drift_ppb().unwrap().abs_diff(50_000) < 5_000, "{:?}", clock.drift_ppb());
-        // The mean ways are alike and 8000 exchanges a window reach the least on both ways nearly.
-        assert!(peer.error(&clock, 60 * S).0.unsigned_abs() < 1_500_000);
+        assert!(clock.drift_ppb().unwrap().abs_diff(50_000) < 2_000, "{:?}", clock.drift_ppb());
+        // Each way adds up to 6.9 ms. Of 560 exchanges of a window that come through, the least is 2 ms above the least
+        // possible with (1 - 0.042)^560 = 4e-11; an error of 1 ms needs that.
+        assert!(peer.error(&clock, 600 * S).0.unsigned_abs() < MS);
     }
 }
 
@@ -168,10 +181,14 @@ fn a_suspended_peer_is_seen_and_the_estimate_begins_anew() {
 
 #[test]
 fn impossible_exchanges_change_nothing_but_are_told() {
-    let good = FourTimes { sent_ns: S, peer_received_ns: 9 * S, peer_sent_ns: 9 * S + MS, received_ns: S + 11 * MS };
+    let good =
+        FourTimes { sent_ns: S, peer_received_ns: 9 * S, peer_sent_ns: 9 * S + MS, received_ns: S + 11 * MS };
     let cases = [
         (FourTimes { received_ns: S - 5, ..good }, ClockFault::Backwards { side: "own", by_ns: 5 }),
-        (FourTimes { peer_received_ns: 9 * S + MS + 3, ..good }, ClockFault::Backwards { side: "peer", by_ns: 3 }),
+        (
+            FourTimes { peer_received_ns: 9 * S + MS + 3, ..good },
+            ClockFault::Backwards { side: "peer", by_ns: 3 },
+        ),
         (FourTimes { peer_sent_ns: 9 * S + 12 * MS, ..good }, ClockFault::NegativeRoundTrip { by_ns: MS }),
         (FourTimes { peer_sent_ns: u64::MAX, ..good }, ClockFault::OutOfRange { seen_ns: u64::MAX }),
     ];
@@ -195,7 +212,10 @@ fn a_packet_from_the_future_is_a_fault_of_a_clock() {
     assert_eq!(way.delay_ns, 10 * MS.cast_signed());
     // 10 ms of half the round trip, and 200 ppm of 30 ms.
     assert_eq!(way.bound_ns, 10 * MS + 6 * US);
-    assert_eq!(clock.backward_delay(peer.at(now + 10 * MS), now).unwrap().unwrap().delay_ns, -10 * MS.cast_signed());
+    assert_eq!(
+        clock.backward_delay(peer.at(now + 10 * MS), now).unwrap().unwrap().delay_ns,
+        -10 * MS.cast_signed()
+    );
     assert_eq!(
         clock.backward_delay(peer.at(now + 11 * MS), now),
         Err(ClockFault::NegativeDelay { by_ns: 11 * MS, bound_ns: way.bound_ns })
@@ -206,8 +226,9 @@ fn a_packet_from_the_future_is_a_fault_of_a_clock() {
 fn a_drift_that_no_clock_has_is_told_and_not_used() {
     let peer = Peer { ahead_ns: 0, ppb: 1_000_000 };
     let mut clock = PeerClock::new(ClockSettings::default());
-    let faults: Vec<_> =
-        (0..10_000).filter_map(|n| clock.take(&peer.exchange(n * MS, 30 * MS, 0, 30 * MS)).err()).collect();
+    let faults: Vec<_> = (0..10_000)
+        .filter_map(|n| clock.take(&peer.exchange(n * 20 * MS, 30 * MS, 0, 30 * MS)).err())
+        .collect();
     assert!(!faults.is_empty() && faults.iter().all(|fault| matches!(fault, ClockFault::Drift { .. })));
     assert_eq!(clock.drift_ppb(), None);
 }
@@ -285,10 +306,10 @@ fn when_our_way_is_dead_the_held_time_carries_the_bound() {
     let mut age = PacketAge::new(AgeSettings::default());
     age.sent(0, 0);
     for n in 1..1_000 {
-        age.received(n * MS + 20 * MS, Some((0, n * MS - 10 * MS.min(n * MS)))).unwrap();
+        age.received(n * MS + 20 * MS, Some((0, n * MS))).unwrap();
     }
     let most = age.age(1_019 * MS).unwrap().at_most_ns.unwrap();
-    assert!(most.abs_diff(30 * MS) <= 200 * US, "{most}");
+    assert!((20 * MS..=20 * MS + 200 * US).contains(&most), "{most}");
 }
 
 #[test]

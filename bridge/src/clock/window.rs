@@ -1,6 +1,6 @@
 //! The least of what was seen in a sliding window of time.
 
-const BLOCKS: u64 = 8;
+const BLOCKS: usize = 8;
 
 /// A key and what belongs to it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,13 +17,13 @@ pub(crate) struct Least<V> {
 pub(crate) struct WindowMinimum<V> {
     block_ns: u64,
     newest: u64,
-    blocks: [Option<Least<V>>; BLOCKS as usize],
+    blocks: [Option<Least<V>>; BLOCKS],
     least: Option<Least<V>>,
 }
 
 impl<V: Copy> WindowMinimum<V> {
     pub(crate) fn new(window_ns: u64) -> Self {
-        Self { block_ns: (window_ns / BLOCKS).max(1), newest: 0, blocks: [None; BLOCKS as usize], least: None }
+        Self { block_ns: (window_ns / BLOCKS as u64).max(1), newest: 0, blocks: [None; BLOCKS], least: None }
     }
 
     /// Adds what was seen at `now_ns`; of equal keys the newest counts.
@@ -56,7 +56,7 @@ impl<V: Copy> WindowMinimum<V> {
     }
 
     fn slot(block: u64) -> usize {
-        usize::try_from(block % BLOCKS).unwrap_or(0)
+        usize::try_from(block % BLOCKS as u64).unwrap_or(0)
     }
 }
 

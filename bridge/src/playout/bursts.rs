@@ -1,7 +1,8 @@
 //! Losses and how many of them stand together.
 
 /// Sequences behind the newest that may still arrive late: two seconds at 1 kHz.
-pub(super) const WINDOW: u64 = 2048;
+const PLACES: usize = 2048;
+const WINDOW: u64 = PLACES as u64;
 
 /// Runs of sequences that never arrived.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -58,7 +59,7 @@ pub(super) enum Seen {
 /// Which of the last [`WINDOW`] sequences arrived; what leaves the window unseen is lost for good.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Sequences {
-    there: [bool; WINDOW as usize],
+    there: [bool; PLACES],
     first: Option<u64>,
     newest: u64,
     settled: Bursts,
@@ -66,7 +67,7 @@ pub(super) struct Sequences {
 
 impl Sequences {
     pub(super) fn new() -> Self {
-        Self { there: [false; WINDOW as usize], first: None, newest: 0, settled: Bursts::default() }
+        Self { there: [false; PLACES], first: None, newest: 0, settled: Bursts::default() }
     }
 
     /// Counting starts with the first sequence to arrive: those before it were never expected.

@@ -20,22 +20,25 @@ pub(super) struct Wait {
     mean_scaled: i64,
     deviation_scaled: i64,
     origin_ns: Option<i64>,
+    /// Packets taken, up to [`MEMORY`]: the first ones weigh alike.
+    count: i64,
 }
 
 impl Wait {
     pub(super) fn new() -> Self {
-        Self { jitter: Jitter::default(), mean_scaled: 0, deviation_scaled: 0, origin_ns: None }
+        Self { jitter: Jitter::default(), mean_scaled: 0, deviation_scaled: 0, origin_ns: None, count: 0 }
     }
 
-    /// Takes a packet of transit `now_ns - sent_ns`, which is within the step that begins anew.
+    /// Takes a packet of transit `now_ns - sent_ns`.
     pub(super) fn arrived(&mut self, sent_ns: u64, now_ns: u64, transit_ns: i64) {
         self.jitter.arrived(sent_ns, now_ns);
         let origin = *self.origin_ns.get_or_insert(transit_ns);
         let limit = i64::MAX / (4 * MEMORY);
         let transit = transit_ns.saturating_sub(origin).clamp(-limit, limit);
-        self.mean_scaled += transit - self.mean_scaled / MEMORY;
-        self.deviation_scaled +=
-            (transit - self.mean_scaled / MEMORY).abs() - self.deviation_scaled / MEMORY;
+        self.count = (self.count + 1).min(MEMORY);
+        self.mean_scaled += (transit * MEMORY - self.mean_scaled) / self.count;
+        let deviation = (transit * MEMORY - self.mean_scaled).abs();
+        self.deviation_scaled += (deviation - self.deviation_scaled) / self.count;
     }
 
     /// The wait in ns of a packet whose transit is the least one.

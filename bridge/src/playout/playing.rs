@@ -45,7 +45,7 @@ pub struct PlayoutCounts {
     pub duplicate: u64,
     /// Sequences passed over because they were not there in time.
     pub missing: u64,
-    /// Packets passed over because a newer one was there.
+    /// Packets passed over because a newer one was there, or that waited when the play-out began anew.
     pub superseded: u64,
     /// Packets passed over because more came than the capacity holds.
     pub overflowed: u64,
@@ -78,6 +78,7 @@ pub struct Playout<T> {
     next: Option<u64>,
     newest: u64,
     missing_since_played: u64,
+    last_play_ns: u64,
     counts: PlayoutCounts,
 }
 
@@ -92,6 +93,7 @@ impl<T: Copy> Playout<T> {
             next: None,
             newest: 0,
             missing_since_played: 0,
+            last_play_ns: 0,
             counts: PlayoutCounts::default(),
         })
     }
@@ -110,11 +112,13 @@ impl<T: Copy> Playout<T> {
             self.counts.duplicate += 1;
             return Arrival::Duplicate;
         }
-        let placed =
-            if self.newest_only { Placed::InTime } else { self.timeline.arrived(sent_ns, now_ns) };
+        let placed = if self.newest_only { Placed::InTime } else { self.timeline.arrived(sent_ns, now_ns) };
         if placed == Placed::Late {
             self.counts.late += 1;
             return Arrival::Late;
+        }
+        if placed == Placed::Anew {
+            self.clear_waiting();
         }
         self.make_room(sequence);
         let slot = self.slot(sequence);
@@ -125,6 +129,16 @@ impl<T: Copy> Playout<T> {
             return Arrival::Anew;
         }
         Arrival::Queued
+    }
+
+    /// Drops what waits for times of a timeline that has ended.
+    fn clear_waiting(&mut self) {
+        let Some(next) = self.next else { return };
+        let waiting = self.slots.iter_mut().filter(|slot| slot.is_some_and(|slot| slot.sequence >= next));
+        for slot in waiting {
+            *slot = None;
+            self.counts.superseded += 1;
+        }
     }
 
     /// Passes over what is too far behind a sequence to be held beside it.
@@ -168,8 +182,10 @@ impl<T: Copy> Playout<T> {
         let Slot { sent_ns, payload, .. } = *self.at(sequence)?;
         self.next = Some(sequence + 1);
         self.counts.played += 1;
+        // A play-out that jumps ahead in its warm-up hands out at once what was due meanwhile.
+        self.last_play_ns = play_ns.max(self.last_play_ns);
         let gap = std::mem::take(&mut self.missing_since_played);
-        Some(Played { sequence, sent_ns, play_ns, gap, payload })
+        Some(Played { sequence, sent_ns, play_ns: self.last_play_ns, gap, payload })
     }
 
     fn slot(&self, sequence: u64) -> usize {

@@ -1,7 +1,8 @@
 //! Packets that come after a later one.
 
 /// Arrivals over which the extent of a reordered packet is sought.
-const KEPT: u64 = 2048;
+const PLACES: usize = 2048;
+const KEPT: u64 = PLACES as u64;
 
 /// Reordered packets and how far they came too late.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -32,14 +33,14 @@ impl Reordering {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Extents {
     /// The greatest sequence up to each of the last arrivals, in a ring.
-    greatest: [u64; KEPT as usize],
+    greatest: [u64; PLACES],
     arrivals: u64,
     counts: Reordering,
 }
 
 impl Extents {
     pub(super) fn new() -> Self {
-        Self { greatest: [0; KEPT as usize], arrivals: 0, counts: Reordering::default() }
+        Self { greatest: [0; PLACES], arrivals: 0, counts: Reordering::default() }
     }
 
     /// Takes a sequence in the order of arrival; no duplicates.

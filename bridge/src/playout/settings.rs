@@ -31,22 +31,21 @@ pub struct PlayoutSettings {
     pub capacity: usize,
     /// Window in ns in which the least delay is sought.
     pub window_ns: u64,
-    /// Time in ns after the first packet in which a packet of less delay moves the play-out at once, not slowly.
+    /// Time in ns after the first packet in which the play-out follows what it learns at once, not slowly.
     pub warm_up_ns: u64,
     /// The play-out stays as it is while it would move by less, in ns.
     pub tolerance_ns: u64,
     /// How fast the play-out moves otherwise, in parts per billion of time: below a whole, so that time played never
     /// runs backwards.
     pub slew_ppb: u64,
-    /// After this time in ns in which all packets came too late, the play-out begins anew: the path has changed.
+    /// After this time in ns in which all packets came too late, the play-out begins anew: the path or a clock has
+    /// changed. So it does at once with a packet that would wait for longer than this beyond its delay.
     pub relearn_ns: u64,
-    /// A delay that differs by more from the least, in ns, is a step of a clock, and the play-out begins anew.
-    pub step_ns: u64,
 }
 
 impl PlayoutSettings {
     /// Of a policy: 1024 sequences, a window of 10 s after a warm-up of 1 s, moves of 0.5 percent beyond 0.5 ms, anew
-    /// after 200 ms of late packets or a step of 5 s.
+    /// after 200 ms of late packets.
     pub const fn new(policy: PlayoutPolicy) -> Self {
         Self {
             policy,
@@ -56,7 +55,6 @@ impl PlayoutSettings {
             tolerance_ns: 500_000,
             slew_ppb: 5_000_000,
             relearn_ns: 200_000_000,
-            step_ns: 5_000_000_000,
         }
     }
 

@@ -1,6 +1,6 @@
 //! Play-out and statistics against closed forms, brute force and links of known truth.
 
-use haptether_netsim::{Direction, Link, LinkSettings, Packet, Verdict};
+use haptether_netsim::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 use proptest::prelude::*;
 
 use super::*;
@@ -53,7 +53,7 @@ fn play(settings: PlayoutSettings, trace: &Trace, tick_ns: u64) -> (Vec<Played<u
 }
 
 fn jittery(delay_s: f64, jitter_s: f64) -> LinkSettings {
-    LinkSettings { delay_s, jitter_s, ..LinkSettings::default() }
+    LinkSettings { delay_s, jitter_s, distribution: Distribution::Uniform, ..LinkSettings::default() }
 }
 
 #[test]
@@ -163,9 +163,11 @@ fn a_step_of_the_senders_clock_starves_nobody() {
                 (n, if n < 2_000 { sent } else { sent.checked_add_signed(step).unwrap() }, n * MS + 20 * MS)
             })
             .collect();
-        let (played, counts) = play(PlayoutSettings::new(PlayoutPolicy::Constant { delay_ns: 5 * MS }), &trace, MS);
-        assert_eq!((counts.anew, counts.played + counts.missing + counts.superseded), (1, 4_000), "{step}");
-        assert!(played.len() > 3_980);
+        let (played, counts) =
+            play(PlayoutSettings::new(PlayoutPolicy::Constant { delay_ns: 5 * MS }), &trace, MS);
+        assert_eq!((counts.anew, counts.played + counts.missing), (1, 4_000), "{step}");
+        // Back, all are late for 200 ms; forth, what waited is dropped.
+        assert!(played.len() >= 3_790, "{counts:?}");
         assert_eq!(played.last().unwrap().sequence, 3_999);
     }
 }
@@ -229,7 +231,10 @@ fn independent_uniform_delays_have_the_jitter_of_their_law() {
     let mean = sum as f64 / count as f64;
     let wanted = 2.0 / 3.0 * 3_f64.sqrt() * 1e6;
     // Deviation of |D| is 0.47 w; the differences are not independent, hence 5 of twice as much.
-    assert!((mean - wanted).abs() < 5.0 * 2.0 * 0.47 * 1.73e6 / (count as f64).sqrt() + 30.0, "{mean} of {wanted}");
+    assert!(
+        (mean - wanted).abs() < 5.0 * 2.0 * 0.47 * 1.73e6 / (count as f64).sqrt() + 30.0,
+        "{mean} of {wanted}"
+    );
 }
 
 /// Everything by its definition, over the whole trace.
@@ -252,7 +257,15 @@ fn by_definition(sequences: &[u64]) -> (u64, u64, u64, u64, u64, u64, u64) {
     }
     let extents = (0..unique.len()).filter_map(|i| (0..i).find(|&j| unique[j] > unique[i]).map(|j| i - j));
     let extents: Vec<u64> = extents.map(|extent| extent as u64).collect();
-    (duplicate, lost, bursts, longest, extents.len() as u64, extents.iter().sum(), extents.into_iter().max().unwrap_or(0))
+    (
+        duplicate,
+        lost,
+        bursts,
+        longest,
+        extents.len() as u64,
+        extents.iter().sum(),
+        extents.into_iter().max().unwrap_or(0),
+    )
 }
 
 proptest! {

@@ -55,8 +55,8 @@ impl Timeline {
             return Placed::InTime;
         }
         let transit = difference(now_ns, sent_ns);
-        let from_least = self.least.least().map_or(0, |least| transit.abs_diff(least.key));
-        if from_least > self.settings.step_ns {
+        let earlier = self.least.least().map_or(0, |least| least.key.saturating_sub(transit));
+        if !self.is_warming(now_ns) && earlier > self.settings.relearn_ns.cast_signed() {
             self.begin(sent_ns, now_ns);
             return Placed::Anew;
         }
@@ -83,13 +83,13 @@ impl Timeline {
     fn learn(&mut self, sent_ns: u64, now_ns: u64, transit: i64) {
         self.least.add(now_ns, transit, ());
         self.wait.arrived(sent_ns, now_ns, transit);
-        let warming = now_ns.saturating_sub(self.began_ns) < self.settings.warm_up_ns;
-        let target = self.target_ns();
-        match self.shift_ns {
-            None => self.shift_ns = target,
-            Some(shift) if warming => self.shift_ns = target.map(|target| target.min(shift)),
-            Some(_) => {}
+        if self.shift_ns.is_none() || self.is_warming(now_ns) {
+            self.shift_ns = self.target_ns();
         }
+    }
+
+    fn is_warming(&self, now_ns: u64) -> bool {
+        now_ns.saturating_sub(self.began_ns) < self.settings.warm_up_ns
     }
 
     fn target_ns(&self) -> Option<i64> {
