@@ -32,8 +32,9 @@ pub(crate) struct Drift {
 /// Fits a rate through the points of least round trip of up to 32 blocks of time.
 ///
 /// The rate is the median of the slopes of all pairs, moved into the range that every pair allows: an offset measured
-/// at a round trip `r` is off by at most `(r - r_min) / 2` against the others, more or less the spread of the round trips. The blocks begin short, so that there
-/// is a first answer after a second, and double in length, two becoming one, until they reach back for 8.5 minutes.
+/// at a round trip `r` is off by at most `(r - r_min) / 2` against the others, more or less the spread of the round
+/// trips. The blocks begin short, so that there is a first answer after a second, and double in length, two becoming
+/// one, until they reach back for 8.5 minutes.
 ///
 /// Source: H. Theil (1950), A rank-invariant method of linear and polynomial regression analysis; P. K. Sen (1968),
 /// Estimates of the regression coefficient based on Kendall's tau; the points as in V. Paxson (1998), On calibrating
