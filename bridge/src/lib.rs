@@ -3,6 +3,7 @@
 //! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
+pub mod clock;
 pub mod coupling;
 mod endpoint;
 mod ladder;
@@ -11,6 +12,7 @@ mod link;
 pub mod live;
 mod local;
 mod plant;
+pub mod playout;
 mod record;
 pub mod scene;
 mod side;
