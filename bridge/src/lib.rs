@@ -13,6 +13,7 @@ mod local;
 mod plant;
 mod record;
 pub mod scene;
+pub mod session;
 mod side;
 mod virtual_time;
 pub mod wire;
