@@ -5,7 +5,7 @@
 //! - [`Session`] seals and opens datagrams within a tick, and allocates nothing in doing so;
 //! - [`Handshake`] makes keys, off the tick, and is asked by [`Handshake::poll`] and [`Handshake::receive`].
 //!
-//! Neither owns a clock, a socket or randomness. What goes over the wire, byte by byte, and why it is so, is in
+//! [`SessionEnd`] is both on one thread. None of them owns a clock, a socket or randomness. What goes over the wire, byte by byte, and why it is so, is in
 //! `docs/protocol.md`.
 //!
 //! In the words of a caller:
@@ -21,6 +21,7 @@
 //! ```
 
 mod aead;
+mod end;
 mod entropy;
 mod epochs;
 mod handshake;
@@ -35,6 +36,7 @@ mod settings;
 mod told;
 mod window;
 
+pub use end::{EndError, Received, SessionEnd};
 pub use entropy::{Entropy, NoEntropy, SystemEntropy};
 pub use handshake::{Handshake, HandshakeDatagram, HandshakeEvent, Outcome};
 pub use header::{

@@ -114,6 +114,17 @@ struct Lease {
     run: u64,
 }
 
+/// Where the newest keys stand on their way to the next.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Renewal {
+    /// The peer has used them.
+    confirmed: bool,
+    /// This side asks for others before their time.
+    asked_here: bool,
+    /// The peer does.
+    asked_there: bool,
+}
+
 /// Events that wait for a reader; further ones are dropped.
 const MOST_EVENTS: usize = 32;
 
@@ -125,15 +136,11 @@ pub struct Session {
     epochs: Epochs,
     /// When the peer was last heard; the newest authentic datagram.
     heard_ns: u64,
-    confirmed: bool,
+    renewal: Renewal,
     /// Forgeries against the keys of this session.
     forged: u64,
     /// The master that holds the lease, at the slave.
     lease: Option<Lease>,
-    /// This side asks for new keys before their time.
-    asks: bool,
-    /// The peer does.
-    peer_asks: bool,
     rejections: Rejections,
     events: VecDeque<SessionEvent>,
 }
@@ -158,11 +165,9 @@ impl Session {
             is_secure,
             epochs: Epochs::new(&settings),
             heard_ns: 0,
-            confirmed: false,
+            renewal: Renewal::default(),
             forged: 0,
             lease: None,
-            asks: false,
-            peer_asks: false,
             rejections: Rejections::default(),
             events: VecDeque::with_capacity(MOST_EVENTS),
         })
@@ -229,7 +234,7 @@ impl Session {
             return Ok(&buffer[..seen]);
         }
         buffer[SESSION_HEADER..SESSION_HEADER + seen].copy_from_slice(payload);
-        let kind = if self.asks { Kind::SealedAndDue } else { Kind::Sealed };
+        let kind = if self.renewal.asked_here { Kind::SealedAndDue } else { Kind::Sealed };
         self.finish(now_ns, kind, buffer)
     }
 
@@ -320,8 +325,8 @@ impl Session {
         self.turned(turn);
         self.heard_ns = self.heard_ns.max(now_ns);
         if slot != Slot::Previous {
-            self.confirmed = true;
-            self.peer_asks = header.kind == Kind::SealedAndDue;
+            self.renewal.confirmed = true;
+            self.renewal.asked_there = header.kind == Kind::SealedAndDue;
         }
         if header.kind == Kind::Release {
             self.lease = None;
@@ -351,16 +356,13 @@ impl Session {
             }
             Turn::Rekeyed(epoch) => SessionEvent::Rekeyed { epoch },
         };
-        self.asks = false;
-        self.peer_asks = false;
+        self.renewal = Renewal::default();
         self.tell(event);
     }
 
     fn stop(&mut self, why: SessionEvent) {
         self.forged = 0;
-        self.confirmed = false;
-        self.asks = false;
-        self.peer_asks = false;
+        self.renewal = Renewal::default();
         if self.epochs.current.is_some() {
             self.tell(why);
         }
@@ -374,7 +376,6 @@ impl Session {
         }
         let turn = self.epochs.install(now_ns, epoch, &self.settings);
         if turn.is_some() {
-            self.confirmed = false;
             self.heard_ns = now_ns;
         }
         self.turned(turn);
@@ -383,21 +384,21 @@ impl Session {
     /// Lets time pass; once a tick is enough.
     pub fn advance(&mut self, now_ns: u64) {
         if self.epochs.advance(now_ns, &self.settings) {
-            self.confirmed = false;
+            self.renewal = Renewal::default();
             self.tell(SessionEvent::Expired);
         }
     }
 
     /// Asks for new keys before their time; the master's handshake sees to it.
     pub fn rekey(&mut self) {
-        self.asks = self.epochs.current.is_some();
+        self.renewal.asked_here = self.epochs.current.is_some();
     }
 
     /// Ends the session here, as after [`Session::release`]; the peer notices by silence alone.
     pub fn end(&mut self) {
         self.lease = None;
         self.epochs.clear();
-        self.confirmed = false;
+        self.renewal = Renewal::default();
     }
 
     /// A person at the slave lets another master begin: ends the session of one that has fallen silent.
@@ -426,11 +427,11 @@ impl Session {
                 id: epoch.id,
                 chain: epoch.chain,
                 age_ns: epoch.age_ns(now_ns),
-                confirmed: self.confirmed,
+                confirmed: self.renewal.confirmed,
             }),
             silent_ns: now_ns.saturating_sub(self.heard_ns),
             holder: self.lease.map(|lease| lease.run),
-            due: self.asks || self.peer_asks,
+            due: self.renewal.asked_here || self.renewal.asked_there,
         }
     }
 }
