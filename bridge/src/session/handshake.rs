@@ -99,23 +99,14 @@ impl Handshake {
         standing: &Standing,
         entropy: &mut dyn Entropy,
     ) -> Result<Outcome, Rejection> {
-        self.take(now_ns, datagram, standing, entropy)
-            .inspect_err(|rejection| self.rejections.count(*rejection))
-    }
-
-    fn take(
-        &mut self,
-        now_ns: u64,
-        datagram: &[u8],
-        standing: &Standing,
-        entropy: &mut dyn Entropy,
-    ) -> Result<Outcome, Rejection> {
-        let header = Header::read(datagram, self.role, HANDSHAKE_LENGTH)?;
-        let datagram: &HandshakeDatagram = datagram.try_into().map_err(|_| Rejection::Length)?;
-        match &mut self.side {
-            Side::Master(initiator) => initiator.receive(now_ns, &header, datagram),
-            Side::Slave(responder) => responder.receive(now_ns, &header, datagram, standing, entropy),
-        }
+        let outcome = Header::read(datagram, self.role, HANDSHAKE_LENGTH).and_then(|header| {
+            let datagram: &HandshakeDatagram = datagram.try_into().map_err(|_| Rejection::Length)?;
+            match &mut self.side {
+                Side::Master(initiator) => initiator.receive(now_ns, &header, datagram),
+                Side::Slave(responder) => responder.receive(now_ns, &header, datagram, standing, entropy),
+            }
+        });
+        outcome.inspect_err(|rejection| self.rejections.count(*rejection))
     }
 
     /// The message to send at `now_ns`, if any: the first of a handshake, or the same again. Never at the slave.
