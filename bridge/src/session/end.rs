@@ -6,7 +6,8 @@ use super::{
     keys::PreSharedKey,
     noise::HandshakeError,
     rejection::{Rejection, Rejections},
-    secure::{Incoming, Session},
+    report::Incoming,
+    secure::Session,
     settings::{SessionSettings, SettingsError},
     window::Arrival,
 };

@@ -10,8 +10,8 @@ use super::{
     keys::{Epoch, EpochId, PreSharedKey},
     noise::{HandshakeError, MESSAGE},
     rejection::{Rejection, Rejections},
+    report::Standing,
     responder::Responder,
-    secure::Standing,
     settings::SessionSettings,
     told::Verdict,
 };

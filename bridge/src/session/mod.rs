@@ -30,6 +30,7 @@ mod initiator;
 mod keys;
 mod noise;
 mod rejection;
+mod report;
 mod responder;
 mod secure;
 mod settings;
@@ -45,7 +46,8 @@ pub use header::{
 pub use keys::{Epoch, PreSharedKey};
 pub use noise::HandshakeError;
 pub use rejection::{Rejection, Rejections};
-pub use secure::{Incoming, SealError, Session, SessionEvent, Standing, StillHeard};
+pub use report::{Incoming, SealError, SessionEvent, Standing, StillHeard};
+pub use secure::Session;
 pub use settings::{SessionSettings, SettingsError};
 pub use told::Verdict;
 pub use window::{Arrival, ReplayWindow};

@@ -7,7 +7,7 @@ use super::{
     keys::{EpochId, PreSharedKey},
     noise::{HandshakeError, Noise},
     rejection::Rejection,
-    secure::Standing,
+    report::Standing,
     settings::SessionSettings,
     told::{Told, Verdict},
 };
