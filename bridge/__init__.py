@@ -55,6 +55,7 @@ from haptether.bridge.scene_tables import (
     SavitzkyGolay,
     Scene,
 )
+from haptether.bridge.session_key import read_key, write_key
 from haptether.bridge.virtual_run import run_bridge
 
 __all__ = [
@@ -108,10 +109,12 @@ __all__ = [
     "ladder_state_name",
     "load_scene",
     "override_scene",
+    "read_key",
     "run_bridge",
     "run_local",
     "scene_json",
     "scene_names",
     "simulate",
     "sweep",
+    "write_key",
 ]

@@ -15,6 +15,7 @@ mod plant;
 pub mod playout;
 mod record;
 pub mod scene;
+pub mod session;
 mod side;
 mod virtual_time;
 pub mod wire;

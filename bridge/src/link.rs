@@ -2,7 +2,10 @@
 
 use haptether_safety::Axes;
 
-use crate::wire::{Echo, Frame, MAX_FRAME, Role, WireError};
+use crate::{
+    session::{Arrival, ReplayWindow},
+    wire::{Echo, Frame, MAX_FRAME, Role, WireError},
+};
 
 /// Counts of one end since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,35 +46,7 @@ pub enum Refusal {
 }
 
 /// Frames before the newest that are told apart: two seconds at 1 kHz.
-const WINDOW: u64 = 2048;
-
-/// Which of the last [`WINDOW`] sequences have arrived.
-///
-/// Source: RFC 6479 (a bitmap that is not shifted).
-#[derive(Clone, Debug, PartialEq)]
-struct Arrivals {
-    bits: [u64; (WINDOW / 64) as usize],
-}
-
-impl Arrivals {
-    fn bit(sequence: u64) -> (usize, u64) {
-        #[allow(clippy::cast_possible_truncation)] // below 2048 / 64
-        (((sequence % WINDOW) / 64) as usize, 1 << (sequence % 64))
-    }
-
-    /// Marks one; says whether it was marked before.
-    fn mark(&mut self, sequence: u64) -> bool {
-        let (word, bit) = Self::bit(sequence);
-        let was = self.bits[word] & bit != 0;
-        self.bits[word] |= bit;
-        was
-    }
-
-    fn clear(&mut self, sequence: u64) {
-        let (word, bit) = Self::bit(sequence);
-        self.bits[word] &= !bit;
-    }
-}
+const WINDOW: u32 = 2048;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Newest<const N: usize> {
@@ -88,7 +63,7 @@ pub struct FrameLink<const N: usize> {
     newest: Option<Newest<N>>,
     first_sequence: u64,
     arrived: u64,
-    arrivals: Arrivals,
+    arrivals: ReplayWindow,
     statistics: LinkStatistics,
     /// A silent peer may be followed by another session after this time.
     lease_ns: u64,
@@ -104,7 +79,7 @@ impl<const N: usize> FrameLink<N> {
             newest: None,
             first_sequence: 0,
             arrived: 0,
-            arrivals: Arrivals { bits: [0; (WINDOW / 64) as usize] },
+            arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
             lease_ns,
         }
@@ -124,7 +99,7 @@ impl<const N: usize> FrameLink<N> {
         let frame = Frame::decode(datagram, self.peer()).inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
             Some(newest) if newest.frame.session == frame.session => {
-                self.place(newest.frame.sequence, frame.sequence)?;
+                self.place(frame.sequence)?;
                 false
             }
             Some(newest) if now_ns.saturating_sub(newest.arrived_ns) < self.lease_ns => {
@@ -134,7 +109,7 @@ impl<const N: usize> FrameLink<N> {
             _ => {
                 self.first_sequence = frame.sequence;
                 self.arrived = 0;
-                self.arrivals.bits.fill(0);
+                self.arrivals.clear();
                 self.arrivals.mark(frame.sequence);
                 true
             }
@@ -155,26 +130,23 @@ impl<const N: usize> FrameLink<N> {
     }
 
     /// Places a sequence of the living session: news, late or seen before.
-    fn place(&mut self, newest: u64, sequence: u64) -> Result<(), Refusal> {
-        if sequence > newest {
-            for passed in (newest + 1..=sequence).take(usize::try_from(WINDOW).unwrap_or(usize::MAX)) {
-                self.arrivals.clear(passed);
+    fn place(&mut self, sequence: u64) -> Result<(), Refusal> {
+        // What lies before the first frame of this session is not held by its counts.
+        let arrival =
+            if sequence < self.first_sequence { Arrival::TooOld } else { self.arrivals.mark(sequence) };
+        match arrival {
+            Arrival::Newer => return Ok(()),
+            Arrival::Duplicate => {
+                self.statistics.duplicate += 1;
+                return Err(Refusal::Duplicate(sequence));
             }
-            self.arrivals.mark(sequence);
-            return Ok(());
+            Arrival::Late => {
+                self.statistics.late += 1;
+                self.arrived += 1;
+                self.count_missing();
+            }
+            Arrival::TooOld => self.statistics.late += 1,
         }
-        if newest - sequence >= WINDOW || sequence < self.first_sequence {
-            // Too old to tell whether it had arrived; the counts of this session do not hold it.
-            self.statistics.late += 1;
-            return Err(Refusal::Late(sequence));
-        }
-        if self.arrivals.mark(sequence) {
-            self.statistics.duplicate += 1;
-            return Err(Refusal::Duplicate(sequence));
-        }
-        self.statistics.late += 1;
-        self.arrived += 1;
-        self.count_missing();
         Err(Refusal::Late(sequence))
     }
 

@@ -8,7 +8,9 @@ use std::{
 
 use haptether_bridge::{
     LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
+    SlaveSettings, SlaveSide, TickTime,
+    session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
+    wire::{MAX_FRAME, Role},
 };
 use haptether_bridge::{
     clock::{AgeSettings, ClockSettings, FourTimes, PacketAge, PeerClock},
@@ -151,4 +153,36 @@ fn clock_age_playout_and_statistics_allocate_nothing() {
         assert_eq!(clock.steps(), 1);
         assert_eq!(allocations() - before, 0, "{policy:?}");
     }
+}
+
+#[test]
+fn sealing_and_opening_allocate_nothing() {
+    let key = PreSharedKey::new([1; 32]);
+    let settings = |role| SessionSettings::new(role, 92, MS);
+    let mut entropy = SystemEntropy::new();
+    let mut master = SessionEnd::secure(settings(Role::Master), key.clone(), &mut entropy).unwrap();
+    let mut slave = SessionEnd::secure(settings(Role::Slave), key, &mut entropy).unwrap();
+    let mut hello = master.poll(0, &mut entropy).unwrap().unwrap();
+    let Ok(Received::Reply(mut answer)) = slave.receive(0, &mut hello, &mut entropy) else {
+        panic!("an authentic hello is answered");
+    };
+    master.receive(0, &mut answer, &mut entropy).unwrap();
+    let (mut buffer, mut taken) = ([0; MAX_DATAGRAM], 0);
+
+    let before = allocations();
+    for tick in 0..5000_u64 {
+        let now_ns = tick * MS;
+        master.session.advance(now_ns);
+        let length = master.session.seal(now_ns, &[7; 92], &mut buffer).unwrap().len();
+        let mut forged = buffer;
+        forged[60] ^= 1;
+        assert!(slave.session.open(now_ns, &mut forged[..length]).is_err());
+        let opened = slave.session.open(now_ns, &mut buffer[..length]);
+        taken += u64::from(matches!(opened, Ok(Incoming::Payload { payload, .. }) if payload == [7; 92]));
+        let length = slave.session.seal(now_ns, &[8; 92], &mut buffer).unwrap().len();
+        taken += u64::from(master.session.open(now_ns, &mut buffer[..length]).is_ok());
+    }
+    let allocated = allocations() - before;
+
+    assert_eq!((allocated, taken), (0, 10_000));
 }

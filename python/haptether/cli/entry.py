@@ -13,6 +13,7 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.demo import Demo
+from haptether.cli.keygen import Keygen
 from haptether.cli.master import Master
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
 from haptether.cli.paper import Paper
@@ -36,6 +37,7 @@ COMMANDS: dict[str, type[Any]] = {
     "master": Master,
     "slave": Slave,
     "netsim": Netsim,
+    "keygen": Keygen,
 }
 GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS}
 """Commands that only name others."""

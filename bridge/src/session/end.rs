@@ -1,0 +1,114 @@
+//! Both halves of one end on one thread: for virtual time, tests, and whoever ticks slowly enough.
+
+use super::{
+    entropy::Entropy,
+    handshake::{Handshake, HandshakeDatagram, HandshakeEvent},
+    keys::PreSharedKey,
+    noise::HandshakeError,
+    rejection::{Rejection, Rejections},
+    report::Incoming,
+    secure::Session,
+    settings::{SessionSettings, SettingsError},
+    window::Arrival,
+};
+
+/// What came of a datagram.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Received<'a> {
+    /// What the peer sealed.
+    Payload {
+        /// The bytes.
+        payload: &'a [u8],
+        /// Whether it is newer than all before it.
+        arrival: Arrival,
+    },
+    /// A handshake goes on with this datagram, to be sent.
+    Reply(HandshakeDatagram),
+    /// Nothing to do: events may tell more.
+    Nothing,
+}
+
+/// Why there is no end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EndError {
+    /// Settings that do not make a session.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// No randomness.
+    #[error(transparent)]
+    Handshake(#[from] HandshakeError),
+}
+
+/// A [`Session`] with its [`Handshake`].
+#[derive(Debug)]
+pub struct SessionEnd {
+    /// Seals and opens.
+    pub session: Session,
+    handshake: Option<Handshake>,
+    event: Option<HandshakeEvent>,
+}
+
+impl SessionEnd {
+    /// An end that shares `key` with its peer.
+    pub fn secure(
+        settings: SessionSettings,
+        key: PreSharedKey,
+        entropy: &mut dyn Entropy,
+    ) -> Result<Self, EndError> {
+        let handshake = Some(Handshake::new(settings, key, entropy)?);
+        Ok(Self { session: Session::secure(settings)?, handshake, event: None })
+    }
+
+    /// An end without security: see [`Session::insecure`].
+    pub fn insecure(settings: SessionSettings) -> Result<Self, EndError> {
+        Ok(Self { session: Session::insecure(settings)?, handshake: None, event: None })
+    }
+
+    /// Takes a datagram that arrived at `now_ns`; it is opened in place.
+    pub fn receive<'a>(
+        &mut self,
+        now_ns: u64,
+        datagram: &'a mut [u8],
+        entropy: &mut dyn Entropy,
+    ) -> Result<Received<'a>, Rejection> {
+        match self.session.open(now_ns, datagram)? {
+            Incoming::Payload { payload, arrival } => Ok(Received::Payload { payload, arrival }),
+            Incoming::Release => Ok(Received::Nothing),
+            Incoming::Handshake(datagram) => {
+                let standing = self.session.standing(now_ns);
+                let handshake = self.handshake.as_mut().ok_or(Rejection::Kind)?;
+                let outcome = handshake.receive(now_ns, datagram, &standing, entropy)?;
+                if let Some(keys) = outcome.keys {
+                    self.session.install(now_ns, keys);
+                }
+                self.event = outcome.event.or(self.event);
+                Ok(outcome.reply.map_or(Received::Nothing, Received::Reply))
+            }
+        }
+    }
+
+    /// Lets time pass; gives a datagram of the handshake to send, if one is due.
+    pub fn poll(
+        &mut self,
+        now_ns: u64,
+        entropy: &mut dyn Entropy,
+    ) -> Result<Option<HandshakeDatagram>, HandshakeError> {
+        self.session.advance(now_ns);
+        let standing = self.session.standing(now_ns);
+        match &mut self.handshake {
+            Some(handshake) => handshake.poll(now_ns, &standing, entropy),
+            None => Ok(None),
+        }
+    }
+
+    /// Takes the newest event of the handshake.
+    pub fn poll_event(&mut self) -> Option<HandshakeEvent> {
+        self.event.take()
+    }
+
+    /// Datagrams not taken, by cause.
+    pub fn rejections(&self) -> Rejections {
+        let more = self.handshake.as_ref().map(Handshake::rejections).unwrap_or_default();
+        self.session.rejections() + more
+    }
+}

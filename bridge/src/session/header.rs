@@ -1,0 +1,208 @@
+//! The cleartext header of every datagram of a secure session; the bytes are in `docs/protocol.md`.
+
+use zerocopy::{
+    FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned,
+    little_endian::{U32, U64},
+};
+
+use super::{aead::TAG, rejection::Rejection};
+use crate::wire::{MAX_FRAME, Role};
+
+/// Magic bytes at the start of a datagram of a secure session.
+pub const SESSION_MAGIC: [u8; 2] = *b"HS";
+/// Version of header and handshake.
+pub const SESSION_VERSION: u8 = 1;
+/// Bytes of the header.
+pub const SESSION_HEADER: usize = 24;
+/// Bytes of what a handshake message tells under encryption.
+pub(super) const TOLD: usize = 16;
+/// Bytes of an ephemeral public key of X25519.
+pub(super) const EPHEMERAL: usize = 32;
+/// Bytes of either message of a handshake; the answer is never longer than the question.
+pub const HANDSHAKE_LENGTH: usize = SESSION_HEADER + EPHEMERAL + TOLD + TAG;
+/// Bytes of the longest sealed datagram.
+pub const MAX_DATAGRAM: usize = sealed_length(MAX_FRAME);
+
+/// Bytes of a sealed datagram with a payload of `payload` bytes.
+pub const fn sealed_length(payload: usize) -> usize {
+    SESSION_HEADER + payload + TAG
+}
+
+/// What a datagram is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// First message of a handshake, from the master.
+    Hello,
+    /// Second message of a handshake, from the slave.
+    Answer,
+    /// A sealed payload.
+    Sealed,
+    /// A sealed payload whose sender asks for new keys.
+    SealedAndDue,
+    /// Ends the session; sealed, with a payload of zeros.
+    Release,
+}
+
+impl Kind {
+    const fn from_byte(byte: u8) -> Option<Self> {
+        match byte {
+            1 => Some(Self::Hello),
+            2 => Some(Self::Answer),
+            3 => Some(Self::Sealed),
+            4 => Some(Self::SealedAndDue),
+            5 => Some(Self::Release),
+            _ => None,
+        }
+    }
+
+    const fn byte(self) -> u8 {
+        match self {
+            Self::Hello => 1,
+            Self::Answer => 2,
+            Self::Sealed => 3,
+            Self::SealedAndDue => 4,
+            Self::Release => 5,
+        }
+    }
+
+    /// Whether a side of role `to` is ever sent such a datagram.
+    const fn goes_to(self, to: Role) -> bool {
+        match self {
+            Self::Hello => matches!(to, Role::Slave),
+            Self::Answer => matches!(to, Role::Master),
+            Self::Sealed | Self::SealedAndDue | Self::Release => true,
+        }
+    }
+
+    pub(super) const fn is_handshake(self) -> bool {
+        matches!(self, Self::Hello | Self::Answer)
+    }
+}
+
+#[derive(Clone, Copy, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+struct Bytes {
+    magic: [u8; 2],
+    version: u8,
+    kind: u8,
+    epoch: U32,
+    session: U64,
+    counter: U64,
+}
+
+/// The header, read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Header {
+    pub(super) kind: Kind,
+    pub(super) epoch: u32,
+    pub(super) session: u64,
+    pub(super) counter: u64,
+}
+
+impl Header {
+    pub(super) fn to_bytes(self) -> [u8; SESSION_HEADER] {
+        let mut bytes = [0; SESSION_HEADER];
+        bytes.copy_from_slice(
+            Bytes {
+                magic: SESSION_MAGIC,
+                version: SESSION_VERSION,
+                kind: self.kind.byte(),
+                epoch: U32::new(self.epoch),
+                session: U64::new(self.session),
+                counter: U64::new(self.counter),
+            }
+            .as_bytes(),
+        );
+        bytes
+    }
+
+    /// Reads the header of a datagram that arrived at a side of role `to`: length first, then version and kind.
+    pub(super) fn read(datagram: &[u8], to: Role, sealed: usize) -> Result<Self, Rejection> {
+        if datagram.len() != sealed && datagram.len() != HANDSHAKE_LENGTH {
+            return Err(Rejection::Length);
+        }
+        let Ok((bytes, _)) = Bytes::read_from_prefix(datagram) else { return Err(Rejection::Length) };
+        if bytes.magic != SESSION_MAGIC || bytes.version != SESSION_VERSION {
+            return Err(Rejection::Version);
+        }
+        let kind = Kind::from_byte(bytes.kind).filter(|kind| kind.goes_to(to)).ok_or(Rejection::Kind)?;
+        if kind.is_handshake() != (datagram.len() == HANDSHAKE_LENGTH) {
+            return Err(Rejection::Length);
+        }
+        let header = Self {
+            kind,
+            epoch: bytes.epoch.get(),
+            session: bytes.session.get(),
+            counter: bytes.counter.get(),
+        };
+        // A handshake has no counter: the field is reserved.
+        if kind.is_handshake() && header.counter != 0 {
+            return Err(Rejection::Counter);
+        }
+        Ok(header)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::frame_length;
+
+    /// The known answer, written down by hand from the table in `docs/protocol.md`.
+    #[test]
+    fn bytes_are_those_of_the_table() {
+        let header =
+            Header { kind: Kind::Sealed, epoch: 0x0102_0304, session: 0x1122_3344_5566_7788, counter: 5 };
+        let bytes = header.to_bytes();
+        assert_eq!(
+            bytes,
+            [
+                b'H', b'S', 1, 3, 4, 3, 2, 1, 0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11, 5, 0, 0, 0, 0,
+                0, 0, 0
+            ]
+        );
+        let mut datagram = [0; 100];
+        datagram[..24].copy_from_slice(&bytes);
+        assert_eq!(Header::read(&datagram, Role::Slave, 100), Ok(header));
+    }
+
+    #[test]
+    fn no_frame_is_as_long_as_a_handshake() {
+        assert_eq!(HANDSHAKE_LENGTH, 88);
+        for axes in 1..=7 {
+            assert_ne!(sealed_length(frame_length(axes)), HANDSHAKE_LENGTH);
+        }
+    }
+
+    #[test]
+    fn the_cheap_refusals_come_in_order() {
+        let good = |kind: Kind, length: usize| {
+            let mut bytes = vec![0; length];
+            bytes[..24].copy_from_slice(&Header { kind, epoch: 0, session: 1, counter: 0 }.to_bytes());
+            bytes
+        };
+        let read = |bytes: &[u8]| Header::read(bytes, Role::Slave, 132).map(|_| ());
+        assert_eq!(read(&good(Kind::Sealed, 132)), Ok(()));
+        assert_eq!(read(&good(Kind::Hello, 88)), Ok(()));
+        for length in [0, 23, 24, 87, 89, 131, 133, 2000] {
+            assert_eq!(read(&vec![0; length]), Err(Rejection::Length));
+        }
+        for (at, byte, refusal) in [
+            (0, b'X', Rejection::Version),
+            (1, b'T', Rejection::Version),
+            (2, 2, Rejection::Version),
+            (3, 0, Rejection::Kind),
+            (3, 2, Rejection::Kind),
+            (3, 6, Rejection::Kind),
+            (3, 1, Rejection::Length),
+        ] {
+            let mut bytes = good(Kind::Sealed, 132);
+            bytes[at] = byte;
+            assert_eq!(read(&bytes), Err(refusal), "byte {at} = {byte}");
+        }
+        let mut hello = good(Kind::Hello, 88);
+        hello[16] = 1;
+        assert_eq!(read(&hello), Err(Rejection::Counter));
+        assert_eq!(read(&good(Kind::Sealed, 88)), Err(Rejection::Length));
+    }
+}

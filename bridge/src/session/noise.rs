@@ -1,0 +1,256 @@
+//! The handshake's cryptography: `Noise_NNpsk0_25519_ChaChaPoly_SHA256`.
+//!
+//! ```text
+//! -> psk, e
+//! <- e, ee
+//! ```
+//!
+//! Both sides hold one shared key and nothing else, so they have no static keys of their own. With the key mixed in
+//! before the first message (`psk0`, not `psk2`) the slave knows at once, before any curve arithmetic and before any
+//! answer, whether the first message comes of the key. The ephemeral keys give forward secrecy: who learns the shared
+//! key later opens no recorded session.
+//!
+//! Source: Perrin, *The Noise Protocol Framework*, rev. 34, 2018, sections 7.4 and 9.
+
+use snow::{
+    Builder, HandshakeState,
+    params::{CipherChoice, DHChoice, HashChoice, NoiseParams},
+    resolvers::{CryptoResolver, DefaultResolver},
+    types::{Cipher, Dh, Hash, Random},
+};
+
+use super::{
+    aead::TAG,
+    entropy::{Entropy, NoEntropy},
+    header::{EPHEMERAL, TOLD},
+    keys::{Epoch, EpochId, PreSharedKey},
+};
+use crate::wire::Role;
+
+const PATTERN: &str = "Noise_NNpsk0_25519_ChaChaPoly_SHA256";
+/// Bytes of a handshake message behind the header.
+pub(super) const MESSAGE: usize = EPHEMERAL + TOLD + TAG;
+
+/// Why a handshake does not go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum HandshakeError {
+    /// No randomness.
+    #[error(transparent)]
+    Entropy(#[from] NoEntropy),
+    /// The message, the key or the moment does not fit.
+    #[error("handshake message that does not fit")]
+    Noise,
+}
+
+impl From<snow::Error> for HandshakeError {
+    fn from(_: snow::Error) -> Self {
+        Self::Noise
+    }
+}
+
+/// The primitives of `snow`, with 32 random bytes that were drawn before: those of the ephemeral key.
+struct Drawn([u8; 32]);
+
+impl CryptoResolver for Drawn {
+    fn resolve_rng(&self) -> Option<Box<dyn Random>> {
+        Some(Box::new(Once(Some(self.0))))
+    }
+
+    fn resolve_dh(&self, choice: &DHChoice) -> Option<Box<dyn Dh>> {
+        DefaultResolver.resolve_dh(choice)
+    }
+
+    fn resolve_hash(&self, choice: &HashChoice) -> Option<Box<dyn Hash>> {
+        DefaultResolver.resolve_hash(choice)
+    }
+
+    fn resolve_cipher(&self, choice: &CipherChoice) -> Option<Box<dyn Cipher>> {
+        DefaultResolver.resolve_cipher(choice)
+    }
+}
+
+/// Gives its bytes once; a second wish would repeat a key.
+struct Once(Option<[u8; 32]>);
+
+impl Random for Once {
+    fn try_fill_bytes(&mut self, bytes: &mut [u8]) -> Result<(), snow::Error> {
+        let drawn = self.0.take().ok_or(snow::Error::Rng)?;
+        if bytes.len() != drawn.len() {
+            return Err(snow::Error::Rng);
+        }
+        bytes.copy_from_slice(&drawn);
+        Ok(())
+    }
+}
+
+/// One side of one handshake.
+#[derive(Debug)]
+pub(super) struct Noise {
+    state: HandshakeState,
+    id: EpochId,
+    role: Role,
+}
+
+impl Noise {
+    /// A handshake for the keys of `id`, which is bound into it.
+    pub(super) fn new(
+        role: Role,
+        id: EpochId,
+        key: &PreSharedKey,
+        entropy: &mut dyn Entropy,
+    ) -> Result<Self, HandshakeError> {
+        let mut prologue = *b"haptether session 1\0____________";
+        prologue[20..28].copy_from_slice(&id.session.to_le_bytes());
+        prologue[28..].copy_from_slice(&id.epoch.to_le_bytes());
+        Self::with_prologue(role, id, key, &prologue, entropy)
+    }
+
+    fn with_prologue(
+        role: Role,
+        id: EpochId,
+        key: &PreSharedKey,
+        prologue: &[u8],
+        entropy: &mut dyn Entropy,
+    ) -> Result<Self, HandshakeError> {
+        let mut drawn = [0; 32];
+        entropy.fill(&mut drawn)?;
+        let pattern: NoiseParams = PATTERN.parse()?;
+        let builder = Builder::with_resolver(pattern, Box::new(Drawn(drawn)))
+            .prologue(prologue)?
+            .psk(0, key.bytes())?;
+        let state = match role {
+            Role::Master => builder.build_initiator()?,
+            Role::Slave => builder.build_responder()?,
+        };
+        Ok(Self { state, id, role })
+    }
+
+    /// Writes this side's message, which tells the peer `told` under encryption.
+    pub(super) fn write(&mut self, told: &[u8; TOLD]) -> Result<[u8; MESSAGE], HandshakeError> {
+        let mut message = [0; MESSAGE];
+        self.state.write_message(told, &mut message)?;
+        Ok(message)
+    }
+
+    /// Reads the peer's message; one that does not fit leaves the handshake as it was.
+    pub(super) fn read(&mut self, message: &[u8]) -> Result<[u8; TOLD], HandshakeError> {
+        let mut told = [0; TOLD];
+        if self.state.read_message(message, &mut told)? == TOLD {
+            Ok(told)
+        } else {
+            Err(HandshakeError::Noise)
+        }
+    }
+
+    /// The keys, once both messages have passed; the peer's run goes along.
+    pub(super) fn keys(mut self, now_ns: u64, peer_run: u64) -> Result<Epoch, HandshakeError> {
+        if !self.state.is_handshake_finished() {
+            return Err(HandshakeError::Noise);
+        }
+        let (from_master, from_slave) = self.state.dangerously_get_raw_split();
+        Epoch::new(self.id, self.role, (&from_master, &from_slave), (now_ns, peer_run))
+            .ok_or(HandshakeError::Noise)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Fixed(&'static str);
+
+    impl Entropy for Fixed {
+        fn fill(&mut self, out: &mut [u8]) -> Result<(), NoEntropy> {
+            out.copy_from_slice(&bytes(self.0));
+            Ok(())
+        }
+    }
+
+    fn bytes(hex: &str) -> Vec<u8> {
+        (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
+    }
+
+    /// Both messages, the handshake's hash, and the first sealed message each way, sealed with our own key objects.
+    ///
+    /// The payloads of this vector have 16 and 15 bytes: the second is written to the state itself.
+    ///
+    /// Source: the test vectors of *cacophony* (Noise in Haskell), as shipped with `snow` in
+    /// `tests/vectors/cacophony.txt`.
+    #[test]
+    fn the_known_answer_of_another_implementation() {
+        let key = PreSharedKey::new(
+            bytes("54686973206973206d7920417573747269616e20706572737065637469766521").try_into().unwrap(),
+        );
+        let prologue = b"John Galt";
+        let id = EpochId { session: 0, epoch: 0 };
+        let side =
+            |role, ephemeral| Noise::with_prologue(role, id, &key, prologue, &mut Fixed(ephemeral)).unwrap();
+        let mut master =
+            side(Role::Master, "893e28b9dc6ca8d611ab664754b8ceb7bac5117349a4439a6b0569da977c464a");
+        let mut slave = side(Role::Slave, "bbdb4cdbd309f1a1f2e1456967fe288cadd6f712d65dc7b7793d5e63da6b375b");
+        let hello = master.write(b"Ludwig von Mises").unwrap();
+        assert_eq!(
+            hello.to_vec(),
+            bytes(
+                "ca35def5ae56cec33dc2036731ab14896bc4c75dbb07a61f879f8e3afa4c7944\
+                 79b962b8aff8485742ac32f905ba45369e2465fb59e138a93d67a0d1266b6a54"
+            )
+        );
+        assert_eq!(&slave.read(&hello).unwrap(), b"Ludwig von Mises");
+        let mut answer = [0; MESSAGE];
+        let length = slave.state.write_message(b"Murray Rothbard", &mut answer).unwrap();
+        assert_eq!(
+            answer[..length].to_vec(),
+            bytes(
+                "95ebc60d2b1fa672c1f46a8aa265ef51bfe38e7ccb39ec5be34069f144808843\
+                 d6062704d5a9c422a8e834423f8c1feada7e8d0d910a1a2cd030fb584221e3"
+            )
+        );
+        let mut told = [0; TOLD];
+        assert_eq!(master.state.read_message(&answer[..length], &mut told), Ok(15));
+        let hash = bytes("f4d03dc34495c95729ea6de9e1b59004b59733102488b3e24bc441e0be208eaf");
+        assert_eq!(master.state.get_handshake_hash(), hash);
+        assert_eq!(slave.state.get_handshake_hash(), hash);
+        let (master, slave) = (master.keys(0, 1).unwrap(), slave.keys(0, 2).unwrap());
+        assert_eq!(master.chain, slave.chain);
+        // Of each direction, its first message and its second.
+        for (from, to, counter, payload, sealed) in [
+            (
+                &master,
+                &slave,
+                0,
+                "462e20412e20486179656b",
+                "e632c3763d7669067383433197a3baddf146e9e70ad4b4e9e59e0f",
+            ),
+            (
+                &slave,
+                &master,
+                0,
+                "4361726c204d656e676572",
+                "64c6bee32ea91c8474bb4c21d7a700109ad45af77b29764ba5eb1e",
+            ),
+            (
+                &master,
+                &slave,
+                1,
+                "4a65616e2d426170746973746520536179",
+                "e2fa0bed0603b62d3ccac2ecabbf3fe33f3e86514909b323361626266cb2471cc8",
+            ),
+        ] {
+            let mut buffer = bytes(payload);
+            let tag = from.send.seal(counter, &[], &mut buffer).unwrap();
+            buffer.extend_from_slice(&tag);
+            assert_eq!(buffer, bytes(sealed));
+            assert!(to.receive.open(counter, &[], &mut buffer));
+            assert_eq!(buffer[..payload.len() / 2], bytes(payload));
+        }
+    }
+
+    #[test]
+    fn randomness_is_given_once() {
+        let mut once = Once(Some([7; 32]));
+        let mut bytes = [0; 32];
+        assert_eq!(once.try_fill_bytes(&mut bytes), Ok(()));
+        assert_eq!(once.try_fill_bytes(&mut bytes), Err(snow::Error::Rng));
+    }
+}

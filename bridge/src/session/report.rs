@@ -1,0 +1,101 @@
+//! What a session says of itself: to the caller, to people, and to the handshake.
+
+use super::{
+    keys::{Chain, EpochId},
+    window::Arrival,
+};
+
+/// A datagram of the peer, opened.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Incoming<'a> {
+    /// What the peer sealed; authentic and not seen before.
+    Payload {
+        /// The bytes.
+        payload: &'a [u8],
+        /// [`Arrival::Newer`] or [`Arrival::Late`]; without security always the former.
+        arrival: Arrival,
+    },
+    /// A message for the handshake: not looked into yet, and perhaps forged.
+    Handshake(&'a [u8]),
+    /// The peer has ended the session.
+    Release,
+}
+
+/// What happened to a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SessionEvent {
+    /// A session began: whatever was known of the peer is of another.
+    Began {
+        /// Its number.
+        session: u64,
+    },
+    /// The session goes on under new keys.
+    Rekeyed {
+        /// Their number, from 1.
+        epoch: u32,
+    },
+    /// The peer ended the session; the lease is free.
+    Released,
+    /// The newest keys grew too old without others.
+    Expired,
+    /// More forgeries than the keys bear.
+    Forgeries,
+    /// A person at the slave ended the session of a silent master.
+    TakenOver,
+}
+
+/// Why nothing was sealed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SealError {
+    /// There are no keys (yet).
+    #[error("no session: the handshake has not ended")]
+    NoSession,
+    /// The newest keys are too old, or have sealed too much.
+    #[error("the keys are used up: {age_ns} ns old, {sealed} datagrams sealed")]
+    UsedUp {
+        /// Their age.
+        age_ns: u64,
+        /// Datagrams that they sealed.
+        sealed: u64,
+    },
+    /// All payloads have one length.
+    #[error("payload of {seen} bytes: must have {allowed}")]
+    Length {
+        /// As given.
+        seen: usize,
+        /// As set.
+        allowed: usize,
+    },
+}
+
+/// Why a lease was not freed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the master was heard {ago_ns} ns ago: a lease can be taken over after {silence_ns} ns of silence")]
+pub struct StillHeard {
+    /// When the master was last heard.
+    pub ago_ns: u64,
+    /// How long it must be silent.
+    pub silence_ns: u64,
+}
+
+/// What the handshake needs to know of the session: a copy, which may go to another thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Standing {
+    pub(super) live: Option<Live>,
+    /// Since the peer was heard, or since the master took its keys.
+    pub(super) silent_ns: u64,
+    /// The run of the master that holds the lease.
+    pub(super) holder: Option<u64>,
+    /// Whether either side asks for new keys before their time.
+    pub(super) due: bool,
+}
+
+/// The newest keys.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Live {
+    pub(super) id: EpochId,
+    pub(super) chain: Chain,
+    pub(super) age_ns: u64,
+    /// Whether the peer has used them.
+    pub(super) confirmed: bool,
+}

@@ -1,0 +1,424 @@
+//! The secure session between honest sides, over a network that loses, delays, reorders and repeats.
+#![allow(clippy::unwrap_used)] // a test may
+
+mod pair;
+
+use haptether_bridge::{
+    session::{
+        Arrival, HANDSHAKE_LENGTH, HandshakeEvent, MAX_DATAGRAM, Received, Rejection, SealError, SessionEnd,
+        SessionEvent, SessionSettings, Verdict, sealed_length,
+    },
+    wire::Role,
+};
+use pair::{KEY, MS, Numbers, PAYLOAD, Pair, end, number, payload, peer, settings};
+use proptest::prelude::*;
+
+const SECOND: u64 = 1000 * MS;
+
+fn epochs(end: &mut SessionEnd) -> Vec<SessionEvent> {
+    std::iter::from_fn(|| end.session.poll_event()).collect()
+}
+
+fn is_hello(datagram: &[u8]) -> bool {
+    datagram.len() == HANDSHAKE_LENGTH && datagram[3] == 1
+}
+
+fn is_answer(datagram: &[u8]) -> bool {
+    datagram.len() == HANDSHAKE_LENGTH && datagram[3] == 2
+}
+
+#[test]
+fn a_round_trip_after_one_round_trip() {
+    let mut pair = Pair::new();
+    pair.run(60);
+    assert_eq!(pair.rejected, []);
+    // Hello at 1 ms, answer from 6 ms, the first frame of the master at 11 ms, that of the slave at 16 ms.
+    assert_eq!(pair.taken_at(Role::Slave)[..3], [11 * MS, 12 * MS, 13 * MS]);
+    assert_eq!(pair.taken_at(Role::Master)[..3], [16 * MS, 17 * MS, 18 * MS]);
+    assert!(pair.master.session.is_secure() && pair.slave.session.is_secure());
+    let session = pair.master.session.session().unwrap();
+    assert_eq!(epochs(&mut pair.master), [SessionEvent::Began { session }]);
+    assert_eq!(epochs(&mut pair.slave), [SessionEvent::Began { session }]);
+    for (_, _, datagram) in &pair.sent {
+        let is_handshake = is_hello(datagram) || is_answer(datagram);
+        assert_eq!(datagram.len(), if is_handshake { 88 } else { sealed_length(PAYLOAD) });
+    }
+    assert_eq!(pair.sent.iter().filter(|(.., datagram)| datagram.len() == 88).count(), 2);
+}
+
+#[test]
+fn plaintext_only_by_name() {
+    let mut master = SessionEnd::insecure(settings(Role::Master)).unwrap();
+    let mut slave = SessionEnd::insecure(settings(Role::Slave)).unwrap();
+    assert!(!master.session.is_secure());
+    let mut buffer = [0; MAX_DATAGRAM];
+    let mut datagram = master.session.seal(0, &payload(7), &mut buffer).unwrap().to_vec();
+    assert_eq!(datagram, payload(7));
+    assert_eq!(
+        slave.receive(0, &mut datagram, &mut Numbers(0)),
+        Ok(Received::Payload { payload: &payload(7), arrival: Arrival::Newer })
+    );
+    assert_eq!(slave.receive(0, &mut [0; 5], &mut Numbers(0)), Err(Rejection::Length));
+    assert_eq!(slave.poll(0, &mut Numbers(0)), Ok(None));
+    // A secure side takes no plaintext, and an insecure one no sealed datagram.
+    let mut pair = Pair::opened();
+    assert_eq!(pair.slave.receive(pair.now_ns, &mut payload(7), &mut Numbers(0)), Err(Rejection::Length));
+    let mut sealed = pair.master.session.seal(pair.now_ns, &payload(7), &mut buffer).unwrap().to_vec();
+    assert_eq!(slave.receive(0, &mut sealed, &mut Numbers(0)), Err(Rejection::Length));
+}
+
+#[test]
+fn nothing_is_sealed_before_the_handshake() {
+    let mut pair = Pair::new();
+    assert_eq!(pair.send(Role::Master, 1), Err(SealError::NoSession));
+    assert_eq!(pair.send(Role::Slave, 1), Err(SealError::NoSession));
+    let mut buffer = [0; MAX_DATAGRAM];
+    assert_eq!(pair.master.session.release(0, &mut buffer), Err(SealError::NoSession));
+    let mut open = Pair::opened();
+    assert_eq!(
+        open.master.session.seal(open.now_ns, &[0; 5], &mut buffer),
+        Err(SealError::Length { seen: 5, allowed: PAYLOAD })
+    );
+}
+
+/// Each handshake message lost, up to the fourth: the next repeat does it.
+#[test]
+fn a_lost_handshake_message_is_sent_again() {
+    for lost in 0..4 {
+        for which in [is_hello as fn(&[u8]) -> bool, is_answer] {
+            let mut pair = Pair::new();
+            let mut left = lost;
+            pair.fate = Box::new(move |_, _, datagram| {
+                if which(datagram) && left > 0 {
+                    left -= 1;
+                    return vec![];
+                }
+                vec![5 * MS]
+            });
+            pair.run(4500);
+            let hellos: Vec<_> =
+                pair.sent.iter().filter(|(.., bytes)| is_hello(bytes)).map(|(at, ..)| at / MS).collect();
+            assert_eq!(hellos, [1, 251, 751, 1751, 3751][..=lost]);
+            assert!(pair.taken_at(Role::Master).len() > 500);
+            assert_eq!(pair.rejected, []);
+        }
+    }
+}
+
+/// A round trip of 2 s, longer than the first waits: repeats are the same message, so the first answer does it.
+#[test]
+fn a_round_trip_longer_than_the_retry_needs_one_handshake() {
+    let mut pair = Pair::new();
+    pair.fate = Box::new(|_, _, _| vec![SECOND]);
+    pair.run(4100);
+    assert_eq!(pair.taken_at(Role::Slave)[0], 2001 * MS);
+    let mut hellos: Vec<_> = pair.sent.iter().filter(|(.., bytes)| is_hello(bytes)).collect();
+    assert_eq!(hellos.len(), 4);
+    hellos.dedup_by(|one, other| one.2 == other.2);
+    assert_eq!(hellos.len(), 1);
+}
+
+/// The first frames under new keys get lost: the slave learns of them from the next.
+#[test]
+fn new_keys_are_confirmed_by_whatever_frame_arrives_first() {
+    let mut pair = Pair::new();
+    pair.fate = Box::new(|at, to, bytes| {
+        let lost = to == Role::Slave && bytes.len() != 88 && at < 300 * MS;
+        if lost { vec![] } else { vec![5 * MS] }
+    });
+    pair.run(400);
+    assert_eq!(pair.taken_at(Role::Slave)[0], 300 * MS);
+    assert_eq!(pair.rejected, []);
+}
+
+/// Fast rekeying, so that epochs overlap often.
+fn hasty(role: Role) -> SessionSettings {
+    SessionSettings { rekey_ns: 400 * MS, refuse_ns: 8000 * MS, overlap_ns: 200 * MS, ..settings(role) }
+}
+
+#[test]
+fn rekeying_loses_nothing_however_frames_overtake() {
+    let mut pair = Pair::with(hasty(Role::Master), hasty(Role::Slave));
+    let mut numbers = Numbers(9);
+    pair.fate = Box::new(move |_, _, _| vec![MS + numbers.draw() % (100 * MS)]);
+    pair.run(5000);
+    for _ in 0..150 {
+        pair.tick(false);
+    }
+    assert_eq!(pair.rejected, []);
+    for role in [Role::Master, Role::Slave] {
+        let sent = pair.sent.iter().filter(|(_, to, bytes)| *to == role && bytes.len() != 88).count();
+        let mut taken = pair.taken_at(role);
+        assert_eq!(taken.len(), sent);
+        let newer: Vec<_> = pair
+            .taken
+            .iter()
+            .filter(|(at, _, arrival)| *at == role && *arrival == Arrival::Newer)
+            .map(|(_, number, _)| *number)
+            .collect();
+        assert!(newer.is_sorted(), "strictly newer, over the change of keys too");
+        assert!(newer.len() < taken.len());
+        taken.sort_unstable();
+        taken.dedup();
+        assert_eq!(taken.len(), sent);
+        let events = epochs(pair.end(role));
+        assert!(matches!(events[0], SessionEvent::Began { .. }));
+        assert!(events.len() >= 8, "{events:?}");
+        for (n, event) in events.iter().enumerate().skip(1) {
+            assert_eq!(*event, SessionEvent::Rekeyed { epoch: u32::try_from(n).unwrap() });
+        }
+    }
+}
+
+/// A network that also loses and repeats: sessions live on over every change of keys.
+#[test]
+fn rekeying_survives_loss_and_copies() {
+    let mut pair = Pair::with(hasty(Role::Master), hasty(Role::Slave));
+    let mut numbers = Numbers(10);
+    pair.fate = Box::new(move |_, _, _| {
+        let copies = [0, 1, 1, 1, 1, 1, 2][(numbers.draw() % 7) as usize];
+        (0..copies).map(|_| MS + numbers.draw() % (100 * MS)).collect()
+    });
+    pair.run(20_000);
+    let session = pair.master.session.session();
+    assert_eq!(pair.slave.session.session(), session);
+    let (of_master, of_slave) = (epochs(&mut pair.master), epochs(&mut pair.slave));
+    assert_eq!(of_master.iter().filter(|e| matches!(e, SessionEvent::Began { .. })).count(), 1);
+    assert!(of_slave.len() >= 20, "{of_slave:?}");
+    for (_, rejection) in &pair.rejected {
+        assert!(
+            matches!(rejection, Rejection::Repeated | Rejection::Replayed | Rejection::Unexpected),
+            "{rejection}"
+        );
+    }
+}
+
+#[test]
+fn both_sides_asking_at_once_get_one_set_of_keys() {
+    let mut pair = Pair::opened();
+    epochs(&mut pair.master);
+    epochs(&mut pair.slave);
+    pair.master.session.rekey();
+    pair.slave.session.rekey();
+    pair.run(200);
+    assert_eq!(epochs(&mut pair.master), [SessionEvent::Rekeyed { epoch: 1 }]);
+    assert_eq!(epochs(&mut pair.slave), [SessionEvent::Rekeyed { epoch: 1 }]);
+    // The slave alone can ask as well.
+    pair.slave.session.rekey();
+    pair.run(200);
+    assert_eq!(epochs(&mut pair.master), [SessionEvent::Rekeyed { epoch: 2 }]);
+    assert_eq!(epochs(&mut pair.slave), [SessionEvent::Rekeyed { epoch: 2 }]);
+    assert_eq!(pair.rejected, []);
+}
+
+#[test]
+fn rekeying_comes_at_120_s_and_without_it_sending_ends_at_180_s() {
+    let mut pair = Pair::opened();
+    epochs(&mut pair.master);
+    pair.now_ns = 119_990 * MS;
+    pair.run(5);
+    pair.now_ns = 119_999 * MS;
+    let before = pair.sent.len();
+    pair.run(40);
+    assert!(pair.sent[before..].iter().any(|(.., bytes)| is_hello(bytes)));
+    assert_eq!(epochs(&mut pair.master), [SessionEvent::Rekeyed { epoch: 1 }]);
+
+    let mut alone = Pair::opened();
+    alone.fate = Box::new(|_, _, bytes| if bytes.len() == 88 { vec![] } else { vec![5 * MS] });
+    for now_ns in (60 * MS..190 * SECOND).step_by(500_000_000) {
+        alone.now_ns = now_ns;
+        alone.run(2);
+    }
+    for role in [Role::Master, Role::Slave] {
+        let last = alone.taken_at(role).into_iter().max().unwrap();
+        assert!((179 * SECOND..=180 * SECOND + 20 * MS).contains(&last), "{last}");
+        assert!(matches!(epochs(alone.end(role)).last(), Some(SessionEvent::Expired)));
+    }
+}
+
+#[test]
+fn a_used_up_counter_refuses_to_send() {
+    let few = |role| SessionSettings { most_sealed: 20, ..settings(role) };
+    let mut pair = Pair::with(few(Role::Master), few(Role::Slave));
+    pair.run(100);
+    assert_eq!(pair.taken_at(Role::Slave).len(), 20);
+    let error = pair.send(Role::Master, 1).unwrap_err();
+    assert!(matches!(error, SealError::UsedUp { sealed: 20, .. }), "{error}");
+    assert!(!pair.master.session.is_open(pair.now_ns));
+}
+
+#[test]
+fn a_slave_that_restarts_gets_a_new_session() {
+    let mut pair = Pair::opened();
+    let before = pair.master.session.session();
+    pair.slave = end(settings(Role::Slave), KEY, 77);
+    pair.run(1900);
+    assert_eq!(pair.master.session.session(), before, "silence is not yet long enough");
+    assert!(pair.rejected.iter().all(|what| *what == (Role::Slave, Rejection::Session)));
+    pair.run(300);
+    let after = pair.master.session.session();
+    assert!(after.is_some() && after != before);
+    assert_eq!(pair.slave.session.session(), after);
+    let events = epochs(&mut pair.master);
+    assert!(matches!(events[..], [SessionEvent::Began { .. }, SessionEvent::Began { .. }]), "{events:?}");
+}
+
+#[test]
+fn a_master_that_restarts_waits_for_a_person_at_the_slave() {
+    let mut pair = Pair::opened();
+    let before = pair.slave.session.session();
+    pair.master = end(settings(Role::Master), KEY, 77);
+    let error = pair.slave.session.allow_takeover(pair.now_ns).unwrap_err();
+    assert_eq!(error.silence_ns, 2 * SECOND);
+    pair.run(5000);
+    assert_eq!(pair.slave.session.session(), before);
+    assert!(pair.slave.session.is_leased());
+    assert!(matches!(
+        pair.master.poll_event(),
+        Some(HandshakeEvent::Refused { verdict: Verdict::Leased, .. })
+    ));
+    assert!(matches!(pair.slave.poll_event(), Some(HandshakeEvent::SecondMaster { .. })));
+    // One hello a second, answered each, and no more than that.
+    let hellos = pair.sent.iter().filter(|(.., bytes)| is_hello(bytes)).count();
+    assert!((4..=7).contains(&hellos), "{hellos}");
+    pair.slave.session.allow_takeover(pair.now_ns).unwrap();
+    assert_eq!(epochs(&mut pair.slave).last(), Some(&SessionEvent::TakenOver));
+    pair.run(1200);
+    assert!(pair.slave.session.session().is_some() && pair.slave.session.session() != before);
+    assert_eq!(pair.slave.session.session(), pair.master.session.session());
+}
+
+#[test]
+fn a_master_that_takes_leave_makes_room_at_once() {
+    let mut pair = Pair::opened();
+    let mut buffer = [0; MAX_DATAGRAM];
+    for _ in 0..3 {
+        let release = pair.master.session.release(pair.now_ns, &mut buffer).unwrap().to_vec();
+        assert_eq!(release.len(), sealed_length(PAYLOAD));
+        pair.carry(Role::Slave, &release);
+    }
+    pair.master = end(settings(Role::Master), KEY, 77);
+    pair.run(100);
+    let events = epochs(&mut pair.slave);
+    assert_eq!(events[1], SessionEvent::Released);
+    assert!(matches!(events[2], SessionEvent::Began { .. }));
+    assert!(pair.rejected.iter().all(|what| what.1 == Rejection::Session));
+}
+
+/// Another with the very key, while a session lives: refused, told on both sides, and nothing disturbed.
+#[test]
+fn a_second_master_is_refused() {
+    let mut pair = Pair::opened();
+    let mut second = end(settings(Role::Master), KEY, 55);
+    let mut entropy = Numbers(56);
+    let hello = second.poll(0, &mut entropy).unwrap().unwrap();
+    let now_ns = pair.now_ns;
+    let Ok(Received::Reply(mut answer)) = pair.slave.receive(now_ns, &mut hello.clone(), &mut entropy) else {
+        panic!("an authentic hello is answered");
+    };
+    assert!(matches!(pair.slave.poll_event(), Some(HandshakeEvent::SecondMaster { .. })));
+    assert_eq!(second.receive(10, &mut answer, &mut entropy), Ok(Received::Nothing));
+    assert_eq!(
+        second.poll_event(),
+        Some(HandshakeEvent::Refused { verdict: Verdict::Leased, payload_length: 92 })
+    );
+    assert!(!second.session.is_open(10));
+    pair.run(500);
+    assert_eq!(pair.rejected, []);
+    assert!(pair.taken_at(Role::Slave).len() > 500);
+}
+
+/// Two masters race for a free slave: the first frame decides, and the loser is told when it tries again.
+#[test]
+fn of_two_masters_at_once_one_wins() {
+    let mut pair = Pair::new();
+    let mut second = end(settings(Role::Master), KEY, 55);
+    let mut entropy = Numbers(56);
+    let hello = second.poll(0, &mut entropy).unwrap().unwrap();
+    let Ok(Received::Reply(mut answer)) = pair.slave.receive(0, &mut hello.clone(), &mut entropy) else {
+        panic!("a free slave answers");
+    };
+    second.receive(1, &mut answer, &mut entropy).unwrap();
+    pair.run(100);
+    assert!(pair.slave.session.is_open(pair.now_ns));
+    let mut buffer = [0; MAX_DATAGRAM];
+    let mut late = second.session.seal(MS, &payload(1), &mut buffer).unwrap().to_vec();
+    assert_eq!(pair.slave.receive(pair.now_ns, &mut late, &mut entropy), Err(Rejection::Session));
+    pair.run(100);
+    assert_eq!(pair.rejected, []);
+}
+
+#[test]
+fn sides_of_different_payloads_are_told_so() {
+    let longer = SessionSettings { payload_length: PAYLOAD + 24, ..settings(Role::Slave) };
+    let mut pair = Pair::with(settings(Role::Master), longer);
+    pair.run(50);
+    let verdict = Verdict::PayloadLength;
+    let told = |payload_length| Some(HandshakeEvent::Refused { verdict, payload_length });
+    assert_eq!(pair.master.poll_event(), told(116));
+    assert_eq!(pair.slave.poll_event(), told(92));
+    assert_eq!(pair.taken, []);
+}
+
+#[test]
+fn a_short_outage_ends_nothing() {
+    for (from, until) in [(100, 1500), (100, 10_000)] {
+        let mut pair = Pair::new();
+        pair.fate = Box::new(
+            move |at, _, _| {
+                if (from * MS..until * MS).contains(&at) { vec![] } else { vec![5 * MS] }
+            },
+        );
+        pair.run(until + 3000);
+        let events = epochs(&mut pair.slave);
+        assert_eq!(events.len(), 1, "{events:?}");
+        assert_eq!(pair.taken_at(Role::Slave).last(), Some(&((until + 2995) * MS)));
+        assert_eq!(pair.slave.poll_event(), None, "the holder itself is no second master");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Whatever order frames and their copies arrive in, each is taken once, and only newer ones as newer.
+    #[test]
+    fn each_frame_is_taken_once(order in prop::collection::vec(0usize..200, 1..400)) {
+        let mut pair = Pair::opened();
+        let mut buffer = [0; MAX_DATAGRAM];
+        let frames: Vec<_> = (0..200)
+            .map(|n| pair.master.session.seal(pair.now_ns, &payload(n), &mut buffer).unwrap().to_vec())
+            .collect();
+        let mut seen = std::collections::BTreeSet::new();
+        for &n in &order {
+            let newest = seen.last().copied();
+            let mut datagram = frames[n].clone();
+            match pair.slave.receive(pair.now_ns, &mut datagram, &mut Numbers(0)) {
+                Ok(Received::Payload { payload, arrival }) => {
+                    prop_assert_eq!(number(payload), n as u64);
+                    prop_assert_eq!(arrival == Arrival::Newer, newest.is_none_or(|newest| n > newest));
+                    prop_assert!(seen.insert(n));
+                }
+                other => {
+                    prop_assert_eq!(other, Err(Rejection::Repeated));
+                    prop_assert!(seen.contains(&n));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn sides_find_each_other_over_any_bearable_network(
+        seed in any::<u64>(), loss in 0u64..30, most_ms in 1u64..400,
+    ) {
+        let mut pair = Pair::new();
+        let mut numbers = Numbers(seed);
+        pair.fate = Box::new(move |_, _, _| {
+            if numbers.draw() % 100 < loss { vec![] } else { vec![numbers.draw() % (most_ms * MS)] }
+        });
+        pair.run(6000);
+        let session = pair.master.session.session();
+        prop_assert!(session.is_some());
+        prop_assert_eq!(pair.slave.session.session(), session);
+        prop_assert!(pair.taken_at(peer(Role::Slave)).len() > 100);
+    }
+}

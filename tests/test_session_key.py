@@ -1,0 +1,135 @@
+"""The key file: who may read it, what it holds, and what is refused."""
+
+import base64
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from haptether.bridge import read_key, write_key
+
+
+def key_text(length: int = 32) -> str:
+    return f"haptether session key 1\n{base64.b64encode(bytes(range(length))).decode()}\n"
+
+
+def written(path: Path, text: str, mode: int = 0o600) -> Path:
+    path.write_text(text)
+    path.chmod(mode)
+    return path
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022, 0o077, 0o777])
+def test_a_key_is_for_its_owner_alone_whatever_the_umask(tmp_path: Path, umask: int) -> None:
+    before = os.umask(umask)
+    try:
+        write_key(tmp_path / "one.key")
+        write_key(tmp_path / "two.key")
+    finally:
+        os.umask(before)
+    for name in ("one.key", "two.key"):
+        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == 0o600
+    one, two = read_key(tmp_path / "one.key"), read_key(tmp_path / "two.key")
+    assert len(one) == len(two) == 32
+    assert one != two
+
+
+def test_the_known_answer(tmp_path: Path) -> None:
+    text = "haptether session key 1\nAAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8=\n"
+    assert text == key_text()
+    assert read_key(written(tmp_path / "key", text)) == bytes(range(32))
+    # Brought over by a machine that ends its lines otherwise.
+    assert read_key(written(tmp_path / "other", text.replace("\n", "\r\n"))) == bytes(range(32))
+    assert read_key(written(tmp_path / "bare", text, 0o400)) == bytes(range(32))
+
+
+def test_a_key_is_not_overwritten_by_accident(tmp_path: Path) -> None:
+    path = written(tmp_path / "arm.key", key_text(), 0o644)
+    with pytest.raises(FileExistsError, match=r"arm.key: is there already: --force replaces it"):
+        write_key(path)
+    assert path.read_text() == key_text()
+    write_key(path, replace=True)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert read_key(path) != bytes(range(32))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["arm.key"]
+
+
+def test_a_key_is_not_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(FileExistsError):
+        write_key(tmp_path / "link")
+    assert not (tmp_path / "elsewhere").exists()
+    write_key(tmp_path / "link", replace=True)
+    assert not (tmp_path / "link").is_symlink()
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_folder_is_not_replaced(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="is a folder"):
+        write_key(tmp_path, replace=True)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o602, 0o666, 0o610])
+def test_a_key_that_others_may_use_is_refused_with_the_remedy(tmp_path: Path, mode: int) -> None:
+    path = written(tmp_path / "arm.key", key_text(), mode)
+    with pytest.raises(ValueError, match=rf"\(mode {mode:04o}\): run `chmod 600 {path}`"):
+        read_key(path)
+    path.chmod(0o600)
+    assert read_key(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is no key file"),
+        (key_text()[:-30], "line 2 is no base64 text"),
+        (key_text().partition("\n")[2], "is no key file"),
+        (key_text().replace("key 1", "key 2"), "is no key file"),
+        (key_text() + key_text(), "is no key file"),
+        (key_text(31), "a key of 31 bytes, must have 32"),
+        (key_text(33), "a key of 33 bytes, must have 32"),
+        ("haptether session key 1\n\n", "a key of 0 bytes, must have 32"),
+        ("haptether session key 1\n!!!!\n", "line 2 is no base64 text"),
+        (key_text() + " " * 5000, "is no key file"),
+    ],
+)
+def test_what_holds_no_key_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        read_key(written(tmp_path / "arm.key", text))
+
+
+def test_what_is_no_plain_file_is_refused(tmp_path: Path) -> None:
+    written(tmp_path / "arm.key", key_text())
+    (tmp_path / "link").symlink_to("arm.key")
+    with pytest.raises(ValueError, match="symbolic link"):
+        read_key(tmp_path / "link")
+    with pytest.raises(ValueError, match="no plain file"):
+        read_key(tmp_path)
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    with pytest.raises(ValueError, match="no plain file"):
+        read_key(tmp_path / "pipe")
+    with pytest.raises(FileNotFoundError):
+        read_key(tmp_path / "missing")
+
+
+def test_the_command_makes_a_key_and_keeps_one(tmp_path: Path) -> None:
+    def keygen(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "haptether", "keygen", *arguments],
+            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+
+    made = keygen()
+    assert (made.returncode, made.stderr) == (0, "")
+    key = read_key(tmp_path / "haptether.key")
+    assert base64.b64encode(key).decode() not in made.stdout
+    refused = keygen("haptether.key")
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("haptether: haptether.key: is there already")
+    assert refused.stderr.count("\n") == 1
+    assert keygen("haptether.key", "--force").returncode == 0
+    assert read_key(tmp_path / "haptether.key") != key
+    assert keygen(str(tmp_path / "no" / "arm.key")).returncode == 1
