@@ -230,7 +230,7 @@ class Mirror(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
 
 class SecondSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                    tag_field="kind", tag="second-source"):  # fmt: skip
-    """A copy arrives from another source address."""
+    """A copy arrives from another source address; in virtual time, which has none, a duplicate."""
 
 
 class Attack(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

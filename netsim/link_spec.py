@@ -24,7 +24,7 @@ _INSTEAD = {
     "loss": ("gilbert_elliott", "four_state"),
     "rate_bps": ("opportunities",),
     "opportunities": ("rate_bps",),
-    "trace": _DELAYS,
+    "trace": (*_DELAYS, *_LOSSES, "outages"),
 }
 """Settings of a preset that do not count once another way to say the same is given."""
 

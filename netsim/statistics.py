@@ -51,8 +51,8 @@ def realised(verdicts: Verdicts) -> LinkFigures:
         loss=float(np.count_nonzero(~arrived)) / sent,
         mean_burst=float(bursts.mean()) if bursts.size else None,
         reordered=_reordered(packets) / max(delays.size, 1),
-        duplicates=float(np.count_nonzero(causes("duplicate"))) / sent,
-        damaged=float(np.count_nonzero(causes("corrupt") | causes("truncate"))) / sent,
+        duplicates=float(np.count_nonzero(causes("duplicate"))) / max(delays.size, 1),
+        damaged=float(np.count_nonzero(causes("corrupt") | causes("truncate"))) / max(delays.size, 1),
     )
 
 
@@ -88,6 +88,7 @@ def asked(settings: LinkSettings, direction: Direction) -> LinkFigures:
         bad = chain["to_bad"] / both if both else 0.0
         loss = bad * chain["loss_bad"] + (1.0 - bad) * chain["loss_good"]
     known_loss = not loses_otherwise and not spec["attacks"] and spec["four_state"] is None
+    is_single = spec["reorder_depth"] == 1 or spec["reorder_hold_s"] is not None or spec["reorder"] == 0.0
     burst = spec["mean_burst"]
     if burst is None and chain is None and spec["mean_burst_s"] is None and 0.0 < loss < 1.0:
         burst = 1.0 / (1.0 - loss)
@@ -96,7 +97,8 @@ def asked(settings: LinkSettings, direction: Direction) -> LinkFigures:
         sigma_s=spec["jitter_s"] if is_simple else None,
         loss=loss if known_loss else None,
         mean_burst=burst if known_loss else None,
-        reordered=spec["reorder"] if spec["keep_order"] and spec["netem"] is None else None,
+        # A packet that jumps over several makes each of them late.
+        reordered=spec["reorder"] if spec["keep_order"] and spec["netem"] is None and is_single else None,
         duplicates=spec["duplicate"] if spec["netem"] is None else None,
         damaged=None if spec["netem"] else 1.0 - (1.0 - spec["corrupt"]) * (1.0 - spec["truncate"]),
     )

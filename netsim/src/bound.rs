@@ -1,12 +1,8 @@
 //! Bounds that follow from the settings alone: how long a packet is under way, and when the last change is over.
 
-use crate::settings::{Action, Distribution, LinkSettings, Outage, OutageEffect, OutageTimes};
-
-/// Largest payload of a UDP datagram in bytes, for the time that a packet takes on the wire.
-const LARGEST_PAYLOAD: usize = 65_535;
-
-/// Packets that wait where no bound is given.
-const DEFAULT_QUEUE_PACKETS: f64 = 1000.0;
+use crate::law::DelayLaw;
+use crate::rate::DEFAULT_QUEUE_PACKETS;
+use crate::settings::{Action, Distribution, LinkSettings, MAX_PAYLOAD, Outage, OutageEffect, OutageTimes};
 
 /// Standard deviations that a normal law stays within, with a probability of 1 - 1e-22.
 const NORMAL_TAIL: f64 = 10.0;
@@ -74,9 +70,8 @@ impl LinkSettings {
             Distribution::Normal | Distribution::Exponential => EXPONENTIAL_TAIL,
             // A uniform law of deviation 1 reaches to the root of 3.
             Distribution::Uniform => 1.74,
-            Distribution::Table(table) => {
-                table.iter().fold(0.0, |most, x| f64::max(most, f64::from(*x) / 8192.0))
-            }
+            Distribution::Table(_) => DelayLaw::new(self)
+                .map_or(f64::INFINITY, |law| 1.001 * (law.quantile_s(1.0) - law.mean_s()) / law.sigma_s()),
             Distribution::Gamma | Distribution::Lognormal | Distribution::Pareto => f64::INFINITY,
         };
         mean + deviations * self.jitter_s + slots
@@ -90,14 +85,14 @@ impl LinkSettings {
         let Some(rate_bps) = self.rate_bps else {
             return 0.0;
         };
-        let packet_s = (LARGEST_PAYLOAD + self.overhead_bytes) as f64 * 8.0 / rate_bps;
+        let packet_s = (MAX_PAYLOAD + self.overhead_bytes) as f64 * 8.0 / rate_bps;
         let bounds = [
             self.queue_ms.map(|wait_ms| wait_ms * 1e-3),
             self.queue_bytes.map(|bytes| bytes as f64 * 8.0 / rate_bps),
             self.queue_packets.map(|packets| packets as f64 * packet_s),
         ];
         let given = bounds.into_iter().flatten().reduce(f64::min);
-        given.unwrap_or(DEFAULT_QUEUE_PACKETS * packet_s) + packet_s
+        given.unwrap_or(DEFAULT_QUEUE_PACKETS as f64 * packet_s) + packet_s
     }
 }
 

@@ -1,11 +1,11 @@
 //! Network impairment for teleoperation: what a bad network does to each packet, decided once for two
 //! drivers.
 //!
-//! A [`Link`] is one direction of the network: rules applied in a fixed order (loss, delay, jitter), each of
-//! which turns a [`Packet`] into a [`Verdict`]: deliver at a time, or drop with a cause. It reads no clock
-//! and owns no socket; a verdict is a pure function of (settings, seed, packet), in integers, so that it is
-//! the same on every platform. Randomness is counter-based, keyed by (seed, direction and impairment, packet
-//! index): switching one impairment on shifts no other. Delivered packets wait in an [`InFlight`] queue,
+//! A [`Link`] is one direction of the network: rules applied in a fixed order, each of which turns a [`Packet`] into a
+//! [`Verdict`]: deliver at a time, or drop with a cause. It reads no clock and owns no socket; a verdict depends on
+//! settings, seed and the packets up to it alone, and is the same on every platform, as no function of the platform's
+//! mathematical library is used. Randomness is counter-based, keyed by (seed, direction and impairment, packet index or
+//! time): switching one impairment on shifts no other. Delivered packets wait in an [`InFlight`] queue,
 //! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
 //! processes that know nothing of it.
 

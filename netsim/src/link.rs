@@ -24,7 +24,6 @@ const WAY: &[BuildRule] = &[
     jitter::build,
     outage::build_holding,
     order::build,
-    reorder::build,
 ];
 
 /// What happens at the end of the way, in this order.
@@ -53,6 +52,8 @@ pub struct LinkCounters {
 pub struct Rules {
     direction: Direction,
     way: Vec<Box<dyn Rule>>,
+    /// After what keeps the order.
+    reorder: Option<Box<dyn Rule>>,
     endings: Vec<Box<dyn Ending>>,
     keeps_order: bool,
 }
@@ -69,7 +70,14 @@ impl Rules {
         for build in ENDINGS {
             endings.extend(build(settings, &streams)?);
         }
-        Ok(Self { direction, way, endings, keeps_order: settings.keep_order })
+        let reorder = reorder::build(settings, &streams)?;
+        Ok(Self {
+            direction,
+            way,
+            reorder,
+            endings,
+            keeps_order: settings.keep_order && settings.netem.is_none(),
+        })
     }
 
     /// The same with something else at the end.
@@ -90,7 +98,9 @@ pub struct Link {
     rules: Rules,
     counters: LinkCounters,
     latest_due_ns: u64,
-    /// No packet arrives earlier: the last arrival under the rules before, where those of now keep the order.
+    /// The latest arrival by rules that keep the order, without what reordering added.
+    latest_in_order_ns: u64,
+    /// No packet arrives earlier: that arrival under the rules before, where those of now keep the order.
     floor_ns: u64,
     extras: Extras,
 }
@@ -103,6 +113,7 @@ impl Link {
             rules: Rules::build(direction, seed, settings)?,
             counters: LinkCounters::default(),
             latest_due_ns: 0,
+            latest_in_order_ns: 0,
             floor_ns: 0,
             extras: Extras::new(),
         })
@@ -122,7 +133,7 @@ impl Link {
     pub fn swap(&mut self, rules: &mut Rules) {
         debug_assert_eq!(rules.direction, self.rules.direction, "rules of the other direction");
         std::mem::swap(&mut self.rules, rules);
-        self.floor_ns = if self.rules.keeps_order { self.latest_due_ns } else { 0 };
+        self.floor_ns = if self.rules.keeps_order { self.latest_in_order_ns } else { 0 };
     }
 
     /// Decides what becomes of a packet of this link's direction.
@@ -143,7 +154,16 @@ impl Link {
                 drop @ Verdict::Drop { .. } => return drop,
             }
         }
-        at_ns = at_ns.max(self.floor_ns);
+        if self.rules.keeps_order {
+            at_ns = at_ns.max(self.floor_ns);
+            self.latest_in_order_ns = self.latest_in_order_ns.max(at_ns);
+        }
+        if let Some(reorder) = &mut self.rules.reorder {
+            match reorder.judge(packet, at_ns) {
+                Verdict::Deliver { at_ns: later } => at_ns = later,
+                drop @ Verdict::Drop { .. } => return drop,
+            }
+        }
         for ending in &mut self.rules.endings {
             match ending.end(packet, at_ns, damage, &mut self.extras) {
                 Verdict::Deliver { at_ns: later } => at_ns = later,
@@ -218,7 +238,7 @@ mod tests {
         let mut link = Link::new(Direction::Backward, 0, &LinkSettings::default()).unwrap();
         let packet = Packet { direction: Direction::Backward, sent_ns: 42, size: 64, index: 0 };
         assert_eq!(link.judge(&packet).verdict, Verdict::Deliver { at_ns: 42 });
-        assert!(link.rules.way.is_empty() && link.rules.endings.is_empty());
+        assert!(link.rules.way.is_empty() && link.rules.reorder.is_none() && link.rules.endings.is_empty());
     }
 
     #[test]

@@ -1240,6 +1240,10 @@ class ProxyStatistics:
         """Records that the log lacks, because its writer was behind."""
 
     @property
+    def log_failed(self) -> bool:
+        """Whether the log could not be written to its end, as on a full disk; the run is not valid then."""
+
+    @property
     def scheduling(self) -> Literal["fifo", "normal"]:
         """How its thread is scheduled."""
 

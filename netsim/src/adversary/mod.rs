@@ -12,7 +12,7 @@ mod target;
 
 use crate::damage::Damage;
 use crate::random::{Impairment, Stream};
-use crate::rule::{Ending, Extras, Streams};
+use crate::rule::{Ending, Extras, MOST_EXTRAS, Streams};
 use crate::settings::{Action, LinkError, LinkSettings, within};
 use crate::verdict::{ExtraCause, Packet, Verdict};
 
@@ -29,6 +29,12 @@ pub(crate) fn build(
     streams: &Streams,
 ) -> Result<Option<Box<dyn Ending>>, LinkError> {
     within("attacks", settings.attacks.len() as f64, 0.0, MOST as f64)?;
+    let copies = settings.attacks.iter().filter(|attack| copies(&attack.action)).count();
+    if copies + usize::from(settings.duplicate > 0.0) > MOST_EXTRAS {
+        let problem =
+            format!("{copies} of them add a packet: at most {MOST_EXTRAS} may, a duplicate among them");
+        return Err(LinkError::contradiction("attacks", problem));
+    }
     let stream = streams.of(Impairment::Attack);
     let mut attacks = Vec::new();
     for (position, attack) in (0..=u8::MAX).zip(&settings.attacks) {
@@ -37,6 +43,11 @@ pub(crate) fn build(
         attacks.push((aim, act(&format!("attacks.{position}.action"), &attack.action, stream)?));
     }
     Ok((!attacks.is_empty()).then(|| Box::new(Adversary(attacks)) as Box<dyn Ending>))
+}
+
+/// Whether something arrives beside the packet.
+fn copies(action: &Action) -> bool {
+    !matches!(action, Action::BitFlip { .. } | Action::Drop)
 }
 
 /// Builds an action whose settings are found under a key.

@@ -16,6 +16,8 @@ use crate::random::Impairment;
 use crate::rule::{Rule, Streams};
 use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, nanoseconds, within};
 
+/// Probability of a delay that need not be thought of.
+const RARE: f64 = 1e-9;
 /// Correlation time in s where none is given.
 const DEFAULT_CORRELATION_S: f64 = 0.1;
 
@@ -27,6 +29,7 @@ pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option
         return Ok(None);
     }
     let law = DelayLaw::new(settings)?;
+    check_timeline(settings, &law)?;
     if nanoseconds(settings.jitter_s) == 0 {
         // Arrivals are whole ns, and a law that narrow has no quantiles to tell apart.
         return Ok(None);
@@ -39,6 +42,23 @@ pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option
         return Ok(Some(Box::new(Wander::new(path, mean_ns, stream))));
     }
     Ok(Some(Box::new(Independent::new(cells, mean_ns, streams.of(Impairment::Jitter)))))
+}
+
+/// Refuses a mean delay that is less than the law reaches below it: delays would be cut off at zero, unseen.
+fn check_timeline(settings: &LinkSettings, law: &DelayLaw) -> Result<(), LinkError> {
+    let below_s = settings.delay_s - law.quantile_s(RARE);
+    for (index, change) in settings.timeline.iter().enumerate() {
+        // A rounding of the law is no reason to refuse.
+        if change.delay_s < below_s * (1.0 - 1e-9) {
+            let problem = format!(
+                "{} s is less than the jitter reaches below its mean, {below_s:.3e} s: give a larger delay, or less \
+                 jitter_s",
+                change.delay_s
+            );
+            return Err(LinkError::contradiction(format!("timeline.{index}.delay_s"), problem));
+        }
+    }
+    Ok(())
 }
 
 /// Moves an arrival by how far a delay lies off its mean, though not to before the packet was sent.

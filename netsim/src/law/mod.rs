@@ -125,6 +125,12 @@ fn at_most(sigma_s: f64, most_s: f64, law: &str, mean_s: f64, remedy: &str) -> R
     if sigma_s <= most_s * (1.0 + 1e-12) {
         return Ok(());
     }
+    if mean_s == 0.0 {
+        return Err(LinkError::contradiction(
+            "jitter_s",
+            format!("{sigma_s}: needs delay_s above 0 to vary around"),
+        ));
+    }
     Err(LinkError::contradiction(
         "jitter_s",
         format!(

@@ -31,7 +31,8 @@ impl Table {
             return refuse(format!("all values of the table are {first}: must differ"));
         }
         let mean = sorted.iter().sum::<f64>() / count as f64;
-        let ends = 0.5 * ((first - mean).powi(2) + (last - mean).powi(2));
+        let (low, high) = (first - mean, last - mean);
+        let ends = 0.5 * (low * low + high * high);
         let inner: f64 = sorted
             .windows(2)
             .map(|pair| {

@@ -215,7 +215,7 @@ pub(crate) fn build(
         gap: arguments.gap,
         rate: arguments.rate,
         stream,
-        held: BinaryHeap::new(),
+        held: BinaryHeap::with_capacity(arguments.limit.min(65_536)),
         latest_ns: 0,
         since_reordered: 0,
     })))

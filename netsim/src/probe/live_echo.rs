@@ -100,22 +100,10 @@ impl Echo {
     }
 }
 
-/// Whether to go on: nothing came in time, or an earlier answer found nobody.
+/// Whether to go on: nothing came in time, or the network reports something of an earlier datagram, which anybody can
+/// make it do. Only a call that is wrong in itself would be wrong for ever.
 pub(super) fn is_passing(kind: io::ErrorKind) -> bool {
-    use io::ErrorKind::{
-        ConnectionRefused, HostUnreachable, Interrupted, NetworkDown, NetworkUnreachable, TimedOut,
-        WouldBlock,
-    };
-    matches!(
-        kind,
-        ConnectionRefused
-            | HostUnreachable
-            | Interrupted
-            | NetworkDown
-            | NetworkUnreachable
-            | TimedOut
-            | WouldBlock
-    )
+    !matches!(kind, io::ErrorKind::InvalidInput | io::ErrorKind::OutOfMemory)
 }
 
 pub(super) fn nanoseconds(time: Duration) -> u64 {

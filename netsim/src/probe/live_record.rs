@@ -17,6 +17,8 @@ use crate::proxy::prepare_thread;
 
 /// Most probes a second.
 pub const MOST_RATE_HZ: f64 = 1000.0;
+/// Slowest rate of probes in Hz.
+const LEAST_RATE_HZ: f64 = 1e-3;
 /// Most probes of a measurement: more than two hours at 1 kHz.
 pub const MOST_PROBES: f64 = 1e7;
 /// How long the last answers are waited for.
@@ -42,12 +44,14 @@ pub struct RecordSettings {
 #[non_exhaustive]
 pub enum ProbeError {
     /// A number that is not finite or not in its range.
-    #[error("{key} = {seen}: must be a finite number above 0, at most {most}")]
+    #[error("{key} = {seen}: must be a finite number from {least} to {most}")]
     OutOfRange {
         /// Name of the setting.
         key: &'static str,
         /// Its value.
         seen: f64,
+        /// The smallest value allowed.
+        least: f64,
         /// The largest value allowed.
         most: f64,
     },
@@ -82,12 +86,12 @@ struct Sent {
 /// given.
 pub fn record(settings: &RecordSettings, stop: &AtomicBool) -> Result<Recording, ProbeError> {
     let RecordSettings { peer, rate_hz, duration_s, realtime } = *settings;
-    let within = |key, seen: f64, most: f64| {
-        let is_good = seen > 0.0 && seen <= most;
-        if is_good { Ok(()) } else { Err(ProbeError::OutOfRange { key, seen, most }) }
+    let within = |key, seen: f64, least: f64, most: f64| {
+        let is_good = seen >= least && seen <= most;
+        if is_good { Ok(()) } else { Err(ProbeError::OutOfRange { key, seen, least, most }) }
     };
-    within("rate_hz", rate_hz, MOST_RATE_HZ)?;
-    within("duration_s", duration_s, MOST_PROBES / rate_hz)?;
+    within("rate_hz", rate_hz, LEAST_RATE_HZ, MOST_RATE_HZ)?;
+    within("duration_s", duration_s, 1e-3, MOST_PROBES / rate_hz)?;
     let refuse = |source| ProbeError::Socket { peer, source };
     let socket = connect(peer).map_err(refuse)?;
     prepare_thread(realtime);

@@ -56,8 +56,14 @@ impl Receiver {
                 }
                 Err(Errno::EAGAIN) => return Ok(()),
                 Err(Errno::EINTR) => {}
-                Err(error) if is_unreachable(error) => count(unreachable),
-                Err(error) => return Err(error.into()),
+                // A call that is wrong in itself would be wrong for ever.
+                Err(
+                    error @ (Errno::EBADF | Errno::EFAULT | Errno::EINVAL | Errno::ENOTSOCK | Errno::ENOMEM),
+                ) => {
+                    return Err(error.into());
+                }
+                // All else the network reports of an earlier datagram, by ICMP, which anybody can send.
+                Err(_) => count(unreachable),
             }
         }
     }

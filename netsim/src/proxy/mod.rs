@@ -180,7 +180,10 @@ impl Proxy {
         let mut books = Books { record: &self.record, log: &mut self.log };
         self.forward.give_up(&mut books);
         self.backward.give_up(&mut books);
-        self.log.take().map_or(Ok(()), Log::end)?;
+        if let Some(Err(_)) = self.log.take().map(Log::end) {
+            // What was measured is worth having without it.
+            self.record.log_failed.store(true, Relaxed);
+        }
         Ok(self.monitor().snapshot())
     }
 

@@ -48,6 +48,8 @@ pub(super) fn granted(socket: &UdpSocket) -> (u64, u64) {
 
 /// Whether the proxy would be its own peer.
 pub(super) fn is_own(listen: SocketAddr, peer: SocketAddr) -> bool {
-    let is_same_host = listen.ip() == peer.ip() || (listen.ip().is_unspecified() && peer.ip().is_loopback());
+    // One address may be written as IPv4 and as IPv6.
+    let (here, there) = (listen.ip().to_canonical(), peer.ip().to_canonical());
+    let is_same_host = here == there || (here.is_unspecified() && there.is_loopback());
     is_same_host && listen.port() == peer.port()
 }

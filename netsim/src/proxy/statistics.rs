@@ -72,6 +72,8 @@ pub struct ProxyStatistics {
     pub early: u64,
     /// Records that the log lacks, because its writer was behind.
     pub log_lost: u64,
+    /// Whether the log could not be written to its end, as on a full disk.
+    pub log_failed: bool,
     /// How the proxy's thread is scheduled.
     pub scheduling: Scheduling,
     /// Bytes that the kernel grants the listening socket for datagrams that wait, both as it counts them.
@@ -91,7 +93,7 @@ impl ProxyMonitor {
     pub fn snapshot(&self) -> ProxyStatistics {
         let Recorder { flows, peer_unreachable, early, log_lost, .. } = &*self.0;
         let scheduling_error = self.0.scheduling_error.summary();
-        let early = early.load(Relaxed);
+        let (early, log_failed) = (early.load(Relaxed), self.0.log_failed.load(Relaxed));
         ProxyStatistics {
             forward: self.0.forward.snapshot(),
             backward: self.0.backward.snapshot(),
@@ -103,7 +105,8 @@ impl ProxyMonitor {
             scheduling: if self.0.is_fifo.load(Relaxed) { Scheduling::Fifo } else { Scheduling::Normal },
             receive_buffer_bytes: self.0.receive_buffer_bytes,
             send_buffer_bytes: self.0.send_buffer_bytes,
-            valid: early == 0 && scheduling_error.p99_ns <= self.0.max_error_ns,
+            log_failed,
+            valid: early == 0 && !log_failed && scheduling_error.p99_ns <= self.0.max_error_ns,
         }
     }
 }
@@ -118,6 +121,7 @@ pub(super) struct Recorder {
     pub(super) scheduling_error: Histogram,
     pub(super) early: AtomicU64,
     pub(super) log_lost: AtomicU64,
+    pub(super) log_failed: AtomicBool,
     pub(super) is_fifo: AtomicBool,
     pub(super) receive_buffer_bytes: u64,
     pub(super) send_buffer_bytes: u64,

@@ -29,8 +29,11 @@ use crate::settings::{Discipline, LinkError, LinkSettings, nanoseconds, within};
 use crate::verdict::{DropCause, Packet, Verdict};
 
 /// Packets that wait where no bound is given, as in many network interfaces.
-const DEFAULT_QUEUE_PACKETS: usize = 1000;
+pub(crate) const DEFAULT_QUEUE_PACKETS: usize = 1000;
 /// Most packets that may be asked to wait.
+/// Packets that memory is taken for at once; a longer queue grows.
+const RESERVED_PACKETS: usize = 16_384;
+/// However it is bounded.
 const MOST_QUEUE_PACKETS: usize = 10_000_000;
 /// Most bytes that may be asked to wait.
 const MOST_QUEUE_BYTES: usize = 1 << 40;
@@ -129,7 +132,8 @@ pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option
         }
     };
     let codel = (settings.discipline == Discipline::Codel).then(Codel::default);
-    let waiting = VecDeque::new();
+    // Here, off the thread of a live driver, which allocates nothing for a packet.
+    let waiting = VecDeque::with_capacity(bounds.packets.min(RESERVED_PACKETS));
     let bottleneck = Bottleneck { server, bounds, waiting, waiting_bytes: 0, codel };
     let overhead_bytes = settings.overhead_bytes as u64;
     Ok(Some(Box::new(Rate { bottleneck, overhead_bytes, cross })))
@@ -166,7 +170,7 @@ fn refuse_strays(settings: &LinkSettings) -> Result<(), LinkError> {
 }
 
 fn bounds(settings: &LinkSettings) -> Result<Bounds, LinkError> {
-    let mut bounds = Bounds { packets: usize::MAX, bytes: u64::MAX, wait_ns: u64::MAX };
+    let mut bounds = Bounds { packets: MOST_QUEUE_PACKETS, bytes: u64::MAX, wait_ns: u64::MAX };
     if let Some(packets) = settings.queue_packets {
         check_size("queue_packets", packets, 1, MOST_QUEUE_PACKETS)?;
         bounds.packets = packets;

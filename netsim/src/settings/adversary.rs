@@ -49,7 +49,7 @@ pub enum Action {
     Drop,
     /// A copy goes back to its sender.
     Mirror,
-    /// A copy arrives from another source address.
+    /// A copy arrives from another source address; in virtual time, which has no addresses, it is a duplicate.
     SecondSource,
 }
 

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use crate::{Direction, Judgement, Link, LinkSettings, Packet, Verdict};
 
-const KNOWN: &str = include_str!("../../tests/vectors/verdicts.txt");
+const KNOWN: &str = include_str!("verdicts.txt");
 const SEED: u64 = 0x0123_4567_89AB_CDEF;
 const PACKETS: u64 = 256;
 

@@ -3,7 +3,7 @@
 use super::MOST_RECORDS;
 use super::error::ParseError;
 use super::text::{Field, lines};
-use crate::settings::{DelayTrace, MAX_DELAY_S};
+use crate::settings::{DelayTrace, MAX_DELAY_S, nanoseconds};
 use crate::verdict::Direction;
 
 /// Latest time in s.
@@ -31,11 +31,12 @@ pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace,
         };
         let record = Record::read(line, columns)?;
         if let Some(&before) = time_s.last()
-            && record.time_s <= before
+            && nanoseconds(record.time_s) <= nanoseconds(before)
         {
-            return Err(
-                line.error(format!("time {} s comes after {before} s; times must increase", record.time_s))
-            );
+            return Err(line.error(format!(
+                "time {} s comes after {before} s; times must increase by 1 ns at least",
+                record.time_s
+            )));
         }
         if time_s.len() == MOST_RECORDS {
             return Err(line.error(format!("more than {MOST_RECORDS} records")));

@@ -6,7 +6,8 @@ use super::text::lines;
 /// Most values that netem takes.
 const MOST_VALUES: usize = 16_384;
 
-/// Reads a `.dist` table of iproute2: whole numbers from -32768 to 32767 between blanks, 1 to 16384 of them; lines that
+/// Reads a `.dist` table of iproute2: whole numbers from -32768 to 32767 between blanks, 2 to 16384 of them that
+/// are not all alike; lines that
 /// begin with `#` are left out. They are an inverse distribution function in units of 1/8192 standard deviation.
 ///
 /// `tc` cuts larger numbers off silently and ends a line at what it cannot read; here both are errors.
@@ -32,8 +33,15 @@ pub fn parse_dist(bytes: &[u8]) -> Result<Vec<i16>, ParseError> {
             table.push(value);
         }
     }
-    if table.is_empty() {
+    let Some(first) = table.first() else {
         return Err(ParseError::new(last_line, 1, "no values"));
+    };
+    if table.iter().all(|value| value == first) {
+        return Err(ParseError::new(
+            last_line,
+            1,
+            format!("all values are {first}: at least two must differ"),
+        ));
     }
     Ok(table)
 }
