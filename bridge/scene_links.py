@@ -4,6 +4,9 @@ from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Any, Literal, TypeVar
 
+from msgspec import to_builtins
+from msgspec.structs import replace
+
 from haptether.bridge.scene_error import Path, SceneError, place
 from haptether.bridge.scene_tables import LinksTable
 from haptether.netsim import LinkError, LinkSettings, link_spec, with_files
@@ -22,16 +25,17 @@ def embedded_links(links: LinksTable, folder: FilePath) -> LinksTable:
     def embedded(link: LinkSettings, direction: _Direction) -> LinkSettings:
         return with_files(link, folder, direction)
 
-    return LinksTable(**_each(links, embedded))
+    return replace(links, **_each(links, embedded))
 
 
 def spec_of_links(links: LinksTable) -> dict[str, dict[str, Any] | None]:
-    """Both directions as the Rust side takes them.
+    """Both directions and both clocks as the Rust side takes them.
 
     Raises:
         SceneError: Settings that describe no link.
     """
-    return _each(links, link_spec)
+    clocks = {"master_clock": links.master_clock, "slave_clock": links.slave_clock}
+    return _each(links, link_spec) | {key: clock and to_builtins(clock) for key, clock in clocks.items()}
 
 
 def _each(links: LinksTable, make: Callable[[LinkSettings, _Direction], _Made]) -> dict[str, _Made | None]:

@@ -10,6 +10,7 @@ mod lanes;
 mod link;
 pub mod live;
 mod local;
+mod pace;
 mod plant;
 mod record;
 pub mod scene;
