@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Any, Literal, TypeVar
 
-from msgspec import to_builtins
 from msgspec.structs import replace
 
 from haptether.bridge.scene_error import Path, SceneError, place
@@ -29,13 +28,12 @@ def embedded_links(links: LinksTable, folder: FilePath) -> LinksTable:
 
 
 def spec_of_links(links: LinksTable) -> dict[str, dict[str, Any] | None]:
-    """Both directions and both clocks as the Rust side takes them.
+    """Both directions as the Rust side takes them.
 
     Raises:
         SceneError: Settings that describe no link.
     """
-    clocks = {"master_clock": links.master_clock, "slave_clock": links.slave_clock}
-    return _each(links, link_spec) | {key: clock and to_builtins(clock) for key, clock in clocks.items()}
+    return _each(links, link_spec)
 
 
 def _each(links: LinksTable, make: Callable[[LinkSettings, _Direction], _Made]) -> dict[str, _Made | None]:
