@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -124,7 +125,7 @@ def work(packets: int) -> Iterator[tuple[str, Callable[[], object]]]:
     plain = sent_ns.tolist()
     for name, tables in LINKS.items():
         settings = msgspec.convert(tables, LinkSettings)
-        yield name, lambda settings=settings: judge_all(settings, sent_ns, sizes=sizes)
+        yield name, partial(judge_all, settings, sent_ns, sizes=sizes)
     yield "NumPy: delay", lambda: numpy_delay(sent_ns)
     yield "NumPy: delay, jitter, loss", lambda: numpy_jitter_loss(sent_ns)
     yield "Python: delay", lambda: python_delay(plain)
@@ -183,7 +184,7 @@ def main() -> int:
         for name, act in judged.items():
             least[name] = min(least[name], processor_ns(act) / arguments.packets)
         for name, pair in run.items():
-            times = [processor_ns(lambda scene=scene: simulate(scene)) for scene in pair]
+            times = [processor_ns(partial(simulate, scene)) for scene in pair]
             ran[name] = [min(pair) for pair in zip(ran[name], times, strict=True)]
 
     costs = [Cost(name=name, ns=least[name]) for name in LINKS]

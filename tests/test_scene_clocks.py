@@ -8,6 +8,7 @@ from haptether.bridge import Run, simulate
 
 CLOCKS = ("link.master_clock", "link.slave_clock")
 
+
 def told(run: Run, side: str) -> list[tuple[float, str]]:
     """When the ladder of a side went where."""
     states = {"waiting", "engaged", "hold", "stop", "fault"}

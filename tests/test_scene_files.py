@@ -29,6 +29,8 @@ from haptether.netsim import LinkSettings, link_spec
 
 SHIPPED = {
     "active_force",
+    "attack_replay",
+    "driving_network",
     "free_motion",
     "moving_wall",
     "paper_wall",

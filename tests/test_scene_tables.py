@@ -116,7 +116,10 @@ def full_scene() -> dict[str, Any]:
                 {"shape": "recorded", "recorded": {"time_s": [0.0, 1.0], "values": [0.0, 1.0]}},
             ],
         },
-        "link": {"forward": {"delay_s": 0.05, "jitter_s": 0.01, "loss": 0.1}, "backward": {}, "master_clock": {"offset_s": 1.0},
+        "link": {
+            "forward": {"delay_s": 0.05, "jitter_s": 0.01, "loss": 0.1},
+            "backward": {},
+            "master_clock": {"offset_s": 1.0},
             "slave_clock": {"drift_ppm": 20.0, "step_s": 1.0, "step_at_s": 2.0},
         },
         "coupling": {"force_scale": 0.5},

@@ -74,7 +74,7 @@ def test_a_push_is_no_contact(name: str) -> None:
 
 
 def test_a_moving_car_leads_to_holds_and_one_at_rest_to_fewer() -> None:
-    """90 standstills a minute of 45.5 ms each on the way there and 24 back: 114 exp(-20 / 45.5) of more than 20 ms are 73.
+    """90 standstills a minute on the way there and 24 back, of 45.5 ms each: 114 exp(-20 / 45.5) = 73 above 20 ms.
 
     In 32 s that is 39 with a standard deviation of 6, of which each makes both sides hold.
     """
