@@ -1,13 +1,14 @@
 //! What a silent peer leads to, on both sides, in virtual time.
 #![allow(clippy::unwrap_used)] // a test may
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, ops::ControlFlow};
 
 use haptether_bridge::{
     LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
+    SlaveSettings, SlaveSide, TickTime, VirtualSettings, run_virtual, wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
+use haptether_netsim::{ClockSettings, EndpointClock, LinkSettings};
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
 };
@@ -258,4 +259,32 @@ fn a_frame_from_a_stranger_changes_nothing() {
         assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Waiting);
     }
     assert_eq!(master.counts().0.refused, 50);
+}
+
+/// A round trip is measured on one clock, and what the peer held on the other: neither offset nor drift shows in it
+/// beyond the rounding up to ticks.
+#[test]
+fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
+    let link = LinkSettings { delay_s: 0.05, ..LinkSettings::default() };
+    for drift_ppm in [-100.0, 0.0, 100.0] {
+        let clock = ClockSettings { offset_s: -1e6, drift_ppm, ..ClockSettings::default() };
+        let (mut master, mut slave) = sides();
+        let settings = VirtualSettings {
+            period_ns: MS,
+            slave_period_ns: MS,
+            ticks: 100_000,
+            forward: link.clone(),
+            backward: link.clone(),
+            seed: 0,
+            master_clock: None,
+            slave_clock: Some(EndpointClock::new(&clock).unwrap()),
+        };
+        run_virtual(&settings, &mut master, &mut slave, |_, _| ControlFlow::Continue(())).unwrap();
+        for (statistics, holds) in [master.counts(), slave.counts()] {
+            assert_eq!(holds, 0, "{drift_ppm}");
+            for round_trip_ns in [statistics.round_trip_ns, statistics.least_round_trip_ns] {
+                assert!((100 * MS - 100..=102 * MS).contains(&round_trip_ns), "{drift_ppm}: {round_trip_ns}");
+            }
+        }
+    }
 }
