@@ -44,6 +44,7 @@ from haptether.bridge.scene_sweep import Sweep, sweep
 from haptether.bridge.scene_tables import (
     AdaptiveWindow,
     BackwardDifference,
+    ClockTable,
     CouplingTable,
     Kalman,
     LimiterTable,
@@ -63,6 +64,7 @@ __all__ = [
     "BackwardDifference",
     "BodyTable",
     "Box",
+    "ClockTable",
     "ContactTable",
     "CouplingTable",
     "EnvironmentTable",

@@ -15,7 +15,16 @@ from haptether.bridge.scene_far import (
 from haptether.bridge.scene_near import OperatorTable
 from haptether.bridge.scene_ranges import MOST_TICKS
 from haptether.bridge.scene_spec import Spec, most_damping, spec_of
-from haptether.bridge.scene_tables import LimiterTable, LowPass, RunTable, SafetyTable, SavitzkyGolay, Scene
+from haptether.bridge.scene_tables import (
+    ClockTable,
+    LimiterTable,
+    LinksTable,
+    LowPass,
+    RunTable,
+    SafetyTable,
+    SavitzkyGolay,
+    Scene,
+)
 
 SLAVE_PERIOD_S = (1e-5, 2e-2)
 KALMAN_BANDWIDTH = (1e-3, 10.0)
@@ -46,6 +55,8 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
     for key in ("link", "coupling"):
         if scene.slave is None and getattr(scene, key) is not None:
             yield contradiction((key,), "needs an arm to lead to: add [slave] or leave it out")
+    if scene.link is not None:
+        yield from _clocks(scene.link)
     if scene.environment is not None:
         yield from _environment(scene.environment, scene.slave is not None, scene.master.axes)
     if scene.slave is not None and scene.safety.signals == "true":
@@ -101,6 +112,14 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
     for key in ("stiffness", "damping"):
         if table.control != "pd" and getattr(table, key) is not None:
             yield contradiction(("slave", key), f'control = "{table.control}" has none, only "pd"')
+
+
+def _clocks(links: LinksTable) -> Iterator[SceneError]:
+    for key in ("master_clock", "slave_clock"):
+        clock: ClockTable | None = getattr(links, key)
+        if clock is not None and clock.step_s < 0.0:
+            allowed = "0 or more: a monotonic clock is never set back"
+            yield wrong(("link", key, "step_s"), clock.step_s, allowed)
 
 
 def _environment(table: EnvironmentTable, has_arm: bool, axes: int) -> Iterator[SceneError]:

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Any, Literal, TypeVar
 
+from msgspec.structs import replace
+
 from haptether.bridge.scene_error import Path, SceneError, place
 from haptether.bridge.scene_tables import LinksTable
 from haptether.netsim import LinkError, LinkSettings, link_spec, with_files
@@ -22,7 +24,7 @@ def embedded_links(links: LinksTable, folder: FilePath) -> LinksTable:
     def embedded(link: LinkSettings, direction: _Direction) -> LinkSettings:
         return with_files(link, folder, direction)
 
-    return LinksTable(**_each(links, embedded))
+    return replace(links, **_each(links, embedded))
 
 
 def spec_of_links(links: LinksTable) -> dict[str, dict[str, Any] | None]:

@@ -20,6 +20,11 @@ Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=1e6)]
 Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
 Period = Annotated[float, Meta(ge=1e-5, le=2e-2)]
 TremorFrequency = Annotated[float, Meta(gt=0.0, le=100.0)]
+ClockOffset = Annotated[float, Meta(ge=-4e9, le=4e9)]
+"""In s: 127 years, as between a clock that was never set and one that was."""
+ClockDrift = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
+"""In parts per million; quartz has 100 at worst."""
+ClockStepTime = Annotated[float, Meta(ge=0.0, le=1e9)]
 Position = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 """In m: what the safety layer takes for possible."""
 Speed = Annotated[float, Meta(ge=-1000.0, le=1000.0)]

@@ -76,7 +76,11 @@ def spec_of(scene: Scene) -> Spec:
                 for index, part in enumerate(environment.pushers)
             ],
         },
-        "link": scene.link and spec_of_links(scene.link),
+        "link": scene.link and {
+            **spec_of_links(scene.link),
+            "master_clock": scene.link.master_clock and _plain(scene.link.master_clock),
+            "slave_clock": scene.link.slave_clock and _plain(scene.link.slave_clock),
+        },
         "coupling": _coupling(scene),
         "safety": _safety(scene, master),
         "record": scene.record and _plain(scene.record),

@@ -8,6 +8,9 @@ from haptether.bridge.scene_far import EnvironmentTable, SlaveTable
 from haptether.bridge.scene_near import MasterTable, OperatorTable
 from haptether.bridge.scene_ranges import (
     LARGEST,
+    ClockDrift,
+    ClockOffset,
+    ClockStepTime,
     Duration,
     Hold,
     NonNegative,
@@ -39,13 +42,34 @@ class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     """|V| in m/s beyond which the loop has diverged."""
 
 
+class ClockTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[link.master_clock]`, `[link.slave_clock]`: what is wrong with the clock of an endpoint.
+
+    Arm, hand, what is touched and the network live in true time; the endpoint and its loop by what its clock shows,
+    offset + (1 + drift) t, and from `step_at_s` on the step as well. Recorded times are true ones.
+    """
+
+    offset_s: ClockOffset = 0.0
+    """By how much it is ahead of true time at the start, in s; below 0 behind."""
+    drift_ppm: ClockDrift = 0.0
+    """By how much it runs fast, in parts per million; below 0 slow."""
+    step_s: ClockOffset = 0.0
+    """By how much it is set forward, in s, 0 or more: its loop then finds itself late, as after a suspend."""
+    step_at_s: ClockStepTime = 0.0
+    """When it is set, in s of true time."""
+
+
 class LinksTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[link]`: the network; a direction without a table is perfect."""
+    """`[link]`: the network and the clocks at its ends; a direction without a table is perfect."""
 
     forward: LinkSettings | None = None
     """From master to slave."""
     backward: LinkSettings | None = None
     """From slave to master."""
+    master_clock: ClockTable | None = None
+    """The master's clock; by default it is right."""
+    slave_clock: ClockTable | None = None
+    """The slave's clock; by default it is right."""
 
 
 class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

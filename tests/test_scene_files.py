@@ -29,6 +29,8 @@ from haptether.netsim import LinkSettings, link_spec
 
 SHIPPED = {
     "active_force",
+    "attack_replay",
+    "driving_network",
     "free_motion",
     "moving_wall",
     "paper_wall",
@@ -189,7 +191,12 @@ def test_an_override_that_does_not_fit_is_refused(override: str, said: str) -> N
 def test_a_table_that_an_override_needs_is_made(tmp_path: Path) -> None:
     scene = load_scene(file(tmp_path, MINIMAL), ["slave.mass_kg=2", "link.backward.loss=0.5"])
     filled = spec(scene)
-    assert filled["link"] == {"forward": None, "backward": link_spec(LinkSettings(loss=0.5), "backward")}
+    assert filled["link"] == {
+        "forward": None,
+        "backward": link_spec(LinkSettings(loss=0.5), "backward"),
+        "master_clock": None,
+        "slave_clock": None,
+    }
     assert filled["slave"]["mass_kg"] == 2
     assert filled["coupling"] == {"kind": "position-force", "position_scale": 1.0, "force_scale": 1.0}
 

@@ -11,6 +11,7 @@ mod lanes;
 mod link;
 pub mod live;
 mod local;
+mod pace;
 mod plant;
 pub mod playout;
 mod record;

@@ -14,20 +14,29 @@ use crate::{
 pub struct TickTime {
     /// When the run began, in ns.
     pub start_ns: u64,
-    /// The tick's own time in ns: its deadline.
+    /// True time of the tick in ns, which the plant lives by.
     pub now_ns: u64,
-    /// How late the loop woke, in ns; 0 in virtual time.
+    /// The tick's deadline in ns on the endpoint's own clock; live, both are the same.
+    pub clock_ns: u64,
+    /// How late the loop woke, in ns; in virtual time only where the endpoint's clock is set.
     pub overshoot_ns: u64,
     /// Ticks left out since the last one.
     pub missed: u64,
 }
 
-/// One side: `receive` what has arrived, `tick`, `send`.
+impl TickTime {
+    /// A tick on time, on a clock that is right.
+    pub fn at(now_ns: u64) -> Self {
+        Self { now_ns, clock_ns: now_ns, ..Self::default() }
+    }
+}
+
+/// One side: `receive` what has arrived, `tick`, `send`; times are on the endpoint's own clock where not said.
 pub trait Side {
     /// What a tick leaves behind.
     type Record: Copy + Send + 'static;
 
-    /// Time begins at `now_ns`; called once, before the first tick.
+    /// True time begins at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
 
     /// Takes a datagram that arrived by `now_ns`; a refused one is counted and otherwise forgotten.
@@ -74,7 +83,7 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn tick(&mut self, time: TickTime) -> MasterRecord<N> {
         let (position, velocity) = self.plant.read(time.now_ns);
-        let tick = self.endpoint.tick(time.now_ns, time.missed, &position, velocity.as_ref());
+        let tick = self.endpoint.tick(time.clock_ns, time.missed, &position, velocity.as_ref());
         let truth = self.plant.truth();
         self.plant.write(&tick.safety.device_force);
         if tick.state == LadderState::Engaged {
@@ -126,7 +135,7 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
         let sample = self.plant.read(time.now_ns);
-        let tick = self.endpoint.tick(time.now_ns, &sample[0], &sample[1], &sample[2]);
+        let tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
         if let Some(command) = &tick.command {
             self.plant.write(command, &tick.command_velocity);
         }

@@ -3,10 +3,12 @@
 use std::ops::ControlFlow;
 
 use haptether_netsim::{
-    Damage, Direction, ExtraCause, InFlight, Judgement, Link, LinkError, LinkSettings, Packet, Verdict,
+    Damage, Direction, EndpointClock, ExtraCause, InFlight, Judgement, Link, LinkError, LinkSettings, Packet,
+    Verdict,
 };
 
 use crate::{
+    pace::Pace,
     side::{Side, TickTime},
     wire::MAX_FRAME,
 };
@@ -18,7 +20,7 @@ pub struct VirtualSettings {
     pub period_ns: u64,
     /// Period of the slave's loop in ns.
     pub slave_period_ns: u64,
-    /// Number of the master's ticks.
+    /// Number of the master's ticks: of its periods in the true time of the run, if its clock is not right.
     pub ticks: u64,
     /// Network from master to slave.
     pub forward: LinkSettings,
@@ -26,6 +28,10 @@ pub struct VirtualSettings {
     pub backward: LinkSettings,
     /// Seed of both.
     pub seed: u64,
+    /// What the master's clock shows; without one, true time.
+    pub master_clock: Option<EndpointClock>,
+    /// What the slave's clock shows.
+    pub slave_clock: Option<EndpointClock>,
 }
 
 /// Most datagrams under way in one direction: more than an hour at 1 kHz. They take memory only as they come.
@@ -46,17 +52,18 @@ impl Way {
         Ok(Self { link, in_flight: InFlight::growing(MOST_IN_FLIGHT), index: 0, direction })
     }
 
-    fn deliver(&mut self, now_ns: u64, to: &mut impl Side) {
+    /// Hands over what is due by `now_ns`, when the receiver's clock shows `clock_ns`.
+    fn deliver(&mut self, now_ns: u64, clock_ns: u64, to: &mut impl Side) {
         while let Some((_, (bytes, length))) = self.in_flight.pop_due(now_ns) {
             // A refusal is counted by the endpoint.
-            let _ = to.receive(now_ns, &bytes[..length]);
+            let _ = to.receive(clock_ns, &bytes[..length]);
         }
     }
 
-    /// Takes what `from` sends; `back` is the way that leads to it.
-    fn take(&mut self, now_ns: u64, from: &mut impl Side, back: &mut Self) {
+    /// Takes what `from` sends, whose clock shows `clock_ns`; `back` is the way that leads to it.
+    fn take(&mut self, now_ns: u64, clock_ns: u64, from: &mut impl Side, back: &mut Self) {
         let mut buffer = [0; MAX_FRAME];
-        let length = from.send(now_ns, &mut buffer).len();
+        let length = from.send(clock_ns, &mut buffer).len();
         let packet = Packet { direction: self.direction, sent_ns: now_ns, size: length, index: self.index };
         self.index += 1;
         let Judgement { verdict, damage, extras } = self.link.judge(&packet);
@@ -71,6 +78,27 @@ impl Way {
             let _ = to.push(extra.at_ns, damaged(&buffer, length, &extra.damage));
         }
     }
+}
+
+/// The tick of a side that is due: it takes what `inward` delivers and sends `outward`.
+fn turn<S: Side>(pace: &mut Pace, side: &mut S, inward: &mut Way, outward: &mut Way) -> S::Record {
+    let (now_ns, wake) = (pace.true_ns, pace.wake());
+    let clock_ns = wake.deadline_ns;
+    if wake.is_stalled() {
+        while inward.in_flight.pop_due(now_ns).is_some() {}
+        side.stalled(clock_ns);
+    }
+    inward.deliver(now_ns, clock_ns, side);
+    let record = side.tick(TickTime {
+        now_ns,
+        clock_ns,
+        overshoot_ns: wake.overshoot_ns,
+        missed: wake.missed,
+        ..TickTime::default()
+    });
+    outward.take(now_ns, clock_ns, side, inward);
+    pace.wait_after(&wake);
+    record
 }
 
 fn damaged(sent: &[u8; MAX_FRAME], length: usize, damage: &Damage) -> Datagram {
@@ -93,7 +121,9 @@ pub enum Event<M, S> {
 ///
 /// The next of the two loops to tick takes the frames that are due by then, ticks and sends; at the same instant the
 /// master is first. A frame without delay therefore reaches the slave in the same tick and the master in the next.
-/// Both loops begin at time 0. Gives how many datagrams were dropped because too many were under way.
+/// Both loops begin at time 0. Plants and network live in true time, each endpoint by its own clock: its loop waits
+/// on that, so that a drift stretches the true period, and where it is set forward the loop finds itself late, as a
+/// live one does that was suspended. Gives how many datagrams were dropped because too many were under way.
 pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
@@ -105,20 +135,13 @@ pub fn run_virtual<M: Side, S: Side>(
     let mut backward = Way::new(Direction::Backward, settings.seed, &settings.backward)?;
     master.begin(0);
     slave.begin(0);
-    let (mut master_ns, mut slave_ns) = (0, 0);
-    while master_ns < end_ns || slave_ns < end_ns {
-        let event = if master_ns <= slave_ns {
-            backward.deliver(master_ns, master);
-            let record = master.tick(TickTime { now_ns: master_ns, ..TickTime::default() });
-            forward.take(master_ns, master, &mut backward);
-            master_ns += settings.period_ns;
-            Event::Master(record)
+    let mut near = Pace::new(settings.master_clock, settings.period_ns);
+    let mut far = Pace::new(settings.slave_clock, settings.slave_period_ns);
+    while near.true_ns < end_ns || far.true_ns < end_ns {
+        let event = if near.true_ns <= far.true_ns {
+            Event::Master(turn(&mut near, master, &mut backward, &mut forward))
         } else {
-            forward.deliver(slave_ns, slave);
-            let record = slave.tick(TickTime { now_ns: slave_ns, ..TickTime::default() });
-            backward.take(slave_ns, slave, &mut forward);
-            slave_ns += settings.slave_period_ns;
-            Event::Slave(record)
+            Event::Slave(turn(&mut far, slave, &mut forward, &mut backward))
         };
         if observe(event, slave).is_break() {
             break;

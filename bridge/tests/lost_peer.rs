@@ -1,23 +1,20 @@
 //! What a silent peer leads to, on both sides, in virtual time.
 #![allow(clippy::unwrap_used)] // a test may
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, ops::ControlFlow};
 
 use haptether_bridge::{
     LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
+    SlaveSettings, SlaveSide, TickTime, VirtualSettings, run_virtual, wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
+use haptether_netsim::{ClockSettings, EndpointClock, LinkSettings};
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
 };
 use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
 
 const MS: u64 = 1_000_000;
-
-fn at(now_ns: u64) -> TickTime {
-    TickTime { now_ns, ..TickTime::default() }
-}
 
 type Master = MasterSide<SimulatedMaster<1>, 1>;
 type Slave = SlaveSide<SimulatedSlave<1>, 1>;
@@ -61,12 +58,12 @@ fn run(ticks: u64, passes: impl Fn(u64) -> (bool, bool)) -> Vec<[(LadderState, f
     for tick in 0..ticks {
         let now_ns = tick * MS;
         let (there, back) = passes(tick);
-        let at_master = master.tick(at(now_ns));
+        let at_master = master.tick(TickTime::at(now_ns));
         let frame = master.send(now_ns, &mut buffer);
         if there {
             slave.receive(now_ns, frame).unwrap();
         }
-        let at_slave = slave.tick(at(now_ns));
+        let at_slave = slave.tick(TickTime::at(now_ns));
         let frame = slave.send(now_ns, &mut buffer);
         if back {
             master.receive(now_ns, frame).unwrap();
@@ -150,7 +147,7 @@ fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState,
             if woke {
                 master.stalled(now_ns);
             }
-            let record = master.tick(TickTime { now_ns, missed, ..TickTime::default() });
+            let record = master.tick(TickTime { missed, ..TickTime::at(now_ns) });
             there.push_back((tick + 50, master.send(now_ns, &mut buffer).to_vec()));
             history.push((record.state, record.device_force[0]));
         }
@@ -158,7 +155,7 @@ fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState,
             let (_, frame): (u64, Vec<u8>) = there.pop_front().unwrap();
             slave.receive(now_ns, &frame).unwrap();
         }
-        slave.tick(at(now_ns));
+        slave.tick(TickTime::at(now_ns));
         back.push_back((tick + 50, slave.send(now_ns, &mut buffer).to_vec()));
     }
     history
@@ -192,7 +189,7 @@ fn a_stopped_master_stays_stopped_whatever_arrives() {
     let mut buffer = [0; MAX_FRAME];
     for tick in 0..3000 {
         let now_ns = tick * MS;
-        let record = master.tick(at(now_ns));
+        let record = master.tick(TickTime::at(now_ns));
         let frame = master.send(now_ns, &mut buffer).to_vec();
         let peer = match tick {
             0..1000 => &mut slave,
@@ -205,7 +202,7 @@ fn a_stopped_master_stays_stopped_whatever_arrives() {
             _ => &mut restarted,
         };
         let _ = peer.receive(now_ns, &frame);
-        peer.tick(at(now_ns));
+        peer.tick(TickTime::at(now_ns));
         let _ = master.receive(now_ns, peer.send(now_ns, &mut buffer));
         if tick >= 1500 {
             assert_eq!((record.state, record.device_force[0]), (LadderState::Stop, 0.0), "{tick}");
@@ -240,9 +237,9 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
             let told = master.endpoint.tick(now_ns, 0, &Axes::<1>::new(f64::NAN), None);
             assert_eq!(told.safety.device_force[0], 0.0, "in the same tick");
         }
-        let record = master.tick(at(now_ns));
+        let record = master.tick(TickTime::at(now_ns));
         let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
-        let at_slave = slave.tick(at(now_ns));
+        let at_slave = slave.tick(TickTime::at(now_ns));
         let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
         faults.push((record.state, record.fault, record.device_force[0], at_slave.state));
     }
@@ -259,7 +256,35 @@ fn a_frame_from_a_stranger_changes_nothing() {
     let noise = [7_u8; 92];
     for tick in 0..50 {
         assert!(master.receive(tick * MS, &noise).is_err());
-        assert_eq!(master.tick(at(tick * MS)).state, LadderState::Waiting);
+        assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Waiting);
     }
     assert_eq!(master.counts().0.refused, 50);
+}
+
+/// A round trip is measured on one clock, and what the peer held on the other: neither offset nor drift shows in it
+/// beyond the rounding up to ticks.
+#[test]
+fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
+    let link = LinkSettings { delay_s: 0.05, ..LinkSettings::default() };
+    for drift_ppm in [-100.0, 0.0, 100.0] {
+        let clock = ClockSettings { offset_s: -1e6, drift_ppm, ..ClockSettings::default() };
+        let (mut master, mut slave) = sides();
+        let settings = VirtualSettings {
+            period_ns: MS,
+            slave_period_ns: MS,
+            ticks: 100_000,
+            forward: link.clone(),
+            backward: link.clone(),
+            seed: 0,
+            master_clock: None,
+            slave_clock: Some(EndpointClock::new(&clock).unwrap()),
+        };
+        run_virtual(&settings, &mut master, &mut slave, |_, _| ControlFlow::Continue(())).unwrap();
+        for (statistics, holds) in [master.counts(), slave.counts()] {
+            assert_eq!(holds, 0, "{drift_ppm}");
+            for round_trip_ns in [statistics.round_trip_ns, statistics.least_round_trip_ns] {
+                assert!((100 * MS - 100..=102 * MS).contains(&round_trip_ns), "{drift_ppm}: {round_trip_ns}");
+            }
+        }
+    }
 }

@@ -55,10 +55,6 @@ static COUNTING: Counting = Counting;
 
 const MS: u64 = 1_000_000;
 
-fn at(now_ns: u64) -> TickTime {
-    TickTime { now_ns, ..TickTime::default() }
-}
-
 #[test]
 fn a_tick_of_both_sides_allocates_nothing() {
     for estimator in [
@@ -106,9 +102,9 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let before = allocations();
         for tick in 0..2000 {
             let now_ns = tick * MS;
-            tripped |= master.tick(at(now_ns)).tripped != 0;
+            tripped |= master.tick(TickTime::at(now_ns)).tripped != 0;
             let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
-            slave.tick(at(now_ns));
+            slave.tick(TickTime::at(now_ns));
             let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
             let _ = master.receive(now_ns, &[0; 92]);
         }

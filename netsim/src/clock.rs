@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use crate::settings::{LinkError, within};
+use crate::settings::{ClockSettings, LinkError, within};
 
 /// Largest offset and step in s: 127 years, as between a clock that was never set and one that was.
 const MAX_OFFSET_S: f64 = 4e9;
@@ -13,20 +13,6 @@ const MAX_DRIFT_PPM: f64 = 10_000.0;
 /// Parts of the drift as an integer: 1e-6 ppm, which is 0.3 ms in ten years.
 const PARTS: i128 = 1_000_000_000_000;
 const PARTS_PER_PPM: f64 = 1e6;
-
-/// What is wrong with the clock of an endpoint. The default is a clock that is right.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ClockSettings {
-    /// What it reads at true time 0, in s.
-    pub offset_s: f64,
-    /// By how much it runs fast, in parts per million; below 0 slow.
-    pub drift_ppm: f64,
-    /// By how much it is set forward, in s; below 0 back.
-    pub step_s: f64,
-    /// When it is set, in s of true time.
-    pub step_at_s: f64,
-}
 
 /// The clock of an endpoint as a function of true time, in integers:
 /// `reading(t) = offset + floor(t (1 + drift)) + (step, if t >= step_at)`.

@@ -42,7 +42,7 @@ mod verdict;
 #[cfg(test)]
 mod tests;
 
-pub use clock::{ClockSettings, EndpointClock};
+pub use clock::EndpointClock;
 pub use damage::Damage;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
 pub use law::DelayLaw;
@@ -55,9 +55,9 @@ pub use proxy::{
     ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source,
 };
 pub use settings::{
-    Action, Attack, ByteRange, CrossTraffic, DelayChange, DelayTrace, Discipline, Distribution, FourState,
-    GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Opportunities, Outage, OutageEffect, OutageTimes,
-    Slots, Target,
+    Action, Attack, ByteRange, ClockSettings, CrossTraffic, DelayChange, DelayTrace, Discipline,
+    Distribution, FourState, GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Opportunities, Outage,
+    OutageEffect, OutageTimes, Slots, Target,
 };
 pub use trace::{
     IrttDelay, IrttRecording, ParseError, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,

@@ -183,6 +183,8 @@ fn run_bridge(
         forward: link_settings(forward)?,
         backward: link_settings(backward)?,
         seed,
+        master_clock: None,
+        slave_clock: None,
     };
     let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);
     let (mut master_records, mut slave_records) = (Vec::new(), Vec::new());

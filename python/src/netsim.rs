@@ -113,7 +113,6 @@ fn whole(array: PyReadonlyArray1<'_, i64>) -> PyResult<PyReadonlyArray1<'_, i64>
 }
 
 /// A packet, or what arrives beside it, as columns: index, when it was sent, when it arrives (-1 never), why.
-#[derive(Default)]
 struct Rows {
     index: Vec<i64>,
     sent_ns: Vec<i64>,
@@ -122,6 +121,16 @@ struct Rows {
 }
 
 impl Rows {
+    /// Room for so many packets, of which few have something beside them.
+    fn of(packets: usize) -> Self {
+        Self {
+            index: Vec::with_capacity(packets),
+            sent_ns: Vec::with_capacity(packets),
+            due_ns: Vec::with_capacity(packets),
+            cause: Vec::with_capacity(packets),
+        }
+    }
+
     fn add(&mut self, index: usize, sent_ns: i64, due_ns: Option<u64>, cause: u8) {
         #[allow(clippy::cast_possible_wrap)] // an array has fewer elements
         self.index.push(index as i64);
@@ -154,7 +163,7 @@ fn judge_packets(
         return Err(PyValueError::new_err(text));
     }
     let mut link = Link::new(direction, seed, &link_settings(settings)?).map_err(refuse)?;
-    let mut rows = Rows::default();
+    let mut rows = Rows::of(sent_ns.len());
     let mut latest = 0;
     let sizes = sizes.as_ref().map(PyReadonlyArray1::as_array);
     for (index, sent) in sent_ns.as_array().iter().enumerate() {

@@ -14,6 +14,7 @@ use super::{clock, socket::PeerSocket};
 use crate::{
     ladder::LadderState,
     link::LinkStatistics,
+    pace::Wake,
     side::{Side, TickTime},
     wire::MAX_FRAME,
 };
@@ -49,9 +50,6 @@ pub struct LoopReport {
     /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
     pub engaged_ns: u64,
 }
-
-/// A loop that wakes later than this discards the backlog and holds: what it knows is old.
-const MOST_LATE_NS: u64 = 20_000_000;
 
 /// Datagrams taken in one tick; more would let a flood stretch the tick.
 const MOST_DATAGRAMS: usize = 64;
@@ -114,19 +112,18 @@ fn turn<S: Side>(
     let mut deadline_ns = start_ns;
     while !shared.stop.load(Ordering::Relaxed) {
         clock::sleep_until(deadline_ns);
-        let overshoot_ns = clock::now_ns().saturating_sub(deadline_ns);
-        // One wake-up is one tick: a backlog worked off at once would let the force grow faster than its limit.
-        let missed = overshoot_ns / settings.period_ns;
+        let wake = Wake::new(deadline_ns, clock::now_ns(), settings.period_ns);
+        let Wake { overshoot_ns, missed, .. } = wake;
         report.skipped += missed;
-        deadline_ns += missed * settings.period_ns;
-        if overshoot_ns > MOST_LATE_NS {
+        deadline_ns = wake.deadline_ns;
+        if wake.is_stalled() {
             socket.discard();
             side.0.stalled(deadline_ns);
         }
         // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
         let now_ns = deadline_ns;
         socket.drain(MOST_DATAGRAMS, |datagram| side.0.receive(now_ns, datagram).is_ok());
-        let record = side.0.tick(TickTime { start_ns, now_ns, overshoot_ns, missed });
+        let record = side.0.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
         socket.send(side.0.send(now_ns, &mut buffer));
         report.ticks += 1;
         if records.push(record).is_err() {

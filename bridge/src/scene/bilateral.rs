@@ -5,6 +5,7 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
+use haptether_netsim::{ClockSettings, EndpointClock};
 use haptether_safety::{Axes, Fault, controller::Tripped};
 use haptether_slave::SimulatedSlave;
 
@@ -52,6 +53,17 @@ pub(crate) fn simulate<const N: usize>(scene: &SceneSpec, stop: &AtomicBool) -> 
     }
 }
 
+/// The clock of an endpoint. Endpoints live by monotonic clocks, which are never set back.
+fn clock(name: &str, settings: Option<ClockSettings>) -> Result<Option<EndpointClock>, SceneError> {
+    let Some(settings) = settings else { return Ok(None) };
+    let refuse = |text: String| Err(SceneError::Contradiction(format!("link.{name}.{text}")));
+    if settings.step_s < 0.0 {
+        let step_s = settings.step_s;
+        return refuse(format!("step_s = {step_s}: must be 0 or more: a monotonic clock is never set back"));
+    }
+    EndpointClock::new(&settings).map(Some).or_else(|error| refuse(error.to_string()))
+}
+
 struct Bilateral<'a, const N: usize> {
     scene: &'a SceneSpec,
     settings: VirtualSettings,
@@ -73,6 +85,8 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             forward: links.and_then(|links| links.forward.clone()).unwrap_or_default(),
             backward: links.and_then(|links| links.backward.clone()).unwrap_or_default(),
             seed: scene.run.seed,
+            master_clock: clock("master_clock", links.and_then(|links| links.master_clock))?,
+            slave_clock: clock("slave_clock", links.and_then(|links| links.slave_clock))?,
         };
         let ladder = match &scene.safety.limiter {
             // The ladder fades the force in, at engagement and after every hold.
@@ -310,7 +324,9 @@ impl<const N: usize> Watched<N> {
         // What overflows says nothing beyond that it did.
         outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
         outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
-        let end_s = self.ticks as f64 * scene.run.period_s;
+        // A clock that is not right does not tick once in each period of true time.
+        let newest_ns = self.newest.map_or(0, |newest| newest.time_ns);
+        let end_s = newest_ns as f64 * 1e-9 + scene.run.period_s;
         let mut shifted = scene.clone();
         if let Some(release) = shifted.operator.as_mut().and_then(|operator| operator.release.as_mut()) {
             release.at_s += self.engaged_s.unwrap_or(f64::INFINITY);

@@ -3,7 +3,7 @@
 //! The tables, their documentation, ranges and defaults are those of `bridge/scene.py`, which reads the file. Here
 //! every field is required, so that a table that the two sides describe differently cannot be misread.
 
-use haptether_netsim::LinkSettings;
+use haptether_netsim::{ClockSettings, LinkSettings};
 use serde::Deserialize;
 
 /// A scene.
@@ -430,6 +430,10 @@ pub struct LinksSpec {
     pub forward: Option<LinkSettings>,
     /// From slave to master.
     pub backward: Option<LinkSettings>,
+    /// What the master's clock shows; without it, true time.
+    pub master_clock: Option<ClockSettings>,
+    /// What the slave's clock shows.
+    pub slave_clock: Option<ClockSettings>,
 }
 
 /// `[coupling]`.

@@ -43,6 +43,12 @@ impl Wander {
 
     /// The run of a time that is not before an earlier one asked for.
     fn run_at(&mut self, time_ns: u64) -> Run {
+        // The run of the packet before it may not have ended.
+        if let Some(run) = &self.run
+            && time_ns < run.end_ns
+        {
+            return *run;
+        }
         let bin = time_ns / self.bin_ns;
         let mut run = match self.run {
             Some(run) if bin <= run.end_ns / self.bin_ns + 1 => run,

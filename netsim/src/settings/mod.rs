@@ -1,6 +1,7 @@
 //! What the network does to the packets of one direction, as files, flags and callers write it.
 
 mod adversary;
+mod clock;
 mod delay;
 mod loss;
 mod rate;
@@ -8,6 +9,7 @@ mod rate;
 use serde::Deserialize;
 
 pub use adversary::{Action, Attack, ByteRange, Target};
+pub use clock::ClockSettings;
 pub use delay::{DelayChange, DelayTrace, Distribution, Slots};
 pub use loss::{FourState, GilbertElliott, Outage, OutageEffect, OutageTimes};
 pub use rate::{CrossTraffic, Discipline, Opportunities};

@@ -1,0 +1,234 @@
+"""What a verdict of the network model costs in virtual time, and what a link costs in a run of the engine.
+
+Packets of one direction at 1 kHz go through `judge_all`, beside the same delay, jitter and loss drawn by NumPy for all
+packets at once and by Python's `random` for one after the other. The peers keep no order, name no cause and key no draw
+by its packet. A run of the engine is measured as in `scene_cost.py`: the time of a long one less that of a short one,
+by the packets between them. All times are the processor's.
+
+Ends with status 1 if a link without a rule costs more than 10 % of a run.
+"""
+
+import argparse
+import json
+import math
+import os
+import random
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+
+from haptether.bridge import Scene, simulate
+from haptether.netsim import LinkSettings, judge_all
+
+EXAMPLE = """example:
+  .venv/bin/python benches/netsim_model.py --json -
+"""
+MOST_FOR_NO_RULE = 1.1
+"""Cost of a run whose link has no rule over that of a run without a link."""
+PERIOD_NS = 1_000_000
+SIZE = 92
+DELAY_S, JITTER_S, LOSS = 0.05, 0.005, 0.01
+SHORT_S, LONG_S = 1.0, 21.0
+PACKETS_PER_TICK = 2
+"""One each way."""
+
+Times: TypeAlias = npt.NDArray[np.int64]
+Tables: TypeAlias = dict[str, Any]
+
+DELAY: Tables = {"delay_s": DELAY_S}
+INDEPENDENT: Tables = {**DELAY, "jitter_s": JITTER_S, "jitter_correlation_s": 0.0, "keep_order": False}
+LINKS: dict[str, Tables] = {
+    "no rule": {},
+    "delay": DELAY,
+    "delay, independent jitter": INDEPENDENT,
+    "delay, correlated jitter": {**DELAY, "jitter_s": JITTER_S},
+    "Bernoulli loss": {"loss": LOSS},
+    "Gilbert loss": {"loss": LOSS, "mean_burst": 4.0},
+    "delay, independent jitter, loss": {**INDEPENDENT, "loss": LOSS},
+    "netem: delay, jitter, loss": {"netem": "delay 50ms 5ms distribution normal loss 1%"},
+    "all that goes together": {
+        **DELAY,
+        "mtu": 1400,
+        "loss": LOSS,
+        "mean_burst": 4.0,
+        "outages": [{"times": {"kind": "periodic", "at_s": 5.0, "period_s": 10.0, "duration_s": 0.05}}],
+        "rate_bps": 2e6,
+        "queue_ms": 50.0,
+        "discipline": "codel",
+        "cross_traffic": {"rate_bps": 5e5},
+        "jitter_s": JITTER_S,
+        "slots": {"period_s": 15.0, "level_s": 0.005},
+        "reorder": 0.01,
+        "duplicate": 0.01,
+        "corrupt": 0.01,
+        "truncate": 0.01,
+        "truncate_bytes": 40,
+        "attacks": [{"action": {"kind": "replay", "after_s": 0.1}, "target": {"probability": 0.01}}],
+    },
+}
+PEERS = {"delay": "delay", "delay, jitter, loss": "delay, independent jitter, loss"}
+"""The link that does what a peer does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """ns per packet, least of the repeats; of a peer also over that of the link that does the same."""
+
+    name: str
+    ns: float
+    ratio: float | None = None
+
+
+def numpy_delay(sent_ns: Times) -> Times:
+    """All arrivals at once."""
+    return sent_ns + round(DELAY_S * 1e9)
+
+
+def numpy_jitter_loss(sent_ns: Times) -> Times:
+    """All arrivals at once; -1 for a packet that is lost."""
+    random_numbers = np.random.default_rng(1)
+    delay_s = np.maximum(random_numbers.normal(DELAY_S, JITTER_S, len(sent_ns)), 0.0)
+    lost = random_numbers.random(len(sent_ns)) < LOSS
+    return np.where(lost, -1, sent_ns + np.rint(delay_s * 1e9).astype(np.int64))
+
+
+def python_delay(sent_ns: list[int]) -> list[int]:
+    """One packet after the other."""
+    delay_ns = round(DELAY_S * 1e9)
+    return [sent + delay_ns for sent in sent_ns]
+
+
+def python_jitter_loss(sent_ns: list[int]) -> list[int]:
+    """One packet after the other; -1 for one that is lost."""
+    drawn = random.Random(1)
+    due_ns = []
+    for sent in sent_ns:
+        delay_s = max(drawn.gauss(DELAY_S, JITTER_S), 0.0)
+        due_ns.append(-1 if drawn.random() < LOSS else sent + round(delay_s * 1e9))
+    return due_ns
+
+
+def work(packets: int) -> Iterator[tuple[str, Callable[[], object]]]:
+    """Everything that judges packets, by its name."""
+    sent_ns = np.arange(packets, dtype=np.int64) * PERIOD_NS
+    sizes = np.full(packets, SIZE, dtype=np.int64)
+    plain = sent_ns.tolist()
+    for name, tables in LINKS.items():
+        settings = msgspec.convert(tables, LinkSettings)
+        yield name, partial(judge_all, settings, sent_ns, sizes=sizes)
+    yield "NumPy: delay", lambda: numpy_delay(sent_ns)
+    yield "NumPy: delay, jitter, loss", lambda: numpy_jitter_loss(sent_ns)
+    yield "Python: delay", lambda: python_delay(plain)
+    yield "Python: delay, jitter, loss", lambda: python_jitter_loss(plain)
+
+
+def scenes() -> Iterator[tuple[str, tuple[Scene, Scene]]]:
+    """A hand that trembles before a wall that an arm would touch, short and long, by its link."""
+    plain: Tables = {
+        "schema": 1,
+        "master": {"device": "phantom-desktop"},
+        "operator": {"start": 0.02, "damping": 8.0, "tremor": {"amplitude": 1e-3, "frequency_hz": 5.0}},
+        "slave": {},
+    }
+    links: dict[str, Tables] = {
+        "engine, no [link]": {},
+        "engine, [link] without a rule": {"link": {"forward": {}, "backward": {}}},
+        "engine, delay": {"link": {"forward": DELAY, "backward": DELAY}},
+        "engine, clocks that drift": {
+            "link": {"master_clock": {"drift_ppm": 50.0}, "slave_clock": {"drift_ppm": -50.0}}
+        },
+    }
+    for name, link in links.items():
+        short, long = (
+            msgspec.convert({**plain, **link, "run": {"duration_s": lasts}}, Scene) for lasts in (SHORT_S, LONG_S)
+        )
+        yield name, (short, long)
+
+
+def processor_ns(act: Callable[[], object]) -> float:
+    """Time that it takes, in ns."""
+    begun = time.process_time_ns()
+    act()
+    return float(time.process_time_ns() - begun)
+
+
+def main() -> int:
+    """Measures, prints, and checks."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--packets", type=int, default=1_000_000, help="default 1000000")
+    parser.add_argument("--repeats", type=int, default=5, help="default 5")
+    arguments = parser.parse_args()
+    if arguments.repeats < 1 or arguments.packets < 1:
+        parser.error("--repeats and --packets must be at least 1")
+
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    judged, run = dict(work(arguments.packets)), dict(scenes())
+    least = dict.fromkeys(judged, math.inf)
+    ran = {name: [math.inf, math.inf] for name in run}
+    rounds = range(arguments.repeats)
+    # All take turns, so that a machine that is busy for a while does not spoil one of them.
+    for _ in track(rounds, "packets", console=Console(stderr=True), transient=True):
+        for name, act in judged.items():
+            least[name] = min(least[name], processor_ns(act) / arguments.packets)
+        for name, pair in run.items():
+            times = [processor_ns(partial(simulate, scene)) for scene in pair]
+            ran[name] = [min(pair) for pair in zip(ran[name], times, strict=True)]
+
+    costs = [Cost(name=name, ns=least[name]) for name in LINKS]
+    for language in ("NumPy", "Python"):
+        for peer, link in PEERS.items():
+            name = f"{language}: {peer}"
+            costs.append(Cost(name=name, ns=least[name], ratio=least[name] / least[link]))
+    packets = (LONG_S - SHORT_S) * 1e9 / PERIOD_NS * PACKETS_PER_TICK
+    per_packet = {name: (long - short) / packets for name, (short, long) in ran.items()}
+    base = per_packet["engine, no [link]"]
+    engine = [Cost(name=name, ns=ns, ratio=ns / base) for name, ns in per_packet.items()]
+
+    load = os.getloadavg()[0]
+    print(f"{arguments.packets} packets, least of {arguments.repeats}, load {load:.1f}\n", file=out)
+    print(f"{'':<34}{'ns per packet':>15}{'1e6 per s':>11}", file=out)
+    for cost in costs:
+        compared = "" if cost.ratio is None else f"{cost.ratio:>8.2f} x the link that does the same"
+        print(f"{cost.name:<34}{cost.ns:>15.1f}{1e3 / cost.ns:>11.1f}{compared}", file=out)
+    print(f"\n{'':<34}{'ns per packet':>15}", file=out)
+    for cost in engine:
+        print(f"{cost.name:<34}{cost.ns:>15.1f}{cost.ratio:>8.2f} x without a link", file=out)
+
+    no_rule = per_packet["engine, [link] without a rule"] / base
+    missed = [f"a link without a rule: {no_rule:.2f} x, must be at most {MOST_FOR_NO_RULE}"]
+    if no_rule <= MOST_FOR_NO_RULE:
+        missed = []
+    print(f"\n{'; '.join(missed) or 'all as required'}", file=out)
+
+    if arguments.json is not None:
+        report = {
+            "packets": arguments.packets,
+            "repeats": arguments.repeats,
+            "load": load,
+            "verdicts": [asdict(cost) for cost in costs],
+            "engine": [asdict(cost) for cost in engine],
+            "missed": missed,
+        }
+        text = json.dumps(report, indent=2)
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

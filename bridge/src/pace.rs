@@ -1,0 +1,138 @@
+//! When a loop ticks: on time, late, or far too late.
+
+use haptether_netsim::EndpointClock;
+
+/// A loop that wakes later than this discards the backlog and holds: what it knows is old.
+const MOST_LATE_NS: u64 = 20_000_000;
+
+/// What a loop does that waited for a deadline and woke.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Wake {
+    /// The tick's own time: its deadline, later by the ticks that are left out.
+    pub(crate) deadline_ns: u64,
+    /// How late the loop woke.
+    pub(crate) overshoot_ns: u64,
+    /// Ticks left out: one wake-up is one tick, for a backlog worked off at once would let the force grow faster
+    /// than its limit.
+    pub(crate) missed: u64,
+}
+
+impl Wake {
+    pub(crate) fn new(deadline_ns: u64, woken_ns: u64, period_ns: u64) -> Self {
+        let overshoot_ns = woken_ns.saturating_sub(deadline_ns);
+        let missed = overshoot_ns / period_ns;
+        Self { deadline_ns: deadline_ns + missed * period_ns, overshoot_ns, missed }
+    }
+
+    /// Whether what has arrived meanwhile is too old to act on.
+    pub(crate) fn is_stalled(&self) -> bool {
+        self.overshoot_ns > MOST_LATE_NS
+    }
+}
+
+/// What a clock shows whose reading is 0: no reading lies below 0, as far back as an offset goes.
+const ORIGIN_NS: u64 = 1 << 62;
+
+/// A loop in virtual time: it waits on the endpoint's own clock, but happens in true time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pace {
+    /// Without one the endpoint's clock is true time.
+    clock: Option<EndpointClock>,
+    period_ns: u64,
+    /// True time of the next tick.
+    pub(crate) true_ns: u64,
+    /// The same tick on the endpoint's clock.
+    deadline_ns: u64,
+}
+
+impl Pace {
+    /// A loop whose first tick is at true time 0.
+    pub(crate) fn new(clock: Option<EndpointClock>, period_ns: u64) -> Self {
+        let deadline_ns = clock.map_or(0, |clock| shown_ns(&clock, 0));
+        Self { clock, period_ns, true_ns: 0, deadline_ns }
+    }
+
+    /// The tick that is due.
+    pub(crate) fn wake(&self) -> Wake {
+        match &self.clock {
+            None => Wake { deadline_ns: self.deadline_ns, overshoot_ns: 0, missed: 0 },
+            Some(clock) => Wake::new(self.deadline_ns, shown_ns(clock, self.true_ns), self.period_ns),
+        }
+    }
+
+    /// Waits for the next tick after one.
+    pub(crate) fn wait_after(&mut self, wake: &Wake) {
+        self.deadline_ns = wake.deadline_ns + self.period_ns;
+        self.true_ns = match &self.clock {
+            None => self.deadline_ns,
+            // A reading that a step skips is reached at the step.
+            Some(clock) => clock.true_ns(self.deadline_ns.wrapping_sub(ORIGIN_NS).cast_signed()),
+        };
+    }
+}
+
+fn shown_ns(clock: &EndpointClock, true_ns: u64) -> u64 {
+    ORIGIN_NS.wrapping_add_signed(clock.reading_ns(true_ns))
+}
+
+#[cfg(test)]
+mod tests {
+    use haptether_netsim::ClockSettings;
+
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn paced(settings: ClockSettings, ticks: usize) -> Vec<(u64, Wake)> {
+        let mut pace = Pace::new(Some(EndpointClock::new(&settings).unwrap()), MS);
+        let mut tick = || {
+            let wake = pace.wake();
+            let at_ns = pace.true_ns;
+            pace.wait_after(&wake);
+            (at_ns, wake)
+        };
+        (0..ticks).map(|_| tick()).collect()
+    }
+
+    #[test]
+    fn an_offset_shifts_what_the_clock_shows_and_nothing_else() {
+        for offset_s in [-4e9, -1.5, 0.0, 1.5, 4e9] {
+            let settings = ClockSettings { offset_s, ..ClockSettings::default() };
+            let first = paced(settings, 1)[0].1.deadline_ns;
+            for (n, (true_ns, wake)) in (0..).zip(paced(settings, 100)) {
+                let expected = Wake { deadline_ns: first + n * MS, overshoot_ns: 0, missed: 0 };
+                assert_eq!((true_ns, wake), (n * MS, expected));
+            }
+        }
+    }
+
+    #[test]
+    fn drift_changes_the_true_period_by_its_share() {
+        for (drift_ppm, ticks) in [(100.0, 100_011), (-100.0, 99_991), (0.0, 100_001)] {
+            let settings = ClockSettings { drift_ppm, ..ClockSettings::default() };
+            let last = paced(settings, ticks)[ticks - 1];
+            // The last of these ticks is the one nearest to 100 s of true time: of a period of 1 ms / (1 + drift).
+            let expected = (ticks - 1) as f64 * 1e6 / (1.0 + drift_ppm * 1e-6);
+            assert!((last.0 as f64 - expected).abs() <= 1.0, "{drift_ppm}: {last:?}");
+            assert!(last.1.overshoot_ns <= 1 && last.1.missed == 0);
+        }
+    }
+
+    #[test]
+    fn a_step_forward_leaves_ticks_out_as_a_late_loop_does() {
+        for (step_ms, stalled) in [(7, false), (1000, true)] {
+            let settings = ClockSettings {
+                step_s: step_ms as f64 * 1e-3,
+                step_at_s: 3.5e-3,
+                ..ClockSettings::default()
+            };
+            let ticks = paced(settings, 6);
+            let (true_ns, wake) = ticks[4];
+            // Waits for 4 ms, which the clock skips at 3.5 ms.
+            assert_eq!((true_ns, wake.overshoot_ns), (3_500_000, step_ms * MS - MS / 2));
+            assert_eq!((wake.missed, wake.is_stalled()), (step_ms - 1, stalled));
+            assert_eq!(wake.deadline_ns, ORIGIN_NS + (3 + step_ms) * MS);
+            assert_eq!(ticks[5].0, 4 * MS);
+        }
+    }
+}
