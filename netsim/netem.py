@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 from math import sqrt
-from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -64,8 +64,6 @@ def _translated(text: str) -> tuple[LinkSettings, Correlations]:
 
     try:
         both = msgspec.json.decode(_core.translate_netem(text), type=Both)
-    except msgspec.ValidationError:
-        raise
     except ValueError as error:
         raise of_rules(error) from None
     return both.settings, both.asked
@@ -137,10 +135,15 @@ def _chain_figures(two: GilbertElliott | None, four: FourState | None) -> dict[s
     return {"loss": loss, "mean_burst": loss / begins if begins > 0.0 else None}
 
 
-def _stationary(move: "np.typing.NDArray[np.float64]", begin: "np.typing.NDArray[np.float64]") -> Any:  # noqa: ANN401
+def _stationary(move: npt.NDArray[np.float64], begin: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Where a chain is found in the long run, from where it begins; of a periodic one the mean over its period."""
-    lazy = 0.5 * (move + np.eye(len(move)))
-    return begin @ np.linalg.matrix_power(lazy, 2**40)
+    long = 0.5 * (move + np.eye(len(move)))
+    for _ in range(64):
+        # The error of the sum of a row would double each time.
+        long = long @ long
+        long /= long.sum(axis=1, keepdims=True)
+    where: npt.NDArray[np.float64] = begin @ long
+    return where
 
 
 def _quirks(
@@ -154,7 +157,7 @@ def _quirks(
     at_once = float(np.mean(delays == 0)) if delays.size else 0.0
     if settings.reorder and at_once > 0.0 and (netem.reordered or 0.0) > 0.0:
         yield (
-            f"what is reordered is sent without any delay and overtakes all that is under way: {_share(at_once)} of the "
+            f"what is reordered is sent without delay and overtakes all that is under way: {_share(at_once)} of the "
             f"packets leave at once, {_share(netem.reordered or 0.0)} come late"
         )
     # Nothing else sends packets at once.

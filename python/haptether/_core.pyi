@@ -71,6 +71,7 @@ __all__ = [
     "run_local",
     "simulate_scene",
     "sweep_scenes",
+    "translate_netem",
     "verdict_causes",
 ]
 
