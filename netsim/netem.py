@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from haptether import _core
-from haptether.netsim.link_error import of_rules
+from haptether.netsim.link_error import LinkError, of_rules
 from haptether.netsim.link_parts import FourState, GilbertElliott
 from haptether.netsim.link_settings import LinkSettings
 from haptether.netsim.statistics import LinkFigures, asked, realised
@@ -43,7 +43,9 @@ class NetemComparison(Struct, frozen=True, kw_only=True):
     netem: LinkFigures
     """What becomes of packets in netem."""
     ours: LinkFigures
-    """What becomes of them under `settings`."""
+    """What becomes of them under `settings`; `None` throughout if no link can do what was asked for."""
+    refused: str | None
+    """Why no link can, if that is so."""
     quirks: tuple[str, ...]
     """Where netem does something else than it was asked for, a line each."""
 
@@ -84,19 +86,28 @@ def compare_netem(text: str, sent_ns: Times, *, seed: int = 0, size: int = 92) -
     settings, correlations = _translated(text)
     verdicts = judge_all(LinkSettings(netem=text), sent_ns, seed=seed, sizes=size)
     netem, wanted = realised(verdicts), _asked(settings)
+    ours, refused = LinkFigures(), None
+    try:
+        ours = realised(judge_all(settings, sent_ns, seed=seed, sizes=size))
+    except LinkError as error:
+        refused = str(error)
     return NetemComparison(
         settings=settings,
         asked=wanted,
         netem=netem,
-        ours=realised(judge_all(settings, sent_ns, seed=seed, sizes=size)),
+        ours=ours,
+        refused=refused,
         quirks=tuple(_quirks(settings, correlations, wanted, netem, verdicts)),
     )
 
 
 def _asked(settings: LinkSettings) -> LinkFigures:
     """What the text says by itself: with a rate, delays depend on the traffic."""
-    figures = asked(settings, "forward")
-    mean_s, sigma_s = figures.mean_s, figures.sigma_s
+    # Jitter that no link can have, as of 10 ms around 10 ms, was asked for all the same.
+    without = dict.fromkeys(("jitter_s", "distribution", "distribution_shape", "jitter_correlation_s"))
+    figures = asked(replace(settings, **without), "forward")
+    mean_s, sigma_s = figures.mean_s, None if figures.mean_s is None else settings.jitter_s
+    figures = replace(figures, sigma_s=sigma_s)
     if mean_s is not None and sigma_s is not None and settings.distribution in {"normal", "uniform"}:
         # Of a uniform law, whose half-width is sqrt(3) sigma, 0.98 half-widths above its mean.
         above = _P99_NORMAL if settings.distribution == "normal" else 0.98 * sqrt(3.0)

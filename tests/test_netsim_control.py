@@ -195,5 +195,5 @@ def test_only_this_machine_may_control(address: str) -> None:
 
 
 def test_a_request_that_is_too_long_is_not_sent(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="request: 65558 bytes, must be at most 65536"):
+    with pytest.raises(ValueError, match="request: 65556 bytes, must be at most 65536"):
         ask_control(str(tmp_path / "nobody"), {"forward": {"a": "x" * 65_535}})

@@ -53,6 +53,8 @@ class Compare:
         console.print(figures_table(f"{self.packets} packets, seed {self.seed}", columns))
         for quirk in found.quirks:
             console.print(quirk, highlight=False, markup=False, soft_wrap=True)
+        if found.refused is not None:
+            console.print(f"no link of ours can: {found.refused}", highlight=False, markup=False, soft_wrap=True)
         if not found.quirks:
             console.print("no quirk of netem acted", highlight=False)
         if self.json is not None:
