@@ -154,15 +154,18 @@ def _progress(peer: str, duration_s: float) -> Iterator[None]:
     begun = time.monotonic()
 
     def follow() -> None:
-        while not ended.wait(0.2):
-            bar.update(task, completed=time.monotonic() - begun)
+        # What is refused is refused by then.
+        if ended.wait(1.0):
+            return
+        with bar:
+            task = bar.add_task(f"measuring the way to {peer} and back", total=duration_s)
+            while not ended.wait(0.2):
+                bar.update(task, completed=time.monotonic() - begun)
 
-    with bar:
-        task = bar.add_task(f"measuring the way to {peer} and back", total=duration_s)
-        following = threading.Thread(target=follow, name="haptether-progress", daemon=True)
-        following.start()
-        try:
-            yield
-        finally:
-            ended.set()
-            following.join()
+    following = threading.Thread(target=follow, name="haptether-progress", daemon=True)
+    following.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        following.join()
