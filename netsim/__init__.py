@@ -1,6 +1,8 @@
 """Network impairment, decided once for virtual time and for live sockets."""
 
 from haptether._core import DirectionStatistics, Echo, ProxyStatistics, Recording, record
+from haptether.netsim.control import ControlSocket, ask_control
+from haptether.netsim.controlled import Controlled
 from haptether.netsim.link_error import LinkError
 from haptether.netsim.link_files import with_files
 from haptether.netsim.link_parts import (
@@ -29,6 +31,7 @@ from haptether.netsim.link_parts import (
 )
 from haptether.netsim.link_settings import LinkSettings
 from haptether.netsim.link_spec import link_json, link_spec
+from haptether.netsim.netem import NetemComparison, compare_netem, translate_netem
 from haptether.netsim.presets import PRESETS, Figure, Preset
 from haptether.netsim.proxy import Proxy
 from haptether.netsim.statistics import LinkFigures, asked, burst_lengths, realised
@@ -40,6 +43,8 @@ __all__ = [
     "Attack",
     "BitFlip",
     "ByteRange",
+    "ControlSocket",
+    "Controlled",
     "CrossTraffic",
     "DelayChange",
     "DelayTrace",
@@ -55,6 +60,7 @@ __all__ = [
     "LinkFigures",
     "LinkSettings",
     "Mirror",
+    "NetemComparison",
     "Once",
     "Opportunities",
     "Outage",
@@ -70,8 +76,10 @@ __all__ = [
     "Slots",
     "Target",
     "Verdicts",
+    "ask_control",
     "asked",
     "burst_lengths",
+    "compare_netem",
     "judge",
     "judge_all",
     "link_bounds",
@@ -79,5 +87,6 @@ __all__ = [
     "link_spec",
     "realised",
     "record",
+    "translate_netem",
     "with_files",
 ]

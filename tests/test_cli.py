@@ -26,7 +26,7 @@ def test_version_and_help() -> None:
     for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen"):
         assert name in shown
         assert "Examples" in run(name, "--help").stdout
-    for name in ("list", "sample", "proxy"):
+    for name in ("list", "sample", "proxy", "set", "echo", "record", "compare"):
         assert "Examples" in run("netsim", name, "--help").stdout
 
 

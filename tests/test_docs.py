@@ -49,6 +49,7 @@ def test_commands_of_the_readme_exist() -> None:
     assert {name for name, _ in shown} == {
         "demo", "paper", "simulate", "sweep", "slave", "netsim list", "netsim sample", "netsim proxy", "master",
         "keygen",
+        "netsim set", "netsim echo", "netsim record", "netsim compare",
     }  # fmt: skip
     for name, arguments in shown:
         flags = re.findall(r"--[a-z-]+", arguments)

@@ -71,6 +71,7 @@ __all__ = [
     "run_local",
     "simulate_scene",
     "sweep_scenes",
+    "translate_netem",
     "verdict_causes",
 ]
 
@@ -1447,6 +1448,16 @@ def read_link_file(form: str, data: bytes, direction: str) -> str:
 
     Raises:
         ValueError: A file that is not what it should be, with line and column.
+    """
+
+def translate_netem(text: str) -> str:
+    """What arguments of `tc netem` ask for, as JSON.
+
+    `settings` are those of a link that does it; `asked` has the correlations of delay, loss, duplicate, corrupt and
+    reorder, 0 to 1, and the limit.
+
+    Raises:
+        ValueError: Text that netem refuses, with its column, or what a link has no settings for.
     """
 
 def verdict_causes() -> list[str]:

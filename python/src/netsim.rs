@@ -3,7 +3,7 @@
 use std::net::{SocketAddr, ToSocketAddrs};
 
 use haptether_netsim::{
-    DelayTrace, Direction, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Verdict,
+    DelayTrace, Direction, DropCause, ExtraCause, Judgement, Link, LinkSettings, Packet, Verdict, netem,
     parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
 };
 use numpy::{PyReadonlyArray1, PyUntypedArrayMethods};
@@ -20,6 +20,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check_link, module)?)?;
     module.add_function(wrap_pyfunction!(link_bounds, module)?)?;
     module.add_function(wrap_pyfunction!(read_link_file, module)?)?;
+    module.add_function(wrap_pyfunction!(translate_netem, module)?)?;
     module.add_function(wrap_pyfunction!(verdict_causes, module)?)?;
     module.add_function(wrap_pyfunction!(judge_packets, module)?)
 }
@@ -81,6 +82,14 @@ fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> 
         }
     };
     Ok(setting.map_err(refuse)?.to_string())
+}
+
+/// What arguments of `tc netem` ask for, as JSON: settings of a link, correlations and limit.
+#[pyfunction]
+fn translate_netem(text: &str) -> PyResult<String> {
+    let settings = netem::translate(text).map_err(refuse)?;
+    let asked = netem::Asked::read(text).map_err(refuse)?;
+    Ok(json!({ "settings": settings, "asked": asked }).to_string())
 }
 
 /// Code of a packet that arrives as it was sent.

@@ -32,7 +32,7 @@ mod tests;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-pub use translate::translate;
+pub use translate::{Asked, translate};
 
 use self::arguments::{Arguments, Chance, Loss, Rate, Table};
 use crate::damage::{Damage, Flips};

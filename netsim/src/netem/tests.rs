@@ -365,3 +365,27 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn what_settings_cannot_tell_is_read_too() {
+    let asked =
+        Asked::read("delay 50ms 10ms 25% loss 1% 50% corrupt 1% 75% duplicate 2% 5% reorder 1% 90% limit 7");
+    let expected = Asked { delay: 0.25, loss: 0.5, duplicate: 0.05, corrupt: 0.75, reorder: 0.9, limit: 7 };
+    assert_eq!(asked, Ok(expected));
+    let none = Asked { delay: 0.0, loss: 0.0, duplicate: 0.0, corrupt: 0.0, reorder: 0.0, limit: 1000 };
+    assert_eq!(Asked::read("loss gemodel 1% 10%"), Ok(none));
+    assert!(Asked::read("nonsense").is_err());
+}
+
+#[test]
+fn settings_are_read_back_as_they_were_written() {
+    for text in [
+        "delay 50ms 10ms 25% loss 1% 25%",
+        "delay 50ms 10ms distribution paretonormal loss state 1% 25% rate 1mbit",
+        "delay 50ms 10ms distribution pareto loss gemodel 1% 10% 70% 0.1% reorder 5% corrupt 1%",
+    ] {
+        let settings = translate(text).unwrap();
+        let written = serde_json::to_string(&settings).unwrap();
+        assert_eq!(serde_json::from_str::<LinkSettings>(&written).unwrap(), settings);
+    }
+}

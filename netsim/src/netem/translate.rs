@@ -1,11 +1,48 @@
 //! What was asked of netem, in the settings of a link.
 
+use serde::Serialize;
+
 use super::arguments::{Arguments, Chance, Loss, Rate, Table};
 use super::{HEADERS, table};
 use crate::settings::{Distribution, FourState, GilbertElliott, LinkError, LinkSettings};
 
 /// Index of the Pareto law in netem's table.
 const PARETO_SHAPE: f64 = 3.0;
+
+/// Correlations that were asked of netem from one packet to the next, 0 to 1, and its limit: what [`translate`] cannot
+/// tell, and what its quirks come from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Asked {
+    /// Of the delay.
+    pub delay: f64,
+    /// Of the loss.
+    pub loss: f64,
+    /// Of the duplication.
+    pub duplicate: f64,
+    /// Of the corruption.
+    pub corrupt: f64,
+    /// Of the reordering.
+    pub reorder: f64,
+    /// Most packets that are held.
+    pub limit: usize,
+}
+
+impl Asked {
+    /// What arguments of `tc netem` ask for.
+    pub fn read(text: &str) -> Result<Self, LinkError> {
+        let Arguments { delay_rho, loss, duplicate, corrupt, reorder, limit, .. } = Arguments::read(text)?;
+        let loss_rho = if let Loss::Random(chance) = loss { chance.rho } else { 0 };
+        Ok(Self {
+            delay: share(delay_rho),
+            loss: share(loss_rho),
+            duplicate: share(duplicate.rho),
+            corrupt: share(corrupt.rho),
+            reorder: share(reorder.rho),
+            limit,
+        })
+    }
+}
 
 /// Settings that do what arguments of `tc netem` ask for, where netem does something else.
 ///

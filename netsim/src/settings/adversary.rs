@@ -1,12 +1,12 @@
 //! Settings of what somebody on the path does.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Something done to packets on purpose, where they arrive: what was lost before is out of its reach.
 ///
 /// Attacks act in the order of their list. What changes or takes a packet does so to the copies that the network
 /// made of it too; what adds one acts once. Of several attacks that flip bits of the same packet the last one does.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Attack {
     /// What is done.
@@ -17,7 +17,7 @@ pub struct Attack {
 }
 
 /// What is done to packets on purpose.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Action {
     /// A copy arrives `after_s` later.
@@ -54,7 +54,7 @@ pub enum Action {
 }
 
 /// Bytes from `start` up to but not including `end`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ByteRange {
     /// First byte.
@@ -64,7 +64,7 @@ pub struct ByteRange {
 }
 
 /// Which packets: those sent at the given times, every n-th of them, each with a probability.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Target {
     /// From when on, in s since the link began.

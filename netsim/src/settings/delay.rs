@@ -1,9 +1,9 @@
 //! Settings of the delay.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Law of the delay. Each has the mean `delay_s` and the standard deviation `jitter_s`.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
     /// Normal; cut off at zero, mean and deviation kept, where it would reach below.
@@ -25,7 +25,7 @@ pub enum Distribution {
 }
 
 /// A change of the mean delay.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct DelayChange {
     /// When it begins, in s since the link began.
@@ -40,7 +40,7 @@ pub struct DelayChange {
 /// Scheduling slots: a level of delay that is drawn anew for each, and spikes at both ends.
 ///
 /// Source: arXiv 2601.08439 (Starlink: 15 s; about 140 ms at the start, 75 ms at the end).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Slots {
     /// Length of a slot in s.
@@ -63,7 +63,7 @@ pub struct Slots {
 }
 
 /// Recorded delays and losses.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct DelayTrace {
     /// Times in s since the link began, increasing, the first 0 or more.

@@ -1,11 +1,11 @@
 //! Settings of loss and outages.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Gilbert-Elliott: two states, each with its own probability of loss.
 ///
 /// Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960; E. O. Elliott, Bell Syst. Tech. J. 42, 1963.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct GilbertElliott {
     /// p: probability that the good state turns bad, per packet.
@@ -24,7 +24,7 @@ pub struct GilbertElliott {
 ///
 /// Source: S. Salsano, F. Ludovici, A. Ordine, D. Giannuzzi, "Definition of a general and intuitive loss model for
 /// packet networks and its implementation in the Netem module in the Linux kernel", 2012 (GI model).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct FourState {
     /// A burst begins.
@@ -47,7 +47,7 @@ fn one() -> f64 {
 }
 
 /// Times at which nothing passes.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outage {
     /// When.
@@ -58,7 +58,7 @@ pub struct Outage {
 }
 
 /// When nothing passes.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum OutageTimes {
     /// Once.
@@ -87,7 +87,7 @@ pub enum OutageTimes {
 }
 
 /// What becomes of packets that are sent during an outage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OutageEffect {
     /// They are dropped.

@@ -6,7 +6,7 @@ mod delay;
 mod loss;
 mod rate;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 pub use adversary::{Action, Attack, ByteRange, Target};
 pub use clock::ClockSettings;
@@ -27,7 +27,7 @@ pub(crate) const MAX_PAYLOAD: usize = 65_535;
 ///
 /// What is absent or zero is a rule that is not built. The rules of a link run in the order in which their keys
 /// stand here: what a packet meets first comes first.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkSettings {
     /// Largest payload in bytes that passes; a larger one is dropped with the cause `mtu`.

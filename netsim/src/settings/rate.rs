@@ -1,9 +1,9 @@
 //! Settings of the bottleneck.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// What a queue that fills does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Discipline {
     /// It drops what comes while it is full.
@@ -17,7 +17,7 @@ pub enum Discipline {
 }
 
 /// Other traffic through the same bottleneck: packets at random times (Poisson).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CrossTraffic {
     /// Mean rate in bit/s while it sends, headers included.
@@ -41,7 +41,7 @@ fn full_size() -> usize {
 /// leaves with the opportunity that carries its last byte; what nothing waits for is lost.
 ///
 /// Source: mahimahi, `mm-link` traces.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Opportunities {
     /// Times in ms, not decreasing, the last above 0: after it the list begins anew.

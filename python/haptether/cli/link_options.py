@@ -44,6 +44,8 @@ class LinkOptions:
     """Rate of the bottleneck in bit/s."""
     queue_ms: Annotated[float | None, tyro.conf.arg(metavar="MS")] = None
     """Longest wait before the bottleneck in ms."""
+    trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """A recording of delays and losses, of `haptether netsim record` (.csv) or IRTT (.json), instead of a delay."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """Any setting of a link, in both directions; may be given often. Values are TOML, bare words are strings."""
     backward_set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
@@ -62,6 +64,9 @@ class LinkOptions:
 
         plain, seed, folder = _read(scene)
         flags = {name: value for name in FLAGS if (value := getattr(self, name)) is not None}
+        if self.trace is not None:
+            # Of the working folder, not of the scene's.
+            flags["trace"] = {"file": str(self.trace.absolute())}
         link: dict[str, Any] = plain.setdefault("link", {})
         for direction in ("forward", "backward"):
             link[direction] = {**link.get(direction, {}), **flags}

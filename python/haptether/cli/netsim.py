@@ -1,10 +1,22 @@
 """`haptether netsim`: its commands."""
 
+from haptether.cli.netsim_compare import Compare
+from haptether.cli.netsim_echo import Echo
 from haptether.cli.netsim_list import List
 from haptether.cli.netsim_proxy import Proxy
+from haptether.cli.netsim_record import Record
 from haptether.cli.netsim_sample import Sample
+from haptether.cli.netsim_set import Set
 
-NETSIM_COMMANDS = {"list": List, "sample": Sample, "proxy": Proxy}
+NETSIM_COMMANDS = {
+    "list": List,
+    "sample": Sample,
+    "proxy": Proxy,
+    "set": Set,
+    "echo": Echo,
+    "record": Record,
+    "compare": Compare,
+}
 
 
 class Netsim:
@@ -12,7 +24,7 @@ class Netsim:
 
     Delay with jitter that keeps the order, loss in bursts, outages, a bottleneck with a queue, reordering, copies,
     damage, recordings, presets of measured networks. The same seed does the same to the same packets, live and in
-    virtual time. Each command has help of its own.
+    virtual time; a real network can be measured and replayed. Each command has help of its own.
 
     Examples:
 

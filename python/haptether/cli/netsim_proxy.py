@@ -1,23 +1,27 @@
 """`haptether netsim proxy`."""
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from haptether.cli.link_options import LinkOptions
+from haptether.cli.link_options import LinkOptions, Links
 
 if TYPE_CHECKING:
-    from haptether.netsim import ProxyStatistics
+    from haptether.cli.live import Stopped
+    from haptether.netsim import ControlSocket
+    from haptether.netsim import Proxy as LiveProxy
 
 
 @dataclass(frozen=True, kw_only=True)
 class Proxy(LinkOptions):
     """Impair a live UDP link: forward datagrams between two processes, and do to them what the link says.
 
-    Datagrams that arrive at --listen go to --forward, and the answers back to whoever spoke first. One client at a
-    time is served; another is refused until the first has been silent for a second.
+    Datagrams that arrive at --listen go to --forward, and the answers back to whoever sent them. Clients of this
+    machine are served, and those that --allow names, up to 64 at a time. It never releases a datagram early; at the
+    end it says how late it was, and a run in which p99 of that is above --max-error-s is INVALID: status 1.
 
     Examples:
 
@@ -25,7 +29,11 @@ class Proxy(LinkOptions):
 
     haptether netsim proxy --listen 127.0.0.1:9001 --forward 127.0.0.1:9000 --delay-s 0.02 --backward.delay-s 0.08
 
-    haptether netsim proxy --listen 127.0.0.1:9001 --forward 127.0.0.1:9000 --scene remote_push
+    haptether netsim proxy --listen 127.0.0.1:9001 --forward 127.0.0.1:9000 --scene remote_push --log out.parquet
+
+    haptether netsim proxy --listen 127.0.0.1:9001 --forward 127.0.0.1:9000 --trace recorded.csv
+
+    haptether netsim proxy --listen 0.0.0.0:9001 --forward 127.0.0.1:9000 --allow 192.0.2.7 --control ./netsim.sock
     """
 
     listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
@@ -34,6 +42,16 @@ class Proxy(LinkOptions):
     """Where the slave listens."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
     """A shipped scene, a scene file, or a TOML file with only [link.*]; flags count instead of what it says."""
+    allow: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="IP[:PORT]")] = ()
+    """Also serve this source; may be given often. Those of this machine are served anyway."""
+    control: Annotated[str | None, tyro.conf.arg(metavar="PATH|127.0.0.1:PORT")] = None
+    """Where `haptether netsim set` changes the link while it runs: a Unix socket, or TCP of this machine only."""
+    log: Annotated[Path | None, tyro.conf.arg(metavar="PATH.csv|PATH.parquet")] = None
+    """Write what became of each datagram, a row each: when it came, was due and left, or why it did not."""
+    no_realtime: bool = False
+    """Do not ask for real-time scheduling."""
+    max_error_s: Annotated[float, tyro.conf.arg(metavar="S")] = 1e-3
+    """Largest p99 in s of its own scheduling error with which the run is valid."""
     duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """End after this time in s; without it, run until Ctrl-C."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -41,78 +59,54 @@ class Proxy(LinkOptions):
 
     def run(self) -> int:
         """Forwards until told to stop."""
-        from haptether.cli.live import Stopped, wait
+        from haptether.cli.live import Stopped
+        from haptether.cli.netsim_log import Log
+        from haptether.cli.netsim_proxy_report import report
         from haptether.cli.options import check_duration
         from haptether.cli.output import check_target
+        from haptether.netsim import ControlSocket
         from haptether.netsim import Proxy as LiveProxy
 
         check_duration("duration_s", self.duration_s)
+        if not 0.0 < self.max_error_s <= 1.0:
+            message = f"max_error_s = {self.max_error_s:g}: must be above 0 and at most 1 s"
+            raise ValueError(message)
         check_target(self.json)
         links = self.links(self.scene)
-        with Stopped() as stopped:
+        log = None if self.log is None else Log.checked(self.log)
+        with Stopped() as stopped, contextlib.ExitStack() as stack:
+            control = None if self.control is None else stack.enter_context(ControlSocket(self.control))
             proxy = LiveProxy(
                 listen=self.listen,
                 forward=self.forward,
                 forward_link=links.forward,
                 backward_link=links.backward,
                 seed=links.seed,
+                allow=self.allow,
+                realtime=not self.no_realtime,
+                max_error_s=self.max_error_s,
+                log=None if log is None else log.csv,
             )
-
-            def status() -> str:
-                now = proxy.statistics()
-                return f"forwarded {now.forward.released} there, {now.backward.released} back"
-
-            wait(
-                f"netsim listens on {proxy.address}, forwards to {self.forward}",
-                status,
-                lambda: proxy.finished,
-                stopped,
-                self.duration_s,
-            )
+            self._wait(proxy, control, links, stopped)
+        try:
             statistics = proxy.stop()
-        self._report(statistics)
-        return 0
+        finally:
+            if log is not None:
+                log.end()
+        return report(statistics, self.max_error_s, self.json)
 
-    def _report(self, statistics: "ProxyStatistics") -> None:
-        import msgspec
-        from rich.console import Console
-        from rich.table import Table
+    def _wait(self, proxy: "LiveProxy", control: "ControlSocket | None", links: Links, stopped: "Stopped") -> None:
+        from haptether.cli.live import wait
+        from haptether.cli.netsim_proxy_report import statistics_report
+        from haptether.netsim import Controlled
 
-        from haptether.cli.output import table_goes_to_stderr, write_json
+        headline = f"netsim listens on {proxy.address}, forwards to {self.forward}"
+        if control is not None:
+            control.serve(Controlled(proxy, links.forward, links.backward, statistics_report))
+            headline = f"{headline}, controlled by {control.address}"
 
-        ways = {"forward": statistics.forward, "backward": statistics.backward}
-        names = (
-            "received",
-            "released",
-            "lost",
-            "queue_full",
-            "overtaking",
-            "refused",
-            "oversize",
-            "unsent",
-        )
-        counts = {way: {name: getattr(of, name) for name in names} for way, of in ways.items()}
-        table = Table(header_style="bold", pad_edge=False)
-        table.add_column("direction")
-        for name in names:
-            table.add_column(name.replace("_", " "), justify="right")
-        for way, of in counts.items():
-            table.add_row(way, *(str(of[name]) for name in names))
-        console = Console(stderr=table_goes_to_stderr(self.json))
-        console.print(table)
-        console.print(
-            "released late by "
-            f"p50 {statistics.scheduling_error_p50_s * 1e3:.3f} ms, "
-            f"p99 {statistics.scheduling_error_p99_s * 1e3:.3f} ms, "
-            f"most {statistics.scheduling_error_max_s * 1e3:.3f} ms",
-            highlight=False,
-        )
-        if self.json is not None:
-            report = {
-                **counts,
-                "peer_unreachable": statistics.peer_unreachable,
-                "scheduling_error_p50_s": statistics.scheduling_error_p50_s,
-                "scheduling_error_p99_s": statistics.scheduling_error_p99_s,
-                "scheduling_error_max_s": statistics.scheduling_error_max_s,
-            }
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        def status() -> str:
+            now = proxy.statistics()
+            return f"forwarded {now.forward.released} there, {now.backward.released} back"
+
+        wait(headline, status, lambda: proxy.finished, stopped, self.duration_s)

@@ -9,7 +9,9 @@ import tyro
 from haptether.cli.link_options import LinkOptions
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    import numpy as np
+    import numpy.typing as npt
+    from rich.table import Table
 
     from haptether.netsim import LinkFigures, Verdicts
 
@@ -29,6 +31,8 @@ class Sample(LinkOptions):
     haptether netsim sample --delay-s 0.05 --jitter-s 0.005 --packets 100000 --csv delays.csv
 
     haptether netsim sample --preset lte-driving --direction backward --plot lte.png
+
+    haptether netsim sample --trace recorded.csv --rate 500
 
     haptether netsim sample remote_push --loss 0.05 --mean-burst 10 --backward.delay-s 0.1 --json -
     """
@@ -52,7 +56,6 @@ class Sample(LinkOptions):
 
     def run(self) -> int:
         """Judges all packets."""
-        import numpy as np
         from rich.console import Console
 
         from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
@@ -65,11 +68,11 @@ class Sample(LinkOptions):
             require_matplotlib()
         links = self.links(self.scene)
         settings = getattr(links, self.direction)
-        sent_ns = np.rint(np.arange(self.packets) * (1e9 / self.rate)).astype(np.int64)
+        sent_ns = sending_times(self.packets, self.rate)
         verdicts = judge_all(settings, sent_ns, direction=self.direction, seed=links.seed, sizes=self.size)
         console = Console(stderr=table_goes_to_stderr(self.json) or table_goes_to_stderr(self.csv))
         figures = {"asked": asked(settings, self.direction), "realised": realised(verdicts)}
-        _print(console, f"{self.packets} packets {self.direction}, seed {links.seed}", figures)
+        console.print(figures_table(f"{self.packets} packets {self.direction}, seed {links.seed}", figures))
         if self.csv is not None:
             _write_csv(self.csv, verdicts)
         if self.json is not None:
@@ -82,14 +85,7 @@ class Sample(LinkOptions):
         return 0
 
     def _check(self) -> None:
-        for key, seen, least, most in (
-            ("packets", self.packets, 1, MOST_PACKETS),
-            ("rate", self.rate, 1e-3, 1e9),
-            ("size", self.size, 0, 65_535),
-        ):
-            if not least <= seen <= most:
-                message = f"{key} = {seen:g}: must be {least:g} to {most:g}"
-                raise ValueError(message)
+        check_traffic(self.packets, self.rate, self.size)
         if [self.csv, self.json].count(Path("-")) > 1:
             message = "csv, json: only one of the two can go to standard output"
             raise ValueError(message)
@@ -110,6 +106,30 @@ class Sample(LinkOptions):
         write_json(target, msgspec.json.format(msgspec.json.encode(report), indent=2))
 
 
+def check_traffic(packets: int, rate_hz: float, size: int) -> None:
+    """Refuses packets that nobody can send.
+
+    Raises:
+        ValueError: With the bounds.
+    """
+    for key, seen, least, most in (
+        ("packets", packets, 1, MOST_PACKETS),
+        ("rate", rate_hz, 1e-3, 1e9),
+        ("size", size, 0, 65_535),
+    ):
+        if not least <= seen <= most:
+            message = f"{key} = {seen:g}: must be {least:g} to {most:g}"
+            raise ValueError(message)
+
+
+def sending_times(packets: int, rate_hz: float) -> "npt.NDArray[np.int64]":
+    """When packets are sent at a constant rate, in ns."""
+    import numpy as np
+
+    times: npt.NDArray[np.int64] = np.rint(np.arange(packets) * (1e9 / rate_hz)).astype(np.int64)
+    return times
+
+
 MILLISECONDS = {"mean_s": "mean delay", "sigma_s": "sigma", "p50_s": "p50", "p99_s": "p99"}
 SHARES = {"loss": "loss", "reordered": "reordered", "duplicates": "duplicates", "damaged": "damaged"}
 
@@ -123,7 +143,8 @@ def shown(name: str, value: float | None) -> str:
     return f"{value * 100:.4g} %" if name in SHARES else f"{value:.3f}"
 
 
-def _print(console: "Console", title: str, columns: "dict[str, LinkFigures]") -> None:
+def figures_table(title: str, columns: "dict[str, LinkFigures]") -> "Table":
+    """Figures beside each other."""
     from rich.table import Table
 
     table = Table(header_style="bold", pad_edge=False)
@@ -132,7 +153,7 @@ def _print(console: "Console", title: str, columns: "dict[str, LinkFigures]") ->
         table.add_column(name, justify="right")
     for name, words in {**MILLISECONDS, "loss": "loss", "mean_burst": "mean burst", **SHARES}.items():
         table.add_row(words, *(shown(name, getattr(figures, name)) for figures in columns.values()))
-    console.print(table)
+    return table
 
 
 def _write_csv(target: Path, verdicts: "Verdicts") -> None:

@@ -1,0 +1,211 @@
+"""The control socket of a proxy that runs, and its client."""
+
+import contextlib
+import os
+import selectors
+import socket
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+
+from haptether.netsim.control_address import LONGEST_LINE, ControlAddress, control_address
+from haptether.netsim.controlled import Controlled, refused_line
+
+MOST_CONNECTIONS = 4
+_POLL_S = 0.1
+_PATIENCE_S = 1.0
+"""How long an answer waits for a client that does not read."""
+
+
+class ControlSocket:
+    """Listens for requests and answers each by a line, on a thread of its own.
+
+    A Unix socket is its owner's alone, and removed at the end; TCP is that of this machine only.
+
+    Args:
+        address: Path of a Unix socket, or `127.0.0.1:PORT`; port 0 lets the system choose.
+
+    Raises:
+        ValueError: Another address.
+        OSError: An address that cannot be used.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._at = control_address(address)
+        self._listening = _listen(self._at)
+        self._made = _identity(self._at)
+        self._end = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+        if isinstance(self._at.place, str):
+            return self._at.text
+        host, port = self._listening.getsockname()[:2]
+        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+    def serve(self, controlled: Controlled) -> None:
+        """Begins to answer; before, requests wait."""
+        self._thread = threading.Thread(target=self._run, args=(controlled,), name="haptether-control", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends it, which takes up to a second, and removes the socket's file."""
+        self._end.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._listening.close()
+        # Another may have taken the place.
+        if self._made is not None and _identity(self._at) == self._made:
+            Path(self._at.text).unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self, controlled: Controlled) -> None:
+        with selectors.DefaultSelector() as selector, contextlib.ExitStack() as stack:
+            selector.register(self._listening, selectors.EVENT_READ)
+            open_now = 0
+            while not self._end.is_set():
+                for key, _ in selector.select(_POLL_S):
+                    client: _Client | None = key.data
+                    if client is None:
+                        if (accepted := self._accepted(open_now)) is not None:
+                            stack.enter_context(accepted)
+                            selector.register(accepted, selectors.EVENT_READ, _Client(accepted))
+                            open_now += 1
+                    elif not client.is_served(controlled):
+                        selector.unregister(client.socket)
+                        client.socket.close()
+                        open_now -= 1
+
+    def _accepted(self, already: int) -> socket.socket | None:
+        try:
+            client, _ = self._listening.accept()
+        except OSError:
+            return None
+        client.settimeout(_PATIENCE_S)
+        if already < MOST_CONNECTIONS:
+            return client
+        with client:
+            _send(client, refused_line(f"{already} connections are open, there may be no more"))
+        return None
+
+
+def _listen(at: ControlAddress) -> socket.socket:
+    listening = socket.socket(at.family, socket.SOCK_STREAM)
+    try:
+        if at.family == socket.AF_UNIX:
+            _clear(at)
+            # From the first moment nobody else's.
+            before = os.umask(0o177)
+            try:
+                listening.bind(at.place)
+            finally:
+                os.umask(before)
+        else:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(at.place)
+        listening.listen(MOST_CONNECTIONS)
+    except OSError as error:
+        listening.close()
+        message = f'control = "{at.text}": {error.strerror or error}'
+        raise OSError(message) from None
+    listening.setblocking(False)
+    return listening
+
+
+def _clear(at: ControlAddress) -> None:
+    """Removes the socket of a proxy that was killed; what else is there stays, and binding fails."""
+    path = Path(at.text)
+    if not path.is_socket():
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(at.place)
+        except ConnectionRefusedError:
+            path.unlink(missing_ok=True)
+
+
+def _identity(at: ControlAddress) -> tuple[int, int] | None:
+    if at.family != socket.AF_UNIX:
+        return None
+    try:
+        found = Path(at.text).stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+class _Client:
+    """A connection, and what has come of its next request."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.socket = connection
+        self._waiting = bytearray()
+
+    def is_served(self, controlled: Controlled) -> bool:
+        """Answers the requests that have come; whether there may be more."""
+        try:
+            came = self.socket.recv(LONGEST_LINE)
+        except OSError:
+            return False
+        self._waiting += came
+        while (end := self._waiting.find(b"\n")) >= 0 or len(self._waiting) >= LONGEST_LINE:
+            if not 0 <= end < LONGEST_LINE:
+                _send(self.socket, refused_line(f"request: longer than {LONGEST_LINE} bytes"))
+                return False
+            answer, goes_on = controlled.answer(bytes(self._waiting[:end]))
+            del self._waiting[: end + 1]
+            if not _send(self.socket, answer) or not goes_on:
+                return False
+        return bool(came)
+
+
+def _send(client: socket.socket, answer: dict[str, Any]) -> bool:
+    try:
+        client.sendall(msgspec.json.encode(answer) + b"\n")
+    except OSError:
+        return False
+    return True
+
+
+def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.0) -> dict[str, Any]:
+    """Sends one request to the control socket of a proxy and gives its answer.
+
+    Args:
+        address: Path of a Unix socket, or `127.0.0.1:PORT`.
+        request: As `Controlled` takes it.
+        patience_s: How long to wait for the answer, in s.
+
+    Raises:
+        ValueError: Another address, or a request that is too long.
+        OSError: Nobody answers there.
+    """
+    at = control_address(address)
+    line = msgspec.json.encode(request) + b"\n"
+    if len(line) > LONGEST_LINE:
+        message = f"request: {len(line)} bytes, must be at most {LONGEST_LINE}"
+        raise ValueError(message)
+    try:
+        with socket.socket(at.family, socket.SOCK_STREAM) as client:
+            client.settimeout(patience_s)
+            client.connect(at.place)
+            client.sendall(line)
+            with client.makefile("rb") as answers:
+                answer = answers.readline()
+        decoded: dict[str, Any] = msgspec.json.decode(answer, type=dict[str, Any])
+    except (OSError, msgspec.DecodeError) as error:
+        why = error.strerror or error if isinstance(error, OSError) else "no proxy answers there"
+        message = f'control = "{address}": {why}'
+        raise OSError(message) from None
+    return decoded

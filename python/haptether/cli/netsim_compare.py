@@ -1,0 +1,70 @@
+"""`haptether netsim compare`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Set what `tc netem` was asked for beside what it does and what netsim does for the same request.
+
+    netem is reproduced with its quirks, as by the setting netem of a link; ours are the settings that do what was asked
+    for, written with --json. Below the table stands which quirks acted.
+
+    Examples:
+
+    haptether netsim compare "delay 50ms 10ms 25% loss 1% 25%"
+
+    haptether netsim compare "delay 100ms 20ms distribution pareto" --packets 1000000 --json -
+    """
+
+    arguments: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARGUMENTS")]
+    """Arguments of `tc netem`, as one word in quotes; with or without the command before them."""
+    packets: int = 100_000
+    """How many packets."""
+    rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 1000.0
+    """Packets per second."""
+    size: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 92
+    """Payload of a packet in bytes; by default a frame of one axis."""
+    seed: int = 0
+    """Seed of all draws."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write figures, quirks and settings as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Sends the packets through both."""
+        import msgspec
+        from rich.console import Console
+
+        from haptether.cli.netsim_sample import check_traffic, figures_table, sending_times
+        from haptether.cli.options import check_seed
+        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.netsim import compare_netem
+
+        check_traffic(self.packets, self.rate, self.size)
+        check_seed(self.seed)
+        check_target(self.json)
+        found = compare_netem(self.arguments, sending_times(self.packets, self.rate), seed=self.seed, size=self.size)
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        columns = {"asked": found.asked, "netem": found.netem, "ours": found.ours}
+        console.print(figures_table(f"{self.packets} packets, seed {self.seed}", columns))
+        for quirk in found.quirks:
+            console.print(quirk, highlight=False, markup=False, soft_wrap=True)
+        if found.refused is not None:
+            console.print(f"no link of ours can: {found.refused}", highlight=False, markup=False, soft_wrap=True)
+        if not found.quirks:
+            console.print("no quirk of netem acted", highlight=False)
+        if self.json is not None:
+            report = {
+                "arguments": self.arguments,
+                "packets": self.packets,
+                "rate_hz": self.rate,
+                "size": self.size,
+                "seed": self.seed,
+                **msgspec.to_builtins(found),
+            }
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        return 0

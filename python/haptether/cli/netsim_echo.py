@@ -1,0 +1,51 @@
+"""`haptether netsim echo`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Echo:
+    """Answer the probes of `haptether netsim record`: the far end of a measurement.
+
+    It answers each probe by one of the same size, and nothing else, so that nobody can be flooded through it.
+
+    Examples:
+
+    haptether netsim echo --listen 0.0.0.0:9200
+    """
+
+    listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
+    """Where the probes arrive."""
+    duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """End after this time in s; without it, run until Ctrl-C."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the counts as JSON at the end; - for standard output."""
+
+    def run(self) -> int:
+        """Answers until told to stop."""
+        import msgspec
+        from rich.console import Console
+
+        from haptether.cli.live import Stopped, wait
+        from haptether.cli.options import check_duration
+        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.netsim import Echo as LiveEcho
+
+        check_duration("duration_s", self.duration_s)
+        check_target(self.json)
+        with Stopped() as stopped:
+            echo = LiveEcho(listen=self.listen)
+            wait(
+                f"echo listens on {echo.address}", lambda: "answering", lambda: echo.finished, stopped, self.duration_s
+            )
+            answered, ignored = echo.stop()
+        Console(stderr=table_goes_to_stderr(self.json)).print(
+            f"{answered} probes answered, {ignored} other datagrams ignored", highlight=False
+        )
+        if self.json is not None:
+            write_json(self.json, msgspec.json.encode({"answered": answered, "ignored": ignored}))
+        return 0

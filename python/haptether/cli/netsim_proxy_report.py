@@ -1,0 +1,90 @@
+"""What `haptether netsim proxy` says at its end."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.netsim import DirectionStatistics, ProxyStatistics
+
+COUNTS = (
+    "received", "released", "lost", "queue_full", "damaged", "extras", "overtaking", "refused", "oversize", "unsent",
+)  # fmt: skip
+OVERALL = (
+    "flows", "peer_unreachable", "early", "log_lost", "scheduling", "receive_buffer_bytes", "send_buffer_bytes",
+    "scheduling_error_p50_s", "scheduling_error_p99_s", "scheduling_error_p999_s", "scheduling_error_max_s", "valid",
+)  # fmt: skip
+
+
+def statistics_report(statistics: "ProxyStatistics") -> dict[str, Any]:
+    """All counts, for JSON."""
+    ways = {"forward": statistics.forward, "backward": statistics.backward}
+    return {
+        **{way: {**_counts(of), "dropped": _dropped(of)} for way, of in ways.items()},
+        **{name: getattr(statistics, name) for name in OVERALL},
+    }
+
+
+def _counts(of: "DirectionStatistics") -> dict[str, int]:
+    return {name: getattr(of, name) for name in COUNTS}
+
+
+def _dropped(of: "DirectionStatistics") -> dict[str, int]:
+    return {cause: count for cause, count in of.dropped.items() if count}
+
+
+def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None) -> int:
+    """Prints what the proxy did and gives the exit status: a run that was not what was asked for has failed."""
+    import msgspec
+    from rich.console import Console
+
+    from haptether.cli.output import table_goes_to_stderr, write_json
+
+    console = Console(stderr=table_goes_to_stderr(json))
+    _print(console, statistics)
+    if not statistics.valid:
+        early = f", {statistics.early} left early" if statistics.early else ""
+        console.print(
+            f"INVALID: p99 of the scheduling error is {statistics.scheduling_error_p99_s * 1e3:.3f} ms, "
+            f"must be at most {max_error_s * 1e3:g} ms{early}: the delays were not those that were asked for",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if json is not None:
+        body = {**statistics_report(statistics), "max_error_s": max_error_s}
+        write_json(json, msgspec.json.format(msgspec.json.encode(body), indent=2))
+    return 0 if statistics.valid else 1
+
+
+def _print(console: "Console", statistics: "ProxyStatistics") -> None:
+    from rich.table import Table
+
+    table = Table(header_style="bold", pad_edge=False)
+    table.add_column("direction")
+    for name in COUNTS:
+        table.add_column(name.replace("_", " "), justify="right")
+    for way, of in (("forward", statistics.forward), ("backward", statistics.backward)):
+        table.add_row(way, *map(str, _counts(of).values()))
+    console.print(table)
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True)
+
+    for way, of in (("forward", statistics.forward), ("backward", statistics.backward)):
+        if dropped := _dropped(of):
+            say(f"dropped {way}: {', '.join(f'{cause} {count}' for cause, count in dropped.items())}")
+    shown = {
+        "p50": statistics.scheduling_error_p50_s,
+        "p99": statistics.scheduling_error_p99_s,
+        "p99.9": statistics.scheduling_error_p999_s,
+        "max": statistics.scheduling_error_max_s,
+    }
+    say(f"released late by {', '.join(f'{name} {error_s * 1e3:.3f} ms' for name, error_s in shown.items())}")
+    say(
+        f"{statistics.flows} flows, {statistics.forward.refused + statistics.backward.refused} datagrams refused, "
+        f"scheduling class {statistics.scheduling}, socket buffers {statistics.receive_buffer_bytes} bytes for "
+        f"receiving and {statistics.send_buffer_bytes} for sending"
+    )
+    if statistics.log_lost:
+        say(f"the log lacks {statistics.log_lost} records: its writer was behind")

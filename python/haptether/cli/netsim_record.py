@@ -1,0 +1,171 @@
+"""`haptether netsim record`."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.netsim import Recording
+
+UNTOLD_S = 2.0
+"""A measurement no longer than this needs no progress bar."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """Measure a real network to a `haptether netsim echo` and back, and write a file that netsim replays.
+
+    The probes leave at a constant rate, each is answered, and the answer tells when the probe arrived. Only the round
+    trip is certain: how it divides into the two ways follows from taking the quickest probes to be alike both ways.
+
+    `sample` and `proxy` replay the file with --trace, a scene with `trace = { file = "network.csv" }` in [link.forward]
+    and [link.backward]; each direction takes the delays of its own.
+
+    Examples:
+
+    haptether netsim record 192.0.2.7:9200 --rate 500 --duration-s 60 --csv network.csv
+
+    haptether netsim sample --trace network.csv --packets 30000 --rate 500 --plot network.png
+    """
+
+    peer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="HOST:PORT")]
+    """Where the echo listens."""
+    rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 1000.0
+    """Probes per second, at most 1000."""
+    duration_s: Annotated[float, tyro.conf.arg(metavar="S")] = 10.0
+    """For how long in s."""
+    csv: Annotated[Path | None, tyro.conf.arg(metavar="PATH.csv")] = None
+    """Write time_s, forward_delay_s, backward_delay_s, a row per probe; an empty cell is a loss."""
+    no_realtime: bool = False
+    """Do not ask for real-time scheduling."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the summary as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Measures, and says what was found."""
+        import msgspec
+
+        from haptether.cli.output import check_target, write_json
+        from haptether.netsim import record
+
+        check_target(self.csv)
+        check_target(self.json)
+        if str(self.csv) == "-":
+            message = "csv = -: must be a file: netsim replays it"
+            raise ValueError(message)
+        with _progress(self.peer, self.duration_s):
+            recording = record(self.peer, rate_hz=self.rate, duration_s=self.duration_s, realtime=not self.no_realtime)
+        if self.csv is not None:
+            recording.write_csv(self.csv)
+        figures = summarised(recording)
+        self._print(figures)
+        if self.json is not None:
+            report = {"peer": self.peer, "rate_hz": self.rate, "duration_s": self.duration_s, **figures}
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        return 0
+
+    def _print(self, figures: "dict[str, float | int | None]") -> None:
+        from rich.console import Console
+        from rich.table import Table
+
+        from haptether.cli.output import table_goes_to_stderr
+
+        def ms(name: str) -> str:
+            value = figures[name]
+            return "-" if value is None else f"{value * 1e3:.3f} ms"
+
+        def lost(way: str) -> str:
+            count, sent = figures[f"lost_{way}"] or 0, figures[f"sent_{way}"] or 0
+            return f"{count} of {sent}" + (f" ({count / sent:.2%})" if sent else "")
+
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        table = Table(header_style="bold", pad_edge=False)
+        table.add_column(f"{figures['probes']} probes")
+        for name in ("round trip", "forward (estimated)", "backward (estimated)"):
+            table.add_column(name, justify="right")
+        for percent in ("p50", "p99"):
+            ways = ("round_trip", "forward", "backward")
+            table.add_row(percent, *(ms(f"{way}_{percent}_s") for way in ways))
+        table.add_row("lost", "", lost("forward"), lost("backward"))
+        table.add_row("worst gap", ms("worst_gap_s"), "", "")
+        console.print(table)
+        shortest = ms("shortest_s")
+        lines = [
+            f"only the sum of both ways is certain; taken to be alike where the round trip was shortest, {shortest},",
+            "each may be wrong by up to half of that",
+            f"probes left up to {ms('latest_s')} late",
+        ]
+        if self.csv is not None:
+            lines.append(f"replay it: haptether netsim sample --trace {self.csv}, or in a scene's [link.forward] and "
+                         f'[link.backward]: trace = {{ file = "{self.csv}" }}')  # fmt: skip
+        for line in lines:
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def summarised(recording: "Recording") -> "dict[str, float | int | None]":
+    """Figures of a measurement; `None` where nothing arrived."""
+    import numpy as np
+
+    forward, backward = recording.forward_delay_s, recording.backward_delay_s
+    answered = ~(np.isnan(forward) | np.isnan(backward))
+    of_ways = {
+        "round_trip": (forward + backward)[answered],
+        "forward": forward[answered],
+        "backward": backward[answered],
+    }
+    arrivals = np.sort((recording.time_s + forward + backward)[answered])
+    sent = len(recording)
+    return {
+        "probes": sent,
+        **{
+            f"{way}_{name}_s": float(np.quantile(delays, share)) if delays.size else None
+            for way, delays in of_ways.items()
+            for name, share in (("p50", 0.5), ("p99", 0.99))
+        },
+        "sent_forward": sent,
+        "lost_forward": recording.lost_forward,
+        "sent_backward": sent - recording.lost_forward,
+        "lost_backward": recording.lost_backward,
+        "worst_gap_s": float(np.diff(arrivals).max()) if arrivals.size > 1 else None,
+        "shortest_s": recording.shortest_s,
+        "offset_s": recording.offset_s,
+        "drift": recording.drift,
+        "latest_s": recording.latest_s,
+    }
+
+
+@contextlib.contextmanager
+def _progress(peer: str, duration_s: float) -> Iterator[None]:
+    """Shows how far a measurement is, which goes on in this thread."""
+    if not UNTOLD_S < duration_s < float("inf"):
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+    ended = threading.Event()
+    begun = time.monotonic()
+
+    def follow() -> None:
+        # What is refused is refused by then.
+        if ended.wait(1.0):
+            return
+        with bar:
+            task = bar.add_task(f"measuring the way to {peer} and back", total=duration_s)
+            while not ended.wait(0.2):
+                bar.update(task, completed=time.monotonic() - begun)
+
+    following = threading.Thread(target=follow, name="haptether-progress", daemon=True)
+    following.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        following.join()

@@ -1,0 +1,93 @@
+"""`haptether netsim set`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Set:
+    """Change the link of a proxy that runs with --control, from its next packets on.
+
+    KEY=VALUE changes a setting in both directions, forward.KEY=VALUE and backward.KEY=VALUE in one. Values are TOML,
+    bare words are strings; KEY= puts a setting back to what it is if nobody gives it. All is changed or, if something
+    cannot be, nothing.
+
+    Examples:
+
+    haptether netsim set --control ./netsim.sock delay_s=0.1 backward.loss=0.02
+
+    haptether netsim set --control 127.0.0.1:9100 mean_burst= loss=0 --show
+    """
+
+    settings: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """What changes."""
+    control: Annotated[str, tyro.conf.arg(metavar="PATH|127.0.0.1:PORT")]
+    """Where the proxy is controlled: what it was given as --control."""
+    show: bool = False
+    """Say what the link is afterwards, and what the proxy has done so far."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write settings and statistics as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Sends the request and says what was answered."""
+        import msgspec
+
+        from haptether.cli.output import check_target, write_json
+        from haptether.netsim import ask_control
+
+        check_target(self.json)
+        request = requested(self.settings)
+        show = self.show or self.json is not None
+        if not request and not show:
+            message = "nothing to change: give KEY=VALUE, or --show"
+            raise ValueError(message)
+        answer = ask_control(self.control, {**request, **({"show": True} if show else {})})
+        if answer.pop("ok", None) is not True:
+            message = f"the proxy changed nothing: {answer.get('error', 'it did not say why')}"
+            raise ValueError(message)
+        if self.show:
+            self._print(answer)
+        if self.json is not None:
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(answer), indent=2))
+        return 0
+
+    def _print(self, answer: dict[str, Any]) -> None:
+        from rich.console import Console
+
+        from haptether.cli.output import table_goes_to_stderr
+
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        for way in ("forward", "backward"):
+            settings = ", ".join(f"{key} = {value}" for key, value in answer[way].items()) or "a perfect network"
+            console.print(f"{way}: {settings}", highlight=False, markup=False, soft_wrap=True)
+        for way in ("forward", "backward"):
+            counts = answer["statistics"][way]
+            told = ", ".join(f"{counts[name]} {name}" for name in ("received", "released", "lost"))
+            console.print(f"so far {way}: {told}", highlight=False, soft_wrap=True)
+
+
+def requested(settings: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """The request that assignments stand for.
+
+    Raises:
+        SceneError: One that is none, a setting that there is not, or a value that TOML does not know.
+    """
+    from haptether.bridge.scene import path_of, toml_value
+    from haptether.bridge.scene_error import SceneError
+
+    request: dict[str, dict[str, Any]] = {}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        first, dot, key = name.strip().partition(".")
+        ways, key = ((first,), key) if dot and first in {"forward", "backward"} else (("forward", "backward"), name)
+        key = key.strip().replace("-", "_")
+        if not equals or not key or "." in key:
+            message = f"{setting[:80]}: must be KEY=VALUE, forward.KEY=VALUE or backward.KEY=VALUE"
+            raise SceneError(message)
+        for way in ways:
+            path = path_of(f"link.{way}.{key}")
+            request.setdefault(way, {})[key] = toml_value(text.strip(), path) if text.strip() else None
+    return request

@@ -1,0 +1,199 @@
+"""Requests to a proxy that runs: what they change, and what they are refused for."""
+
+import json
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from haptether.netsim import Controlled, ControlSocket, DelayTrace, LinkSettings, Proxy, ProxyStatistics, ask_control
+
+PATIENCE_S = 10.0
+
+
+class Changes:
+    """In the place of a proxy: notes what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, LinkSettings]] = []
+
+    def change(self, direction: str, settings: LinkSettings) -> None:
+        self.told.append((direction, settings))
+
+    def statistics(self) -> ProxyStatistics:
+        raise AssertionError
+
+
+def asked(request: object, *, forward: LinkSettings | None = None) -> tuple[dict[str, Any], Changes, bool]:
+    changes = Changes()
+    controlled = Controlled(changes, forward or LinkSettings(delay_s=0.05, loss=0.01), LinkSettings(), lambda _: {})
+    line = request if isinstance(request, bytes) else json.dumps(request).encode()
+    answer, goes_on = controlled.answer(line)
+    return answer, changes, goes_on
+
+
+def test_what_is_not_named_stays() -> None:
+    answer, changes, _ = asked({"forward": {"delay_s": 0.1}, "backward": {"loss": 0.5, "mean_burst": 4}})
+    assert answer == {"ok": True}
+    assert changes.told == [
+        ("forward", LinkSettings(delay_s=0.1, loss=0.01)),
+        ("backward", LinkSettings(loss=0.5, mean_burst=4.0)),
+    ]
+    answer, changes, _ = asked({"forward": {"loss": None, "outages": [{"times": {"kind": "once", "at_s": 1.0,
+                                                                                 "duration_s": 1.0}}]}})  # fmt: skip
+    assert answer == {"ok": True}
+    ((_, settings),) = changes.told
+    assert settings.loss is None
+    assert settings.outages is not None
+    assert asked({"forward": {}})[0] == {"ok": True}
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        ({}, "request: must be an object with forward, backward, show"),
+        ([1], "request: must be an object with forward, backward, show"),
+        ({"forwards": {}}, "forwards: a request has only forward, backward, show"),
+        ({"show": 1}, "show: must be true or false"),
+        ({"forward": 1}, "forward: must be an object of settings"),
+        ({"forward": {"dela_s": 1}}, "forward.dela_s: there is no such setting: did you mean delay_s?"),
+        ({"backward": {"delay_s": "a"}}, 'backward.delay_s = "a": must be a number from 0 to 3600'),
+        ({"backward": {"loss": 2}}, "backward.loss = 2: must be a number from 0 to 1"),
+        ({"forward": {"mean_burst": 1.0, "loss": 0.9}}, "forward.mean_burst"),
+        ({"forward": {"slots": {"period_s": 1, "peak": 2}}}, "forward.slots.peak: there is no such setting"),
+        ({"forward": {"preset": "starlnk"}}, 'forward.preset = "starlnk": must be one of wired-lan, '),
+        ({"forward": {"trace": {"file": "/etc/passwd"}}}, "forward.trace.file: a running proxy reads no files"),
+        ({"forward": {"opportunities": {"file": "a.up"}}}, "forward.opportunities.file: a running proxy reads no"),
+        ({"forward": {"distribution": "a.dist"}}, 'forward.distribution = "a.dist": must be one of normal, '),
+        (b'{"forward": {"delay_s": NaN}}', "no JSON: "),
+        (b'{"forward": {"delay_s": 1e999}}', "no JSON: "),
+        (b"", "no JSON: "),
+        (b"\xff\xfe", "no JSON: "),
+        (b"POST / HTTP/1.1\r", "no JSON: "),
+        (b"[" * 60_000, "no JSON: "),
+    ],
+)
+def test_a_bad_request_names_the_key_and_changes_nothing(request_: object, said: str) -> None:
+    # Beside one that could be carried out.
+    if isinstance(request_, dict) and "backward" in request_:
+        request_ = {"forward": {"delay_s": 0.2}, **request_}
+    answer, changes, goes_on = asked(request_)
+    assert answer["ok"] is False
+    assert answer["error"].startswith(said)
+    assert "\n" not in answer["error"]
+    assert not changes.told
+    assert goes_on == (not said.startswith("no JSON"))
+
+
+def test_a_recording_is_told_by_its_length() -> None:
+    trace = DelayTrace(time_s=tuple(map(float, range(5000))), delay_s=(0.1,) * 5000)
+    with proxied(LinkSettings(trace=trace)) as (address, _):
+        answer = ask_control(address, {"show": True})
+    assert answer["forward"]["trace"]["time_s"] == "5000 values"
+    assert answer["statistics"] == {"received": 0}
+
+
+@contextmanager
+def proxied(forward: LinkSettings, address: str = "127.0.0.1:0") -> Iterator[tuple[str, Proxy]]:
+    proxy = Proxy(listen="127.0.0.1:0", forward="127.0.0.1:9", forward_link=forward, backward_link=LinkSettings(),
+                  realtime=False)  # fmt: skip
+    with ControlSocket(address) as control:
+        control.serve(Controlled(proxy, forward, LinkSettings(), lambda of: {"received": of.forward.received}))
+        yield control.address, proxy
+    proxy.stop()
+
+
+@contextmanager
+def connected(address: str) -> Iterator[socket.socket]:
+    host, port = address.rsplit(":", 1)
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as client:
+        yield client
+
+
+def test_requests_may_come_in_pieces_and_together() -> None:
+    with proxied(LinkSettings()) as (address, _), connected(address) as client, client.makefile("rb") as answers:
+        line = b'{"forward": {"delay_s": 0.1}}\n'
+        client.sendall(line[:7])
+        client.sendall(line[7:] + line + b'{"forward": {"delay_s": -1}}\n{"show": true}\n')
+        assert json.loads(answers.readline()) == {"ok": True}
+        assert json.loads(answers.readline()) == {"ok": True}
+        assert json.loads(answers.readline())["error"].startswith("forward.delay_s = -1: must be ")
+        assert json.loads(answers.readline())["forward"] == {"delay_s": 0.1}
+
+
+@pytest.mark.parametrize("line", [b"POST / HTTP/1.1\r\n", b" " * 2**16 + b"\n"])
+def test_after_a_line_that_is_no_request_nothing_counts(line: bytes) -> None:
+    with proxied(LinkSettings()) as (address, _):
+        with connected(address) as client, client.makefile("rb") as answers:
+            client.sendall(line + b'{"forward": {"delay_s": 0.1}}\n')
+            assert json.loads(answers.readline())["ok"] is False
+            # What was sent after it was never read: the connection may be reset.
+            with suppress(ConnectionResetError):
+                assert answers.read() == b""
+        assert ask_control(address, {"show": True})["forward"] == {}
+
+
+def test_a_line_without_an_end_is_refused() -> None:
+    with proxied(LinkSettings()) as (address, _):
+        with connected(address) as client, client.makefile("rb") as answers:
+            client.sendall(b" " * 2**16)
+            assert json.loads(answers.readline()) == {"ok": False, "error": "request: longer than 65536 bytes"}
+        assert ask_control(address, {"show": True})["ok"] is True
+
+
+def test_there_may_be_a_few_connections_and_they_are_let_go() -> None:
+    with proxied(LinkSettings()) as (address, _):
+        with ExitStack() as stack:
+            for _ in range(4):
+                client = stack.enter_context(connected(address))
+                client.sendall(b'{"show": true}\n')
+                assert client.recv(1 << 16).startswith(b'{"ok":true')
+            assert ask_control(address, {"show": True}) == {
+                "ok": False, "error": "4 connections are open, there may be no more",
+            }  # fmt: skip
+        # The other end sees them go within a moment.
+        for _ in range(100):
+            if ask_control(address, {"show": True})["ok"]:
+                break
+        else:
+            raise AssertionError
+
+
+def test_a_unix_socket_is_its_owners_and_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "control"
+    with proxied(LinkSettings(), str(path)):
+        assert path.stat().st_mode & 0o777 == 0o600
+        assert ask_control(str(path), {"show": True})["ok"] is True
+        with pytest.raises(OSError, match="Address already in use"):
+            ControlSocket(str(path))
+    assert not path.exists()
+    path.write_text("precious")
+    with pytest.raises(OSError, match="Address already in use"):
+        ControlSocket(str(path))
+    assert path.read_text() == "precious"
+
+
+def test_the_socket_of_a_proxy_that_was_killed_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "control"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
+        dead.bind(str(path))
+    with proxied(LinkSettings(), str(path)):
+        assert ask_control(str(path), {"show": True})["ok"] is True
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    "address", ["0.0.0.0:1", "192.0.2.7:1", "localhost:1", "127.0.0.1:99999", "[::]:1", "", "a\0b"]
+)
+def test_only_this_machine_may_control(address: str) -> None:
+    for use in (ControlSocket, lambda text: ask_control(text, {"show": True})):
+        with pytest.raises(ValueError, match="must be the path of a Unix socket, or 127"):
+            use(address)
+
+
+def test_a_request_that_is_too_long_is_not_sent(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="request: 65556 bytes, must be at most 65536"):
+        ask_control(str(tmp_path / "nobody"), {"forward": {"a": "x" * 65_535}})
