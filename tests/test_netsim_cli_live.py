@@ -318,7 +318,7 @@ def test_a_measured_network_is_replayed(start: Start, tmp_path: Path) -> None:
 
 def test_a_measurement_that_cannot_be_made_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, said, status in (
-        (["127.0.0.1:9", "--rate", "2000"], "rate_hz = 2000: must be a finite number above 0, at most 1000", 2),
+        (["127.0.0.1:9", "--rate", "2000"], "rate_hz = 2000: must be a finite number from 0.001 to 1000", 2),
         (["127.0.0.1:9", "--duration-s", "nan"], "duration_s = NaN: must be", 2),
         (["nowhere"], 'peer = "nowhere": ', 2),
         (["127.0.0.1:9", "--csv", "-"], "csv = -: must be a file", 2),

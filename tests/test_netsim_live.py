@@ -118,7 +118,23 @@ def test_a_measured_network_is_the_one_there_is(tmp_path: Path) -> None:
 
 
 def test_a_measurement_that_cannot_be_made_says_why(peer: socket.socket) -> None:
-    with pytest.raises(ValueError, match=r"^rate_hz = 2000: must be a finite number above 0, at most 1000$"):
+    with pytest.raises(ValueError, match=r"^rate_hz = 2000: must be a finite number from 0.001 to 1000$"):
         record(name_of(peer), rate_hz=2000.0)
     with pytest.raises(ValueError, match=r"^duration_s = NaN: "):
         record(name_of(peer), duration_s=float("nan"))
+
+
+def test_a_log_on_a_full_disk_costs_the_log_and_not_the_figures(peer: socket.socket) -> None:
+    link = LinkSettings()
+    proxy = Proxy(
+        listen="127.0.0.1:0", forward=name_of(peer), forward_link=link, backward_link=link, log="/dev/full",
+        realtime=False, max_error_s=1.0,
+    )  # fmt: skip
+    host, port = proxy.address.split(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.sendto(b"one", (host, int(port)))
+        assert peer.recv(64) == b"one"
+    statistics = proxy.stop()
+    assert statistics.forward.released == 1
+    assert statistics.log_failed
+    assert not statistics.valid

@@ -2,6 +2,7 @@
 
 mod adversary;
 mod chains;
+mod changes;
 mod endings;
 mod independence;
 mod jitter;

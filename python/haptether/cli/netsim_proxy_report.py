@@ -12,7 +12,8 @@ COUNTS = (
     "received", "released", "lost", "queue_full", "damaged", "extras", "overtaking", "refused", "oversize", "unsent",
 )  # fmt: skip
 OVERALL = (
-    "flows", "peer_unreachable", "early", "log_lost", "scheduling", "receive_buffer_bytes", "send_buffer_bytes",
+    "flows", "peer_unreachable", "early", "log_lost", "log_failed", "scheduling", "receive_buffer_bytes",
+    "send_buffer_bytes",
     "scheduling_error_p50_s", "scheduling_error_p99_s", "scheduling_error_p999_s", "scheduling_error_max_s", "valid",
 )  # fmt: skip
 
@@ -43,7 +44,11 @@ def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None)
 
     console = Console(stderr=table_goes_to_stderr(json))
     _print(console, statistics)
-    if not statistics.valid:
+    if statistics.log_failed:
+        console.print(
+            "INVALID: the log could not be written to its end: is the disk full?", highlight=False, soft_wrap=True
+        )
+    elif not statistics.valid:
         early = f", {statistics.early} left early" if statistics.early else ""
         console.print(
             f"INVALID: p99 of the scheduling error is {statistics.scheduling_error_p99_s * 1e3:.3f} ms, "
