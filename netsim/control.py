@@ -13,6 +13,7 @@ import msgspec
 
 from haptether.netsim.control_address import LONGEST_LINE, ControlAddress, control_address
 from haptether.netsim.controlled import Controlled, refused_line
+from haptether.netsim.link_error import refuse_infinite
 
 MOST_CONNECTIONS = 4
 _POLL_S = 0.1
@@ -192,6 +193,8 @@ def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.
         OSError: Nobody answers there.
     """
     at = control_address(address)
+    # JSON has no such numbers: they would arrive as null, which puts a setting back.
+    refuse_infinite(request)
     line = msgspec.json.encode(request) + b"\n"
     if len(line) > LONGEST_LINE:
         message = f"request: {len(line)} bytes, must be at most {LONGEST_LINE}"
@@ -206,6 +209,8 @@ def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.
         decoded: dict[str, Any] = msgspec.json.decode(answer, type=dict[str, Any])
     except (OSError, msgspec.DecodeError) as error:
         why = error.strerror or error if isinstance(error, OSError) else "no proxy answers there"
-        message = f'control = "{address}": {why}'
+        message = (
+            f'control = "{address}": {why}; nothing is known to have changed: it may be busy with others, try again'
+        )
         raise OSError(message) from None
     return decoded

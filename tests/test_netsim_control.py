@@ -197,3 +197,9 @@ def test_only_this_machine_may_control(address: str) -> None:
 def test_a_request_that_is_too_long_is_not_sent(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="request: 65556 bytes, must be at most 65536"):
         ask_control(str(tmp_path / "nobody"), {"forward": {"a": "x" * 65_535}})
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_what_json_cannot_write_is_refused_and_not_taken_for_a_reset(value: float) -> None:
+    with pytest.raises(ValueError, match=r"^forward\.loss = -?(nan|inf): must be a finite number$"):
+        ask_control("127.0.0.1:9", {"forward": {"loss": value}})

@@ -53,7 +53,14 @@ fn play(settings: PlayoutSettings, trace: &Trace, tick_ns: u64) -> (Vec<Played<u
 }
 
 fn jittery(delay_s: f64, jitter_s: f64) -> LinkSettings {
-    LinkSettings { delay_s, jitter_s, distribution: Distribution::Uniform, ..LinkSettings::default() }
+    let jitter_correlation_s = Some(0.0);
+    LinkSettings {
+        delay_s,
+        jitter_s,
+        jitter_correlation_s,
+        distribution: Distribution::Uniform,
+        ..LinkSettings::default()
+    }
 }
 
 #[test]

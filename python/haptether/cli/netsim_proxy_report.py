@@ -66,11 +66,12 @@ def _print(console: "Console", statistics: "ProxyStatistics") -> None:
     from rich.table import Table
 
     table = Table(header_style="bold", pad_edge=False)
-    table.add_column("direction")
+    table.add_column("datagrams")
+    ways = {"forward": _counts(statistics.forward), "backward": _counts(statistics.backward)}
+    for way in ways:
+        table.add_column(way, justify="right")
     for name in COUNTS:
-        table.add_column(name.replace("_", " "), justify="right")
-    for way, of in (("forward", statistics.forward), ("backward", statistics.backward)):
-        table.add_row(way, *map(str, _counts(of).values()))
+        table.add_row(name.replace("_", " "), *(str(counts[name]) for counts in ways.values()))
     console.print(table)
 
     def say(text: str) -> None:
@@ -91,5 +92,7 @@ def _print(console: "Console", statistics: "ProxyStatistics") -> None:
         f"scheduling class {statistics.scheduling}, socket buffers {statistics.receive_buffer_bytes} bytes for "
         f"receiving and {statistics.send_buffer_bytes} for sending"
     )
+    if statistics.peer_unreachable:
+        say(f"{statistics.peer_unreachable} times the network said that nobody is where they are forwarded to")
     if statistics.log_lost:
         say(f"the log lacks {statistics.log_lost} records: its writer was behind")
