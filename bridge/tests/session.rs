@@ -415,7 +415,9 @@ proptest! {
         pair.fate = Box::new(move |_, _, _| {
             if numbers.draw() % 100 < loss { vec![] } else { vec![numbers.draw() % (most_ms * MS)] }
         });
-        pair.run(6000);
+        // A hello is repeated every 2 s at most, and of a hello and its answer half are lost at worst: that none of 17
+        // comes through in 30 s has a probability of 1e-5.
+        pair.run(30_000);
         let session = pair.master.session.session();
         prop_assert!(session.is_some());
         prop_assert_eq!(pair.slave.session.session(), session);
