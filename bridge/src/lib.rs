@@ -3,7 +3,6 @@
 //! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
-pub mod clock;
 pub mod coupling;
 mod endpoint;
 mod ladder;
@@ -13,7 +12,6 @@ pub mod live;
 mod local;
 mod pace;
 mod plant;
-pub mod playout;
 mod record;
 pub mod scene;
 pub mod session;
