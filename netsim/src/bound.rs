@@ -131,10 +131,11 @@ mod tests {
             (
                 LinkSettings {
                     jitter_s: 0.01,
-                    distribution: Distribution::Table(vec![-8192, 0, 24576]),
+                    // Half at each end, half spread between: a variance of 2/3.
+                    distribution: Distribution::Table(vec![-1, 1]),
                     ..delayed.clone()
                 },
-                0.08,
+                0.05 + 0.01 * 1.001 * 1.5_f64.sqrt(),
             ),
             (
                 LinkSettings { jitter_s: 0.01, distribution: Distribution::Pareto, ..delayed.clone() },

@@ -127,9 +127,14 @@ fn what_is_lost_or_damaged_before_is_so_for_the_adversary() {
 
 #[test]
 fn no_more_arrives_beside_a_packet_than_there_is_room_for() {
-    let (itself, beside) = outcome(&attacks(&[Action::Mirror; 200]));
+    let (itself, beside) = outcome(&attacks(&[Action::Mirror; 8]));
     assert!(itself.is_some());
     assert_eq!(beside.len(), 8);
+    let too_many = LinkSettings { duplicate: 0.1, ..attacks(&[Action::Mirror; 8]) };
+    assert_eq!(
+        too_many.validate().unwrap_err().to_string(),
+        "attacks: 8 of them add a packet: at most 8 may, a duplicate among them"
+    );
 }
 
 #[test]

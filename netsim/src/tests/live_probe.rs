@@ -107,11 +107,11 @@ fn a_measurement_that_cannot_be_made_says_why() {
     let message = |settings| record(&settings, &AtomicBool::new(false)).unwrap_err().to_string();
     assert_eq!(
         message(RecordSettings { rate_hz: 1001.0, ..good }),
-        "rate_hz = 1001: must be a finite number above 0, at most 1000"
+        "rate_hz = 1001: must be a finite number from 0.001 to 1000"
     );
     assert_eq!(
         message(RecordSettings { duration_s: f64::NAN, ..good }),
-        "duration_s = NaN: must be a finite number above 0, at most 10000"
+        "duration_s = NaN: must be a finite number from 0.001 to 10000"
     );
     let silent = record(&RecordSettings { duration_s: 0.005, ..good }, &AtomicBool::new(true));
     assert!(matches!(silent, Err(ProbeError::NoAnswer { sent: 0, .. })));
