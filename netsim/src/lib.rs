@@ -24,7 +24,6 @@ mod loss;
 mod mtu;
 pub mod netem;
 mod on_off;
-mod order;
 mod outage;
 mod probe;
 mod proxy;

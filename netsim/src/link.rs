@@ -5,12 +5,12 @@ use crate::rule::{BuildEnding, BuildRule, Ending, Extras, Rule, Streams};
 use crate::settings::{LinkError, LinkSettings};
 use crate::verdict::{Direction, Judgement, Packet, Verdict};
 use crate::{
-    adversary, corrupt, delay, duplicate, jitter, loss, mtu, netem, order, outage, rate, reorder, slots,
-    timeline, trace, truncate,
+    adversary, corrupt, delay, duplicate, jitter, loss, mtu, netem, outage, rate, reorder, slots, timeline,
+    trace, truncate,
 };
 
-/// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, what waits there
-/// is delayed afterwards, and what was delayed is put in order.
+/// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, and what waits there
+/// is delayed afterwards. Then the link keeps the order, and reordering comes after that.
 const WAY: &[BuildRule] = &[
     mtu::build,
     loss::build,
@@ -23,7 +23,6 @@ const WAY: &[BuildRule] = &[
     trace::build_delay,
     jitter::build,
     outage::build_holding,
-    order::build,
 ];
 
 /// What happens at the end of the way, in this order.
@@ -98,10 +97,9 @@ pub struct Link {
     rules: Rules,
     counters: LinkCounters,
     latest_due_ns: u64,
-    /// The latest arrival by rules that keep the order, without what reordering added.
-    latest_in_order_ns: u64,
-    /// No packet arrives earlier: that arrival under the rules before, where those of now keep the order.
-    floor_ns: u64,
+    /// The latest arrival without what reordering and endings add. Where the order is kept, as through a queue that is
+    /// served in turn, no packet arrives earlier.
+    latest_in_turn_ns: u64,
     extras: Extras,
 }
 
@@ -113,8 +111,7 @@ impl Link {
             rules: Rules::build(direction, seed, settings)?,
             counters: LinkCounters::default(),
             latest_due_ns: 0,
-            latest_in_order_ns: 0,
-            floor_ns: 0,
+            latest_in_turn_ns: 0,
             extras: Extras::new(),
         })
     }
@@ -129,11 +126,11 @@ impl Link {
     /// Takes other rules for the packets from now on, and gives those of before back, so that nothing is freed here.
     ///
     /// Counters go on, and so do the draws, where the seed is the same; what a rule remembers of earlier packets, such
-    /// as a queue, begins anew. Where the new rules keep the order, no packet overtakes one from before.
+    /// as a queue, begins anew. Where the new rules keep the order, no packet overtakes one from before, except what `netem`
+    /// delayed, which keeps no order.
     pub fn swap(&mut self, rules: &mut Rules) {
         debug_assert_eq!(rules.direction, self.rules.direction, "rules of the other direction");
         std::mem::swap(&mut self.rules, rules);
-        self.floor_ns = if self.rules.keeps_order { self.latest_in_order_ns } else { 0 };
     }
 
     /// Decides what becomes of a packet of this link's direction.
@@ -154,9 +151,9 @@ impl Link {
                 drop @ Verdict::Drop { .. } => return drop,
             }
         }
+        self.latest_in_turn_ns = self.latest_in_turn_ns.max(at_ns);
         if self.rules.keeps_order {
-            at_ns = at_ns.max(self.floor_ns);
-            self.latest_in_order_ns = self.latest_in_order_ns.max(at_ns);
+            at_ns = self.latest_in_turn_ns;
         }
         if let Some(reorder) = &mut self.rules.reorder {
             match reorder.judge(packet, at_ns) {

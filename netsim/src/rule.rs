@@ -20,15 +20,15 @@ pub(crate) trait Rule: Debug + Send {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict;
 }
 
-/// Most that arrives beside one packet; more is left out.
+/// Most that arrives beside one packet.
 pub(crate) const MOST_EXTRAS: usize = 8;
 
 /// What arrives beside a packet.
 pub(crate) type Extras = ArrayVec<Extra, MOST_EXTRAS>;
 
-/// Lets something more arrive beside a packet, if there is room.
+/// Lets something more arrive beside a packet.
 pub(crate) fn add_extra(extras: &mut Extras, at_ns: u64, cause: ExtraCause, damage: Damage) {
-    // Full is full: the documentation of the limit says what becomes of the rest.
+    // There is room: rules that could add more are refused when they are built.
     let _ = extras.try_push(Extra { at_ns, cause, damage });
 }
 
