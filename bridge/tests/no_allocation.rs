@@ -7,8 +7,8 @@ use std::{
 };
 
 use haptether_bridge::{
-    LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, TickTime, wire::MAX_FRAME,
+    Clutch, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
+    SlaveSettings, SlaveSide, TickTime, coupling::CommandBounds, wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, SimulatedMaster};
 use haptether_safety::{
@@ -83,11 +83,12 @@ fn a_tick_of_both_sides_allocates_nothing() {
             ladder: LadderSettings::default(),
         })
         .unwrap();
-        let mut master = MasterSide { plant, endpoint };
+        let mut master = MasterSide::new(plant, endpoint, Clutch::Once).unwrap();
         let settings = SlaveSettings {
             period_ns: MS,
             session: 2,
             position_scale: 1.0,
+            bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),
         };
         let pusher = Pusher::new(0.8, 0.1, 1.0, 3.0).unwrap();

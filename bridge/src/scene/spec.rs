@@ -130,6 +130,30 @@ pub struct OperatorSpec {
     pub regrasp: Option<RegraspSpec>,
     /// Tremor.
     pub tremor: Option<TremorSpec>,
+    /// How the clutch is worked.
+    pub clutch: ClutchSpec,
+    /// From when both sides are ready after a hold to the new press, in s.
+    pub clutch_reaction_s: f64,
+}
+
+/// How the clutch is worked.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(untagged)]
+pub enum ClutchSpec {
+    /// By a simulated person.
+    Person(PersonSpec),
+    /// Press and release times in s.
+    Times(Vec<(f64, f64)>),
+}
+
+/// What a simulated person does with the clutch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PersonSpec {
+    /// Presses at the start and, after letting go, after each hold.
+    Auto,
+    /// Presses at the start.
+    Once,
 }
 
 /// `[[operator.legs]]`.
