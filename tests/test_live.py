@@ -155,7 +155,7 @@ def test_a_second_master_is_refused_while_the_first_lives(children: list[Child],
     assert second.process.returncode == 1
     first.end()
     assert first.process.returncode == 0
-    assert json.loads(first_json.read_text())["final_state"] == "engaged"
+    assert json.loads(first_json.read_text())["final_state"] in {"engaged", "stale"}
     assert json.loads(second_json.read_text())["engaged_s"] is None
 
 
@@ -186,10 +186,10 @@ def test_live_and_virtual_time_run_the_same_scene(children: list[Child], tmp_pat
         backward=perfect,
         duration_s=2.8,
     )
-    engaged = int(np.flatnonzero(live["state"] == 1)[0])
+    engaged = int(np.flatnonzero(live["state"] == 2)[0])
     offset = round(report.engaged_s * 1e3)
-    if not (live["state"][engaged:] == 1).all():
-        pytest.skip("the machine stalled a loop for over 20 ms: the live run held, as it should")
+    if not (live["state"][engaged:] == 2).all():
+        pytest.skip("the machine stalled a loop for over 5 ms: the live run was stale or held, as it should be")
     for time_s in (0.5, 1.0, 1.5, 2.1):
         ticks = round(time_s * 1e3)
         # Loopback and the two loops' phase cost up to a few ticks; the hand moves at most 0.08 m/s here.

@@ -31,9 +31,11 @@ impl<const N: usize> FrameMap<N> {
         if N > 3 && rotation != Self::straight() {
             return Err(CouplingError::Rotation(N));
         }
-        let off = (rotation.transpose() * rotation - Self::straight()).abs().max();
-        // Not a number is no rotation either.
-        if off.is_nan() || off > ORTHONORMAL {
+        let off = (rotation.transpose() * rotation - Self::straight())
+            .iter()
+            .map(|element| if element.is_nan() { f64::INFINITY } else { element.abs() })
+            .fold(0.0, f64::max);
+        if off > ORTHONORMAL {
             return Err(CouplingError::Orthonormal(off));
         }
         Ok(Self { rotation, locked })

@@ -115,7 +115,7 @@ impl FlightRecorder {
     /// What is kept, as JSON: times in s since the first tick, transitions with their reasons, ticks with their values.
     pub fn to_json(&self) -> String {
         let start_ns = self.start_ns.unwrap_or(0);
-        let seconds = |time_ns: u64| time_ns.saturating_sub(start_ns) as f64 * 1e-9;
+        let seconds = |time_ns: u64| time_ns.saturating_sub(start_ns) as f64 / 1e9;
         let ticks = |ring: &Ring| ring.iter().map(|entry| Tick::of(entry, seconds(entry.time_ns))).collect();
         let log = Log {
             schema: 1,

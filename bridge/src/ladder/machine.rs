@@ -133,6 +133,8 @@ impl Ladder {
             }
             if matches!(row.to, LadderState::Hold | LadderState::Fault) {
                 self.opened = false;
+                // A press at the very tick at which a hold begins is none that answers it.
+                facts = facts.without(Reason::ClutchPressed);
             }
             self.history.push(Transition { time_ns: now_ns, from: row.from, to: row.to, reason: row.reason });
             self.state = row.to;

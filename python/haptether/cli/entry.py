@@ -13,6 +13,7 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.demo import Demo
+from haptether.cli.explain import Explain
 from haptether.cli.master import Master
 from haptether.cli.netsim import Netsim
 from haptether.cli.paper import Paper
@@ -36,6 +37,7 @@ COMMANDS: dict[str, type[Command]] = {
     "master": Master,
     "slave": Slave,
     "netsim": Netsim,
+    "explain": Explain,
 }
 
 
