@@ -46,7 +46,7 @@ def test_the_scene_of_the_readme_can_be_built(tmp_path: Path) -> None:
 
 def test_commands_of_the_readme_exist() -> None:
     shown = re.findall(r"^haptether ([a-z]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert {name for name, _ in shown} == {"demo", "paper", "simulate", "sweep", "slave", "netsim", "master"}
+    assert {name for name, _ in shown} == {"demo", "paper", "simulate", "sweep", "slave", "netsim", "master", "explain"}
     for name, arguments in shown:
         flags = re.findall(r"--[a-z-]+", arguments)
         text = subprocess.run(

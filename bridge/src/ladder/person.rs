@@ -3,10 +3,11 @@
 use super::state::LadderState;
 
 /// How the clutch is worked.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub enum Clutch {
     /// Pressed at the start and held. After a hold it stays as it is, so nothing couples again but by
     /// [`Person::press_again`].
+    #[default]
     Once,
     /// A simulated person: presses at the start, lets go when it holds, and presses again once both sides have been
     /// ready for `reaction_ns`.
@@ -16,12 +17,6 @@ pub enum Clutch {
     },
     /// Pressed from the first to the second time of each pair, in ns since the start.
     Schedule(Vec<(u64, u64)>),
-}
-
-impl Default for Clutch {
-    fn default() -> Self {
-        Self::Once
-    }
 }
 
 /// Times of a clutch that cannot be.

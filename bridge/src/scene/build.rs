@@ -19,10 +19,9 @@ use haptether_slave::{
 use super::{
     measures::MeasureSettings,
     spec::{
-        ClutchSpec, ContactLawSpec, ControlSpec, ControllerSpec, EnvironmentSpec, EstimatorSpec, FitSpec,
-        FrictionSpec, IntegratorSpec, LegShapeSpec, MasterSpec, ObjectSpec, OperatorSpec, PersonSpec,
-        PusherShapeSpec, PusherSpec, ReleaseKindSpec, SafetySpec, SceneSpec, SeriesSpec, ShapeSpec,
-        SlaveSpec, VfcFormSpec,
+        ContactLawSpec, ControlSpec, ControllerSpec, EnvironmentSpec, EstimatorSpec, FitSpec, FrictionSpec,
+        IntegratorSpec, LegShapeSpec, MasterSpec, ObjectSpec, OperatorSpec, PersonSpec, PusherShapeSpec,
+        PusherSpec, ReleaseKindSpec, SafetySpec, SceneSpec, SeriesSpec, ShapeSpec, SlaveSpec, VfcFormSpec,
     },
 };
 use crate::{Clutch, local::Watch};
@@ -67,17 +66,15 @@ const REACTION_NS: u64 = 500_000_000;
 pub(crate) fn clutch(scene: &SceneSpec) -> Clutch {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not negative, and saturates
     let ns = |seconds: f64| (seconds * 1e9).round() as u64;
-    match &scene.operator {
-        None => Clutch::Auto { reaction_ns: REACTION_NS },
-        Some(operator) => match &operator.clutch {
-            ClutchSpec::Person(PersonSpec::Once) => Clutch::Once,
-            ClutchSpec::Person(PersonSpec::Auto) => {
-                Clutch::Auto { reaction_ns: ns(operator.clutch_reaction_s) }
-            }
-            ClutchSpec::Times(times) => {
-                Clutch::Schedule(times.iter().map(|(press, release)| (ns(*press), ns(*release))).collect())
-            }
-        },
+    let Some(operator) = &scene.operator else {
+        return Clutch::Auto { reaction_ns: REACTION_NS };
+    };
+    match (&operator.clutch_times, operator.clutch) {
+        (Some(times), _) => {
+            Clutch::Schedule(times.iter().map(|(press, release)| (ns(*press), ns(*release))).collect())
+        }
+        (None, PersonSpec::Once) => Clutch::Once,
+        (None, PersonSpec::Auto) => Clutch::Auto { reaction_ns: ns(operator.clutch_reaction_s) },
     }
 }
 

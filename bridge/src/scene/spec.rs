@@ -130,20 +130,12 @@ pub struct OperatorSpec {
     pub regrasp: Option<RegraspSpec>,
     /// Tremor.
     pub tremor: Option<TremorSpec>,
-    /// How the clutch is worked.
-    pub clutch: ClutchSpec,
+    /// What the person does with the clutch, where no times are given.
+    pub clutch: PersonSpec,
+    /// Press and release times of the clutch in s.
+    pub clutch_times: Option<Vec<(f64, f64)>>,
     /// From when both sides are ready after a hold to the new press, in s.
     pub clutch_reaction_s: f64,
-}
-
-/// How the clutch is worked.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(untagged)]
-pub enum ClutchSpec {
-    /// By a simulated person.
-    Person(PersonSpec),
-    /// Press and release times in s.
-    Times(Vec<(f64, f64)>),
 }
 
 /// What a simulated person does with the clutch.

@@ -98,7 +98,17 @@ class Explain:
             shown = ticks[len(ticks) - min(self.ticks, len(ticks)) :]
             if not shown:
                 continue
-            columns = ("time [s]", "state", "peer", "silent [ms]", "clutch", "gain", "position [m]", command, "force [N]")
+            columns = (
+                "time [s]",
+                "state",
+                "peer",
+                "silent [ms]",
+                "clutch",
+                "gain",
+                "position [m]",
+                command,
+                "force [N]",
+            )
             table = Table(*columns, title=f"{flight.side}: {title}")
             for tick in shown:
                 table.add_row(
