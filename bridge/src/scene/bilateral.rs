@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     Event, LadderSettings, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings,
-    MasterSide, Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
+    MasterSide, Reason, Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
     coupling::CommandBounds, run_virtual,
 };
 
@@ -201,10 +201,16 @@ impl<const N: usize> Watched<N> {
         self.measures = Measures::new(&self.judged, start);
     }
 
-    fn ladder(&mut self, side: usize, time_s: f64, state: LadderState) {
-        if self.states[side] != state {
-            self.states[side] = state;
-            self.log.add(time_s, state.name(), ["master", "slave"][side]);
+    fn ladder(&mut self, side: usize, time_s: f64, state: LadderState, reason: u8) {
+        let before = std::mem::replace(&mut self.states[side], state);
+        // Late frames may come and go a thousand times, and change little; the signals have them.
+        if before != state && !(before.is_coupled() && state.is_coupled()) {
+            let side = ["master", "slave"][side];
+            let detail = match Reason::from_code(reason) {
+                Some(reason) => format!("{side}: {}", reason.text()),
+                None => side.to_owned(),
+            };
+            self.log.add(time_s, state.name(), detail);
         }
     }
 
@@ -223,7 +229,7 @@ impl<const N: usize> Watched<N> {
 
     fn near(&mut self, record: &MasterRecord<N>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 * 1e-9;
-        self.ladder(0, time_s, record.state);
+        self.ladder(0, time_s, record.state, record.reason);
         self.faults("master", time_s, record.fault)?;
         if record.state.is_coupled() && self.engaged_s.is_none() {
             self.engage(time_s, &record.true_position);
@@ -274,7 +280,7 @@ impl<const N: usize> Watched<N> {
 
     fn far(&mut self, record: &SlaveRecord<N>, touches: bool) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 * 1e-9;
-        self.ladder(1, time_s, record.state);
+        self.ladder(1, time_s, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
         let distance = record.position.norm();
         if distance.is_nan() || distance > self.most_distance {
