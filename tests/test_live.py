@@ -227,8 +227,8 @@ def test_live_and_virtual_time_run_the_same_scene(children: list[Child], tmp_pat
     )
     engaged = int(np.flatnonzero(live["state"] == 2)[0])
     offset = round(report.engaged_s * 1e3)
-    if not (live["state"][engaged:] == 2).all():
-        pytest.skip("the machine stalled a loop for over 5 ms: the live run was stale or held, as it should be")
+    if not np.isin(live["state"][engaged:], (2, 3)).all():
+        pytest.skip("the machine stalled a loop for over 20 ms: the live run held, as it should")
     for time_s in (0.5, 1.0, 1.5, 2.1):
         ticks = round(time_s * 1e3)
         # Loopback and the two loops' phase cost up to a few ticks; the hand moves at most 0.08 m/s here.
