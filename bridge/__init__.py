@@ -11,6 +11,7 @@ from haptether._core import (
     Sinusoid,
     SlaveSettings,
     SlaveTrace,
+    ladder_reason,
     ladder_state_name,
     run_local,
 )
@@ -108,6 +109,7 @@ __all__ = [
     "Spring",
     "Sweep",
     "TremorTable",
+    "ladder_reason",
     "ladder_state_name",
     "load_scene",
     "override_scene",

@@ -1,6 +1,7 @@
 """What does not go together in a scene."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 from haptether.bridge.scene_error import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene_far import (
@@ -50,6 +51,8 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
     yield from _run(scene.run)
     if scene.operator is not None:
         yield from _operator(scene.operator)
+        if scene.slave is None and scene.operator.clutch != "auto":
+            yield contradiction(("operator", "clutch"), "needs an arm to let go of: add [slave] or leave it out")
     if scene.slave is not None:
         yield from _slave(scene.slave, scene.run)
     for key in ("link", "coupling"):
@@ -90,6 +93,10 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
             yield contradiction(("operator", "recorded"), "stands instead of legs: give one of the two")
         if table.start != 0.0:
             yield contradiction(("operator", "start"), "a recorded path begins where it begins: leave it out")
+    if not isinstance(table.clutch, str):
+        times = [time for pair in table.clutch for time in pair]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            yield contradiction(("operator", "clutch"), "presses and releases must follow one another in time")
     if table.regrasp is not None and table.release is None:
         yield contradiction(("operator", "regrasp"), "needs [operator.release]: who never lets go takes no new hold")
     if table.release is not None:

@@ -6,6 +6,7 @@ from msgspec import Struct
 
 from haptether.bridge.scene_ranges import (
     Axis,
+    ClutchTimes,
     Duration,
     ForcePerAxis,
     NonNegative,
@@ -14,6 +15,7 @@ from haptether.bridge.scene_ranges import (
     PositionPerAxis,
     Positive,
     PositivePerAxis,
+    Reaction,
     Seconds,
     SpeedPerAxis,
     StopsPerAxis,
@@ -140,3 +142,8 @@ class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """How it takes hold again; never by default."""
     tremor: TremorTable | None = None
     """Tremor; none by default."""
+    clutch: Literal["auto", "once"] | ClutchTimes = "auto"
+    """The clutch, with a [slave]: "auto" is pressed at the start, and let go and pressed again after each hold; "once"
+    only at the start; or pairs of press and release times in s since the start."""
+    clutch_reaction_s: Reaction = 0.5
+    """From when both sides are ready after a hold to the new press of "auto", in s, 0.05 to 60."""

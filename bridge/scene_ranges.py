@@ -18,6 +18,7 @@ Seconds = Annotated[float, Meta(ge=0.0, le=1e6)]
 LEAST_DURATION_S = 1e-9
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=1e6)]
 Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
+Reaction = Annotated[float, Meta(ge=0.05, le=60.0)]
 Period = Annotated[float, Meta(ge=1e-5, le=2e-2)]
 TremorFrequency = Annotated[float, Meta(gt=0.0, le=100.0)]
 ClockOffset = Annotated[float, Meta(ge=-4e9, le=4e9)]
@@ -47,3 +48,6 @@ ForcePerAxis: TypeAlias = Force | Annotated[tuple[Force, ...], _axes]
 _pair = Annotated[tuple[Position, ...], Meta(min_length=2, max_length=2)]
 StopsPerAxis: TypeAlias = Annotated[tuple[Position | _pair, ...], _axes]
 """Lower and upper stop for every axis, or one such pair per axis."""
+_times = Annotated[tuple[Seconds, ...], Meta(min_length=2, max_length=2)]
+ClutchTimes: TypeAlias = tuple[_times, ...]
+"""Press and release times in s."""

@@ -166,6 +166,9 @@ def _operator(table: OperatorTable, axes: int) -> Spec:
         "release": table.release and _plain(table.release),
         "regrasp": table.regrasp and _plain(table.regrasp),
         "tremor": table.tremor and _plain(table.tremor),
+        "clutch": table.clutch if isinstance(table.clutch, str) else "once",
+        "clutch_times": None if isinstance(table.clutch, str) else [list(times) for times in table.clutch],
+        "clutch_reaction_s": table.clutch_reaction_s,
     }
 
 

@@ -144,7 +144,8 @@ class LimiterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     max_power_w: Positive = 20.0
     """Largest power in W that the device may put into the hand."""
     ramp_in_s: Hold = 0.2
-    """Time in s in which the force rises from zero at the start, 0 to 60."""
+    """Time in s in which the force rises from zero at the start, 0 to 60; with a [slave] at each engagement, and then
+    at least 0.2."""
 
 
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

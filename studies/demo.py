@@ -101,7 +101,7 @@ def run_demo(
         master = stack.enter_context(_process(
             "master", "--peer", netsim_address, "--listen", local, "--controller", controller,
             "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s),
-            "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
+            "--clutch", "auto", "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
         ))  # fmt: skip
         master.headline(stopped)
         _follow(scene, controller, master, show, stopped)

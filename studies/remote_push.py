@@ -105,7 +105,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         dropped_records=report.dropped_records,
         unsent=report.unsent,
         force_at_release_n=(float(trace.device_force[after][0]) if release_s is not None and after.any() else None),
-        final_state=ladder_state_name(int(trace.state[-1])) if len(trace) else "waiting",
+        final_state=ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged",
         fault=fault_message(int(trace.fault[-1])) if len(trace) else None,
     )
 

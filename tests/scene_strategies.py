@@ -69,7 +69,7 @@ def masters(draw: st.DrawFn, axes: int) -> Plain:
 
 
 @st.composite
-def operators(draw: st.DrawFn, axes: int, duration_s: float) -> Plain:
+def operators(draw: st.DrawFn, axes: int, duration_s: float, *, has_arm: bool) -> Plain:
     leg = table(
         {"duration_s": real(0.01, 0.3), "end": per_axis(axes, -0.08, 0.08)},
         shape=st.sampled_from(["linear", "smooth", "minimum-jerk"]),
@@ -91,6 +91,10 @@ def operators(draw: st.DrawFn, axes: int, duration_s: float) -> Plain:
             operator["regrasp"] = draw(table(reaction_s=real(0.0, 0.1), rise_s=real(0.0, 0.1)))
     if draw(st.booleans()):
         operator["tremor"] = draw(table(amplitude=real(0.0, 1e-3), frequency_hz=real(1.0, 20.0)))
+    if has_arm and draw(st.booleans()):
+        schedule = st.lists(st.integers(0, 400), min_size=4, max_size=4, unique=True).map(sorted)
+        times = schedule.map(lambda of: [[of[0] * 1e-3, of[1] * 1e-3], [of[2] * 1e-3, of[3] * 1e-3]])
+        operator["clutch"] = draw(st.sampled_from(["auto", "once"]) | times)
     return operator
 
 
@@ -275,7 +279,7 @@ def plain_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = Fal
     if integrator != "exact" and draw(st.booleans()):
         scene["run"]["step_s"] = period_s / draw(st.integers(1, 20))
     if draw(st.booleans()):
-        scene["operator"] = draw(operators(axes, duration_s))
+        scene["operator"] = draw(operators(axes, duration_s, has_arm=has_arm))
     if draw(st.integers(0, 4)) > 0:
         things = st.lists(objects(axes), max_size=3)
         pushes = st.lists(pushers(axes), max_size=2)

@@ -15,6 +15,7 @@ from haptether.bridge import (
     MasterTrace,
     SlaveSettings,
     SlaveTrace,
+    ladder_reason,
     ladder_state_name,
     run_bridge,
 )
@@ -196,8 +197,10 @@ def test_the_force_is_scaled_and_fades_in() -> None:
 @pytest.mark.parametrize(("forward", "backward"), [(DEAD, DEAD), (DEAD, PERFECT), (PERFECT, DEAD)])
 def test_without_frames_the_sides_never_engage(forward: LinkSettings, backward: LinkSettings) -> None:
     master, slave, *reports = press(forward=forward, backward=backward, duration_s=1.0)
-    assert set(master.state) == set(slave.state) == {0}
-    assert ladder_state_name(0) == "waiting"
+    # Pressed and never answered; the slave aligns where it hears the press.
+    assert {ladder_state_name(int(code)) for code in master.state} == {"aligning"}
+    expected = {"disengaged"} if forward == DEAD else {"aligning"}
+    assert {ladder_state_name(int(code)) for code in slave.state} == expected
     assert not master.device_force.any()
     assert not master.rendered_force.any()
     assert np.all(master.position == START), "the hand waits"
@@ -398,10 +401,13 @@ def test_a_run_has_the_whole_ticks_of_its_duration(duration_s: float, period_s: 
 
 
 def test_the_names_of_the_ladder() -> None:
-    names = [ladder_state_name(code) for code in range(5)]
-    assert names == ["waiting", "engaged", "hold", "stop", "fault"]
-    with pytest.raises(ValueError, match=r"^state 5: must be 0 to 4$"):
-        ladder_state_name(5)
+    names = [ladder_state_name(code) for code in range(7)]
+    assert names == ["disengaged", "aligning", "engaged", "stale", "hold", "stop", "fault"]
+    with pytest.raises(ValueError, match=r"^state 7: must be 0 to 6$"):
+        ladder_state_name(7)
+    assert ladder_reason(4) == "peer is silent"
+    with pytest.raises(ValueError, match=r"^reason 0: must be 1 to 16$"):
+        ladder_reason(0)
 
 
 def counts(forward: LinkSettings) -> tuple[LinkStatistics, LinkStatistics]:

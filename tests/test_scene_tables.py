@@ -189,6 +189,9 @@ def changed(scene: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
 # ----------------------------------------------------------------------------------- bad scenes
 
 BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
+    # the clutch
+    ({"operator.clutch": [[0.0, 1.0], [1.0, 2.0]]}, "[operator] clutch: presses and releases must follow one"),
+    ({"operator.clutch_reaction_s": 0.01}, "[operator] clutch_reaction_s = 0.01: must be 0.05 to 60"),
     # unknown keys
     ({"safety.windw": 3}, "[safety] has no key windw: did you mean window?"),
     ({"zoo": {}}, "a scene has no key zoo: there is coupling, environment, link, master"),
@@ -300,6 +303,7 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
 ]  # fmt: skip
 
 BAD_LOCAL_SCENES: list[tuple[dict[str, Any], str]] = [
+    ({"operator.clutch": "once"}, "[operator] clutch: needs an arm to let go of"),
     ({"link": {"forward": {"delay_s": 0.1}}}, "link: needs an arm to lead to"),
     ({"coupling": {}}, "coupling: needs an arm to lead to"),
     ({"environment.rendering": "continuous", "environment.objects.0.shape": {"kind": "sphere", "radius": 0.1}},
@@ -480,6 +484,7 @@ def test_a_scene_with_every_table_is_what_the_rust_side_reads(tmp_path: Path) ->
         ("OutageTimes", "link.forward.outages.0.times"),
         ("OutageEffect", "link.forward.outages.0.effect"),
         ("Action", "link.forward.attacks.0.action"),
+        ("PersonSpec", "operator.clutch"),
     ],
 )
 def test_both_sides_know_the_same_names(rust: str, path: str) -> None:

@@ -5,7 +5,7 @@
 
 pub mod coupling;
 mod endpoint;
-mod ladder;
+pub mod ladder;
 mod lanes;
 mod link;
 pub mod live;
@@ -23,10 +23,13 @@ pub use endpoint::{
     EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings,
     SlaveTick,
 };
-pub use ladder::{Ladder, LadderSettings, LadderState};
-pub use link::{FrameLink, LinkStatistics, Refusal};
+pub use ladder::{
+    Clutch, ClutchError, FlightEntry, FlightRecorder, History, Ladder, LadderError, LadderInput,
+    LadderSettings, LadderState, PeerReport, Person, Reason, Transition,
+};
+pub use link::{FrameLink, LinkStatistics, Refusal, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
-pub use side::{MasterSide, Side, SlaveSide, TickTime};
+pub use side::{MasterSide, Side, SideCounts, SlaveSide, TickTime};
 pub use virtual_time::{Event, VirtualSettings, run_virtual};

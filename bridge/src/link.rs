@@ -28,6 +28,17 @@ pub struct LinkStatistics {
     pub least_round_trip_ns: u64,
 }
 
+/// What a sender says of itself in each frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Status {
+    /// State of its ladder, [`crate::LadderState::code`].
+    pub state: u8,
+    /// Whether it hears the peer.
+    pub hears_peer: bool,
+    /// Whether its clutch is closed.
+    pub clutch: bool,
+}
+
 /// Why a frame of the right form is not used.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
@@ -157,11 +168,11 @@ impl<const N: usize> FrameLink<N> {
         }
     }
 
-    /// Writes the next frame, sent at `now_ns`; `status` is the ladder's state and whether it hears the peer.
+    /// Writes the next frame, sent at `now_ns`.
     pub fn send<'a>(
         &mut self,
         now_ns: u64,
-        status: (u8, bool),
+        status: Status,
         [position, velocity, force]: [Axes<N>; 3],
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
@@ -173,8 +184,9 @@ impl<const N: usize> FrameLink<N> {
         });
         let frame = Frame {
             role: self.role,
-            state: status.0,
-            hears_peer: status.1,
+            state: status.state,
+            hears_peer: status.hears_peer,
+            clutch: status.clutch,
             session: self.session,
             sequence: self.next_sequence,
             sent_ns: now_ns,
@@ -193,6 +205,11 @@ impl<const N: usize> FrameLink<N> {
         self.newest().is_some_and(|frame| {
             frame.hears_peer && frame.echo.is_some_and(|echo| echo.session == self.session)
         })
+    }
+
+    /// Sequence of the next frame to be sent.
+    pub fn next_sequence(&self) -> u64 {
+        self.next_sequence
     }
 
     /// The newest frame of the peer.
@@ -217,12 +234,13 @@ mod tests {
     use proptest::prelude::*;
 
     const MS: u64 = 1_000_000;
+    const HEARD: Status = Status { state: 0, hears_peer: true, clutch: false };
 
     fn frames(count: usize, session: u64) -> Vec<Vec<u8>> {
         let mut slave = FrameLink::<1>::new(Role::Slave, session, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
         (0..count as u64)
-            .map(|n| slave.send(n * MS, (0, true), [Axes::repeat(n as f64 * 1e-3); 3], &mut buffer).to_vec())
+            .map(|n| slave.send(n * MS, HEARD, [Axes::repeat(n as f64 * 1e-3); 3], &mut buffer).to_vec())
             .collect()
     }
 
@@ -271,11 +289,11 @@ mod tests {
         let mut slave = FrameLink::<1>::new(Role::Slave, 8, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
         let zeros = [Axes::zeros(); 3];
-        let request = master.send(10 * MS, (0, true), zeros, &mut buffer).to_vec();
+        let request = master.send(10 * MS, HEARD, zeros, &mut buffer).to_vec();
         // The slave's clock is off by hours; it holds the frame for 3 ms.
         let off = 3_600_000 * MS;
         slave.receive(off, &request).unwrap();
-        let answer = slave.send(off + 3 * MS, (0, true), zeros, &mut buffer).to_vec();
+        let answer = slave.send(off + 3 * MS, HEARD, zeros, &mut buffer).to_vec();
         master.receive(113 * MS, &answer).unwrap();
         assert_eq!(master.statistics().round_trip_ns, 100 * MS);
     }

@@ -15,6 +15,11 @@ pub trait MasterPlant<const N: usize> {
     /// Exerts `force` in N from now on.
     fn write(&mut self, force: &Axes<N>);
 
+    /// Whether the clutch of the device is pressed; none if it has no button.
+    fn clutch(&self) -> Option<bool> {
+        None
+    }
+
     /// The two sides have engaged.
     fn engaged(&mut self) {}
 

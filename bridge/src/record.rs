@@ -3,11 +3,25 @@
 use haptether_safety::{Axes, Fault};
 
 use crate::{
-    endpoint::{MasterTick, SlaveTick},
+    endpoint::{Exchange, MasterTick, SlaveTick},
     ladder::LadderState,
     plant::Truth,
     side::TickTime,
 };
+
+/// What the records of both sides say of the ladder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Told {
+    reason: u8,
+    clutch: bool,
+}
+
+impl Told {
+    pub(crate) fn of<const N: usize>(exchange: &Exchange<N>) -> Self {
+        let reason = exchange.last_transition().map_or(0, |last| last.reason.code());
+        Self { reason, clutch: exchange.clutch() }
+    }
+}
 
 /// One tick of the master.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,6 +52,10 @@ pub struct MasterRecord<const N: usize> {
     pub acted: u8,
     /// State of the ladder.
     pub state: LadderState,
+    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    pub reason: u8,
+    /// Whether the clutch is closed, as far as this side knows.
+    pub clutch: bool,
     /// Silence of the peer in ns, `u64::MAX` before its first frame.
     pub age_ns: u64,
     /// How late the loop woke, in ns; 0 in virtual time.
@@ -52,6 +70,7 @@ impl<const N: usize> MasterRecord<N> {
         position: &Axes<N>,
         truth: Option<Truth<N>>,
         tick: &MasterTick<N>,
+        told: Told,
     ) -> Self {
         let Truth { position: true_position, velocity, hand_force } = truth.unwrap_or(Truth {
             position: *position,
@@ -73,6 +92,8 @@ impl<const N: usize> MasterRecord<N> {
             tripped: intervention.tripped.bits(),
             acted: tick.safety.acted.bits(),
             state: tick.state,
+            reason: told.reason,
+            clutch: told.clutch,
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
             overshoot_ns: time.overshoot_ns,
             fault: tick.safety.fault.map_or(0, Fault::code),
@@ -93,6 +114,12 @@ pub struct SlaveRecord<const N: usize> {
     pub environment_force: Axes<N>,
     /// State of the ladder.
     pub state: LadderState,
+    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    pub reason: u8,
+    /// Whether the clutch is closed, as far as this side knows.
+    pub clutch: bool,
+    /// Which bounds acted on the command, [`crate::coupling::Limited::bits`].
+    pub limited: u8,
     /// How late the loop woke, in ns; 0 in virtual time.
     pub overshoot_ns: u64,
     /// The fault's code, 0 without.
@@ -104,6 +131,7 @@ impl<const N: usize> SlaveRecord<N> {
         time: TickTime,
         [position, _, environment_force]: &[Axes<N>; 3],
         tick: &SlaveTick<N>,
+        told: Told,
     ) -> Self {
         Self {
             time_ns: time.now_ns - time.start_ns,
@@ -111,6 +139,9 @@ impl<const N: usize> SlaveRecord<N> {
             command: tick.command.unwrap_or(*position),
             environment_force: *environment_force,
             state: tick.state,
+            reason: told.reason,
+            clutch: told.clutch,
+            limited: tick.limited.bits(),
             overshoot_ns: time.overshoot_ns,
             fault: tick.fault.map_or(0, Fault::code),
         }

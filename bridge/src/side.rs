@@ -2,10 +2,10 @@
 
 use crate::{
     endpoint::{MasterEndpoint, SlaveEndpoint},
-    ladder::LadderState,
+    ladder::{Clutch, ClutchError, FlightRecorder, LadderState, Person},
     link::{LinkStatistics, Refusal},
     plant::{MasterPlant, SlavePlant},
-    record::{MasterRecord, SlaveRecord},
+    record::{MasterRecord, SlaveRecord, Told},
     wire::MAX_FRAME,
 };
 
@@ -29,6 +29,17 @@ impl TickTime {
     pub fn at(now_ns: u64) -> Self {
         Self { now_ns, clock_ns: now_ns, ..Self::default() }
     }
+}
+
+/// What a side has counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SideCounts {
+    /// Of the link.
+    pub link: LinkStatistics,
+    /// How often the ladder went to HOLD.
+    pub holds: u64,
+    /// Ticks at which a bound acted on the remote command; a master has none.
+    pub limited: u64,
 }
 
 /// One side: `receive` what has arrived, `tick`, `send`; times are on the endpoint's own clock where not said.
@@ -57,8 +68,14 @@ pub trait Side {
     /// Where the ladder stands.
     fn state(&self) -> LadderState;
 
-    /// Counts of the link and how often the ladder held.
-    fn counts(&self) -> (LinkStatistics, u64);
+    /// Counts of the run.
+    fn counts(&self) -> SideCounts;
+
+    /// The last states and commands.
+    fn flight(&self) -> &FlightRecorder;
+
+    /// A person lets go of the clutch and presses it again; nothing at a side without one.
+    fn press_again(&mut self) {}
 }
 
 /// The side of the hand.
@@ -68,6 +85,15 @@ pub struct MasterSide<P, const N: usize> {
     pub plant: P,
     /// What decides.
     pub endpoint: MasterEndpoint<N>,
+    /// Who presses the clutch of a device that has no button.
+    pub person: Person,
+}
+
+impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
+    /// A side whose clutch is worked by a person.
+    pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
+        Ok(Self { plant, endpoint, person: Person::new(clutch)? })
+    }
 }
 
 impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
@@ -75,6 +101,7 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);
+        self.person.begin(now_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
@@ -83,13 +110,19 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn tick(&mut self, time: TickTime) -> MasterRecord<N> {
         let (position, velocity) = self.plant.read(time.now_ns);
-        let tick = self.endpoint.tick(time.clock_ns, time.missed, &position, velocity.as_ref());
+        let exchange = self.endpoint.exchange();
+        let clutch = match self.plant.clutch() {
+            Some(button) => button,
+            None => self.person.at(time.now_ns, exchange.state(), exchange.is_ready()),
+        };
+        let tick = self.endpoint.tick(time.clock_ns, time.missed, &position, velocity.as_ref(), clutch);
         let truth = self.plant.truth();
         self.plant.write(&tick.safety.device_force);
-        if tick.state == LadderState::Engaged {
+        if tick.state.is_coupled() {
             self.plant.engaged();
         }
-        MasterRecord::new(time, &position, truth, &tick)
+        let told = Told::of(self.endpoint.exchange());
+        MasterRecord::new(time, &position, truth, &tick, told)
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
@@ -108,8 +141,17 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.endpoint.exchange().state()
     }
 
-    fn counts(&self) -> (LinkStatistics, u64) {
-        self.endpoint.exchange().counts()
+    fn counts(&self) -> SideCounts {
+        let (link, holds) = self.endpoint.exchange().counts();
+        SideCounts { link, holds, limited: 0 }
+    }
+
+    fn flight(&self) -> &FlightRecorder {
+        self.endpoint.exchange().flight()
+    }
+
+    fn press_again(&mut self) {
+        self.person.press_again();
     }
 }
 
@@ -139,10 +181,10 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         if let Some(command) = &tick.command {
             self.plant.write(command, &tick.command_velocity);
         }
-        if tick.state == LadderState::Engaged {
+        if tick.state.is_coupled() {
             self.plant.engaged(time.now_ns);
         }
-        SlaveRecord::new(time, &sample, &tick)
+        SlaveRecord::new(time, &sample, &tick, Told::of(self.endpoint.exchange()))
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
@@ -161,7 +203,12 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         self.endpoint.exchange().state()
     }
 
-    fn counts(&self) -> (LinkStatistics, u64) {
-        self.endpoint.exchange().counts()
+    fn counts(&self) -> SideCounts {
+        let (link, holds) = self.endpoint.exchange().counts();
+        SideCounts { link, holds, limited: self.endpoint.limited_ticks() }
+    }
+
+    fn flight(&self) -> &FlightRecorder {
+        self.endpoint.exchange().flight()
     }
 }

@@ -10,7 +10,7 @@
 //! | 3 | `u8` | role of the sender: 1 master, 2 slave |
 //! | 4 | `u8` | axes N |
 //! | 5 | `u8` | state of the sender's ladder |
-//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer |
+//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed |
 //! | 8 | `u64` | session: drawn by the sender when it starts |
 //! | 16 | `u64` | sequence, from 0, one more with each frame |
 //! | 24 | `u64` | echo: newest sequence received from the peer |
@@ -87,6 +87,8 @@ pub struct Frame<const N: usize> {
     pub state: u8,
     /// Whether the sender has heard the peer recently enough to stay engaged.
     pub hears_peer: bool,
+    /// Whether the clutch is closed: the master's button; a slave has none.
+    pub clutch: bool,
     /// Drawn by the sender when it started.
     pub session: u64,
     /// From 0, one more with each frame.
@@ -164,6 +166,7 @@ struct Header {
 
 const ECHO_VALID: u16 = 1;
 const HEARS_PEER: u16 = 2;
+const CLUTCH: u16 = 4;
 
 impl<const N: usize> Frame<N> {
     /// Bytes of this frame.
@@ -181,7 +184,8 @@ impl<const N: usize> Frame<N> {
             state: self.state,
             flags: U16::new(
                 if self.echo.is_some() { ECHO_VALID } else { 0 }
-                    | if self.hears_peer { HEARS_PEER } else { 0 },
+                    | if self.hears_peer { HEARS_PEER } else { 0 }
+                    | if self.clutch { CLUTCH } else { 0 },
             ),
             session: U64::new(self.session),
             sequence: U64::new(self.sequence),
@@ -242,6 +246,7 @@ impl<const N: usize> Frame<N> {
             role: from,
             state: header.state,
             hears_peer: header.flags.get() & HEARS_PEER != 0,
+            clutch: header.flags.get() & CLUTCH != 0,
             session: header.session.get(),
             sequence,
             sent_ns: header.sent_ns.get(),
@@ -274,6 +279,7 @@ mod tests {
             role: Role::Slave,
             state: 2,
             hears_peer: true,
+            clutch: true,
             session: 0x1122_3344_5566_7788,
             sequence: 5,
             sent_ns: 1_000_000,
@@ -290,7 +296,7 @@ mod tests {
         let mut buffer = [0; MAX_FRAME];
         let bytes = frame().encode(&mut buffer);
         let mut expected = Vec::new();
-        expected.extend_from_slice(b"HT\x01\x02\x01\x02\x03\x00");
+        expected.extend_from_slice(b"HT\x01\x02\x01\x02\x07\x00");
         expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
         for number in [5_u64, 3, 1_000_000, 7, 9, 11] {
             expected.extend_from_slice(&number.to_le_bytes());
@@ -335,11 +341,11 @@ mod tests {
             numbers in prop::array::uniform9(-900.0..900.0f64),
             (session, sequence, sent_ns) in any::<(u64, u64, u64)>(),
             echo in prop::option::of(any::<(u64, u64, u64, u64)>()),
-            (state, hears_peer) in any::<(u8, bool)>(),
+            (state, hears_peer, clutch) in any::<(u8, bool, bool)>(),
         ) {
             let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
             let frame = Frame {
-                role: Role::Master, state, hears_peer, session, sequence, sent_ns,
+                role: Role::Master, state, hears_peer, clutch, session, sequence, sent_ns,
                 echo: echo.map(|(session, sequence, sent_ns, held_ns)| Echo { session, sequence, sent_ns, held_ns }),
                 position: part(0), velocity: part(3), force: part(6),
             };

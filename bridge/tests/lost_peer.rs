@@ -4,8 +4,11 @@
 use std::{collections::VecDeque, ops::ControlFlow};
 
 use haptether_bridge::{
-    LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, TickTime, VirtualSettings, run_virtual, wire::MAX_FRAME,
+    Clutch, FrameLink, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side,
+    SlaveEndpoint, SlaveSettings, SlaveSide, Status, TickTime, VirtualSettings,
+    coupling::CommandBounds,
+    run_virtual,
+    wire::{MAX_FRAME, Role},
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::{ClockSettings, EndpointClock, LinkSettings};
@@ -32,27 +35,46 @@ fn master_settings() -> MasterSettings<1> {
     }
 }
 
+fn slave_settings(session: u64) -> SlaveSettings {
+    SlaveSettings {
+        period_ns: MS,
+        session,
+        position_scale: 1.0,
+        bounds: CommandBounds::default(),
+        ladder: LadderSettings::default(),
+    }
+}
+
 fn sides() -> (Master, Slave) {
+    sides_with(Clutch::Once)
+}
+
+fn sides_with(clutch: Clutch) -> (Master, Slave) {
     let legs = vec![Leg { duration_s: 0.5, end: Axes::<1>::new(-0.03), shape: LegShape::MinimumJerk }];
     let hand = Hand::new(300.0, 8.0, 20.0, Path::new(Axes::<1>::new(0.02), legs).unwrap(), None).unwrap();
     let mut device = SimulatedMaster::new(DeviceParameters::phantom_desktop(), hand, 0).unwrap();
     device.set_waiting(true);
     let master = MasterEndpoint::new(&master_settings()).unwrap();
-    let slave = SlaveEndpoint::new(&SlaveSettings {
-        period_ns: MS,
-        session: 2,
-        position_scale: 1.0,
-        ladder: LadderSettings::default(),
-    })
-    .unwrap();
+    let slave = SlaveEndpoint::new(&slave_settings(2)).unwrap();
     let wall = Wall::new(0.0, 100.0).unwrap();
     let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 0.02, 0).unwrap();
-    (MasterSide { plant: device, endpoint: master }, SlaveSide { plant: arm, endpoint: slave })
+    (MasterSide::new(device, master, clutch).unwrap(), SlaveSide { plant: arm, endpoint: slave })
 }
 
 /// Which way the network passes frames at a tick: (to the slave, to the master).
 fn run(ticks: u64, passes: impl Fn(u64) -> (bool, bool)) -> Vec<[(LadderState, f64); 2]> {
-    let (mut master, mut slave) = sides();
+    run_with(Clutch::Once, ticks, passes)
+}
+
+/// A simulated person who presses again half a second after both sides are ready.
+const PERSON: Clutch = Clutch::Auto { reaction_ns: 500 * MS };
+
+fn run_with(
+    clutch: Clutch,
+    ticks: u64,
+    passes: impl Fn(u64) -> (bool, bool),
+) -> Vec<[(LadderState, f64); 2]> {
+    let (mut master, mut slave) = sides_with(clutch);
     let mut buffer = [0; MAX_FRAME];
     let mut history = Vec::new();
     for tick in 0..ticks {
@@ -113,22 +135,180 @@ fn one_dead_direction_holds_both_sides() {
     }
 }
 
-#[test]
-fn a_short_outage_fades_out_and_in_again_without_a_jump() {
-    let history = run(3000, |tick| if (1500..1560).contains(&tick) { (false, false) } else { (true, true) });
-    assert_eq!(history[1540].map(|side| side.0), [LadderState::Hold; 2]);
-    assert_eq!(history[2999].map(|side| side.0), [LadderState::Engaged; 2]);
-    for pair in history.windows(2).skip(1500) {
-        let [[(_, before), (_, commanded)], [(_, after), (_, next)]] = [pair[0], pair[1]];
-        // 1000 N/s of the limiter is 1 N a tick; unloading over 80 ms is less.
-        assert!((after - before).abs() <= 1.0 + 1e-9);
-        assert!((next - commanded).abs() < 2e-3, "the arm is never asked to jump");
+/// What holds of every run, whatever the network does: no jump of the command, no force that grows faster than it may.
+fn check_no_jump(history: &[[(LadderState, f64); 2]]) {
+    for (tick, pair) in history.windows(2).enumerate() {
+        let [[(_, before), (_, commanded)], [(_, after), (state, next)]] = [pair[0], pair[1]];
+        // 1000 N/s of the limiter is 1 N a tick; unloading over 75 ms is less.
+        assert!((after - before).abs() <= 1.0 + 1e-9, "{tick}: {before} {after}");
+        assert!((next - commanded).abs() < 2e-3, "{tick}: the arm is never asked to jump");
+        assert!(state.is_coupled() || next == commanded, "{tick}: no motion in {state:?}");
     }
+}
+
+#[test]
+fn a_short_outage_holds_until_the_clutch_is_pressed_anew() {
+    let outage = |tick| if (1500..1560).contains(&tick) { (false, false) } else { (true, true) };
+    let history = run(4000, outage);
+    assert_eq!(history[1540].map(|side| side.0), [LadderState::Hold; 2]);
+    for sides in &history[1600..] {
+        assert_eq!(sides.map(|side| side.0), [LadderState::Hold; 2], "frames alone do not engage again");
+        assert_eq!(sides[0].1, 0.0);
+    }
+    let history = run_with(PERSON, 4000, outage);
+    assert_eq!(history[2000].map(|side| side.0), [LadderState::Hold; 2]);
+    assert_eq!(history[2100].map(|side| side.0), [LadderState::Engaged; 2]);
+    assert_eq!(history[3999].map(|side| side.0), [LadderState::Engaged; 2]);
+    assert!(history[3999][0].1 > 0.5, "the hand feels the wall again");
+    check_no_jump(&history);
+}
+
+/// Outages of 10 ms to 10 s, both ways or one: what each leads to, and that a person can engage again after each.
+#[test]
+fn outages_lead_down_the_ladder_and_a_person_leads_out_again() {
+    use LadderState::{Engaged, Hold, Stale, Stop};
+    for dead in [(false, false), (false, true), (true, false)] {
+        for (length, worst) in [
+            (4, Engaged),
+            (10, Stale),
+            (19, Stale),
+            (30, Hold),
+            (60, Hold),
+            (150, Hold),
+            (300, Stop),
+            (1_000, Stop),
+            (10_000, Stop),
+        ] {
+            let end = 1500 + length;
+            let passes = |tick| if (1500..end).contains(&tick) { dead } else { (true, true) };
+            let history = run_with(PERSON, end + 2500, passes);
+            check_no_jump(&history);
+            let seen = |side: usize| {
+                history[1500..]
+                    .iter()
+                    .map(|sides| sides[side].0)
+                    .filter(|state| state.is_coupled() || state.is_held())
+                    .max()
+            };
+            let what = format!("{dead:?} {length}");
+            // The side that still hears follows when it is told, which for a short outage is never.
+            let sides = match dead {
+                (false, true) => vec![1],
+                (true, false) => vec![0],
+                _ => vec![0, 1],
+            };
+            for side in sides {
+                assert_eq!(seen(side), Some(worst), "{what}");
+            }
+            if worst.is_held() {
+                assert!((0..2).all(|side| seen(side) >= Some(Hold)), "{what}: both hold");
+            }
+            assert_eq!(history.last().unwrap().map(|side| side.0), [Engaged; 2], "{what}");
+        }
+    }
+}
+
+/// After silence of 15 ms and more the arm stands, and has gone on by less than with a constant velocity.
+#[test]
+fn the_arm_goes_on_for_a_moment_and_comes_to_rest() {
+    // Mid-way the hand moves at some 0.1 m/s; the last frame before the outage is that of tick 299.
+    let history = run(400, |tick| if tick < 300 { (true, true) } else { (false, false) });
+    let command = |tick: usize| history[tick][1].1;
+    let velocity = (command(299) - command(298)) / 1e-3;
+    assert!(velocity < -0.05);
+    for tick in 300..=305 {
+        assert_eq!(command(tick), command(299), "{tick}");
+    }
+    let way = command(399) - command(299);
+    assert!(way < 0.0 && way > 1.05 * velocity * 7.5e-3 && way < 0.9 * velocity * 7.5e-3, "{way} {velocity}");
+    let steps: Vec<_> = (305..330).map(|tick| (command(tick + 1) - command(tick)).abs()).collect();
+    assert!(steps.windows(2).all(|pair| pair[1] <= pair[0] + 1e-15), "it only slows down: {steps:?}");
+    assert!((320..399).all(|tick| command(tick) == command(399)));
+}
+
+/// Links with a delay of their own, up to 500 ms each way: they engage and stay, because silence counts from what the
+/// link is used to.
+#[test]
+fn a_long_way_engages_and_stays() {
+    for delay in [0, 20, 100, 500_u64] {
+        let (mut master, mut slave) = sides();
+        let (mut there, mut back) = (VecDeque::new(), VecDeque::new());
+        let mut buffer = [0; MAX_FRAME];
+        let mut engaged_at = None;
+        for tick in 0..4000_u64 {
+            let now_ns = tick * MS;
+            while back.front().is_some_and(|(due, _)| *due <= tick) {
+                let (_, frame): (u64, Vec<u8>) = back.pop_front().unwrap();
+                master.receive(now_ns, &frame).unwrap();
+            }
+            let state = master.tick(TickTime::at(now_ns)).state;
+            there.push_back((tick + delay, master.send(now_ns, &mut buffer).to_vec()));
+            while there.front().is_some_and(|(due, _)| *due <= tick) {
+                let (_, frame): (u64, Vec<u8>) = there.pop_front().unwrap();
+                slave.receive(now_ns, &frame).unwrap();
+            }
+            slave.tick(TickTime::at(now_ns));
+            back.push_back((tick + delay.max(1), slave.send(now_ns, &mut buffer).to_vec()));
+            if state == LadderState::Engaged {
+                engaged_at.get_or_insert(tick);
+            } else {
+                assert_eq!(engaged_at, None, "{delay}: it stays");
+            }
+        }
+        // There and back once, so that each knows that it is heard.
+        assert_eq!(engaged_at, Some((2 * delay).max(1)), "{delay}");
+    }
+}
+
+/// The clutch as an index finger: the hand goes back without the arm.
+#[test]
+fn an_open_clutch_moves_the_hand_and_not_the_arm() {
+    let clutch = Clutch::Schedule(vec![(0, 200 * MS), (600 * MS, 5000 * MS)]);
+    let history = run_with(clutch, 1500, |_| (true, true));
+    check_no_jump(&history);
+    assert_eq!(history[199].map(|side| side.0), [LadderState::Engaged; 2]);
+    for sides in &history[201..600] {
+        assert_eq!(sides.map(|side| side.0), [LadderState::Disengaged; 2]);
+        assert_eq!(sides[1].1, history[201][1].1);
+    }
+    assert_eq!(history[601].map(|side| side.0), [LadderState::Engaged; 2]);
+    // The hand went from about 0.015 m to -0.03 m meanwhile, and the arm did not follow.
+    assert!(history[1499][1].1 > 0.0, "{}", history[1499][1].1);
+}
+
+#[test]
+fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
+    let mut slave = SlaveEndpoint::<1>::new(&slave_settings(2)).unwrap();
+    let mut link = FrameLink::<1>::new(Role::Master, 1, 200 * MS);
+    let mut buffer = [0; MAX_FRAME];
+    let still = Axes::<1>::zeros();
+    let mut last: f64 = 0.0;
+    for tick in 0..1000_u64 {
+        let now_ns = tick * MS;
+        let aligning = if tick < 2 { LadderState::Aligning } else { LadderState::Engaged };
+        let status = Status { state: aligning.code(), hears_peer: true, clutch: true };
+        // At 100 ms a pose that jumps by 500 m, and a velocity beyond all reason; back at 110 ms.
+        let wild = (100..110).contains(&tick);
+        let pose = Axes::<1>::new(if wild { 500.0 } else { 0.0 });
+        let speed = Axes::<1>::new(if wild { 900.0 } else { 0.0 });
+        slave.receive(now_ns, link.send(now_ns, status, [pose, speed, still], &mut buffer)).unwrap();
+        let told = slave.tick(now_ns, &still, &still, &still);
+        let answer = slave.exchange_mut().send(now_ns, &mut buffer).to_vec();
+        link.receive(now_ns, &answer).unwrap();
+        let command = told.command.map_or(0.0, |command| command[0]);
+        assert!((command - last).abs() <= 3e-3 + 1e-12, "{tick}: {command}");
+        assert!(told.command_velocity.norm() <= 3.0 + 1e-12);
+        assert!(tick < 2 || told.state == LadderState::Engaged, "{tick}: {:?}", told.state);
+        // Ten steps out and ten back, the last of which just fits, but for rounding.
+        assert!(tick == 119 || told.limited.any() == (100..119).contains(&tick), "{tick}");
+        last = command;
+    }
+    assert!(matches!(slave.limited_ticks(), 19 | 20) && last == 0.0, "{} {last}", slave.limited_ticks());
 }
 
 /// A network that delivers every frame 50 ms after it was sent, both ways, and a master that sleeps for a while.
 fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState, f64)> {
-    let (mut master, mut slave) = sides();
+    let (mut master, mut slave) = sides_with(PERSON);
     let (mut there, mut back) = (VecDeque::new(), VecDeque::new());
     let mut buffer = [0; MAX_FRAME];
     let mut history = Vec::new();
@@ -179,13 +359,7 @@ fn a_loop_that_slept_starts_again_from_zero_force() {
 fn a_stopped_master_stays_stopped_whatever_arrives() {
     let (mut master, mut slave) = sides();
     let (_, mut restarted) = sides();
-    restarted.endpoint = SlaveEndpoint::new(&SlaveSettings {
-        period_ns: MS,
-        session: 3,
-        position_scale: 1.0,
-        ladder: LadderSettings::default(),
-    })
-    .unwrap();
+    restarted.endpoint = SlaveEndpoint::new(&slave_settings(3)).unwrap();
     let mut buffer = [0; MAX_FRAME];
     for tick in 0..3000 {
         let now_ns = tick * MS;
@@ -220,7 +394,7 @@ fn nothing_is_exerted_without_a_peer_however_the_hand_moves() {
         let mut endpoint = MasterEndpoint::<1>::new(&MasterSettings { safety, ..master_settings() }).unwrap();
         for tick in 0..500_u32 {
             let position = Axes::<1>::new(0.8 * f64::from(tick) * 1e-3);
-            let told = endpoint.tick(u64::from(tick) * MS, 0, &position, None);
+            let told = endpoint.tick(u64::from(tick) * MS, 0, &position, None, true);
             assert_eq!(told.safety.device_force[0], 0.0);
         }
     }
@@ -234,7 +408,7 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
     for tick in 0..1500 {
         let now_ns = tick * MS;
         if tick == 1000 {
-            let told = master.endpoint.tick(now_ns, 0, &Axes::<1>::new(f64::NAN), None);
+            let told = master.endpoint.tick(now_ns, 0, &Axes::<1>::new(f64::NAN), None, true);
             assert_eq!(told.safety.device_force[0], 0.0, "in the same tick");
         }
         let record = master.tick(TickTime::at(now_ns));
@@ -256,9 +430,9 @@ fn a_frame_from_a_stranger_changes_nothing() {
     let noise = [7_u8; 92];
     for tick in 0..50 {
         assert!(master.receive(tick * MS, &noise).is_err());
-        assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Waiting);
+        assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Aligning);
     }
-    assert_eq!(master.counts().0.refused, 50);
+    assert_eq!(master.counts().link.refused, 50);
 }
 
 /// A round trip is measured on one clock, and what the peer held on the other: neither offset nor drift shows in it
@@ -280,9 +454,9 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
             slave_clock: Some(EndpointClock::new(&clock).unwrap()),
         };
         run_virtual(&settings, &mut master, &mut slave, |_, _| ControlFlow::Continue(())).unwrap();
-        for (statistics, holds) in [master.counts(), slave.counts()] {
-            assert_eq!(holds, 0, "{drift_ppm}");
-            for round_trip_ns in [statistics.round_trip_ns, statistics.least_round_trip_ns] {
+        for counts in [master.counts(), slave.counts()] {
+            assert_eq!(counts.holds, 0, "{drift_ppm}");
+            for round_trip_ns in [counts.link.round_trip_ns, counts.link.least_round_trip_ns] {
                 assert!((100 * MS - 100..=102 * MS).contains(&round_trip_ns), "{drift_ppm}: {round_trip_ns}");
             }
         }

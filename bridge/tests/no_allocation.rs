@@ -7,8 +7,9 @@ use std::{
 };
 
 use haptether_bridge::{
-    LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
+    Clutch, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
     SlaveSettings, SlaveSide, TickTime,
+    coupling::CommandBounds,
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     wire::{MAX_FRAME, Role},
 };
@@ -81,11 +82,12 @@ fn a_tick_of_both_sides_allocates_nothing() {
             ladder: LadderSettings::default(),
         })
         .unwrap();
-        let mut master = MasterSide { plant, endpoint };
+        let mut master = MasterSide::new(plant, endpoint, Clutch::Once).unwrap();
         let settings = SlaveSettings {
             period_ns: MS,
             session: 2,
             position_scale: 1.0,
+            bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),
         };
         let pusher = Pusher::new(0.8, 0.1, 1.0, 3.0).unwrap();

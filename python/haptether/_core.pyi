@@ -63,6 +63,7 @@ __all__ = [
     "check_link",
     "fault_message",
     "judge_packets",
+    "ladder_reason",
     "ladder_state_name",
     "link_bounds",
     "read_link_file",
@@ -1669,6 +1670,14 @@ class MasterTrace:
         """State of the ladder, for `ladder_state_name`."""
 
     @property
+    def reason(self) -> _Bits:
+        """Why it stands there, for `ladder_reason`; 0 where it began."""
+
+    @property
+    def clutch(self) -> _Bits:
+        """1 while the clutch is closed, as far as this side knows."""
+
+    @property
     def age_s(self) -> _Array:
         """Silence of the peer in s; infinite before its first frame."""
 
@@ -1702,8 +1711,20 @@ class SlaveTrace:
         """F_e in N, of wall and pusher on the tool."""
 
     @property
+    def limited(self) -> _Bits:
+        """Which bounds acted on the remote command: speed 1, reach 2."""
+
+    @property
     def state(self) -> _Bits:
         """State of the ladder, for `ladder_state_name`."""
+
+    @property
+    def reason(self) -> _Bits:
+        """Why it stands there, for `ladder_reason`; 0 where it began."""
+
+    @property
+    def clutch(self) -> _Bits:
+        """1 while the clutch is closed, as far as this side knows."""
 
     @property
     def overshoot_s(self) -> _Array:
@@ -1778,6 +1799,10 @@ class LoopReport:
         """How often the ladder went to HOLD."""
 
     @property
+    def limited(self) -> int:
+        """Ticks at which a bound acted on the remote command; of a master 0."""
+
+    @property
     def engaged_s(self) -> float:
         """When the sides first engaged, in s since the start; infinite if never."""
 
@@ -1795,6 +1820,10 @@ class MasterSettings:
         limiter: Bounds; without them the defaults. Its ramp-in is not used: the ladder fades the force in.
         force_scale: lambda_f of `F_v = lambda_f F_e`, above 0.
         period_s: dT in s, 50 us to 20 ms.
+        clutch: "once": pressed at the start and held, after a hold only `LiveMaster.press_clutch` presses it anew;
+            "auto": a simulated person lets go when it holds and presses again; or press and release times in s
+            since the start.
+        clutch_reaction_s: From when both sides are ready to the new press of "auto", in s, 0.05 to 60.
 
     Raises:
         ValueError: A parameter outside its range.
@@ -1812,6 +1841,8 @@ class MasterSettings:
         limiter: LimiterSettings | None = None,
         force_scale: float = 1.0,
         period_s: float = 1e-3,
+        clutch: Literal["once", "auto"] | Sequence[tuple[float, float]] | None = None,
+        clutch_reaction_s: float = 0.5,
     ) -> MasterSettings: ...
 
 @final
@@ -1825,6 +1856,7 @@ class SlaveSettings:
         position: Where the tool rests at first, in m.
         position_scale: lambda_p of `x_s = x_s0 + lambda_p (x_m - x_m0)`, above 0.
         period_s: dT in s, 50 us to 20 ms.
+        command_speed: Largest speed in m/s of the commanded position; what is faster is clamped and counted.
 
     Raises:
         ValueError: A parameter outside its range.
@@ -1841,6 +1873,7 @@ class SlaveSettings:
         position: float = 0.0,
         position_scale: float = 1.0,
         period_s: float = 1e-3,
+        command_speed: float = 3.0,
     ) -> SlaveSettings: ...
 
 @final
@@ -1876,7 +1909,7 @@ class LiveMaster:
 
     @property
     def state(self) -> str:
-        """Where the ladder stands: "waiting", "engaged", "hold", "stop" or "fault"."""
+        """Where the ladder stands: a name of `ladder_state_name`."""
 
     @property
     def ticks(self) -> int:
@@ -1891,6 +1924,12 @@ class LiveMaster:
 
     def stop(self) -> None:
         """Asks the loop to end after its current tick."""
+
+    def flight(self) -> str | None:
+        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+
+    def press_clutch(self) -> None:
+        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
 
     def finish(self) -> tuple[MasterTrace, LoopReport]:
         """Ends the loop and returns all its ticks and how it went.
@@ -1930,7 +1969,7 @@ class LiveSlave:
 
     @property
     def state(self) -> str:
-        """Where the ladder stands: "waiting", "engaged", "hold", "stop" or "fault"."""
+        """Where the ladder stands: a name of `ladder_state_name`."""
 
     @property
     def ticks(self) -> int:
@@ -1945,6 +1984,9 @@ class LiveSlave:
 
     def stop(self) -> None:
         """Asks the loop to end after its current tick."""
+
+    def flight(self) -> str | None:
+        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     def finish(self) -> tuple[SlaveTrace, LoopReport]:
         """Ends the loop and returns all its ticks and how it went.
@@ -1968,8 +2010,16 @@ def run_bridge(
         ValueError: Different periods, a duration outside 0 to 1e9 s, or settings that describe no link.
     """
 
+def ladder_reason(code: int) -> str:
+    """Why the ladder stands where it does, for the codes of `MasterTrace.reason` from 1; 0 stands for no step yet.
+
+    Raises:
+        ValueError: No such code.
+        OverflowError: A code outside 0 to 255.
+    """
+
 def ladder_state_name(code: int) -> str:
-    """Name of a state of the ladder: 0 waiting, 1 engaged, 2 hold, 3 stop, 4 fault.
+    """Name of a state of the ladder: 0 disengaged, 1 aligning, 2 engaged, 3 stale, 4 hold, 5 stop, 6 fault.
 
     Raises:
         ValueError: No such code.

@@ -6,8 +6,9 @@ use std::{
 };
 
 use haptether_bridge::{
-    Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide, Side,
-    SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
+    Clutch, Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide,
+    Reason, Side, SideCounts, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
+    coupling::CommandBounds,
     live::{LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, run_live},
     run_virtual,
 };
@@ -33,7 +34,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<LiveMaster>()?;
     module.add_class::<LiveSlave>()?;
     module.add_function(wrap_pyfunction!(run_bridge, module)?)?;
-    module.add_function(wrap_pyfunction!(ladder_state_name, module)?)
+    module.add_function(wrap_pyfunction!(ladder_state_name, module)?)?;
+    module.add_function(wrap_pyfunction!(ladder_reason, module)?)
 }
 
 /// A positive time in s as ns.
@@ -45,22 +47,61 @@ fn nanoseconds(key: &str, seconds: f64) -> PyResult<u64> {
     Err(PyValueError::new_err(format!("{key} = {seconds}: must be between 0 and 1e9 s")))
 }
 
+/// The text of a reason's code.
+#[pyfunction]
+fn ladder_reason(code: u8) -> PyResult<&'static str> {
+    Reason::from_code(code)
+        .map(Reason::text)
+        .ok_or_else(|| PyValueError::new_err(format!("reason {code}: must be 1 to {}", Reason::ALL.len())))
+}
+
 /// The name of a ladder state's code.
 #[pyfunction]
 fn ladder_state_name(code: u8) -> PyResult<&'static str> {
     LadderState::from_code(code)
         .map(LadderState::name)
-        .ok_or_else(|| PyValueError::new_err(format!("state {code}: must be 0 to 4")))
+        .ok_or_else(|| PyValueError::new_err(format!("state {code}: must be 0 to 6")))
 }
 
 type SimulatedMasterSide = MasterSide<SimulatedMaster<1>, 1>;
 type SimulatedSlaveSide = SlaveSide<SimulatedSlave<1>, 1>;
+
+/// A name, or press and release times in s.
+#[derive(FromPyObject)]
+enum PyClutch {
+    Named(String),
+    Times(Vec<(f64, f64)>),
+}
+
+impl PyClutch {
+    fn build(self, reaction_s: f64) -> PyResult<Clutch> {
+        Ok(match self {
+            Self::Named(name) => match name.as_str() {
+                "once" => Clutch::Once,
+                "auto" => Clutch::Auto { reaction_ns: nanoseconds("clutch_reaction_s", reaction_s)? },
+                _ => {
+                    let text = format!("clutch = {name:?}: must be \"once\", \"auto\" or times in s");
+                    return Err(PyValueError::new_err(text));
+                }
+            },
+            Self::Times(times) => Clutch::Schedule(
+                times
+                    .into_iter()
+                    .map(|(press, release)| {
+                        Ok((nanoseconds("clutch", press)?, nanoseconds("clutch", release)?))
+                    })
+                    .collect::<PyResult<_>>()?,
+            ),
+        })
+    }
+}
 
 #[pyclass(name = "MasterSettings", module = "haptether.bridge", frozen)]
 #[derive(Clone)]
 pub(crate) struct PyMasterSettings {
     device: PyHapticDevice,
     hand: Hand<1>,
+    clutch: Clutch,
     endpoint: MasterSettings<1>,
 }
 
@@ -68,7 +109,8 @@ pub(crate) struct PyMasterSettings {
 impl PyMasterSettings {
     #[new]
     #[pyo3(signature = (device, hand, *, safety=None, estimator=None, limiter=None, force_scale=1.0,
-        period_s=1e-3))]
+        period_s=1e-3, clutch=None, clutch_reaction_s=0.5))]
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         device: &PyHapticDevice,
         hand: &PyHand,
@@ -77,10 +119,13 @@ impl PyMasterSettings {
         limiter: Option<&PyLimiterSettings>,
         force_scale: f64,
         period_s: f64,
+        clutch: Option<PyClutch>,
+        clutch_reaction_s: f64,
     ) -> PyResult<Self> {
         let settings = Self {
             device: *device,
             hand: hand.inner.clone(),
+            clutch: clutch.unwrap_or(PyClutch::Named("once".into())).build(clutch_reaction_s)?,
             endpoint: MasterSettings {
                 period_ns: nanoseconds("period_s", period_s)?,
                 session: 0,
@@ -102,7 +147,7 @@ impl PyMasterSettings {
         let endpoint = MasterEndpoint::new(&MasterSettings { session, ..self.endpoint }).map_err(refuse)?;
         let mut plant = SimulatedMaster::new(self.device.inner, self.hand.clone(), 0).map_err(refuse)?;
         plant.set_waiting(true);
-        Ok(MasterSide { plant, endpoint })
+        MasterSide::new(plant, endpoint, self.clutch.clone()).map_err(refuse)
     }
 }
 
@@ -119,7 +164,8 @@ pub(crate) struct PySlaveSettings {
 #[pymethods]
 impl PySlaveSettings {
     #[new]
-    #[pyo3(signature = (arm, wall, *, pusher=None, position=0.0, position_scale=1.0, period_s=1e-3))]
+    #[pyo3(signature = (arm, wall, *, pusher=None, position=0.0, position_scale=1.0, period_s=1e-3,
+        command_speed=3.0))]
     fn new(
         arm: &PyArm,
         wall: &PyWall,
@@ -127,6 +173,7 @@ impl PySlaveSettings {
         position: f64,
         position_scale: f64,
         period_s: f64,
+        command_speed: f64,
     ) -> PyResult<Self> {
         let settings = Self {
             arm: *arm,
@@ -137,6 +184,7 @@ impl PySlaveSettings {
                 period_ns: nanoseconds("period_s", period_s)?,
                 session: 0,
                 position_scale,
+                bounds: CommandBounds { speed: command_speed, ..CommandBounds::default() },
                 ladder: LadderSettings::default(),
             },
         };
@@ -198,12 +246,13 @@ fn run_bridge(
         })
     })
     .map_err(refuse)?;
-    let report = |(link, holds), mut states: Box<dyn Iterator<Item = (u64, LadderState)> + '_>| {
-        let engaged = states.find(|(_, state)| *state == LadderState::Engaged);
+    let report = |counts: SideCounts, mut states: Box<dyn Iterator<Item = (u64, LadderState)> + '_>| {
+        let engaged = states.find(|(_, state)| state.is_coupled());
         LoopReport {
             ticks: settings.ticks,
-            link,
-            holds,
+            link: counts.link,
+            holds: counts.holds,
+            limited: counts.limited,
             engaged_ns: engaged.map_or(u64::MAX, |(time_ns, _)| time_ns),
             ..LoopReport::default()
         }
@@ -315,6 +364,10 @@ macro_rules! live_methods {
             fn stop(&mut self) {
                 self.live.run().stop();
             }
+
+            fn flight(&mut self) -> Option<String> {
+                self.live.run().flight()
+            }
         }
     };
 }
@@ -345,6 +398,10 @@ impl LiveMaster {
             return Err(PyValueError::new_err(text));
         }
         Ok(Self { live: Live::start(side, listen, Some(peer), period_ns, duration_s, patience_s)? })
+    }
+
+    fn press_clutch(&mut self) {
+        self.live.run().press_clutch();
     }
 
     fn finish(&mut self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {

@@ -61,6 +61,8 @@ columns!(MasterTrace, record, {
     tripped => record.tripped,
     acted => record.acted,
     state => record.state.code(),
+    reason => record.reason,
+    clutch => u8::from(record.clutch),
     age_s => seconds(record.age_ns),
     overshoot_s => seconds(record.overshoot_ns),
     fault => record.fault,
@@ -71,7 +73,10 @@ columns!(SlaveTrace, record, {
     position => record.position[0],
     command => record.command[0],
     environment_force => record.environment_force[0],
+    limited => record.limited,
     state => record.state.code(),
+    reason => record.reason,
+    clutch => u8::from(record.clutch),
     overshoot_s => seconds(record.overshoot_ns),
     fault => record.fault,
 });
@@ -112,6 +117,7 @@ pub(crate) struct PyLoopReport {
     unsent: u64,
     link: PyLinkStatistics,
     holds: u64,
+    limited: u64,
     engaged_s: f64,
 }
 
@@ -124,6 +130,7 @@ impl From<LoopReport> for PyLoopReport {
             unsent: of.unsent,
             link: of.link.into(),
             holds: of.holds,
+            limited: of.limited,
             engaged_s: seconds(of.engaged_ns),
         }
     }

@@ -1,5 +1,12 @@
 //! Couplings: what each side asks of its device, given the newest of the other side.
 
+mod bounds;
+mod decay;
+mod frame;
 mod position_force;
 
+pub(crate) use bounds::bounded;
+pub use bounds::{CommandBounds, Limited};
+pub(crate) use decay::decayed;
+pub use frame::FrameMap;
 pub use position_force::{CouplingError, PositionForce};

@@ -2,11 +2,14 @@
 
 use haptether_safety::Axes;
 
+use super::FrameMap;
+
 /// The slave follows the master's position; the master renders the force that the slave measures.
 ///
-/// `x_s = x_s0 + lambda_p (x_m - x_m0)`, `F_v = lambda_f F_e`
+/// `x_s = x_s0 + lambda_p L R (x_m - x_m0)`, `F_v = lambda_f R' L F_e`, with R and L of [`FrameMap`].
 ///
-/// `x_m0` and `x_s0` are taken when the two engage, so the slave never jumps. Under a round trip T the hand feels
+/// `x_m0` and `x_s0` are taken when the two engage, so the slave never jumps; they are taken anew when the scale or the
+/// map changes. Under a round trip T the hand feels
 /// the remote stiffness `lambda_f lambda_p K_e` late; with a hand of impedance `K_h - m w² + j w B_h` it is stable
 /// for every T if `lambda_f lambda_p K_e < min_w |K_h - m w² + j w B_h|` (small gain).
 ///
@@ -15,46 +18,86 @@ use haptether_safety::Axes;
 pub struct PositionForce<const N: usize> {
     position_scale: f64,
     force_scale: f64,
+    map: FrameMap<N>,
     anchor: Option<(Axes<N>, Axes<N>)>,
 }
 
-/// A scale that a coupling cannot have.
+/// A coupling that cannot be.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
-pub struct CouplingError {
-    name: &'static str,
-    symbol: &'static str,
-    seen: f64,
+pub enum CouplingError {
+    /// A scale that couples nothing, or a bound that lets nothing pass.
+    #[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
+    Scale {
+        /// Which.
+        name: &'static str,
+        /// Its symbol.
+        symbol: &'static str,
+        /// What was given.
+        seen: f64,
+    },
+    /// A matrix that is no rotation.
+    #[error("rotation: R' R differs from the identity by {0}, must be by at most 1e-9")]
+    Orthonormal(f64),
+    /// A rotation of axes that are not those of one space.
+    #[error("rotation of {0} axes: must be of at most 3")]
+    Rotation(usize),
+}
+
+impl CouplingError {
+    pub(super) const fn scale(name: &'static str, symbol: &'static str, seen: f64) -> Self {
+        Self::Scale { name, symbol, seen }
+    }
+}
+
+fn check(name: &'static str, symbol: &'static str, seen: f64) -> Result<f64, CouplingError> {
+    if seen.is_finite() && seen > 0.0 { Ok(seen) } else { Err(CouplingError::scale(name, symbol, seen)) }
 }
 
 impl<const N: usize> PositionForce<N> {
     /// Scales `lambda_p` and `lambda_f` (> 0).
     pub fn new(position_scale: f64, force_scale: f64) -> Result<Self, CouplingError> {
-        for (name, symbol, seen) in
-            [("position_scale", "lambda_p", position_scale), ("force_scale", "lambda_f", force_scale)]
-        {
-            if !(seen.is_finite() && seen > 0.0) {
-                return Err(CouplingError { name, symbol, seen });
-            }
-        }
-        Ok(Self { position_scale, force_scale, anchor: None })
+        Ok(Self {
+            position_scale: check("position_scale", "lambda_p", position_scale)?,
+            force_scale: check("force_scale", "lambda_f", force_scale)?,
+            map: FrameMap::default(),
+            anchor: None,
+        })
+    }
+
+    /// Changes `lambda_p`; the slave goes on from where it is.
+    pub fn set_position_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
+        self.position_scale = check("position_scale", "lambda_p", scale)?;
+        self.disengage();
+        Ok(())
+    }
+
+    /// Changes `lambda_f`; how fast the force follows is the limiter's.
+    pub fn set_force_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
+        self.force_scale = check("force_scale", "lambda_f", scale)?;
+        Ok(())
+    }
+
+    /// Changes rotation and locks; the slave goes on from where it is.
+    pub fn set_map(&mut self, map: FrameMap<N>) {
+        self.map = map;
+        self.disengage();
     }
 
     /// Master half: `F_v` in N from the newest `F_e` in N.
     pub fn rendered_force(&self, environment_force: &Axes<N>) -> Axes<N> {
-        environment_force * self.force_scale
+        self.map.to_master(environment_force) * self.force_scale
     }
 
     /// Slave half: the position to command, in m, from the newest `x_m` in m; the first call since
     /// [`disengage`](Self::disengage) engages at `slave_position`.
     pub fn commanded_position(&mut self, master_position: &Axes<N>, slave_position: &Axes<N>) -> Axes<N> {
         let (master, slave) = *self.anchor.get_or_insert((*master_position, *slave_position));
-        slave + (master_position - master) * self.position_scale
+        slave + self.map.to_slave(&(master_position - master)) * self.position_scale
     }
 
     /// Slave half: the velocity of the commanded position, in m/s, from the newest V in m/s.
     pub fn commanded_velocity(&self, master_velocity: &Axes<N>) -> Axes<N> {
-        master_velocity * self.position_scale
+        self.map.to_slave(master_velocity) * self.position_scale
     }
 
     /// The two are no longer coupled.
@@ -78,6 +121,23 @@ mod tests {
         coupling.disengage();
         let elsewhere = Axes::<2>::new(5.0, 5.0);
         assert_eq!(coupling.commanded_position(&Axes::<2>::new(9.0, 9.0), &elsewhere), elsewhere);
+    }
+
+    #[test]
+    fn a_change_of_scale_or_axes_moves_nothing_by_itself() {
+        let mut coupling = PositionForce::<2>::new(1.0, 1.0).unwrap();
+        let mut command = coupling.commanded_position(&Axes::<2>::zeros(), &Axes::<2>::new(1.0, 1.0));
+        let hand = Axes::<2>::new(0.5, -0.2);
+        command = coupling.commanded_position(&hand, &command);
+        coupling.set_position_scale(3.0).unwrap();
+        assert_eq!(coupling.commanded_position(&hand, &command), command);
+        coupling.set_map(FrameMap::locking([true, false]));
+        assert_eq!(coupling.commanded_position(&hand, &command), command);
+        let moved = coupling.commanded_position(&(hand + Axes::<2>::new(0.1, 0.1)), &command);
+        assert!((moved - command - Axes::<2>::new(0.0, 0.3)).norm() < 1e-15);
+        coupling.set_force_scale(2.0).unwrap();
+        assert_eq!(coupling.rendered_force(&Axes::<2>::new(4.0, 1.0)), Axes::<2>::new(0.0, 2.0));
+        assert!(coupling.set_force_scale(f64::NAN).is_err() && coupling.set_position_scale(0.0).is_err());
     }
 
     #[test]

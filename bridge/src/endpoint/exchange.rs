@@ -3,8 +3,11 @@
 use haptether_safety::Axes;
 
 use crate::{
-    ladder::{Ladder, LadderSettings, LadderState},
-    link::{FrameLink, LinkStatistics, Refusal},
+    ladder::{
+        FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInput, LadderSettings,
+        LadderState, PeerReport, Transition,
+    },
+    link::{FrameLink, LinkStatistics, Refusal, Status},
     wire::{Frame, MAX_FRAME, Role},
 };
 
@@ -12,39 +15,109 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Exchange<const N: usize> {
     pub(super) ladder: Ladder,
-    /// Whether a new session of the peer ends a STOP.
-    resumes: bool,
+    role: Role,
     link: FrameLink<N>,
     /// Position, velocity and force of the next frame.
     pub(super) outgoing: [Axes<N>; 3],
+    /// Least time in ns between two frames of the peer, as it sends them.
+    interval_ns: Option<u64>,
+    /// Its own, which stands for the peer's until that is known.
+    period_ns: u64,
+    /// Age in ns that the newest frame has when nothing is wrong; by default the peer's interval.
+    expected_age_ns: Option<u64>,
+    /// The clutch as of the last tick.
+    clutch: bool,
+    /// Holds that were seen, and the sequence of a frame of this side that tells of the last one.
+    told: (u64, u64),
+    flight: Box<FlightRecorder>,
 }
 
+/// Longest period of a loop in ns: a peer cannot ask for more patience.
+const LONGEST_INTERVAL_NS: u64 = 20_000_000;
+
 impl<const N: usize> Exchange<N> {
-    pub(super) fn new(role: Role, session: u64, settings: LadderSettings) -> Self {
-        Self {
-            ladder: Ladder::new(settings),
-            // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled again
-            // by what arrives from the network: a stopped master must be started anew.
-            resumes: role == Role::Slave,
+    pub(super) fn new(
+        role: Role,
+        session: u64,
+        period_ns: u64,
+        settings: LadderSettings,
+    ) -> Result<Self, LadderError> {
+        Ok(Self {
+            ladder: Ladder::new(settings)?,
+            role,
             link: FrameLink::new(role, session, settings.stop_after_ns),
             outgoing: [Axes::zeros(); 3],
-        }
+            interval_ns: None,
+            period_ns,
+            expected_age_ns: None,
+            clutch: false,
+            told: (0, 0),
+            flight: Box::new(FlightRecorder::new(match role {
+                Role::Master => "master",
+                Role::Slave => "slave",
+            })),
+        })
     }
 
     /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
     pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
+        let before = self.newest().map(|frame| (frame.sequence, frame.sent_ns));
         let begins = self.link.receive(now_ns, datagram)?;
-        if begins && self.resumes {
-            self.ladder.new_session();
+        if begins {
+            self.interval_ns = None;
+            // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled again
+            // by what arrives from the network.
+            self.ladder.new_session(now_ns, self.role == Role::Slave);
+        } else if let (Some((sequence, sent_ns)), Some(frame)) = (before, self.newest()) {
+            // By the peer's own clock and count: neither jitter nor loss is in it.
+            let frames = frame.sequence.saturating_sub(sequence).max(1);
+            let interval_ns = (frame.sent_ns.saturating_sub(sent_ns) / frames).min(LONGEST_INTERVAL_NS);
+            self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |least| least.min(interval_ns)));
         }
         Ok(begins)
     }
 
-    /// Steps the ladder; gives its state and the silence of the peer in ns.
-    pub(super) fn advance(&mut self, now_ns: u64) -> (LadderState, Option<u64>) {
+    /// Steps the ladder; `clutch` is the master's button. Gives the state and the silence of the peer in ns.
+    pub(super) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
+        if self.told.0 != self.ladder.holds() {
+            self.told = (self.ladder.holds(), self.link.next_sequence());
+        }
         let age_ns = self.link.age_ns(now_ns);
-        let ready = self.link.is_heard() && self.newest().is_some_and(has_not_stopped);
-        (self.ladder.step(now_ns, age_ns, ready), age_ns)
+        let expected_age_ns = self.expected_age_ns.or(self.interval_ns).unwrap_or(self.period_ns);
+        let newest = self.newest();
+        let peer = newest.map(|frame| PeerReport {
+            // A state that this version does not know is none to be coupled with.
+            state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
+            hears: self.link.is_heard(),
+            answers: self.link.is_heard() && frame.echo.is_some_and(|echo| echo.sequence >= self.told.1),
+        });
+        let (clutch, asks) = match self.role {
+            Role::Master => (clutch, clutch && !self.clutch),
+            Role::Slave => {
+                let closed = newest.is_some_and(|frame| frame.clutch);
+                let aligns =
+                    peer.is_some_and(|peer| peer.state.is_coupled() || peer.state == LadderState::Aligning);
+                let most_ns = self.ladder.settings().hold_after_ns + expected_age_ns;
+                (closed, closed && aligns && age_ns.is_some_and(|age| age <= most_ns))
+            }
+        };
+        self.clutch = clutch;
+        let input = LadderInput { age_ns, expected_age_ns, peer, clutch, asks };
+        (self.ladder.step(now_ns, &input), age_ns)
+    }
+
+    /// Keeps this tick in the flight recorder: measured position, command and force.
+    pub(super) fn keep(&mut self, now_ns: u64, values: [&Axes<N>; 3]) {
+        let entry = FlightEntry {
+            time_ns: now_ns,
+            state: self.ladder.state(),
+            peer: self.newest().and_then(|frame| LadderState::from_code(frame.state)),
+            age_ns: self.link.age_ns(now_ns),
+            clutch: self.clutch,
+            gain: self.ladder.gain(),
+            values: FlightValues::new(values),
+        };
+        self.flight.take(entry, self.ladder.history());
     }
 
     /// The newest frame of the peer.
@@ -54,7 +127,11 @@ impl<const N: usize> Exchange<N> {
 
     /// Writes the frame of this tick.
     pub fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        let status = (self.ladder.state().code(), self.ladder.hears_peer());
+        let status = Status {
+            state: self.ladder.state().code(),
+            hears_peer: self.ladder.hears_peer(),
+            clutch: self.clutch && self.role == Role::Master,
+        };
         self.link.send(now_ns, status, self.outgoing, buffer)
     }
 
@@ -63,19 +140,43 @@ impl<const N: usize> Exchange<N> {
         self.ladder.stalled(now_ns);
     }
 
+    /// A person at this side says that its fault is mended.
+    pub fn acknowledge(&mut self, now_ns: u64) {
+        self.ladder.acknowledge(now_ns);
+    }
+
+    /// Age in ns that the newest frame has when nothing is wrong; none takes the interval at which the peer sends.
+    pub fn set_expected_age_ns(&mut self, expected_ns: Option<u64>) {
+        self.expected_age_ns = expected_ns;
+    }
+
     /// Where the ladder stands.
     pub fn state(&self) -> LadderState {
         self.ladder.state()
+    }
+
+    /// Whether a press of the clutch would count, were it open.
+    pub fn is_ready(&self) -> bool {
+        self.ladder.is_ready()
+    }
+
+    /// Whether the clutch was closed at the last tick.
+    pub fn clutch(&self) -> bool {
+        self.clutch
+    }
+
+    /// The last step of the ladder.
+    pub fn last_transition(&self) -> Option<Transition> {
+        self.ladder.history().last()
     }
 
     /// Counts of the link, and how often the ladder went to HOLD.
     pub fn counts(&self) -> (LinkStatistics, u64) {
         (self.link.statistics(), self.ladder.holds())
     }
-}
 
-/// Whether the sender of this frame can be coupled with.
-fn has_not_stopped<const N: usize>(frame: &Frame<N>) -> bool {
-    let state = LadderState::from_code(frame.state);
-    state.is_some_and(|state| !matches!(state, LadderState::Stop | LadderState::Fault))
+    /// The last states and commands.
+    pub fn flight(&self) -> &FlightRecorder {
+        &self.flight
+    }
 }

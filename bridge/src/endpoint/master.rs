@@ -7,7 +7,7 @@ use haptether_safety::{
 
 use super::{EndpointError, Exchange, check_period, period_s};
 use crate::{
-    coupling::PositionForce,
+    coupling::{CouplingError, FrameMap, PositionForce},
     ladder::{LadderSettings, LadderState},
     link::Refusal,
     wire::Role,
@@ -70,7 +70,7 @@ impl<const N: usize> MasterEndpoint<N> {
         Ok(Self {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
-            exchange: Exchange::new(Role::Master, settings.session, settings.ladder),
+            exchange: Exchange::new(Role::Master, settings.session, settings.period_ns, settings.ladder)?,
             last: None,
             has_stalled: false,
         })
@@ -82,14 +82,16 @@ impl<const N: usize> MasterEndpoint<N> {
     }
 
     /// One tick: x in m and, from a device that measures it, V in m/s; `missed` ticks were left out since the last.
+    /// `clutch` is whether the person presses the clutch.
     pub fn tick(
         &mut self,
         now_ns: u64,
         missed: u64,
         position: &Axes<N>,
         velocity: Option<&Axes<N>>,
+        clutch: bool,
     ) -> MasterTick<N> {
-        let (_, age_ns) = self.exchange.advance(now_ns);
+        let (_, age_ns) = self.exchange.advance(now_ns, clutch);
         let asked =
             self.exchange.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
         let gain = self.exchange.ladder.gain();
@@ -103,10 +105,11 @@ impl<const N: usize> MasterEndpoint<N> {
         self.last = Some((*position, velocity.copied()));
         let safety = self.layer.tick_with_authority(position, velocity, &(asked * gain), gain);
         if safety.fault.is_some() {
-            self.exchange.ladder.fault();
+            self.exchange.ladder.fault(now_ns);
         } else {
             self.exchange.outgoing = [*position, safety.motion.velocity, safety.device_force];
         }
+        self.exchange.keep(now_ns, [position, &safety.device_force, &safety.rendered_force]);
         MasterTick { safety, state: self.exchange.ladder.state(), age_ns }
     }
 
@@ -128,6 +131,16 @@ impl<const N: usize> MasterEndpoint<N> {
     pub fn stalled(&mut self, now_ns: u64) {
         self.exchange.stalled(now_ns);
         self.has_stalled = true;
+    }
+
+    /// Changes `lambda_f`; how fast the force follows is the limiter's.
+    pub fn set_force_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
+        self.coupling.set_force_scale(scale)
+    }
+
+    /// Changes rotation and locks, which must be those of the slave.
+    pub fn set_map(&mut self, map: FrameMap<N>) {
+        self.coupling.set_map(map);
     }
 
     /// What talks to the peer.

@@ -22,6 +22,9 @@ pub enum EndpointError {
     /// A scale of the coupling.
     #[error(transparent)]
     Coupling(#[from] crate::coupling::CouplingError),
+    /// A time of the ladder.
+    #[error(transparent)]
+    Ladder(#[from] crate::ladder::LadderError),
     /// A period outside 10 us to 20 ms.
     #[error("period = {0} ns: must be between 10000 and 20000000")]
     Period(u64),

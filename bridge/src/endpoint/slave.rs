@@ -4,7 +4,7 @@ use haptether_safety::{Axes, Fault, Signal};
 
 use super::{EndpointError, Exchange, check_period};
 use crate::{
-    coupling::PositionForce,
+    coupling::{CommandBounds, CouplingError, FrameMap, Limited, PositionForce, bounded, decayed},
     ladder::{LadderSettings, LadderState},
     link::Refusal,
     wire::Role,
@@ -19,6 +19,8 @@ pub struct SlaveSettings {
     pub session: u64,
     /// `lambda_p`, of the position-force coupling.
     pub position_scale: f64,
+    /// What it takes of a remote command.
+    pub bounds: CommandBounds,
     /// Times of the ladder.
     pub ladder: LadderSettings,
 }
@@ -34,6 +36,8 @@ pub struct SlaveTick<const N: usize> {
     pub state: LadderState,
     /// Silence of the peer in ns.
     pub age_ns: Option<u64>,
+    /// Which bounds acted on the command.
+    pub limited: Limited,
     /// Why it stands in FAULT.
     pub fault: Option<Fault>,
 }
@@ -43,7 +47,13 @@ pub struct SlaveTick<const N: usize> {
 pub struct SlaveEndpoint<const N: usize> {
     coupling: PositionForce<N>,
     exchange: Exchange<N>,
+    bounds: CommandBounds,
+    /// Where the slave stood at its first tick.
+    home: Option<Axes<N>>,
     command: Option<Axes<N>>,
+    /// When the last command was made, in ns.
+    commanded_ns: u64,
+    limited_ticks: u64,
     fault: Option<Fault>,
 }
 
@@ -51,10 +61,15 @@ impl<const N: usize> SlaveEndpoint<N> {
     /// An endpoint that waits for its peer.
     pub fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
         check_period(settings.period_ns)?;
+        settings.bounds.check()?;
         Ok(Self {
             coupling: PositionForce::new(settings.position_scale, 1.0)?,
-            exchange: Exchange::new(Role::Slave, settings.session, settings.ladder),
+            exchange: Exchange::new(Role::Slave, settings.session, settings.period_ns, settings.ladder)?,
+            bounds: settings.bounds,
+            home: None,
             command: None,
+            commanded_ns: 0,
+            limited_ticks: 0,
             fault: None,
         })
     }
@@ -81,31 +96,70 @@ impl<const N: usize> SlaveEndpoint<N> {
             .and_then(|()| Signal::EnvironmentForce.check(environment_force));
         if let Err(fault) = door {
             self.fault.get_or_insert(fault);
-            self.exchange.ladder.fault();
+            self.exchange.ladder.fault(now_ns);
         }
-        let (state, age_ns) = self.exchange.advance(now_ns);
+        let (state, age_ns) = self.exchange.advance(now_ns, false);
+        let home = *self.home.get_or_insert(*position);
         let mut command_velocity = Axes::zeros();
+        let mut limited = Limited::default();
         match (state, self.exchange.newest()) {
-            (LadderState::Engaged, Some(frame)) => {
+            (LadderState::Engaged | LadderState::Stale, Some(frame)) => {
                 // From the last command, not from where contact has bent the arm to.
                 let from = self.command.unwrap_or(*position);
-                self.command = Some(self.coupling.commanded_position(&frame.position, &from));
-                command_velocity = self.coupling.commanded_velocity(&frame.velocity);
+                let decay_ns = self.exchange.ladder.settings().extrapolate_ns;
+                let (ahead_s, share) = decayed(self.exchange.ladder.stale_ns(), decay_ns);
+                let velocity = self.coupling.commanded_velocity(&frame.velocity);
+                let wanted = self.coupling.commanded_position(&frame.position, &from) + velocity * ahead_s;
+                let elapsed_s = now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9;
+                let (command, over) = bounded(&self.bounds, elapsed_s, &home, &from, &wanted);
+                limited = over;
+                command_velocity = velocity * share;
+                let speed = command_velocity.norm();
+                if speed > self.bounds.speed {
+                    command_velocity *= self.bounds.speed / speed;
+                    limited.speed = true;
+                }
+                self.command = Some(command);
             }
             // Holds the last command; when it engages again it does so from where both are then.
             _ => self.coupling.disengage(),
         }
+        self.commanded_ns = now_ns;
+        self.limited_ticks += u64::from(limited.any());
         if self.fault.is_none() {
             self.exchange.outgoing = [*position, *velocity, *environment_force];
         } else {
             self.exchange.outgoing[2] = Axes::zeros();
         }
-        SlaveTick { command: self.command, command_velocity, state, age_ns, fault: self.fault }
+        let command = self.command.unwrap_or(*position);
+        self.exchange.keep(now_ns, [position, &command, environment_force]);
+        SlaveTick { command: self.command, command_velocity, state, age_ns, limited, fault: self.fault }
     }
 
     /// The loop was late by more than the ladder allows, until `now_ns`.
     pub fn stalled(&mut self, now_ns: u64) {
         self.exchange.stalled(now_ns);
+    }
+
+    /// A person at this side says that its fault is mended; the master's clutch must then be released and pressed.
+    pub fn acknowledge(&mut self, now_ns: u64) {
+        self.fault = None;
+        self.exchange.acknowledge(now_ns);
+    }
+
+    /// Changes `lambda_p`; the slave goes on from where it is.
+    pub fn set_position_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
+        self.coupling.set_position_scale(scale)
+    }
+
+    /// Changes rotation and locks, which must be those of the master; the slave goes on from where it is.
+    pub fn set_map(&mut self, map: FrameMap<N>) {
+        self.coupling.set_map(map);
+    }
+
+    /// Ticks at which a bound acted on the command.
+    pub fn limited_ticks(&self) -> u64 {
+        self.limited_ticks
     }
 
     /// What talks to the peer.

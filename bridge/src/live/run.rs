@@ -4,7 +4,7 @@ use std::{
     io,
     net::SocketAddr,
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
     },
     thread::JoinHandle,
@@ -12,7 +12,7 @@ use std::{
 
 use super::{clock, socket::PeerSocket};
 use crate::{
-    ladder::LadderState,
+    ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
     side::{Side, TickTime},
@@ -47,6 +47,8 @@ pub struct LoopReport {
     pub link: LinkStatistics,
     /// How often the ladder went to HOLD.
     pub holds: u64,
+    /// Ticks at which a bound acted on the remote command.
+    pub limited: u64,
     /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
     pub engaged_ns: u64,
 }
@@ -59,6 +61,9 @@ struct Shared {
     stop: AtomicBool,
     state: AtomicU8,
     ticks: AtomicU64,
+    press: AtomicBool,
+    /// As of the last STOP or FAULT, or of the end. The loop only tries the lock: whoever reads cannot hold it up.
+    flight: Mutex<Option<FlightRecorder>>,
 }
 
 /// A live loop on its own thread.
@@ -110,6 +115,7 @@ fn turn<S: Side>(
     let start_ns = clock::now_ns();
     side.0.begin(start_ns);
     let mut deadline_ns = start_ns;
+    let mut shown = LadderState::Disengaged;
     while !shared.stop.load(Ordering::Relaxed) {
         clock::sleep_until(deadline_ns);
         let wake = Wake::new(deadline_ns, clock::now_ns(), settings.period_ns);
@@ -122,6 +128,9 @@ fn turn<S: Side>(
         }
         // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
         let now_ns = deadline_ns;
+        if shared.press.swap(false, Ordering::Relaxed) {
+            side.0.press_again();
+        }
         socket.drain(MOST_DATAGRAMS, |datagram| side.0.receive(now_ns, datagram).is_ok());
         let record = side.0.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
         socket.send(side.0.send(now_ns, &mut buffer));
@@ -130,8 +139,17 @@ fn turn<S: Side>(
             report.dropped_records += 1;
         }
         let state = side.0.state();
-        if state == LadderState::Engaged && report.engaged_ns == u64::MAX {
+        if state.is_coupled() && report.engaged_ns == u64::MAX {
             report.engaged_ns = now_ns - start_ns;
+        }
+        // Until it could be shown: a reader may have had the lock.
+        if state != shown && matches!(state, LadderState::Stop | LadderState::Fault) {
+            if let Ok(mut flight) = shared.flight.try_lock() {
+                *flight = Some(*side.0.flight());
+                shown = state;
+            }
+        } else {
+            shown = state;
         }
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
@@ -145,7 +163,9 @@ fn turn<S: Side>(
         }
         deadline_ns += settings.period_ns;
     }
-    (report.link, report.holds) = side.0.counts();
+    let counts = side.0.counts();
+    (report.link, report.holds, report.limited) = (counts.link, counts.holds, counts.limited);
+    *shared.flight.lock().unwrap_or_else(PoisonError::into_inner) = Some(*side.0.flight());
     report.unsent = socket.unsent;
     report
 }
@@ -165,7 +185,7 @@ impl<R> LiveRun<R> {
 
     /// Where the ladder stands.
     pub fn state(&self) -> LadderState {
-        LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Waiting)
+        LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
     }
 
     /// Ticks done so far.
@@ -176,6 +196,18 @@ impl<R> LiveRun<R> {
     /// Whether the loop has ended.
     pub fn is_finished(&self) -> bool {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Lets go of the clutch for a moment and presses it again: the act of a person at this side.
+    pub fn press_clutch(&self) {
+        self.shared.press.store(true, Ordering::Relaxed);
+    }
+
+    /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.
+    pub fn flight(&self) -> Option<String> {
+        // Copied first: the loop must find the lock free.
+        let flight = *self.shared.flight.lock().unwrap_or_else(PoisonError::into_inner);
+        flight.map(|flight| flight.to_json())
     }
 
     /// Asks the loop to end after its current tick.

@@ -11,7 +11,7 @@ use haptether_slave::SimulatedSlave;
 
 use super::{
     build::{
-        SceneError, arm, axes, device_model, environment, estimator, exact_master, force_sensor,
+        SceneError, arm, axes, clutch, device_model, environment, estimator, exact_master, force_sensor,
         is_continuous, limiter, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
     },
     events::EventLog,
@@ -22,7 +22,8 @@ use super::{
 };
 use crate::{
     Event, LadderSettings, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings,
-    MasterSide, Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings, run_virtual,
+    MasterSide, Reason, Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
+    coupling::CommandBounds, run_virtual,
 };
 
 /// Sessions of the two sides: constants, for nobody listens in.
@@ -92,7 +93,8 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             // The ladder fades the force in, at engagement and after every hold.
             Some(limiter) if limiter.ramp_in_s > 0.0 => {
                 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 60 s
-                let fade_in_ns = (limiter.ramp_in_s * 1e9).round() as u64;
+                let fade_in_ns =
+                    ((limiter.ramp_in_s * 1e9).round() as u64).max(LadderSettings::default().fade_in_ns);
                 LadderSettings { fade_in_ns, ..LadderSettings::default() }
             }
             _ => LadderSettings::default(),
@@ -118,6 +120,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             period_ns: settings.slave_period_ns,
             session: SESSIONS.1,
             position_scale: coupling.position_scale,
+            bounds: CommandBounds::default(),
             ladder,
         })?;
         Ok(Self {
@@ -132,7 +135,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
     fn run(self, plant: impl MasterPlant<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
         let Self { scene, settings, endpoint, mut slave, coupling } = self;
         let start = plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-        let mut master = MasterSide { plant, endpoint };
+        let mut master = MasterSide::new(plant, endpoint, clutch(scene))?;
         let every = scene.record.as_ref().map_or(0, |record| record.every);
         // The recording keeps about the same rate on both sides.
         let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
@@ -152,7 +155,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
                 (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
             ),
             coupling,
-            states: [LadderState::Waiting; 2],
+            states: [LadderState::Disengaged; 2],
             engaged_s: None,
             newest: None,
             far_force: Axes::zeros(),
@@ -175,7 +178,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         }
         let coarse = slave.plant.coarse_steps();
         watched.overflowed = overflowed;
-        Ok(watched.finish(scene, coarse, [master.counts().0, slave.counts().0]))
+        Ok(watched.finish(scene, coarse, [master.counts().link, slave.counts().link]))
     }
 }
 
@@ -216,10 +219,16 @@ impl<const N: usize> Watched<N> {
         self.measures = Measures::new(&self.judged, start);
     }
 
-    fn ladder(&mut self, side: usize, time_s: f64, state: LadderState) {
-        if self.states[side] != state {
-            self.states[side] = state;
-            self.log.add(time_s, state.name(), ["master", "slave"][side]);
+    fn ladder(&mut self, side: usize, time_s: f64, state: LadderState, reason: u8) {
+        let before = std::mem::replace(&mut self.states[side], state);
+        // Late frames may come and go a thousand times, and change little; the signals have them.
+        if before != state && !(before.is_coupled() && state.is_coupled()) {
+            let side = ["master", "slave"][side];
+            let detail = match Reason::from_code(reason) {
+                Some(reason) => format!("{side}: {}", reason.text()),
+                None => side.to_owned(),
+            };
+            self.log.add(time_s, state.name(), detail);
         }
     }
 
@@ -238,9 +247,9 @@ impl<const N: usize> Watched<N> {
 
     fn near(&mut self, record: &MasterRecord<N>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 * 1e-9;
-        self.ladder(0, time_s, record.state);
+        self.ladder(0, time_s, record.state, record.reason);
         self.faults("master", time_s, record.fault)?;
-        if record.state == LadderState::Engaged && self.engaged_s.is_none() {
+        if record.state.is_coupled() && self.engaged_s.is_none() {
             self.engage(time_s, &record.true_position);
         }
         let (x, v, force) = (&record.true_position, &record.velocity, &record.device_force);
@@ -259,7 +268,7 @@ impl<const N: usize> Watched<N> {
         self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(record.tripped));
-        if self.states == [LadderState::Engaged; 2] {
+        if self.states.iter().all(|state| state.is_coupled()) {
             let difference = force - self.far_force * self.coupling.force_scale;
             self.squares[1] += difference.norm_squared();
             self.samples[1] += 1;
@@ -289,7 +298,7 @@ impl<const N: usize> Watched<N> {
 
     fn far(&mut self, record: &SlaveRecord<N>, touches: bool) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 * 1e-9;
-        self.ladder(1, time_s, record.state);
+        self.ladder(1, time_s, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
         let distance = record.position.norm();
         if distance.is_nan() || distance > self.most_distance {
@@ -297,7 +306,7 @@ impl<const N: usize> Watched<N> {
         }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
         self.log.touches(time_s, touches);
-        if self.states != [LadderState::Engaged; 2] {
+        if !self.states.iter().all(|state| state.is_coupled()) {
             // They engage anew from where both are then.
             self.anchor = None;
         } else if let Some(newest) = &self.newest {

@@ -20,11 +20,11 @@ use super::{
     measures::MeasureSettings,
     spec::{
         ContactLawSpec, ControlSpec, ControllerSpec, EnvironmentSpec, EstimatorSpec, FitSpec, FrictionSpec,
-        IntegratorSpec, LegShapeSpec, MasterSpec, ObjectSpec, OperatorSpec, PusherShapeSpec, PusherSpec,
-        ReleaseKindSpec, SafetySpec, SceneSpec, SeriesSpec, ShapeSpec, SlaveSpec, VfcFormSpec,
+        IntegratorSpec, LegShapeSpec, MasterSpec, ObjectSpec, OperatorSpec, PersonSpec, PusherShapeSpec,
+        PusherSpec, ReleaseKindSpec, SafetySpec, SceneSpec, SeriesSpec, ShapeSpec, SlaveSpec, VfcFormSpec,
     },
 };
-use crate::local::Watch;
+use crate::{Clutch, local::Watch};
 
 /// A scene that cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -44,6 +44,9 @@ pub enum SceneError {
     /// The network.
     #[error("link: {0}")]
     Link(#[from] haptether_netsim::LinkError),
+    /// The clutch.
+    #[error("operator.clutch: {0}")]
+    Clutch(#[from] crate::ClutchError),
     /// It was told to stop.
     #[error("stopped")]
     Stopped,
@@ -54,6 +57,25 @@ pub enum SceneError {
 
 fn contradiction<T>(text: impl Into<String>) -> Result<T, SceneError> {
     Err(SceneError::Contradiction(text.into()))
+}
+
+/// Reaction of a simulated person in ns where no operator says another.
+const REACTION_NS: u64 = 500_000_000;
+
+/// How the clutch of the master is worked.
+pub(crate) fn clutch(scene: &SceneSpec) -> Clutch {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not negative, and saturates
+    let ns = |seconds: f64| (seconds * 1e9).round() as u64;
+    let Some(operator) = &scene.operator else {
+        return Clutch::Auto { reaction_ns: REACTION_NS };
+    };
+    match (&operator.clutch_times, operator.clutch) {
+        (Some(times), _) => {
+            Clutch::Schedule(times.iter().map(|(press, release)| (ns(*press), ns(*release))).collect())
+        }
+        (None, PersonSpec::Once) => Clutch::Once,
+        (None, PersonSpec::Auto) => Clutch::Auto { reaction_ns: ns(operator.clutch_reaction_s) },
+    }
 }
 
 /// One value per axis.

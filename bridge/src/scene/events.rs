@@ -7,7 +7,7 @@ use haptether_safety::controller::Tripped;
 pub struct SceneEvent {
     /// When, in s.
     pub time_s: f64,
-    /// `waiting`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the hand, `contact`
+    /// `disengaged`, `aligning`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the hand, `contact`
     /// and `free` of what is touched, `trip` and `recover` of the controllers, `settled`, `diverged`, `coarse` or `lost`.
     pub kind: &'static str,
     /// What more there is to say.

@@ -130,6 +130,22 @@ pub struct OperatorSpec {
     pub regrasp: Option<RegraspSpec>,
     /// Tremor.
     pub tremor: Option<TremorSpec>,
+    /// What the person does with the clutch, where no times are given.
+    pub clutch: PersonSpec,
+    /// Press and release times of the clutch in s.
+    pub clutch_times: Option<Vec<(f64, f64)>>,
+    /// From when both sides are ready after a hold to the new press, in s.
+    pub clutch_reaction_s: f64,
+}
+
+/// What a simulated person does with the clutch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PersonSpec {
+    /// Presses at the start and, after letting go, after each hold.
+    Auto,
+    /// Presses at the start.
+    Once,
 }
 
 /// `[[operator.legs]]`.

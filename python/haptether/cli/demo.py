@@ -95,7 +95,7 @@ class Demo:
 
         console.print(push_table(results))
         peak = {result.controller: result.peak_hand_speed for result in results}
-        broken = [result.controller for result in results if result.final_state != "engaged"]
+        broken = [result.controller for result in results if result.final_state not in {"engaged", "stale"}]
         protected = not broken and max(peak["wsc"], peak["hsc"]) < peak["none"]
         for name in ("wsc", "hsc"):
             console.print(

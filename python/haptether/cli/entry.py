@@ -13,6 +13,7 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.demo import Demo
+from haptether.cli.explain import Explain
 from haptether.cli.keygen import Keygen
 from haptether.cli.master import Master
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
@@ -37,6 +38,7 @@ COMMANDS: dict[str, type[Any]] = {
     "master": Master,
     "slave": Slave,
     "netsim": Netsim,
+    "explain": Explain,
     "keygen": Keygen,
 }
 GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS}

@@ -4,6 +4,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Self
 
@@ -71,3 +72,40 @@ def wait(
 def percentile(values: npt.NDArray[np.float64], share: float) -> float:
     """Percentile of `values`, 0 for none."""
     return float(np.percentile(values, share)) if values.size else 0.0
+
+
+class Pressed:
+    """SIGUSR1 as a clutch: lets go and presses again."""
+
+    def __init__(self, press: Callable[[], None]) -> None:
+        self._press = press
+        self._before: object = None
+
+    def __enter__(self) -> Self:
+        self._before = signal.signal(signal.SIGUSR1, lambda *_: self._press())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        signal.signal(signal.SIGUSR1, self._before)  # type: ignore[arg-type]
+
+
+class FlightFile:
+    """A file with the last states and commands, written anew whenever there are others."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._written: str | None = None
+
+    def write(self, flight: str | None) -> None:
+        """Writes them, if there are any and they are new; the file is never seen half written."""
+        if self._path is None or flight is None or flight == self._written:
+            return
+        beside = self._path.with_name(f".{self._path.name}.part")
+        beside.write_text(flight, encoding="utf-8")
+        beside.replace(self._path)
+        self._written = flight

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 class Master:
     """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
 
-    Times count from the moment the two sides engage. When the slave falls silent for 20 ms, the force on the
-    hand fades to zero within 80 ms; after 200 ms it stays away until this command is started anew. Figures and
-    trace hold the last ten minutes.
+    Times count from the moment the two sides engage. Starting this command presses the clutch. When the slave falls
+    silent for 20 ms, the force on the hand fades to zero within 75 ms and stays away until the clutch is released
+    and pressed again: `kill -USR1` does that, and so does --clutch auto. Figures and trace hold the last ten minutes.
 
     Examples:
 
@@ -41,6 +41,10 @@ class Master:
     """Rendered force over the force that the slave measures."""
     encoder_quantum: float = 2.3e-5
     """Resolution of the device in m; 0 measures position and velocity exactly."""
+    clutch: Literal["once", "auto"] = "once"
+    """Pressed at the start and held; or worked by a simulated person, who presses again 0.5 s after a hold."""
+    flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     duration_s: float | None = None
     """End this long after engaging, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
@@ -52,20 +56,23 @@ class Master:
 
     def run(self) -> int:
         """Runs until told to stop; fails if the slave never answered."""
-        from haptether.bridge import LiveMaster
-        from haptether.cli.live import Stopped, wait
+        from haptether.bridge import LiveMaster, ladder_reason
+        from haptether.cli.live import FlightFile, Pressed, Stopped, wait
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_target
         from haptether.studies import measure_push, save_master_trace
 
         check_target(self.json)
         check_target(self.trace)
+        check_target(self.flight)
+        flight = FlightFile(self.flight)
         settings = master_settings(
             self.controller,
             depth=self.depth,
             release_at_s=self.release_at_s,
             force_scale=self.force_scale,
             encoder_quantum=self.encoder_quantum,
+            clutch=self.clutch,
         )
         with Stopped() as stopped:
             master = LiveMaster(
@@ -79,16 +86,19 @@ class Master:
 
             def status() -> str:
                 master.poll()
+                flight.write(master.flight())
                 return f"master {master.state}, {master.ticks} ticks"
 
-            wait(
-                f"master on {master.address} talks to {self.peer}",
-                status,
-                lambda: master.finished,
-                stopped,
-                None,
-            )
+            with Pressed(master.press_clutch):
+                wait(
+                    f"master on {master.address} talks to {self.peer}",
+                    status,
+                    lambda: master.finished,
+                    stopped,
+                    None,
+                )
             trace, report = master.finish()
+            flight.write(master.flight())
         result = measure_push(self.controller, trace, report, self.release_at_s)
         self._report(result)
         if self.trace is not None:
@@ -98,6 +108,9 @@ class Master:
             raise RuntimeError(message)
         if result.final_state in {"stop", "fault"} and not stopped:
             message = f"the run ended in {result.final_state}: {result.fault or 'the slave fell silent for 200 ms'}"
+            raise RuntimeError(message)
+        if result.final_state == "hold" and not stopped:
+            message = f"the run ended in hold: {ladder_reason(int(trace.reason[-1]))}"
             raise RuntimeError(message)
         return 0
 

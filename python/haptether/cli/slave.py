@@ -15,8 +15,8 @@ class Slave:
     """Run the side of the robot: a simulated position-controlled arm in front of a wall.
 
     The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
-    two sides engage. When the master falls silent for 20 ms the arm holds; after 200 ms it
-    stops until a master is started anew.
+    two sides engage. When the master falls silent for 20 ms the arm holds, and after 200 ms it stops, until the
+    master's clutch is released and pressed again or a master is started anew.
 
     Examples:
 
@@ -39,6 +39,8 @@ class Slave:
     """End this long after engaging, in s; without it, run until Ctrl-C."""
     patience_s: float | None = None
     """Give up if no master has come after this time in s; without it, wait for one."""
+    flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
 
@@ -47,12 +49,14 @@ class Slave:
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import Stopped, wait
+        from haptether.cli.live import FlightFile, Stopped, wait
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_target
         from haptether.safety import fault_message
 
         check_target(self.json)
+        check_target(self.flight)
+        flight = FlightFile(self.flight)
         settings = slave_settings(
             wall_stiffness=self.wall_stiffness,
             push_at_s=self.push_at_s,
@@ -70,10 +74,12 @@ class Slave:
 
             def status() -> str:
                 slave.poll()
+                flight.write(slave.flight())
                 return f"slave {slave.state}, {slave.ticks} ticks"
 
             wait(f"slave listens on {slave.address}", status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
+            flight.write(slave.flight())
         state = self._report(trace, report)
         if not np.isfinite(report.engaged_s) and not stopped:
             raise RuntimeError(f"no master came within {self.patience_s} s")
@@ -90,13 +96,14 @@ class Slave:
         from haptether.cli.live import percentile
         from haptether.cli.output import table_goes_to_stderr, write_json
 
-        state = ladder_state_name(int(trace.state[-1])) if len(trace) else "waiting"
+        state = ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged"
         late_p50_s, late_p99_s = (percentile(trace.overshoot_s, share) for share in (50, 99))
         result = {
             "final_state": state,
             "ticks": report.ticks,
             "skipped_ticks": report.skipped,
             "holds": report.holds,
+            "limited_commands": report.limited,
             "peak_environment_force_n": float(np.abs(trace.environment_force).max(initial=0.0)),
             "sent": report.link.sent,
             "lost": report.link.missing,
@@ -106,7 +113,7 @@ class Slave:
             "overshoot_p99_s": late_p99_s,
         }
         Console(stderr=table_goes_to_stderr(self.json)).print(
-            f"slave {state}: {report.ticks} ticks, {report.holds} holds, "
+            f"slave {state}: {report.ticks} ticks, {report.holds} holds, {report.limited} commands clamped, "
             f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}, "
             f"loop late by p50 {late_p50_s * 1e3:.3f} ms, "
             f"p99 {late_p99_s * 1e3:.3f} ms",

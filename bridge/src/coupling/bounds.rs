@@ -1,0 +1,110 @@
+//! What a slave takes of a remote command: beyond its bounds it is clamped, counted and told, and nothing stops.
+
+use haptether_safety::Axes;
+
+use super::CouplingError;
+
+/// Bounds on the command of a slave. A command from the network can never trip more than these.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandBounds {
+    /// Largest speed in m/s of the commanded position, of all axes together.
+    pub speed: f64,
+    /// Largest distance in m from where the slave stood at its first tick.
+    pub reach: f64,
+}
+
+impl Default for CommandBounds {
+    /// 3 m/s is the Cartesian bound of libfranka; the reach is not bounded, for it is the arm's own.
+    fn default() -> Self {
+        Self { speed: 3.0, reach: f64::INFINITY }
+    }
+}
+
+impl CommandBounds {
+    /// Refuses bounds that are no numbers above 0.
+    pub fn check(&self) -> Result<(), CouplingError> {
+        for (name, symbol, seen) in
+            [("command_speed", "v_max", self.speed), ("command_reach", "r_max", self.reach)]
+        {
+            if seen.is_nan() || seen <= 0.0 {
+                return Err(CouplingError::scale(name, symbol, seen));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Which bounds acted on a command.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Limited {
+    /// The commanded position would have moved faster than it may.
+    pub speed: bool,
+    /// It would have left its reach.
+    pub reach: bool,
+}
+
+impl Limited {
+    /// As bits: 1 speed, 2 reach.
+    pub const fn bits(self) -> u8 {
+        self.speed as u8 | (self.reach as u8) << 1
+    }
+
+    /// Whether any acted.
+    pub const fn any(self) -> bool {
+        self.speed || self.reach
+    }
+}
+
+/// `wanted` as far as it may be commanded `elapsed_s` after `last`, for a slave that began at `home`.
+pub(crate) fn bounded<const N: usize>(
+    bounds: &CommandBounds,
+    elapsed_s: f64,
+    home: &Axes<N>,
+    last: &Axes<N>,
+    wanted: &Axes<N>,
+) -> (Axes<N>, Limited) {
+    let mut limited = Limited::default();
+    let mut command = *wanted;
+    let out = command - home;
+    if out.norm() > bounds.reach {
+        limited.reach = true;
+        command = home + out * (bounds.reach / out.norm());
+    }
+    let step = command - last;
+    let most = bounds.speed * elapsed_s;
+    if step.norm() > most {
+        limited.speed = true;
+        command = last + step * (most / step.norm());
+    }
+    (command, limited)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_is_commanded_is_within_both_bounds(
+            (wanted, last) in (prop::array::uniform3(-9.0..9.0f64), prop::array::uniform3(-0.5..0.5f64)),
+            (speed, reach) in (0.1..5.0f64, 1.0..3.0f64),
+        ) {
+            let bounds = CommandBounds { speed, reach };
+            let (home, last, wanted) = (Axes::<3>::zeros(), Axes::from(last), Axes::from(wanted));
+            let (command, limited) = bounded(&bounds, 1e-3, &home, &last, &wanted);
+            prop_assert!((command - last).norm() <= speed * 1e-3 * (1.0 + 1e-9));
+            // A step towards a place within a ball, from within it, stays within it.
+            prop_assert!(command.norm() <= reach * (1.0 + 1e-9));
+            prop_assert_eq!(limited.any(), command != wanted);
+        }
+    }
+
+    #[test]
+    fn bounds_that_are_none_are_refused() {
+        for (speed, reach) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, -1.0), (1.0, f64::NAN)] {
+            assert!(CommandBounds { speed, reach }.check().is_err());
+        }
+        assert!(CommandBounds { speed: f64::INFINITY, ..CommandBounds::default() }.check().is_ok());
+    }
+}

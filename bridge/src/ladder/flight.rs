@@ -1,0 +1,214 @@
+//! The flight recorder: the last states and commands of a side, in a fixed room.
+
+use serde::Serialize;
+
+use super::{history::History, state::LadderState};
+
+/// How many ticks are kept.
+const KEPT: usize = 50;
+
+/// Most axes that an entry has room for.
+const MOST_AXES: usize = 7;
+
+/// One tick of a side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlightEntry {
+    /// When, in ns.
+    pub time_ns: u64,
+    /// Where the ladder stood.
+    pub state: LadderState,
+    /// Where the peer stood, as far as known.
+    pub peer: Option<LadderState>,
+    /// Silence of the peer in ns.
+    pub age_ns: Option<u64>,
+    /// Whether the clutch was closed.
+    pub clutch: bool,
+    /// Share of the force that may be rendered.
+    pub gain: f64,
+    /// What was measured and commanded.
+    pub values: FlightValues,
+}
+
+/// Measured position in m; at the master commanded `F_device` in N, at the slave commanded position in m; at the master
+/// `F_v` in N, at the slave `F_e` in N.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FlightValues {
+    axes: usize,
+    rows: [[f64; MOST_AXES]; 3],
+}
+
+impl FlightValues {
+    /// Position, command and force of each axis.
+    pub fn new<const N: usize>(of: [&haptether_safety::Axes<N>; 3]) -> Self {
+        let mut rows = [[0.0; MOST_AXES]; 3];
+        for (row, values) in rows.iter_mut().zip(of) {
+            for (slot, value) in row.iter_mut().zip(values.iter()) {
+                *slot = *value;
+            }
+        }
+        Self { axes: N.min(MOST_AXES), rows }
+    }
+}
+
+impl FlightEntry {
+    const EMPTY: Self = Self {
+        time_ns: 0,
+        state: LadderState::Disengaged,
+        peer: None,
+        age_ns: None,
+        clutch: false,
+        gain: 0.0,
+        values: FlightValues { axes: 0, rows: [[0.0; MOST_AXES]; 3] },
+    };
+}
+
+/// The last ticks of a side and those before its last hold or fault; nothing in it is allocated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FlightRecorder {
+    side: &'static str,
+    start_ns: Option<u64>,
+    latest: Ring,
+    /// Up to the tick at which the side was last coupled no more by a hold or a fault.
+    at_hold: Option<Ring>,
+    history: History,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Ring {
+    entries: [FlightEntry; KEPT],
+    count: usize,
+}
+
+impl Ring {
+    fn iter(&self) -> impl Iterator<Item = &FlightEntry> {
+        (self.count.saturating_sub(KEPT)..self.count).map(|index| &self.entries[index % KEPT])
+    }
+}
+
+impl FlightRecorder {
+    /// An empty one of the side of that name.
+    pub(crate) fn new(side: &'static str) -> Self {
+        let entries = [FlightEntry::EMPTY; KEPT];
+        Self {
+            side,
+            start_ns: None,
+            latest: Ring { entries, count: 0 },
+            at_hold: None,
+            history: History::default(),
+        }
+    }
+
+    /// Keeps a tick, and what led to a hold or a fault when there is one.
+    pub(crate) fn take(&mut self, entry: FlightEntry, history: &History) {
+        self.start_ns.get_or_insert(entry.time_ns);
+        let before = self.latest.count.checked_sub(1).map(|last| self.latest.entries[last % KEPT].state);
+        self.latest.entries[self.latest.count % KEPT] = entry;
+        self.latest.count += 1;
+        if self.history.count() != history.count() {
+            self.history = *history;
+        }
+        if entry.state.is_held() && before.is_none_or(|before| !before.is_held()) {
+            self.at_hold = Some(self.latest);
+        }
+    }
+
+    /// What is kept, as JSON: times in s since the first tick, transitions with their reasons, ticks with their values.
+    pub fn to_json(&self) -> String {
+        let start_ns = self.start_ns.unwrap_or(0);
+        let seconds = |time_ns: u64| time_ns.saturating_sub(start_ns) as f64 / 1e9;
+        let ticks = |ring: &Ring| ring.iter().map(|entry| Tick::of(entry, seconds(entry.time_ns))).collect();
+        let log = Log {
+            schema: 1,
+            side: self.side,
+            transitions: self
+                .history
+                .iter()
+                .map(|one| Step {
+                    time_s: seconds(one.time_ns),
+                    from: one.from,
+                    to: one.to,
+                    reason: one.reason.text(),
+                })
+                .collect(),
+            at_hold: self.at_hold.as_ref().map(ticks).unwrap_or_default(),
+            latest: ticks(&self.latest),
+        };
+        // Plain numbers and names: there is nothing that could fail.
+        serde_json::to_string(&log).unwrap_or_default()
+    }
+}
+
+#[derive(Serialize)]
+struct Log {
+    schema: u32,
+    side: &'static str,
+    transitions: Vec<Step>,
+    at_hold: Vec<Tick>,
+    latest: Vec<Tick>,
+}
+
+#[derive(Serialize)]
+struct Step {
+    time_s: f64,
+    from: LadderState,
+    to: LadderState,
+    reason: &'static str,
+}
+
+#[derive(Serialize)]
+struct Tick {
+    time_s: f64,
+    state: LadderState,
+    peer: Option<LadderState>,
+    age_s: Option<f64>,
+    clutch: bool,
+    gain: f64,
+    position: Vec<Option<f64>>,
+    command: Vec<Option<f64>>,
+    force: Vec<Option<f64>>,
+}
+
+impl Tick {
+    fn of(entry: &FlightEntry, time_s: f64) -> Self {
+        // JSON has no word for a number that is none, and a fault may well be about one.
+        let [position, command, force] = entry.values.rows.map(|row| {
+            row[..entry.values.axes].iter().map(|value| value.is_finite().then_some(*value)).collect()
+        });
+        Self {
+            time_s,
+            state: entry.state,
+            peer: entry.peer,
+            age_s: entry.age_ns.map(|age| age as f64 * 1e-9),
+            clutch: entry.clutch,
+            gain: entry.gain,
+            position,
+            command,
+            force,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use haptether_safety::Axes;
+
+    #[test]
+    fn what_led_to_a_hold_stays_while_time_goes_on() {
+        let mut recorder = FlightRecorder::new("slave");
+        for tick in 0..1000_u64 {
+            let state = if tick < 300 { LadderState::Engaged } else { LadderState::Hold };
+            let value = Axes::<2>::new(tick as f64, if tick == 299 { f64::NAN } else { 0.5 });
+            let values = FlightValues::new([&value; 3]);
+            let entry = FlightEntry { time_ns: 5 + tick * 1_000_000, state, values, ..FlightEntry::EMPTY };
+            recorder.take(entry, &History::default());
+        }
+        let log: serde_json::Value = serde_json::from_str(&recorder.to_json()).unwrap();
+        let first = |key: &str| log[key][0]["position"][0].as_f64();
+        assert_eq!((first("at_hold"), first("latest")), (Some(251.0), Some(950.0)));
+        let ticks = log["at_hold"].as_array().unwrap();
+        assert_eq!((ticks.len(), ticks[49]["state"].as_str()), (50, Some("hold")));
+        assert!(ticks[48]["position"][1].is_null());
+        assert_eq!(ticks[48]["time_s"], 0.299);
+    }
+}

@@ -1,0 +1,304 @@
+use super::*;
+use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
+use proptest::prelude::*;
+
+const MS: u64 = 1_000_000;
+
+/// A sound, engaged peer that was heard `age` ms ago over a link that is 1 ms old at best.
+fn sound(age: u64) -> LadderInput {
+    LadderInput {
+        age_ns: Some(age * MS),
+        expected_age_ns: MS,
+        peer: Some(PeerReport { state: Engaged, hears: true, answers: true }),
+        clutch: true,
+        asks: false,
+    }
+}
+
+fn press() -> LadderInput {
+    LadderInput { asks: true, ..sound(1) }
+}
+
+/// Engaged and faded in at 300 ms.
+fn engaged() -> Ladder {
+    let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+    ladder.step(0, &press());
+    for now in 1..=300 {
+        ladder.step(now * MS, &sound(1));
+    }
+    assert_eq!(ladder.state(), Engaged);
+    assert!((ladder.gain() - 1.0).abs() < 1e-12);
+    ladder
+}
+
+#[test]
+fn silence_leads_down_the_ladder_at_its_times() {
+    let mut ladder = engaged();
+    let mut last = ladder.gain();
+    for silence in 1..=1000 {
+        ladder.step((299 + silence) * MS, &sound(silence));
+        let expected = match silence {
+            0..=6 => Engaged,
+            7..=21 => Stale,
+            22..=201 => Hold,
+            _ => Stop,
+        };
+        assert_eq!(ladder.state(), expected, "{silence}");
+        assert!(ladder.gain() <= last);
+        last = ladder.gain();
+        assert!(silence < 97 || last == 0.0, "the force is gone 100 ms after the last frame");
+    }
+    assert_eq!(ladder.holds(), 1);
+    let reasons: Vec<_> = ladder.history().iter().map(|one| one.reason).collect();
+    assert_eq!(
+        reasons,
+        [
+            Reason::ClutchPressed,
+            Reason::BothAligned,
+            Reason::FramesLate,
+            Reason::PeerSilent,
+            Reason::SilentTooLong
+        ]
+    );
+}
+
+#[test]
+fn a_long_way_is_no_silence() {
+    let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+    let late = LadderInput { age_ns: Some(500 * MS), expected_age_ns: 500 * MS, ..press() };
+    ladder.step(0, &late);
+    for now in 1..2000 {
+        assert_eq!(ladder.step(now * MS, &LadderInput { asks: false, ..late }), Engaged);
+    }
+    ladder.step(2000 * MS, &LadderInput { age_ns: Some(506 * MS), ..late });
+    assert_eq!(ladder.state(), Stale);
+    ladder.step(2001 * MS, &LadderInput { age_ns: Some(521 * MS), ..late });
+    assert_eq!(ladder.state(), Hold);
+}
+
+#[test]
+fn what_a_peer_says_holds_this_side() {
+    let report = PeerReport { state: Engaged, hears: true, answers: true };
+    for (peer, reason) in [
+        (PeerReport { hears: false, ..report }, Reason::PeerDeaf),
+        (PeerReport { state: Hold, ..report }, Reason::PeerHolds),
+        (PeerReport { state: Stop, ..report }, Reason::PeerStopped),
+        (PeerReport { state: Fault, ..report }, Reason::PeerFaulted),
+    ] {
+        let mut ladder = engaged();
+        let input = LadderInput { peer: Some(peer), ..sound(1) };
+        ladder.step(301 * MS, &input);
+        assert_eq!((ladder.state(), ladder.history().last().unwrap().reason), (Hold, reason));
+        // A peer that is not sound stops this side in the end; one that holds may hold for as long as it takes.
+        for now in 302..600 {
+            ladder.step(now * MS, &input);
+        }
+        assert_eq!(ladder.state(), if peer.state == Hold { Hold } else { Stop }, "{reason:?}");
+    }
+    let mut ladder = engaged();
+    ladder.step(301 * MS, &LadderInput { peer: None, age_ns: None, ..sound(1) });
+    assert_eq!(ladder.state(), Hold);
+}
+
+/// A held ladder: what engages it again, and what does not.
+#[test]
+fn only_a_press_after_a_release_engages_again() {
+    let open = LadderInput { clutch: false, ..sound(1) };
+    let deaf = PeerReport { state: Hold, hears: false, answers: true };
+    let unaware = PeerReport { state: Engaged, hears: true, answers: false };
+    for (held_for, state) in [(30, Hold), (400, Stop)] {
+        for (name, inputs, engages) in [
+            ("the link is back", vec![sound(1)], false),
+            ("the clutch is released", vec![open], false),
+            ("an edge without a release that was seen", vec![press()], false),
+            ("released and pressed", vec![open, press()], true),
+            (
+                "pressed while the link is dead",
+                vec![open, LadderInput { age_ns: Some(90 * MS), ..press() }, sound(1)],
+                false,
+            ),
+            (
+                "pressed while the peer is deaf",
+                vec![open, LadderInput { peer: Some(deaf), ..press() }, sound(1)],
+                false,
+            ),
+            (
+                "released before the peer knew",
+                vec![LadderInput { peer: Some(unaware), ..open }, press()],
+                false,
+            ),
+            (
+                "pressed before the peer knew",
+                vec![open, LadderInput { peer: Some(unaware), ..press() }],
+                false,
+            ),
+        ] {
+            let mut ladder = engaged();
+            for silence in 1..=held_for {
+                ladder.step((300 + silence) * MS, &sound(silence + 1));
+            }
+            assert_eq!(ladder.state(), state);
+            for (tick, input) in (1..).zip(&inputs) {
+                ladder.step((300 + held_for + tick) * MS, input);
+            }
+            let expected = if engages { Engaged } else { state };
+            assert_eq!(ladder.state(), expected, "{name} in {state:?}");
+            let now = (300 + held_for + inputs.len() as u64 + 100) * MS;
+            assert_eq!(ladder.step(now, &sound(1)), expected, "{name} in {state:?}, later");
+        }
+    }
+}
+
+#[test]
+fn a_released_clutch_moves_the_master_alone_and_a_press_engages_it_again() {
+    let mut ladder = engaged();
+    let open = LadderInput { clutch: false, ..sound(1) };
+    for now in 301..=400 {
+        assert_eq!(ladder.step(now * MS, &open), Disengaged);
+    }
+    assert_eq!((ladder.gain(), ladder.holds()), (0.0, 0));
+    ladder.step(401 * MS, &press());
+    assert_eq!(ladder.state(), Engaged);
+    assert!(ladder.gain() <= 1.0 / 200.0 + 1e-12, "it fades in from zero");
+}
+
+#[test]
+fn a_press_before_there_is_a_peer_waits() {
+    let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+    let alone = LadderInput { clutch: true, asks: true, ..LadderInput::default() };
+    assert_eq!(ladder.step(0, &alone), Aligning);
+    for now in 1..1000 {
+        assert_eq!(ladder.step(now * MS, &LadderInput { asks: false, ..alone }), Aligning);
+    }
+    let idle = PeerReport { state: Disengaged, hears: true, answers: true };
+    ladder.step(1000 * MS, &LadderInput { peer: Some(idle), ..sound(1) });
+    assert_eq!(ladder.state(), Aligning, "the peer has not seen the press");
+    assert_eq!(ladder.step(1001 * MS, &sound(1)), Engaged);
+}
+
+#[test]
+fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
+    let mut ladder = engaged();
+    ladder.fault(301 * MS);
+    assert_eq!((ladder.state(), ladder.gain()), (Fault, 0.0));
+    let open = LadderInput { clutch: false, ..sound(1) };
+    for (tick, input) in [sound(1), open, press(), open].into_iter().enumerate() {
+        assert_eq!(ladder.step((302 + tick as u64) * MS, &input), Fault);
+    }
+    ladder.new_session(310 * MS, true);
+    assert_eq!(ladder.state(), Fault, "not by a new master either");
+    ladder.acknowledge(311 * MS);
+    assert_eq!(ladder.step(312 * MS, &sound(1)), Disengaged);
+    ladder.step(313 * MS, &open);
+    assert_eq!(ladder.step(314 * MS, &press()), Engaged);
+}
+
+#[test]
+fn a_master_that_was_started_anew_ends_the_stop_of_a_slave_and_a_slave_never_that_of_a_master() {
+    for engages in [true, false] {
+        let mut ladder = engaged();
+        for silence in 1..=400 {
+            ladder.step((300 + silence) * MS, &sound(silence + 1));
+        }
+        assert_eq!(ladder.state(), Stop);
+        ladder.new_session(701 * MS, engages);
+        ladder.step(702 * MS, &press());
+        assert_eq!(ladder.state(), if engages { Engaged } else { Stop });
+        assert!(ladder.gain() <= 2.0 / 200.0 + 1e-12);
+    }
+    // A slave that was started anew while the master was engaged holds it.
+    let mut ladder = engaged();
+    ladder.new_session(301 * MS, false);
+    assert_eq!(ladder.step(302 * MS, &press()), Hold);
+}
+
+#[test]
+fn a_stall_holds_without_force() {
+    let mut ladder = engaged();
+    ladder.stalled(360 * MS);
+    assert_eq!((ladder.step(360 * MS, &sound(1)), ladder.gain()), (Hold, 0.0));
+    assert!(!ladder.hears_peer(), "what had arrived before is old");
+    ladder.step(362 * MS, &sound(1));
+    assert!(ladder.hears_peer());
+    assert_eq!(ladder.state(), Hold);
+}
+
+/// Anything that can be told at a tick.
+fn any_input() -> impl Strategy<Value = LadderInput> {
+    let peer = (0_u8..7, any::<bool>(), prop::bool::weighted(0.8)).prop_map(|(code, hears, answers)| {
+        let state = LadderState::from_code(code).unwrap_or(Fault);
+        PeerReport { state, hears, answers }
+    });
+    let good = PeerReport { state: Engaged, hears: true, answers: true };
+    (
+        prop_oneof![6 => Just(Some(0_u64)), 3 => (0..400_u64).prop_map(Some), 1 => Just(None)],
+        prop_oneof![6 => Just(Some(good)), 3 => peer.prop_map(Some), 1 => Just(None)],
+        prop::bool::weighted(0.7),
+    )
+        .prop_map(|(age, peer, clutch)| LadderInput {
+            age_ns: age.map(|age| age * MS),
+            expected_age_ns: MS,
+            peer,
+            clutch,
+            asks: false,
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    /// Whatever is told at whatever times: the force is a share that never jumps up, and nobody engages but by a press.
+    #[test]
+    fn invariants(
+        steps in prop::collection::vec((any_input(), 0_u64..40, 0_u8..40), 1..200),
+        master in any::<bool>(),
+    ) {
+        let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+        let settings = *ladder.settings();
+        let mut now = 0_u64;
+        // What this test itself remembers of the clutch.
+        let (mut was_closed, mut opened, mut pressed) = (false, true, false);
+        for (mut input, wait, act) in steps {
+            let before = (ladder.state(), ladder.gain());
+            now += wait * MS / 4;
+            input.asks = if master { input.clutch && !was_closed } else { input.clutch };
+            was_closed = input.clutch;
+            match act {
+                0 => ladder.fault(now),
+                1 => ladder.stalled(now),
+                2 => ladder.acknowledge(now),
+                3 => ladder.new_session(now, !master),
+                _ => {}
+            }
+            if act == 3 && !master && before.0 != Fault { (opened, pressed) = (true, false); }
+            let between = ladder.state();
+            if between.is_held() && !before.0.is_held() { (opened, pressed) = (false, false); }
+            let count = ladder.history().count();
+            ladder.step(now, &input);
+            if !input.clutch { (opened, pressed) = (true, false); }
+            if input.asks && opened { pressed = true; }
+            for step in ladder.history().iter().skip(count.min(32)) {
+                // The ring holds the last 32; the newest are those of this tick.
+                if step.time_ns == now && step.to == Engaged && step.from == Aligning {
+                    prop_assert!(pressed, "engaged without a press");
+                }
+            }
+            let state = ladder.state();
+            if state.is_coupled() && !before.0.is_coupled() { prop_assert!(pressed); }
+            if state.is_held() && !between.is_held() { (opened, pressed) = (false, false); }
+            if before.0 == Fault && state != Fault { prop_assert_eq!(act, 2); }
+            if before.0 == Stop && !matches!(state, Stop | Fault) {
+                prop_assert!(pressed || act == 3 && !master);
+            }
+            let gain = ladder.gain();
+            prop_assert!((0.0..=1.0).contains(&gain));
+            prop_assert!(gain - before.1 <= 2.0 * MS as f64 / settings.fade_in_ns as f64 + 1e-12);
+            if state == Fault { prop_assert_eq!(gain, 0.0); }
+            if state != Engaged { prop_assert!(gain <= before.1); }
+            let at_once = state == Fault || act == 1 || act == 0 || act == 3;
+            let most = (wait * MS / 4) as f64 / settings.fade_out_ns as f64;
+            prop_assert!(at_once || before.1 - gain <= most + 1e-12);
+            prop_assert_eq!(ladder.stale_ns() > 0, state == Stale);
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! A hand at the clutch, for runs without a button.
+
+use super::state::LadderState;
+
+/// How the clutch is worked.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Clutch {
+    /// Pressed at the start and held. After a hold it stays as it is, so nothing couples again but by
+    /// [`Person::press_again`].
+    #[default]
+    Once,
+    /// A simulated person: presses at the start, lets go when it holds, and presses again once both sides have been
+    /// ready for `reaction_ns`.
+    Auto {
+        /// Time in ns.
+        reaction_ns: u64,
+    },
+    /// Pressed from the first to the second time of each pair, in ns since the start.
+    Schedule(Vec<(u64, u64)>),
+}
+
+/// Times of a clutch that cannot be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ClutchError {
+    /// A release that is not after its press, or a press that is not after the release before.
+    #[error("clutch {0}: presses and releases must follow one another in time")]
+    Order(usize),
+    /// Nobody reacts within so short a time, or takes so long.
+    #[error("clutch reaction = {0} ns: must be between 50000000 and 60000000000")]
+    Reaction(u64),
+}
+
+/// For how long in ns [`Person::press_again`] opens the clutch: enough frames for the other side to see it.
+const OPEN_NS: u64 = 100_000_000;
+
+/// For how long in ns a simulated person waits for the other side to align before it tries anew.
+const PATIENCE_NS: u64 = 5_000_000_000;
+
+/// Who works the clutch: a pure function of time and of what the ladder shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Person {
+    clutch: Clutch,
+    start_ns: u64,
+    pressed: bool,
+    /// When it last pressed or let go, in ns.
+    since_ns: u64,
+    /// Since when both sides have been ready, in ns.
+    ready_ns: Option<u64>,
+    has_held: bool,
+    asked: bool,
+}
+
+impl Person {
+    /// A person who has not begun.
+    pub fn new(clutch: Clutch) -> Result<Self, ClutchError> {
+        match &clutch {
+            Clutch::Auto { reaction_ns } if !(50_000_000..=60_000_000_000).contains(reaction_ns) => {
+                return Err(ClutchError::Reaction(*reaction_ns));
+            }
+            Clutch::Schedule(times) => {
+                let mut last = None;
+                for (index, (press, release)) in times.iter().enumerate() {
+                    if press >= release || last.is_some_and(|last| *press <= last) {
+                        return Err(ClutchError::Order(index));
+                    }
+                    last = Some(*release);
+                }
+            }
+            _ => {}
+        }
+        Ok(Self {
+            clutch,
+            start_ns: 0,
+            pressed: true,
+            since_ns: 0,
+            ready_ns: None,
+            has_held: false,
+            asked: false,
+        })
+    }
+
+    /// Time begins at `now_ns`.
+    pub fn begin(&mut self, now_ns: u64) {
+        (self.start_ns, self.since_ns) = (now_ns, now_ns);
+    }
+
+    /// Lets go for a moment and presses again.
+    pub fn press_again(&mut self) {
+        self.asked = true;
+    }
+
+    /// Whether the clutch is pressed at `now_ns`, seeing where the ladder stands and whether a press would count.
+    pub fn at(&mut self, now_ns: u64, state: LadderState, ready: bool) -> bool {
+        let reaction_ns = match &self.clutch {
+            Clutch::Schedule(times) => {
+                let since_ns = now_ns.saturating_sub(self.start_ns);
+                return times.iter().any(|(press, release)| (*press..*release).contains(&since_ns));
+            }
+            Clutch::Auto { reaction_ns } => Some(*reaction_ns),
+            Clutch::Once => None,
+        };
+        self.has_held |= state.is_held();
+        self.ready_ns = if ready { self.ready_ns.or(Some(now_ns)) } else { None };
+        let spent_ns = now_ns.saturating_sub(self.since_ns);
+        if self.pressed {
+            let gives_up = reaction_ns.is_some()
+                && (matches!(state, LadderState::Hold | LadderState::Stop)
+                    || self.has_held && state == LadderState::Aligning && spent_ns > PATIENCE_NS);
+            if gives_up || self.asked {
+                (self.pressed, self.since_ns, self.ready_ns) = (false, now_ns, None);
+            }
+        } else {
+            let ready_for_ns = self.ready_ns.map_or(0, |since| now_ns.saturating_sub(since));
+            let presses = if self.asked {
+                spent_ns >= OPEN_NS
+            } else {
+                reaction_ns.is_some_and(|reaction| ready_for_ns >= reaction && spent_ns >= reaction)
+            };
+            if presses {
+                (self.pressed, self.since_ns, self.asked) = (true, now_ns, false);
+            }
+        }
+        self.pressed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use LadderState::{Aligning, Engaged, Hold};
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_schedule_is_followed() {
+        let mut person = Person::new(Clutch::Schedule(vec![(0, 5), (8, 9)])).unwrap();
+        person.begin(100);
+        let pressed: Vec<_> = (100..112).filter(|now| person.at(*now, Engaged, true)).collect();
+        assert_eq!(pressed, [100, 101, 102, 103, 104, 108]);
+        for times in [vec![(5, 5)], vec![(0, 5), (5, 6)], vec![(3, 4), (1, 2)]] {
+            let error = Person::new(Clutch::Schedule(times)).unwrap_err();
+            assert!(error.to_string().ends_with("must follow one another in time"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_simulated_person_lets_go_and_presses_once_both_are_ready() {
+        let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        person.begin(0);
+        assert!(person.at(0, Aligning, false));
+        assert!(person.at(MS, Engaged, true));
+        // The link is dead until 1 s: a press before would be void.
+        let pressed: Vec<_> = (2..2000).filter(|now| person.at(now * MS, Hold, *now >= 1000)).collect();
+        assert_eq!(pressed.first(), Some(&1500));
+        // It is still held: the press did not count, and the next is another 0.5 s later.
+        assert_eq!(pressed, [1500]);
+        let pressed: Vec<_> = (2000..2500).filter(|now| person.at(now * MS, Hold, true)).collect();
+        assert_eq!(pressed.first(), Some(&2002));
+        assert!(Person::new(Clutch::Auto { reaction_ns: 1 }).is_err());
+    }
+
+    #[test]
+    fn who_presses_once_does_so_again_when_told() {
+        let mut person = Person::new(Clutch::Once).unwrap();
+        person.begin(0);
+        assert!((0..1000).all(|now| person.at(now * MS, Hold, true)));
+        person.press_again();
+        let open = (1000..2000).filter(|now| !person.at(now * MS, Hold, true)).count();
+        assert_eq!(open, 100);
+    }
+}

@@ -1,0 +1,319 @@
+//! What leads from one state to another: the table, and the diagram that is drawn from it.
+
+use std::fmt::Write as _;
+
+use super::state::LadderState::{self, Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
+
+/// Why a state was left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Reason {
+    /// A number that is not finite or absurd was met.
+    BadNumber = 1,
+    /// This side's own loop was late: what it knows is old.
+    OwnDelay,
+    /// The peer began a new session.
+    PeerRestarted,
+    /// Nothing new from the peer for longer than `hold_after`.
+    PeerSilent,
+    /// The peer does not hear this side.
+    PeerDeaf,
+    /// The peer stands in HOLD.
+    PeerHolds,
+    /// The peer stands in STOP.
+    PeerStopped,
+    /// The peer stands in FAULT.
+    PeerFaulted,
+    /// The clutch was released.
+    ClutchReleased,
+    /// The clutch was pressed, after a release that was seen since the state began.
+    ClutchPressed,
+    /// Both hear one another, and both have seen the press.
+    BothAligned,
+    /// Nothing new from the peer for longer than `stale_after`.
+    FramesLate,
+    /// The peer's frames are back.
+    FramesBack,
+    /// No sound peer for longer than `stop_after`.
+    SilentTooLong,
+    /// A master was started anew, which is the act of a person.
+    MasterStartedAnew,
+    /// A person at this side has acknowledged the fault.
+    Acknowledged,
+}
+
+use Reason::{
+    Acknowledged, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack, FramesLate,
+    MasterStartedAnew, OwnDelay, PeerDeaf, PeerFaulted, PeerHolds, PeerRestarted, PeerSilent, PeerStopped,
+    SilentTooLong,
+};
+
+impl Reason {
+    /// All reasons in the order of their codes.
+    pub const ALL: [Self; 16] = [
+        BadNumber,
+        OwnDelay,
+        PeerRestarted,
+        PeerSilent,
+        PeerDeaf,
+        PeerHolds,
+        PeerStopped,
+        PeerFaulted,
+        ClutchReleased,
+        ClutchPressed,
+        BothAligned,
+        FramesLate,
+        FramesBack,
+        SilentTooLong,
+        MasterStartedAnew,
+        Acknowledged,
+    ];
+
+    /// Its number in records, from 1; 0 stands for none.
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// The reason with that number.
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code).checked_sub(1)?).copied()
+    }
+
+    /// What a person is told.
+    pub const fn text(self) -> &'static str {
+        match self {
+            BadNumber => "a number that cannot be",
+            OwnDelay => "own loop was late",
+            PeerRestarted => "peer was restarted",
+            PeerSilent => "peer is silent",
+            PeerDeaf => "peer does not hear this side",
+            PeerHolds => "peer holds",
+            PeerStopped => "peer has stopped",
+            PeerFaulted => "peer has a fault",
+            ClutchReleased => "clutch released",
+            ClutchPressed => "clutch pressed after a release",
+            BothAligned => "both sides aligned",
+            FramesLate => "frames are late",
+            FramesBack => "frames are back",
+            SilentTooLong => "no sound peer for too long",
+            MasterStartedAnew => "master was started anew",
+            Acknowledged => "fault acknowledged at this side",
+        }
+    }
+}
+
+/// One row: in state `from`, `reason` leads to state `to`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Row {
+    /// Where it stands.
+    pub from: LadderState,
+    /// What is the case.
+    pub reason: Reason,
+    /// Where that leads.
+    pub to: LadderState,
+}
+
+const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
+    Row { from, reason, to }
+}
+
+/// The ladder. Of a state's rows the first whose reason is the case counts: what is worse stands first.
+///
+/// A press counts in HOLD and STOP only while both sides hear one another and the peer knows of the hold: a press
+/// into a dead link must not couple whenever the link comes back. In DISENGAGED it waits, visibly, as ALIGNING.
+pub const TABLE: &[Row] = &[
+    row(Disengaged, BadNumber, Fault),
+    row(Disengaged, ClutchPressed, Aligning),
+    row(Aligning, BadNumber, Fault),
+    row(Aligning, ClutchReleased, Disengaged),
+    row(Aligning, MasterStartedAnew, Disengaged),
+    row(Aligning, BothAligned, Engaged),
+    row(Engaged, BadNumber, Fault),
+    row(Engaged, OwnDelay, Hold),
+    row(Engaged, PeerRestarted, Hold),
+    row(Engaged, PeerSilent, Hold),
+    row(Engaged, PeerFaulted, Hold),
+    row(Engaged, PeerStopped, Hold),
+    row(Engaged, PeerHolds, Hold),
+    row(Engaged, PeerDeaf, Hold),
+    row(Engaged, ClutchReleased, Disengaged),
+    row(Engaged, FramesLate, Stale),
+    row(Stale, BadNumber, Fault),
+    row(Stale, OwnDelay, Hold),
+    row(Stale, PeerRestarted, Hold),
+    row(Stale, PeerSilent, Hold),
+    row(Stale, PeerFaulted, Hold),
+    row(Stale, PeerStopped, Hold),
+    row(Stale, PeerHolds, Hold),
+    row(Stale, PeerDeaf, Hold),
+    row(Stale, ClutchReleased, Disengaged),
+    row(Stale, FramesBack, Engaged),
+    row(Hold, BadNumber, Fault),
+    row(Hold, MasterStartedAnew, Disengaged),
+    row(Hold, SilentTooLong, Stop),
+    row(Hold, ClutchPressed, Aligning),
+    row(Stop, BadNumber, Fault),
+    row(Stop, MasterStartedAnew, Disengaged),
+    row(Stop, ClutchPressed, Aligning),
+    row(Fault, Acknowledged, Disengaged),
+];
+
+/// Reasons that are the case at once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Facts(u32);
+
+impl Facts {
+    /// These and, if `holds`, that one.
+    #[must_use]
+    pub const fn with(self, reason: Reason, holds: bool) -> Self {
+        if holds { Self(self.0 | 1 << reason.code()) } else { self }
+    }
+
+    /// These but that one.
+    #[must_use]
+    pub const fn without(self, reason: Reason) -> Self {
+        Self(self.0 & !(1 << reason.code()))
+    }
+
+    /// Whether it is the case.
+    pub const fn has(self, reason: Reason) -> bool {
+        self.0 & 1 << reason.code() != 0
+    }
+}
+
+/// Where `facts` lead from `state`, and which of them.
+pub fn next(state: LadderState, facts: Facts) -> Option<Row> {
+    TABLE.iter().find(|row| row.from == state && facts.has(row.reason)).copied()
+}
+
+/// The table as a diagram in the language of Mermaid.
+pub fn diagram() -> String {
+    let mut text = String::from("stateDiagram-v2\n    [*] --> DISENGAGED\n");
+    let upper = |state: LadderState| state.name().to_uppercase();
+    // Rows with the same two ends share an arrow, in the order of the first of them.
+    for (index, row) in TABLE.iter().enumerate() {
+        let same = |other: &&Row| (other.from, other.to) == (row.from, row.to);
+        if row.from == row.to || TABLE[..index].iter().any(|before| same(&before)) {
+            continue;
+        }
+        let reasons: Vec<_> = TABLE.iter().filter(same).map(|row| row.reason.text()).collect();
+        let _ = writeln!(text, "    {} --> {}: {}", upper(row.from), upper(row.to), reasons.join(" / "));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all_facts() -> impl Iterator<Item = Facts> {
+        (0..1_u32 << 16).map(|bits| Facts(bits << 1))
+    }
+
+    /// Every state under every set of reasons: 7 times 65536 cases.
+    #[test]
+    fn every_state_under_all_that_can_be_the_case_at_once() {
+        for state in LadderState::ALL {
+            for facts in all_facts() {
+                let Some(row) = next(state, facts) else {
+                    // What must never be ignored.
+                    assert!(!facts.has(BadNumber) || state == Fault, "{state:?} {facts:?}");
+                    let worse = [OwnDelay, PeerSilent, PeerRestarted];
+                    assert!(!state.is_coupled() || !worse.iter().any(|reason| facts.has(*reason)));
+                    continue;
+                };
+                if facts.has(BadNumber) && state != Fault {
+                    assert_eq!(row.to, Fault);
+                }
+                match row.to {
+                    // Nobody is coupled but out of ALIGNING, or out of STALE.
+                    Engaged => assert!(
+                        (row.from, row.reason) == (Aligning, BothAligned)
+                            || (row.from, row.reason) == (Stale, FramesBack)
+                    ),
+                    // Nobody begins to align but by a press.
+                    Aligning => assert_eq!(row.reason, ClutchPressed),
+                    Stale => assert_eq!(row.from, Engaged),
+                    Hold => assert!(row.from.is_coupled()),
+                    Stop => assert_eq!((row.from, row.reason), (Hold, SilentTooLong)),
+                    Fault => assert_eq!(row.reason, BadNumber),
+                    Disengaged => match row.from {
+                        Fault => assert_eq!(row.reason, Acknowledged),
+                        Hold | Stop => assert_eq!(row.reason, MasterStartedAnew),
+                        _ => assert!(matches!(row.reason, ClutchReleased | MasterStartedAnew)),
+                    },
+                }
+            }
+        }
+    }
+
+    /// One reason alone, written down by hand: the state's rows and nothing else.
+    #[test]
+    fn each_state_alone_with_each_reason() {
+        let coupled: &[(Reason, LadderState)] = &[
+            (BadNumber, Fault),
+            (OwnDelay, Hold),
+            (PeerRestarted, Hold),
+            (PeerSilent, Hold),
+            (PeerDeaf, Hold),
+            (PeerHolds, Hold),
+            (PeerStopped, Hold),
+            (PeerFaulted, Hold),
+            (ClutchReleased, Disengaged),
+        ];
+        let mut engaged = coupled.to_vec();
+        engaged.push((FramesLate, Stale));
+        let mut stale = coupled.to_vec();
+        stale.push((FramesBack, Engaged));
+        for (state, expected) in [
+            (Disengaged, vec![(BadNumber, Fault), (ClutchPressed, Aligning)]),
+            (
+                Aligning,
+                vec![
+                    (BadNumber, Fault),
+                    (ClutchReleased, Disengaged),
+                    (BothAligned, Engaged),
+                    (MasterStartedAnew, Disengaged),
+                ],
+            ),
+            (Engaged, engaged),
+            (Stale, stale),
+            (
+                Hold,
+                vec![
+                    (BadNumber, Fault),
+                    (ClutchPressed, Aligning),
+                    (SilentTooLong, Stop),
+                    (MasterStartedAnew, Disengaged),
+                ],
+            ),
+            (Stop, vec![(BadNumber, Fault), (ClutchPressed, Aligning), (MasterStartedAnew, Disengaged)]),
+            (Fault, vec![(Acknowledged, Disengaged)]),
+        ] {
+            for reason in Reason::ALL {
+                let to = next(state, Facts::default().with(reason, true)).map(|row| row.to);
+                let wanted = expected.iter().find(|(one, _)| *one == reason).map(|(_, to)| *to);
+                assert_eq!(to, wanted, "{state:?} {reason:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn reasons_have_numbers_and_texts_of_their_own() {
+        for (index, reason) in Reason::ALL.into_iter().enumerate() {
+            assert_eq!(Reason::from_code(reason.code()), Some(reason));
+            assert_eq!(usize::from(reason.code()), index + 1);
+            assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
+        }
+        assert_eq!((Reason::from_code(0), Reason::from_code(17)), (None, None));
+    }
+
+    /// The diagram in the documentation is that of the table.
+    #[test]
+    fn the_documentation_shows_this_table() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/ladder.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let drawn = format!("```mermaid\n{}```", diagram());
+        assert!(page.contains(&drawn), "docs/ladder.md must contain:\n{drawn}");
+    }
+}
