@@ -3,6 +3,7 @@
 //! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
+pub mod clock;
 pub mod coupling;
 mod endpoint;
 mod ladder;
@@ -12,6 +13,7 @@ pub mod live;
 mod local;
 mod pace;
 mod plant;
+pub mod playout;
 mod record;
 pub mod scene;
 pub mod session;
