@@ -128,11 +128,12 @@ fn clock_age_playout_and_statistics_allocate_nothing() {
         let mut age = PacketAge::new(AgeSettings::default());
         let mut meter = PathMeter::new();
         let before = allocations();
-        let mut played = 0;
+        let (mut played, mut now_ns) = (0, 0);
         for n in 0..50_000_u64 {
             // Delays of 20 to 30 ms and, once, a path and a clock that change for good.
             let delay_ns = 20 * MS + n * 7919 % 9973 * 1_000 + if n > 20_000 { 300 * MS } else { 0 };
-            let (sent_ns, now_ns) = (n * MS, n * MS + delay_ns);
+            let sent_ns = n * MS;
+            now_ns = (sent_ns + delay_ns).max(now_ns);
             let peer_ns = if n > 40_000 { 9_000_000 * MS } else { 0 } + now_ns;
             age.sent(n, sent_ns);
             let _ = age.received(now_ns, Some((n, 0)));

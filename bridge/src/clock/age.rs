@@ -36,9 +36,12 @@ impl Default for AgeSettings {
 pub struct Age {
     /// Time since it arrived.
     pub at_least_ns: u64,
-    /// Time since we sent what it answers, less how long the peer held that: its own way and ours before it. None
-    /// until the peer has echoed anything that we still know.
+    /// Time since we sent the newest of our packets that the peer had when it sent this one: our way, what the peer
+    /// waited, and its way. None until the peer has echoed anything that we still know.
     pub at_most_ns: Option<u64>,
+    /// The same less how long the peer says that it held our packet: closer, but as good as the peer's clock. A peer
+    /// whose clock jumps ahead meanwhile makes it too little.
+    pub at_most_by_peer_ns: Option<u64>,
 }
 
 /// Ages kept for the expected one.
@@ -46,10 +49,11 @@ const KEPT: usize = 256;
 
 /// Keeps our sending times and the age of the newest packet received.
 ///
-/// A packet that echoes our counter `c`, held by the peer for `h`, left the peer no earlier than `T_c + h` on our
-/// clock. So at `now` it is at most `now - T_c - h` old. That holds whatever the ways take and whatever the clocks
-/// show; of the peer's clock only the length of `h` is used, less what its rate may be wrong. A packet never is older
-/// than one that the peer sent before it, so the bound never falls back when an echo is missing.
+/// A packet that echoes our counter `c` left the peer after that arrived there, so not before the time `T_c` of our
+/// clock at which `c` left here. So at `now` it is at most `now - T_c` old: whatever the ways take, and whatever the
+/// peer's clock shows. With the time `h` for which the peer says that it held `c`, less what its rate may be wrong, it
+/// is at most `now - T_c - h` old. A packet never is older than one that the peer sent before it, so neither bound falls
+/// back when an echo is missing.
 #[derive(Clone, Debug)]
 pub struct PacketAge {
     settings: AgeSettings,
@@ -58,6 +62,8 @@ pub struct PacketAge {
     arrived_ns: Option<u64>,
     /// The newest packet left the peer no earlier.
     sent_after_ns: Option<u64>,
+    /// Nor, if the peer's clock is right, earlier than this.
+    sent_after_by_peer_ns: Option<u64>,
     least: WindowMinimum<()>,
     /// Ages on arrival, one in each 256th of the window, in a ring.
     ages: Box<[u64; KEPT]>,
@@ -75,6 +81,7 @@ impl PacketAge {
             sent: vec![None; settings.sent_kept.max(1)].into_boxed_slice(),
             arrived_ns: None,
             sent_after_ns: None,
+            sent_after_by_peer_ns: None,
             least: WindowMinimum::new(settings.window_ns),
             ages: Box::new([0; KEPT]),
             scratch: Box::new([0; KEPT]),
@@ -93,24 +100,25 @@ impl PacketAge {
     /// Notes that a packet newer than all before arrived at `now_ns`, with the counter it echoes and how long the
     /// peer had held that.
     ///
-    /// The packet counts even if its echo is impossible; then the bound is that of the packet before.
+    /// The packet counts, and so does the counter, even if the time held is impossible.
     pub fn received(&mut self, now_ns: u64, echo: Option<(u64, u64)>) -> Result<(), ClockFault> {
         self.arrived_ns = Some(now_ns);
         let Some((sent_ns, held_ns)) = echo.and_then(|(counter, held)| Some((self.sent_at(counter)?, held)))
         else {
             return Ok(());
         };
+        let after_ns = self.sent_after_ns.unwrap_or(0).max(sent_ns);
+        self.sent_after_ns = Some(after_ns);
+        self.expect(now_ns, now_ns.saturating_sub(after_ns));
         let took_ns = now_ns.saturating_sub(sent_ns);
-        // Both of its readings are whole ns: 1 ns of what it says may be rounding.
+        // Both readings of the time held are whole ns: 1 ns of it may be rounding.
         let unsure_ns = share_up(held_ns, self.settings.max_drift_ppb).saturating_add(1);
         let surely_held_ns = held_ns.saturating_sub(unsure_ns);
-        if surely_held_ns > took_ns {
-            return Err(ClockFault::NegativeRoundTrip { by_ns: held_ns - took_ns });
-        }
-        let after = self.sent_after_ns.unwrap_or(0).max(sent_ns.saturating_add(surely_held_ns));
-        self.sent_after_ns = Some(after);
-        self.expect(now_ns, now_ns.saturating_sub(after));
-        Ok(())
+        let is_possible = surely_held_ns <= took_ns;
+        let by_peer_ns =
+            if is_possible { sent_ns.saturating_add(surely_held_ns).max(after_ns) } else { after_ns };
+        self.sent_after_by_peer_ns = Some(self.sent_after_by_peer_ns.unwrap_or(0).max(by_peer_ns));
+        if is_possible { Ok(()) } else { Err(ClockFault::NegativeRoundTrip { by_ns: held_ns - took_ns }) }
     }
 
     fn sent_at(&self, counter: u64) -> Option<u64> {
@@ -142,20 +150,25 @@ impl PacketAge {
     /// The age at `now_ns` of the newest packet; none before the first.
     pub fn age(&self, now_ns: u64) -> Option<Age> {
         let at_least_ns = now_ns.saturating_sub(self.arrived_ns?);
-        Some(Age { at_least_ns, at_most_ns: self.sent_after_ns.map(|after| now_ns.saturating_sub(after)) })
+        let since = |after_ns: u64| now_ns.saturating_sub(after_ns);
+        Some(Age {
+            at_least_ns,
+            at_most_ns: self.sent_after_ns.map(since),
+            at_most_by_peer_ns: self.sent_after_by_peer_ns.map(since),
+        })
     }
 
-    /// The age that packets of this link have when they arrive, as the quantile of the window.
+    /// The bound of the age that packets of this link have when they arrive, as the quantile of the window.
     pub fn expected_ns(&self) -> Option<u64> {
         self.expected_ns
     }
 
-    /// The least age that a packet had on arrival in the window.
+    /// The least bound of the age that a packet had on arrival in the window.
     pub fn least_ns(&self) -> Option<u64> {
         self.least.least().map(|least| least.key.unsigned_abs())
     }
 
-    /// By how much the newest packet is older at `now_ns` than is expected of this link; none until both are known.
+    /// By how much the newest packet may be older at `now_ns` than is expected of this link; none until both are known.
     pub fn over_expected_ns(&self, now_ns: u64) -> Option<u64> {
         Some(self.age(now_ns)?.at_most_ns?.saturating_sub(self.expected_ns?))
     }
@@ -164,6 +177,7 @@ impl PacketAge {
     pub fn restart(&mut self) {
         self.arrived_ns = None;
         self.sent_after_ns = None;
+        self.sent_after_by_peer_ns = None;
         self.least.clear();
         self.age_count = 0;
         self.last_kept_ns = 0;

@@ -89,7 +89,32 @@ fn path() -> impl Strategy<Value = Vec<(u64, u64, u64, u64)>> {
     prop::collection::vec((gap, delay(), delay(), delay()), 1..60)
 }
 
+/// Any number, more often one at the ends of what is taken.
+fn number() -> impl Strategy<Value = u64> {
+    prop_oneof![0..9_u64, any::<u64>(), (1 << 63) - 9..(1 << 63) + 9_u64, u64::MAX - 9..=u64::MAX]
+}
+
 proptest! {
+    /// Numbers at the ends of 64 bits, of times and of settings: taken or refused, but no overflow.
+    #[test]
+    fn any_numbers_are_borne(
+        (max_drift_ppb, window_ns) in (number(), number()),
+        packets in prop::collection::vec((number(), number(), number(), number(), number()), 1..50),
+    ) {
+        let mut clock = PeerClock::new(ClockSettings { window_ns, max_drift_ppb });
+        let mut age = PacketAge::new(AgeSettings { window_ns, max_drift_ppb, ..AgeSettings::default() });
+        for (sent_ns, peer_received_ns, peer_sent_ns, received_ns, counter) in packets {
+            let _ = clock.take(&FourTimes { sent_ns, peer_received_ns, peer_sent_ns, received_ns });
+            let _ = clock.backward_delay(peer_sent_ns, received_ns);
+            clock.offset(sent_ns);
+            age.sent(counter, sent_ns);
+            let _ = age.received(received_ns, Some((counter, peer_sent_ns)));
+            if let Some(Age { at_most_ns: Some(most), at_most_by_peer_ns: Some(closer), .. }) = age.age(sent_ns) {
+                prop_assert!(closer <= most);
+            }
+        }
+    }
+
     /// Healthy clocks, whatever the ways do: no fault is told and the truth is within the bound, then and later.
     #[test]
     fn the_bound_holds_and_nothing_is_told_on_any_path(

@@ -19,7 +19,7 @@ const READING_NS: i128 = 2;
 /// `l - u <= rho |t4 - t1|` (a function of bounded slope can be drawn through points that fit in pairs).
 ///
 /// Source: K. Marzullo, S. Owicki (1983), Maintaining the time in a distributed system (intersection of intervals that
-/// widen with the drift); E. J. McShane (1934), Extension of range of functions.
+/// widen with the drift).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct CausalBounds {
     max_drift_ppb: u64,
@@ -42,7 +42,8 @@ pub(crate) enum Contradiction {
 
 impl CausalBounds {
     pub(crate) fn new(max_drift_ppb: u64) -> Self {
-        Self { max_drift_ppb, upper: None, lower: None, newest_ns: 0 }
+        // A clock that drifts by its whole rate stands still: nothing beyond that has a meaning.
+        Self { max_drift_ppb: max_drift_ppb.min(BILLION), upper: None, lower: None, newest_ns: 0 }
     }
 
     /// Takes an exchange; `received_ns` does not decrease.

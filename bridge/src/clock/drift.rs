@@ -50,7 +50,7 @@ impl DriftFit {
             block_began_ns: 0,
             open: None,
             drift_ppb: None,
-            max_ppb: i64::try_from(max_ppb).unwrap_or(i64::MAX),
+            max_ppb: max_ppb.min(BILLION).cast_signed(),
         }
     }
 

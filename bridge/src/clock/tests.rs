@@ -272,7 +272,10 @@ proptest! {
                 let bounds = age.age(now + later).unwrap();
                 let truth = now + later - newest_sent;
                 prop_assert!(bounds.at_least_ns <= truth);
-                prop_assert!(bounds.at_most_ns.is_none_or(|most| most >= truth), "{:?} of {}", bounds, truth);
+                for most in [bounds.at_most_ns, bounds.at_most_by_peer_ns] {
+                    prop_assert!(most.is_none_or(|most| most >= truth), "{:?} of {}", bounds, truth);
+                }
+                prop_assert!(bounds.at_most_by_peer_ns <= bounds.at_most_ns);
             }
         }
     }
@@ -289,23 +292,38 @@ fn the_age_over_the_expected_one_is_the_silence() {
             age.received(n * MS, Some((n - 101, MS))).unwrap();
         }
     }
-    // What may be wrong with the 1 ms held: 200 ppm, and the rounding.
-    assert_eq!(age.expected_ns(), Some(100 * MS + 201));
+    assert_eq!(age.expected_ns(), Some(101 * MS));
     assert_eq!(age.least_ns(), age.expected_ns());
     assert_eq!(age.over_expected_ns(4_999 * MS), Some(0));
     assert_eq!(age.over_expected_ns(5_006 * MS), Some(7 * MS));
-    assert_eq!(age.age(5_006 * MS).unwrap(), Age { at_least_ns: 7 * MS, at_most_ns: Some(107 * MS + 201) });
+    // What may be wrong with the 1 ms held: 200 ppm, and the rounding.
+    let wanted =
+        Age { at_least_ns: 7 * MS, at_most_ns: Some(108 * MS), at_most_by_peer_ns: Some(107 * MS + 201) };
+    assert_eq!(age.age(5_006 * MS), Some(wanted));
 }
 
 #[test]
-fn when_our_way_is_dead_the_held_time_carries_the_bound() {
+fn when_our_way_is_dead_only_the_held_time_tells_that_packets_are_fresh() {
     let mut age = PacketAge::new(AgeSettings::default());
     age.sent(0, 0);
     for n in 1..1_000 {
         age.received(n * MS + 20 * MS, Some((0, n * MS))).unwrap();
     }
-    let most = age.age(1_019 * MS).unwrap().at_most_ns.unwrap();
-    assert!((20 * MS..=20 * MS + 200 * US).contains(&most), "{most}");
+    let bounds = age.age(1_019 * MS).unwrap();
+    assert_eq!(bounds.at_most_ns, Some(1_019 * MS));
+    let by_peer = bounds.at_most_by_peer_ns.unwrap();
+    assert!((20 * MS..=20 * MS + 200 * US).contains(&by_peer), "{by_peer}");
+}
+
+/// A peer whose clock jumps by 8 ms while it holds a packet, and then says the right time again.
+#[test]
+fn a_peer_whose_clock_jumps_makes_no_packet_younger_than_it_may_be() {
+    let mut age = PacketAge::new(AgeSettings::default());
+    age.sent(0, 0);
+    // 5 ms there, held for 1 ms, 5 ms back.
+    age.received(11 * MS, Some((0, 9 * MS))).unwrap();
+    let bounds = age.age(11 * MS).unwrap();
+    assert!(bounds.at_most_ns.unwrap() >= 5 * MS && bounds.at_most_by_peer_ns.unwrap() < 5 * MS);
 }
 
 #[test]
@@ -315,10 +333,11 @@ fn unknown_and_impossible_echoes_do_no_harm() {
         age.sent(n, n * MS);
     }
     age.received(30 * MS, Some((3, 0))).unwrap();
-    assert_eq!(age.age(30 * MS), Some(Age { at_least_ns: 0, at_most_ns: None }));
+    assert_eq!(age.age(30 * MS), Some(Age { at_least_ns: 0, at_most_ns: None, at_most_by_peer_ns: None }));
     age.received(31 * MS, Some((19, 0))).unwrap();
     assert!(age.received(32 * MS, Some((19, u64::MAX))).is_err());
-    assert_eq!(age.age(32 * MS), Some(Age { at_least_ns: 0, at_most_ns: Some(13 * MS) }));
+    let known = Some(13 * MS);
+    assert_eq!(age.age(32 * MS), Some(Age { at_least_ns: 0, at_most_ns: known, at_most_by_peer_ns: known }));
     age.restart();
     assert_eq!(age.age(33 * MS), None);
 }

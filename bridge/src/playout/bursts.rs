@@ -72,6 +72,10 @@ impl Sequences {
 
     /// Counting starts with the first sequence to arrive: those before it were never expected.
     pub(super) fn mark(&mut self, sequence: u64) -> Seen {
+        // No link counts so far; what lies beyond it has no number.
+        if sequence == u64::MAX {
+            return Seen::TooFar;
+        }
         let Some(first) = self.first else {
             self.first = Some(sequence);
             self.newest = sequence;

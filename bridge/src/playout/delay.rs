@@ -49,7 +49,8 @@ impl Wait {
             PlayoutPolicy::Adaptive { factor, least_ns, most_ns } => {
                 let factor = u64::from(factor);
                 let by_jitter = factor.saturating_mul(self.jitter.jitter_ns());
-                let mean = self.origin_ns.unwrap_or(least_transit_ns) + self.mean_scaled / MEMORY;
+                let origin = self.origin_ns.unwrap_or(least_transit_ns);
+                let mean = origin.saturating_add(self.mean_scaled / MEMORY);
                 let above = u64::try_from(mean.saturating_sub(least_transit_ns)).unwrap_or(0);
                 let deviation = (self.deviation_scaled / MEMORY).unsigned_abs();
                 let by_spread = above.saturating_add(factor.saturating_mul(deviation));

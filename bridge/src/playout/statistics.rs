@@ -68,7 +68,7 @@ impl PathMeter {
     pub fn statistics(&self, now_ns: u64) -> PathStatistics {
         let silence_ns = self.first_ns.map_or(0, |_| now_ns.saturating_sub(self.last_ns));
         let arrivals = self.received + self.too_late;
-        let span_ns = self.last_ns - self.first_ns.unwrap_or(self.last_ns);
+        let span_ns = self.last_ns.saturating_sub(self.first_ns.unwrap_or(self.last_ns));
         let rate_hz = if span_ns == 0 { 0.0 } else { (arrivals - 1) as f64 * 1e9 / span_ns as f64 };
         PathStatistics {
             received: self.received,

@@ -314,6 +314,39 @@ proptest! {
         prop_assert_eq!(losses.longest, gaps.into_iter().max().unwrap_or(0));
     }
 
+    /// Numbers at the ends of 64 bits: counted or refused, but no overflow.
+    #[test]
+    fn any_numbers_are_borne(
+        packets in prop::collection::vec(
+            (prop_oneof![0..9_u64, u64::MAX - 9..=u64::MAX, any::<u64>()],
+             prop_oneof![0..9_u64, any::<u64>(), (1 << 63) - 9..=(1 << 63) + 9_u64],
+             prop_oneof![0..9 * S, 0..1_u64 << 62]),
+            1..50,
+        ),
+    ) {
+        let policies = [
+            PlayoutPolicy::Newest,
+            PlayoutPolicy::Constant { delay_ns: u64::MAX },
+            PlayoutPolicy::Adaptive { factor: u32::MAX, least_ns: 0, most_ns: u64::MAX },
+        ];
+        for policy in policies {
+            let settings = PlayoutSettings { capacity: 16, ..PlayoutSettings::new(policy) };
+            let mut playout = Playout::new(settings).unwrap();
+            let mut meter = PathMeter::new();
+            let mut now = 0_u64;
+            for &(sequence, sent_ns, step) in &packets {
+                now = now.saturating_add(step);
+                meter.arrived(sequence, sent_ns, now);
+                playout.arrived(sequence, sent_ns, now, ());
+                while playout.next_due(now).is_some() {}
+                let seen = meter.statistics(now);
+                prop_assert!(seen.losses.lost <= seen.expected && seen.rate_hz.is_finite());
+            }
+            let seen = meter.statistics(now);
+            prop_assert_eq!(seen.received + seen.duplicate + seen.too_late, packets.len() as u64);
+        }
+    }
+
     /// Whatever arrives and when: forward in sequence and in time, and every packet and sequence is counted once.
     #[test]
     fn what_is_played_only_goes_forward(
