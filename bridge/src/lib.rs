@@ -12,6 +12,7 @@ mod link;
 pub mod live;
 mod local;
 mod pace;
+mod path;
 mod plant;
 pub mod playout;
 mod record;
@@ -28,6 +29,7 @@ pub use endpoint::{
 pub use ladder::{Ladder, LadderSettings, LadderState};
 pub use link::{FrameLink, LinkStatistics, Refusal};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
+pub use path::{PathReport, PathSettings, PeerPath};
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
 pub use side::{MasterSide, Side, SlaveSide, TickTime};

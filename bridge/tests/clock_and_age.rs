@@ -4,8 +4,9 @@
 use std::ops::ControlFlow;
 
 use haptether_bridge::{
-    Event, FrameLink, LadderState, LinkStatistics, Refusal, Side, TickTime, VirtualSettings,
-    clock::{Age, AgeSettings, ClockFault, ClockSettings, FourTimes, PacketAge, PeerClock, PeerOffset},
+    Event, FrameLink, LadderState, LinkStatistics, PathSettings, PeerPath, Refusal, Side, TickTime,
+    VirtualSettings,
+    clock::{Age, ClockFault, PeerOffset},
     run_virtual,
     wire::{MAX_FRAME, Role},
 };
@@ -20,8 +21,7 @@ const TICKS: u64 = 20_000;
 struct Measuring {
     session: u64,
     link: FrameLink<1>,
-    clock: PeerClock,
-    age: PacketAge,
+    path: PeerPath,
     faults: Vec<(u64, ClockFault)>,
 }
 
@@ -41,8 +41,7 @@ impl Measuring {
         Self {
             session,
             link: FrameLink::new(role, session, 10 * S),
-            clock: PeerClock::new(ClockSettings::default()),
-            age: PacketAge::new(AgeSettings::default()),
+            path: PeerPath::new(PathSettings::default()),
             faults: Vec::new(),
         }
     }
@@ -57,16 +56,13 @@ impl Side for Measuring {
         self.link.receive(now_ns, datagram)?;
         let frame = self.link.newest().unwrap();
         let echo = frame.echo.filter(|echo| echo.session == self.session);
-        if let Some(echo) = echo {
-            let times = FourTimes {
-                sent_ns: echo.sent_ns,
-                peer_received_ns: frame.sent_ns.saturating_sub(echo.held_ns),
-                peer_sent_ns: frame.sent_ns,
-                received_ns: now_ns,
-            };
-            self.faults.extend(self.clock.take(&times).err().map(|fault| (now_ns, fault)));
+        let before = self.path.report(now_ns).clock_faults;
+        self.path.arrived(frame.sequence, frame.sent_ns, now_ns);
+        self.path.news(frame.sent_ns, echo.as_ref(), now_ns);
+        let report = self.path.report(now_ns);
+        if report.clock_faults > before {
+            self.faults.extend(report.last_fault.map(|fault| (now_ns, fault)));
         }
-        let _ = self.age.received(now_ns, echo.map(|echo| (echo.sequence, echo.held_ns)));
         Ok(())
     }
 
@@ -74,14 +70,14 @@ impl Side for Measuring {
         Known {
             time,
             newest: self.link.newest().map(|frame| frame.sequence),
-            offset: self.clock.offset(time.clock_ns),
-            age: self.age.age(time.clock_ns),
-            steps: self.clock.steps(),
+            offset: self.path.clock().offset(time.clock_ns),
+            age: self.path.age().age(time.clock_ns),
+            steps: self.path.clock().steps(),
         }
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        self.age.sent(self.link.statistics().sent, now_ns);
+        self.path.sent(self.link.statistics().sent, now_ns);
         self.link.send(now_ns, (0, true), [Axes::zeros(); 3], buffer)
     }
 
@@ -207,7 +203,7 @@ fn a_step_is_told_within_a_round_trip_by_both_sides() {
         // Known anew a round trip after the proof.
         assert!(checked[0] > TICKS * 9 / 10 && checked[1] > TICKS * 4 / 10, "{checked:?}");
         for (own, side) in sides.iter().enumerate() {
-            assert_eq!(side.clock.steps(), 1, "{whose} {step_s}, {own}: {:?}", side.faults);
+            assert_eq!(side.path.clock().steps(), 1, "{whose} {step_s}, {own}: {:?}", side.faults);
             let told = side.faults.iter().find_map(|&(_, fault)| match fault {
                 ClockFault::Step { by_ns, at_least_ns, .. } => Some((by_ns, at_least_ns)),
                 _ => None,

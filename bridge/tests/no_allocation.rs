@@ -147,6 +147,8 @@ fn clock_age_playout_and_statistics_allocate_nothing() {
             }
         }
         assert!(played > 10_000 && meter.statistics(0).received == 50_000 && age.expected_ns().is_some());
+        meter.restart();
+        assert_eq!(meter.statistics(0).received, 0);
         assert_eq!(clock.steps(), 1);
         assert_eq!(allocations() - before, 0, "{policy:?}");
     }

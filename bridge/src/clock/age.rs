@@ -121,7 +121,8 @@ impl PacketAge {
         if is_possible { Ok(()) } else { Err(ClockFault::NegativeRoundTrip { by_ns: held_ns - took_ns }) }
     }
 
-    fn sent_at(&self, counter: u64) -> Option<u64> {
+    /// When a packet left; none of one that is not kept any more.
+    pub fn sent_at(&self, counter: u64) -> Option<u64> {
         self.sent[self.slot(counter)].and_then(|(kept, sent_ns)| (kept == counter).then_some(sent_ns))
     }
 

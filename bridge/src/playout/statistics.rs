@@ -44,6 +44,15 @@ impl PathMeter {
         }
     }
 
+    /// Forgets all: for a new session, whose sequences begin anew.
+    pub fn restart(&mut self) {
+        *self.sequences = Sequences::new();
+        *self.extents = Extents::new();
+        self.jitter = Jitter::default();
+        (self.received, self.duplicate, self.too_late) = (0, 0, 0);
+        (self.first_ns, self.last_ns, self.worst_gap_ns) = (None, 0, 0);
+    }
+
     /// Takes a packet that arrived at `now_ns` and was sent at `sent_ns` on the sender's clock. Times of arrival do not
     /// decrease.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
