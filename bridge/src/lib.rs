@@ -4,6 +4,7 @@
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
 mod channel;
+pub mod clock;
 pub mod coupling;
 mod endpoint;
 pub mod ladder;
@@ -12,7 +13,9 @@ mod link;
 pub mod live;
 mod local;
 mod pace;
+mod path;
 mod plant;
+pub mod playout;
 mod record;
 pub mod scene;
 pub mod session;
@@ -30,6 +33,7 @@ pub use ladder::{
 };
 pub use link::{FrameLink, LinkStatistics, PortState, Refusal, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
+pub use path::{PathReport, PathSettings, PeerPath};
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
 pub use side::{MasterSide, Side, SideCounts, SlaveSide, TickTime};

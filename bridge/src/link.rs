@@ -4,6 +4,7 @@ use haptether_safety::Axes;
 
 use crate::{
     coupling::PortEnergy,
+    path::{PathReport, PathSettings, PeerPath},
     session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, MAX_FRAME, Role, WireError},
 };
@@ -99,7 +100,7 @@ struct Newest<const N: usize> {
 }
 
 /// One end: numbers what it sends, keeps the newest of what it receives.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct FrameLink<const N: usize> {
     role: Role,
     session: u64,
@@ -109,6 +110,7 @@ pub struct FrameLink<const N: usize> {
     arrived: u64,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
+    path: PeerPath,
     /// A silent peer may be followed by another session after this time.
     lease_ns: u64,
 }
@@ -125,6 +127,7 @@ impl<const N: usize> FrameLink<N> {
             arrived: 0,
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
+            path: PeerPath::new(PathSettings::default()),
             lease_ns,
         }
     }
@@ -143,6 +146,7 @@ impl<const N: usize> FrameLink<N> {
         let frame = Frame::decode(datagram, self.peer()).inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
             Some(newest) if newest.frame.session == frame.session => {
+                self.path.arrived(frame.sequence, frame.sent_ns, now_ns);
                 self.place(frame.sequence)?;
                 false
             }
@@ -155,6 +159,8 @@ impl<const N: usize> FrameLink<N> {
                 self.arrived = 0;
                 self.arrivals.clear();
                 self.arrivals.mark(frame.sequence);
+                self.path.begin();
+                self.path.arrived(frame.sequence, frame.sent_ns, now_ns);
                 true
             }
         };
@@ -162,9 +168,9 @@ impl<const N: usize> FrameLink<N> {
         self.statistics.fresh += 1;
         self.newest = Some(Newest { frame, arrived_ns: now_ns });
         self.count_missing();
-        if let Some(echo) = frame.echo
-            && echo.session == self.session
-        {
+        let echo = frame.echo.filter(|echo| echo.session == self.session);
+        self.path.news(frame.sent_ns, echo.as_ref(), now_ns);
+        if let Some(echo) = echo {
             let round_trip = now_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
             self.statistics.round_trip_ns = round_trip;
             let least = self.statistics.least_round_trip_ns;
@@ -229,6 +235,7 @@ impl<const N: usize> FrameLink<N> {
             force,
             energy,
         };
+        self.path.sent(self.next_sequence, now_ns);
         self.next_sequence += 1;
         self.statistics.sent += 1;
         frame.encode(buffer)
@@ -254,6 +261,16 @@ impl<const N: usize> FrameLink<N> {
     /// Time in ns since the newest frame arrived.
     pub fn age_ns(&self, now_ns: u64) -> Option<u64> {
         self.newest.as_ref().map(|newest| now_ns.saturating_sub(newest.arrived_ns))
+    }
+
+    /// Clock of the peer and age of its frames.
+    pub fn path(&self) -> &PeerPath {
+        &self.path
+    }
+
+    /// What is known of the way at `now_ns`: for the end of a run, as it walks the last 2048 sequences.
+    pub fn path_report(&self, now_ns: u64) -> PathReport {
+        self.path.report(now_ns)
     }
 
     /// Counts so far.

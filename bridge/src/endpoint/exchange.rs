@@ -8,6 +8,7 @@ use crate::{
         LadderState, PeerReport, Transition,
     },
     link::{FrameLink, LinkStatistics, PortState, Refusal, Status},
+    path::PathReport,
     wire::{Frame, MAX_FRAME, Role},
 };
 
@@ -173,6 +174,11 @@ impl<const N: usize> Exchange<N> {
     /// Counts of the link, and how often the ladder went to HOLD.
     pub fn counts(&self) -> (LinkStatistics, u64) {
         (self.link.statistics(), self.ladder.holds())
+    }
+
+    /// What is known of the way to the peer at `now_ns`.
+    pub fn path_report(&self, now_ns: u64) -> PathReport {
+        self.link.path_report(now_ns)
     }
 
     /// The last states and commands.

@@ -87,7 +87,7 @@ impl Ring {
 
 impl FlightRecorder {
     /// An empty one of the side of that name.
-    pub(crate) fn new(side: &'static str) -> Self {
+    pub fn new(side: &'static str) -> Self {
         let entries = [FlightEntry::EMPTY; KEPT];
         Self {
             side,

@@ -1,0 +1,234 @@
+//! The peer's clock and the age of packets from real frames, over links of netsim and clocks that are wrong.
+#![allow(clippy::unwrap_used)] // a test may
+
+use std::ops::ControlFlow;
+
+use haptether_bridge::{
+    Event, FlightRecorder, FrameLink, LadderState, PortState, Refusal, Side, SideCounts, Status, TickTime,
+    VirtualSettings,
+    clock::{Age, ClockFault, PeerOffset},
+    run_virtual,
+    wire::{MAX_FRAME, Role, frame_length},
+};
+use haptether_netsim::{ClockSettings as ClockOf, Distribution, EndpointClock, LinkSettings};
+
+const MS: u64 = 1_000_000;
+const S: u64 = 1000 * MS;
+const TICKS: u64 = 20_000;
+
+/// A side that only measures.
+struct Measuring {
+    link: FrameLink<1>,
+    flight: FlightRecorder,
+    faults: Vec<(u64, ClockFault)>,
+}
+
+/// What it knows at a tick.
+#[derive(Clone, Copy)]
+struct Known {
+    time: TickTime,
+    /// Sequence of the newest frame of the peer.
+    newest: Option<u64>,
+    offset: Option<PeerOffset>,
+    age: Option<Age>,
+    steps: u64,
+}
+
+impl Measuring {
+    fn new(role: Role, session: u64) -> Self {
+        Self {
+            link: FrameLink::new(role, session, 10 * S),
+            flight: FlightRecorder::new("measuring"),
+            faults: Vec::new(),
+        }
+    }
+}
+
+impl Side for Measuring {
+    type Record = Known;
+    const FRAME_LENGTH: usize = frame_length(1);
+
+    fn begin(&mut self, _: u64) {}
+
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+        let before = self.link.path_report(now_ns).clock_faults;
+        self.link.receive(now_ns, datagram)?;
+        let report = self.link.path_report(now_ns);
+        if report.clock_faults > before {
+            self.faults.extend(report.last_fault.map(|fault| (now_ns, fault)));
+        }
+        Ok(())
+    }
+
+    fn tick(&mut self, time: TickTime) -> Known {
+        Known {
+            time,
+            newest: self.link.newest().map(|frame| frame.sequence),
+            offset: self.link.path().clock().offset(time.clock_ns),
+            age: self.link.path().age().age(time.clock_ns),
+            steps: self.link.path().clock().steps(),
+        }
+    }
+
+    fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        self.link.send(now_ns, Status { hears_peer: true, ..Status::default() }, PortState::default(), buffer)
+    }
+
+    fn stalled(&mut self, _: u64) {}
+
+    fn rest(&mut self) {}
+
+    fn state(&self) -> LadderState {
+        LadderState::Disengaged
+    }
+
+    fn counts(&self) -> SideCounts {
+        SideCounts { link: self.link.statistics(), ..SideCounts::default() }
+    }
+
+    fn flight(&self) -> &FlightRecorder {
+        &self.flight
+    }
+}
+
+/// When a clock steps.
+const STEP_NS: u64 = 10 * S;
+
+fn endpoint_clock(offset_s: f64, drift_ppm: f64, step_s: f64) -> ClockOf {
+    ClockOf { offset_s, drift_ppm, step_s, step_at_s: STEP_NS as f64 * 1e-9 }
+}
+
+fn link(delay_s: f64, jitter_s: f64, loss: f64) -> LinkSettings {
+    LinkSettings { delay_s, jitter_s, distribution: Distribution::Uniform, loss, ..LinkSettings::default() }
+}
+
+/// True times at which frames were sent, by sequence, and the truth against which a side is held.
+struct Truth {
+    clocks: [EndpointClock; 2],
+    steps: [bool; 2],
+    sent_ns: [Vec<u64>; 2],
+    checked: [u64; 2],
+}
+
+impl Truth {
+    /// Checks what the side `own` knows.
+    fn check(&mut self, own: usize, known: &Known) {
+        let (now_ns, peer) = (known.time.now_ns, 1 - own);
+        self.sent_ns[own].push(now_ns);
+        let seen = now_ns < STEP_NS || known.steps == u64::from(self.steps[0] || self.steps[1]);
+        if let Some(PeerOffset { offset_ns, bound_ns }) = known.offset
+            && seen
+        {
+            let truth = self.clocks[peer].reading_ns(now_ns) - self.clocks[own].reading_ns(now_ns);
+            // A loop wakes up to 1 ns after its deadline, which is the time that frames carry, on either side.
+            let error = offset_ns.abs_diff(truth);
+            assert!(error <= bound_ns + 2, "{own} at {now_ns}: {error} of {bound_ns}");
+            self.checked[own] += 1;
+        }
+        // An age is measured on our clock: only the peer's may step.
+        if let (Some(sequence), Some(age), false) = (known.newest, known.age, self.steps[own]) {
+            let sent_ns = self.sent_ns[peer][usize::try_from(sequence).unwrap()];
+            let own_ns = |true_ns| self.clocks[own].reading_ns(true_ns);
+            let truth = (own_ns(now_ns) - own_ns(sent_ns)).unsigned_abs();
+            assert!(age.at_least_ns <= truth + 1, "{own} at {now_ns}: {age:?} of {truth}");
+            assert!(
+                age.at_most_ns.is_none_or(|most| most + 1 >= truth),
+                "{own} at {now_ns}: {age:?} of {truth}"
+            );
+        }
+    }
+}
+
+/// Both sides at the end, and how often each was held against the truth.
+fn run(settings: [ClockOf; 2], ways: [LinkSettings; 2], seed: u64) -> ([Measuring; 2], [u64; 2]) {
+    let clocks = settings.map(|settings| EndpointClock::new(&settings).unwrap());
+    let [forward, backward] = ways;
+    let run = VirtualSettings {
+        period_ns: MS,
+        slave_period_ns: 2 * MS,
+        ticks: TICKS,
+        forward,
+        backward,
+        seed,
+        secure: false,
+        master_clock: Some(clocks[0]),
+        slave_clock: Some(clocks[1]),
+    };
+    let (mut master, mut slave) = (Measuring::new(Role::Master, 1), Measuring::new(Role::Slave, 2));
+    let steps = settings.map(|settings| settings.step_s != 0.0);
+    let mut truth = Truth { clocks, steps, sent_ns: [vec![], vec![]], checked: [0; 2] };
+    run_virtual(&run, &mut master, &mut slave, |event, _| {
+        match event {
+            Event::Master(known) => truth.check(0, &known),
+            Event::Slave(known) => truth.check(1, &known),
+        }
+        ControlFlow::Continue(())
+    })
+    .unwrap();
+    ([master, slave], truth.checked)
+}
+
+#[test]
+fn wrong_clocks_and_bad_links_leave_every_bound_true_and_tell_nothing() {
+    let paths = [
+        [link(0.0, 0.0, 0.0), link(0.0, 0.0, 0.0)],
+        [link(0.02, 0.005, 0.05), link(0.02, 0.005, 0.05)],
+        // Of which the offset cannot know that one way takes twelve times the other.
+        [link(0.005, 0.001, 0.3), link(0.06, 0.02, 0.3)],
+    ];
+    for (seed, ways) in (0..).zip(&paths) {
+        for [near_ppm, far_ppm] in [[0.0, 0.0], [80.0, -100.0], [-100.0, 95.0]] {
+            let clocks = [endpoint_clock(-1.5, near_ppm, 0.0), endpoint_clock(1e6, far_ppm, 0.0)];
+            let (sides, checked) = run(clocks, ways.clone(), seed);
+            for side in sides {
+                assert_eq!(side.faults, [], "{seed} {near_ppm} {far_ppm}");
+            }
+            assert!(checked[0] > TICKS * 9 / 10 && checked[1] > TICKS * 4 / 10, "{checked:?}");
+        }
+    }
+}
+
+#[test]
+fn a_step_is_told_within_a_round_trip_by_both_sides() {
+    let ways = [link(0.02, 0.005, 0.05), link(0.02, 0.005, 0.05)];
+    for (whose, step_ms) in [(1, 300), (1, -300), (0, 300), (0, -300), (1, 3_600_000), (0, 3_600_000_i32)] {
+        let step_s = f64::from(step_ms) * 1e-3;
+        let mut steps_s = [0.0; 2];
+        steps_s[whose] = step_s;
+        let clocks = [endpoint_clock(-1.5, 80.0, steps_s[0]), endpoint_clock(1e6, -100.0, steps_s[1])];
+        let settings = clocks.map(|clock| EndpointClock::new(&clock).unwrap());
+        let (sides, checked) = run(clocks, ways.clone(), 7);
+        // Known anew a round trip after the proof.
+        assert!(checked[0] > TICKS * 9 / 10 && checked[1] > TICKS * 4 / 10, "{checked:?}");
+        for (own, side) in sides.iter().enumerate() {
+            assert_eq!(side.link.path().clock().steps(), 1, "{whose} {step_s}, {own}: {:?}", side.faults);
+            let told = side.faults.iter().find_map(|&(_, fault)| match fault {
+                ClockFault::Step { by_ns, at_least_ns, .. } => Some((by_ns, at_least_ns)),
+                _ => None,
+            });
+            let (by_ns, at_least_ns) = told.unwrap();
+            // Seen from the other side a step goes the other way.
+            let seen_s = if own == whose { -step_s } else { step_s };
+            assert_eq!(by_ns > 0, seen_s > 0.0, "{whose} {step_s}, {own}: {by_ns}");
+            let step_ns = u64::from(step_ms.unsigned_abs()) * MS;
+            assert!(at_least_ns <= step_ns, "{whose} {step_s}: {at_least_ns}");
+            // A loop whose own clock is set back waits; in the backlog that it then finds, the step grows from frame to
+            // frame, and the first proof is told.
+            if own != whose || step_s > 0.0 {
+                // Less two ways of at most 20 + 8.7 ms and ticks, whose share cannot be told from them, and what clocks
+                // may part by 200 ppm in the time of a step of our own.
+                let parted_ns = step_ns / 5_000;
+                assert!(at_least_ns >= step_ns - 64 * MS - parted_ns, "{whose} {step_s}: {at_least_ns}");
+                let off_ns = by_ns.unsigned_abs().abs_diff(step_ns);
+                assert!(off_ns < 40 * MS + 2 * parted_ns, "{whose} {step_s}: {by_ns}");
+            }
+            let (at_ns, _) = side.faults[0];
+            // 62 ms of two ways and ticks, and ten frames lost together, which 5 % never are here.
+            let stepped_ns = settings[own].reading_ns(10 * S).cast_unsigned().wrapping_add(1 << 62);
+            assert!(
+                at_ns.saturating_sub(stepped_ns) < 82 * MS + step_ns.min(300 * MS),
+                "{whose} {step_s}, {own}"
+            );
+        }
+    }
+}
