@@ -563,7 +563,9 @@ def test_a_table_of_a_link_has_the_fields_and_defaults_of_the_rust_side(table: t
         described = RUST[table.__name__]["fields"]
     else:
         (described,) = (
-            RUST[enum]["variants"][tag] or {} for enum in ("OutageTimes", "Action", "Edit") if tag in RUST[enum]["variants"]
+            RUST[enum]["variants"][tag] or {}
+            for enum in ("OutageTimes", "Action", "Edit")
+            if tag in RUST[enum]["variants"]
         )
     assert [field.name for field in fields] == list(described)
 
