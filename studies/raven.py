@@ -5,7 +5,7 @@ Each attack is a shipped scene. One run of it is compared with one of the same s
 Source: arXiv 1504.04339 (Bonaci et al. 2015).
 """
 
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -26,6 +26,14 @@ COMMAND_SPEED = 3.0
 """Bound in m/s on the command of an arm."""
 FADE_S = 0.1
 """Within which a force has faded out after the ladder has left ENGAGED."""
+
+WORKS: dict[Effect, Literal["yes", "denies", "delays", "no"]] = {
+    "moved": "yes",
+    "pushed": "yes",
+    "stopped": "denies",
+    "late": "delays",
+    "none": "no",
+}
 
 
 class RavenRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,9 +66,9 @@ class RavenRow(msgspec.Struct, frozen=True, kw_only=True):
     """Of master and slave."""
 
     @property
-    def succeeded(self) -> bool:
-        """Whether the arm or the hand obeyed somebody else."""
-        return self.effect in ("moved", "pushed")
+    def works(self) -> Literal["yes", "denies", "delays", "no"]:
+        """Whether arm or hand obeyed somebody else, or only the connection was taken from them, or slowed."""
+        return WORKS[self.effect]
 
     @property
     def is_safe(self) -> bool:
@@ -80,7 +88,7 @@ class RavenReport(msgspec.Struct, frozen=True, kw_only=True):
 
     def as_json(self) -> bytes:
         """The report as JSON."""
-        rows = [{**msgspec.to_builtins(row), "succeeded": row.succeeded, "is_safe": row.is_safe} for row in self.rows]
+        rows = [{**msgspec.to_builtins(row), "works": row.works, "is_safe": row.is_safe} for row in self.rows]
         return msgspec.json.format(msgspec.json.encode({"rows": rows, "is_as_expected": self.is_as_expected}), indent=2)
 
 
@@ -104,6 +112,7 @@ def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
     astray = _astray(_signal(attacked, "position"), command, far)
     extra = float(abs(_signal(attacked, "device_force")).max() - abs(_signal(alone, "device_force")).max())
     lag = _lag(attacked, alone)
+    expected = attack.without if security == "off" else attack.protected
     effect: Effect = "none"
     if astray > astray_limit:
         effect = "moved"
@@ -118,8 +127,10 @@ def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
         kind=attack.kind,
         security=security,
         effect=effect,
-        expected=attack.without if security == "off" else attack.protected,
-        because=attack.because,
+        expected=expected,
+        because=attack.because
+        if expected == attack.protected
+        else "without a key, whoever knows the format is believed",
         astray_mm=1e3 * astray,
         astray_limit_mm=1e3 * astray_limit,
         lag_mm=1e3 * lag,

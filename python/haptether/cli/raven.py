@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
     from haptether.studies import RavenReport, RavenRow
 
+COLOURS = {"yes": "red", "denies": "yellow", "delays": "yellow", "no": "green"}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Raven:
@@ -23,7 +25,7 @@ class Raven:
 
     haptether raven
 
-    haptether raven --json - | jq '.rows[] | select(.succeeded) | .scene'
+    haptether raven --json - | jq '.rows[] | select(.works == "yes") | .scene'
 
     haptether simulate raven_hijack --plot out/raven
     """
@@ -49,30 +51,39 @@ class Raven:
         from rich.table import Table
 
         table = Table(header_style="bold", pad_edge=False)
-        for name in ("attack", "security", "works", "effect"):
+        table.add_column("attack", no_wrap=True)
+        for name in ("key", "works", "effect"):
             table.add_column(name)
-        for name in ("astray\n[mm]", "late\n[mm]", "extra\n[N]", "ends in"):
-            table.add_column(name, justify="left" if name == "ends in" else "right", no_wrap=True)
-        table.add_column("because")
+        for name in ("astray, mm", "off, mm", "extra, N"):
+            table.add_column(name, justify="right")
+        table.add_column("arm ends in")
         for row in report.rows:
             table.add_row(
-                row.scene.removeprefix("raven_").replace("_", " "),
-                row.security,
-                f"[{'red' if row.succeeded else 'green'}]{'yes' if row.succeeded else 'no'}[/]",
+                _name(row),
+                "yes" if row.security == "on" else "no",
+                f"[{COLOURS[row.works]}]{row.works}[/]",
                 _effect(row),
                 f"{row.astray_mm:.1f}",
                 f"{row.lag_mm:.1f}",
                 f"{max(row.extra_force_n, 0.0):.1f}",
                 row.final_states[1],
-                row.because,
             )
         console.print(table)
+        for because in dict.fromkeys(row.because for row in report.rows):
+            names = dict.fromkeys(_name(row) for row in report.rows if row.because == because)
+            console.print(f"{', '.join(names)}: {because}", highlight=False)
+        console.print()
         console.print(
-            "moved: the arm was led to where the hand was not. pushed: the hand felt what nobody measured.\n"
-            "late: the arm followed, late. stopped: both sides hold, nothing moves until a person presses the clutch.\n"
-            "none: no more than without the attack. Denial of service ends in `stopped`: no key prevents it.",
+            "moved: the arm was led to where the hand was not. pushed: the hand felt what nobody measured. late: the "
+            "arm followed, late. stopped: nothing moves until a person presses the clutch; no key makes packets arrive, "
+            "so whoever sits on the path can always do that. astray: farthest that the arm was led from where the hand "
+            "had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's.",
             highlight=False,
         )
+
+
+def _name(row: "RavenRow") -> str:
+    return row.scene.removeprefix("raven_").replace("_", " ")
 
 
 def _effect(row: "RavenRow") -> str:
