@@ -75,9 +75,9 @@ class Raven:
         console.print()
         console.print(
             "moved: the arm was led to where the hand was not. pushed: the hand felt what nobody measured. late: the "
-            "arm followed, late. stopped: nothing moves until a person presses the clutch; no key makes packets arrive, "
-            "so whoever sits on the path can always do that. astray: farthest that the arm was led from where the hand "
-            "had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's.",
+            "arm followed, late. stopped: nothing moves until a person presses the clutch; no key makes packets "
+            "arrive, so whoever sits on the path can always do that. astray: farthest that the arm was led from where "
+            "the hand had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's.",
             highlight=False,
         )
 
