@@ -27,7 +27,7 @@ pub use ladder::{
     Clutch, ClutchError, FlightEntry, FlightRecorder, History, Ladder, LadderError, LadderInput,
     LadderSettings, LadderState, PeerReport, Person, Reason, Transition,
 };
-pub use link::{FrameLink, LinkStatistics, Refusal, Status};
+pub use link::{FrameLink, LinkStatistics, PortState, Refusal, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};

@@ -3,6 +3,7 @@
 use haptether_safety::Axes;
 
 use crate::{
+    coupling::PortEnergy,
     session::{Arrival, ReplayWindow},
     wire::{Echo, Frame, MAX_FRAME, Role, WireError},
 };
@@ -26,6 +27,26 @@ pub struct LinkStatistics {
     pub round_trip_ns: u64,
     /// Least round trip seen in ns; 0 before the first.
     pub least_round_trip_ns: u64,
+}
+
+/// What a sender says of its plant in each frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PortState<const N: usize> {
+    /// Position in m.
+    pub position: Axes<N>,
+    /// Velocity in m/s.
+    pub velocity: Axes<N>,
+    /// Force in N.
+    pub force: Axes<N>,
+    /// What went in and out of the link.
+    pub energy: PortEnergy,
+}
+
+impl<const N: usize> Default for PortState<N> {
+    fn default() -> Self {
+        let [position, velocity, force] = [Axes::zeros(); 3];
+        Self { position, velocity, force, energy: PortEnergy::default() }
+    }
 }
 
 /// What a sender says of itself in each frame.
@@ -173,7 +194,7 @@ impl<const N: usize> FrameLink<N> {
         &mut self,
         now_ns: u64,
         status: Status,
-        [position, velocity, force]: [Axes<N>; 3],
+        PortState { position, velocity, force, energy }: PortState<N>,
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
         let echo = self.newest.as_ref().map(|newest| Echo {
@@ -194,6 +215,7 @@ impl<const N: usize> FrameLink<N> {
             position,
             velocity,
             force,
+            energy,
         };
         self.next_sequence += 1;
         self.statistics.sent += 1;
@@ -240,7 +262,16 @@ mod tests {
         let mut slave = FrameLink::<1>::new(Role::Slave, session, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
         (0..count as u64)
-            .map(|n| slave.send(n * MS, HEARD, [Axes::repeat(n as f64 * 1e-3); 3], &mut buffer).to_vec())
+            .map(|n| {
+                slave
+                    .send(
+                        n * MS,
+                        HEARD,
+                        PortState { position: Axes::repeat(n as f64 * 1e-3), ..PortState::default() },
+                        &mut buffer,
+                    )
+                    .to_vec()
+            })
             .collect()
     }
 
@@ -288,12 +319,11 @@ mod tests {
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         let mut slave = FrameLink::<1>::new(Role::Slave, 8, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
-        let zeros = [Axes::zeros(); 3];
-        let request = master.send(10 * MS, HEARD, zeros, &mut buffer).to_vec();
+        let request = master.send(10 * MS, HEARD, PortState::default(), &mut buffer).to_vec();
         // The slave's clock is off by hours; it holds the frame for 3 ms.
         let off = 3_600_000 * MS;
         slave.receive(off, &request).unwrap();
-        let answer = slave.send(off + 3 * MS, HEARD, zeros, &mut buffer).to_vec();
+        let answer = slave.send(off + 3 * MS, HEARD, PortState::default(), &mut buffer).to_vec();
         master.receive(113 * MS, &answer).unwrap();
         assert_eq!(master.statistics().round_trip_ns, 100 * MS);
     }

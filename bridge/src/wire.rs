@@ -1,12 +1,12 @@
 //! The frame that master and slave exchange, byte for byte.
 //!
-//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 4` bytes, the same for every frame of a
+//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 20` bytes, the same for every frame of a
 //! session:
 //!
 //! | offset | type | field |
 //! |---|---|---|
 //! | 0 | `[u8; 2]` | magic, `HT` |
-//! | 2 | `u8` | version, 1 |
+//! | 2 | `u8` | version, 2 |
 //! | 3 | `u8` | role of the sender: 1 master, 2 slave |
 //! | 4 | `u8` | axes N |
 //! | 5 | `u8` | state of the sender's ladder |
@@ -21,7 +21,9 @@
 //! | 64 | `[f64; N]` | position in m (rad) |
 //! | 64 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
 //! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
-//! | 64 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
+//! | 64 + 24 N | `f64` | energy in J that this side's plant has put into the link since its start; it never falls |
+//! | 72 + 24 N | `f64` | energy in J that this side's plant has had out of the link; it never falls |
+//! | 80 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
 //! Positions are absolute, never increments: a lost frame costs its own news and nothing else.
 
@@ -31,12 +33,16 @@ use zerocopy::{
     little_endian::{U16, U64},
 };
 
+use crate::coupling::{MOST_ENERGY_J, PortEnergy};
+
 /// Magic bytes at the start of a frame.
 pub const MAGIC: [u8; 2] = *b"HT";
 /// Version of the frame.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Bytes before the first axis.
 pub const HEADER: usize = 64;
+/// Bytes of the two energies.
+const ENERGIES: usize = 16;
 /// Bytes of the checksum.
 const CHECKSUM: usize = 4;
 /// Bytes of a frame of the largest number of axes.
@@ -44,7 +50,7 @@ pub const MAX_FRAME: usize = frame_length(7);
 
 /// Bytes of a frame of `axes` axes.
 pub const fn frame_length(axes: usize) -> usize {
-    HEADER + 24 * axes + CHECKSUM
+    HEADER + 24 * axes + ENERGIES + CHECKSUM
 }
 
 /// Who sent a frame.
@@ -103,6 +109,8 @@ pub struct Frame<const N: usize> {
     pub velocity: Axes<N>,
     /// Force in N.
     pub force: Axes<N>,
+    /// What went in and out of the link at the sender's port.
+    pub energy: PortEnergy,
 }
 
 /// Why a datagram is no frame. It changes no state and is only counted.
@@ -144,6 +152,14 @@ pub enum WireError {
     /// A number is not finite or absurd.
     #[error("frame {0}: {1}")]
     Value(u64, haptether_safety::Fault),
+    /// Energies that cannot be.
+    #[error("frame {sequence}: energies {energy:?}: must be between 0 and {MOST_ENERGY_J} J")]
+    Energy {
+        /// Of the frame.
+        sequence: u64,
+        /// As received.
+        energy: PortEnergy,
+    },
 }
 
 #[derive(Clone, Copy, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
@@ -196,7 +212,8 @@ impl<const N: usize> Frame<N> {
             echo_session: U64::new(echo.session),
         };
         buffer[..HEADER].copy_from_slice(header.as_bytes());
-        let values = self.position.iter().chain(&self.velocity).chain(&self.force);
+        let energies = [self.energy.in_j, self.energy.out_j];
+        let values = self.position.iter().chain(&self.velocity).chain(&self.force).chain(&energies);
         for (slot, value) in buffer[HEADER..].chunks_exact_mut(8).zip(values) {
             slot.copy_from_slice(&value.to_le_bytes());
         }
@@ -233,15 +250,25 @@ impl<const N: usize> Frame<N> {
             return Err(WireError::Checksum { seen, computed });
         }
         let sequence = header.sequence.get();
-        let axes = |index: usize, signal: Signal| {
-            let start = HEADER + 8 * N * index;
-            let value = Axes::<N>::from_iterator(body[start..start + 8 * N].chunks_exact(8).map(|bytes| {
+        let numbers = |first: usize| {
+            body[HEADER + 8 * first..].chunks_exact(8).map(|bytes| {
                 let mut value = [0; 8];
                 value.copy_from_slice(bytes);
                 f64::from_le_bytes(value)
-            }));
+            })
+        };
+        let axes = |index: usize, signal: Signal| {
+            let value = Axes::<N>::from_iterator(numbers(N * index));
             signal.check(&value).map_err(|fault| WireError::Value(sequence, fault)).map(|()| value)
         };
+        let mut energies = numbers(3 * N);
+        let energy = PortEnergy {
+            in_j: energies.next().unwrap_or(f64::NAN),
+            out_j: energies.next().unwrap_or(f64::NAN),
+        };
+        if !energy.is_possible() {
+            return Err(WireError::Energy { sequence, energy });
+        }
         Ok(Self {
             role: from,
             state: header.state,
@@ -265,6 +292,7 @@ impl<const N: usize> Frame<N> {
                     Role::Slave => Signal::EnvironmentForce,
                 },
             )?,
+            energy,
         })
     }
 }
@@ -287,6 +315,7 @@ mod tests {
             position: Axes::<1>::new(-0.5),
             velocity: Axes::<1>::new(0.25),
             force: Axes::<1>::new(2.0),
+            energy: PortEnergy { in_j: 1.5, out_j: 0.25 },
         }
     }
 
@@ -296,7 +325,7 @@ mod tests {
         let mut buffer = [0; MAX_FRAME];
         let bytes = frame().encode(&mut buffer);
         let mut expected = Vec::new();
-        expected.extend_from_slice(b"HT\x01\x02\x01\x02\x07\x00");
+        expected.extend_from_slice(b"HT\x02\x02\x01\x02\x07\x00");
         expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
         for number in [5_u64, 3, 1_000_000, 7, 9, 11] {
             expected.extend_from_slice(&number.to_le_bytes());
@@ -304,6 +333,8 @@ mod tests {
         expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xE0, 0xBF]); // -0.5
         expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xD0, 0x3F]); // 0.25
         expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0x00, 0x40]); // 2.0
+        expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xF8, 0x3F]); // 1.5
+        expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xD0, 0x3F]); // 0.25
         expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
         assert_eq!(bytes, expected);
         assert_eq!(Frame::decode(bytes, Role::Slave), Ok(frame()));
@@ -323,7 +354,7 @@ mod tests {
             change(&mut bytes);
             Frame::<1>::decode(&bytes, Role::Slave).unwrap_err()
         };
-        assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 92 });
+        assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 108 });
         assert_eq!(refuse(&|b| b[0] = b'X'), WireError::Magic(*b"XT"));
         assert_eq!(refuse(&|b| b[2] = 9), WireError::Version(9));
         assert_eq!(refuse(&|b| b[3] = 1), WireError::Role(1));
@@ -348,6 +379,7 @@ mod tests {
                 role: Role::Master, state, hears_peer, clutch, session, sequence, sent_ns,
                 echo: echo.map(|(session, sequence, sent_ns, held_ns)| Echo { session, sequence, sent_ns, held_ns }),
                 position: part(0), velocity: part(3), force: part(6),
+                energy: PortEnergy { in_j: numbers[0].abs(), out_j: numbers[1].abs() },
             };
             let mut buffer = [0; MAX_FRAME];
             prop_assert_eq!(Frame::decode(frame.encode(&mut buffer), Role::Master), Ok(frame));
@@ -361,8 +393,8 @@ mod tests {
         /// Random bodies under a right header and checksum: what is decoded is in range, the rest is refused.
         #[test]
         fn garbage_that_is_well_sealed_is_refused_or_in_range(
-            body in prop::collection::vec(any::<u8>(), 92 - 8 - 4),
-            values in prop::array::uniform3(prop::num::f64::ANY),
+            body in prop::collection::vec(any::<u8>(), 108 - 8 - 4),
+            values in prop::array::uniform5(prop::num::f64::ANY),
         ) {
             let mut bytes = vec![b'H', b'T', VERSION, 2, 1];
             bytes.extend_from_slice(&[1, 3, 0]);
@@ -374,17 +406,18 @@ mod tests {
             bytes.extend_from_slice(&checksum.to_le_bytes());
             match Frame::<1>::decode(&bytes, Role::Slave) {
                 Ok(frame) => {
-                    let bounds = [1e3, 1e3, 1e4];
-                    let seen = [frame.position[0], frame.velocity[0], frame.force[0]];
+                    let bounds = [1e3, 1e3, 1e4, 1e9, 1e9];
+                    let PortEnergy { in_j, out_j } = frame.energy;
+                    let seen = [frame.position[0], frame.velocity[0], frame.force[0], in_j, out_j];
                     prop_assert!(seen.iter().zip(bounds).all(|(x, most)| x.abs() <= most));
                     prop_assert_eq!(seen, values);
                 }
-                Err(error) => prop_assert!(matches!(error, WireError::Value(..)), "{error}"),
+                Err(error) => prop_assert!(matches!(error, WireError::Value(..) | WireError::Energy { .. }), "{error}"),
             }
         }
 
         #[test]
-        fn one_flipped_bit_is_refused(bit in 0usize..92 * 8) {
+        fn one_flipped_bit_is_refused(bit in 0usize..108 * 8) {
             let mut buffer = [0; MAX_FRAME];
             let mut bytes = frame().encode(&mut buffer).to_vec();
             bytes[bit / 8] ^= 1 << (bit % 8);

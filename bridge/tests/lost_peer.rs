@@ -4,11 +4,11 @@
 use std::{collections::VecDeque, ops::ControlFlow};
 
 use haptether_bridge::{
-    Clutch, FrameLink, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side,
-    SlaveEndpoint, SlaveSettings, SlaveSide, Status, TickTime, VirtualSettings,
+    Clutch, FrameLink, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, PortState,
+    Side, SlaveEndpoint, SlavePlant, SlaveSettings, SlaveSide, Status, TickTime, VirtualSettings,
     coupling::CommandBounds,
     run_virtual,
-    wire::{MAX_FRAME, Role},
+    wire::{Frame, MAX_FRAME, Role},
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::{ClockSettings, EndpointClock, LinkSettings};
@@ -291,7 +291,17 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
         let wild = (100..110).contains(&tick);
         let pose = Axes::<1>::new(if wild { 500.0 } else { 0.0 });
         let speed = Axes::<1>::new(if wild { 900.0 } else { 0.0 });
-        slave.receive(now_ns, link.send(now_ns, status, [pose, speed, still], &mut buffer)).unwrap();
+        slave
+            .receive(
+                now_ns,
+                link.send(
+                    now_ns,
+                    status,
+                    PortState { position: pose, velocity: speed, ..PortState::default() },
+                    &mut buffer,
+                ),
+            )
+            .unwrap();
         let told = slave.tick(now_ns, &still, &still, &still);
         let answer = slave.exchange_mut().send(now_ns, &mut buffer).to_vec();
         link.receive(now_ns, &answer).unwrap();
@@ -424,10 +434,50 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
     assert_eq!(faults[1499].3, LadderState::Stop);
 }
 
+/// Frame by frame: each sum is that of the powers of the ticks before it, and never falls, whatever is lost.
+#[test]
+fn frames_tell_the_energy_that_went_through_each_port() {
+    let (mut master, mut slave) = sides();
+    let mut buffer = [0; MAX_FRAME];
+    let mut sums = [[0.0_f64; 2]; 2];
+    let mut add = |side: usize, power_w: f64| {
+        let sum = &mut sums[side][usize::from(power_w <= 0.0)];
+        *sum += power_w.abs() * 1e-3;
+        sums[side]
+    };
+    for tick in 0..3000 {
+        let now_ns = tick * MS;
+        let near = master.tick(TickTime::at(now_ns));
+        let frame = Frame::<1>::decode(master.send(now_ns, &mut buffer), Role::Master).unwrap();
+        let expected = add(0, -near.rendered_force[0] * frame.velocity[0]);
+        for (told, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
+            assert!((told - expected).abs() <= 1e-12, "master, {tick}: {told} J, must be {expected} J");
+        }
+        // Every third frame is lost, and what it told is in the next.
+        if tick % 3 != 0 {
+            let _ = slave.receive(now_ns, &buffer[..Frame::<1>::LENGTH]);
+        }
+        let sample = SlavePlant::read(&mut slave.plant, now_ns);
+        let told = slave.endpoint.tick(now_ns, &sample[0], &sample[1], &sample[2]);
+        if let Some(command) = &told.command {
+            SlavePlant::write(&mut slave.plant, command, &told.command_velocity);
+        }
+        let frame = Frame::<1>::decode(slave.send(now_ns, &mut buffer), Role::Slave).unwrap();
+        let expected = add(1, sample[2][0] * told.command_velocity[0]);
+        for (told, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
+            assert!((told - expected).abs() <= 1e-12, "slave, {tick}: {told} J, must be {expected} J");
+        }
+        let _ = master.receive(now_ns, &buffer[..Frame::<1>::LENGTH]);
+    }
+    // Into the wall and pressing: energy goes into it at the slave, and comes out of the hand at the master.
+    let [[master_in, _], [_, slave_out]] = sums;
+    assert!(master_in > 1e-3 && slave_out > 1e-3, "{sums:?}");
+}
+
 #[test]
 fn a_frame_from_a_stranger_changes_nothing() {
     let (mut master, _) = sides();
-    let noise = [7_u8; 92];
+    let noise = [7_u8; 108];
     for tick in 0..50 {
         assert!(master.receive(tick * MS, &noise).is_err());
         assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Aligning);

@@ -7,7 +7,7 @@ use crate::{
         FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInput, LadderSettings,
         LadderState, PeerReport, Transition,
     },
-    link::{FrameLink, LinkStatistics, Refusal, Status},
+    link::{FrameLink, LinkStatistics, PortState, Refusal, Status},
     wire::{Frame, MAX_FRAME, Role},
 };
 
@@ -17,8 +17,8 @@ pub struct Exchange<const N: usize> {
     pub(super) ladder: Ladder,
     role: Role,
     link: FrameLink<N>,
-    /// Position, velocity and force of the next frame.
-    pub(super) outgoing: [Axes<N>; 3],
+    /// What the next frame says of the plant.
+    pub(super) outgoing: PortState<N>,
     /// Least time in ns between two frames of the peer, as it sends them.
     interval_ns: Option<u64>,
     /// Its own, which stands for the peer's until that is known.
@@ -46,7 +46,7 @@ impl<const N: usize> Exchange<N> {
             ladder: Ladder::new(settings)?,
             role,
             link: FrameLink::new(role, session, settings.stop_after_ns),
-            outgoing: [Axes::zeros(); 3],
+            outgoing: PortState::default(),
             interval_ns: None,
             period_ns,
             expected_age_ns: None,

@@ -9,7 +9,7 @@ use super::{EndpointError, Exchange, check_period, period_s};
 use crate::{
     coupling::{CouplingError, FrameMap, PositionForce},
     ladder::{LadderSettings, LadderState},
-    link::Refusal,
+    link::{PortState, Refusal},
     wire::Role,
 };
 
@@ -54,6 +54,7 @@ pub struct MasterEndpoint<const N: usize> {
     /// Position and velocity of the last tick.
     last: Option<(Axes<N>, Option<Axes<N>>)>,
     has_stalled: bool,
+    period_s: f64,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -73,6 +74,7 @@ impl<const N: usize> MasterEndpoint<N> {
             exchange: Exchange::new(Role::Master, settings.session, settings.period_ns, settings.ladder)?,
             last: None,
             has_stalled: false,
+            period_s: period_s(settings.period_ns),
         })
     }
 
@@ -107,7 +109,12 @@ impl<const N: usize> MasterEndpoint<N> {
         if safety.fault.is_some() {
             self.exchange.ladder.fault(now_ns);
         } else {
-            self.exchange.outgoing = [*position, safety.motion.velocity, safety.device_force];
+            let velocity = safety.motion.velocity;
+            let energy = &mut self.exchange.outgoing.energy;
+            energy.add(-safety.rendered_force.dot(&velocity), self.period_s * (missed + 1) as f64);
+            let energy = *energy;
+            self.exchange.outgoing =
+                PortState { position: *position, velocity, force: safety.device_force, energy };
         }
         self.exchange.keep(now_ns, [position, &safety.device_force, &safety.rendered_force]);
         MasterTick { safety, state: self.exchange.ladder.state(), age_ns }

@@ -6,7 +6,7 @@ use super::{EndpointError, Exchange, check_period};
 use crate::{
     coupling::{CommandBounds, CouplingError, FrameMap, Limited, PositionForce, bounded, decayed},
     ladder::{LadderSettings, LadderState},
-    link::Refusal,
+    link::{PortState, Refusal},
     wire::Role,
 };
 
@@ -102,6 +102,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         let home = *self.home.get_or_insert(*position);
         let mut command_velocity = Axes::zeros();
         let mut limited = Limited::default();
+        let elapsed_s = now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9;
         match (state, self.exchange.newest()) {
             (LadderState::Engaged | LadderState::Stale, Some(frame)) => {
                 // From the last command, not from where contact has bent the arm to.
@@ -110,7 +111,6 @@ impl<const N: usize> SlaveEndpoint<N> {
                 let (ahead_s, share) = decayed(self.exchange.ladder.stale_ns(), decay_ns);
                 let velocity = self.coupling.commanded_velocity(&frame.velocity);
                 let wanted = self.coupling.commanded_position(&frame.position, &from) + velocity * ahead_s;
-                let elapsed_s = now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9;
                 let (command, over) = bounded(&self.bounds, elapsed_s, &home, &from, &wanted);
                 limited = over;
                 command_velocity = velocity * share;
@@ -127,9 +127,13 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.commanded_ns = now_ns;
         self.limited_ticks += u64::from(limited.any());
         if self.fault.is_none() {
-            self.exchange.outgoing = [*position, *velocity, *environment_force];
+            let energy = &mut self.exchange.outgoing.energy;
+            energy.add(environment_force.dot(&command_velocity), elapsed_s);
+            let energy = *energy;
+            let [position, velocity, force] = [*position, *velocity, *environment_force];
+            self.exchange.outgoing = PortState { position, velocity, force, energy };
         } else {
-            self.exchange.outgoing[2] = Axes::zeros();
+            self.exchange.outgoing.force = Axes::zeros();
         }
         let command = self.command.unwrap_or(*position);
         self.exchange.keep(now_ns, [position, &command, environment_force]);
