@@ -55,7 +55,7 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
             yield contradiction(("operator", "clutch"), "needs an arm to let go of: add [slave] or leave it out")
     if scene.slave is not None:
         yield from _slave(scene.slave, scene.run)
-    for key in ("link", "coupling"):
+    for key in ("link", "coupling", "security"):
         if scene.slave is None and getattr(scene, key) is not None:
             yield contradiction((key,), "needs an arm to lead to: add [slave] or leave it out")
     if scene.link is not None:

@@ -82,6 +82,7 @@ def spec_of(scene: Scene) -> Spec:
             "slave_clock": scene.link.slave_clock and _plain(scene.link.slave_clock),
         },
         "coupling": _coupling(scene),
+        "security": scene.security and _plain(scene.security),
         "safety": _safety(scene, master),
         "record": scene.record and _plain(scene.record),
     }  # fmt: skip

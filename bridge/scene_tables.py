@@ -86,6 +86,16 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """lambda_f: rendered force over measured force."""
 
 
+class SecurityTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[security]`: the session in which frames travel. Without this table they travel in the clear, as with `secure = false`.
+
+    Live runs are secure unless told otherwise; a scene without attacks pays nothing for what it would not show.
+    """
+
+    secure: bool = True
+    """Whether frames are encrypted and authenticated, after a handshake."""
+
+
 class BackwardDifference(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                          tag_field="kind", tag="backward-difference"):  # fmt: skip
     """Differences of the position."""
@@ -220,6 +230,8 @@ class Scene(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
     """The network; by default the two sides share one wire without delay."""
     coupling: CouplingTable | None = None
     """How master and slave are coupled; the default coupling where there is an arm."""
+    security: SecurityTable | None = None
+    """The session; by default frames travel in the clear."""
     safety: SafetyTable = SafetyTable()
     """Who watches the hand; by default only the bounds of the limiter."""
     record: RecordTable | None = None

@@ -13,6 +13,7 @@ def run_bridge(
     backward: LinkSettings,
     duration_s: float,
     seed: int = 0,
+    secure: bool = False,
 ) -> tuple[MasterTrace, SlaveTrace, LoopReport, LoopReport]:
     """Runs both sides and the network between them in virtual time: no socket, no sleep, no clock.
 
@@ -26,6 +27,7 @@ def run_bridge(
         backward: Network from slave to master.
         duration_s: Length of the run in s.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
+        secure: Whether frames travel in a secure session, which begins with a handshake.
 
     Returns:
         Ticks of the master and of the slave, and how the loop of each went.
@@ -41,4 +43,5 @@ def run_bridge(
         backward=link_json(backward, "backward"),
         duration_s=duration_s,
         seed=seed,
+        secure=secure,
     )

@@ -4,6 +4,7 @@ import contextlib
 import queue
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 import numpy as np
 
+from haptether.bridge import write_key
 from haptether.studies.remote_push import PushResult
 
 if TYPE_CHECKING:
@@ -83,8 +85,10 @@ def run_demo(
     limit = str(scene.duration_s + START_TIMEOUT_S + END_TIMEOUT_S)
     with contextlib.ExitStack() as stack:
         show(f"{controller}: starting", 0.0)
+        key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "demo.key"
+        write_key(key)
         slave = stack.enter_context(_process(
-            "slave", "--listen", local, "--wall-stiffness", str(scene.wall_stiffness),
+            "slave", "--listen", local, "--key", str(key), "--wall-stiffness", str(scene.wall_stiffness),
             "--push-at-s", str(scene.push_at_s), "--push-force-n", str(scene.push_force_n),
             "--push-duration-s", str(scene.push_duration_s),
             "--duration-s", limit, "--patience-s", limit,
@@ -99,7 +103,7 @@ def run_demo(
         result, trace = folder / f"{controller}.json", folder / f"{controller}.npz"
         result.unlink(missing_ok=True)
         master = stack.enter_context(_process(
-            "master", "--peer", netsim_address, "--listen", local, "--controller", controller,
+            "master", "--peer", netsim_address, "--listen", local, "--key", str(key), "--controller", controller,
             "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s),
             "--clutch", "auto", "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
         ))  # fmt: skip

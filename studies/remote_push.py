@@ -33,6 +33,8 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     """One run of a master. Times in s, forces in N, speeds in m/s; none where it does not apply."""
 
     controller: str
+    security: str
+    """secure, or insecure: frames in the clear."""
     engaged_s: float | None
     """When the two sides engaged, since the start."""
     release_s: float | None
@@ -52,6 +54,8 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     """Frames of the slave that never arrived."""
     late: int
     """Frames of the slave that arrived after a newer one."""
+    refused: int
+    """Datagrams that were none of the slave's."""
     round_trip_s: float
     """Of the newest echo."""
     overshoot_p50_s: float
@@ -86,6 +90,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
     tripped_at = time_s[after & on]
     return PushResult(
         controller=controller,
+        security="secure" if report.secure else "insecure",
         engaged_s=engaged_s,
         release_s=release_s,
         peak_hand_speed=float(velocity[after].max(initial=0.0)),
@@ -96,6 +101,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         sent=report.link.sent,
         lost=report.link.missing,
         late=report.link.late,
+        refused=report.link.refused,
         round_trip_s=report.link.round_trip_s,
         overshoot_p50_s=float(np.percentile(trace.overshoot_s, 50)) if len(trace) else 0.0,
         overshoot_p99_s=float(np.percentile(trace.overshoot_s, 99)) if len(trace) else 0.0,

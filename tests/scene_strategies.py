@@ -301,6 +301,7 @@ def plain_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = Fal
             table(
                 link=table(forward=links(), backward=links()),
                 coupling=table(position_scale=real(0.1, 5.0), force_scale=real(0.1, 5.0)),
+                security=table(secure=st.booleans()),
             )
         )
     return scene

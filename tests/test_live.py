@@ -14,8 +14,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from haptether.bridge import write_key
+
 COMMAND = [sys.executable, "-m", "haptether"]
 START_TIMEOUT_S = 30.0
+
+
+@pytest.fixture(scope="module")
+def key(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("key") / "session.key"
+    write_key(path)
+    return path
 
 
 class Child:
@@ -69,12 +78,14 @@ def children() -> Iterator[list[Child]]:
 
 
 @pytest.mark.parametrize("controller", ["none", "hsc", "wsc"])
-def test_a_killed_slave_takes_the_force_from_the_hand(controller: str, children: list[Child], tmp_path: Path) -> None:
-    slave = Child("slave", "--listen", "127.0.0.1:0", "--patience-s", "30")
+def test_a_killed_slave_takes_the_force_from_the_hand(
+    key: Path, controller: str, children: list[Child], tmp_path: Path
+) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0", "--patience-s", "30")
     children.append(slave)
     trace_path, json_path = tmp_path / "run.npz", tmp_path / "run.json"
     master = Child(
-        "master", "--peer", slave.address(), "--controller", controller, "--duration-s", "3.5",
+        "master", "--key", str(key), "--peer", slave.address(), "--controller", controller, "--duration-s", "3.5",
         "--trace", str(trace_path), "--json", str(json_path), "--flight", str(tmp_path / "master.flight"),
     )  # fmt: skip
     children.append(master)
@@ -103,11 +114,15 @@ def test_a_killed_slave_takes_the_force_from_the_hand(controller: str, children:
     assert float(np.abs(np.diff(falling)).max()) < 1.0, "it fades, it does not drop"
 
 
-def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(children: list[Child], tmp_path: Path) -> None:
-    slave = Child("slave", "--listen", "127.0.0.1:0", "--patience-s", "30")
+def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
+    key: Path, children: list[Child], tmp_path: Path
+) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0", "--patience-s", "30")
     children.append(slave)
     trace_path = tmp_path / "run.npz"
-    master = Child("master", "--peer", slave.address(), "--duration-s", "4", "--trace", str(trace_path))
+    master = Child(
+        "master", "--key", str(key), "--peer", slave.address(), "--duration-s", "4", "--trace", str(trace_path)
+    )
     children.append(master)
     time.sleep(1.5)
     slave.process.send_signal(signal.SIGSTOP)
@@ -127,15 +142,15 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(children: list[C
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_both_commands_end_cleanly_on_a_signal(children: list[Child], number: signal.Signals) -> None:
-    slave = Child("slave", "--listen", "127.0.0.1:0")
+def test_both_commands_end_cleanly_on_a_signal(key: Path, children: list[Child], number: signal.Signals) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
     # On a machine that does much else it is late, which is not the subject here.
     netsim = Child(
         "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address(), "--max-error-s", "1"
     )  # fmt: skip
     children.append(netsim)
-    master = Child("master", "--peer", netsim.address(), "--controller", "wsc")
+    master = Child("master", "--key", str(key), "--peer", netsim.address(), "--controller", "wsc")
     children.append(master)
     time.sleep(1.5)
     for child in (master, netsim, slave):
@@ -145,19 +160,19 @@ def test_both_commands_end_cleanly_on_a_signal(children: list[Child], number: si
         assert "Traceback" not in said
 
 
-def test_a_master_without_a_slave_says_so(children: list[Child]) -> None:
-    master = Child("master", "--peer", "127.0.0.1:9", "--patience-s", "0.5")
+def test_a_master_without_a_slave_says_so(key: Path, children: list[Child]) -> None:
+    master = Child("master", "--key", str(key), "--peer", "127.0.0.1:9", "--patience-s", "0.5")
     children.append(master)
     said = master.end()
     assert master.process.returncode == 1
     assert "no slave answered at 127.0.0.1:9 within 0.5 s" in said
 
 
-def test_a_taken_address_is_one_line(children: list[Child]) -> None:
-    slave = Child("slave", "--listen", "127.0.0.1:0")
+def test_a_taken_address_is_one_line(key: Path, children: list[Child]) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
     second = subprocess.run(
-        [*COMMAND, "slave", "--listen", slave.address()],
+        [*COMMAND, "slave", "--key", str(key), "--listen", slave.address()],
         capture_output=True, text=True, timeout=START_TIMEOUT_S, check=False,
     )  # fmt: skip
     assert second.returncode == 1
@@ -165,55 +180,60 @@ def test_a_taken_address_is_one_line(children: list[Child]) -> None:
     assert second.stderr.count("\n") == 1
 
 
-def test_ipv6_works_and_a_mix_is_refused(children: list[Child]) -> None:
-    slave = Child("slave", "--listen", "[::1]:0", "--duration-s", "1", "--patience-s", "20")
+def test_ipv6_works_and_a_mix_is_refused(key: Path, children: list[Child]) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "[::1]:0", "--duration-s", "1", "--patience-s", "20")
     children.append(slave)
     if "cannot listen" in slave.headline:
         pytest.skip("this machine has no IPv6")
     found = re.search(r"listens on (\S+)", slave.headline)
     assert found
     mixed = subprocess.run(
-        [*COMMAND, "master", "--peer", found[1], "--listen", "127.0.0.1:0"],
+        [*COMMAND, "master", "--key", str(key), "--peer", found[1], "--listen", "127.0.0.1:0"],
         capture_output=True, text=True, timeout=START_TIMEOUT_S, check=False,
     )  # fmt: skip
     assert mixed.returncode == 2
     assert "of the same kind, IPv4 or IPv6" in mixed.stderr
-    master = Child("master", "--peer", found[1], "--duration-s", "0.8")
+    master = Child("master", "--key", str(key), "--peer", found[1], "--duration-s", "0.8")
     children.append(master)
     assert "no slave answered" not in master.end()
     assert master.process.returncode == 0
 
 
-def test_a_second_master_is_refused_while_the_first_lives(children: list[Child], tmp_path: Path) -> None:
-    slave = Child("slave", "--listen", "127.0.0.1:0")
+def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: list[Child], tmp_path: Path) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
     first_json, second_json = tmp_path / "first.json", tmp_path / "second.json"
-    first = Child("master", "--peer", slave.address(), "--duration-s", "2.5", "--json", str(first_json))
+    first = Child(
+        "master", "--key", str(key), "--peer", slave.address(), "--duration-s", "2.5", "--json", str(first_json)
+    )
     children.append(first)
     time.sleep(0.8)
-    second = Child("master", "--peer", slave.address(), "--patience-s", "0.8", "--json", str(second_json))
+    second = Child(
+        "master", "--key", str(key), "--peer", slave.address(), "--patience-s", "0.8", "--json", str(second_json)
+    )
     children.append(second)
-    second.end()
+    said = second.end()
     assert second.process.returncode == 1
+    assert "refused: another master has the lease of this slave" in said
     first.end()
     assert first.process.returncode == 0
     assert json.loads(first_json.read_text())["final_state"] in {"engaged", "stale"}
     assert json.loads(second_json.read_text())["engaged_s"] is None
 
 
-def test_live_and_virtual_time_run_the_same_scene(children: list[Child], tmp_path: Path) -> None:
+def test_live_and_virtual_time_run_the_same_scene(key: Path, children: list[Child], tmp_path: Path) -> None:
     """Parity: the same press, push and release, over loopback and in virtual time."""
     from haptether.bridge import run_bridge
     from haptether.cli.options import master_settings, slave_settings
     from haptether.netsim import LinkSettings
 
     slave = Child(
-        "slave", "--listen", "127.0.0.1:0", "--push-at-s", "1.8", "--patience-s", "30",
+        "slave", "--key", str(key), "--listen", "127.0.0.1:0", "--push-at-s", "1.8", "--patience-s", "30",
     )  # fmt: skip
     children.append(slave)
     trace_path = tmp_path / "live.npz"
     master = Child(
-        "master", "--peer", slave.address(), "--controller", "hsc", "--release-at-s", "2.2",
+        "master", "--key", str(key), "--peer", slave.address(), "--controller", "hsc", "--release-at-s", "2.2",
         "--duration-s", "2.8", "--trace", str(trace_path),
     )  # fmt: skip
     children.append(master)
@@ -294,13 +314,13 @@ def test_ctrl_c_leaves_no_process_behind(tmp_path: Path) -> None:
             demo.wait()
 
 
-def test_sockets_are_not_left_open(children: list[Child]) -> None:
+def test_sockets_are_not_left_open(key: Path, children: list[Child]) -> None:
     """A slave that has ended gives its address back."""
-    slave = Child("slave", "--listen", "127.0.0.1:0", "--patience-s", "0.3")
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0", "--patience-s", "0.3")
     children.append(slave)
     address = slave.address()
     slave.end()
-    again = Child("slave", "--listen", address, "--patience-s", "0.3")
+    again = Child("slave", "--key", str(key), "--listen", address, "--patience-s", "0.3")
     children.append(again)
     assert again.address() == address
     assert "no master came within 0.3 s" in again.end()

@@ -128,6 +128,7 @@ def full_scene() -> dict[str, Any]:
             "slave_clock": {"drift_ppm": 20.0, "step_s": 1.0, "step_at_s": 2.0},
         },
         "coupling": {"force_scale": 0.5},
+        "security": {"secure": True},
         "safety": {"controllers": ["wsc", "hsc"], "estimator": {"kind": "savitzky-golay"}},
         "record": {"every": 2},
     }
@@ -319,6 +320,7 @@ BAD_LOCAL_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"operator.clutch": "once"}, "[operator] clutch: needs an arm to let go of"),
     ({"link": {"forward": {"delay_s": 0.1}}}, "link: needs an arm to lead to"),
     ({"coupling": {}}, "coupling: needs an arm to lead to"),
+    ({"security": {}}, "security: needs an arm to lead to"),
     ({"environment.rendering": "continuous", "environment.objects.0.shape": {"kind": "sphere", "radius": 0.1}},
      "[environment.objects.0] shape: continuous rendering knows only planes"),
     ({"environment.rendering": "continuous", "environment.delay_ticks": 2}, "[environment] delay_ticks: only a sampled"),
@@ -581,7 +583,7 @@ def spec(**tables: Any) -> dict[str, Any]:
 def test_what_is_absent_is_not_built() -> None:
     filled = spec(master=MasterTable(device="phantom-desktop"))
     absent = {key for key, value in filled.items() if value is None}
-    assert absent == {"operator", "slave", "environment", "link", "coupling", "record"}
+    assert absent == {"operator", "slave", "environment", "link", "coupling", "security", "record"}
     assert filled["safety"]["controllers"] == []
     assert filled["safety"]["limiter"] == {
         "max_force_n": 7.9, "max_slew_n_per_s": 1000.0, "max_power_w": 20.0, "ramp_in_s": 0.2

@@ -3,6 +3,7 @@
 //! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
+mod channel;
 pub mod coupling;
 mod endpoint;
 pub mod ladder;
@@ -32,4 +33,4 @@ pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRen
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
 pub use side::{MasterSide, Side, SideCounts, SlaveSide, TickTime};
-pub use virtual_time::{Event, VirtualSettings, run_virtual};
+pub use virtual_time::{Event, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

@@ -4,7 +4,7 @@ use haptether_safety::Axes;
 
 use crate::{
     coupling::PortEnergy,
-    session::{Arrival, ReplayWindow},
+    session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, MAX_FRAME, Role, WireError},
 };
 
@@ -27,6 +27,18 @@ pub struct LinkStatistics {
     pub round_trip_ns: u64,
     /// Least round trip seen in ns; 0 before the first.
     pub least_round_trip_ns: u64,
+}
+
+impl LinkStatistics {
+    /// With what the session did not take: what it has told from a replay is a duplicate or late, all else refused.
+    #[must_use]
+    pub fn with(mut self, rejections: &Rejections) -> Self {
+        let (repeated, too_old) = (rejections.of(Rejection::Repeated), rejections.of(Rejection::TooOld));
+        self.duplicate += repeated;
+        self.late += too_old;
+        self.refused += rejections.total() - repeated - too_old;
+        self
+    }
 }
 
 /// What a sender says of its plant in each frame.

@@ -6,7 +6,7 @@ use crate::{
     link::{LinkStatistics, Refusal},
     plant::{MasterPlant, SlavePlant},
     record::{MasterRecord, SlaveRecord, Told},
-    wire::MAX_FRAME,
+    wire::{MAX_FRAME, frame_length},
 };
 
 /// When a tick is.
@@ -46,6 +46,9 @@ pub struct SideCounts {
 pub trait Side {
     /// What a tick leaves behind.
     type Record: Copy + Send + 'static;
+
+    /// Bytes of each frame, its own and the peer's.
+    const FRAME_LENGTH: usize;
 
     /// True time begins at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
@@ -98,6 +101,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
 
 impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     type Record = MasterRecord<N>;
+    const FRAME_LENGTH: usize = frame_length(N);
 
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);
@@ -166,6 +170,7 @@ pub struct SlaveSide<P, const N: usize> {
 
 impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
     type Record = SlaveRecord<N>;
+    const FRAME_LENGTH: usize = frame_length(N);
 
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);

@@ -8,9 +8,11 @@ use haptether_netsim::{
 };
 
 use crate::{
+    channel::Channel,
     pace::Pace,
+    session::{EndError, MAX_DATAGRAM, Rejections},
     side::{Side, TickTime},
-    wire::MAX_FRAME,
+    wire::Role,
 };
 
 /// How a run in virtual time goes.
@@ -26,8 +28,10 @@ pub struct VirtualSettings {
     pub forward: LinkSettings,
     /// Network from slave to master.
     pub backward: LinkSettings,
-    /// Seed of both.
+    /// Seed of both, and of the keys.
     pub seed: u64,
+    /// Whether frames travel in a secure session. Without one they are the datagrams, and there is no handshake.
+    pub secure: bool,
     /// What the master's clock shows; without one, true time.
     pub master_clock: Option<EndpointClock>,
     /// What the slave's clock shows.
@@ -37,7 +41,27 @@ pub struct VirtualSettings {
 /// Most datagrams under way in one direction: more than an hour at 1 kHz. They take memory only as they come.
 const MOST_IN_FLIGHT: usize = 1 << 22;
 
-type Datagram = ([u8; MAX_FRAME], usize);
+/// Why a run in virtual time cannot be.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum VirtualError {
+    /// Settings that describe no link.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// There is no session.
+    #[error(transparent)]
+    Session(#[from] EndError),
+}
+
+/// What the network and the sessions counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct VirtualCounts {
+    /// Datagrams dropped because too many were under way.
+    pub overflowed: u64,
+    /// Datagrams that the master's and the slave's session did not take.
+    pub rejections: [Rejections; 2],
+}
+
+type Datagram = ([u8; MAX_DATAGRAM], usize);
 
 struct Way {
     link: Link,
@@ -52,58 +76,73 @@ impl Way {
         Ok(Self { link, in_flight: InFlight::growing(MOST_IN_FLIGHT), index: 0, direction })
     }
 
-    /// Hands over what is due by `now_ns`, when the receiver's clock shows `clock_ns`.
-    fn deliver(&mut self, now_ns: u64, clock_ns: u64, to: &mut impl Side) {
-        while let Some((_, (bytes, length))) = self.in_flight.pop_due(now_ns) {
-            // A refusal is counted by the endpoint.
-            let _ = to.receive(clock_ns, &bytes[..length]);
+    /// Hands over what is due by `now_ns`, when the receiver's clock shows `clock_ns`; answers go `back`.
+    fn deliver<S: Side>(&mut self, now_ns: u64, clock_ns: u64, to: &mut Loop<'_, S>, back: &mut Self) {
+        while let Some((_, (mut bytes, length))) = self.in_flight.pop_due(now_ns) {
+            if let Some(answer) = to.channel.receive(clock_ns, &mut bytes[..length], to.side) {
+                back.carry(now_ns, &answer, self);
+            }
         }
     }
 
-    /// Takes what `from` sends, whose clock shows `clock_ns`; `back` is the way that leads to it.
-    fn take(&mut self, now_ns: u64, clock_ns: u64, from: &mut impl Side, back: &mut Self) {
-        let mut buffer = [0; MAX_FRAME];
-        let length = from.send(clock_ns, &mut buffer).len();
-        let packet = Packet { direction: self.direction, sent_ns: now_ns, size: length, index: self.index };
+    /// Takes a datagram; `back` is the way that leads to its sender.
+    fn carry(&mut self, now_ns: u64, datagram: &[u8], back: &mut Self) {
+        let size = datagram.len();
+        let packet = Packet { direction: self.direction, sent_ns: now_ns, size, index: self.index };
         self.index += 1;
         let Judgement { verdict, damage, extras } = self.link.judge(&packet);
         // A full queue drops, as the network would, and counts it.
         if let Verdict::Deliver { at_ns } = verdict {
-            let arrived = if damage.is_none() { (buffer, length) } else { damaged(&buffer, length, &damage) };
-            let _ = self.in_flight.push(at_ns, arrived);
+            let _ = self.in_flight.push(at_ns, damaged(datagram, &damage));
         }
         for extra in extras {
             let to =
                 if extra.cause == ExtraCause::Mirror { &mut back.in_flight } else { &mut self.in_flight };
-            let _ = to.push(extra.at_ns, damaged(&buffer, length, &extra.damage));
+            let _ = to.push(extra.at_ns, damaged(datagram, &extra.damage));
         }
     }
 }
 
-/// The tick of a side that is due: it takes what `inward` delivers and sends `outward`.
-fn turn<S: Side>(pace: &mut Pace, side: &mut S, inward: &mut Way, outward: &mut Way) -> S::Record {
-    let (now_ns, wake) = (pace.true_ns, pace.wake());
-    let clock_ns = wake.deadline_ns;
-    if wake.is_stalled() {
-        while inward.in_flight.pop_due(now_ns).is_some() {}
-        side.stalled(clock_ns);
-    }
-    inward.deliver(now_ns, clock_ns, side);
-    let record = side.tick(TickTime {
-        now_ns,
-        clock_ns,
-        overshoot_ns: wake.overshoot_ns,
-        missed: wake.missed,
-        ..TickTime::default()
-    });
-    outward.take(now_ns, clock_ns, side, inward);
-    pace.wait_after(&wake);
-    record
+/// A side with its session and its clock.
+struct Loop<'a, S> {
+    side: &'a mut S,
+    channel: Channel,
+    pace: Pace,
 }
 
-fn damaged(sent: &[u8; MAX_FRAME], length: usize, damage: &Damage) -> Datagram {
-    let mut buffer = *sent;
-    let length = damage.apply(&mut buffer[..length]);
+impl<S: Side> Loop<'_, S> {
+    /// The tick that is due: it takes what `inward` delivers and sends `outward`.
+    fn turn(&mut self, inward: &mut Way, outward: &mut Way) -> S::Record {
+        let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
+        let clock_ns = wake.deadline_ns;
+        if wake.is_stalled() {
+            while inward.in_flight.pop_due(now_ns).is_some() {}
+            self.side.stalled(clock_ns);
+        }
+        inward.deliver(now_ns, clock_ns, self, outward);
+        let record = self.side.tick(TickTime {
+            now_ns,
+            clock_ns,
+            overshoot_ns: wake.overshoot_ns,
+            missed: wake.missed,
+            ..TickTime::default()
+        });
+        let mut buffer = [0; MAX_DATAGRAM];
+        if let Some(hello) = self.channel.poll(clock_ns) {
+            outward.carry(now_ns, &hello, inward);
+        }
+        if let Some(datagram) = self.channel.send(clock_ns, self.side, &mut buffer) {
+            outward.carry(now_ns, datagram, inward);
+        }
+        self.pace.wait_after(&wake);
+        record
+    }
+}
+
+fn damaged(sent: &[u8], damage: &Damage) -> Datagram {
+    let mut buffer = [0; MAX_DATAGRAM];
+    buffer[..sent.len()].copy_from_slice(sent);
+    let length = if damage.is_none() { sent.len() } else { damage.apply(&mut buffer[..sent.len()]) };
     (buffer, length)
 }
 
@@ -123,29 +162,42 @@ pub enum Event<M, S> {
 /// master is first. A frame without delay therefore reaches the slave in the same tick and the master in the next.
 /// Both loops begin at time 0. Plants and network live in true time, each endpoint by its own clock: its loop waits
 /// on that, so that a drift stretches the true period, and where it is set forward the loop finds itself late, as a
-/// live one does that was suspended. Gives how many datagrams were dropped because too many were under way.
+/// live one does that was suspended. In a secure session the first ticks send nothing but the handshake.
 pub fn run_virtual<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
     mut observe: impl FnMut(Event<M::Record, S::Record>, &S) -> ControlFlow<()>,
-) -> Result<u64, LinkError> {
+) -> Result<VirtualCounts, VirtualError> {
     let end_ns = settings.ticks * settings.period_ns;
     let mut forward = Way::new(Direction::Forward, settings.seed, &settings.forward)?;
     let mut backward = Way::new(Direction::Backward, settings.seed, &settings.backward)?;
     master.begin(0);
     slave.begin(0);
-    let mut near = Pace::new(settings.master_clock, settings.period_ns);
-    let mut far = Pace::new(settings.slave_clock, settings.slave_period_ns);
-    while near.true_ns < end_ns || far.true_ns < end_ns {
-        let event = if near.true_ns <= far.true_ns {
-            Event::Master(turn(&mut near, master, &mut backward, &mut forward))
+    let (near_ns, far_ns) = (settings.period_ns, settings.slave_period_ns);
+    let key = settings.secure.then_some(settings.seed);
+    let mut near = Loop {
+        channel: Channel::new::<M>(Role::Master, far_ns, key)?,
+        pace: Pace::new(settings.master_clock, near_ns),
+        side: master,
+    };
+    let mut far = Loop {
+        channel: Channel::new::<S>(Role::Slave, near_ns, key)?,
+        pace: Pace::new(settings.slave_clock, far_ns),
+        side: slave,
+    };
+    while near.pace.true_ns < end_ns || far.pace.true_ns < end_ns {
+        let event = if near.pace.true_ns <= far.pace.true_ns {
+            Event::Master(near.turn(&mut backward, &mut forward))
         } else {
-            Event::Slave(turn(&mut far, slave, &mut forward, &mut backward))
+            Event::Slave(far.turn(&mut forward, &mut backward))
         };
-        if observe(event, slave).is_break() {
+        if observe(event, far.side).is_break() {
             break;
         }
     }
-    Ok(forward.in_flight.overflowed() + backward.in_flight.overflowed())
+    Ok(VirtualCounts {
+        overflowed: forward.in_flight.overflowed() + backward.in_flight.overflowed(),
+        rejections: [near.channel.rejections(), far.channel.rejections()],
+    })
 }

@@ -63,7 +63,7 @@ pub enum Role {
 }
 
 impl Role {
-    const fn byte(self) -> u8 {
+    pub(crate) const fn byte(self) -> u8 {
         match self {
             Self::Master => 1,
             Self::Slave => 2,

@@ -500,6 +500,7 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
             forward: link.clone(),
             backward: link.clone(),
             seed: 0,
+            secure: false,
             master_clock: None,
             slave_clock: Some(EndpointClock::new(&clock).unwrap()),
         };

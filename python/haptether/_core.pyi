@@ -1803,6 +1803,14 @@ class LoopReport:
         """Ticks at which a bound acted on the remote command; of a master 0."""
 
     @property
+    def secure(self) -> bool:
+        """Whether frames were encrypted and authenticated."""
+
+    @property
+    def rejections(self) -> dict[str, int]:
+        """Datagrams that the session did not take, by cause; causes without any are left out."""
+
+    @property
     def engaged_s(self) -> float:
         """When the sides first engaged, in s since the start; infinite if never."""
 
@@ -1884,12 +1892,15 @@ class LiveMaster:
         settings: The side.
         peer: The slave or a proxy before it, `HOST:PORT`.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        key: The 32 bytes that both sides share, of `read_key`.
+        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
 
     Raises:
-        ValueError: An address that is none, or a time outside 0 to 1e9 s.
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, or neither a key nor
+            `insecure`, or both.
         OSError: An address that cannot be used.
     """
 
@@ -1899,6 +1910,8 @@ class LiveMaster:
         *,
         peer: str,
         session: int,
+        key: bytes | None = None,
+        insecure: bool = False,
         listen: str | None = None,
         duration_s: float | None = None,
         patience_s: float | None = None,
@@ -1925,6 +1938,9 @@ class LiveMaster:
     def stop(self) -> None:
         """Asks the loop to end after its current tick."""
 
+    def security_events(self) -> list[str]:
+        """What has happened to the session since the last call, in words."""
+
     def flight(self) -> str | None:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
@@ -1946,11 +1962,14 @@ class LiveSlave:
         settings: The side.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        key: The 32 bytes that both sides share, of `read_key`.
+        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
 
     Raises:
-        ValueError: An address that is none, or a time outside 0 to 1e9 s.
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, or neither a key nor
+            `insecure`, or both.
         OSError: An address that cannot be used.
     """
 
@@ -1960,6 +1979,8 @@ class LiveSlave:
         *,
         listen: str,
         session: int,
+        key: bytes | None = None,
+        insecure: bool = False,
         duration_s: float | None = None,
         patience_s: float | None = None,
     ) -> LiveSlave: ...
@@ -1985,8 +2006,14 @@ class LiveSlave:
     def stop(self) -> None:
         """Asks the loop to end after its current tick."""
 
+    def security_events(self) -> list[str]:
+        """What has happened to the session since the last call, in words."""
+
     def flight(self) -> str | None:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+
+    def allow_takeover(self) -> None:
+        """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
 
     def finish(self) -> tuple[SlaveTrace, LoopReport]:
         """Ends the loop and returns all its ticks and how it went.
@@ -2003,6 +2030,7 @@ def run_bridge(
     backward: str,
     duration_s: float,
     seed: int = 0,
+    secure: bool = False,
 ) -> tuple[MasterTrace, SlaveTrace, LoopReport, LoopReport]:
     """What `haptether.bridge.run_bridge` wraps; the links are JSON.
 

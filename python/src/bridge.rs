@@ -9,8 +9,13 @@ use haptether_bridge::{
     Clutch, Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide,
     Reason, Side, SideCounts, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
     coupling::CommandBounds,
-    live::{LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, run_live},
+    live::{
+        LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, Security, SecurityEvent, StartError,
+        run_live,
+    },
     run_virtual,
+    session::{PreSharedKey, Rejections},
+    wire::Role,
 };
 use haptether_master::{Hand, SimulatedMaster};
 use haptether_safety::LimiterSettings;
@@ -205,7 +210,8 @@ impl PySlaveSettings {
 
 /// Runs both sides in virtual time.
 #[pyfunction]
-#[pyo3(signature = (master, slave, *, forward, backward, duration_s, seed=0))]
+#[pyo3(signature = (master, slave, *, forward, backward, duration_s, seed=0, secure=false))]
+#[allow(clippy::too_many_arguments)] // they have names in Python
 fn run_bridge(
     py: Python<'_>,
     master: &PyMasterSettings,
@@ -214,6 +220,7 @@ fn run_bridge(
     backward: &str,
     duration_s: f64,
     seed: u64,
+    secure: bool,
 ) -> PyResult<(MasterTrace, SlaveTrace, PyLoopReport, PyLoopReport)> {
     let period_ns = master.endpoint.period_ns;
     if slave.endpoint.period_ns != period_ns {
@@ -231,12 +238,13 @@ fn run_bridge(
         forward: link_settings(forward)?,
         backward: link_settings(backward)?,
         seed,
+        secure,
         master_clock: None,
         slave_clock: None,
     };
     let (mut master, mut slave) = (master.side(1)?, slave.side(2)?);
     let (mut master_records, mut slave_records) = (Vec::new(), Vec::new());
-    py.detach(|| {
+    let counted = py.detach(|| {
         run_virtual(&settings, &mut master, &mut slave, |event, _| {
             match event {
                 Event::Master(record) => master_records.push(record),
@@ -244,23 +252,32 @@ fn run_bridge(
             }
             ControlFlow::Continue(())
         })
-    })
-    .map_err(refuse)?;
-    let report = |counts: SideCounts, mut states: Box<dyn Iterator<Item = (u64, LadderState)> + '_>| {
+    });
+    let [at_master, at_slave] = counted.map_err(refuse)?.rejections;
+    let report = |counts: SideCounts,
+                  rejections: Rejections,
+                  mut states: Box<dyn Iterator<Item = (u64, LadderState)> + '_>| {
         let engaged = states.find(|(_, state)| state.is_coupled());
         LoopReport {
             ticks: settings.ticks,
-            link: counts.link,
+            link: counts.link.with(&rejections),
+            secure,
             holds: counts.holds,
             limited: counts.limited,
             engaged_ns: engaged.map_or(u64::MAX, |(time_ns, _)| time_ns),
             ..LoopReport::default()
         }
     };
-    let master_report =
-        report(master.counts(), Box::new(master_records.iter().map(|record| (record.time_ns, record.state))));
-    let slave_report =
-        report(slave.counts(), Box::new(slave_records.iter().map(|record| (record.time_ns, record.state))));
+    let master_report = report(
+        master.counts(),
+        at_master,
+        Box::new(master_records.iter().map(|record| (record.time_ns, record.state))),
+    );
+    let slave_report = report(
+        slave.counts(),
+        at_slave,
+        Box::new(slave_records.iter().map(|record| (record.time_ns, record.state))),
+    );
     Ok((
         MasterTrace { records: master_records },
         SlaveTrace { records: slave_records },
@@ -279,14 +296,37 @@ struct Live<R> {
     records: Vec<R>,
 }
 
+/// How frames travel: a key, or the explicit wish to go without.
+fn security(key: Option<&[u8]>, insecure: bool) -> PyResult<Security> {
+    match (key, insecure) {
+        (Some(key), false) => {
+            let bytes = key.try_into().map_err(|_| {
+                PyValueError::new_err(format!("key: {} bytes, must be the 32 of read_key", key.len()))
+            })?;
+            Ok(Security::Secure(PreSharedKey::new(bytes)))
+        }
+        (None, true) => Ok(Security::Insecure),
+        (Some(_), true) => Err(PyValueError::new_err("key, insecure: give one of the two")),
+        (None, false) => Err(PyValueError::new_err(
+            "key: is missing: read_key() reads one, insecure=True goes without, in the clear",
+        )),
+    }
+}
+
+/// Where a side is and whom it talks to.
+struct Place<'a> {
+    role: Role,
+    local: &'a str,
+    peer: Option<&'a str>,
+}
+
 impl<R: Copy + Send + 'static> Live<R> {
     fn start<S: Side<Record = R> + Send + 'static>(
         side: S,
-        local: &str,
-        peer: Option<&str>,
+        Place { role, local, peer }: Place<'_>,
+        security: Security,
         period_ns: u64,
-        duration_s: Option<f64>,
-        patience_s: Option<f64>,
+        [duration_s, patience_s]: [Option<f64>; 2],
     ) -> PyResult<Self> {
         let peer = match peer {
             Some(peer) => PeerAddress::Known(address("peer", peer)?),
@@ -296,12 +336,16 @@ impl<R: Copy + Send + 'static> Live<R> {
         let cannot = |error: std::io::Error| PyOSError::new_err(format!("cannot listen on {local}: {error}"));
         let socket = PeerSocket::bind(local, peer).map_err(cannot)?;
         let settings = LiveSettings {
+            role,
             period_ns,
             duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
             patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
             ring: 1 << 16,
         };
-        let run = run_live(side, socket, settings).map_err(|error| PyOSError::new_err(error.to_string()))?;
+        let run = run_live(side, socket, settings, security).map_err(|error| match error {
+            StartError::Session(error) => PyValueError::new_err(error.to_string()),
+            StartError::System(error) => PyOSError::new_err(error.to_string()),
+        })?;
         Ok(Self { run: Mutex::new(run), records: Vec::new() })
     }
 
@@ -318,6 +362,12 @@ impl<R: Copy + Send + 'static> Live<R> {
             records.drain(..records.len() - MOST_RECORDS);
         }
         records.len()
+    }
+
+    fn events(&mut self) -> Vec<String> {
+        let mut events = Vec::new();
+        self.run().drain_events(|event: SecurityEvent| events.push(event.to_string()));
+        events
     }
 
     fn finish(&mut self, py: Python<'_>) -> PyResult<(Vec<R>, PyLoopReport)> {
@@ -365,6 +415,10 @@ macro_rules! live_methods {
                 self.live.run().stop();
             }
 
+            fn security_events(&mut self) -> Vec<String> {
+                self.live.events()
+            }
+
             fn flight(&mut self) -> Option<String> {
                 self.live.run().flight()
             }
@@ -380,11 +434,15 @@ pub(crate) struct LiveMaster {
 #[pymethods]
 impl LiveMaster {
     #[new]
-    #[pyo3(signature = (settings, *, peer, session, listen=None, duration_s=None, patience_s=None))]
+    #[pyo3(signature = (settings, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
+        patience_s=None))]
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PyMasterSettings,
         peer: &str,
         session: u64,
+        key: Option<&[u8]>,
+        insecure: bool,
         listen: Option<&str>,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
@@ -397,7 +455,9 @@ impl LiveMaster {
                 format!("listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}");
             return Err(PyValueError::new_err(text));
         }
-        Ok(Self { live: Live::start(side, listen, Some(peer), period_ns, duration_s, patience_s)? })
+        let place = Place { role: Role::Master, local: listen, peer: Some(peer) };
+        let security = security(key, insecure)?;
+        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s])? })
     }
 
     fn press_clutch(&mut self) {
@@ -418,16 +478,25 @@ pub(crate) struct LiveSlave {
 #[pymethods]
 impl LiveSlave {
     #[new]
-    #[pyo3(signature = (settings, *, listen, session, duration_s=None, patience_s=None))]
+    #[pyo3(signature = (settings, *, listen, session, key=None, insecure=false, duration_s=None, patience_s=None))]
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PySlaveSettings,
         listen: &str,
         session: u64,
+        key: Option<&[u8]>,
+        insecure: bool,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
     ) -> PyResult<Self> {
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
-        Ok(Self { live: Live::start(side, listen, None, period_ns, duration_s, patience_s)? })
+        let place = Place { role: Role::Slave, local: listen, peer: None };
+        let security = security(key, insecure)?;
+        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s])? })
+    }
+
+    fn allow_takeover(&mut self) {
+        self.live.run().allow_takeover();
     }
 
     fn finish(&mut self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {

@@ -1,5 +1,7 @@
 //! What a run of the bridge leaves behind, as arrays.
 
+use std::collections::BTreeMap;
+
 use haptether_bridge::{LinkStatistics, MasterRecord, SlaveRecord, live::LoopReport};
 use pyo3::prelude::*;
 
@@ -118,6 +120,8 @@ pub(crate) struct PyLoopReport {
     link: PyLinkStatistics,
     holds: u64,
     limited: u64,
+    secure: bool,
+    rejections: BTreeMap<String, u64>,
     engaged_s: f64,
 }
 
@@ -131,6 +135,13 @@ impl From<LoopReport> for PyLoopReport {
             link: of.link.into(),
             holds: of.holds,
             limited: of.limited,
+            secure: of.secure,
+            rejections: of
+                .rejections
+                .iter()
+                .filter(|(_, count)| *count > 0)
+                .map(|(cause, count)| (cause.to_string(), count))
+                .collect(),
             engaged_s: seconds(of.engaged_ns),
         }
     }

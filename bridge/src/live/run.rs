@@ -1,7 +1,6 @@
 //! The live loop of one side.
 
 use std::{
-    io,
     net::SocketAddr,
     sync::{
         Arc, Mutex, PoisonError,
@@ -10,18 +9,26 @@ use std::{
     thread::JoinHandle,
 };
 
-use super::{clock, socket::PeerSocket};
+use super::{
+    channel::{Came, LiveChannel, RELEASES, Security},
+    clock,
+    handshakes::{SecurityEvent, StartError},
+    socket::PeerSocket,
+};
 use crate::{
     ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
+    session::{MAX_DATAGRAM, Rejections},
     side::{Side, TickTime},
-    wire::MAX_FRAME,
+    wire::Role,
 };
 
 /// How a live loop goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LiveSettings {
+    /// Which side it is.
+    pub role: Role,
     /// Period in ns.
     pub period_ns: u64,
     /// Ends this long after the two sides engaged, in ns.
@@ -49,12 +56,18 @@ pub struct LoopReport {
     pub holds: u64,
     /// Ticks at which a bound acted on the remote command.
     pub limited: u64,
+    /// Whether frames were encrypted and authenticated.
+    pub secure: bool,
+    /// Datagrams that the session did not take, by cause; in `link`, too.
+    pub rejections: Rejections,
     /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
     pub engaged_ns: u64,
 }
 
-/// Datagrams taken in one tick; more would let a flood stretch the tick.
-const MOST_DATAGRAMS: usize = 64;
+/// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
+const MOST_TAKING: u64 = 4;
+/// Events that wait for a reader; further ones are dropped.
+const MOST_EVENTS: usize = 64;
 
 #[derive(Debug, Default)]
 struct Shared {
@@ -62,15 +75,20 @@ struct Shared {
     state: AtomicU8,
     ticks: AtomicU64,
     press: AtomicBool,
+    takeover: AtomicBool,
     /// As of the last STOP or FAULT, or of the end. The loop only tries the lock: whoever reads cannot hold it up.
     flight: Mutex<Option<FlightRecorder>>,
 }
+
+/// Between two releases at the end of a run, in ns.
+const RELEASE_NS: u64 = 1_000_000;
 
 /// A live loop on its own thread.
 #[derive(Debug)]
 pub struct LiveRun<R> {
     thread: Option<JoinHandle<LoopReport>>,
     records: rtrb::Consumer<R>,
+    events: rtrb::Consumer<SecurityEvent>,
     shared: Arc<Shared>,
     address: SocketAddr,
 }
@@ -80,15 +98,18 @@ pub fn run_live<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
-) -> io::Result<LiveRun<S::Record>> {
+    security: Security,
+) -> Result<LiveRun<S::Record>, StartError> {
     let (producer, records) = rtrb::RingBuffer::new(settings.ring);
+    let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
+    let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
     let shared = Arc::new(Shared::default());
     let address = socket.local_address()?;
     let seen = Arc::clone(&shared);
     let thread = std::thread::Builder::new()
         .name("haptether-loop".into())
-        .spawn(move || turn(side, socket, settings, producer, &seen))?;
-    Ok(LiveRun { thread: Some(thread), records, shared, address })
+        .spawn(move || turn(side, socket, channel, settings, (producer, told), &seen))?;
+    Ok(LiveRun { thread: Some(thread), records, events, shared, address })
 }
 
 /// A side that is left without force or motion however its loop ends.
@@ -104,13 +125,18 @@ impl<S: Side> Drop for Resting<S> {
 fn turn<S: Side>(
     side: S,
     mut socket: PeerSocket,
+    mut channel: LiveChannel,
     settings: LiveSettings,
-    mut records: rtrb::Producer<S::Record>,
+    (mut records, mut events): (rtrb::Producer<S::Record>, rtrb::Producer<SecurityEvent>),
     shared: &Shared,
 ) -> LoopReport {
     clock::ask_for_prompt_wakeups();
-    let mut report = LoopReport { engaged_ns: u64::MAX, ..LoopReport::default() };
-    let mut buffer = [0; MAX_FRAME];
+    let mut report =
+        LoopReport { engaged_ns: u64::MAX, secure: channel.is_secure(), ..LoopReport::default() };
+    let mut buffer = [0; MAX_DATAGRAM];
+    let mut tell = |event| {
+        let _ = events.push(event);
+    };
     let mut side = Resting(side);
     let start_ns = clock::now_ns();
     side.0.begin(start_ns);
@@ -131,9 +157,18 @@ fn turn<S: Side>(
         if shared.press.swap(false, Ordering::Relaxed) {
             side.0.press_again();
         }
-        socket.drain(MOST_DATAGRAMS, |datagram| side.0.receive(now_ns, datagram).is_ok());
+        if shared.takeover.swap(false, Ordering::Relaxed) {
+            channel.allow_takeover(now_ns, &mut tell);
+        }
+        let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
+        socket.drain(until_ns, |from, datagram| {
+            channel.receive(now_ns, from, datagram, &mut side.0) == Came::Used
+        });
+        channel.advance(now_ns, |to, datagram| socket.send(to, datagram), &mut tell);
         let record = side.0.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
-        socket.send(side.0.send(now_ns, &mut buffer));
+        if let Some(datagram) = channel.send(now_ns, &mut side.0, &mut buffer) {
+            socket.send(None, datagram);
+        }
         report.ticks += 1;
         if records.push(record).is_err() {
             report.dropped_records += 1;
@@ -163,8 +198,18 @@ fn turn<S: Side>(
         }
         deadline_ns += settings.period_ns;
     }
+    for release in 0..RELEASES {
+        let now_ns = clock::now_ns();
+        let Ok(datagram) = channel.release(now_ns, &mut buffer) else { break };
+        socket.send(None, datagram);
+        if release + 1 < RELEASES {
+            clock::sleep_until(now_ns + RELEASE_NS);
+        }
+    }
     let counts = side.0.counts();
-    (report.link, report.holds, report.limited) = (counts.link, counts.holds, counts.limited);
+    report.rejections = channel.end();
+    report.link = counts.link.with(&report.rejections);
+    (report.holds, report.limited) = (counts.holds, counts.limited);
     *shared.flight.lock().unwrap_or_else(PoisonError::into_inner) = Some(*side.0.flight());
     report.unsent = socket.unsent;
     report
@@ -176,6 +221,18 @@ impl<R> LiveRun<R> {
         while let Ok(record) = self.records.pop() {
             take(record);
         }
+    }
+
+    /// Takes what happened to the session.
+    pub fn drain_events(&mut self, mut take: impl FnMut(SecurityEvent)) {
+        while let Ok(event) = self.events.pop() {
+            take(event);
+        }
+    }
+
+    /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave.
+    pub fn allow_takeover(&self) {
+        self.shared.takeover.store(true, Ordering::Relaxed);
     }
 
     /// Where the socket listens.

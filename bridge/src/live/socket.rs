@@ -5,6 +5,14 @@ use std::{
     net::{SocketAddr, UdpSocket},
 };
 
+use super::clock;
+use crate::session::MAX_DATAGRAM;
+
+/// Datagrams between two looks at the clock.
+const ROUND: usize = 32;
+/// Datagrams taken at once, however fast they are.
+const MOST_DATAGRAMS: usize = 4096;
+
 /// How the peer is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PeerAddress {
@@ -41,19 +49,23 @@ impl PeerSocket {
         self.socket.local_addr()
     }
 
-    /// Gives each datagram that waits, at most `most`, to `take`, which says whether it was good.
+    /// Gives each datagram that waits to `take`, which says whether it was good, until the clock shows `until_ns`.
     ///
-    /// A datagram from elsewhere than a known peer is not looked at.
-    pub fn drain(&mut self, most: usize, mut take: impl FnMut(&[u8]) -> bool) {
-        // One byte more than the longest frame, so that a longer datagram is seen to be too long.
-        let mut buffer = [0; crate::wire::MAX_FRAME + 1];
-        for _ in 0..most {
+    /// A datagram from elsewhere than a known peer is not looked at. At least [`ROUND`] are taken: a loop that woke
+    /// late must hear its peer, too.
+    pub fn drain(&mut self, until_ns: u64, mut take: impl FnMut(SocketAddr, &mut [u8]) -> bool) {
+        // One byte more than the longest datagram, so that a longer one is seen to be too long.
+        let mut buffer = [0; MAX_DATAGRAM + 1];
+        for taken in 0..MOST_DATAGRAMS {
+            if taken % ROUND == ROUND - 1 && clock::now_ns() >= until_ns {
+                return;
+            }
             match self.socket.recv_from(&mut buffer) {
                 Ok((length, from)) => {
                     if !self.learns && self.peer != Some(from) {
                         continue;
                     }
-                    if take(&buffer[..length]) && self.learns {
+                    if take(from, &mut buffer[..length]) && self.learns {
                         self.peer = Some(from);
                     }
                 }
@@ -78,10 +90,10 @@ impl PeerSocket {
         }
     }
 
-    /// Sends to the peer, if there is one.
-    pub fn send(&mut self, frame: &[u8]) {
-        if let Some(peer) = self.peer
-            && self.socket.send_to(frame, peer).is_err()
+    /// Sends to `to` or, without it, to the peer, if there is one.
+    pub fn send(&mut self, to: Option<SocketAddr>, datagram: &[u8]) {
+        if let Some(to) = to.or(self.peer)
+            && self.socket.send_to(datagram, to).is_err()
         {
             self.unsent += 1;
         }

@@ -86,6 +86,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             forward: links.and_then(|links| links.forward.clone()).unwrap_or_default(),
             backward: links.and_then(|links| links.backward.clone()).unwrap_or_default(),
             seed: scene.run.seed,
+            secure: scene.security.is_some_and(|security| security.secure),
             master_clock: clock("master_clock", links.and_then(|links| links.master_clock))?,
             slave_clock: clock("slave_clock", links.and_then(|links| links.slave_clock))?,
         };
@@ -168,7 +169,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             settled: false,
             overflowed: 0,
         };
-        let overflowed = run_virtual(&settings, &mut master, &mut slave, |event, slave| match event {
+        let counts = run_virtual(&settings, &mut master, &mut slave, |event, slave| match event {
             _ if stop.load(Ordering::Relaxed) => ControlFlow::Break(()),
             Event::Master(record) => watched.near(&record),
             Event::Slave(record) => watched.far(&record, slave.plant.touches()),
@@ -177,8 +178,10 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             return Err(SceneError::Stopped);
         }
         let coarse = slave.plant.coarse_steps();
-        watched.overflowed = overflowed;
-        Ok(watched.finish(scene, coarse, [master.counts().link, slave.counts().link]))
+        watched.overflowed = counts.overflowed;
+        let [at_master, at_slave] = counts.rejections;
+        let links = [master.counts().link.with(&at_master), slave.counts().link.with(&at_slave)];
+        Ok(watched.finish(scene, coarse, links))
     }
 }
 
@@ -352,6 +355,15 @@ impl<const N: usize> Watched<N> {
         if missing > 0 {
             let sent: u64 = links.iter().map(|link| link.sent).sum();
             self.log.add(end_s, "lost", format!("{missing} of {sent} frames did not arrive"));
+        }
+        for (side, link) in ["master", "slave"].into_iter().zip(&links) {
+            if link.refused > 0 {
+                self.log.add(
+                    end_s,
+                    "refused",
+                    format!("{side}: {} datagrams were none of the peer's", link.refused),
+                );
+            }
         }
         if self.overflowed > 0 {
             let detail = format!("{} frames were dropped: too many were under way", self.overflowed);

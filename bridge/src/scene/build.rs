@@ -47,12 +47,24 @@ pub enum SceneError {
     /// The clutch.
     #[error("operator.clutch: {0}")]
     Clutch(#[from] crate::ClutchError),
+    /// The session.
+    #[error("security: {0}")]
+    Session(#[from] crate::session::EndError),
     /// It was told to stop.
     #[error("stopped")]
     Stopped,
     /// Tables or keys that contradict each other.
     #[error("{0}")]
     Contradiction(String),
+}
+
+impl From<crate::VirtualError> for SceneError {
+    fn from(error: crate::VirtualError) -> Self {
+        match error {
+            crate::VirtualError::Link(error) => error.into(),
+            crate::VirtualError::Session(error) => error.into(),
+        }
+    }
 }
 
 fn contradiction<T>(text: impl Into<String>) -> Result<T, SceneError> {

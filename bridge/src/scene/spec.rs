@@ -24,6 +24,8 @@ pub struct SceneSpec {
     pub link: Option<LinksSpec>,
     /// How master and slave are coupled; only with an arm.
     pub coupling: Option<CouplingSpec>,
+    /// The session in which frames travel; without it, in the clear.
+    pub security: Option<SecuritySpec>,
     /// Who watches the hand.
     pub safety: SafetySpec,
     /// What is recorded; without it only metrics and events are kept.
@@ -450,6 +452,14 @@ pub struct LinksSpec {
     pub master_clock: Option<ClockSettings>,
     /// What the slave's clock shows.
     pub slave_clock: Option<ClockSettings>,
+}
+
+/// `[security]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SecuritySpec {
+    /// Whether frames are encrypted and authenticated.
+    pub secure: bool,
 }
 
 /// `[coupling]`.

@@ -38,7 +38,7 @@ mod told;
 mod window;
 
 pub use end::{EndError, Received, SessionEnd};
-pub use entropy::{Entropy, NoEntropy, SystemEntropy};
+pub use entropy::{Entropy, NoEntropy, SeededEntropy, SystemEntropy};
 pub use handshake::{Handshake, HandshakeDatagram, HandshakeEvent, Outcome};
 pub use header::{
     HANDSHAKE_LENGTH, MAX_DATAGRAM, SESSION_HEADER, SESSION_MAGIC, SESSION_VERSION, sealed_length,

@@ -74,8 +74,14 @@ def percentile(values: npt.NDArray[np.float64], share: float) -> float:
     return float(np.percentile(values, share)) if values.size else 0.0
 
 
+def tell(events: list[str]) -> None:
+    """Says on standard error what has happened."""
+    for event in events:
+        print(event, file=sys.stderr, flush=True)
+
+
 class Pressed:
-    """SIGUSR1 as a clutch: lets go and presses again."""
+    """SIGUSR1 as the button of a person here: a clutch that lets go and presses again, or leave for another master."""
 
     def __init__(self, press: Callable[[], None]) -> None:
         self._press = press

@@ -22,9 +22,9 @@ class Master:
 
     Examples:
 
-    haptether master --peer 127.0.0.1:9000 --controller wsc
+    haptether master --peer 127.0.0.1:9000 --key arm.key --controller wsc
 
-    haptether master --peer 127.0.0.1:9001 --controller hsc --release-at-s 2.6 --duration-s 3.4 --json run.json
+    haptether master --peer 127.0.0.1:9001 --key arm.key --controller hsc --release-at-s 2.6 --duration-s 3.4 --json run.json
     """
 
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
@@ -33,6 +33,10 @@ class Master:
     """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none."""
     listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """Own address, of the peer's kind (IPv4 or IPv6); any free port by default."""
+    key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
+    insecure: bool = False
+    """Go without a key: frames travel in the clear, and anybody who can send can steer."""
     depth: float = 0.045
     """How deep in m into the wall the hand's target lies."""
     release_at_s: float | None = None
@@ -57,14 +61,16 @@ class Master:
     def run(self) -> int:
         """Runs until told to stop; fails if the slave never answered."""
         from haptether.bridge import LiveMaster, ladder_reason
-        from haptether.cli.live import FlightFile, Pressed, Stopped, wait
+        from haptether.cli.live import FlightFile, Pressed, Stopped, tell, wait
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_target
+        from haptether.cli.security import marked, session_key
         from haptether.studies import measure_push, save_master_trace
 
         check_target(self.json)
         check_target(self.trace)
         check_target(self.flight)
+        key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         settings = master_settings(
             self.controller,
@@ -80,24 +86,28 @@ class Master:
                 peer=self.peer,
                 listen=self.listen,
                 session=new_session(),
+                key=key,
+                insecure=self.insecure,
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
             )
 
             def status() -> str:
                 master.poll()
+                tell(master.security_events())
                 flight.write(master.flight())
-                return f"master {master.state}, {master.ticks} ticks"
+                return marked(f"master {master.state}, {master.ticks} ticks", insecure=self.insecure)
 
             with Pressed(master.press_clutch):
                 wait(
-                    f"master on {master.address} talks to {self.peer}",
+                    marked(f"master on {master.address} talks to {self.peer}", insecure=self.insecure),
                     status,
                     lambda: master.finished,
                     stopped,
                     None,
                 )
             trace, report = master.finish()
+            tell(master.security_events())
             flight.write(master.flight())
         result = measure_push(self.controller, trace, report, self.release_at_s)
         self._report(result)

@@ -22,6 +22,8 @@ ROWS: "dict[str, Callable[[PushResult], str]]" = {
     "time under intervention [s]": lambda of: f"{of.intervention_s:.2f}",
     "packets sent": lambda of: str(of.sent),
     "packets lost on the way here": lambda of: str(of.lost),
+    "frames travel": lambda of: "in a secure session" if of.security == "secure" else "in the clear: INSECURE",
+    "packets refused": lambda of: str(of.refused),
     "packets overtaken, not used": lambda of: str(of.late),
     "newest round trip [ms]": lambda of: f"{of.round_trip_s * 1e3:.1f}",
     "loop wakes late, p50 [ms]": lambda of: f"{of.overshoot_p50_s * 1e3:.3f}",

@@ -16,17 +16,22 @@ class Slave:
 
     The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
     two sides engage. When the master falls silent for 20 ms the arm holds, and after 200 ms it stops, until the
-    master's clutch is released and pressed again or a master is started anew.
+    master's clutch is released and pressed again or a master is started anew. One master has the lease until it
+    ends; when it has vanished without an end, `kill -USR1` lets another begin after 2 s of silence.
 
     Examples:
 
-    haptether slave --listen 127.0.0.1:9000
+    haptether slave --listen 127.0.0.1:9000 --key arm.key
 
-    haptether slave --listen 127.0.0.1:9000 --wall-stiffness 100 --push-at-s 2 --push-force-n 3.5
+    haptether slave --listen 127.0.0.1:9000 --key arm.key --wall-stiffness 100 --push-at-s 2 --push-force-n 3.5
     """
 
     listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
     """Where to listen; answers go where the master's frames come from."""
+    key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
+    insecure: bool = False
+    """Go without a key: frames travel in the clear, and anybody who can send can steer."""
     wall_stiffness: float = 100.0
     """Stiffness of the wall in N/m."""
     push_at_s: float | None = None
@@ -49,13 +54,15 @@ class Slave:
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import FlightFile, Stopped, wait
+        from haptether.cli.live import FlightFile, Pressed, Stopped, tell, wait
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_target
+        from haptether.cli.security import marked, session_key
         from haptether.safety import fault_message
 
         check_target(self.json)
         check_target(self.flight)
+        key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         settings = slave_settings(
             wall_stiffness=self.wall_stiffness,
@@ -68,17 +75,23 @@ class Slave:
                 settings,
                 listen=self.listen,
                 session=new_session(),
+                key=key,
+                insecure=self.insecure,
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
             )
 
             def status() -> str:
                 slave.poll()
+                tell(slave.security_events())
                 flight.write(slave.flight())
-                return f"slave {slave.state}, {slave.ticks} ticks"
+                return marked(f"slave {slave.state}, {slave.ticks} ticks", insecure=self.insecure)
 
-            wait(f"slave listens on {slave.address}", status, lambda: slave.finished, stopped, None)
+            headline = marked(f"slave listens on {slave.address}", insecure=self.insecure)
+            with Pressed(slave.allow_takeover):
+                wait(headline, status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
+            tell(slave.security_events())
             flight.write(slave.flight())
         state = self._report(trace, report)
         if not np.isfinite(report.engaged_s) and not stopped:
@@ -99,6 +112,7 @@ class Slave:
         state = ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged"
         late_p50_s, late_p99_s = (percentile(trace.overshoot_s, share) for share in (50, 99))
         result = {
+            "security": "secure" if report.secure else "insecure",
             "final_state": state,
             "ticks": report.ticks,
             "skipped_ticks": report.skipped,
@@ -109,6 +123,7 @@ class Slave:
             "lost": report.link.missing,
             "late": report.link.late,
             "refused": report.link.refused,
+            "rejections": report.rejections,
             "overshoot_p50_s": late_p50_s,
             "overshoot_p99_s": late_p99_s,
         }

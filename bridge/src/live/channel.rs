@@ -1,0 +1,159 @@
+//! What stands between a live side and its socket: a session that seals and opens, and keys from another thread.
+
+use std::net::SocketAddr;
+
+use super::handshakes::{Handshakes, SecurityEvent, StartError};
+use crate::{
+    session::{Incoming, MAX_DATAGRAM, PreSharedKey, Rejections, SealError, Session, SessionSettings},
+    side::Side,
+    wire::{MAX_FRAME, Role},
+};
+
+/// How the frames of a live run travel.
+#[derive(Clone, Debug)]
+pub enum Security {
+    /// Encrypted and authenticated with the key that both sides share.
+    Secure(PreSharedKey),
+    /// In the clear: anybody who can send can steer.
+    Insecure,
+}
+
+/// Shortest period of a peer in ns that the window against replay holds 2 s of.
+const PEER_PERIOD_NS: u64 = 100_000;
+/// How often the handshakes are told how the session stands, in ticks.
+const TELL_EVERY: u64 = 4;
+/// Answers of the handshakes that one tick takes.
+const MOST_ANSWERS: usize = 4;
+/// How often a release is sent: datagrams get lost.
+pub(super) const RELEASES: u32 = 5;
+
+/// What came of a datagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Came {
+    /// A frame of the peer, which the side used.
+    Used,
+    /// Nothing that says where the peer is.
+    Nothing,
+}
+
+/// The session of a live side.
+#[derive(Debug)]
+pub(super) struct LiveChannel {
+    session: Session,
+    handshakes: Option<Handshakes>,
+    ticks: u64,
+}
+
+impl LiveChannel {
+    pub(super) fn start<S: Side>(role: Role, period_ns: u64, security: Security) -> Result<Self, StartError> {
+        let settings = SessionSettings::new(role, S::FRAME_LENGTH, period_ns.min(PEER_PERIOD_NS));
+        let cannot = crate::session::EndError::from;
+        Ok(match security {
+            Security::Secure(key) => Self {
+                session: Session::secure(settings).map_err(cannot)?,
+                handshakes: Some(Handshakes::start(settings, key)?),
+                ticks: 0,
+            },
+            Security::Insecure => {
+                Self { session: Session::insecure(settings).map_err(cannot)?, handshakes: None, ticks: 0 }
+            }
+        })
+    }
+
+    pub(super) fn is_secure(&self) -> bool {
+        self.session.is_secure()
+    }
+
+    /// Opens a datagram in place and hands what it holds to the side.
+    pub(super) fn receive(
+        &mut self,
+        now_ns: u64,
+        from: SocketAddr,
+        datagram: &mut [u8],
+        side: &mut impl Side,
+    ) -> Came {
+        match self.session.open(now_ns, datagram) {
+            Ok(Incoming::Payload { payload, .. }) => {
+                if side.receive(now_ns, payload).is_ok() {
+                    return Came::Used;
+                }
+            }
+            Ok(Incoming::Handshake(message)) => {
+                let standing = self.session.standing(now_ns);
+                if let (Some(handshakes), Ok(message)) = (&mut self.handshakes, message.try_into()) {
+                    handshakes.hand_over(standing, from, message);
+                }
+            }
+            // A rejection is counted by the session, a release told by its event.
+            Ok(Incoming::Release) | Err(_) => {}
+        }
+        Came::Nothing
+    }
+
+    /// Lets time pass, and takes new keys; gives each handshake to send, and where to, to `send`.
+    pub(super) fn advance(
+        &mut self,
+        now_ns: u64,
+        mut send: impl FnMut(Option<SocketAddr>, &[u8]),
+        mut tell: impl FnMut(SecurityEvent),
+    ) {
+        self.session.advance(now_ns);
+        if let Some(handshakes) = &mut self.handshakes {
+            for _ in 0..MOST_ANSWERS {
+                let Some(told) = handshakes.next() else { break };
+                if let Some(datagram) = told.outcome.reply {
+                    send(told.to, &datagram);
+                }
+                if let Some(keys) = told.outcome.keys {
+                    self.session.install(now_ns, keys);
+                }
+                if let Some(event) = told.outcome.event {
+                    tell(SecurityEvent::Handshake(event));
+                }
+            }
+            if self.ticks % TELL_EVERY == 0 {
+                handshakes.tell(self.session.standing(now_ns));
+            }
+            self.ticks += 1;
+        }
+        while let Some(event) = self.session.poll_event() {
+            tell(SecurityEvent::Session(event));
+        }
+    }
+
+    /// The side's next frame as it goes over the network; none while there are no keys.
+    pub(super) fn send<'a>(
+        &mut self,
+        now_ns: u64,
+        side: &mut impl Side,
+        buffer: &'a mut [u8; MAX_DATAGRAM],
+    ) -> Option<&'a [u8]> {
+        if !self.session.is_open(now_ns) {
+            return None;
+        }
+        let mut frame = [0; MAX_FRAME];
+        self.session.seal(now_ns, side.send(now_ns, &mut frame), buffer).ok()
+    }
+
+    /// A datagram that ends the session at the peer.
+    pub(super) fn release<'a>(
+        &mut self,
+        now_ns: u64,
+        buffer: &'a mut [u8; MAX_DATAGRAM],
+    ) -> Result<&'a [u8], SealError> {
+        self.session.release(now_ns, buffer)
+    }
+
+    /// A person at this side lets another master begin.
+    pub(super) fn allow_takeover(&mut self, now_ns: u64, mut tell: impl FnMut(SecurityEvent)) {
+        if let Err(still) = self.session.allow_takeover(now_ns) {
+            tell(SecurityEvent::StillHeard(still));
+        }
+    }
+
+    /// Ends the handshakes; gives what was not taken, by cause.
+    pub(super) fn end(&mut self) -> Rejections {
+        let more = self.handshakes.as_mut().map(Handshakes::end).unwrap_or_default();
+        self.session.rejections() + more
+    }
+}

@@ -1,0 +1,34 @@
+"""`--key` and `--insecure` of the live commands."""
+
+from pathlib import Path
+
+INSECURE = "INSECURE: frames are neither encrypted nor authenticated, anybody who can send can steer"
+"""What the screen says of a run in the clear."""
+
+
+def session_key(key: Path | None, *, insecure: bool) -> bytes | None:
+    """The key of a secure session, or none for a run in the clear.
+
+    Raises:
+        ValueError: Both or neither were asked for, or the file holds no key.
+        OSError: The file cannot be read.
+    """
+    from haptether.bridge import read_key
+
+    if insecure and key is not None:
+        message = "--key, --insecure: give one of the two"
+        raise ValueError(message)
+    if insecure:
+        return None
+    if key is None:
+        message = (
+            "--key PATH is missing: `haptether keygen PATH` makes a key, which both sides need; "
+            "--insecure goes without, in the clear"
+        )
+        raise ValueError(message)
+    return read_key(key)
+
+
+def marked(headline: str, *, insecure: bool) -> str:
+    """A headline that says so if the run is in the clear."""
+    return f"{headline} ({INSECURE})" if insecure else headline
