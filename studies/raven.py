@@ -17,7 +17,7 @@ from haptether.studies.raven_attacks import RAVEN_ATTACKS, Effect, RavenAttack, 
 Array: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
-SECURITY: dict[Security, tuple[str, ...]] = {"off": ()}
+SECURITY: dict[Security, tuple[str, ...]] = {"off": ("security.secure=false",), "on": ("security.secure=true",)}
 """Overrides of a scene by which its frames go in the clear or are authenticated."""
 
 COASTING_S = 0.02
@@ -62,6 +62,8 @@ class RavenRow(msgspec.Struct, frozen=True, kw_only=True):
     """How far the command of the arm travelled while its ladder held or stopped."""
     force_in_hold_n: float
     """Largest force on the hand later than 100 ms after its ladder had left ENGAGED."""
+    refused: int
+    """Datagrams that were none of the peer's, or no frame, and changed nothing."""
     final_states: tuple[str, str]
     """Of master and slave."""
 
@@ -138,6 +140,7 @@ def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
         extra_force_limit_n=extra_limit,
         moved_in_hold_mm=1e3 * _travel(command, far),
         force_in_hold_n=_force_in_hold(attacked, near),
+        refused=_refused(attacked),
         final_states=(_final_state(attacked, "state"), _final_state(attacked, "slave_state")),
     )
 
@@ -208,6 +211,12 @@ def _force_in_hold(run: Run, coupled: Flags) -> float:
     newest = np.maximum.accumulate(np.where(coupled, time_s, -np.inf))
     later = np.isfinite(newest) & (time_s - newest > FADE_S + 1e-9)
     return float(abs(force)[later].max(initial=0.0))
+
+
+def _refused(run: Run) -> int:
+    """Datagrams that either side refused, as the run tells it in words."""
+    details = [event.detail for event in run.events if event.kind == "refused"]
+    return sum(int(word) for detail in details for word in detail.split() if word.isdigit())
 
 
 def _final_state(run: Run, name: str) -> str:

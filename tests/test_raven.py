@@ -10,6 +10,7 @@ from haptether.bridge import load_scene, simulate
 from haptether.cli.entry import main
 from haptether.studies import RAVEN_ATTACKS, RavenReport, RavenRow, raven_suite
 from haptether.studies.raven import COASTING_S, COMMAND_SPEED, SECURITY
+from haptether.studies.raven_attacks import Security
 
 SCENES = Path(__file__).resolve().parents[1] / "bridge" / "scenes"
 
@@ -44,6 +45,20 @@ def test_nobody_is_believed_without_the_key(report: RavenReport) -> None:
     assert not [row.scene for row in report.rows if (row.security, row.works) == ("on", "yes")]
 
 
+def test_what_somebody_else_made_is_refused(report: RavenReport) -> None:
+    """1000 frames in a second, ten of them beyond limits; in the clear only what is no number."""
+    refused = {(row.scene.removeprefix("raven_"), row.security): row.refused for row in report.rows}
+    for scene in ("invert", "scale", "pose", "feedback", "hijack"):
+        assert refused[scene, "off"] == 0
+        assert 1000 <= refused[scene, "on"] <= 1010
+    assert refused["limits", "off"] == 0
+    assert refused["limits", "on"] == 10
+    for security in SECURITY:
+        assert 2000 <= refused["nan", security] <= 2002
+    for scene in ("drop", "delay", "creeping_delay", "reorder"):
+        assert [refused[scene, security] for security in SECURITY] == [0, 0]
+
+
 def test_whatever_holds_holds_still(report: RavenReport) -> None:
     for row in report.rows:
         assert (row.scene, row.moved_in_hold_mm, row.force_in_hold_n) == (row.scene, 0.0, 0.0)
@@ -63,7 +78,8 @@ def test_a_hijacked_arm_goes_where_it_is_told(report: RavenReport) -> None:
 
 def test_told_forces_are_felt(report: RavenReport) -> None:
     """6 N, where what is touched gives as much as the run that nobody attacks says."""
-    peak = simulate("raven_feedback", overrides=["link.backward.attacks=[]"]).metrics.peak_device_force
+    overrides = [*SECURITY["off"], "link.backward.attacks=[]"]
+    peak = simulate("raven_feedback", overrides=overrides).metrics.peak_device_force
     assert peak is not None
     assert row_of(report, "feedback", "off").extra_force_n == pytest.approx(6.0 - peak, abs=0.05)
 
@@ -76,21 +92,28 @@ def test_a_creeping_delay_is_as_long_as_it_was_made(report: RavenReport, securit
 
 
 @pytest.mark.parametrize("security", SECURITY)
-def test_a_command_beyond_all_limits_stops_nothing(report: RavenReport, security: str) -> None:
+def test_a_command_beyond_all_limits_stops_nothing(report: RavenReport, security: Security) -> None:
     """Without a key it moves the command by one tick at its bound, and the hand goes on for as long."""
     row = row_of(report, "limits", security)
     assert row.final_states == ("engaged", "engaged")
     assert row.lag_mm <= row.astray_limit_mm
     if security == "off":
         assert row.lag_mm >= 1e3 * COMMAND_SPEED * 1e-3
-    assert not {"hold", "stop", "fault"} & {event.kind for event in simulate("raven_limits").events}
+    run = simulate("raven_limits", overrides=SECURITY[security])
+    assert not {"hold", "stop", "fault"} & {event.kind for event in run.events}
 
 
-@pytest.mark.parametrize("scene", ["raven_replay", "raven_nan"])
-def test_what_is_refused_changes_not_a_byte(scene: str) -> None:
+REFUSED = {
+    "off": ("raven_replay", "raven_nan"),
+    "on": ("raven_replay", "raven_nan", "raven_hijack"),
+}
+
+
+@pytest.mark.parametrize(("security", "scene"), [(one, scene) for one in SECURITY for scene in REFUSED[one]])
+def test_what_is_refused_changes_not_a_byte(security: Security, scene: str) -> None:
     nobody = ["link.forward.attacks=[]", *(["link.backward.attacks=[]"] if scene == "raven_nan" else [])]
-    attacked, alone = simulate(scene), simulate(scene, overrides=nobody)
-    assert attacked.events == alone.events
+    attacked = simulate(scene, overrides=SECURITY[security])
+    alone = simulate(scene, overrides=[*SECURITY[security], *nobody])
     for name, values in attacked.signals.items():
         assert values.tobytes() == alone.signals[name].tobytes(), name
 

@@ -48,15 +48,15 @@ class Raven:
         return 0 if report.is_as_expected else 1
 
     def _print(self, console: "Console", report: "RavenReport") -> None:
+        from rich.box import SIMPLE_HEAD
         from rich.table import Table
 
-        table = Table(header_style="bold", pad_edge=False)
-        table.add_column("attack", no_wrap=True)
-        for name in ("key", "works", "effect"):
-            table.add_column(name)
-        for name in ("astray, mm", "off, mm", "extra, N"):
-            table.add_column(name, justify="right")
-        table.add_column("arm ends in")
+        table = Table(header_style="bold", pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE_HEAD)
+        for name in ("attack", "key", "works", "effect"):
+            table.add_column(name, no_wrap=True)
+        for name in ("astray\nmm", "off\nmm", "extra\nN", "refused\n"):
+            table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("arm\nends in", no_wrap=True)
         for row in report.rows:
             table.add_row(
                 _name(row),
@@ -66,6 +66,7 @@ class Raven:
                 f"{row.astray_mm:.1f}",
                 f"{row.lag_mm:.1f}",
                 f"{max(row.extra_force_n, 0.0):.1f}",
+                str(row.refused),
                 row.final_states[1],
             )
         console.print(table)
@@ -77,7 +78,8 @@ class Raven:
             "moved: the arm was led to where the hand was not. pushed: the hand felt what nobody measured. late: the "
             "arm followed, late. stopped: nothing moves until a person presses the clutch; no key makes packets "
             "arrive, so whoever sits on the path can always do that. astray: farthest that the arm was led from where "
-            "the hand had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's.",
+            "the hand had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's; "
+            "refused: datagrams that changed nothing.",
             highlight=False,
         )
 
