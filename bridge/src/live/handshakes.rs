@@ -128,9 +128,9 @@ fn answer(
             match (ask, standing) {
                 // What was said before the newest keys came into use would have this thread ask for them again.
                 (Ask::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
-                (Ask::Message(from, message), Some(standing)) => {
+                (Ask::Message(from, message), Some(known)) => {
                     let now_ns = clock::now_ns();
-                    if let Ok(outcome) = handshake.receive(now_ns, &message, &standing, &mut entropy) {
+                    if let Ok(outcome) = handshake.receive(now_ns, &message, &known, &mut entropy) {
                         let has_keys = outcome.keys.is_some();
                         // A full ring means that the loop does not run: nobody waits for keys.
                         if answers.push(Told { to: Some(from), outcome }).is_ok() && has_keys {
