@@ -6,6 +6,7 @@ from haptether.netsim.controlled import Controlled
 from haptether.netsim.link_error import LinkError
 from haptether.netsim.link_files import with_files
 from haptether.netsim.link_parts import (
+    Alter,
     Attack,
     BitFlip,
     ByteRange,
@@ -14,9 +15,12 @@ from haptether.netsim.link_parts import (
     DelayTrace,
     DistributionTable,
     Drop,
+    EditF64,
+    EditU64,
     Forge,
     FourState,
     GilbertElliott,
+    HoldBack,
     Mirror,
     Once,
     Opportunities,
@@ -40,6 +44,7 @@ from haptether.netsim.verdicts import VERDICT_CAUSES, Verdicts, judge, judge_all
 __all__ = [
     "PRESETS",
     "VERDICT_CAUSES",
+    "Alter",
     "Attack",
     "BitFlip",
     "ByteRange",
@@ -52,10 +57,13 @@ __all__ = [
     "DistributionTable",
     "Drop",
     "Echo",
+    "EditF64",
+    "EditU64",
     "Figure",
     "Forge",
     "FourState",
     "GilbertElliott",
+    "HoldBack",
     "LinkError",
     "LinkFigures",
     "LinkSettings",

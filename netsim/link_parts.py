@@ -4,7 +4,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from haptether.netsim.link_ranges import Bytes, Count, Delay, Length, Level, Rate, Share, Time
+from haptether.netsim.link_ranges import Bytes, Count, Delay, Edited, Length, Level, Operation, Rate, Share, Time
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -220,6 +220,48 @@ class SequenceLead(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """First byte of the sequence."""
 
 
+class EditF64(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="type", tag="f64"):
+    """A change of one little-endian binary64."""
+
+    offset: Bytes
+    """Its first byte."""
+    operation: Operation
+    """Whether it is replaced by `value`, or that is added, or multiplied with."""
+    value: Edited
+    """-1e12 to 1e12; other numbers, NaN among them, are set as their bits with the type u64."""
+
+
+class EditU64(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="type", tag="u64"):
+    """A change of one little-endian u64, modulo 2^64."""
+
+    offset: Bytes
+    """Its first byte."""
+    operation: Operation
+    """Whether it is replaced by `value`, or that is added, or multiplied with."""
+    value: Count
+    """At most 2^63 - 1."""
+
+
+class Alter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True,
+            tag_field="kind", tag="alter"):  # fmt: skip
+    """Numbers in it are changed by somebody who knows where they stand."""
+
+    edits: tuple[EditF64 | EditU64, ...] = ()
+    """Which numbers and how, one after the other: at most 4."""
+    checksum: Literal["crc32"] | None = None
+    """What is put right afterwards: CRC-32 (IEEE 802.3) of all bytes but the last four, little-endian in those."""
+    inject: bool = False
+    """Whether an altered copy arrives beside the packet, which itself stays as it is."""
+
+
+class HoldBack(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
+               tag_field="kind", tag="hold-back"):  # fmt: skip
+    """It is held back; packets that are not aimed at pass it."""
+
+    by_s: Delay
+    """For how long, in s."""
+
+
 class Drop(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drop"):
     """It does not arrive."""
 
@@ -236,7 +278,7 @@ class SecondSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Attack(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Something done to packets on purpose."""
 
-    action: Replay | Forge | BitFlip | SequenceLead | Drop | Mirror | SecondSource
+    action: Replay | Forge | BitFlip | SequenceLead | Alter | HoldBack | Drop | Mirror | SecondSource
     """What is done."""
     target: Target = Target()
     """To which packets."""

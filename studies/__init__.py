@@ -10,19 +10,27 @@ from haptether.studies.demo import (
 from haptether.studies.operator import Operator
 from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
 from haptether.studies.paper_figures import draw_paper
+from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
+from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
 from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
 
 __all__ = [
     "DEMO_CONTROLLERS",
+    "RAVEN_ATTACKS",
     "DemoScene",
     "Interrupted",
     "Operator",
     "PaperReport",
     "PaperRow",
     "PushResult",
+    "RavenAttack",
+    "RavenReport",
+    "RavenRow",
     "draw_demo",
     "draw_paper",
+    "measure_attack",
     "measure_push",
+    "raven_suite",
     "reproduce_paper",
     "run_demo",
     "save_master_trace",

@@ -26,6 +26,7 @@ from haptether.bridge import (
 )
 from haptether.bridge.scene_sweep import sweep_columns
 from haptether.netsim import LinkSettings, link_spec
+from haptether.studies import RAVEN_ATTACKS
 
 SHIPPED = {
     "active_force",
@@ -35,6 +36,7 @@ SHIPPED = {
     "moving_wall",
     "paper_wall",
     "playback",
+    *(attack.scene for attack in RAVEN_ATTACKS),
     "remote_push",
     "sliding_mass",
     "three_axis_box",

@@ -33,6 +33,7 @@ from haptether.bridge import (
 from haptether.bridge.scene_error import types_at
 from haptether.master import DEVICE_PRESETS
 from haptether.netsim import (
+    Alter,
     Attack,
     BitFlip,
     ByteRange,
@@ -40,9 +41,12 @@ from haptether.netsim import (
     DelayChange,
     DelayTrace,
     Drop,
+    EditF64,
+    EditU64,
     Forge,
     FourState,
     GilbertElliott,
+    HoldBack,
     LinkSettings,
     Mirror,
     Once,
@@ -60,8 +64,9 @@ from haptether.netsim import (
 from haptether.netsim.link_settings import DISTRIBUTIONS
 
 LINK_TABLES = (
-    Attack, BitFlip, ByteRange, CrossTraffic, DelayChange, DelayTrace, Drop, Forge, FourState, GilbertElliott, Mirror,
-    Once, Opportunities, Outage, Periodic, Random, Replay, SecondSource, SequenceLead, Slots, Target,
+    Alter, Attack, BitFlip, ByteRange, CrossTraffic, DelayChange, DelayTrace, Drop, EditF64, EditU64, Forge, FourState,
+    GilbertElliott, HoldBack, Mirror, Once, Opportunities, Outage, Periodic, Random, Replay, SecondSource, SequenceLead,
+    Slots, Target,
 )  # fmt: skip
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -148,6 +153,14 @@ def busy_links() -> dict[str, Any]:
                 {"action": {"kind": "bit-flip", "bits": 2, "within": {"start": 0, "end": 8}}},
                 {"action": {"kind": "replay", "after_s": 1.0}, "target": {"from_s": 1.0, "every": 10}},
                 {"action": {"kind": "mirror"}, "target": {"probability": 0.01}},
+                {"action": {
+                    "kind": "alter",
+                    "edits": [
+                        {"type": "f64", "offset": 64, "operation": "multiply", "value": -1.0},
+                        {"type": "u64", "offset": 16, "operation": "add", "value": 1000},
+                    ],
+                    "checksum": "crc32", "inject": True,
+                }},
             ],
         },
         "backward": {
@@ -486,6 +499,9 @@ def test_a_scene_with_every_table_is_what_the_rust_side_reads(tmp_path: Path) ->
         ("OutageTimes", "link.forward.outages.0.times"),
         ("OutageEffect", "link.forward.outages.0.effect"),
         ("Action", "link.forward.attacks.0.action"),
+        ("Edit", "link.forward.attacks.0.action.edits.0"),
+        ("Operation", "link.forward.attacks.0.action.edits.0.operation"),
+        ("Checksum", "link.forward.attacks.0.action.checksum"),
         ("PersonSpec", "operator.clutch"),
     ],
 )
@@ -549,7 +565,9 @@ def test_a_table_of_a_link_has_the_fields_and_defaults_of_the_rust_side(table: t
         described = RUST[table.__name__]["fields"]
     else:
         (described,) = (
-            RUST[enum]["variants"][tag] or {} for enum in ("OutageTimes", "Action") if tag in RUST[enum]["variants"]
+            RUST[enum]["variants"][tag] or {}
+            for enum in ("OutageTimes", "Action", "Edit")
+            if tag in RUST[enum]["variants"]
         )
     assert [field.name for field in fields] == list(described)
 

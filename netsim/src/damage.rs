@@ -2,12 +2,13 @@
 
 use arrayvec::ArrayVec;
 
+use crate::alteration::Alteration;
 use crate::random::Stream;
 
 /// A change of bytes, settled by (seed, packet index) before the bytes are at hand.
 ///
-/// Applied in the order of its parts: forged bytes, sequence, flipped bits, cut.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Applied in the order of its parts: forged bytes, sequence, flipped bits, cut; then somebody alters what is left.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Damage {
     /// Bytes from here on are replaced by random ones of the stream.
     pub(crate) forged: Option<(u32, Stream)>,
@@ -19,6 +20,8 @@ pub struct Damage {
     pub(crate) attacked: Flips,
     /// Bytes that are kept.
     pub(crate) keep: u32,
+    /// Numbers that somebody changes.
+    pub(crate) altered: Alteration,
     /// Index of the packet.
     pub(crate) index: u64,
 }
@@ -52,6 +55,7 @@ impl Damage {
         corrupted: Flips::NONE,
         attacked: Flips::NONE,
         keep: u32::MAX,
+        altered: Alteration::NONE,
         index: 0,
     };
 
@@ -62,7 +66,11 @@ impl Damage {
 
     /// Whether the bytes stay as they are.
     pub fn is_none(&self) -> bool {
-        self.forged.is_none() && self.lead.is_none() && !self.corrupts() && self.keep == u32::MAX
+        self.forged.is_none()
+            && self.lead.is_none()
+            && !self.corrupts()
+            && self.keep == u32::MAX
+            && self.altered.is_none()
     }
 
     /// Whether bits of the packet are flipped.
@@ -85,7 +93,9 @@ impl Damage {
         }
         self.corrupted.apply(payload, self.index);
         self.attacked.apply(payload, self.index);
-        payload.len().min(self.keep as usize)
+        let kept = payload.len().min(self.keep as usize);
+        self.altered.apply(&mut payload[..kept]);
+        kept
     }
 }
 
@@ -205,6 +215,7 @@ mod tests {
                 corrupted: flips(bits, start, end),
                 attacked: flips(more_bits, other_start, other_end),
                 keep,
+                altered: Alteration::NONE,
                 index,
             };
             let mut payload = vec![0xA5; size];

@@ -10,6 +10,7 @@
 //! processes that know nothing of it.
 
 mod adversary;
+mod alteration;
 mod bound;
 mod clock;
 mod corrupt;
@@ -54,9 +55,9 @@ pub use proxy::{
     ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source,
 };
 pub use settings::{
-    Action, Attack, ByteRange, ClockSettings, CrossTraffic, DelayChange, DelayTrace, Discipline,
-    Distribution, FourState, GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Opportunities, Outage,
-    OutageEffect, OutageTimes, Slots, Target,
+    Action, Attack, ByteRange, Checksum, ClockSettings, CrossTraffic, DelayChange, DelayTrace, Discipline,
+    Distribution, Edit, FourState, GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Operation,
+    Opportunities, Outage, OutageEffect, OutageTimes, Slots, Target,
 };
 pub use trace::{
     IrttDelay, IrttRecording, ParseError, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,

@@ -108,7 +108,7 @@ impl DropCause {
 }
 
 /// Something that arrives beside a packet and because of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extra {
     /// Arrival in ns since the link began, never before the packet was sent.
     pub at_ns: u64,
@@ -134,12 +134,21 @@ pub enum ExtraCause {
     Mirror,
     /// Somebody sends it on from another address.
     SecondSource,
+    /// Somebody sends it with other numbers in it.
+    Alter,
 }
 
 impl ExtraCause {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Self; 6] =
-        [Self::Duplicate, Self::Replay, Self::Forge, Self::SequenceLead, Self::Mirror, Self::SecondSource];
+    pub const ALL: [Self; 7] = [
+        Self::Duplicate,
+        Self::Replay,
+        Self::Forge,
+        Self::SequenceLead,
+        Self::Mirror,
+        Self::SecondSource,
+        Self::Alter,
+    ];
 
     /// Its name in logs and tables.
     pub const fn name(self) -> &'static str {
@@ -150,6 +159,7 @@ impl ExtraCause {
             Self::SequenceLead => "sequence-lead",
             Self::Mirror => "mirror",
             Self::SecondSource => "second-source",
+            Self::Alter => "alter",
         }
     }
 }

@@ -3,9 +3,11 @@
 //! The adversary sits where packets arrive: it sees what the network left of them, and a packet that was dropped
 //! before is out of its reach.
 
+mod alter;
 mod bit_flip;
 mod copies;
 mod forge;
+mod hold_back;
 mod selective_drop;
 mod sequence_lead;
 mod target;
@@ -47,12 +49,17 @@ pub(crate) fn build(
 
 /// Whether something arrives beside the packet.
 fn copies(action: &Action) -> bool {
-    !matches!(action, Action::BitFlip { .. } | Action::Drop)
+    !matches!(
+        action,
+        Action::BitFlip { .. } | Action::Alter { inject: false, .. } | Action::HoldBack { .. } | Action::Drop
+    )
 }
 
 /// Builds an action whose settings are found under a key.
 fn act(key: &str, action: &Action, stream: Stream) -> Result<Box<dyn Ending>, LinkError> {
     match *action {
+        Action::Alter { ref edits, checksum, inject } => alter::build(key, edits, checksum, inject),
+        Action::HoldBack { by_s } => hold_back::build(key, by_s),
         Action::Replay { after_s } => copies::replay(key, after_s),
         Action::Forge { keep_bytes } => forge::build(key, keep_bytes, stream),
         Action::BitFlip { bits, within } => bit_flip::build(key, bits, within, stream),
@@ -65,11 +72,13 @@ fn act(key: &str, action: &Action, stream: Stream) -> Result<Box<dyn Ending>, Li
 
 impl Ending for Adversary {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
+        let mut at_ns = at_ns;
         for (aim, action) in &mut self.0 {
-            if aim.takes(packet)
-                && let drop @ Verdict::Drop { .. } = action.end(packet, at_ns, damage, extras)
-            {
-                return drop;
+            if aim.takes(packet) {
+                match action.end(packet, at_ns, damage, extras) {
+                    Verdict::Deliver { at_ns: later } => at_ns = later,
+                    drop @ Verdict::Drop { .. } => return drop,
+                }
             }
         }
         Verdict::Deliver { at_ns }

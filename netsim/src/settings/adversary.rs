@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 /// Something done to packets on purpose, where they arrive: what was lost before is out of its reach.
 ///
 /// Attacks act in the order of their list. What changes or takes a packet does so to the copies that the network
-/// made of it too; what adds one acts once. Of several attacks that flip bits of the same packet the last one does.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+/// made of it too; what adds one acts once. Of several attacks that flip bits of the same packet the last one does, and
+/// of several that alter it.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Attack {
     /// What is done.
@@ -17,7 +18,7 @@ pub struct Attack {
 }
 
 /// What is done to packets on purpose.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Action {
     /// A copy arrives `after_s` later.
@@ -45,12 +46,73 @@ pub enum Action {
         /// First byte of the sequence.
         offset: usize,
     },
+    /// Numbers in it are changed by somebody who knows where they stand.
+    Alter {
+        /// Which numbers and how, one after the other: at most 4.
+        #[serde(default)]
+        edits: Vec<Edit>,
+        /// What is put right afterwards.
+        #[serde(default)]
+        checksum: Option<Checksum>,
+        /// Whether an altered copy arrives beside the packet, which itself stays as it is.
+        #[serde(default)]
+        inject: bool,
+    },
+    /// It is held back.
+    HoldBack {
+        /// For how long, in s.
+        by_s: f64,
+    },
     /// It does not arrive.
     Drop,
     /// A copy goes back to its sender.
     Mirror,
     /// A copy arrives from another source address; in virtual time, which has no addresses, it is a duplicate.
     SecondSource,
+}
+
+/// A change of one little-endian number.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Edit {
+    /// Of a binary64.
+    F64 {
+        /// Its first byte.
+        offset: usize,
+        /// What is done.
+        operation: Operation,
+        /// With which number, from -1e12 to 1e12; others, NaN among them, are set as the bits of a u64.
+        value: f64,
+    },
+    /// Of a u64, modulo 2^64.
+    U64 {
+        /// Its first byte.
+        offset: usize,
+        /// What is done.
+        operation: Operation,
+        /// With which number.
+        value: u64,
+    },
+}
+
+/// What is done to a number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Operation {
+    /// It is replaced.
+    Set,
+    /// Something is added.
+    Add,
+    /// It is multiplied.
+    Multiply,
+}
+
+/// What somebody who knows the format puts right at the end of a packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Checksum {
+    /// CRC-32 (IEEE 802.3) of all bytes but the last four, little-endian in those.
+    Crc32,
 }
 
 /// Bytes from `start` up to but not including `end`.

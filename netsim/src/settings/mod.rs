@@ -8,7 +8,7 @@ mod rate;
 
 use serde::{Deserialize, Serialize};
 
-pub use adversary::{Action, Attack, ByteRange, Target};
+pub use adversary::{Action, Attack, ByteRange, Checksum, Edit, Operation, Target};
 pub use clock::ClockSettings;
 pub use delay::{DelayChange, DelayTrace, Distribution, Slots};
 pub use loss::{FourState, GilbertElliott, Outage, OutageEffect, OutageTimes};

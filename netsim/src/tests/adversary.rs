@@ -1,7 +1,8 @@
 //! Attacks: what each leaves of a packet, and on which packets it acts.
 
 use crate::{
-    Action, Attack, ByteRange, Direction, DropCause, ExtraCause, Link, LinkSettings, Packet, Target, Verdict,
+    Action, Attack, ByteRange, Checksum, Direction, DropCause, Edit, ExtraCause, Link, LinkSettings,
+    Operation, Packet, Target, Verdict,
 };
 
 const SENT_NS: u64 = 5_000_000;
@@ -11,7 +12,8 @@ fn packet(index: u64, size: usize) -> Packet {
 }
 
 fn attacks(actions: &[Action]) -> LinkSettings {
-    let attacks = actions.iter().map(|&action| Attack { action, target: Target::default() }).collect();
+    let attacks =
+        actions.iter().cloned().map(|action| Attack { action, target: Target::default() }).collect();
     LinkSettings { delay_s: 0.01, attacks, ..LinkSettings::default() }
 }
 
@@ -89,6 +91,74 @@ fn a_sequence_that_is_ahead_wraps() {
     assert_eq!(beside, [(10_000_000, ExtraCause::SequenceLead, expected)]);
 }
 
+/// Sets the u64 at byte 8 to 5; the checksum itself is held to its definition beside `Alteration`.
+fn to_five(inject: bool) -> Action {
+    let edits = vec![Edit::U64 { offset: 8, operation: Operation::Set, value: 5 }];
+    Action::Alter { edits, checksum: Some(Checksum::Crc32), inject }
+}
+
+fn ones_with_five() -> Vec<u8> {
+    let mut expected = vec![1; 32];
+    expected[8..16].copy_from_slice(&5_u64.to_le_bytes());
+    let checksum = crc32fast::hash(&expected[..28]);
+    expected[28..].copy_from_slice(&checksum.to_le_bytes());
+    expected
+}
+
+#[test]
+fn a_packet_is_altered_in_place_with_the_copies_of_the_network() {
+    assert_eq!(outcome(&attacks(&[to_five(false)])), (Some(ones_with_five()), vec![]));
+    let twice = LinkSettings { duplicate: 1.0, ..attacks(&[Action::Mirror, to_five(false)]) };
+    let beside = [
+        (10_000_000, ExtraCause::Duplicate, ones_with_five()),
+        // Seen before it was altered.
+        (10_000_000, ExtraCause::Mirror, vec![1; 32]),
+    ];
+    assert_eq!(outcome(&twice), (Some(ones_with_five()), beside.to_vec()));
+}
+
+#[test]
+fn an_altered_copy_arrives_beside_the_packet() {
+    let beside = vec![(10_000_000, ExtraCause::Alter, ones_with_five())];
+    assert_eq!(outcome(&attacks(&[to_five(true)])), (Some(vec![1; 32]), beside));
+}
+
+#[test]
+fn what_is_cut_is_sealed_where_it_ends() {
+    let cut = LinkSettings { truncate: 1.0, truncate_bytes: 20, ..attacks(&[to_five(false)]) };
+    let mut expected = ones_with_five()[..16].to_vec();
+    let checksum = crc32fast::hash(&expected);
+    expected.extend(checksum.to_le_bytes());
+    assert_eq!(outcome(&cut), (Some(expected), vec![]));
+    let shorter = LinkSettings { truncate: 1.0, truncate_bytes: 15, ..attacks(&[to_five(true)]) };
+    assert_eq!(outcome(&shorter), (Some(vec![1; 15]), vec![]));
+}
+
+#[test]
+fn what_is_held_back_arrives_later_and_is_passed_by_the_rest() {
+    let hold = |every| Attack {
+        action: Action::HoldBack { by_s: 0.0025 },
+        target: Target { every, ..Target::default() },
+    };
+    let arrivals = |attacks: Vec<Attack>| -> Vec<u64> {
+        let settings = LinkSettings { delay_s: 0.01, duplicate: 1.0, attacks, ..LinkSettings::default() };
+        let mut link = Link::new(Direction::Forward, 3, &settings).unwrap();
+        let arrives = |index| {
+            let packet =
+                Packet { direction: Direction::Forward, sent_ns: index * 1_000_000, size: 32, index };
+            let judgement = link.judge(&packet);
+            let Verdict::Deliver { at_ns } = judgement.verdict else { panic!("lost") };
+            assert_eq!(judgement.extras[0].at_ns, at_ns, "the copy of the network");
+            at_ns / 100_000
+        };
+        (0..6).map(arrives).collect()
+    };
+    assert_eq!(arrivals(vec![hold(1)]), [125, 135, 145, 155, 165, 175]);
+    assert_eq!(arrivals(vec![hold(3)]), [125, 110, 120, 155, 140, 150]);
+    // One after the other, and what is copied then is copied late.
+    assert_eq!(arrivals(vec![hold(1), hold(3)]), [150, 135, 145, 180, 165, 175]);
+}
+
 #[test]
 fn a_dropped_packet_takes_the_copies_of_the_network_along_but_not_what_was_recorded() {
     let settings = LinkSettings { duplicate: 1.0, ..attacks(&[Action::Drop, Action::Mirror]) };
@@ -127,10 +197,11 @@ fn what_is_lost_or_damaged_before_is_so_for_the_adversary() {
 
 #[test]
 fn no_more_arrives_beside_a_packet_than_there_is_room_for() {
-    let (itself, beside) = outcome(&attacks(&[Action::Mirror; 8]));
+    let eight = [const { Action::Mirror }; 8];
+    let (itself, beside) = outcome(&attacks(&eight));
     assert!(itself.is_some());
     assert_eq!(beside.len(), 8);
-    let too_many = LinkSettings { duplicate: 0.1, ..attacks(&[Action::Mirror; 8]) };
+    let too_many = LinkSettings { duplicate: 0.1, ..attacks(&eight) };
     assert_eq!(
         too_many.validate().unwrap_err().to_string(),
         "attacks: 8 of them add a packet: at most 8 may, a duplicate among them"
@@ -140,7 +211,13 @@ fn no_more_arrives_beside_a_packet_than_there_is_room_for() {
 #[test]
 fn what_is_too_short_for_an_attack_is_left_alone() {
     let within = ByteRange { start: 32, end: 40 };
-    for action in [Action::BitFlip { bits: 1, within }, Action::SequenceLead { lead: 1, offset: 25 }] {
+    let edits = vec![Edit::F64 { offset: 25, operation: Operation::Add, value: 1.0 }];
+    for action in [
+        Action::BitFlip { bits: 1, within },
+        Action::SequenceLead { lead: 1, offset: 25 },
+        Action::Alter { edits: edits.clone(), checksum: Some(Checksum::Crc32), inject: true },
+        Action::Alter { edits, checksum: Some(Checksum::Crc32), inject: false },
+    ] {
         assert_eq!(outcome(&attacks(&[action])), (Some(vec![1; 32]), vec![]));
     }
 }
@@ -176,11 +253,16 @@ fn only_the_packets_aimed_at_are_met() {
 
 #[test]
 fn attacks_are_read_as_tables() {
-    let read = |text| serde_json::from_str::<Attack>(text);
+    let read = |text: &str| serde_json::from_str::<Attack>(text);
     let flip =
         read(r#"{"action": {"kind": "bit-flip", "bits": 2, "within": {"start": 0, "end": 8}}}"#).unwrap();
     let within = ByteRange { start: 0, end: 8 };
     assert_eq!(flip, Attack { action: Action::BitFlip { bits: 2, within }, target: Target::default() });
+    let alter =
+        r#"{"kind": "alter", "edits": [{"type": "f64", "offset": 64, "operation": "set", "value": -1}]}"#;
+    let edits = vec![Edit::F64 { offset: 64, operation: Operation::Set, value: -1.0 }];
+    let alter = format!(r#"{{"action": {alter}}}"#);
+    assert_eq!(read(&alter).unwrap().action, Action::Alter { edits, checksum: None, inject: false });
     let drop = read(r#"{"action": {"kind": "drop"}, "target": {"every": 3}}"#).unwrap();
     assert_eq!(drop.target, Target { every: 3, ..Target::default() });
     assert!(read(r#"{"action": {"kind": "replay", "after_s": 1, "before_s": 1}}"#).is_err());

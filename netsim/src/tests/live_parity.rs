@@ -12,7 +12,10 @@ use crate::damage::{Damage, Flips};
 use crate::link::Rules;
 use crate::random::{Impairment, Stream};
 use crate::rule::{Ending, Extras};
-use crate::{Direction, Extra, ExtraCause, Link, LinkSettings, MAX_DATAGRAM, Packet, ProxySettings, Verdict};
+use crate::{
+    Action, Attack, Checksum, Direction, Edit, Extra, ExtraCause, Link, LinkSettings, MAX_DATAGRAM,
+    Operation, Packet, ProxySettings, Target, Verdict,
+};
 
 type Bytes = Vec<u8>;
 
@@ -79,8 +82,20 @@ fn rich() -> LinkSettings {
         corrupt_bits: 3,
         truncate: 0.05,
         truncate_bytes: 5,
+        attacks: vec![altering(5, false), altering(7, true), attack(11, Action::HoldBack { by_s: 0.004 })],
         ..LinkSettings::default()
     }
+}
+
+/// Somebody does something to every n-th packet.
+fn attack(every: u64, action: Action) -> Attack {
+    Attack { action, target: Target { every, ..Target::default() } }
+}
+
+/// Somebody changes the number at byte 2 and puts the checksum right.
+fn altering(every: u64, inject: bool) -> Attack {
+    let edits = vec![Edit::U64 { offset: 2, operation: Operation::Multiply, value: 3 }];
+    attack(every, Action::Alter { edits, checksum: Some(Checksum::Crc32), inject })
 }
 
 fn payload(number: usize) -> Bytes {

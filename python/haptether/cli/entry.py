@@ -18,6 +18,7 @@ from haptether.cli.keygen import Keygen
 from haptether.cli.master import Master
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
 from haptether.cli.paper import Paper
+from haptether.cli.raven import Raven
 from haptether.cli.simulate import Simulate
 from haptether.cli.slave import Slave
 from haptether.cli.sweep import Sweep
@@ -33,6 +34,7 @@ class Command(Protocol):
 COMMANDS: dict[str, type[Any]] = {
     "demo": Demo,
     "paper": Paper,
+    "raven": Raven,
     "simulate": Simulate,
     "sweep": Sweep,
     "master": Master,

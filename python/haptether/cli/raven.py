@@ -1,0 +1,95 @@
+"""`haptether raven`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from haptether.studies import RavenReport, RavenRow
+
+COLOURS = {"yes": "red", "denies": "yellow", "delays": "yellow", "no": "green"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raven:
+    """Attack a teleoperation as the RAVEN II study did, and say what each attack does.
+
+    Each attack is a scene that comes with Haptether, raven_drop and the others of `haptether simulate --list`. Exit
+    status 1 says that one did what it is not known to do, or that something moved which should have held.
+
+    Examples:
+
+    haptether raven
+
+    haptether raven --json - | jq '.rows[] | select(.works == "yes") | .scene'
+
+    haptether simulate raven_hijack --plot out/raven
+    """
+
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Also write all rows as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Runs every attack (a second or two) and prints what it did; 0, or 1 if that is not what is expected."""
+        from rich.console import Console
+
+        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.studies import raven_suite
+
+        check_target(self.json)
+        report = raven_suite()
+        self._print(Console(stderr=table_goes_to_stderr(self.json)), report)
+        if self.json is not None:
+            write_json(self.json, report.as_json())
+        return 0 if report.is_as_expected else 1
+
+    def _print(self, console: "Console", report: "RavenReport") -> None:
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table
+
+        table = Table(header_style="bold", pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE_HEAD)
+        for name in ("attack", "key", "works", "effect"):
+            table.add_column(name, no_wrap=True)
+        for name in ("astray\nmm", "off\nmm", "extra\nN", "refused\n"):
+            table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("arm\nends in", no_wrap=True)
+        for row in report.rows:
+            table.add_row(
+                _name(row),
+                "yes" if row.security == "on" else "no",
+                f"[{COLOURS[row.works]}]{row.works}[/]",
+                _effect(row),
+                f"{row.astray_mm:.1f}",
+                f"{row.lag_mm:.1f}",
+                f"{max(row.extra_force_n, 0.0):.1f}",
+                str(row.refused),
+                row.final_states[1],
+            )
+        console.print(table)
+        for because in dict.fromkeys(row.because for row in report.rows):
+            names = dict.fromkeys(_name(row) for row in report.rows if row.because == because)
+            console.print(f"{', '.join(names)}: {because}", highlight=False)
+        console.print()
+        console.print(
+            "moved: the arm was led to where the hand was not. pushed: the hand felt what nobody measured. late: the "
+            "arm followed, late. stopped: nothing moves until a person presses the clutch; no key makes packets "
+            "arrive, so whoever sits on the path can always do that. astray: farthest that the arm was led from where "
+            "the hand had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's; "
+            "refused: datagrams that changed nothing.",
+            highlight=False,
+        )
+
+
+def _name(row: "RavenRow") -> str:
+    return row.scene.removeprefix("raven_").replace("_", " ")
+
+
+def _effect(row: "RavenRow") -> str:
+    effect: str = row.effect
+    if row.effect != row.expected:
+        effect = f"[red]{effect}, not {row.expected}[/]"
+    return effect if row.is_safe else f"[red]{effect}, and moved in hold[/]"

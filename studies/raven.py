@@ -1,0 +1,223 @@
+"""What somebody on the path can do to a teleoperation: the attacks of the RAVEN II study, with a key and without.
+
+Each attack is a shipped scene. One run of it is compared with one of the same scene in which nobody attacks.
+
+Source: arXiv 1504.04339 (Bonaci et al. 2015).
+"""
+
+from typing import Literal, TypeAlias
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from haptether.bridge import Run, Scene, ladder_state_name, load_scene, simulate
+from haptether.studies.raven_attacks import RAVEN_ATTACKS, Effect, RavenAttack, Security
+
+Array: TypeAlias = npt.NDArray[np.float64]
+Flags: TypeAlias = npt.NDArray[np.bool_]
+
+SECURITY: dict[Security, tuple[str, ...]] = {"off": ("security.secure=false",), "on": ("security.secure=true",)}
+"""Overrides of a scene by which its frames go in the clear or are authenticated."""
+
+COASTING_S = 0.02
+"""How long the arm follows a velocity that is not renewed; the ladder then holds."""
+COMMAND_SPEED = 3.0
+"""Bound in m/s on the command of an arm."""
+FADE_S = 0.1
+"""Within which a force has faded out after the ladder has left ENGAGED."""
+
+WORKS: dict[Effect, Literal["yes", "denies", "delays", "no"]] = {
+    "moved": "yes",
+    "pushed": "yes",
+    "stopped": "denies",
+    "late": "delays",
+    "none": "no",
+}
+
+
+class RavenRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One attack on one kind of frames. Lengths in mm, forces in N."""
+
+    scene: str
+    kind: str
+    security: Security
+    effect: Effect
+    """What the attack did."""
+    expected: Effect
+    """What it is known to do."""
+    because: str
+    """Why no more than this."""
+    astray_mm: float
+    """Farthest that the command of the arm was from all places to which the hand had led it until then."""
+    astray_limit_mm: float
+    """How far it may be without anybody's doing: coasting for 20 ms, and one tick at the speed bound."""
+    lag_mm: float
+    """Largest difference of the command of the arm from the run that nobody attacks, while both sides were coupled."""
+    extra_force_n: float
+    """By how much the largest force on the hand exceeded that of the run that nobody attacks."""
+    extra_force_limit_n: float
+    """How much that may be without anybody's doing: what is touched, pressed as far as the arm may stray."""
+    moved_in_hold_mm: float
+    """How far the command of the arm travelled while its ladder held or stopped."""
+    force_in_hold_n: float
+    """Largest force on the hand later than 100 ms after its ladder had left ENGAGED."""
+    refused: int
+    """Datagrams that were none of the peer's, or no frame, and changed nothing."""
+    final_states: tuple[str, str]
+    """Of master and slave."""
+
+    @property
+    def works(self) -> Literal["yes", "denies", "delays", "no"]:
+        """Whether arm or hand obeyed somebody else, or only the connection was taken from them, or slowed."""
+        return WORKS[self.effect]
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether whatever held, held still."""
+        return self.moved_in_hold_mm == 0.0 and self.force_in_hold_n == 0.0
+
+
+class RavenReport(msgspec.Struct, frozen=True, kw_only=True):
+    """All attacks on all kinds of frames."""
+
+    rows: tuple[RavenRow, ...]
+
+    @property
+    def is_as_expected(self) -> bool:
+        """Whether each attack did what it is known to do, and what held, held still."""
+        return all(row.effect == row.expected and row.is_safe for row in self.rows)
+
+    def as_json(self) -> bytes:
+        """The report as JSON."""
+        rows = [{**msgspec.to_builtins(row), "works": row.works, "is_safe": row.is_safe} for row in self.rows]
+        return msgspec.json.format(msgspec.json.encode({"rows": rows, "is_as_expected": self.is_as_expected}), indent=2)
+
+
+def raven_suite() -> RavenReport:
+    """Runs every attack on every kind of frames, beside runs that nobody attacks."""
+    return RavenReport(
+        rows=tuple(measure_attack(attack, security) for attack in RAVEN_ATTACKS for security in SECURITY)
+    )
+
+
+def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
+    """Runs one attack on one kind of frames and measures what it did."""
+    scene = load_scene(attack.scene, SECURITY[security])
+    attacked, alone = simulate(scene), simulate(scene, overrides=_nobody(scene))
+    near, far = _coupled(attacked, "state"), _coupled(attacked, "slave_state")
+    command = _signal(attacked, "slave_command")
+    # The hand's speed is that of the run in which nobody leads or pushes it.
+    speed = float(abs(_signal(alone, "velocity")).max())
+    astray_limit = speed * COASTING_S + COMMAND_SPEED * scene.run.period_s
+    extra_limit = _stiffness(scene) * astray_limit
+    astray = _astray(_signal(attacked, "position"), command, far)
+    extra = float(abs(_signal(attacked, "device_force")).max() - abs(_signal(alone, "device_force")).max())
+    lag = _lag(attacked, alone)
+    expected = attack.without if security == "off" else attack.protected
+    effect: Effect = "none"
+    if astray > astray_limit:
+        effect = "moved"
+    elif extra > extra_limit:
+        effect = "pushed"
+    elif _parted(near) or _parted(far):
+        effect = "stopped"
+    elif lag > astray_limit:
+        effect = "late"
+    return RavenRow(
+        scene=attack.scene,
+        kind=attack.kind,
+        security=security,
+        effect=effect,
+        expected=expected,
+        because=attack.because
+        if expected == attack.protected
+        else "without a key, whoever knows the format is believed",
+        astray_mm=1e3 * astray,
+        astray_limit_mm=1e3 * astray_limit,
+        lag_mm=1e3 * lag,
+        extra_force_n=extra,
+        extra_force_limit_n=extra_limit,
+        moved_in_hold_mm=1e3 * _travel(command, far),
+        force_in_hold_n=_force_in_hold(attacked, near),
+        refused=_refused(attacked),
+        final_states=(_final_state(attacked, "state"), _final_state(attacked, "slave_state")),
+    )
+
+
+def _nobody(scene: Scene) -> list[str]:
+    """Overrides by which nobody attacks."""
+    links = {} if scene.link is None else {"forward": scene.link.forward, "backward": scene.link.backward}
+    return [f"link.{way}.attacks=[]" for way, link in links.items() if link is not None and link.attacks]
+
+
+def _stiffness(scene: Scene) -> float:
+    """Of the stiffest that the arm can touch, in N/m."""
+    objects = () if scene.environment is None else scene.environment.objects
+    return max((item.contact.stiffness for item in objects), default=0.0)
+
+
+def _signal(run: Run, name: str) -> Array:
+    """A signal of one axis."""
+    return np.asarray(run.signals[name], dtype=np.float64).reshape(-1)
+
+
+def _coupled(run: Run, name: str) -> Flags:
+    """Whether a side was coupled, at each tick."""
+    codes = _signal(run, name)
+    coupled = [code for code in np.unique(codes) if ladder_state_name(int(code)) in ("engaged", "stale")]
+    return np.isin(codes, coupled)
+
+
+def _parted(coupled: Flags) -> bool:
+    """Whether a side that was coupled ceased to be."""
+    return bool((coupled[:-1] & ~coupled[1:]).any())
+
+
+def _astray(hand: Array, command: Array, coupled: Flags) -> float:
+    """Farthest in m that the command was from all places to which the hand had led it until then.
+
+    On one axis those are an interval, for a hand does not leap.
+    """
+    if not coupled.any():
+        return 0.0
+    first = int(np.argmax(coupled))
+    ticks = slice(first, min(len(hand), len(command)))
+    led = hand[ticks] - hand[first] + command[first]
+    above = command[ticks] - np.maximum.accumulate(led)
+    below = np.minimum.accumulate(led) - command[ticks]
+    return float(max(above.max(), below.max(), 0.0))
+
+
+def _lag(attacked: Run, alone: Run) -> float:
+    """Largest difference in m of the command from that of the other run, while all sides of both were coupled."""
+    both = [_coupled(run, side) for run in (attacked, alone) for side in ("state", "slave_state")]
+    commands = [_signal(run, "slave_command") for run in (attacked, alone)]
+    ticks = min(map(len, [*both, *commands]))
+    together = np.logical_and.reduce([flags[:ticks] for flags in both])
+    return float(abs(commands[0][:ticks] - commands[1][:ticks])[together].max(initial=0.0))
+
+
+def _travel(command: Array, coupled: Flags) -> float:
+    """How far in m the command travelled between ticks at which the side was no longer coupled."""
+    ever = np.logical_or.accumulate(coupled)
+    held = (ever & ~coupled)[:-1] & ~coupled[1:]
+    return float(abs(np.diff(command))[held].sum())
+
+
+def _force_in_hold(run: Run, coupled: Flags) -> float:
+    """Largest force in N on the hand later than `FADE_S` after its side ceased to be coupled."""
+    time_s, force = _signal(run, "time_s"), _signal(run, "device_force")
+    newest = np.maximum.accumulate(np.where(coupled, time_s, -np.inf))
+    later = np.isfinite(newest) & (time_s - newest > FADE_S + 1e-9)
+    return float(abs(force)[later].max(initial=0.0))
+
+
+def _refused(run: Run) -> int:
+    """Datagrams that either side refused, as the run tells it in words."""
+    details = [event.detail for event in run.events if event.kind == "refused"]
+    return sum(int(word) for detail in details for word in detail.split() if word.isdigit())
+
+
+def _final_state(run: Run, name: str) -> str:
+    return ladder_state_name(int(_signal(run, name)[-1]))
