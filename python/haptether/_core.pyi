@@ -1854,6 +1854,7 @@ class LiveMaster:
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
 
     Raises:
         ValueError: An address that is none, or a time outside 0 to 1e9 s.
@@ -1869,6 +1870,7 @@ class LiveMaster:
         listen: str | None = None,
         duration_s: float | None = None,
         patience_s: float | None = None,
+        keep_s: float = 600.0,
     ) -> LiveMaster: ...
     @property
     def address(self) -> str:
@@ -1909,6 +1911,7 @@ class LiveSlave:
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
 
     Raises:
         ValueError: An address that is none, or a time outside 0 to 1e9 s.
@@ -1923,6 +1926,7 @@ class LiveSlave:
         session: int,
         duration_s: float | None = None,
         patience_s: float | None = None,
+        keep_s: float = 600.0,
     ) -> LiveSlave: ...
     @property
     def address(self) -> str:

@@ -25,7 +25,7 @@ fn as_axes<const N: usize>(bytes: &[u8], role: Role) {
         assert_eq!(refused, Err(WireError::Length { seen: bytes.len(), allowed: Frame::<N>::LENGTH }));
         return;
     }
-    decode::<N>(bytes, role);
+    let _ = decode::<N>(bytes, role);
     let mut sealed = bytes.to_vec();
     let end = sealed.len() - CHECKSUM;
     let checksum = crc32fast::hash(&sealed[..end]);

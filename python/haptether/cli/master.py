@@ -17,8 +17,7 @@ class Master:
     """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
 
     Times count from the moment the two sides engage. When the slave falls silent for 20 ms, the force on the
-    hand fades to zero within 80 ms; after 200 ms it stays away until this command is started anew. Figures and
-    trace hold the last ten minutes.
+    hand fades to zero within 80 ms; after 200 ms it stays away until this command is started anew.
 
     Examples:
 
@@ -45,6 +44,8 @@ class Master:
     """End this long after engaging, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
     """Give up if the slave has not answered after this time in s."""
+    keep_s: float = 600.0
+    """How much of the end of the run the figures and the trace hold at least, in s; what is older takes no memory."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
     trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -75,6 +76,7 @@ class Master:
                 session=new_session(),
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
+                keep_s=self.keep_s,
             )
 
             def status() -> str:

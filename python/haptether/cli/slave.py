@@ -39,6 +39,8 @@ class Slave:
     """End this long after engaging, in s; without it, run until Ctrl-C."""
     patience_s: float | None = None
     """Give up if no master has come after this time in s; without it, wait for one."""
+    keep_s: float = 600.0
+    """How much of the end of the run the figures hold at least, in s; what is older takes no memory."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
 
@@ -66,6 +68,7 @@ class Slave:
                 session=new_session(),
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
+                keep_s=self.keep_s,
             )
 
             def status() -> str:
