@@ -16,9 +16,10 @@ CORPUS = ROOT / "fuzz" / "corpus" / "toml"
 FILES = sorted(CORPUS.iterdir())
 GOOD = [ROOT / "bridge" / "scenes" / f"{name}.toml" for name in scene_names()]
 WORDS = [
-    b"nan", b"-inf", b"1e999", b"-0.0", b"5e-324", b"9223372036854775807", b"99999999999999999999", b"0x7F", b"1979-05-27",
-    b"true", b'""', b"''", b"[]", b"{}", b"[[]]", b"[run]\n", b"[[run]]\n", b"=", b".", b"#", b"\n", b"\r", b"\x00", b"\xff",
-    b"\xef\xbb\xbf", b'"\\u0000"', b'"""', b"[master]\n", b"a.b.c = 1\n", b"[" * 200, b"kind = ", b"schema = 1\n",
+    b"nan", b"-inf", b"1e999", b"-0.0", b"5e-324", b"9223372036854775807", b"99999999999999999999", b"0x7F",
+    b"1979-05-27", b"true", b'""', b"''", b"[]", b"{}", b"[[]]", b"[run]\n", b"[[run]]\n", b"=", b".", b"#", b"\n",
+    b"\r", b"\x00", b"\xff", b"\xef\xbb\xbf", b'"\\u0000"', b'"""', b"[master]\n", b"a.b.c = 1\n", b"[" * 200,
+    b"kind = ", b"schema = 1\n",
 ]  # fmt: skip
 
 

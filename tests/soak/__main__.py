@@ -130,9 +130,9 @@ def told(one: Running, report: object) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """The processes for people."""
-    lines = [
-        f"{'':8} {'KiB at half':>12} {'at the end':>11} {'grown':>7} {'allowed':>8} {'late cycles':>12} {'most/s':>7}"
-    ]
+    heads = ("KiB at half", "at the end", "grown", "allowed", "late cycles", "most/s")
+    widths = (12, 11, 7, 8, 12, 7)
+    lines = [" ".join([" " * 8, *(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True))])]
     for name, one in result["processes"].items():
         kib = [one[key] / 1024 for key in ("first_bytes", "last_bytes", "grown_bytes", "allowed_bytes")]
         late, most = one["late_cycles"], one["most_late_cycles_in_a_second"]
