@@ -27,8 +27,9 @@ fn opportunities(opportunities: Opportunities) -> LinkSettings {
 }
 
 fn table(values: Vec<i16>) -> LinkSettings {
+    // One value of 16384 that is far from the others lies 128 deviations from their mean: no delay may be negative.
     let distribution = Distribution::Table(values);
-    LinkSettings { delay_s: 0.05, jitter_s: 0.005, distribution, ..LinkSettings::default() }
+    LinkSettings { delay_s: 1.0, jitter_s: 0.005, distribution, ..LinkSettings::default() }
 }
 
 fn buildable(bytes: &[u8], read: Result<LinkSettings, ParseError>, format: &str) {
