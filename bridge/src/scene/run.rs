@@ -7,8 +7,8 @@ use haptether_master::SimulatedMaster;
 use super::{
     bilateral,
     build::{
-        SceneError, environment, exact_master, is_continuous, is_plain, late, measures, period_ns, rendered_walls,
-        stepped_master, stepping, ticks, watch,
+        SceneError, environment, exact_master, is_continuous, is_plain, late, measures, period_ns,
+        rendered_walls, stepped_master, stepping, ticks, watch,
     },
     events::{EventLog, SceneEvent},
     local::{Ending, LocalRun},

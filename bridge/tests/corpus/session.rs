@@ -33,7 +33,8 @@ fn living() -> Scenario {
         let from = crate::pair::peer(to);
         let handshake =
             pair.sent.iter().find(|(_, at, bytes)| *at == to && bytes.len() == HANDSHAKE_LENGTH).unwrap();
-        let old = pair.sent.iter().rfind(|(_, at, bytes)| *at == to && bytes.len() != HANDSHAKE_LENGTH).unwrap();
+        let old =
+            pair.sent.iter().rfind(|(_, at, bytes)| *at == to && bytes.len() != HANDSHAKE_LENGTH).unwrap();
         let (handshake, old) = (handshake.2.clone(), old.2.clone());
         let mut buffer = [0; MAX_DATAGRAM];
         let new = pair.end(from).session.seal(now_ns, &payload(1), &mut buffer).unwrap().to_vec();
