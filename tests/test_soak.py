@@ -32,7 +32,7 @@ def test_a_long_soak_allows_as_much_for_each_five_minutes() -> None:
 
 
 def test_a_short_soak_samples_three_processes() -> None:
-    """Whether memory is flat shows after the sides have filled what they keep, which is later than this."""
+    """Whether memory is flat shows after each page of the rings has been touched, which is later than this."""
     lines: list[str] = []
     result = soak(12.0, lines.append)
     assert list(result["processes"]) == ["slave", "network", "master"]
@@ -46,5 +46,5 @@ def test_a_short_soak_samples_three_processes() -> None:
     for name in ("slave", "master"):
         one = result["processes"][name]
         assert one["report"]["ticks"] + one["report"]["skipped_ticks"] > 9000
-        # Seen from outside, and counted by the loop itself: a late cycle need not be skipped, but takes its time.
-        assert one["late_cycles"] < one["report"]["ticks"]
+        # Seen from outside, and counted by the loop itself, which also runs before the first sample and after the last.
+        assert one["late_cycles"] <= one["report"]["skipped_ticks"] + 2 * len(lines)
