@@ -46,5 +46,5 @@ def test_a_short_soak_samples_three_processes() -> None:
     for name in ("slave", "master"):
         one = result["processes"][name]
         assert one["report"]["ticks"] + one["report"]["skipped_ticks"] > 9000
-        # Seen from outside, and counted by the loop itself, which also runs before the first sample and after the last.
-        assert one["late_cycles"] <= one["report"]["skipped_ticks"] + 2 * len(lines)
+        # Seen from outside: also a cycle that was late and not skipped.
+        assert one["late_cycles"] < one["report"]["ticks"]
