@@ -66,6 +66,32 @@ bench: $(EXTENSION) .venv/.bench ## run benches/*.py, one after the other
 	    echo "== $$bench"; $(BIN)/python "$$bench" || status=1; \
 	done; exit $$status
 
+# What it finds new lands in out/fuzz, what makes a target fail in fuzz/artifacts. No sanitizer: they need a nightly
+# compiler, and the code under test is safe Rust. FUZZ_SECONDS is for each target.
+FUZZ_SECONDS ?= 60
+FUZZ_TARGETS := $(notdir $(basename $(wildcard fuzz/fuzz_targets/*.rs)))
+CARGO_FUZZ := .tools/cargo-fuzz/bin/cargo-fuzz
+
+.PHONY: fuzz
+fuzz: $(EXTENSION) $(CARGO_FUZZ) ## fuzz every target for FUZZ_SECONDS (60) each
+	$(CARGO_FUZZ) fuzz build --sanitizer none
+	@for target in $(FUZZ_TARGETS); do \
+	    echo "== $$target"; mkdir -p out/fuzz/$$target; \
+	    $(CARGO_FUZZ) fuzz run --sanitizer none $$target out/fuzz/$$target fuzz/corpus/$$target -- \
+	        -max_total_time=$(FUZZ_SECONDS) -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 || exit 1; \
+	done
+	HAPTETHER_HYPOTHESIS_PROFILE=slow $(BIN)/python -m pytest --timeout 0 tests/test_scene_corpus.py
+
+$(CARGO_FUZZ):
+	@echo "installing cargo-fuzz into .tools"
+	@cargo install --quiet --locked --root .tools/cargo-fuzz --version 0.13.2 cargo-fuzz
+
+SOAK_SECONDS ?= 600
+
+.PHONY: soak
+soak: $(EXTENSION) ## master, network and slave for SOAK_SECONDS (600): memory must stay flat
+	@$(BIN)/python -m tests.soak --seconds $(SOAK_SECONDS) --json out/soak.json
+
 # After the environment, which is made anew without it when its requirements change.
 .venv/.bench: tools/bench.txt $(ENVIRONMENT)
 	@echo "installing tools/bench.txt into .venv"
@@ -85,7 +111,7 @@ lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest vers
 
 .PHONY: clean
 clean: ## remove all that these targets made
-	rm -rf .tools .venv target out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .tools .venv target fuzz/target fuzz/artifacts out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	rm -f $(EXTENSION)
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -52,7 +52,7 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
     """
     path = scene_path(name_or_path)
     try:
-        plain = cast("dict[str, Plain]", tomllib.loads(path.read_text(encoding="utf-8")))
+        plain = _tables(path.read_text(encoding="utf-8"))
         for override in overrides:
             plain = overridden(plain, override)
         return scene_from_plain(plain, path.parent)
@@ -64,7 +64,20 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
         message = f"{path.name}: must be UTF-8: {error.reason} at byte {error.start}"
     except OSError as error:
         message = f"{path}: cannot be read: {error.strerror}"
+    except RecursionError:
+        message = f"{path.name}: tables or lists too deep within each other"
     raise SceneError(message)
+
+
+def _tables(text: str) -> dict[str, Plain]:
+    try:
+        return cast("dict[str, Plain]", tomllib.loads(text))
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:
+        # What Python says of a number of thousands of digits, or of a date that no calendar has.
+        message = f"a number or a date that cannot be: {str(error).partition(';')[0]}"
+        raise SceneError(message) from None
 
 
 def scene_path(name_or_path: str | PathLike[str]) -> FilePath:

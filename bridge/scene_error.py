@@ -26,8 +26,18 @@ def place(path: Path) -> str:
     for length in range(1, len(path)):
         if not isinstance(path[length], int) and table_type(path[:length]) is not None:
             table = path[:length]
-    key = ".".join(map(str, path[len(table) :]))
-    return f"[{'.'.join(map(str, table))}] {key}" if table else key
+    key = _dotted(path[len(table) :])
+    return f"[{_dotted(table)}] {key}" if table else key
+
+
+def _dotted(path: Path) -> str:
+    return ".".join(abridged(str(step)) for step in path)
+
+
+def abridged(text: str) -> str:
+    """What a file says as part of one line: what no screen shows is escaped, and a long text cut."""
+    text = text if len(text) <= 80 else f"{text[:76]} ..."
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def wrong(path: Path, seen: object, allowed: str) -> SceneError:
@@ -56,13 +66,13 @@ def shown(value: object) -> str:
         text = f"{value:g}" if float(f"{value:g}") == value else repr(value)
     else:
         text = str(value)
-    return text if len(text) <= 80 else f"{text[:76]} ..."
+    return abridged(text)
 
 
 def closest(word: str, words: Iterable[str]) -> str:
     """Asks for the most similar word, or says all of them where none is similar."""
     words = sorted(words)
-    near = difflib.get_close_matches(word, words, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(word[:80], words, n=1, cutoff=0.5)
     return f"did you mean {near[0]}?" if near else f"there is {', '.join(words)}"
 
 
@@ -200,7 +210,7 @@ def explained(error: ValidationError, plain: Plain) -> SceneError:
         int(step[1:-1]) if step.startswith("[") else step.removeprefix(".")
         for step in re.findall(r"\.[^.\[]+|\[\d+\]", where)
     )
-    if unknown := re.search(r"unknown field `(.*)`", said):
+    if unknown := re.search(r"unknown field `(.*)`", said, re.DOTALL):
         return unknown_key((*path, unknown[1]))
     if missing := re.search(r"missing required field `(.*)`", said):
         key = missing[1]
@@ -211,5 +221,5 @@ def explained(error: ValidationError, plain: Plain) -> SceneError:
 def unknown_key(path: Path) -> SceneError:
     """A key that its table does not have."""
     key, table = str(path[-1]), path[:-1]
-    name = f"[{'.'.join(map(str, table))}]" if table else "a scene"
-    return SceneError(f"{name} has no key {key}: {closest(key, keys_at(table))}")
+    name = f"[{_dotted(table)}]" if table else "a scene"
+    return SceneError(f"{name} has no key {abridged(key)}: {closest(key, keys_at(table))}")

@@ -25,6 +25,8 @@
 //! | 72 + 24 N | `f64` | energy in J that this side's plant has had out of the link; it never falls |
 //! | 80 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
+//! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid.
+//!
 //! Positions are absolute, never increments: a lost frame costs its own news and nothing else.
 
 use haptether_safety::{Axes, Signal};
@@ -141,6 +143,9 @@ pub enum WireError {
         /// Axes of this endpoint.
         allowed: usize,
     },
+    /// With flags that have no meaning, or with an echo that its flag denies.
+    #[error("flags {0:#06x}: must be a sum of 1 and 2, and without 1 the fields of the echo zero")]
+    Flags(u16),
     /// Damaged on the way.
     #[error("checksum {seen:#010x}: must be {computed:#010x}")]
     Checksum {
@@ -183,6 +188,8 @@ struct Header {
 const ECHO_VALID: u16 = 1;
 const HEARS_PEER: u16 = 2;
 const CLUTCH: u16 = 4;
+/// What stands in a frame without an echo.
+const NO_ECHO: Echo = Echo { session: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 
 impl<const N: usize> Frame<N> {
     /// Bytes of this frame.
@@ -190,7 +197,7 @@ impl<const N: usize> Frame<N> {
 
     /// Writes the frame and gives the bytes written.
     pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        let echo = self.echo.unwrap_or(Echo { session: 0, sequence: 0, sent_ns: 0, held_ns: 0 });
+        let echo = self.echo.unwrap_or(NO_ECHO);
         #[allow(clippy::cast_possible_truncation)] // at most 7 axes
         let header = Header {
             magic: MAGIC,
@@ -249,7 +256,17 @@ impl<const N: usize> Frame<N> {
         if seen != computed {
             return Err(WireError::Checksum { seen, computed });
         }
-        let sequence = header.sequence.get();
+        let (sequence, flags) = (header.sequence.get(), header.flags.get());
+        let echo = Echo {
+            session: header.echo_session.get(),
+            sequence: header.echo_sequence.get(),
+            sent_ns: header.echo_sent_ns.get(),
+            held_ns: header.echo_held_ns.get(),
+        };
+        let is_valid = flags & ECHO_VALID != 0;
+        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH) != 0 || !(is_valid || echo == NO_ECHO) {
+            return Err(WireError::Flags(flags));
+        }
         let numbers = |first: usize| {
             body[HEADER + 8 * first..].chunks_exact(8).map(|bytes| {
                 let mut value = [0; 8];
@@ -272,17 +289,12 @@ impl<const N: usize> Frame<N> {
         Ok(Self {
             role: from,
             state: header.state,
-            hears_peer: header.flags.get() & HEARS_PEER != 0,
-            clutch: header.flags.get() & CLUTCH != 0,
+            hears_peer: flags & HEARS_PEER != 0,
+            clutch: flags & CLUTCH != 0,
             session: header.session.get(),
             sequence,
             sent_ns: header.sent_ns.get(),
-            echo: (header.flags.get() & ECHO_VALID != 0).then(|| Echo {
-                session: header.echo_session.get(),
-                sequence: header.echo_sequence.get(),
-                sent_ns: header.echo_sent_ns.get(),
-                held_ns: header.echo_held_ns.get(),
-            }),
+            echo: is_valid.then_some(echo),
             position: axes(0, Signal::Position)?,
             velocity: axes(1, Signal::Velocity)?,
             force: axes(
@@ -360,6 +372,21 @@ mod tests {
         assert_eq!(refuse(&|b| b[3] = 1), WireError::Role(1));
         assert_eq!(refuse(&|b| b[4] = 3), WireError::Axes { seen: 3, allowed: 1 });
         assert!(matches!(refuse(&|b| b[60] ^= 4), WireError::Checksum { .. }));
+        let resealed = |change: &dyn Fn(&mut [u8])| {
+            let mut bytes = good[..good.len() - CHECKSUM].to_vec();
+            change(&mut bytes);
+            bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+            Frame::<1>::decode(&bytes, Role::Slave)
+        };
+        assert_eq!(resealed(&|b| b[6] = 0x0F), Err(WireError::Flags(7)));
+        assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x103)));
+        assert_eq!(resealed(&|b| b[6] = 2), Err(WireError::Flags(2)));
+        let silent = resealed(&|b| {
+            b[6] = 2;
+            b[24..32].fill(0);
+            b[40..64].fill(0);
+        });
+        assert_eq!(silent, Ok(Frame { echo: None, ..frame() }));
         let mut bad = frame();
         bad.force[0] = f64::NAN;
         let error = Frame::<1>::decode(bad.encode(&mut buffer), Role::Slave).unwrap_err();

@@ -1897,6 +1897,7 @@ class LiveMaster:
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, or neither a key nor
@@ -1915,6 +1916,7 @@ class LiveMaster:
         listen: str | None = None,
         duration_s: float | None = None,
         patience_s: float | None = None,
+        keep_s: float = 600.0,
     ) -> LiveMaster: ...
     @property
     def address(self) -> str:
@@ -1966,6 +1968,7 @@ class LiveSlave:
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, or neither a key nor
@@ -1983,6 +1986,7 @@ class LiveSlave:
         insecure: bool = False,
         duration_s: float | None = None,
         patience_s: float | None = None,
+        keep_s: float = 600.0,
     ) -> LiveSlave: ...
     @property
     def address(self) -> str:

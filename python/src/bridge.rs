@@ -286,14 +286,16 @@ fn run_bridge(
     ))
 }
 
-/// Records that a live run keeps at least: the last ten minutes at 1 kHz.
-const MOST_RECORDS: usize = 600_000;
+/// How much of a live run is kept at most, in s: an hour.
+const MOST_KEPT_S: f64 = 3600.0;
 
 /// A socket, a loop on its own thread, and its newest records.
 struct Live<R> {
     /// Never contended: the mutex only tells Python that the reader of the ring may move between threads.
     run: Mutex<LiveRun<R>>,
     records: Vec<R>,
+    /// So many of the newest stay, up to twice as many are held.
+    kept: usize,
 }
 
 /// How frames travel: a key, or the explicit wish to go without.
@@ -327,7 +329,14 @@ impl<R: Copy + Send + 'static> Live<R> {
         security: Security,
         period_ns: u64,
         [duration_s, patience_s]: [Option<f64>; 2],
+        keep_s: f64,
     ) -> PyResult<Self> {
+        if !(keep_s > 0.0 && keep_s <= MOST_KEPT_S) {
+            let text = format!("keep_s = {keep_s}: must be above 0 and at most {MOST_KEPT_S} s");
+            return Err(PyValueError::new_err(text));
+        }
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // in range, as checked
+        let kept = (keep_s * 1e9 / period_ns as f64).ceil() as usize;
         let peer = match peer {
             Some(peer) => PeerAddress::Known(address("peer", peer)?),
             None => PeerAddress::Learned,
@@ -346,7 +355,7 @@ impl<R: Copy + Send + 'static> Live<R> {
             StartError::Session(error) => PyValueError::new_err(error.to_string()),
             StartError::System(error) => PyOSError::new_err(error.to_string()),
         })?;
-        Ok(Self { run: Mutex::new(run), records: Vec::new() })
+        Ok(Self { run: Mutex::new(run), records: Vec::new(), kept })
     }
 
     fn run(&mut self) -> &mut LiveRun<R> {
@@ -354,12 +363,12 @@ impl<R: Copy + Send + 'static> Live<R> {
     }
 
     fn poll(&mut self) -> usize {
-        let Self { run, records } = self;
+        let Self { run, records, kept } = self;
         let run = run.get_mut().unwrap_or_else(PoisonError::into_inner);
         run.drain(|record| records.push(record));
         // A run without an end must not fill the memory: the older half goes.
-        if records.len() > 2 * MOST_RECORDS {
-            records.drain(..records.len() - MOST_RECORDS);
+        if records.len() > 2 * *kept {
+            records.drain(..records.len() - *kept);
         }
         records.len()
     }
@@ -435,7 +444,7 @@ pub(crate) struct LiveMaster {
 impl LiveMaster {
     #[new]
     #[pyo3(signature = (settings, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
-        patience_s=None))]
+        patience_s=None, keep_s=600.0))]
     #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PyMasterSettings,
@@ -446,6 +455,7 @@ impl LiveMaster {
         listen: Option<&str>,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
+        keep_s: f64,
     ) -> PyResult<Self> {
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
         let is_v6 = address("peer", peer)?.is_ipv6();
@@ -457,7 +467,7 @@ impl LiveMaster {
         }
         let place = Place { role: Role::Master, local: listen, peer: Some(peer) };
         let security = security(key, insecure)?;
-        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s])? })
+        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s], keep_s)? })
     }
 
     fn press_clutch(&mut self) {
@@ -478,7 +488,8 @@ pub(crate) struct LiveSlave {
 #[pymethods]
 impl LiveSlave {
     #[new]
-    #[pyo3(signature = (settings, *, listen, session, key=None, insecure=false, duration_s=None, patience_s=None))]
+    #[pyo3(signature = (settings, *, listen, session, key=None, insecure=false, duration_s=None,
+        patience_s=None, keep_s=600.0))]
     #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PySlaveSettings,
@@ -488,11 +499,12 @@ impl LiveSlave {
         insecure: bool,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
+        keep_s: f64,
     ) -> PyResult<Self> {
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
         let place = Place { role: Role::Slave, local: listen, peer: None };
         let security = security(key, insecure)?;
-        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s])? })
+        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s], keep_s)? })
     }
 
     fn allow_takeover(&mut self) {

@@ -137,6 +137,18 @@ pub(crate) fn ticks(scene: &SceneSpec) -> Result<u64, SceneError> {
     Ok(ticks as u64)
 }
 
+/// Most ticks by which an environment is late.
+const MOST_LATE: usize = 100_000;
+
+/// By how many ticks the force of the environment is late.
+pub(crate) fn late(scene: &SceneSpec) -> Result<usize, SceneError> {
+    let ticks = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
+    if ticks > MOST_LATE {
+        return contradiction(format!("environment.delay_ticks = {ticks}: must be at most {MOST_LATE}"));
+    }
+    Ok(ticks)
+}
+
 pub(crate) fn device<const N: usize>(spec: &MasterSpec) -> Result<DeviceParameters<N>, SceneError> {
     let stops = match &spec.stops {
         Some(stops) if stops.len() == N => {

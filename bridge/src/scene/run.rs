@@ -7,8 +7,8 @@ use haptether_master::SimulatedMaster;
 use super::{
     bilateral,
     build::{
-        SceneError, environment, exact_master, is_continuous, is_plain, measures, period_ns, rendered_walls,
-        stepped_master, stepping, ticks, watch,
+        SceneError, environment, exact_master, is_continuous, is_plain, late, measures, period_ns,
+        rendered_walls, stepped_master, stepping, ticks, watch,
     },
     events::{EventLog, SceneEvent},
     local::{Ending, LocalRun},
@@ -144,7 +144,7 @@ pub(crate) fn local_run<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: us
     plant: P,
     rendering: R,
 ) -> Result<LocalRun<P, R, N>, SceneError> {
-    let late = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
+    let late = late(scene)?;
     let period_ns = period_ns("run.period_s", scene.run.period_s)?;
     let judged = Measures::new(&measures(scene), &plant.position());
     let delay = DelayLine::new(late);

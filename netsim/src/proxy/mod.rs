@@ -15,6 +15,8 @@ mod log;
 mod ports;
 mod realtime;
 mod rest;
+#[cfg(test)]
+mod ring_model;
 mod settings;
 mod socket;
 mod statistics;

@@ -31,6 +31,17 @@ pub struct IrttRecording {
     pub measured: IrttDelay,
 }
 
+/// Most of a problem that is told: the file's own words are in it.
+const TOLD: usize = 200;
+
+/// A problem as a line that a person reads.
+fn shortened(problem: &str) -> String {
+    match problem.char_indices().nth(TOLD) {
+        Some((end, _)) => format!("{}...", &problem[..end]),
+        None => problem.to_owned(),
+    }
+}
+
 /// Reads what `irtt client -o` writes.
 ///
 /// One-way delays are used if every reply has both and none is negative, else half of the round trip. A packet whose
@@ -47,7 +58,7 @@ pub fn parse_irtt(bytes: &[u8], direction: Direction) -> Result<IrttRecording, P
         let problem = error.to_string();
         // The place is a field of its own.
         let end = problem.rfind(" at line ").unwrap_or(problem.len());
-        ParseError::new(error.line().max(1), error.column().max(1), &problem[..end])
+        ParseError::new(error.line().max(1), error.column().max(1), shortened(&problem[..end]))
     })?;
     file.recording(direction).map_err(|problem| ParseError::new(1, 1, problem))
 }

@@ -18,7 +18,7 @@ class Master:
 
     Times count from the moment the two sides engage. Starting this command presses the clutch. When the slave falls
     silent for 20 ms, the force on the hand fades to zero within 75 ms and stays away until the clutch is released
-    and pressed again: `kill -USR1` does that, and so does --clutch auto. Figures and trace hold the last ten minutes.
+    and pressed again: `kill -USR1` does that, and so does --clutch auto. Figures and trace hold the last --keep-s.
 
     Examples:
 
@@ -53,6 +53,8 @@ class Master:
     """End this long after engaging, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
     """Give up if the slave has not answered after this time in s."""
+    keep_s: float = 600.0
+    """How much of the end of the run the figures and the trace hold at least, in s; what is older takes no memory."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
     trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -90,6 +92,7 @@ class Master:
                 insecure=self.insecure,
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
+                keep_s=self.keep_s,
             )
 
             def status() -> str:

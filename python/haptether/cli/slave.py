@@ -46,6 +46,8 @@ class Slave:
     """Give up if no master has come after this time in s; without it, wait for one."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
+    keep_s: float = 600.0
+    """How much of the end of the run the figures hold at least, in s; what is older takes no memory."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
 
@@ -79,6 +81,7 @@ class Slave:
                 insecure=self.insecure,
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
+                keep_s=self.keep_s,
             )
 
             def status() -> str:

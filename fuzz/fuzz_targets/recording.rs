@@ -1,0 +1,6 @@
+#![no_main]
+
+#[path = "../../netsim/tests/corpus/recording.rs"]
+mod recording;
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| recording::check(bytes));

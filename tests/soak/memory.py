@@ -1,0 +1,69 @@
+"""What a process holds, and whether it holds the same in the end."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+PER_S = 300.0
+"""Time in s for which `ALLOWED_BYTES` holds; a longer measurement may differ by as much for each such time."""
+ALLOWED_BYTES = 64 * 1024
+"""Two-sided: sixteen pages, what an allocator takes from or gives to the system in one step (a chunk of its arenas).
+Over the 270 s between the middles of the tenths that are compared, 64 KiB is 0.24 bytes a tick: whatever one of the
+loops, or of the 20 polls a second, leaves behind each time is more than that."""
+
+
+def anonymous_bytes(process: int) -> int:
+    """Resident memory of its own, files that are mapped aside: those come and go with the page cache."""
+    status = Path(f"/proc/{process}/status").read_text(encoding="ascii")
+    (line,) = [line for line in status.splitlines() if line.startswith("RssAnon:")]
+    return int(line.split()[1]) * 1024
+
+
+def loop_sleeps(process: int) -> int:
+    """How often the control loop has slept: once a tick, unless it woke so late that the next tick was due."""
+    for task in Path(f"/proc/{process}/task").iterdir():
+        if (task / "comm").read_text(encoding="ascii").strip() == "haptether-loop":
+            status = (task / "status").read_text(encoding="ascii")
+            (line,) = [line for line in status.splitlines() if line.startswith("voluntary_ctxt_switches:")]
+            return int(line.split()[1])
+    return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """By how much the memory of a process differs between the begin and the end of the second half."""
+
+    first_bytes: int
+    """Median of the first tenth of the second half."""
+    last_bytes: int
+    """Median of the last tenth."""
+    allowed_bytes: int
+    """Largest difference, either way."""
+
+    @property
+    def grown_bytes(self) -> int:
+        """Growth; below 0 it shrank."""
+        return self.last_bytes - self.first_bytes
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it differs by no more than is allowed."""
+        return abs(self.grown_bytes) <= self.allowed_bytes
+
+
+def growth(samples: Sequence[int], period_s: float) -> Growth:
+    """Compares tenths of the second half, so that the first half is the warm-up.
+
+    Args:
+        samples: Bytes, one each `period_s`; at least 4.
+        period_s: In s.
+    """
+    half = samples[len(samples) // 2 :]
+    tenth = max(len(half) // 10, 1)
+    times = max(len(half) * period_s / PER_S, 1.0)
+    return Growth(
+        first_bytes=int(median(half[:tenth])),
+        last_bytes=int(median(half[-tenth:])),
+        allowed_bytes=int(ALLOWED_BYTES * times),
+    )
