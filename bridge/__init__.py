@@ -1,6 +1,7 @@
 """The bridge: both sides coupled, in virtual time and over UDP, and the scenes that say what is coupled."""
 
 from haptether._core import (
+    LadderSettings,
     LinkStatistics,
     LiveMaster,
     LiveSlave,
@@ -45,9 +46,11 @@ from haptether.bridge.scene_sweep import Sweep, sweep
 from haptether.bridge.scene_tables import (
     AdaptiveWindow,
     BackwardDifference,
+    ChangeTable,
     ClockTable,
     CouplingTable,
     Kalman,
+    LadderTable,
     LimiterTable,
     LinksTable,
     LowPass,
@@ -65,6 +68,7 @@ __all__ = [
     "BackwardDifference",
     "BodyTable",
     "Box",
+    "ChangeTable",
     "ClockTable",
     "ContactTable",
     "CouplingTable",
@@ -72,6 +76,8 @@ __all__ = [
     "Event",
     "ForceSensorTable",
     "Kalman",
+    "LadderSettings",
+    "LadderTable",
     "LegTable",
     "LimiterTable",
     "LinkStatistics",

@@ -51,8 +51,10 @@ pub trait SlavePlant<const N: usize> {
     /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
-    /// Stays where it is.
-    fn stop(&mut self);
+    /// Stops softly and stays: comes to rest within the bounds of the arm and holds there, whatever was written
+    /// before, until it is written to again. Gives where it comes to rest, in m. Never an emergency stop: power and
+    /// brakes stay as they are, so that nothing on the network can switch them.
+    fn stop(&mut self) -> Axes<N>;
 
     /// The two sides have engaged.
     fn engaged(&mut self, _now_ns: u64) {}
@@ -118,8 +120,8 @@ impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
         SimulatedSlave::write(self, position, velocity);
     }
 
-    fn stop(&mut self) {
-        SimulatedSlave::stop(self);
+    fn stop(&mut self) -> Axes<N> {
+        SimulatedSlave::stop(self)
     }
 
     fn engaged(&mut self, now_ns: u64) {

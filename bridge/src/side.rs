@@ -1,6 +1,8 @@
 //! One side of the bridge, plant and endpoint together: what both runners call at each tick.
 
 use crate::{
+    act::Act,
+    coupling::{CouplingError, FrameMap},
     endpoint::{MasterEndpoint, SlaveEndpoint},
     ladder::{Clutch, ClutchError, FlightRecorder, LadderState, Person},
     link::{LinkStatistics, Refusal},
@@ -76,6 +78,12 @@ pub trait Side {
 
     /// A person lets go of the clutch and presses it again; nothing at a side without one.
     fn press_again(&mut self) {}
+
+    /// A person at this side acts, at `now_ns`. What the other side has is passed over; numbers that cannot be change
+    /// nothing.
+    fn act(&mut self, _now_ns: u64, _act: Act) -> Result<(), CouplingError> {
+        Ok(())
+    }
 }
 
 /// The side of the hand.
@@ -153,6 +161,16 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     fn press_again(&mut self) {
         self.person.press_again();
     }
+
+    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+        match act {
+            Act::Acknowledge => self.endpoint.acknowledge(now_ns),
+            Act::ForceScale(scale) => self.endpoint.set_force_scale(scale)?,
+            Act::Frame { quat_wxyz, locked } => self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?),
+            Act::PositionScale(_) => {}
+        }
+        Ok(())
+    }
 }
 
 /// The side of the robot.
@@ -162,6 +180,15 @@ pub struct SlaveSide<P, const N: usize> {
     pub plant: P,
     /// What decides.
     pub endpoint: SlaveEndpoint<N>,
+    /// Whether the arm was stopped since it last followed.
+    is_stopped: bool,
+}
+
+impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
+    /// A side whose arm has not been commanded yet.
+    pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
+        Self { plant, endpoint, is_stopped: false }
+    }
 }
 
 impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
@@ -177,8 +204,15 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
         let sample = self.plant.read(time.now_ns);
-        let tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
-        if let Some(command) = &tick.command {
+        let mut tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
+        if matches!(tick.state, LadderState::Stop | LadderState::Fault) {
+            // Once: whoever stops again and again would let go of what the arm leans on, bit by bit.
+            if !std::mem::replace(&mut self.is_stopped, true) {
+                self.endpoint.stopped(&self.plant.stop());
+                tick.command = self.endpoint.command();
+            }
+        } else if let Some(command) = &tick.command {
+            self.is_stopped = false;
             self.plant.write(command, &tick.command_velocity);
         }
         if tick.state.is_coupled() {
@@ -210,5 +244,15 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn flight(&self) -> &FlightRecorder {
         self.endpoint.exchange().flight()
+    }
+
+    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+        match act {
+            Act::Acknowledge => self.endpoint.acknowledge(now_ns),
+            Act::PositionScale(scale) => self.endpoint.set_position_scale(scale)?,
+            Act::Frame { quat_wxyz, locked } => self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?),
+            Act::ForceScale(_) => {}
+        }
+        Ok(())
     }
 }

@@ -39,12 +39,24 @@ impl<const N: usize> ArmDrive<N> {
         self.command = Command { position, velocity };
     }
 
-    /// Stays: brakes the set position, or holds the place of a velocity control.
-    pub(crate) fn stop(&mut self, tool: &Tool<N>) {
+    /// Stays: brakes the set position, or the tool of a velocity control. Gives where it comes to rest, in m.
+    ///
+    /// A set position that rests stays as it is: one that went to where the tool is would let an arm that leans on
+    /// something, or carries something, give way. A velocity control has none. With a pole p and the command x* its
+    /// position obeys `x'' + p x' + p²/4 (x - x*) = 0`, which from V at x comes to rest without a swing for
+    /// `x* >= x + 2 V / p`.
+    pub(crate) fn stop(&mut self, tool: &Tool<N>) -> Axes<N> {
         let limits = self.model.limits();
-        let rest = Axes::from_fn(|axis, _| self.set_points[axis].nearest_rest(&limits));
-        let position = if self.is_velocity_control() { tool.position } else { rest };
-        self.command(Some(position), Axes::zeros());
+        let rest = if self.is_velocity_control() {
+            let (_, damping, _) = self.model.impedance();
+            let coasts = tool.velocity * (2.0 * self.model.mass_kg() / damping);
+            let brakes = tool.set_velocity.map(|v| v * v.abs() / (2.0 * limits.acceleration));
+            tool.position + coasts + brakes
+        } else {
+            Axes::from_fn(|axis, _| self.set_points[axis].nearest_rest(&limits))
+        };
+        self.command(Some(rest), Axes::zeros());
+        rest
     }
 
     /// Whether it takes a velocity.

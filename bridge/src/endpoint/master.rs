@@ -54,6 +54,8 @@ pub struct MasterEndpoint<const N: usize> {
     /// Position and velocity of the last tick.
     last: Option<(Axes<N>, Option<Axes<N>>)>,
     has_stalled: bool,
+    /// The fault of the safety layer is mended, as a person says.
+    acknowledged: bool,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -73,6 +75,7 @@ impl<const N: usize> MasterEndpoint<N> {
             exchange: Exchange::new(Role::Master, settings.session, settings.period_ns, settings.ladder)?,
             last: None,
             has_stalled: false,
+            acknowledged: false,
         })
     }
 
@@ -95,7 +98,11 @@ impl<const N: usize> MasterEndpoint<N> {
         let asked =
             self.exchange.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
         let gain = self.exchange.ladder.gain();
-        if self.has_stalled {
+        if std::mem::take(&mut self.acknowledged) {
+            // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
+            let _ = self.layer.reset(position);
+            self.has_stalled = false;
+        } else if self.has_stalled {
             // What lies before the gap says nothing of what comes after it. A position that cannot be is met below.
             let _ = self.layer.restart(position);
             self.has_stalled = false;
@@ -131,6 +138,12 @@ impl<const N: usize> MasterEndpoint<N> {
     pub fn stalled(&mut self, now_ns: u64) {
         self.exchange.stalled(now_ns);
         self.has_stalled = true;
+    }
+
+    /// A person at this side says that its fault is mended; the clutch must then be released and pressed.
+    pub fn acknowledge(&mut self, now_ns: u64) {
+        self.acknowledged = self.exchange.state() == LadderState::Fault;
+        self.exchange.acknowledge(now_ns);
     }
 
     /// Changes `lambda_f`; how fast the force follows is the limiter's.

@@ -151,7 +151,7 @@ impl Ladder {
             LadderState::Engaged => (self.gain + rising / self.settings.fade_in_ns as f64).min(1.0),
             // Nothing new is known that would speak for more, or for less.
             LadderState::Stale => self.gain,
-            LadderState::Fault => 0.0,
+            LadderState::Stop | LadderState::Fault => 0.0,
             _ => (self.gain - elapsed / self.settings.fade_out_ns as f64).max(0.0),
         };
     }

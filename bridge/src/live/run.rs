@@ -12,6 +12,7 @@ use std::{
 
 use super::{clock, socket::PeerSocket};
 use crate::{
+    act::Act,
     ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
@@ -66,11 +67,15 @@ struct Shared {
     flight: Mutex<Option<FlightRecorder>>,
 }
 
+/// Acts that may wait for the loop: it takes all of them at its next tick.
+const MOST_ACTS: usize = 16;
+
 /// A live loop on its own thread.
 #[derive(Debug)]
 pub struct LiveRun<R> {
     thread: Option<JoinHandle<LoopReport>>,
     records: rtrb::Consumer<R>,
+    acts: rtrb::Producer<Act>,
     shared: Arc<Shared>,
     address: SocketAddr,
 }
@@ -82,13 +87,14 @@ pub fn run_live<S: Side + Send + 'static>(
     settings: LiveSettings,
 ) -> io::Result<LiveRun<S::Record>> {
     let (producer, records) = rtrb::RingBuffer::new(settings.ring);
+    let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
     let shared = Arc::new(Shared::default());
     let address = socket.local_address()?;
     let seen = Arc::clone(&shared);
     let thread = std::thread::Builder::new()
         .name("haptether-loop".into())
-        .spawn(move || turn(side, socket, settings, producer, &seen))?;
-    Ok(LiveRun { thread: Some(thread), records, shared, address })
+        .spawn(move || turn(side, socket, settings, producer, done, &seen))?;
+    Ok(LiveRun { thread: Some(thread), records, acts, shared, address })
 }
 
 /// A side that is left without force or motion however its loop ends.
@@ -106,6 +112,7 @@ fn turn<S: Side>(
     mut socket: PeerSocket,
     settings: LiveSettings,
     mut records: rtrb::Producer<S::Record>,
+    mut acts: rtrb::Consumer<Act>,
     shared: &Shared,
 ) -> LoopReport {
     clock::ask_for_prompt_wakeups();
@@ -130,6 +137,10 @@ fn turn<S: Side>(
         let now_ns = deadline_ns;
         if shared.press.swap(false, Ordering::Relaxed) {
             side.0.press_again();
+        }
+        while let Ok(act) = acts.pop() {
+            // What cannot be was refused where it was asked for.
+            let _ = side.0.act(now_ns, act);
         }
         socket.drain(MOST_DATAGRAMS, |datagram| side.0.receive(now_ns, datagram).is_ok());
         let record = side.0.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
@@ -201,6 +212,11 @@ impl<R> LiveRun<R> {
     /// Lets go of the clutch for a moment and presses it again: the act of a person at this side.
     pub fn press_clutch(&self) {
         self.shared.press.store(true, Ordering::Relaxed);
+    }
+
+    /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait.
+    pub fn act(&mut self, act: Act) -> Result<(), Act> {
+        self.acts.push(act).map_err(|rtrb::PushError::Full(act)| act)
     }
 
     /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.

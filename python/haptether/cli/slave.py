@@ -16,7 +16,8 @@ class Slave:
 
     The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
     two sides engage. When the master falls silent for 20 ms the arm holds, and after 200 ms it stops, until the
-    master's clutch is released and pressed again or a master is started anew.
+    master's clutch is released and pressed again or a master is started anew. After a fault of this side
+    `kill -USR2` says that it is mended.
 
     Examples:
 
@@ -49,7 +50,7 @@ class Slave:
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import FlightFile, Stopped, wait
+        from haptether.cli.live import Acts, FlightFile, Stopped, wait
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_target
         from haptether.safety import fault_message
@@ -77,7 +78,8 @@ class Slave:
                 flight.write(slave.flight())
                 return f"slave {slave.state}, {slave.ticks} ticks"
 
-            wait(f"slave listens on {slave.address}", status, lambda: slave.finished, stopped, None)
+            with Acts(acknowledge=slave.acknowledge):
+                wait(f"slave listens on {slave.address}", status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
             flight.write(slave.flight())
         state = self._report(trace, report)
