@@ -110,7 +110,7 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     force_scale: Positive = 1.0
     """lambda_f: rendered force over measured force."""
     quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """R, which turns motions of the master into those of the slave, as a unit quaternion: of 3 axes, or of 2 about z."""
+    """R, which turns motions of the master into those of the slave: a unit quaternion of 3 axes, or of 2 about z."""
     locked_axes: AxisIndices = ()
     """Axes of the slave that do not follow and are not felt, counted from 0."""
     command_speed: Positive | Unbounded = 3.0

@@ -49,7 +49,7 @@ pub struct Ladder {
     excess_ns: Option<u64>,
     /// Until when this side itself was blind.
     blind_until_ns: Option<u64>,
-    /// Whether the clutch was seen open since the last hold began.
+    /// Whether the clutch was seen open since the last hold began, or the last fault ended.
     opened: bool,
     holds: u64,
     history: History,
@@ -135,6 +135,10 @@ impl Ladder {
                 self.opened = false;
                 // A press at the very tick at which a hold begins is none that answers it.
                 facts = facts.without(Reason::ClutchPressed);
+            }
+            if row.from == LadderState::Fault {
+                // Whoever says that a fault is mended must not be surprised by a clutch that waits, pressed.
+                self.opened = false;
             }
             self.history.push(Transition { time_ns: now_ns, from: row.from, to: row.to, reason: row.reason });
             self.state = row.to;
