@@ -51,10 +51,15 @@ pub trait SlavePlant<const N: usize> {
     /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
-    /// Stops softly and stays: comes to rest within the bounds of the arm and holds there, whatever was written
-    /// before, until it is written to again. Gives where it comes to rest, in m. Never an emergency stop: power and
-    /// brakes stay as they are, so that nothing on the network can switch them.
+    /// Stops softly: comes to rest within the bounds of the arm and stays there, whatever was written before. Gives
+    /// where that is, in m. Nothing is written until the stop is over. Never an emergency stop: power and brakes stay
+    /// as they are, so that nothing on the network can switch them.
     fn stop(&mut self) -> Axes<N>;
+
+    /// Comes to rest softly where it is no longer led, and gives where that is, in m. That is written from now on.
+    fn hold(&mut self) -> Axes<N> {
+        self.stop()
+    }
 
     /// The two sides have engaged.
     fn engaged(&mut self, _now_ns: u64) {}

@@ -180,14 +180,14 @@ pub struct SlaveSide<P, const N: usize> {
     pub plant: P,
     /// What decides.
     pub endpoint: SlaveEndpoint<N>,
-    /// Whether the arm was stopped since it last followed.
-    is_stopped: bool,
+    /// Where the ladder stood at the last tick.
+    stood: LadderState,
 }
 
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     /// A side whose arm has not been commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
-        Self { plant, endpoint, is_stopped: false }
+        Self { plant, endpoint, stood: LadderState::Disengaged }
     }
 }
 
@@ -205,15 +205,22 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
     fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
         let sample = self.plant.read(time.now_ns);
         let mut tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
-        if matches!(tick.state, LadderState::Stop | LadderState::Fault) {
-            // Once: whoever stops again and again would let go of what the arm leans on, bit by bit.
-            if !std::mem::replace(&mut self.is_stopped, true) {
-                self.endpoint.stopped(&self.plant.stop());
-                tick.command = self.endpoint.command();
-            }
-        } else if let Some(command) = &tick.command {
-            self.is_stopped = false;
-            self.plant.write(command, &tick.command_velocity);
+        let stood = std::mem::replace(&mut self.stood, tick.state);
+        let is_stopped = |state| matches!(state, LadderState::Stop | LadderState::Fault);
+        // Once each: whoever brakes again and again would let go of what the arm leans on, bit by bit.
+        let rest = if is_stopped(tick.state) && !is_stopped(stood) {
+            Some(self.plant.stop())
+        } else if stood.is_coupled() && !tick.state.is_coupled() {
+            Some(self.plant.hold())
+        } else {
+            None
+        };
+        if let Some(rest) = rest {
+            self.endpoint.rests(&rest);
+            tick.command = self.endpoint.command();
+        }
+        if let Some(command) = tick.command.filter(|_| !is_stopped(tick.state)) {
+            self.plant.write(&command, &tick.command_velocity);
         }
         if tick.state.is_coupled() {
             self.plant.engaged(time.now_ns);

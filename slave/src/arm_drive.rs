@@ -15,6 +15,8 @@ const FOLLOWS: f64 = 10.0;
 pub(crate) struct ArmDrive<const N: usize> {
     model: ArmModel,
     command: Command<N>,
+    /// Whether the command is where it comes to rest.
+    stops: bool,
     set_points: [SetPoint; N],
 }
 
@@ -23,6 +25,7 @@ impl<const N: usize> ArmDrive<N> {
         Self {
             model,
             command: Command { position: Some(*position), velocity: Axes::zeros() },
+            stops: false,
             set_points: std::array::from_fn(|axis| SetPoint::at_rest(position[axis])),
         }
     }
@@ -36,26 +39,36 @@ impl<const N: usize> ArmDrive<N> {
     }
 
     pub(crate) fn command(&mut self, position: Option<Axes<N>>, velocity: Axes<N>) {
-        self.command = Command { position, velocity };
+        let command = Command { position, velocity };
+        self.stops &= command == self.command;
+        self.command = command;
     }
 
     /// Stays: brakes the set position, or the tool of a velocity control. Gives where it comes to rest, in m.
     ///
     /// A set position that rests stays as it is: one that went to where the tool is would let an arm that leans on
-    /// something, or carries something, give way. A velocity control has none. With a pole p and the command x* its
-    /// position obeys `x'' + p x' + p²/4 (x - x*) = 0`, which from V at x comes to rest without a swing for
-    /// `x* >= x + 2 V / p`.
+    /// something, or carries something, give way. A velocity control has none. A control that used the velocity of
+    /// the command loses it: from V at x, `M x'' + B x' + K (x - x*) = 0` comes to rest without a swing for
+    /// `x* >= x + 2 M V / B`, if it is damped critically or more; with less damping it swings least near
+    /// `x + V sqrt(M / K)`. Stopped again before another command, it stays as it is.
     pub(crate) fn stop(&mut self, tool: &Tool<N>) -> Axes<N> {
+        if let Some(rest) = self.command.position.filter(|_| self.stops) {
+            return rest;
+        }
         let limits = self.model.limits();
+        let (stiffness, damping, feed_forward) = self.model.impedance();
+        let mass = self.model.mass_kg();
+        // In s. Without a spring no place is held.
+        let coasts = (2.0 * mass / damping).min((mass / stiffness).sqrt());
+        let coasts = if feed_forward && stiffness > 0.0 { tool.velocity * coasts } else { Axes::zeros() };
         let rest = if self.is_velocity_control() {
-            let (_, damping, _) = self.model.impedance();
-            let coasts = tool.velocity * (2.0 * self.model.mass_kg() / damping);
-            let brakes = tool.set_velocity.map(|v| v * v.abs() / (2.0 * limits.acceleration));
-            tool.position + coasts + brakes
+            tool.position + tool.set_velocity.map(|v| v * v.abs() / (2.0 * limits.acceleration))
         } else {
             Axes::from_fn(|axis, _| self.set_points[axis].nearest_rest(&limits))
         };
+        let rest = rest + coasts;
         self.command(Some(rest), Axes::zeros());
+        self.stops = true;
         rest
     }
 

@@ -143,8 +143,8 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.stalled(now_ns);
     }
 
-    /// The arm was stopped and comes to rest at `rest` in m: when the two engage again, it goes on from there.
-    pub fn stopped(&mut self, rest: &Axes<N>) {
+    /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there.
+    pub fn rests(&mut self, rest: &Axes<N>) {
         if self.command.is_some() && Signal::Position.check(rest).is_ok() {
             self.command = Some(*rest);
         }

@@ -122,7 +122,7 @@ impl Drawn {
         let n = &mut numbers;
         // Two streams that begin side by side differ after one mixing only.
         n.0 = n.draw();
-        let end_ns = n.whole(150, 600) * MS;
+        let end_ns = n.whole(120, 500) * MS;
         let axes = if n.chance(0.15) { 3 } else { 1 };
         let stale_after_ns = n.whole(MS / 2, 10 * MS);
         let hold_after_ns = stale_after_ns + n.whole(MS / 2, 30 * MS);

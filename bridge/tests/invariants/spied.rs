@@ -108,6 +108,11 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
         self.plant.stop()
     }
 
+    fn hold(&mut self) -> Axes<N> {
+        self.stops += 1;
+        self.plant.hold()
+    }
+
     fn engaged(&mut self, now_ns: u64) {
         self.plant.engaged(now_ns);
     }
@@ -386,7 +391,7 @@ impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
         self.home.get_or_insert(record.position);
         let stopped = self.side.plant.stops - stops;
         let dead = |state| matches!(state, LadderState::Stop | LadderState::Fault);
-        let due = dead(record.state) && !dead(before);
+        let due = dead(record.state) && !dead(before) || before.is_coupled() && !record.state.is_coupled();
         self.watch.hold(stopped <= u64::from(due), time, || format!("stopped {stopped} times, due {due}"));
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
