@@ -7,6 +7,8 @@
 
 #[path = "invariants/drawn.rs"]
 mod drawn;
+#[path = "invariants/plant.rs"]
+mod plant;
 #[path = "invariants/spied.rs"]
 mod spied;
 
@@ -23,7 +25,8 @@ use haptether_safety::{Axes, DeviceModel};
 use haptether_slave::{
     ArmControl, ArmModel, Contact, ContactLaw, Environment, Object, PushShape, Pusher, Shape, SimulatedSlave,
 };
-use spied::{Far, Near, Plant, Seen};
+use plant::Plant;
+use spied::{Far, Near, Seen};
 
 /// Along the first axis.
 fn along<const N: usize>(value: f64) -> Axes<N> {

@@ -61,12 +61,17 @@ impl<const N: usize> ArmDrive<N> {
         // In s. Without a spring no place is held.
         let coasts = (2.0 * mass / damping).min((mass / stiffness).sqrt());
         let coasts = if feed_forward && stiffness > 0.0 { tool.velocity * coasts } else { Axes::zeros() };
-        let rest = if self.is_velocity_control() {
-            tool.position + tool.set_velocity.map(|v| v * v.abs() / (2.0 * limits.acceleration))
-        } else {
-            Axes::from_fn(|axis, _| self.set_points[axis].nearest_rest(&limits))
-        };
-        let rest = rest + coasts;
+        let rest = Axes::from_fn(|axis, _| {
+            let (position, coast) = (tool.position[axis], coasts[axis]);
+            if self.is_velocity_control() {
+                let v = tool.set_velocity[axis];
+                return position + coast + v * v.abs() / (2.0 * limits.acceleration);
+            }
+            // As far beyond the set position as its speed takes it there; without speed not at all.
+            let set = self.set_points[axis].nearest_rest(&limits);
+            let (least, most) = if coast < 0.0 { (2.0 * coast, 0.0) } else { (0.0, 2.0 * coast) };
+            set + (position + coast - set).max(least).min(most)
+        });
         self.command(Some(rest), Axes::zeros());
         self.stops = true;
         rest
