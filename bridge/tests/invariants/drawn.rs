@@ -40,7 +40,9 @@ impl Numbers {
     }
 
     pub(crate) fn one_of<T: Copy>(&mut self, of: &[T]) -> T {
-        of[self.draw() as usize % of.len()]
+        #[allow(clippy::cast_possible_truncation)] // below the length
+        let index = (self.draw() % of.len() as u64) as usize;
+        of[index]
     }
 }
 

@@ -8,25 +8,25 @@ use crate::drawn::Broken;
 /// A plant whose sensor may be out of order, and what was written to it at the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct Plant<P, const N: usize> {
-    pub(crate) plant: P,
+    pub(crate) model: P,
     pub(crate) broken: Option<Broken>,
     pub(crate) written: Option<[Axes<N>; 2]>,
     pub(crate) stops: u64,
 }
 
 impl<P, const N: usize> Plant<P, N> {
-    pub(crate) fn new(plant: P, broken: Option<Broken>) -> Self {
-        Self { plant, broken, written: None, stops: 0 }
+    pub(crate) fn new(model: P, broken: Option<Broken>) -> Self {
+        Self { model, broken, written: None, stops: 0 }
     }
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterPlant<N> for Plant<P, N> {
     fn begin(&mut self, now_ns: u64) {
-        self.plant.begin(now_ns);
+        self.model.begin(now_ns);
     }
 
     fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
-        let (mut position, velocity) = self.plant.read(now_ns);
+        let (mut position, velocity) = self.model.read(now_ns);
         if let Some(value) = Broken::at(self.broken, now_ns) {
             position[N - 1] = value;
         }
@@ -35,25 +35,25 @@ impl<P: MasterPlant<N>, const N: usize> MasterPlant<N> for Plant<P, N> {
 
     fn write(&mut self, force: &Axes<N>) {
         self.written = Some([*force, Axes::zeros()]);
-        self.plant.write(force);
+        self.model.write(force);
     }
 
     fn engaged(&mut self) {
-        self.plant.engaged();
+        self.model.engaged();
     }
 
     fn truth(&self) -> Option<Truth<N>> {
-        self.plant.truth()
+        self.model.truth()
     }
 }
 
 impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
     fn begin(&mut self, now_ns: u64) {
-        self.plant.begin(now_ns);
+        self.model.begin(now_ns);
     }
 
     fn read(&mut self, now_ns: u64) -> [Axes<N>; 3] {
-        let mut sample = self.plant.read(now_ns);
+        let mut sample = self.model.read(now_ns);
         if let Some(value) = Broken::at(self.broken, now_ns) {
             sample[(now_ns % 3) as usize][N - 1] = value;
         }
@@ -62,20 +62,20 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
 
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
         self.written = Some([*position, *velocity]);
-        self.plant.write(position, velocity);
+        self.model.write(position, velocity);
     }
 
     fn stop(&mut self) -> Axes<N> {
         self.stops += 1;
-        self.plant.stop()
+        self.model.stop()
     }
 
     fn hold(&mut self) -> Axes<N> {
         self.stops += 1;
-        self.plant.hold()
+        self.model.hold()
     }
 
     fn engaged(&mut self, now_ns: u64) {
-        self.plant.engaged(now_ns);
+        self.model.engaged(now_ns);
     }
 }
