@@ -80,8 +80,13 @@ def test_a_force_scale_that_changes_is_felt_and_measured() -> None:
     count = min(len(measured), len(felt))
     for tick, scale in ((1400, 1.0), (count - 1, 0.5)):
         assert felt[tick] == pytest.approx(scale * measured[tick], rel=0.02)
-    # One tick late, as on any link, and by no more than the limiter's 1 N a tick.
-    assert abs(np.diff(run.signals["device_force"])).max() <= 1.0 + 1e-9
+    # Unloading is free; growth is the limiter's.
+    run = simulate(
+        "remote_push",
+        overrides=["coupling.changes=[{at_s=1.5, force_scale=3.0}]", "run.duration_s=1.6", "link={}"],
+    )
+    growth = np.diff(abs(run.signals["device_force"])).max()
+    assert 0.9 <= growth <= 1.0 + 1e-9
 
 
 def test_a_ladder_with_other_times() -> None:

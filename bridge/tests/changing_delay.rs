@@ -18,9 +18,9 @@ use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
 const MS: u64 = 1_000_000;
 
 /// State and force of the master, state and command of the slave, each ms.
-type History = Vec<((LadderState, f64), (LadderState, f64))>;
+type Shown = ((LadderState, f64), (LadderState, f64));
 
-fn run(ticks: u64, clutch: Clutch, forward: Vec<DelayChange>, backward: Vec<DelayChange>) -> History {
+fn run(ticks: u64, clutch: Clutch, forward: Vec<DelayChange>, backward: Vec<DelayChange>) -> Vec<Shown> {
     let legs = vec![Leg { duration_s: 0.5, end: Axes::<1>::new(-0.03), shape: LegShape::MinimumJerk }];
     let hand = Hand::new(300.0, 8.0, 20.0, Path::new(Axes::<1>::new(0.02), legs).unwrap(), None).unwrap();
     let mut device = SimulatedMaster::new(DeviceParameters::phantom_desktop(), hand, 0).unwrap();
@@ -77,7 +77,7 @@ fn step(at_s: f64, delay_s: f64) -> Vec<DelayChange> {
     vec![DelayChange { at_s, delay_s, ramp_s: 0.0 }]
 }
 
-fn worst(history: &[((LadderState, f64), (LadderState, f64))]) -> LadderState {
+fn worst(history: &[Shown]) -> LadderState {
     history.iter().map(|((near, _), (far, _))| (*near).max(*far)).max().unwrap()
 }
 
