@@ -125,7 +125,7 @@ def test_a_scene_with_changes_is_overridden_like_any_other() -> None:
         ({"extrapolate_s": 0.016}, "extrapolate"),
         ({"fade_out_s": 0.2}, "fade_out"),
         ({"fade_in_s": 0.1}, "fade_in"),
-        ({"hold_after_s": float("nan")}, "hold_after_s = nan"),
+        ({"hold_after_s": float("nan")}, "hold_after_s = NaN"),
     ],
 )
 def test_times_out_of_order_or_range_are_refused(given: dict[str, float], said: str) -> None:
