@@ -1,6 +1,7 @@
 """The bridge: both sides coupled, in virtual time and over UDP, and the scenes that say what is coupled."""
 
 from haptether._core import (
+    LadderSettings,
     LinkStatistics,
     LiveMaster,
     LiveSlave,
@@ -45,10 +46,12 @@ from haptether.bridge.scene_sweep import Sweep, sweep
 from haptether.bridge.scene_tables import (
     AdaptiveWindow,
     BackwardDifference,
+    ChangeTable,
     ClockTable,
     CouplingTable,
     SecurityTable,
     Kalman,
+    LadderTable,
     LimiterTable,
     LinksTable,
     LowPass,
@@ -66,6 +69,7 @@ __all__ = [
     "BackwardDifference",
     "BodyTable",
     "Box",
+    "ChangeTable",
     "ClockTable",
     "ContactTable",
     "CouplingTable",
@@ -74,6 +78,8 @@ __all__ = [
     "Event",
     "ForceSensorTable",
     "Kalman",
+    "LadderSettings",
+    "LadderTable",
     "LegTable",
     "LimiterTable",
     "LinkStatistics",

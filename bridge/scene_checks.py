@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
+from math import hypot
 
 from haptether.bridge.scene_error import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene_far import (
@@ -18,6 +19,8 @@ from haptether.bridge.scene_ranges import MOST_TICKS
 from haptether.bridge.scene_spec import Spec, most_damping, spec_of
 from haptether.bridge.scene_tables import (
     ClockTable,
+    CouplingTable,
+    LadderTable,
     LimiterTable,
     LinksTable,
     LowPass,
@@ -58,6 +61,8 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
     for key in ("link", "coupling", "security"):
         if scene.slave is None and getattr(scene, key) is not None:
             yield contradiction((key,), "needs an arm to lead to: add [slave] or leave it out")
+    if scene.coupling is not None:
+        yield from _coupling(scene.coupling, scene.master.axes)
     if scene.link is not None:
         yield from _clocks(scene.link)
     if scene.environment is not None:
@@ -67,6 +72,10 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
             ("safety", "signals"), 'with a [slave] only "estimated": an endpoint knows what is measured'
         )
     yield from _safety(scene.safety, scene.run.period_s)
+    if scene.safety.ladder is not None:
+        if scene.slave is None:
+            yield contradiction(("safety", "ladder"), "needs an arm at the other end: add [slave] or leave it out")
+        yield from _ladder(scene.safety.ladder)
 
 
 def _run(run: RunTable) -> Iterator[SceneError]:
@@ -119,6 +128,43 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
     for key in ("stiffness", "damping"):
         if table.control != "pd" and getattr(table, key) is not None:
             yield contradiction(("slave", key), f'control = "{table.control}" has none, only "pd"')
+
+
+UNIT_QUATERNION = 1e-6
+"""How far the norm of a quaternion may be from 1: digits that were left out."""
+
+
+def _coupling(table: CouplingTable, axes: int) -> Iterator[SceneError]:
+    yield from _frame(table.quat_wxyz, table.locked_axes, axes, ("coupling",))
+    before_s = 0.0
+    for index, change in enumerate(table.changes):
+        path: Path = ("coupling", "changes", index)
+        if change.at_s < before_s:
+            yield wrong((*path, "at_s"), change.at_s, f"at least that of the change before it, {before_s:g}")
+        before_s = change.at_s
+        given = [key for key in change.__struct_fields__ if key != "at_s" and getattr(change, key) is not None]
+        if not given:
+            yield contradiction(path, "changes nothing: give position_scale, force_scale, quat_wxyz or locked_axes")
+        yield from _frame(change.quat_wxyz, change.locked_axes, axes, path)
+
+
+def _frame(
+    quat_wxyz: tuple[float, ...] | None, locked_axes: tuple[int, ...] | None, axes: int, path: Path
+) -> Iterator[SceneError]:
+    if quat_wxyz is not None:
+        norm = hypot(*quat_wxyz)
+        if abs(norm - 1.0) > UNIT_QUATERNION:
+            yield wrong((*path, "quat_wxyz"), quat_wxyz, f"of norm 1, not {norm:g}")
+        # In a plane it turns about z; along one axis, or of axes that are not those of one space, nothing turns.
+        fixed = {3: (), 2: (1, 2)}.get(axes, (1, 2, 3))
+        if any(quat_wxyz[part] != 0.0 for part in fixed):
+            allowed = "a rotation about z with 2 axes" if axes == 2 else f"[1, 0, 0, 0] with {axes} axes"
+            yield wrong((*path, "quat_wxyz"), quat_wxyz, allowed)
+    if locked_axes is not None:
+        if len(set(locked_axes)) != len(locked_axes):
+            yield wrong((*path, "locked_axes"), locked_axes, "each at most once")
+        if any(axis >= axes for axis in locked_axes):
+            yield wrong((*path, "locked_axes"), locked_axes, f"below {axes}, the number of axes")
 
 
 def _clocks(links: LinksTable) -> Iterator[SceneError]:
@@ -208,6 +254,22 @@ def _safety(table: SafetyTable, period_s: float) -> Iterator[SceneError]:
     limiter = table.limiter
     if not limiter.enabled and limiter != LimiterTable(enabled=False):
         yield contradiction(("safety", "limiter", "enabled"), "bounds that are off have no other fields")
+
+
+def _ladder(table: LadderTable) -> Iterator[SceneError]:
+    # In whole ns, as the Rust side counts them.
+    stale_ns, hold_ns, stop_ns = (
+        round(time_s * 1e9) for time_s in (table.stale_after_s, table.hold_after_s, table.stop_after_s)
+    )
+    if hold_ns <= stale_ns:
+        allowed = f"above stale_after_s = {table.stale_after_s:g}"
+        yield wrong(("safety", "ladder", "hold_after_s"), table.hold_after_s, allowed)
+    if stop_ns <= hold_ns:
+        allowed = f"above hold_after_s = {table.hold_after_s:g}"
+        yield wrong(("safety", "ladder", "stop_after_s"), table.stop_after_s, allowed)
+    if table.extrapolate_s is not None and round(table.extrapolate_s * 1e9) > hold_ns - stale_ns:
+        allowed = f"over before HOLD, at most {(hold_ns - stale_ns) * 1e-9:g}"
+        yield wrong(("safety", "ladder", "extrapolate_s"), table.extrapolate_s, allowed)
 
 
 def _of_numbers(spec: Spec) -> Iterator[SceneError]:

@@ -19,6 +19,12 @@ LEAST_DURATION_S = 1e-9
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=1e6)]
 Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
 Reaction = Annotated[float, Meta(ge=0.05, le=60.0)]
+StaleAfter = Annotated[float, Meta(ge=1e-9, le=1.0)]
+HoldAfter = Annotated[float, Meta(ge=1e-9, le=2.0)]
+StopAfter = Annotated[float, Meta(ge=1e-9, le=10.0)]
+Extrapolation = Annotated[float, Meta(ge=0.0, le=0.02)]
+FadeOut = Annotated[float, Meta(ge=0.05, le=0.1)]
+FadeIn = Annotated[float, Meta(ge=0.2, le=60.0)]
 Period = Annotated[float, Meta(ge=1e-5, le=2e-2)]
 TremorFrequency = Annotated[float, Meta(gt=0.0, le=100.0)]
 ClockOffset = Annotated[float, Meta(ge=-4e9, le=4e9)]
@@ -49,5 +55,9 @@ _pair = Annotated[tuple[Position, ...], Meta(min_length=2, max_length=2)]
 StopsPerAxis: TypeAlias = Annotated[tuple[Position | _pair, ...], _axes]
 """Lower and upper stop for every axis, or one such pair per axis."""
 _times = Annotated[tuple[Seconds, ...], Meta(min_length=2, max_length=2)]
+Quaternion: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=4, max_length=4)]
+"""w, x, y, z of a rotation."""
+AxisIndices: TypeAlias = Annotated[tuple[Annotated[int, Meta(ge=0, le=MOST_AXES - 1)], ...], Meta(max_length=MOST_AXES)]
+"""Some of the axes, counted from 0."""
 ClutchTimes: TypeAlias = tuple[_times, ...]
 """Press and release times in s."""

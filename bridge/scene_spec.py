@@ -11,7 +11,7 @@ from haptether.bridge.scene_far import ObjectTable, Plane, PusherTable, SlaveTab
 from haptether.bridge.scene_links import spec_of_links
 from haptether.bridge.scene_near import MasterTable, OperatorTable, SeriesTable
 from haptether.bridge.scene_ranges import LEAST_DURATION_S
-from haptether.bridge.scene_tables import AdaptiveWindow, Kalman, Scene
+from haptether.bridge.scene_tables import AdaptiveWindow, CouplingTable, Kalman, LadderTable, Scene
 from haptether.master import DEVICE_PRESETS
 
 Spec: TypeAlias = dict[str, Any]
@@ -257,9 +257,33 @@ def _pusher(table: PusherTable, axes: int, path: Path, duration_s: float) -> Spe
 def _coupling(scene: Scene) -> Spec | None:
     if scene.slave is None:
         return None
-    if scene.coupling is None:
-        return {"kind": "position-force", "position_scale": 1.0, "force_scale": 1.0}
-    return _plain(scene.coupling)
+    table = scene.coupling or CouplingTable()
+    return {
+        **_plain(table),
+        "command_speed": None if table.command_speed == "unbounded" else table.command_speed,
+        "command_reach": None if table.command_reach == "unbounded" else table.command_reach,
+        "changes": [_plain(change) for change in table.changes],
+    }
+
+
+DEFAULT_EXTRAPOLATION_S = 0.015
+LEAST_FADE_IN_S = 0.2
+
+
+def _ladder(scene: Scene) -> Spec | None:
+    if scene.slave is None:
+        return None
+    table = scene.safety.ladder or LadderTable()
+    # In whole ns, as the Rust side counts them, so that no rounding makes it last beyond HOLD.
+    stale_ns, hold_ns = round(table.stale_after_s * 1e9), round(table.hold_after_s * 1e9)
+    extrapolate_s = min(DEFAULT_EXTRAPOLATION_S, max(hold_ns - stale_ns, 0) * 1e-9)
+    limiter = scene.safety.limiter
+    fade_in_s = max(LEAST_FADE_IN_S, limiter.ramp_in_s if limiter.enabled else 0.0)
+    return {
+        **_plain(table),
+        "extrapolate_s": extrapolate_s if table.extrapolate_s is None else table.extrapolate_s,
+        "fade_in_s": fade_in_s if table.fade_in_s is None else table.fade_in_s,
+    }
 
 
 def most_damping(mass_kg: Sequence[float], period_s: float) -> float:
@@ -288,4 +312,5 @@ def _safety(scene: Scene, master: Spec) -> Spec:
         "damping": min(DEFAULT_DAMPING, most) if table.damping is None else table.damping,
         "pc_max_damping": min(DEFAULT_PC_DAMPING, most) if table.pc_max_damping is None else table.pc_max_damping,
         "limiter": limiter,
+        "ladder": _ladder(scene),
     }

@@ -33,7 +33,7 @@ Leaf: TypeAlias = "float | int | str | bool | None"
 _ALONE = re.compile(
     r"run\.seed|operator\.(stiffness|damping|grip_strength_n|legs\.\d+\..*|release\..*|regrasp\..*|tremor\..*)"
     r"|environment\.objects\.\d+\.(contact\.(stiffness|damping)|body\..*)|environment\.pushers\.\d+\.(at_s|force_n.*)"
-    r"|coupling\..*|slave\.(bandwidth_hz|max_.*|force_sensor\..*)"
+    r"|coupling\.(position_scale|force_scale|command_.*|changes\.\d+\..*_scale)|slave\.(bandwidth_hz|max_.*|force_sensor\..*)"
     r"|safety\.(velocity_.*|vfc_.*|grasp_.*|hsc_.*|energy_.*|window|hold_off_s|release_ramp_s)"
 )
 LARGEST_EXACT = 2**53

@@ -8,15 +8,25 @@ from haptether.bridge.scene_far import EnvironmentTable, SlaveTable
 from haptether.bridge.scene_near import MasterTable, OperatorTable
 from haptether.bridge.scene_ranges import (
     LARGEST,
+    AxisIndices,
     ClockDrift,
     ClockOffset,
     ClockStepTime,
     Duration,
+    Extrapolation,
+    FadeIn,
+    FadeOut,
     Hold,
+    HoldAfter,
     NonNegative,
     Period,
     Positive,
+    Quaternion,
     Ratio,
+    Seconds,
+    StaleAfter,
+    StopAfter,
+    Unbounded,
 )
 from haptether.netsim import LinkSettings
 
@@ -72,6 +82,21 @@ class LinksTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """The slave's clock; by default it is right."""
 
 
+class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[coupling.changes]]`: what somebody changes while it runs; the arm never jumps. What is left out stays."""
+
+    at_s: Seconds
+    """When, in s since the start; not before the change above it."""
+    position_scale: Positive | None = None
+    """The new lambda_p."""
+    force_scale: Positive | None = None
+    """The new lambda_f; the limiter says how fast the force follows."""
+    quat_wxyz: Quaternion | None = None
+    """The new rotation."""
+    locked_axes: AxisIndices | None = None
+    """The new locks."""
+
+
 class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[coupling]`: how master and slave are coupled.
 
@@ -84,6 +109,16 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """lambda_p: motion of the slave over that of the master."""
     force_scale: Positive = 1.0
     """lambda_f: rendered force over measured force."""
+    quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """R, which turns motions of the master into those of the slave: a unit quaternion of 3 axes, or of 2 about z."""
+    locked_axes: AxisIndices = ()
+    """Axes of the slave that do not follow and are not felt, counted from 0."""
+    command_speed: Positive | Unbounded = 3.0
+    """Fastest that the commanded position moves, in m/s, or "unbounded"; what is faster is clamped and counted."""
+    command_reach: Positive | Unbounded = "unbounded"
+    """Largest distance in m of the commanded position from where the arm began, or "unbounded"."""
+    changes: tuple[ChangeTable, ...] = ()
+    """What is changed while it runs."""
 
 
 class SecurityTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -158,6 +193,28 @@ class LimiterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     at least 0.2."""
 
 
+class LadderTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[safety.ladder]`: what a silent peer leads to, with a [slave]. Ages count from the one that the link is used to.
+
+    Source: libfranka and UR (20 ms, at most 200 ms).
+    """
+
+    stale_after_s: StaleAfter = 0.005
+    """In s to STALE, where the velocity of the arm decays; below `hold_after_s`."""
+    hold_after_s: HoldAfter = 0.02
+    """In s to HOLD, where the arm holds and the force fades; below `stop_after_s`."""
+    stop_after_s: StopAfter = 0.2
+    """In s to STOP: a soft stop of the arm, latched."""
+    extrapolate_s: Extrapolation | None = None
+    """In s, within which the velocity decays to zero in STALE, at most 0.02 and over before HOLD; by default 0.015, or
+    less where HOLD begins earlier."""
+    fade_out_s: FadeOut = 0.075
+    """In s, in which the force fades from full to zero in HOLD, 0.05 to 0.1."""
+    fade_in_s: FadeIn | None = None
+    """In s, in which the force rises from zero to full at each engagement, at least 0.2; by default `ramp_in_s` of the
+    limiter, or 0.2 if that is less."""
+
+
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[safety]`: who watches the hand. The defaults are the paper's.
 
@@ -198,6 +255,8 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Time in s over which an intervention fades out, 0 to 60."""
     limiter: LimiterTable = LimiterTable()
     """Bounds on the device force."""
+    ladder: LadderTable | None = None
+    """Times of the ladder, with a [slave]; by default the ladder's own."""
 
 
 class RecordTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -1,5 +1,6 @@
 """Strategies for Hypothesis: valid scenes with any combination of their parts, short and small enough to be run."""
 
+import math
 from typing import Any
 
 import msgspec
@@ -197,6 +198,32 @@ def links(draw: st.DrawFn) -> Plain:
     return {"delay_s": delay_s} | draw(table(jitter_s=real(0.0, delay_s / 4.0), loss=real(0.0, 1.0)))
 
 
+@st.composite
+def couplings(draw: st.DrawFn, axes: int, duration_s: float) -> Plain:
+    angle = draw(real(-3.0, 3.0)) if axes == 3 else 0.0
+    frame = {
+        "quat_wxyz": st.just([math.cos(angle), 0.0, math.sin(angle), 0.0]),
+        "locked_axes": st.lists(st.integers(0, axes - 1), unique=True),
+    }
+    scales = {"position_scale": real(0.1, 5.0), "force_scale": real(0.1, 5.0)}
+    bounds = {"command_speed": real(0.05, 3.0) | st.just("unbounded"), "command_reach": real(0.01, 1.0)}
+    coupling = draw(table(**scales, **frame, **bounds))
+    changes = [
+        {"at_s": at_s, "force_scale": 0.5} | draw(table(**scales, **frame))
+        for at_s in sorted(draw(st.lists(real(0.0, duration_s), max_size=2)))
+    ]
+    return {**coupling, "changes": changes}
+
+
+@st.composite
+def ladders(draw: st.DrawFn) -> Plain:
+    stale_after_s = draw(real(1e-3, 0.01))
+    hold_after_s = stale_after_s + draw(real(1e-3, 0.03))
+    times = {"stale_after_s": stale_after_s, "hold_after_s": hold_after_s}
+    stop_after_s = hold_after_s + draw(real(1e-3, 0.2))
+    return {**times, "stop_after_s": stop_after_s} | draw(table(fade_out_s=real(0.05, 0.1), fade_in_s=real(0.2, 1.0)))
+
+
 # ---------------------------------------------------------------------------------------------- safety
 
 
@@ -300,10 +327,12 @@ def plain_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = Fal
         scene |= draw(
             table(
                 link=table(forward=links(), backward=links()),
-                coupling=table(position_scale=real(0.1, 5.0), force_scale=real(0.1, 5.0)),
+                coupling=couplings(axes, duration_s),
                 security=table(secure=st.booleans()),
             )
         )
+        if draw(st.booleans()):
+            scene["safety"]["ladder"] = draw(ladders())
     return scene
 
 

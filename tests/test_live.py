@@ -129,6 +129,9 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
     time.sleep(0.1)
     slave.process.send_signal(signal.SIGCONT)
     time.sleep(1.0)
+    for side in (slave, master):
+        # Nothing to acknowledge: nothing happens, least of all what a signal without a handler does.
+        side.process.send_signal(signal.SIGUSR2)
     master.process.send_signal(signal.SIGUSR1)
     said = master.end()
     assert master.process.returncode == 0, said

@@ -200,7 +200,10 @@ def test_a_table_that_an_override_needs_is_made(tmp_path: Path) -> None:
         "slave_clock": None,
     }
     assert filled["slave"]["mass_kg"] == 2
-    assert filled["coupling"] == {"kind": "position-force", "position_scale": 1.0, "force_scale": 1.0}
+    assert filled["coupling"] == {
+        "kind": "position-force", "position_scale": 1.0, "force_scale": 1.0, "quat_wxyz": [1.0, 0.0, 0.0, 0.0],
+        "locked_axes": [], "command_speed": 3.0, "command_reach": None, "changes": [],
+    }  # fmt: skip
 
 
 # ---------------------------------------------------------------------------------------- recordings

@@ -16,8 +16,11 @@ from hypothesis import strategies as st
 
 from haptether.bridge import (
     ContactTable,
+    CouplingTable,
     EnvironmentTable,
+    LadderTable,
     LegTable,
+    LimiterTable,
     MasterTable,
     ObjectTable,
     OperatorTable,
@@ -25,6 +28,7 @@ from haptether.bridge import (
     SafetyTable,
     Scene,
     SceneError,
+    SlaveTable,
     Sphere,
     load_scene,
     scene_json,
@@ -127,9 +131,13 @@ def full_scene() -> dict[str, Any]:
             "master_clock": {"offset_s": 1.0},
             "slave_clock": {"drift_ppm": 20.0, "step_s": 1.0, "step_at_s": 2.0},
         },
-        "coupling": {"force_scale": 0.5},
+        "coupling": {"force_scale": 0.5, "changes": [{"at_s": 1.0, "force_scale": 0.2}]},
         "security": {"secure": True},
-        "safety": {"controllers": ["wsc", "hsc"], "estimator": {"kind": "savitzky-golay"}},
+        "safety": {
+            "controllers": ["wsc", "hsc"],
+            "estimator": {"kind": "savitzky-golay"},
+            "ladder": {"stop_after_s": 0.1},
+        },
         "record": {"every": 2},
     }
 
@@ -206,6 +214,29 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     # the clutch
     ({"operator.clutch": [[0.0, 1.0], [1.0, 2.0]]}, "[operator] clutch: presses and releases must follow one"),
     ({"operator.clutch_reaction_s": 0.01}, "[operator] clutch_reaction_s = 0.01: must be 0.05 to 60"),
+    # the ladder
+    ({"safety.ladder": {"hold_after_s": 0.005}}, "[safety.ladder] hold_after_s = 0.005: must be above stale_after_s = 0.005"),
+    ({"safety.ladder": {"stop_after_s": 0.02}}, "[safety.ladder] stop_after_s = 0.02: must be above hold_after_s = 0.02"),
+    ({"safety.ladder": {"extrapolate_s": 0.016}}, "[safety.ladder] extrapolate_s = 0.016: must be over before HOLD, at most 0.015"),
+    ({"safety.ladder": {"hold_after_s": 1.0, "stop_after_s": 2.0, "extrapolate_s": 0.021}}, "extrapolate_s = 0.021: must be 0 to 0.02"),
+    ({"safety.ladder": {"fade_out_s": 0.049}}, "[safety.ladder] fade_out_s = 0.049: must be 0.05 to 0.1"),
+    ({"safety.ladder": {"fade_out_s": 0.11}}, "[safety.ladder] fade_out_s = 0.11: must be 0.05 to 0.1"),
+    ({"safety.ladder": {"fade_in_s": 0.19}}, "[safety.ladder] fade_in_s = 0.19: must be 0.2 to 60"),
+    ({"safety.ladder": {"stale_after_s": 0.0}}, "[safety.ladder] stale_after_s = 0: must be 1e-09 to 1"),
+    ({"safety.ladder": {"ramp_out_s": 0.1}}, "[safety.ladder] has no key ramp_out_s"),
+    # the coupling
+    ({"coupling.quat_wxyz": [0.0, 0.0, 0.0, 1.0]}, "[coupling] quat_wxyz = [0, 0, 0, 1]: must be [1, 0, 0, 0] with 1 axes"),
+    ({"coupling.quat_wxyz": [0.9, 0.0, 0.0, 0.0]}, "[coupling] quat_wxyz = [0.9, 0, 0, 0]: must be of norm 1, not 0.9"),
+    ({"coupling.quat_wxyz": [1.0, 0.0, 0.0]}, "[coupling] quat_wxyz = [1, 0, 0]: must be"),
+    ({"coupling.locked_axes": [1]}, "[coupling] locked_axes = [1]: must be below 1, the number of axes"),
+    ({"coupling.locked_axes": [0, 0]}, "[coupling] locked_axes = [0, 0]: must be each at most once"),
+    ({"coupling.command_speed": 0.0}, '[coupling] command_speed = 0: must be above 0 and at most 1e9 or "unbounded"'),
+    ({"coupling.command_reach": "far"}, '[coupling] command_reach = "far": must be above 0 and at most 1e9 or "unbounded"'),
+    ({"coupling.changes": [{"at_s": 1.0}]}, "[coupling] changes.0: changes nothing: give position_scale, force_scale"),
+    ({"coupling.changes.0.force_scale": 0.0}, "[coupling.changes.0] force_scale = 0: must be above 0"),
+    ({"coupling.changes": [{"at_s": 1.0, "force_scale": 1.0}, {"at_s": 0.5, "force_scale": 2.0}]},
+     "[coupling.changes.1] at_s = 0.5: must be at least that of the change before it, 1"),
+    ({"coupling.changes": [{"at_s": 1.0, "locked_axes": [3]}]}, "[coupling.changes.0] locked_axes = [3]: must be below 1"),
     # unknown keys
     ({"safety.windw": 3}, "[safety] has no key windw: did you mean window?"),
     ({"zoo": {}}, "a scene has no key zoo: there is coupling, environment, link, master"),
@@ -321,6 +352,7 @@ BAD_LOCAL_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"link": {"forward": {"delay_s": 0.1}}}, "link: needs an arm to lead to"),
     ({"coupling": {}}, "coupling: needs an arm to lead to"),
     ({"security": {}}, "security: needs an arm to lead to"),
+    ({"safety": {"ladder": {}}}, "[safety] ladder: needs an arm at the other end"),
     ({"environment.rendering": "continuous", "environment.objects.0.shape": {"kind": "sphere", "radius": 0.1}},
      "[environment.objects.0] shape: continuous rendering knows only planes"),
     ({"environment.rendering": "continuous", "environment.delay_ticks": 2}, "[environment] delay_ticks: only a sampled"),
@@ -650,6 +682,29 @@ def test_numbers_are_spread_over_all_axes() -> None:
         {"kind": "sphere", "centre": [0.0] * 3, "radius": 0.1},
     ]
     assert [part["contact"]["exponent"] for part in filled["environment"]["objects"]] == [1.0, 1.5]
+
+
+def test_the_times_of_the_ladder_follow_one_another() -> None:
+    tables: dict[str, Any] = {"master": MasterTable(device="touch"), "slave": SlaveTable()}
+    assert spec(**tables)["safety"]["ladder"] == {
+        "stale_after_s": 0.005, "hold_after_s": 0.02, "stop_after_s": 0.2,
+        "extrapolate_s": pytest.approx(0.015, abs=1e-12), "fade_out_s": 0.075, "fade_in_s": 0.2,
+    }  # fmt: skip
+    # Who takes a longer ramp-in has it at each engagement, and whose HOLD comes early stands by then.
+    safety = SafetyTable(limiter=LimiterTable(ramp_in_s=0.5), ladder=LadderTable(hold_after_s=0.008))
+    ladder = spec(safety=safety, **tables)["safety"]["ladder"]
+    assert (ladder["fade_in_s"], ladder["extrapolate_s"]) == (0.5, pytest.approx(0.003, abs=1e-12))
+    safety = SafetyTable(limiter=LimiterTable(ramp_in_s=0.5), ladder=LadderTable(fade_in_s=0.3))
+    assert spec(safety=safety, **tables)["safety"]["ladder"]["fade_in_s"] == 0.3
+    assert spec(master=MasterTable(device="touch"))["safety"]["ladder"] is None
+
+
+def test_bounds_of_the_command_can_be_taken_off() -> None:
+    tables: dict[str, Any] = {"master": MasterTable(device="touch"), "slave": SlaveTable()}
+    coupling = spec(**tables)["coupling"]
+    assert (coupling["command_speed"], coupling["command_reach"], coupling["changes"]) == (3.0, None, [])
+    coupling = spec(coupling=CouplingTable(command_speed="unbounded", command_reach=0.1), **tables)["coupling"]
+    assert (coupling["command_speed"], coupling["command_reach"]) == (None, 0.1)
 
 
 def test_a_method_with_steps_takes_a_tenth_of_a_period() -> None:

@@ -3,6 +3,7 @@
 //! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
+mod act;
 mod channel;
 pub mod clock;
 pub mod coupling;
@@ -23,6 +24,7 @@ mod side;
 mod virtual_time;
 pub mod wire;
 
+pub use act::Act;
 pub use endpoint::{
     EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings,
     SlaveTick,

@@ -51,8 +51,15 @@ pub trait SlavePlant<const N: usize> {
     /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
-    /// Stays where it is.
-    fn stop(&mut self);
+    /// Stops softly: comes to rest within the bounds of the arm and stays there, whatever was written before. Gives
+    /// where that is, in m. Nothing is written until the stop is over. Never an emergency stop: power and brakes stay
+    /// as they are, so that nothing on the network can switch them.
+    fn stop(&mut self) -> Axes<N>;
+
+    /// Comes to rest softly where it is no longer led, and gives where that is, in m. That is written from now on.
+    fn hold(&mut self) -> Axes<N> {
+        self.stop()
+    }
 
     /// The two sides have engaged.
     fn engaged(&mut self, _now_ns: u64) {}
@@ -118,8 +125,8 @@ impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
         SimulatedSlave::write(self, position, velocity);
     }
 
-    fn stop(&mut self) {
-        SimulatedSlave::stop(self);
+    fn stop(&mut self) -> Axes<N> {
+        SimulatedSlave::stop(self)
     }
 
     fn engaged(&mut self, now_ns: u64) {

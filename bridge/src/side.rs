@@ -1,6 +1,8 @@
 //! One side of the bridge, plant and endpoint together: what both runners call at each tick.
 
 use crate::{
+    act::Act,
+    coupling::{CouplingError, FrameMap},
     endpoint::{MasterEndpoint, SlaveEndpoint},
     ladder::{Clutch, ClutchError, FlightRecorder, LadderState, Person},
     link::{LinkStatistics, Refusal},
@@ -79,6 +81,12 @@ pub trait Side {
 
     /// A person lets go of the clutch and presses it again; nothing at a side without one.
     fn press_again(&mut self) {}
+
+    /// A person at this side acts, at `now_ns`. What the other side has is passed over; numbers that cannot be change
+    /// nothing.
+    fn act(&mut self, _now_ns: u64, _act: Act) -> Result<(), CouplingError> {
+        Ok(())
+    }
 }
 
 /// The side of the hand.
@@ -157,6 +165,16 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     fn press_again(&mut self) {
         self.person.press_again();
     }
+
+    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+        match act {
+            Act::Acknowledge => self.endpoint.acknowledge(now_ns),
+            Act::ForceScale(scale) => self.endpoint.set_force_scale(scale)?,
+            Act::Frame { quat_wxyz, locked } => self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?),
+            Act::PositionScale(_) => {}
+        }
+        Ok(())
+    }
 }
 
 /// The side of the robot.
@@ -166,6 +184,15 @@ pub struct SlaveSide<P, const N: usize> {
     pub plant: P,
     /// What decides.
     pub endpoint: SlaveEndpoint<N>,
+    /// Where the ladder stood at the last tick.
+    stood: LadderState,
+}
+
+impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
+    /// A side whose arm has not been commanded yet.
+    pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
+        Self { plant, endpoint, stood: LadderState::Disengaged }
+    }
 }
 
 impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
@@ -182,9 +209,23 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
         let sample = self.plant.read(time.now_ns);
-        let tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
-        if let Some(command) = &tick.command {
-            self.plant.write(command, &tick.command_velocity);
+        let mut tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
+        let stood = std::mem::replace(&mut self.stood, tick.state);
+        let is_stopped = |state| matches!(state, LadderState::Stop | LadderState::Fault);
+        // Once each: whoever brakes again and again would let go of what the arm leans on, bit by bit.
+        let rest = if is_stopped(tick.state) && !is_stopped(stood) {
+            Some(self.plant.stop())
+        } else if stood.is_coupled() && !tick.state.is_coupled() {
+            Some(self.plant.hold())
+        } else {
+            None
+        };
+        if let Some(rest) = rest {
+            self.endpoint.rests(&rest);
+            tick.command = self.endpoint.command();
+        }
+        if let Some(command) = tick.command.filter(|_| !is_stopped(tick.state)) {
+            self.plant.write(&command, &tick.command_velocity);
         }
         if tick.state.is_coupled() {
             self.plant.engaged(time.now_ns);
@@ -215,5 +256,15 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn flight(&self) -> &FlightRecorder {
         self.endpoint.exchange().flight()
+    }
+
+    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+        match act {
+            Act::Acknowledge => self.endpoint.acknowledge(now_ns),
+            Act::PositionScale(scale) => self.endpoint.set_position_scale(scale)?,
+            Act::Frame { quat_wxyz, locked } => self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?),
+            Act::ForceScale(_) => {}
+        }
+        Ok(())
     }
 }

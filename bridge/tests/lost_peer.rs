@@ -58,7 +58,7 @@ fn sides_with(clutch: Clutch) -> (Master, Slave) {
     let slave = SlaveEndpoint::new(&slave_settings(2)).unwrap();
     let wall = Wall::new(0.0, 100.0).unwrap();
     let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 0.02, 0).unwrap();
-    (MasterSide::new(device, master, clutch).unwrap(), SlaveSide { plant: arm, endpoint: slave })
+    (MasterSide::new(device, master, clutch).unwrap(), SlaveSide::new(arm, slave))
 }
 
 /// Which way the network passes frames at a tick: (to the slave, to the master).

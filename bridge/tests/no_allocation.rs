@@ -97,7 +97,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let pusher = Pusher::new(0.8, 0.1, 1.0, 3.0).unwrap();
         let wall = Wall::new(0.0, 100.0).unwrap();
         let plant = SimulatedSlave::new(ArmParameters::default(), wall, Some(pusher), 0.02, 0).unwrap();
-        let mut slave = SlaveSide { plant, endpoint: SlaveEndpoint::new(&settings).unwrap() };
+        let mut slave = SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap());
         let mut buffer = [0; MAX_FRAME];
         let mut tripped = false;
 

@@ -32,6 +32,7 @@ __all__ = [
     "HapticDevice",
     "Intervention",
     "Interventions",
+    "LadderSettings",
     "Limiter",
     "LimiterSettings",
     "LinkStatistics",
@@ -1815,6 +1816,34 @@ class LoopReport:
         """When the sides first engaged, in s since the start; infinite if never."""
 
 @final
+class LadderSettings:
+    """Times of the ladder. Ages count from the one that the link has when nothing is wrong.
+
+    Args:
+        stale_after_s: Over the expected age to STALE, in s, above 0 and at most 1.
+        hold_after_s: Over the expected age to HOLD, in s, above `stale_after_s` and at most 2.
+        stop_after_s: Over the expected age to STOP, in s, above `hold_after_s` and at most 10.
+        extrapolate_s: In STALE until the velocity of the slave has decayed to zero, in s, at most 0.02 and at most
+            `hold_after_s - stale_after_s`.
+        fade_out_s: Of the force from full to zero, in s, 0.05 to 0.1.
+        fade_in_s: Of the force from zero to full, in s, 0.2 to 60.
+
+    Raises:
+        ValueError: A time out of order or range.
+    """
+
+    def __new__(
+        cls,
+        *,
+        stale_after_s: float = 0.005,
+        hold_after_s: float = 0.02,
+        stop_after_s: float = 0.2,
+        extrapolate_s: float = 0.015,
+        fade_out_s: float = 0.075,
+        fade_in_s: float = 0.2,
+    ) -> LadderSettings: ...
+
+@final
 class MasterSettings:
     """The side of the hand: a modelled device and hand, the safety layer, the coupling.
 
@@ -1832,6 +1861,7 @@ class MasterSettings:
             "auto": a simulated person lets go when it holds and presses again; or press and release times in s
             since the start.
         clutch_reaction_s: From when both sides are ready to the new press of "auto", in s, 0.05 to 60.
+        ladder: Times of the ladder; without them its defaults.
 
     Raises:
         ValueError: A parameter outside its range.
@@ -1851,6 +1881,7 @@ class MasterSettings:
         period_s: float = 1e-3,
         clutch: Literal["once", "auto"] | Sequence[tuple[float, float]] | None = None,
         clutch_reaction_s: float = 0.5,
+        ladder: LadderSettings | None = None,
     ) -> MasterSettings: ...
 
 @final
@@ -1865,6 +1896,8 @@ class SlaveSettings:
         position_scale: lambda_p of `x_s = x_s0 + lambda_p (x_m - x_m0)`, above 0.
         period_s: dT in s, 50 us to 20 ms.
         command_speed: Largest speed in m/s of the commanded position; what is faster is clamped and counted.
+        command_reach: Largest distance in m of the commanded position from where the arm began; without it no bound.
+        ladder: Times of the ladder; without them its defaults.
 
     Raises:
         ValueError: A parameter outside its range.
@@ -1882,6 +1915,8 @@ class SlaveSettings:
         position_scale: float = 1.0,
         period_s: float = 1e-3,
         command_speed: float = 3.0,
+        command_reach: float | None = None,
+        ladder: LadderSettings | None = None,
     ) -> SlaveSettings: ...
 
 @final
@@ -1948,6 +1983,21 @@ class LiveMaster:
 
     def press_clutch(self) -> None:
         """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
+
+    def set_force_scale(self, scale: float) -> None:
+        """Changes lambda_f from the next tick on; the limiter says how fast the force follows.
+
+        Raises:
+            ValueError: A scale that is not finite or not above 0.
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def acknowledge(self) -> None:
+        """Says that the fault of this side is mended: the clutch must then be released and pressed.
+
+        Raises:
+            RuntimeError: The loop has ended, or hangs.
+        """
 
     def finish(self) -> tuple[MasterTrace, LoopReport]:
         """Ends the loop and returns all its ticks and how it went.
@@ -2018,6 +2068,20 @@ class LiveSlave:
 
     def allow_takeover(self) -> None:
         """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
+    def set_position_scale(self, scale: float) -> None:
+        """Changes lambda_p from the next tick on; the arm goes on from where it is.
+
+        Raises:
+            ValueError: A scale that is not finite or not above 0.
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def acknowledge(self) -> None:
+        """Says that the fault of this side is mended: the master's clutch must then be released and pressed.
+
+        Raises:
+            RuntimeError: The loop has ended, or hangs.
+        """
 
     def finish(self) -> tuple[SlaveTrace, LoopReport]:
         """Ends the loop and returns all its ticks and how it went.

@@ -6,8 +6,9 @@ use std::{
 };
 
 use haptether_bridge::{
-    Clutch, Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide,
-    Reason, Side, SideCounts, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
+    Act, Clutch, Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings,
+    MasterSide, Reason, Side, SideCounts, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide,
+    VirtualSettings,
     coupling::CommandBounds,
     live::{
         LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, Security, SecurityEvent, StartError,
@@ -34,6 +35,7 @@ use crate::{
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<PyLadderSettings>()?;
     module.add_class::<PyMasterSettings>()?;
     module.add_class::<PySlaveSettings>()?;
     module.add_class::<LiveMaster>()?;
@@ -101,6 +103,38 @@ impl PyClutch {
     }
 }
 
+#[pyclass(name = "LadderSettings", module = "haptether.bridge", frozen)]
+#[derive(Clone, Copy)]
+pub(crate) struct PyLadderSettings {
+    inner: LadderSettings,
+}
+
+#[pymethods]
+impl PyLadderSettings {
+    #[new]
+    #[pyo3(signature = (*, stale_after_s=0.005, hold_after_s=0.02, stop_after_s=0.2, extrapolate_s=0.015,
+        fade_out_s=0.075, fade_in_s=0.2))]
+    fn new(
+        stale_after_s: f64,
+        hold_after_s: f64,
+        stop_after_s: f64,
+        extrapolate_s: f64,
+        fade_out_s: f64,
+        fade_in_s: f64,
+    ) -> PyResult<Self> {
+        let inner = LadderSettings {
+            stale_after_ns: nanoseconds("stale_after_s", stale_after_s)?,
+            hold_after_ns: nanoseconds("hold_after_s", hold_after_s)?,
+            stop_after_ns: nanoseconds("stop_after_s", stop_after_s)?,
+            extrapolate_ns: nanoseconds("extrapolate_s", extrapolate_s)?,
+            fade_out_ns: nanoseconds("fade_out_s", fade_out_s)?,
+            fade_in_ns: nanoseconds("fade_in_s", fade_in_s)?,
+        };
+        inner.check().map_err(refuse)?;
+        Ok(Self { inner })
+    }
+}
+
 #[pyclass(name = "MasterSettings", module = "haptether.bridge", frozen)]
 #[derive(Clone)]
 pub(crate) struct PyMasterSettings {
@@ -114,7 +148,7 @@ pub(crate) struct PyMasterSettings {
 impl PyMasterSettings {
     #[new]
     #[pyo3(signature = (device, hand, *, safety=None, estimator=None, limiter=None, force_scale=1.0,
-        period_s=1e-3, clutch=None, clutch_reaction_s=0.5))]
+        period_s=1e-3, clutch=None, clutch_reaction_s=0.5, ladder=None))]
     #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         device: &PyHapticDevice,
@@ -126,6 +160,7 @@ impl PyMasterSettings {
         period_s: f64,
         clutch: Option<PyClutch>,
         clutch_reaction_s: f64,
+        ladder: Option<&PyLadderSettings>,
     ) -> PyResult<Self> {
         let settings = Self {
             device: *device,
@@ -139,7 +174,7 @@ impl PyMasterSettings {
                 safety: safety.map(|safety| safety.inner).unwrap_or_default(),
                 limiter: limiter.map_or_else(LimiterSettings::default, |limiter| limiter.inner),
                 force_scale,
-                ladder: LadderSettings::default(),
+                ladder: ladder.map(|ladder| ladder.inner).unwrap_or_default(),
             },
         };
         settings.side(0)?;
@@ -170,7 +205,8 @@ pub(crate) struct PySlaveSettings {
 impl PySlaveSettings {
     #[new]
     #[pyo3(signature = (arm, wall, *, pusher=None, position=0.0, position_scale=1.0, period_s=1e-3,
-        command_speed=3.0))]
+        command_speed=3.0, command_reach=None, ladder=None))]
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         arm: &PyArm,
         wall: &PyWall,
@@ -179,6 +215,8 @@ impl PySlaveSettings {
         position_scale: f64,
         period_s: f64,
         command_speed: f64,
+        command_reach: Option<f64>,
+        ladder: Option<&PyLadderSettings>,
     ) -> PyResult<Self> {
         let settings = Self {
             arm: *arm,
@@ -189,8 +227,8 @@ impl PySlaveSettings {
                 period_ns: nanoseconds("period_s", period_s)?,
                 session: 0,
                 position_scale,
-                bounds: CommandBounds { speed: command_speed, ..CommandBounds::default() },
-                ladder: LadderSettings::default(),
+                bounds: CommandBounds { speed: command_speed, reach: command_reach.unwrap_or(f64::INFINITY) },
+                ladder: ladder.map(|ladder| ladder.inner).unwrap_or_default(),
             },
         };
         settings.side(0)?;
@@ -204,7 +242,7 @@ impl PySlaveSettings {
         let pusher = self.pusher.as_ref().map(|pusher| pusher.inner.clone());
         let plant =
             SimulatedSlave::new(self.arm.inner, self.wall.inner, pusher, self.position, 0).map_err(refuse)?;
-        Ok(SlaveSide { plant, endpoint })
+        Ok(SlaveSide::new(plant, endpoint))
     }
 }
 
@@ -362,6 +400,18 @@ impl<R: Copy + Send + 'static> Live<R> {
         self.run.get_mut().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn act(&mut self, act: Act) -> PyResult<()> {
+        act.check::<1>().map_err(refuse)?;
+        let run = self.run();
+        let full =
+            |_| PyRuntimeError::new_err("the loop has not done what it was told before: is it running?");
+        if run.is_finished() {
+            Err(PyRuntimeError::new_err("the loop has ended"))
+        } else {
+            run.act(act).map_err(full)
+        }
+    }
+
     fn poll(&mut self) -> usize {
         let Self { run, records, kept } = self;
         let run = run.get_mut().unwrap_or_else(PoisonError::into_inner);
@@ -431,6 +481,10 @@ macro_rules! live_methods {
             fn flight(&mut self) -> Option<String> {
                 self.live.run().flight()
             }
+
+            fn acknowledge(&mut self) -> PyResult<()> {
+                self.live.act(Act::Acknowledge)
+            }
         }
     };
 }
@@ -474,6 +528,10 @@ impl LiveMaster {
         self.live.run().press_clutch();
     }
 
+    fn set_force_scale(&mut self, scale: f64) -> PyResult<()> {
+        self.live.act(Act::ForceScale(scale))
+    }
+
     fn finish(&mut self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
         let (records, report) = self.live.finish(py)?;
         Ok((MasterTrace { records }, report))
@@ -509,6 +567,10 @@ impl LiveSlave {
 
     fn allow_takeover(&mut self) {
         self.live.run().allow_takeover();
+    }
+
+    fn set_position_scale(&mut self, scale: f64) -> PyResult<()> {
+        self.live.act(Act::PositionScale(scale))
     }
 
     fn finish(&mut self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {

@@ -15,6 +15,8 @@ const FOLLOWS: f64 = 10.0;
 pub(crate) struct ArmDrive<const N: usize> {
     model: ArmModel,
     command: Command<N>,
+    /// Whether the command is where it comes to rest.
+    stops: bool,
     set_points: [SetPoint; N],
 }
 
@@ -23,6 +25,7 @@ impl<const N: usize> ArmDrive<N> {
         Self {
             model,
             command: Command { position: Some(*position), velocity: Axes::zeros() },
+            stops: false,
             set_points: std::array::from_fn(|axis| SetPoint::at_rest(position[axis])),
         }
     }
@@ -36,15 +39,42 @@ impl<const N: usize> ArmDrive<N> {
     }
 
     pub(crate) fn command(&mut self, position: Option<Axes<N>>, velocity: Axes<N>) {
-        self.command = Command { position, velocity };
+        let command = Command { position, velocity };
+        self.stops &= command == self.command;
+        self.command = command;
     }
 
-    /// Stays: brakes the set position, or holds the place of a velocity control.
-    pub(crate) fn stop(&mut self, tool: &Tool<N>) {
+    /// Stays: brakes the set position, or the tool of a velocity control. Gives where it comes to rest, in m.
+    ///
+    /// A set position that rests stays as it is: one that went to where the tool is would let an arm that leans on
+    /// something, or carries something, give way. A velocity control has none. A control that used the velocity of
+    /// the command loses it: from V at x, `M x'' + B x' + K (x - x*) = 0` comes to rest without a swing for
+    /// `x* >= x + 2 M V / B`, if it is damped critically or more; with less damping it swings least near
+    /// `x + V sqrt(M / K)`. Stopped again before another command, it stays as it is.
+    pub(crate) fn stop(&mut self, tool: &Tool<N>) -> Axes<N> {
+        if let Some(rest) = self.command.position.filter(|_| self.stops) {
+            return rest;
+        }
         let limits = self.model.limits();
-        let rest = Axes::from_fn(|axis, _| self.set_points[axis].nearest_rest(&limits));
-        let position = if self.is_velocity_control() { tool.position } else { rest };
-        self.command(Some(position), Axes::zeros());
+        let (stiffness, damping, feed_forward) = self.model.impedance();
+        let mass = self.model.mass_kg();
+        // In s. Without a spring no place is held.
+        let coasts = (2.0 * mass / damping).min((mass / stiffness).sqrt());
+        let coasts = if feed_forward && stiffness > 0.0 { tool.velocity * coasts } else { Axes::zeros() };
+        let rest = Axes::from_fn(|axis, _| {
+            let (position, coast) = (tool.position[axis], coasts[axis]);
+            if self.is_velocity_control() {
+                let v = tool.set_velocity[axis];
+                return position + coast + v * v.abs() / (2.0 * limits.acceleration);
+            }
+            // As far beyond the set position as its speed takes it there; without speed not at all.
+            let set = self.set_points[axis].nearest_rest(&limits);
+            let (least, most) = if coast < 0.0 { (2.0 * coast, 0.0) } else { (0.0, 2.0 * coast) };
+            set + (position + coast - set).max(least).min(most)
+        });
+        self.command(Some(rest), Axes::zeros());
+        self.stops = true;
+        rest
     }
 
     /// Whether it takes a velocity.

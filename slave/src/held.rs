@@ -91,9 +91,10 @@ impl HeldArm {
         self.now_ns = now_ns;
     }
 
-    /// Commands the set position that has been reached: the arm stays where it is.
-    pub(crate) fn stop(&mut self) {
+    /// Commands the set position that has been reached, and gives it in m: the arm stays where it is.
+    pub(crate) fn stop(&mut self) -> f64 {
         self.commanded = self.set_position;
+        self.commanded
     }
 
     /// Advances to `now_ns` (monotonic) and tells x in m, V in m/s and `F_e` in N there.

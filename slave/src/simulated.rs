@@ -163,10 +163,10 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Stays where it is: a set position brakes within its limits.
-    pub fn stop(&mut self) {
+    /// Stays where it is: brakes within its limits. Gives where it comes to rest, in m.
+    pub fn stop(&mut self) -> Axes<N> {
         match &mut self.plant {
-            Plant::Held(held) => held.stop(),
+            Plant::Held(held) => Axes::from_element(held.stop()),
             Plant::Continuous(plant) => plant.drive.stop(&plant.tool),
         }
     }

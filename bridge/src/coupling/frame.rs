@@ -21,6 +21,9 @@ impl<const N: usize> Default for FrameMap<N> {
     }
 }
 
+/// How far the norm of a quaternion may be from 1: digits that a person left out.
+const UNIT: f64 = 1e-6;
+
 /// How far R' R may be from the identity, in its largest element.
 const ORTHONORMAL: f64 = 1e-9;
 
@@ -38,6 +41,35 @@ impl<const N: usize> FrameMap<N> {
         if off > ORTHONORMAL {
             return Err(CouplingError::Orthonormal(off));
         }
+        Ok(Self { rotation, locked })
+    }
+
+    /// With R of a unit quaternion, and the slave's axes that are locked, those beyond N left out.
+    ///
+    /// With 2 axes the rotation is about z, which neither has; of 1, 6 or 7 axes there is none.
+    pub fn turned(quat_wxyz: [f64; 4], locked: &[bool]) -> Result<Self, CouplingError> {
+        let norm = quat_wxyz.iter().map(|part| part * part).sum::<f64>().sqrt();
+        if norm.is_nan() || (norm - 1.0).abs() > UNIT {
+            return Err(CouplingError::Quaternion(norm));
+        }
+        let [w, x, y, z] = quat_wxyz.map(|part| part / norm);
+        let lies_in_space = match N {
+            3 => true,
+            2 => x == 0.0 && y == 0.0,
+            _ => x == 0.0 && y == 0.0 && z == 0.0,
+        };
+        if !lies_in_space {
+            return Err(CouplingError::Turn(N));
+        }
+        let rows = [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ];
+        let rotation = SMatrix::<f64, N, N>::from_fn(|row, column| {
+            if N <= 3 { rows[row][column] } else { f64::from(u8::from(row == column)) }
+        });
+        let locked = std::array::from_fn(|axis| locked.get(axis).copied().unwrap_or(false));
         Ok(Self { rotation, locked })
     }
 
@@ -114,6 +146,46 @@ mod tests {
         let map = FrameMap::new([[0.0, -1.0], [1.0, 0.0]], [false; 2]).unwrap();
         assert_eq!(map.to_slave(&Axes::<2>::new(1.0, 0.0)), Axes::<2>::new(0.0, 1.0));
         assert_eq!(map.to_master(&Axes::<2>::new(0.0, 3.0)), Axes::<2>::new(3.0, 0.0));
+    }
+
+    /// Against Rodrigues' formula.
+    #[test]
+    fn a_quaternion_turns_as_its_axis_and_angle_do() {
+        for (axis, angle) in [([0.0, 0.0, 1.0], 0.7_f64), ([1.0, -2.0, 0.5], 2.1), ([0.0, 1.0, 0.0], -3.0)] {
+            let k = Axes::<3>::from(axis).normalize() * (0.5 * angle).sin();
+            let quat_wxyz = [(0.5 * angle).cos(), k[0], k[1], k[2]];
+            let turned = FrameMap::<3>::turned(quat_wxyz, &[]).unwrap();
+            let expected = FrameMap::new(about(axis, angle), [false; 3]).unwrap();
+            assert!((turned.rotation - expected.rotation).abs().max() < 1e-14);
+            FrameMap::new(
+                std::array::from_fn(|row| std::array::from_fn(|c| turned.rotation[(row, c)])),
+                [false; 3],
+            )
+            .unwrap();
+        }
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let plane = FrameMap::<2>::turned([half, 0.0, 0.0, half], &[false, true]).unwrap();
+        assert!((plane.to_slave(&Axes::<2>::new(0.0, 1.0)) - Axes::<2>::new(-1.0, 0.0)).norm() < 1e-15);
+        assert_eq!(plane.to_slave(&Axes::<2>::new(1.0, 0.0))[1], 0.0, "locked");
+        assert_eq!(FrameMap::<6>::turned([-1.0, 0.0, 0.0, 0.0], &[]), Ok(FrameMap::default()));
+        for (refused, told) in [
+            (
+                FrameMap::<2>::turned([half, half, 0.0, 0.0], &[]).map(|_| ()).unwrap_err(),
+                "a rotation of 2 axes",
+            ),
+            (
+                FrameMap::<1>::turned([half, 0.0, 0.0, half], &[]).map(|_| ()).unwrap_err(),
+                "a rotation of 1 axes",
+            ),
+            (
+                FrameMap::<6>::turned([0.0, 0.0, 0.0, 1.0], &[]).map(|_| ()).unwrap_err(),
+                "a rotation of 6 axes",
+            ),
+            (FrameMap::<3>::turned([0.5; 4].map(|w| 2.0 * w), &[]).map(|_| ()).unwrap_err(), "norm of 2"),
+            (FrameMap::<3>::turned([f64::NAN; 4], &[]).map(|_| ()).unwrap_err(), "norm of NaN"),
+        ] {
+            assert!(refused.to_string().contains(told), "{refused}");
+        }
     }
 
     #[test]

@@ -38,6 +38,12 @@ pub enum CouplingError {
     /// A matrix that is no rotation.
     #[error("rotation: R' R differs from the identity by {0}, must be by at most 1e-9")]
     Orthonormal(f64),
+    /// A quaternion that is no rotation.
+    #[error("quat_wxyz has a norm of {0}: must be 1 to within 1e-6")]
+    Quaternion(f64),
+    /// A quaternion for axes that do not span its space.
+    #[error("quat_wxyz: a rotation of {0} axes, must be of 3 axes, or of 2 about z")]
+    Turn(usize),
     /// A rotation of axes that are not those of one space.
     #[error("rotation of {0} axes: must be of at most 3")]
     Rotation(usize),

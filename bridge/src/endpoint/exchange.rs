@@ -142,7 +142,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// A person at this side says that its fault is mended.
-    pub fn acknowledge(&mut self, now_ns: u64) {
+    pub(super) fn acknowledge(&mut self, now_ns: u64) {
         self.ladder.acknowledge(now_ns);
     }
 
@@ -154,6 +154,11 @@ impl<const N: usize> Exchange<N> {
     /// Where the ladder stands.
     pub fn state(&self) -> LadderState {
         self.ladder.state()
+    }
+
+    /// Share of the force that may be rendered, 0 to 1.
+    pub fn gain(&self) -> f64 {
+        self.ladder.gain()
     }
 
     /// Whether a press of the clutch would count, were it open.

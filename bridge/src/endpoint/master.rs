@@ -55,6 +55,8 @@ pub struct MasterEndpoint<const N: usize> {
     last: Option<(Axes<N>, Option<Axes<N>>)>,
     has_stalled: bool,
     period_s: f64,
+    /// The fault of the safety layer is mended, as a person says.
+    acknowledged: bool,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -75,6 +77,7 @@ impl<const N: usize> MasterEndpoint<N> {
             last: None,
             has_stalled: false,
             period_s: period_s(settings.period_ns),
+            acknowledged: false,
         })
     }
 
@@ -97,7 +100,11 @@ impl<const N: usize> MasterEndpoint<N> {
         let asked =
             self.exchange.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
         let gain = self.exchange.ladder.gain();
-        if self.has_stalled {
+        if std::mem::take(&mut self.acknowledged) {
+            // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
+            let _ = self.layer.reset(position);
+            self.has_stalled = false;
+        } else if self.has_stalled {
             // What lies before the gap says nothing of what comes after it. A position that cannot be is met below.
             let _ = self.layer.restart(position);
             self.has_stalled = false;
@@ -138,6 +145,12 @@ impl<const N: usize> MasterEndpoint<N> {
     pub fn stalled(&mut self, now_ns: u64) {
         self.exchange.stalled(now_ns);
         self.has_stalled = true;
+    }
+
+    /// A person at this side says that its fault is mended; the clutch must then be released and pressed.
+    pub fn acknowledge(&mut self, now_ns: u64) {
+        self.acknowledged = self.exchange.state() == LadderState::Fault;
+        self.exchange.acknowledge(now_ns);
     }
 
     /// Changes `lambda_f`; how fast the force follows is the limiter's.

@@ -110,7 +110,9 @@ impl<const N: usize> SlaveEndpoint<N> {
                 let decay_ns = self.exchange.ladder.settings().extrapolate_ns;
                 let (ahead_s, share) = decayed(self.exchange.ladder.stale_ns(), decay_ns);
                 let velocity = self.coupling.commanded_velocity(&frame.velocity);
-                let wanted = self.coupling.commanded_position(&frame.position, &from) + velocity * ahead_s;
+                // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
+                let ahead = velocity * ahead_s;
+                let wanted = self.coupling.commanded_position(&frame.position, &(from - ahead)) + ahead;
                 let (command, over) = bounded(&self.bounds, elapsed_s, &home, &from, &wanted);
                 limited = over;
                 command_velocity = velocity * share;
@@ -145,6 +147,13 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.stalled(now_ns);
     }
 
+    /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there.
+    pub fn rests(&mut self, rest: &Axes<N>) {
+        if self.command.is_some() && Signal::Position.check(rest).is_ok() {
+            self.command = Some(*rest);
+        }
+    }
+
     /// A person at this side says that its fault is mended; the master's clutch must then be released and pressed.
     pub fn acknowledge(&mut self, now_ns: u64) {
         self.fault = None;
@@ -159,6 +168,11 @@ impl<const N: usize> SlaveEndpoint<N> {
     /// Changes rotation and locks, which must be those of the master; the slave goes on from where it is.
     pub fn set_map(&mut self, map: FrameMap<N>) {
         self.coupling.set_map(map);
+    }
+
+    /// The last command in m; none before the first engagement.
+    pub fn command(&self) -> Option<Axes<N>> {
+        self.command
     }
 
     /// Ticks at which a bound acted on the command.

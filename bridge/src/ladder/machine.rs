@@ -49,7 +49,7 @@ pub struct Ladder {
     excess_ns: Option<u64>,
     /// Until when this side itself was blind.
     blind_until_ns: Option<u64>,
-    /// Whether the clutch was seen open since the last hold began.
+    /// Whether the clutch was seen open since the last hold began, or the last fault ended.
     opened: bool,
     holds: u64,
     history: History,
@@ -136,6 +136,10 @@ impl Ladder {
                 // A press at the very tick at which a hold begins is none that answers it.
                 facts = facts.without(Reason::ClutchPressed);
             }
+            if row.from == LadderState::Fault {
+                // Whoever says that a fault is mended must not be surprised by a clutch that waits, pressed.
+                self.opened = false;
+            }
             self.history.push(Transition { time_ns: now_ns, from: row.from, to: row.to, reason: row.reason });
             self.state = row.to;
         }
@@ -151,7 +155,7 @@ impl Ladder {
             LadderState::Engaged => (self.gain + rising / self.settings.fade_in_ns as f64).min(1.0),
             // Nothing new is known that would speak for more, or for less.
             LadderState::Stale => self.gain,
-            LadderState::Fault => 0.0,
+            LadderState::Stop | LadderState::Fault => 0.0,
             _ => (self.gain - elapsed / self.settings.fade_out_ns as f64).max(0.0),
         };
     }

@@ -16,6 +16,7 @@ use super::{
     socket::PeerSocket,
 };
 use crate::{
+    act::Act,
     ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
@@ -82,6 +83,8 @@ struct Shared {
 
 /// Between two releases at the end of a run, in ns.
 const RELEASE_NS: u64 = 1_000_000;
+/// Acts that may wait for the loop: it takes all of them at its next tick.
+const MOST_ACTS: usize = 16;
 
 /// A live loop on its own thread.
 #[derive(Debug)]
@@ -89,6 +92,7 @@ pub struct LiveRun<R> {
     thread: Option<JoinHandle<LoopReport>>,
     records: rtrb::Consumer<R>,
     events: rtrb::Consumer<SecurityEvent>,
+    acts: rtrb::Producer<Act>,
     shared: Arc<Shared>,
     address: SocketAddr,
 }
@@ -103,13 +107,14 @@ pub fn run_live<S: Side + Send + 'static>(
     let (producer, records) = rtrb::RingBuffer::new(settings.ring);
     let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
     let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
+    let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
     let shared = Arc::new(Shared::default());
     let address = socket.local_address()?;
     let seen = Arc::clone(&shared);
     let thread = std::thread::Builder::new()
         .name("haptether-loop".into())
-        .spawn(move || turn(side, socket, channel, settings, (producer, told), &seen))?;
-    Ok(LiveRun { thread: Some(thread), records, events, shared, address })
+        .spawn(move || turn(side, socket, channel, settings, (producer, told), done, &seen))?;
+    Ok(LiveRun { thread: Some(thread), records, events, acts, shared, address })
 }
 
 /// A side that is left without force or motion however its loop ends.
@@ -128,6 +133,7 @@ fn turn<S: Side>(
     mut channel: LiveChannel,
     settings: LiveSettings,
     (mut records, mut events): (rtrb::Producer<S::Record>, rtrb::Producer<SecurityEvent>),
+    mut acts: rtrb::Consumer<Act>,
     shared: &Shared,
 ) -> LoopReport {
     clock::ask_for_prompt_wakeups();
@@ -159,6 +165,10 @@ fn turn<S: Side>(
         }
         if shared.takeover.swap(false, Ordering::Relaxed) {
             channel.allow_takeover(now_ns, &mut tell);
+        }
+        while let Ok(act) = acts.pop() {
+            // What cannot be was refused where it was asked for.
+            let _ = side.0.act(now_ns, act);
         }
         let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
         socket.drain(until_ns, |from, datagram| {
@@ -258,6 +268,11 @@ impl<R> LiveRun<R> {
     /// Lets go of the clutch for a moment and presses it again: the act of a person at this side.
     pub fn press_clutch(&self) {
         self.shared.press.store(true, Ordering::Relaxed);
+    }
+
+    /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait.
+    pub fn act(&mut self, act: Act) -> Result<(), Act> {
+        self.acts.push(act).map_err(|rtrb::PushError::Full(act)| act)
     }
 
     /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.

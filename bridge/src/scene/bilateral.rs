@@ -14,16 +14,18 @@ use super::{
         SceneError, arm, axes, clutch, device_model, environment, estimator, exact_master, force_sensor,
         is_continuous, limiter, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
     },
+    coupled::{Present, acts, bounds, ladder},
     events::EventLog,
     measures::{Divergence, DivergenceCause, MeasureSettings, Measures},
     run::{SceneRun, tell_schedule},
     signals::{Recorder, Sample},
     spec::{CouplingSpec, SceneSpec, SignalsSpec, SlaveSpec},
+    timed::Timed,
 };
 use crate::{
-    Event, LadderSettings, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings,
+    Act, EndpointError, Event, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings,
     MasterSide, Reason, Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
-    coupling::CommandBounds, run_virtual,
+    run_virtual,
 };
 
 /// Sessions of the two sides: constants, for nobody listens in.
@@ -71,6 +73,7 @@ struct Bilateral<'a, const N: usize> {
     endpoint: MasterEndpoint<N>,
     slave: SlaveSide<SimulatedSlave<N>, N>,
     coupling: CouplingSpec,
+    acts: Vec<(u64, Act)>,
 }
 
 impl<'a, const N: usize> Bilateral<'a, N> {
@@ -90,16 +93,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             master_clock: clock("master_clock", links.and_then(|links| links.master_clock))?,
             slave_clock: clock("slave_clock", links.and_then(|links| links.slave_clock))?,
         };
-        let ladder = match &scene.safety.limiter {
-            // The ladder fades the force in, at engagement and after every hold.
-            Some(limiter) if limiter.ramp_in_s > 0.0 => {
-                #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most 60 s
-                let fade_in_ns =
-                    ((limiter.ramp_in_s * 1e9).round() as u64).max(LadderSettings::default().fade_in_ns);
-                LadderSettings { fade_in_ns, ..LadderSettings::default() }
-            }
-            _ => LadderSettings::default(),
-        };
+        let ladder = ladder(scene.safety.ladder.as_ref())?;
         let endpoint = MasterEndpoint::new(&MasterSettings {
             period_ns: settings.period_ns,
             session: SESSIONS.0,
@@ -121,22 +115,25 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             period_ns: settings.slave_period_ns,
             session: SESSIONS.1,
             position_scale: coupling.position_scale,
-            bounds: CommandBounds::default(),
+            bounds: bounds(coupling),
             ladder,
         })?;
         Ok(Self {
             scene,
             settings,
             endpoint,
-            slave: SlaveSide { plant, endpoint: far },
+            slave: SlaveSide::new(plant, far),
             coupling: coupling.clone(),
+            acts: acts::<N>(coupling)?,
         })
     }
 
     fn run(self, plant: impl MasterPlant<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-        let Self { scene, settings, endpoint, mut slave, coupling } = self;
+        let Self { scene, settings, endpoint, slave, coupling, acts } = self;
         let start = plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-        let mut master = MasterSide::new(plant, endpoint, clutch(scene))?;
+        let mut master = Timed::new(MasterSide::new(plant, endpoint, clutch(scene))?, acts.clone());
+        let mut slave = Timed::new(slave, acts.clone());
+        let coupling = Present::new(&coupling, acts);
         let every = scene.record.as_ref().map_or(0, |record| record.every);
         // The recording keeps about the same rate on both sides.
         let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
@@ -148,7 +145,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         let mut watched = Watched {
             judged: measures(scene),
             measures: Measures::new(&ahead, &start),
-            most_distance: scene.run.diverged_position * coupling.position_scale.max(1.0),
+            most_distance: scene.run.diverged_position * coupling.most_position_scale().max(1.0),
             log: EventLog::default(),
             near: Recorder::new(every, settings.ticks),
             far: Recorder::new(
@@ -169,15 +166,28 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             settled: false,
             overflowed: 0,
         };
-        let counts = run_virtual(&settings, &mut master, &mut slave, |event, slave| match event {
-            _ if stop.load(Ordering::Relaxed) => ControlFlow::Break(()),
-            Event::Master(record) => watched.near(&record),
-            Event::Slave(record) => watched.far(&record, slave.plant.touches()),
+        let mut refused = Ok(());
+        let counts = run_virtual(&settings, &mut master, &mut slave, |event, slave| {
+            if stop.load(Ordering::Relaxed) {
+                return ControlFlow::Break(());
+            }
+            let (Event::Master(MasterRecord { time_ns, .. }) | Event::Slave(SlaveRecord { time_ns, .. })) =
+                event;
+            match watched.coupling.advance(time_ns) {
+                // The slave goes on from where it is, so it is measured from there.
+                Ok(changed) => watched.anchor = watched.anchor.filter(|_| !changed),
+                Err(error) => refused = Err(error),
+            }
+            match event {
+                Event::Master(record) => watched.near(&record),
+                Event::Slave(record) => watched.far(&record, slave.side.plant.touches()),
+            }
         })?;
+        refused.map_err(EndpointError::from)?;
         if stop.load(Ordering::Relaxed) {
             return Err(SceneError::Stopped);
         }
-        let coarse = slave.plant.coarse_steps();
+        let coarse = slave.side.plant.coarse_steps();
         watched.overflowed = counts.overflowed;
         let [at_master, at_slave] = counts.rejections;
         let links = [master.counts().link.with(&at_master), slave.counts().link.with(&at_slave)];
@@ -194,7 +204,7 @@ struct Watched<const N: usize> {
     log: EventLog,
     near: Recorder,
     far: Recorder,
-    coupling: CouplingSpec,
+    coupling: Present<N>,
     /// Of the master and the slave.
     states: [LadderState; 2],
     engaged_s: Option<f64>,
@@ -272,7 +282,7 @@ impl<const N: usize> Watched<N> {
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(record.tripped));
         if self.states.iter().all(|state| state.is_coupled()) {
-            let difference = force - self.far_force * self.coupling.force_scale;
+            let difference = force - self.coupling.to_master(&self.far_force);
             self.squares[1] += difference.norm_squared();
             self.samples[1] += 1;
         }
@@ -314,7 +324,7 @@ impl<const N: usize> Watched<N> {
             self.anchor = None;
         } else if let Some(newest) = &self.newest {
             let [near, far] = self.anchor.get_or_insert([newest.true_position, record.position]);
-            let wanted = (newest.true_position - *near) * self.coupling.position_scale;
+            let wanted = self.coupling.to_slave(&(newest.true_position - *near));
             self.squares[0] += (record.position - *far - wanted).norm_squared();
             self.samples[0] += 1;
         }

@@ -2,6 +2,7 @@
 
 mod bilateral;
 mod build;
+mod coupled;
 mod events;
 mod local;
 mod measures;
@@ -9,6 +10,7 @@ mod run;
 mod signals;
 mod spec;
 mod sweep;
+mod timed;
 
 pub use build::SceneError;
 pub use events::SceneEvent;

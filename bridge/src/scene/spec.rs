@@ -472,6 +472,32 @@ pub struct CouplingSpec {
     pub position_scale: f64,
     /// `lambda_f`.
     pub force_scale: f64,
+    /// Rotation from the master's frame to the slave's, a unit quaternion.
+    pub quat_wxyz: Vec<f64>,
+    /// The slave's axes that do not follow, from 0.
+    pub locked_axes: Vec<usize>,
+    /// Fastest that the commanded position moves, in m/s; none without a bound.
+    pub command_speed: Option<f64>,
+    /// Largest distance in m of the commanded position from where the arm began; none without a bound.
+    pub command_reach: Option<f64>,
+    /// What is changed while it runs.
+    pub changes: Vec<ChangeSpec>,
+}
+
+/// `[[coupling.changes]]`: what is not given stays as it is.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChangeSpec {
+    /// When, in s since the start.
+    pub at_s: f64,
+    /// The new `lambda_p`.
+    pub position_scale: Option<f64>,
+    /// The new `lambda_f`.
+    pub force_scale: Option<f64>,
+    /// The new rotation.
+    pub quat_wxyz: Option<Vec<f64>>,
+    /// The new locks.
+    pub locked_axes: Option<Vec<usize>>,
 }
 
 /// Which coupling.
@@ -520,6 +546,27 @@ pub struct SafetySpec {
     pub release_ramp_s: f64,
     /// Bounds on the device force; none only where a study switches them off.
     pub limiter: Option<LimiterSpec>,
+    /// Times of the ladder; only with an arm.
+    pub ladder: Option<LadderSpec>,
+}
+
+/// `[safety.ladder]`, in s.
+#[allow(clippy::struct_field_names)] // the unit
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LadderSpec {
+    /// Over the expected age to STALE.
+    pub stale_after_s: f64,
+    /// Over the expected age to HOLD.
+    pub hold_after_s: f64,
+    /// Over the expected age to STOP.
+    pub stop_after_s: f64,
+    /// In STALE until the velocity of the slave has decayed to zero.
+    pub extrapolate_s: f64,
+    /// From full force to zero.
+    pub fade_out_s: f64,
+    /// From zero to full force.
+    pub fade_in_s: f64,
 }
 
 /// Who watches.

@@ -1,5 +1,6 @@
 """What the live commands share: waiting, Ctrl-C, and the end of a run."""
 
+import contextlib
 import signal
 import sys
 import time
@@ -80,15 +81,16 @@ def tell(events: list[str]) -> None:
         print(event, file=sys.stderr, flush=True)
 
 
-class Pressed:
-    """SIGUSR1 as the button of a person here: a clutch that lets go and presses again, or leave for another master."""
+class Acts:
+    """Signals as what a person does: SIGUSR1 is the button of this side, SIGUSR2 acknowledges."""
 
-    def __init__(self, press: Callable[[], None]) -> None:
-        self._press = press
-        self._before: object = None
+    def __init__(self, *, acknowledge: Callable[[], None], press: Callable[[], None] | None = None) -> None:
+        self._acts = {signal.SIGUSR2: acknowledge} | ({signal.SIGUSR1: press} if press is not None else {})
+        self._before: dict[int, object] = {}
 
     def __enter__(self) -> Self:
-        self._before = signal.signal(signal.SIGUSR1, lambda *_: self._press())
+        for number, act in self._acts.items():
+            self._before[number] = signal.signal(number, _told(act))
         return self
 
     def __exit__(
@@ -97,7 +99,17 @@ class Pressed:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        signal.signal(signal.SIGUSR1, self._before)  # type: ignore[arg-type]
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal gave
+
+
+def _told(act: Callable[[], None]) -> Callable[[int, FrameType | None], None]:
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        # A loop that has ended meanwhile has nothing left to do.
+        with contextlib.suppress(RuntimeError):
+            act()
+
+    return handle
 
 
 class FlightFile:

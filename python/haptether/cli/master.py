@@ -18,7 +18,8 @@ class Master:
 
     Times count from the moment the two sides engage. Starting this command presses the clutch. When the slave falls
     silent for 20 ms, the force on the hand fades to zero within 75 ms and stays away until the clutch is released
-    and pressed again: `kill -USR1` does that, and so does --clutch auto. Figures and trace hold the last --keep-s.
+    and pressed again: `kill -USR1` does that, and so does --clutch auto. After a fault `kill -USR2` says first that it
+    is mended. Figures and trace hold the last --keep-s.
 
     Examples:
 
@@ -63,7 +64,7 @@ class Master:
     def run(self) -> int:
         """Runs until told to stop; fails if the slave never answered."""
         from haptether.bridge import LiveMaster, ladder_reason
-        from haptether.cli.live import FlightFile, Pressed, Stopped, tell, wait
+        from haptether.cli.live import Acts, FlightFile, Stopped, tell, wait
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_target
         from haptether.cli.security import marked, session_key
@@ -101,7 +102,7 @@ class Master:
                 flight.write(master.flight())
                 return marked(f"master {master.state}, {master.ticks} ticks", insecure=self.insecure)
 
-            with Pressed(master.press_clutch):
+            with Acts(press=master.press_clutch, acknowledge=master.acknowledge):
                 wait(
                     marked(f"master on {master.address} talks to {self.peer}", insecure=self.insecure),
                     status,

@@ -17,7 +17,8 @@ class Slave:
     The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
     two sides engage. When the master falls silent for 20 ms the arm holds, and after 200 ms it stops, until the
     master's clutch is released and pressed again or a master is started anew. One master has the lease until it
-    ends; when it has vanished without an end, `kill -USR1` lets another begin after 2 s of silence.
+    ends; when it has vanished without an end, `kill -USR1` lets another begin after 2 s of silence. After a fault of
+    this side `kill -USR2` says that it is mended.
 
     Examples:
 
@@ -56,7 +57,7 @@ class Slave:
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import FlightFile, Pressed, Stopped, tell, wait
+        from haptether.cli.live import Acts, FlightFile, Stopped, tell, wait
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_target
         from haptether.cli.security import marked, session_key
@@ -91,7 +92,7 @@ class Slave:
                 return marked(f"slave {slave.state}, {slave.ticks} ticks", insecure=self.insecure)
 
             headline = marked(f"slave listens on {slave.address}", insecure=self.insecure)
-            with Pressed(slave.allow_takeover):
+            with Acts(press=slave.allow_takeover, acknowledge=slave.acknowledge):
                 wait(headline, status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
             tell(slave.security_events())

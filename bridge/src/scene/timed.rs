@@ -1,0 +1,76 @@
+//! A side at which a person acts at given times.
+
+use crate::{
+    Act, FlightRecorder, LadderState, Refusal, Side, SideCounts, TickTime, coupling::CouplingError,
+    wire::MAX_FRAME,
+};
+
+/// A side, and what is done at it when, in ns since the start, in order.
+pub(crate) struct Timed<S> {
+    pub(crate) side: S,
+    acts: Vec<(u64, Act)>,
+    done: usize,
+}
+
+impl<S> Timed<S> {
+    /// `acts` in the order of their times.
+    pub(crate) fn new(side: S, acts: Vec<(u64, Act)>) -> Self {
+        Self { side, acts, done: 0 }
+    }
+}
+
+impl<S: Side> Side for Timed<S> {
+    type Record = S::Record;
+    const FRAME_LENGTH: usize = S::FRAME_LENGTH;
+
+    fn begin(&mut self, now_ns: u64) {
+        self.side.begin(now_ns);
+    }
+
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+        self.side.receive(now_ns, datagram)
+    }
+
+    fn tick(&mut self, time: TickTime) -> S::Record {
+        while let Some((_, act)) =
+            self.acts.get(self.done).filter(|(at, _)| *at <= time.now_ns - time.start_ns)
+        {
+            // They were checked when the scene was built.
+            let _ = self.side.act(time.clock_ns, *act);
+            self.done += 1;
+        }
+        self.side.tick(time)
+    }
+
+    fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        self.side.send(now_ns, buffer)
+    }
+
+    fn stalled(&mut self, now_ns: u64) {
+        self.side.stalled(now_ns);
+    }
+
+    fn rest(&mut self) {
+        self.side.rest();
+    }
+
+    fn state(&self) -> LadderState {
+        self.side.state()
+    }
+
+    fn counts(&self) -> SideCounts {
+        self.side.counts()
+    }
+
+    fn flight(&self) -> &FlightRecorder {
+        self.side.flight()
+    }
+
+    fn press_again(&mut self) {
+        self.side.press_again();
+    }
+
+    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+        self.side.act(now_ns, act)
+    }
+}

@@ -1,0 +1,161 @@
+//! What must never be, over random scenes in virtual time: parameters, networks, attacks, clocks, clutches, faults of
+//! devices and changes by people, all drawn from a seed.
+//!
+//! Case i of the run has the seed `HAPTETHER_SEED + i` (0 by default), and `PROPTEST_CASES` says how many there are. A
+//! failing case prints its seed and all that was drawn: `HAPTETHER_SEED=<seed> PROPTEST_CASES=1` runs it again.
+#![allow(clippy::unwrap_used)] // a test may
+
+#[path = "invariants/drawn.rs"]
+mod drawn;
+#[path = "invariants/plant.rs"]
+mod plant;
+#[path = "invariants/spied.rs"]
+mod spied;
+
+use std::ops::ControlFlow;
+
+use drawn::{Control, Drawn};
+use haptether_bridge::{
+    LadderState, MasterEndpoint, MasterSettings, MasterSide, SlaveEndpoint, SlaveSettings, SlaveSide,
+    VirtualSettings, run_virtual,
+};
+use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
+use haptether_netsim::EndpointClock;
+use haptether_safety::{Axes, DeviceModel};
+use haptether_slave::{
+    ArmControl, ArmModel, Contact, ContactLaw, Environment, Object, PushShape, Pusher, Shape, SimulatedSlave,
+};
+use plant::Plant;
+use spied::{Far, Near, Seen, Sent};
+
+/// Along the first axis.
+fn along<const N: usize>(value: f64) -> Axes<N> {
+    let mut axes = Axes::zeros();
+    axes[0] = value;
+    axes
+}
+
+fn device<const N: usize>(drawn: &Drawn) -> SimulatedMaster<N> {
+    let [mass_kg, viscous, encoder_quantum] = drawn.device;
+    let [stiffness, damping, strength_n] = drawn.hand;
+    let legs = drawn.legs.iter().map(|&(duration_s, end)| {
+        // In space it goes across, too.
+        let end = Axes::from_fn(|axis, _| if axis == 0 { end } else { 0.3 * end });
+        Leg { duration_s, end, shape: LegShape::MinimumJerk }
+    });
+    let path = Path::new(along(0.02), legs.collect()).unwrap();
+    let hand = Hand::new(stiffness, damping, strength_n, path, None).unwrap();
+    let parameters = DeviceParameters {
+        encoder_quantum,
+        measures_velocity: encoder_quantum == 0.0,
+        stops: (Axes::repeat(-0.2), Axes::repeat(0.2)),
+        ..DeviceParameters::ideal(mass_kg, viscous, 0.0)
+    };
+    let mut device = SimulatedMaster::new(parameters, hand, 0).unwrap();
+    device.set_waiting(true);
+    device
+}
+
+fn arm<const N: usize>(drawn: &Drawn) -> SimulatedSlave<N> {
+    let [mass_kg, bandwidth_hz, speed] = drawn.arm;
+    let control = match drawn.control {
+        Control::Position => ArmControl::Position { bandwidth_hz },
+        Control::Velocity => ArmControl::Velocity { bandwidth_hz },
+        Control::Pd => {
+            ArmControl::Pd { stiffness: 100.0 * bandwidth_hz, damping: 2.0 * mass_kg * bandwidth_hz }
+        }
+    };
+    let model = ArmModel::new(control, mass_kg, Some(speed), drawn.max_acceleration).unwrap();
+    let [stiffness, damping] = drawn.wall;
+    let contact = Contact::new(ContactLaw::KelvinVoigt { stiffness, damping }, 0.0).unwrap();
+    let wall = Object::fixed(Shape::plane(Axes::zeros(), along(1.0)).unwrap(), contact).unwrap();
+    let push = Pusher::shaped(PushShape::Ramp { rise_s: 0.05 }, 0.05, 0.2, along(drawn.push_n)).unwrap();
+    let environment = Environment::new(vec![wall], vec![push]);
+    SimulatedSlave::in_environment(model, environment, None, along(0.02), 0).unwrap()
+}
+
+fn run<const N: usize>(drawn: &Drawn) -> Result<Seen, String> {
+    let [period_ns, slave_period_ns] = drawn.periods_ns;
+    let [mass_kg, viscous, _] = drawn.device;
+    let near = MasterEndpoint::new(&MasterSettings {
+        period_ns,
+        session: 1,
+        device: DeviceModel::new(Axes::repeat(mass_kg), Axes::repeat(viscous), Axes::zeros()).unwrap(),
+        estimator: drawn.estimator,
+        safety: drawn.safety,
+        limiter: drawn.limiter,
+        force_scale: drawn.scales[1],
+        ladder: drawn.ladder,
+    })
+    .map_err(|error| error.to_string())?;
+    let far = SlaveEndpoint::new(&SlaveSettings {
+        period_ns: slave_period_ns,
+        session: 2,
+        position_scale: drawn.scales[0],
+        bounds: drawn.bounds,
+        ladder: drawn.ladder,
+    })
+    .map_err(|error| error.to_string())?;
+    let [near_broken, far_broken] = drawn.broken;
+    let near =
+        MasterSide::new(Plant::new(device::<N>(drawn), near_broken), near, drawn.clutch.clone()).unwrap();
+    let far = SlaveSide::new(Plant::new(arm::<N>(drawn), far_broken), far);
+    let sent = Sent::default();
+    let mut near =
+        Near::new(near, drawn.limiter, period_ns, drawn.acts.clone(), drawn.secure.then(|| sent.clone()));
+    let mut far = Far::new(far, drawn.bounds, drawn.acts.clone(), drawn.secure.then_some(sent));
+    let [master_clock, slave_clock] =
+        drawn.clocks.map(|clock| clock.map(|settings| EndpointClock::new(&settings).unwrap()));
+    let [forward, backward] = drawn.links.clone();
+    let settings = VirtualSettings {
+        period_ns,
+        slave_period_ns,
+        ticks: drawn.end_ns / period_ns,
+        forward,
+        backward,
+        seed: drawn.seed,
+        secure: drawn.secure,
+        master_clock,
+        slave_clock,
+    };
+    run_virtual(&settings, &mut near, &mut far, |_, _| ControlFlow::Continue(()))
+        .map_err(|error| error.to_string())?;
+    Ok(near.verdict()?.and(&far.verdict()?))
+}
+
+fn setting(name: &str, otherwise: u64) -> u64 {
+    std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
+}
+
+#[test]
+fn what_must_never_be_is_not_in_ten_thousand_scenes() {
+    let (first, cases) = (setting("HAPTETHER_SEED", 0), setting("PROPTEST_CASES", 10_000));
+    let mut seen = Seen::default();
+    for seed in first..first.saturating_add(cases) {
+        let drawn = Drawn::new(seed);
+        let ended = if drawn.axes == 3 { run::<3>(&drawn) } else { run::<1>(&drawn) };
+        match ended {
+            Ok(one) => seen = seen.and(&one),
+            Err(wrong) => panic!("HAPTETHER_SEED={seed} PROPTEST_CASES=1: {wrong}\n{drawn:#?}"),
+        }
+    }
+    println!("{seen:?}");
+    // Fewer do not meet everything.
+    if cases >= 10_000 {
+        for (side, ticks) in seen.ticks.iter().enumerate() {
+            for state in LadderState::ALL {
+                assert!(ticks[usize::from(state.code())] > 10_000, "{side} {state:?}: {ticks:?}");
+            }
+        }
+        assert!(seen.engagements.iter().all(|count| *count > cases), "{seen:?}");
+        let rest = [
+            seen.growth_limited,
+            seen.commands_limited,
+            seen.soft_stops,
+            seen.accepted,
+            seen.authentic,
+            seen.refused,
+        ];
+        assert!(rest.iter().all(|count| *count > cases / 10), "{seen:?}");
+    }
+}

@@ -1,0 +1,176 @@
+"""What is changed while both sides run: scales, axes and times of the ladder, in scenes and live."""
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from haptether.bridge import (
+    LadderSettings,
+    LiveMaster,
+    LiveSlave,
+    MasterSettings,
+    Run,
+    SlaveSettings,
+    load_scene,
+    override_scene,
+    simulate,
+)
+from haptether.master import Hand, HapticDevice
+from haptether.slave import Arm, Wall
+
+HALF = 0.5**0.5
+
+
+def stroke(*overrides: str) -> Run:
+    """A hand that moves in free space along x, then y and z, on a perfect link."""
+    free = ["environment.objects=[]", "link.forward.delay_s=0", "link.backward.delay_s=0", "run.duration_s=2.9"]
+    return simulate("three_axis_box", overrides=[*free, *overrides])
+
+
+def ways(run: Run) -> tuple[Any, Any]:
+    """How far master and slave went, at the end."""
+    return tuple(run.signals[name][-1] - run.signals[name][0] for name in ("position", "slave_position"))
+
+
+def test_the_slave_follows_in_its_own_frame() -> None:
+    near, far = ways(stroke())
+    assert far == pytest.approx(near, abs=1e-3)
+    # A quarter turn about z takes x to y and y to -x.
+    run = stroke(f"coupling.quat_wxyz=[{HALF!r}, 0, 0, {HALF!r}]")
+    near, far = ways(run)
+    assert far == pytest.approx([-near[1], near[0], near[2]], abs=1e-3)
+    assert abs(far[0]) > 0.02
+    assert run.metrics.position_rmse_m is not None
+    assert run.metrics.position_rmse_m < 2e-3, "measured in the frame of the slave"
+
+
+def test_a_locked_axis_stays_where_it_is() -> None:
+    run = stroke("coupling.locked_axes=[1]", "coupling.position_scale=2.0")
+    near, far = ways(run)
+    assert not np.ptp(run.signals["slave_command"][:, 1])
+    assert far[[0, 2]] == pytest.approx(2.0 * near[[0, 2]], abs=2e-3)
+
+
+def test_changes_come_at_their_time_and_move_nothing_by_themselves() -> None:
+    changes = "[{at_s=1.5, position_scale=3.0}, {at_s=1.8, locked_axes=[2]}, {at_s=2.0, quat_wxyz=[0, 0, 0, 1]}]"
+    plain, run = stroke(), stroke(f"coupling.changes={changes}")
+    at = {time_s: int(np.searchsorted(run.signals["slave_time_s"], time_s - 1e-9)) for time_s in (1.5, 1.8, 2.0)}
+    command, before = run.signals["slave_command"], plain.signals["slave_command"]
+    assert np.array_equal(command[: at[1.5]], before[: at[1.5]])
+    for tick in at.values():
+        # The tick of the change commands what the one before did.
+        assert command[tick] == pytest.approx(command[tick - 1], abs=1e-12)
+    steps, usual = np.diff(command, axis=0), np.diff(before, axis=0)
+    scaled = slice(at[1.5] + 1, at[1.8] - 1)
+    assert steps[scaled] == pytest.approx(3.0 * usual[scaled], abs=1e-6)
+    assert not steps[at[1.8] + 1 :, 2].any()
+    turned = slice(at[2.0] + 1, None)
+    assert steps[turned, :2] == pytest.approx(-3.0 * usual[turned, :2], abs=1e-6)
+
+
+def test_a_force_scale_that_changes_is_felt_and_measured() -> None:
+    run = simulate(
+        "remote_push",
+        overrides=["coupling.changes=[{at_s=1.5, force_scale=0.5}]", "run.duration_s=1.6", "link={}"],
+    )
+    measured = run.signals["environment_force"][:-1]
+    felt = run.signals["rendered_force"][1:]
+    count = min(len(measured), len(felt))
+    for tick, scale in ((1400, 1.0), (count - 1, 0.5)):
+        assert felt[tick] == pytest.approx(scale * measured[tick], rel=0.02)
+    # Unloading is free; growth is the limiter's.
+    run = simulate(
+        "remote_push",
+        overrides=["coupling.changes=[{at_s=1.5, force_scale=3.0}]", "run.duration_s=1.6", "link={}"],
+    )
+    growth = np.diff(abs(run.signals["device_force"])).max()
+    assert 0.9 <= growth <= 1.0 + 1e-9
+
+
+def test_a_ladder_with_other_times() -> None:
+    outage = 'link.forward.outages=[{times={kind="once", at_s=1.0, duration_s=0.06}}]'
+    held = simulate("remote_push", overrides=[outage, "run.duration_s=1.5"])
+    assert "hold" in {event.kind for event in held.events}
+    patient = simulate(
+        "remote_push",
+        overrides=[outage, "run.duration_s=1.5", "safety.ladder={hold_after_s=0.1, extrapolate_s=0.02}"],
+    )
+    assert "hold" not in {event.kind for event in patient.events}
+    assert {3.0} <= set(patient.signals["slave_state"]), "stale meanwhile"
+
+
+def test_a_command_is_kept_within_its_reach() -> None:
+    run = stroke("coupling.command_reach=0.01")
+    way = run.signals["slave_command"] - run.signals["slave_command"][0]
+    assert np.linalg.norm(way, axis=1).max() == pytest.approx(0.01, rel=1e-9)
+
+
+def test_a_scene_with_changes_is_overridden_like_any_other() -> None:
+    scene = override_scene(load_scene("remote_push"), ["coupling.changes=[{at_s=1.0, force_scale=0.5}]"])
+    changed = override_scene(scene, ["coupling.changes.0.force_scale=0.25"])
+    assert changed.coupling is not None
+    assert changed.coupling.changes[0].force_scale == 0.25
+
+
+# ------------------------------------------------------------------------------------------------------ live
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"stale_after_s": 0.02}, "hold_after"),
+        ({"stop_after_s": 0.01}, "stop_after"),
+        ({"extrapolate_s": 0.016}, "extrapolate"),
+        ({"fade_out_s": 0.2}, "fade_out"),
+        ({"fade_in_s": 0.1}, "fade_in"),
+        ({"hold_after_s": float("nan")}, "hold_after_s = NaN"),
+    ],
+)
+def test_times_out_of_order_or_range_are_refused(given: dict[str, float], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        LadderSettings(**given)
+
+
+def test_scales_change_while_both_sides_run() -> None:
+    hand = Hand(stiffness=300.0, damping=8.0, strength_n=20.0, start=0.02, legs=[(0.4, -0.03, "minimum-jerk")])
+    ladder = LadderSettings(hold_after_s=0.5, stop_after_s=1.0)
+    slave = LiveSlave(
+        SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02, ladder=ladder),
+        listen="127.0.0.1:0", session=2, duration_s=2.0, patience_s=20.0,
+    )  # fmt: skip
+    master = LiveMaster(
+        MasterSettings(HapticDevice.phantom_desktop(), hand, ladder=ladder),
+        peer=slave.address, session=1, duration_s=2.0, patience_s=20.0,
+    )  # fmt: skip
+    for refused in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="must be finite and above 0"):
+            master.set_force_scale(refused)
+        with pytest.raises(ValueError, match="must be finite and above 0"):
+            slave.set_position_scale(refused)
+    time.sleep(1.0)
+    master.set_force_scale(0.5)
+    slave.set_position_scale(2.0)
+    # Nothing to acknowledge: nothing happens.
+    master.acknowledge()
+    slave.acknowledge()
+    near, _ = master.finish() if _waited(master) else pytest.fail("the master did not end")
+    far, _ = slave.finish() if _waited(slave) else pytest.fail("the slave did not end")
+    assert {int(state) for state in near.state[-100:]} <= {2, 3, 4, 5}
+    engaged = np.isin(near.state, (2, 3))
+    last = int(np.flatnonzero(engaged)[-1])
+    felt, measured = float(near.rendered_force[last]), float(far.environment_force[-1])
+    assert felt == pytest.approx(0.5 * measured, rel=0.1)
+    assert np.abs(np.diff(far.command)).max() <= 3.0 * 0.05, "no jump"
+    for act in (master.acknowledge, slave.acknowledge):
+        with pytest.raises(RuntimeError, match="ended"):
+            act()
+
+
+def _waited(side: LiveMaster | LiveSlave) -> bool:
+    end = time.monotonic() + 30.0
+    while not side.finished and time.monotonic() < end:
+        side.poll()
+        time.sleep(0.02)
+    return side.finished
