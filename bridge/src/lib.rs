@@ -13,6 +13,7 @@ mod local;
 mod pace;
 mod plant;
 mod record;
+pub mod recorder;
 pub mod scene;
 pub mod session;
 mod side;

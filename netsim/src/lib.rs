@@ -51,7 +51,7 @@ pub use probe::{
 };
 pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, MOST_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
-    ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source,
+    ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source, schedule_fifo,
 };
 pub use settings::{
     Action, Attack, ByteRange, ClockSettings, CrossTraffic, DelayChange, DelayTrace, Discipline,

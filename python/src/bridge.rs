@@ -2,6 +2,7 @@
 
 use std::{
     ops::ControlFlow,
+    path::PathBuf,
     sync::{Mutex, PoisonError},
 };
 
@@ -9,7 +10,8 @@ use haptether_bridge::{
     Clutch, Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings, MasterSide,
     Reason, Side, SideCounts, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
     coupling::CommandBounds,
-    live::{LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, run_live},
+    live::{LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, RealtimeSettings, run_live},
+    recorder::{Recorded, Recorder, RecorderSettings, Security},
     run_virtual,
 };
 use haptether_master::{Hand, SimulatedMaster};
@@ -22,7 +24,8 @@ use pyo3::{
 
 use crate::{
     axes::refuse,
-    bridge_trace::{MasterTrace, PyLoopReport, SlaveTrace},
+    bridge_trace::{MasterTrace, PyLoopReport, PyRecordingReport, SlaveTrace},
+    live_options::{realtime_settings, recorder_settings},
     local::{MOST_TICKS, PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
     netsim::{address, link_settings},
     safety::{PyEstimatorKind, PyLimiterSettings, PySafetySettings},
@@ -279,7 +282,8 @@ struct Live<R> {
     records: Vec<R>,
 }
 
-impl<R: Copy + Send + 'static> Live<R> {
+impl<R: Recorded> Live<R> {
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn start<S: Side<Record = R> + Send + 'static>(
         side: S,
         local: &str,
@@ -287,6 +291,8 @@ impl<R: Copy + Send + 'static> Live<R> {
         period_ns: u64,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
+        realtime: RealtimeSettings,
+        record: Option<RecorderSettings>,
     ) -> PyResult<Self> {
         let peer = match peer {
             Some(peer) => PeerAddress::Known(address("peer", peer)?),
@@ -300,8 +306,17 @@ impl<R: Copy + Send + 'static> Live<R> {
             duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
             patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
             ring: 1 << 16,
+            realtime,
         };
-        let run = run_live(side, socket, settings).map_err(|error| PyOSError::new_err(error.to_string()))?;
+        // After the socket, so that a run that cannot be replaces no file.
+        let recorder = record
+            .map(|to| {
+                let path = to.path.display();
+                Recorder::begin(&to).map_err(|error| PyOSError::new_err(format!("record = {path}: {error}")))
+            })
+            .transpose()?;
+        let run = run_live(side, socket, settings, recorder)
+            .map_err(|error| PyOSError::new_err(error.to_string()))?;
         Ok(Self { run: Mutex::new(run), records: Vec::new() })
     }
 
@@ -361,6 +376,16 @@ macro_rules! live_methods {
                 self.live.run().is_finished()
             }
 
+            #[getter]
+            fn realtime(&mut self) -> String {
+                self.live.run().realtime().to_string()
+            }
+
+            #[getter]
+            fn recording(&mut self) -> Option<PyRecordingReport> {
+                self.live.run().recording().map(Into::into)
+            }
+
             fn stop(&mut self) {
                 self.live.run().stop();
             }
@@ -380,7 +405,9 @@ pub(crate) struct LiveMaster {
 #[pymethods]
 impl LiveMaster {
     #[new]
-    #[pyo3(signature = (settings, *, peer, session, listen=None, duration_s=None, patience_s=None))]
+    #[pyo3(signature = (settings, *, peer, session, listen=None, duration_s=None, patience_s=None,
+        realtime="auto", priority=80, cpu=None, record=None, min_free_bytes=1_000_000_000))]
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PyMasterSettings,
         peer: &str,
@@ -388,7 +415,14 @@ impl LiveMaster {
         listen: Option<&str>,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
+        realtime: &str,
+        priority: u8,
+        cpu: Option<u16>,
+        record: Option<PathBuf>,
+        min_free_bytes: u64,
     ) -> PyResult<Self> {
+        let realtime = realtime_settings(realtime, priority, cpu)?;
+        let record = recorder_settings(record, min_free_bytes, Security::Insecure);
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
         let is_v6 = address("peer", peer)?.is_ipv6();
         let listen = listen.unwrap_or(if is_v6 { "[::]:0" } else { "0.0.0.0:0" });
@@ -397,7 +431,9 @@ impl LiveMaster {
                 format!("listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}");
             return Err(PyValueError::new_err(text));
         }
-        Ok(Self { live: Live::start(side, listen, Some(peer), period_ns, duration_s, patience_s)? })
+        let live =
+            Live::start(side, listen, Some(peer), period_ns, duration_s, patience_s, realtime, record)?;
+        Ok(Self { live })
     }
 
     fn press_clutch(&mut self) {
@@ -418,16 +454,26 @@ pub(crate) struct LiveSlave {
 #[pymethods]
 impl LiveSlave {
     #[new]
-    #[pyo3(signature = (settings, *, listen, session, duration_s=None, patience_s=None))]
+    #[pyo3(signature = (settings, *, listen, session, duration_s=None, patience_s=None,
+        realtime="auto", priority=80, cpu=None, record=None, min_free_bytes=1_000_000_000))]
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PySlaveSettings,
         listen: &str,
         session: u64,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
+        realtime: &str,
+        priority: u8,
+        cpu: Option<u16>,
+        record: Option<PathBuf>,
+        min_free_bytes: u64,
     ) -> PyResult<Self> {
+        let realtime = realtime_settings(realtime, priority, cpu)?;
+        let record = recorder_settings(record, min_free_bytes, Security::Insecure);
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
-        Ok(Self { live: Live::start(side, listen, None, period_ns, duration_s, patience_s)? })
+        let live = Live::start(side, listen, None, period_ns, duration_s, patience_s, realtime, record)?;
+        Ok(Self { live })
     }
 
     fn finish(&mut self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {

@@ -6,15 +6,22 @@ use std::{
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
+        mpsc,
     },
     thread::JoinHandle,
 };
 
-use super::{clock, socket::PeerSocket};
+use super::{
+    clock,
+    outlets::Outlets,
+    realtime::{self, RealtimeDemand, RealtimeReport, RealtimeSettings},
+    socket::PeerSocket,
+};
 use crate::{
     ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
+    recorder::{Recorder, Recording, RecordingReport},
     side::{Side, TickTime},
     wire::MAX_FRAME,
 };
@@ -30,6 +37,8 @@ pub struct LiveSettings {
     pub patience_ns: Option<u64>,
     /// Records that wait for a reader; further ones are counted and dropped.
     pub ring: usize,
+    /// What to ask of the system.
+    pub realtime: RealtimeSettings,
 }
 
 /// How a live loop went.
@@ -51,6 +60,10 @@ pub struct LoopReport {
     pub limited: u64,
     /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
     pub engaged_ns: u64,
+    /// What the loop's thread got of the system.
+    pub realtime: RealtimeReport,
+    /// What became of the recording; none if there was none.
+    pub recording: Option<RecordingReport>,
 }
 
 /// Datagrams taken in one tick; more would let a flood stretch the tick.
@@ -73,22 +86,42 @@ pub struct LiveRun<R> {
     records: rtrb::Consumer<R>,
     shared: Arc<Shared>,
     address: SocketAddr,
+    realtime: RealtimeReport,
+    recording: Option<Recording>,
 }
 
-/// Starts the loop of one side on a thread of its own.
+/// Starts the loop of one side on a thread of its own; `recorder` gets every record, too.
+///
+/// Fails where real-time scheduling is required and not all of it was granted.
 pub fn run_live<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
+    recorder: Option<Recorder<S::Record>>,
 ) -> io::Result<LiveRun<S::Record>> {
     let (producer, records) = rtrb::RingBuffer::new(settings.ring);
     let shared = Arc::new(Shared::default());
     let address = socket.local_address()?;
     let seen = Arc::clone(&shared);
-    let thread = std::thread::Builder::new()
-        .name("haptether-loop".into())
-        .spawn(move || turn(side, socket, settings, producer, &seen))?;
-    Ok(LiveRun { thread: Some(thread), records, shared, address })
+    let recording = recorder.as_ref().map(Recorder::recording);
+    let (told, heard) = mpsc::sync_channel(1);
+    let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
+        let (realtime, _locked) = realtime::prepare(&settings.realtime);
+        let _ = told.send(realtime);
+        let outlets = Outlets::new(producer, recorder);
+        if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
+            return LoopReport { recording: outlets.end(), realtime, ..LoopReport::default() };
+        }
+        LoopReport { realtime, ..turn(side, socket, settings, outlets, &seen) }
+    })?;
+    let realtime = heard.recv().map_err(io::Error::other)?;
+    if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
+        return Err(io::Error::new(
+            io::ErrorKind::PermissionDenied,
+            format!("real time is required: {realtime}"),
+        ));
+    }
+    Ok(LiveRun { thread: Some(thread), records, shared, address, realtime, recording })
 }
 
 /// A side that is left without force or motion however its loop ends.
@@ -105,10 +138,9 @@ fn turn<S: Side>(
     side: S,
     mut socket: PeerSocket,
     settings: LiveSettings,
-    mut records: rtrb::Producer<S::Record>,
+    mut records: Outlets<S::Record>,
     shared: &Shared,
 ) -> LoopReport {
-    clock::ask_for_prompt_wakeups();
     let mut report = LoopReport { engaged_ns: u64::MAX, ..LoopReport::default() };
     let mut buffer = [0; MAX_FRAME];
     let mut side = Resting(side);
@@ -167,6 +199,8 @@ fn turn<S: Side>(
     (report.link, report.holds, report.limited) = (counts.link, counts.holds, counts.limited);
     *shared.flight.lock().unwrap_or_else(PoisonError::into_inner) = Some(*side.0.flight());
     report.unsent = socket.unsent;
+    drop(side);
+    report.recording = records.end();
     report
 }
 
@@ -186,6 +220,16 @@ impl<R> LiveRun<R> {
     /// Where the ladder stands.
     pub fn state(&self) -> LadderState {
         LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
+    }
+
+    /// What the loop's thread got of the system.
+    pub fn realtime(&self) -> RealtimeReport {
+        self.realtime
+    }
+
+    /// How the recording stands; none if there is none.
+    pub fn recording(&self) -> Option<RecordingReport> {
+        self.recording.as_ref().map(Recording::report)
     }
 
     /// Ticks done so far.
