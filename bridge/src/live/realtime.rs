@@ -132,7 +132,7 @@ impl fmt::Display for RealtimeReport {
 }
 
 /// Asks for all of it for this thread; the memory stays locked as long as what is given lives.
-pub(super) fn prepare(settings: &RealtimeSettings) -> (RealtimeReport, Option<LockedMemory>) {
+pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Option<LockedMemory>) {
     clock::ask_for_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
         return (RealtimeReport::default(), None);
@@ -147,7 +147,7 @@ pub(super) fn prepare(settings: &RealtimeSettings) -> (RealtimeReport, Option<Lo
         fifo: Granted::from_result(schedule_fifo(settings.priority)),
     };
     if memory.is_err() {
-        touch_stack();
+        touch_stack(32);
     }
     (report, memory.ok())
 }
@@ -165,9 +165,10 @@ fn stay_on(cpu: u16) -> io::Result<u16> {
 
 /// Has the pages of the stack that a tick uses there before the first one, where they cannot be locked.
 #[inline(never)]
-fn touch_stack() {
-    const PAGES: [u8; 1 << 17] = [0; 1 << 17];
-    std::hint::black_box(&mut { PAGES });
+fn touch_stack(pages: u32) -> u8 {
+    let page = std::hint::black_box([0_u8; 4096]);
+    let below = if pages == 0 { 0 } else { touch_stack(pages - 1) };
+    std::hint::black_box(page[0]) | below
 }
 
 /// Loops whose memory is locked: the kernel locks whole processes, not threads.
@@ -246,7 +247,7 @@ mod tests {
     fn a_processor_that_is_not_there_is_refused_and_nothing_else() {
         for cpu in [u16::MAX, 1023] {
             let settings = RealtimeSettings { cpu: Some(cpu), ..RealtimeSettings::default() };
-            let (report, _locked) = std::thread::spawn(move || prepare(&settings)).join().unwrap();
+            let (report, _locked) = std::thread::spawn(move || prepare(settings)).join().unwrap();
             assert!(report.cpu.is_refused());
             assert!(!report.is_complete());
         }
@@ -255,7 +256,7 @@ mod tests {
     #[test]
     fn what_the_kernel_says_is_what_is_reported() {
         let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
-        let (report, locked) = std::thread::spawn(move || prepare(&settings)).join().unwrap();
+        let (report, locked) = std::thread::spawn(move || prepare(settings)).join().unwrap();
         // Whether it is granted is this machine's; the report must be true either way.
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
@@ -273,7 +274,7 @@ mod tests {
     #[test]
     fn nothing_is_asked_for_that_nobody_wants() {
         let settings = RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() };
-        let (report, locked) = std::thread::spawn(move || prepare(&settings)).join().unwrap();
+        let (report, locked) = std::thread::spawn(move || prepare(settings)).join().unwrap();
         assert_eq!(report, RealtimeReport::default());
         assert!(locked.is_none());
     }
