@@ -1,7 +1,9 @@
 //! What the loop's thread asks of the system, and what it got.
 
 use std::{
-    fmt, io,
+    fmt,
+    fs::{File, OpenOptions},
+    io::{self, Write},
     sync::{Mutex, PoisonError},
 };
 
@@ -57,9 +59,13 @@ pub enum Granted<T> {
 
 impl<T> Granted<T> {
     fn from_result(result: io::Result<T>) -> Self {
+        Self::from_errno(result.map_err(|error| error.raw_os_error()))
+    }
+
+    fn from_errno(result: Result<T, Option<i32>>) -> Self {
         match result {
             Ok(got) => Self::Yes(got),
-            Err(error) => Self::Refused(error.raw_os_error().unwrap_or(0)),
+            Err(number) => Self::Refused(number.unwrap_or(0)),
         }
     }
 
@@ -77,6 +83,9 @@ pub struct RealtimeReport {
     pub locked: Granted<u64>,
     /// Processor that the loop stays on.
     pub cpu: Granted<u16>,
+    /// Processors that do not fall into a sleep from which they wake late. Only root may ask for that, and little
+    /// hangs on it: it is never required.
+    pub wakeful: Granted<()>,
 }
 
 impl RealtimeReport {
@@ -124,6 +133,9 @@ impl fmt::Display for RealtimeReport {
         if let Granted::Yes(cpu) = self.cpu {
             parts.push(format!("processor {cpu}"));
         }
+        if self.wakeful == Granted::Yes(()) {
+            parts.push("no deep sleep of processors".to_owned());
+        }
         if !refusals.is_empty() {
             write!(f, "refused ({}): ", refusals.join("; "))?;
         }
@@ -131,25 +143,41 @@ impl fmt::Display for RealtimeReport {
     }
 }
 
-/// Asks for all of it for this thread; the memory stays locked as long as what is given lives.
-pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Option<LockedMemory>) {
+/// Asks for all of it for this thread; what is given must live as long as it is to last.
+pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
     clock::ask_for_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
-        return (RealtimeReport::default(), None);
+        return (RealtimeReport::default(), Kept::default());
     }
     let memory = LockedMemory::new();
+    let awake = keep_awake();
     let report = RealtimeReport {
-        locked: match &memory {
-            Ok(memory) => Granted::Yes(memory.bytes),
-            Err(errno) => Granted::Refused(errno.raw_os_error()),
-        },
+        locked: Granted::from_errno(
+            memory.as_ref().map(|memory| memory.bytes).map_err(|errno| Some(errno.raw_os_error())),
+        ),
         cpu: settings.cpu.map_or(Granted::NotAsked, |cpu| Granted::from_result(stay_on(cpu))),
         fifo: Granted::from_result(schedule_fifo(settings.priority)),
+        wakeful: Granted::from_errno(awake.as_ref().map(|_| ()).map_err(io::Error::raw_os_error)),
     };
     if memory.is_err() {
         touch_stack(32);
     }
-    (report, memory.ok())
+    (report, Kept { memory: memory.ok(), awake: awake.ok() })
+}
+
+/// What is granted for as long as it is held.
+#[derive(Debug, Default)]
+#[allow(dead_code)] // held, not read
+pub(super) struct Kept {
+    memory: Option<LockedMemory>,
+    awake: Option<File>,
+}
+
+/// Tells the kernel that no wake-up may take long, as cyclictest does, for as long as the file is open.
+fn keep_awake() -> io::Result<File> {
+    let mut latency = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;
+    latency.write_all(&0_i32.to_ne_bytes())?;
+    Ok(latency)
 }
 
 /// Keeps this thread on one processor.
@@ -237,7 +265,7 @@ mod tests {
                  locked (1 MiB)",
             ),
         ] {
-            let report = RealtimeReport { fifo, locked, cpu };
+            let report = RealtimeReport { fifo, locked, cpu, wakeful: Granted::NotAsked };
             assert_eq!(report.to_string(), said);
             assert_eq!(report.is_complete(), !said.contains("refused"));
         }
@@ -247,7 +275,7 @@ mod tests {
     fn a_processor_that_is_not_there_is_refused_and_nothing_else() {
         for cpu in [u16::MAX, 1023] {
             let settings = RealtimeSettings { cpu: Some(cpu), ..RealtimeSettings::default() };
-            let (report, _locked) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+            let (report, _kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
             assert!(report.cpu.is_refused());
             assert!(!report.is_complete());
         }
@@ -256,26 +284,27 @@ mod tests {
     #[test]
     fn what_the_kernel_says_is_what_is_reported() {
         let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
-        let (report, locked) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+        let (report, kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
         // Whether it is granted is this machine's; the report must be true either way.
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
             Granted::Refused(number) => assert_ne!(number, 0),
             Granted::NotAsked => panic!("it was asked for"),
         }
-        match (report.locked, &locked) {
+        match (report.locked, &kept.memory) {
             (Granted::Yes(bytes), Some(_)) => assert!(bytes > 0 && locked_bytes() >= Some(1)),
             (Granted::Refused(number), None) => assert_ne!(number, 0),
             other => panic!("{other:?}"),
         }
-        drop(locked);
+        assert_eq!(report.wakeful == Granted::Yes(()), kept.awake.is_some());
+        drop(kept);
     }
 
     #[test]
     fn nothing_is_asked_for_that_nobody_wants() {
         let settings = RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() };
-        let (report, locked) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+        let (report, kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
         assert_eq!(report, RealtimeReport::default());
-        assert!(locked.is_none());
+        assert!(kept.memory.is_none() && kept.awake.is_none());
     }
 }

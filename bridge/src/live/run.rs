@@ -106,7 +106,7 @@ pub fn run_live<S: Side + Send + 'static>(
     let recording = recorder.as_ref().map(Recorder::recording);
     let (told, heard) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
-        let (realtime, _locked) = realtime::prepare(settings.realtime);
+        let (realtime, _kept) = realtime::prepare(settings.realtime);
         let _ = told.send(realtime);
         let outlets = Outlets::new(producer, recorder);
         if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.live_options import LiveOptions
+
 if TYPE_CHECKING:
     from haptether.bridge import LoopReport, SlaveTrace
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slave:
+class Slave(LiveOptions):
     """Run the side of the robot: a simulated position-controlled arm in front of a wall.
 
     The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
@@ -49,7 +51,7 @@ class Slave:
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import FlightFile, Stopped, wait
+        from haptether.cli.live import FlightFile, Stopped, recording_status, wait
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_target
         from haptether.safety import fault_message
@@ -57,6 +59,7 @@ class Slave:
         check_target(self.json)
         check_target(self.flight)
         flight = FlightFile(self.flight)
+        live = self.live()
         settings = slave_settings(
             wall_stiffness=self.wall_stiffness,
             push_at_s=self.push_at_s,
@@ -70,14 +73,16 @@ class Slave:
                 session=new_session(),
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
+                **live,
             )
 
             def status() -> str:
                 slave.poll()
                 flight.write(slave.flight())
-                return f"slave {slave.state}, {slave.ticks} ticks"
+                return f"slave {slave.state}, {slave.ticks} ticks{recording_status(slave.recording)}"
 
-            wait(f"slave listens on {slave.address}", status, lambda: slave.finished, stopped, None)
+            headline = f"slave listens on {slave.address}\nreal time: {slave.realtime}"
+            wait(headline, status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
             flight.write(slave.flight())
         state = self._report(trace, report)
@@ -93,11 +98,12 @@ class Slave:
         from rich.console import Console
 
         from haptether.bridge import ladder_state_name
-        from haptether.cli.live import percentile
+        from haptether.cli.link_table import link_table
         from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.studies import summarise_link
 
         state = ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged"
-        late_p50_s, late_p99_s = (percentile(trace.overshoot_s, share) for share in (50, 99))
+        link = summarise_link(trace, report)
         result = {
             "final_state": state,
             "ticks": report.ticks,
@@ -109,16 +115,17 @@ class Slave:
             "lost": report.link.missing,
             "late": report.link.late,
             "refused": report.link.refused,
-            "overshoot_p50_s": late_p50_s,
-            "overshoot_p99_s": late_p99_s,
+            "overshoot_p50_s": link.overshoot_p50_s,
+            "overshoot_p99_s": link.overshoot_p99_s,
+            "link": link,
         }
-        Console(stderr=table_goes_to_stderr(self.json)).print(
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        console.print(
             f"slave {state}: {report.ticks} ticks, {report.holds} holds, {report.limited} commands clamped, "
-            f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}, "
-            f"loop late by p50 {late_p50_s * 1e3:.3f} ms, "
-            f"p99 {late_p99_s * 1e3:.3f} ms",
+            f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}",
             highlight=False,
         )
+        console.print(link_table(link))
         if self.json is not None:
             write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))
         return state

@@ -1,0 +1,150 @@
+"""`haptether check-link`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.studies import LinkSummary, LinkVerdict
+
+HOLD_S = 0.02
+"""Silence beyond the expected age after which the ladder holds."""
+PERIOD_S = 1e-3
+MOST_DURATION_S = 600.0
+"""A live run keeps the records of ten minutes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckLink:
+    """Measure the link to a running slave, and say whether the coupling can bear it.
+
+    Nothing moves: it is a master whose clutch nobody presses. It takes the slave's one place for a master, and gives it
+    back within 0.2 s. Fails if the link is not good enough.
+
+    What is bearable follows from what is touched: the least sum of both delays at which device, hand, arm and wall
+    begin to oscillate, and the longest silence at which the ladder does not hold.
+
+    Examples:
+
+    haptether check-link --peer 127.0.0.1:9000
+
+    haptether check-link --peer 192.0.2.7:9000 --duration-s 60 --wall-stiffness 500 --force-scale 0.5
+    """
+
+    peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
+    """Where the slave, or netsim before it, listens."""
+    duration_s: float = 5.0
+    """For how long in s, at most 600."""
+    wall_stiffness: float = 100.0
+    """Stiffness of what will be touched, in N/m."""
+    force_scale: float = 1.0
+    """Rendered force over the force that the slave measures."""
+    realtime: Literal["auto", "off", "require"] = "auto"
+    """Ask for SCHED_FIFO and locked memory and go on without (auto), do not ask (off), or fail without (require)."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the result as JSON at the end; - for standard output."""
+
+    def run(self) -> int:
+        """Measures, and says what was found.
+
+        Raises:
+            RuntimeError: No slave answered.
+            ValueError: A number out of its bounds.
+        """
+        import numpy as np
+
+        from haptether.bridge import LiveMaster
+        from haptether.cli.live import Stopped, wait
+        from haptether.cli.options import master_settings, new_session
+        from haptether.cli.output import check_target
+        from haptether.studies import judge_link, summarise_link
+
+        check_target(self.json)
+        if not 0.1 <= self.duration_s <= MOST_DURATION_S:
+            message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MOST_DURATION_S:g} s"
+            raise ValueError(message)
+        settings = master_settings("none", depth=0.0, release_at_s=None, force_scale=self.force_scale, clutch="never")
+        bearable_s = self._bearable_delay_s()
+        with Stopped() as stopped:
+            master = LiveMaster(
+                settings,
+                peer=self.peer,
+                session=new_session(),
+                # Never engages, so this is when it ends.
+                patience_s=self.duration_s,
+                realtime=self.realtime,
+            )
+
+            def status() -> str:
+                master.poll()
+                return f"measuring, {master.ticks} ticks"
+
+            headline = f"check-link on {master.address} talks to {self.peer}\nreal time: {master.realtime}"
+            wait(headline, status, lambda: master.finished, stopped, None)
+            trace, report = master.finish()
+        if not np.isfinite(trace.age_s).any():
+            message = f"no slave answered at {self.peer} within {self.duration_s:g} s: is it running there, and free?"
+            raise RuntimeError(message)
+        summary = summarise_link(trace, report, PERIOD_S)
+        verdict = judge_link(summary, bearable_s, HOLD_S + PERIOD_S, PERIOD_S)
+        self._report(summary, verdict)
+        return 0 if verdict.good else 1
+
+    def _bearable_delay_s(self) -> float:
+        """Of the simulated device, hand and arm that `master` and `slave` run.
+
+        Raises:
+            ValueError: A stiffness or scale that cannot be.
+        """
+        import math
+
+        from haptether.cli.options import HAND_DAMPING, HAND_STIFFNESS
+        from haptether.master import HapticDevice
+        from haptether.studies import ContactLoop, Follower, largest_delay_s
+
+        if not 0.0 < self.wall_stiffness <= 1e7:
+            message = f"wall-stiffness = {self.wall_stiffness:g}: must be above 0, at most 1e7 N/m"
+            raise ValueError(message)
+        device = HapticDevice.phantom_desktop()
+        mass_kg, pole = 4.0, 2.0 * math.pi * 15.0  # of `Arm()`
+        arm = Follower(mass_kg=mass_kg, damping=2.0 * mass_kg * pole, stiffness=mass_kg * pole**2)
+        return largest_delay_s(
+            ContactLoop(
+                mass_kg=device.mass_kg,
+                damping=device.viscous + HAND_DAMPING,
+                hand_stiffness=HAND_STIFFNESS,
+                environment_stiffness=self.wall_stiffness,
+                force_scale=self.force_scale,
+                follower=arm,
+            )
+        )
+
+    def _report(self, summary: "LinkSummary", verdict: "LinkVerdict") -> None:
+        import msgspec
+        from rich.console import Console
+
+        from haptether.cli.link_table import link_table
+        from haptether.cli.output import table_goes_to_stderr, write_json
+
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        console.print(link_table(summary))
+        scene = f"position-force coupling, lambda_f = {self.force_scale:g}, {self.wall_stiffness:g} N/m, a hand that holds"
+        bearable = "any delay" if verdict.bearable_delay_s is None else f"{verdict.bearable_delay_s * 1e3:.1f} ms"
+        has = "-" if verdict.delay_s is None else f"{verdict.delay_s * 1e3:.1f} ms"
+        gap = "-" if verdict.gap_s is None else f"{verdict.gap_s * 1e3:.1f} ms"
+        lines = [
+            f"{scene}:",
+            f"  delay there and back: bears {bearable}, has {has}",
+            f"  silence: bears {verdict.bearable_gap_s * 1e3:.1f} ms, had {gap}",
+            "a hand that lets go damps nothing: that is what the safety controllers are for",
+            *(f"NOT GOOD ENOUGH: {complaint}" for complaint in verdict.complaints),
+        ]
+        if verdict.good:
+            lines.append("good enough")
+        for line in lines:
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+        if self.json is not None:
+            report = {"peer": self.peer, "verdict": verdict, "link": summary}
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
