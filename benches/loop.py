@@ -3,9 +3,9 @@
 Required: p50 and p99 of the overshoot at most 1.2 times those of cyclictest.
 
 Both wait for absolute deadlines of CLOCK_MONOTONIC, 1 ms apart, with locked memory: under SCHED_FIFO 80 where that is
-allowed, else (and with `--policy other`) as ordinary threads. cyclictest does nothing between two deadlines; the loop is
-the master's: it takes datagrams, ticks its endpoint and its simulated device, and sends a frame to a socket that nobody
-reads. cyclictest comes with Debian's package rt-tests: apt-get install rt-tests.
+allowed, else (and with `--policy other`) as ordinary threads. cyclictest does nothing between two deadlines; the loop
+is the master's: it takes datagrams, ticks its endpoint and its simulated device, and sends a frame to a socket that
+nobody reads. cyclictest comes with Debian's package rt-tests: apt-get install rt-tests.
 """
 
 import argparse

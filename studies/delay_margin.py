@@ -64,7 +64,9 @@ def largest_delay_s(loop: ContactLoop) -> float:
     return float((phase / frequencies).min())
 
 
-def _squared(polynomial: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
+def _squared(
+    polynomial: "np.ndarray[tuple[int], np.dtype[np.float64]]",
+) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
     """`|p(jw)|²` as a polynomial in w²."""
     mirrored = polynomial * (-1.0) ** np.arange(polynomial.size)[::-1]
     even = np.polymul(polynomial, mirrored)[::-1][::2]

@@ -98,7 +98,9 @@ class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
     complaints: list[str]
 
 
-def judge_link(summary: LinkSummary, bearable_delay_s: float, bearable_gap_s: float, period_s: float = 1e-3) -> LinkVerdict:
+def judge_link(
+    summary: LinkSummary, bearable_delay_s: float, bearable_gap_s: float, period_s: float = 1e-3
+) -> LinkVerdict:
     """Holds what a link has against what a coupling and the ladder bear."""
     complaints = []
     delay_s = None
@@ -109,7 +111,8 @@ def judge_link(summary: LinkSummary, bearable_delay_s: float, bearable_gap_s: fl
         delay_s = summary.round_trip_p99_s + 1.5 * period_s
         if delay_s >= bearable_delay_s:
             complaints.append(
-                f"contact would oscillate: a delay of {delay_s * 1e3:.1f} ms, bearable is {bearable_delay_s * 1e3:.1f} ms"
+                f"contact would oscillate: a delay of {delay_s * 1e3:.1f} ms, bearable is "
+                f"{bearable_delay_s * 1e3:.1f} ms"
             )
     if summary.worst_gap_s is not None and summary.worst_gap_s > bearable_gap_s:
         complaints.append(

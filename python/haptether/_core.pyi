@@ -1952,7 +1952,7 @@ class LiveMaster:
         priority: int = 80,
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
-        min_free_bytes: int = 1_000_000_000,
+        min_free_bytes: int = ...,
     ) -> LiveMaster: ...
     @property
     def address(self) -> str:
@@ -2031,7 +2031,7 @@ class LiveSlave:
         priority: int = 80,
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
-        min_free_bytes: int = 1_000_000_000,
+        min_free_bytes: int = ...,
     ) -> LiveSlave: ...
     @property
     def address(self) -> str:

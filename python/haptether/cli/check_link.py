@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.studies import LinkSummary, LinkVerdict
+    from haptether.studies import ContactLoop, Follower, LinkSummary, LinkVerdict
 
 HOLD_S = 0.02
 """Silence beyond the expected age after which the ladder holds."""
 PERIOD_S = 1e-3
+MOST_STIFFNESS = 1e7
 MOST_DURATION_S = 600.0
 """A live run keeps the records of ten minutes."""
 
@@ -59,14 +60,17 @@ class CheckLink:
         from haptether.cli.live import Stopped, wait
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_target
-        from haptether.studies import judge_link, summarise_link
+        from haptether.studies import judge_link, largest_delay_s, summarise_link
 
         check_target(self.json)
+        if not 0.0 < self.wall_stiffness <= MOST_STIFFNESS:
+            message = f"wall-stiffness = {self.wall_stiffness:g}: must be above 0, at most {MOST_STIFFNESS:g} N/m"
+            raise ValueError(message)
         if not 0.1 <= self.duration_s <= MOST_DURATION_S:
             message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MOST_DURATION_S:g} s"
             raise ValueError(message)
         settings = master_settings("none", depth=0.0, release_at_s=None, force_scale=self.force_scale, clutch="never")
-        bearable_s = self._bearable_delay_s()
+        bearable_s = largest_delay_s(simulated_loop(self.wall_stiffness, self.force_scale))
         with Stopped() as stopped:
             master = LiveMaster(
                 settings,
@@ -92,35 +96,6 @@ class CheckLink:
         self._report(summary, verdict)
         return 0 if verdict.good else 1
 
-    def _bearable_delay_s(self) -> float:
-        """Of the simulated device, hand and arm that `master` and `slave` run.
-
-        Raises:
-            ValueError: A stiffness or scale that cannot be.
-        """
-        import math
-
-        from haptether.cli.options import HAND_DAMPING, HAND_STIFFNESS
-        from haptether.master import HapticDevice
-        from haptether.studies import ContactLoop, Follower, largest_delay_s
-
-        if not 0.0 < self.wall_stiffness <= 1e7:
-            message = f"wall-stiffness = {self.wall_stiffness:g}: must be above 0, at most 1e7 N/m"
-            raise ValueError(message)
-        device = HapticDevice.phantom_desktop()
-        mass_kg, pole = 4.0, 2.0 * math.pi * 15.0  # of `Arm()`
-        arm = Follower(mass_kg=mass_kg, damping=2.0 * mass_kg * pole, stiffness=mass_kg * pole**2)
-        return largest_delay_s(
-            ContactLoop(
-                mass_kg=device.mass_kg,
-                damping=device.viscous + HAND_DAMPING,
-                hand_stiffness=HAND_STIFFNESS,
-                environment_stiffness=self.wall_stiffness,
-                force_scale=self.force_scale,
-                follower=arm,
-            )
-        )
-
     def _report(self, summary: "LinkSummary", verdict: "LinkVerdict") -> None:
         import msgspec
         from rich.console import Console
@@ -130,7 +105,9 @@ class CheckLink:
 
         console = Console(stderr=table_goes_to_stderr(self.json))
         console.print(link_table(summary))
-        scene = f"position-force coupling, lambda_f = {self.force_scale:g}, {self.wall_stiffness:g} N/m, a hand that holds"
+        scene = (
+            f"position-force coupling, lambda_f = {self.force_scale:g}, {self.wall_stiffness:g} N/m, a hand that holds"
+        )
         bearable = "any delay" if verdict.bearable_delay_s is None else f"{verdict.bearable_delay_s * 1e3:.1f} ms"
         has = "-" if verdict.delay_s is None else f"{verdict.delay_s * 1e3:.1f} ms"
         gap = "-" if verdict.gap_s is None else f"{verdict.gap_s * 1e3:.1f} ms"
@@ -148,3 +125,30 @@ class CheckLink:
         if self.json is not None:
             report = {"peer": self.peer, "verdict": verdict, "link": summary}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+
+
+def simulated_arm() -> "Follower":
+    """The arm of `haptether slave`."""
+    import math
+
+    from haptether.studies import Follower
+
+    mass_kg, pole = 4.0, 2.0 * math.pi * 15.0  # of `Arm()`
+    return Follower(mass_kg=mass_kg, damping=2.0 * mass_kg * pole, stiffness=mass_kg * pole**2)
+
+
+def simulated_loop(wall_stiffness: float, force_scale: float) -> "ContactLoop":
+    """The device and hand of `haptether master` that press a wall through the arm of `haptether slave`."""
+    from haptether.cli.options import HAND_DAMPING, HAND_STIFFNESS
+    from haptether.master import HapticDevice
+    from haptether.studies import ContactLoop
+
+    device = HapticDevice.phantom_desktop()
+    return ContactLoop(
+        mass_kg=device.mass_kg,
+        damping=device.viscous + HAND_DAMPING,
+        hand_stiffness=HAND_STIFFNESS,
+        environment_stiffness=wall_stiffness,
+        force_scale=force_scale,
+        follower=simulated_arm(),
+    )

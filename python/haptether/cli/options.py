@@ -64,7 +64,9 @@ def master_settings(
         release_ramp_s=RELEASE_RAMP_S,
     )
     device = HapticDevice.phantom_desktop(encoder_quantum=encoder_quantum, stops=STOPS_M)
-    return MasterSettings(device, hand, safety=safety, force_scale=force_scale, clutch=[] if clutch == "never" else clutch)
+    return MasterSettings(
+        device, hand, safety=safety, force_scale=force_scale, clutch=[] if clutch == "never" else clutch
+    )
 
 
 def slave_settings(
