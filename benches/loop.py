@@ -75,7 +75,7 @@ def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, st
     """The same of the live loop, and what it got of the system."""
     settings = MasterSettings(
         HapticDevice.phantom_desktop(),
-        Hand(stiffness=300, damping=8),
+        Hand(stiffness=300, damping=8, strength_n=12, start=0.0),
         safety=SafetySettings(["hsc", "wsc"]),
         clutch=[],
     )

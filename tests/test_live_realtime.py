@@ -18,6 +18,7 @@ from haptether.bridge import LiveMaster, LoopReport, MasterSettings, MasterTrace
 from haptether.master import Hand, HapticDevice
 
 PERIOD_S = 1e-3
+HAND = Hand(stiffness=300, damping=8, strength_n=12, start=0.0)
 
 
 class Options(TypedDict, total=False):
@@ -28,7 +29,6 @@ class Options(TypedDict, total=False):
     cpu: int
     record: Path
     min_free_bytes: int
-    patience_s: float
 
 
 @pytest.fixture
@@ -39,13 +39,13 @@ def peer() -> Iterator[str]:
         yield f"127.0.0.1:{sink.getsockname()[1]}"
 
 
-def start(peer: str, **options: Unpack[Options]) -> LiveMaster:
-    settings = MasterSettings(HapticDevice.phantom_desktop(), Hand(stiffness=300, damping=8), clutch=[])
-    return LiveMaster(settings, peer=peer, session=1, **options)
+def start(peer: str, patience_s: float | None = None, **options: Unpack[Options]) -> LiveMaster:
+    settings = MasterSettings(HapticDevice.phantom_desktop(), HAND, clutch=[])
+    return LiveMaster(settings, peer=peer, session=1, patience_s=patience_s, **options)
 
 
 def run_for(peer: str, seconds: float, **options: Unpack[Options]) -> tuple[MasterTrace, LoopReport]:
-    master = start(peer, patience_s=seconds, **options)
+    master = start(peer, seconds, **options)
     while not master.finished:
         time.sleep(0.01)
     return master.finish()
