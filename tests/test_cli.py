@@ -44,7 +44,7 @@ def test_version_and_help() -> None:
         (["slave", "--listen", "127.0.0.1:0", "--min-free-bytes", "-1"], "min-free-bytes = -1: must be 0 to"),
         (["check-link", "--peer", "127.0.0.1:9", "--duration-s", "601"], "duration-s = 601: must be between"),
         (["check-link", "--peer", "127.0.0.1:9", "--wall-stiffness", "0"], "wall-stiffness = 0: must be above 0"),
-        (["check-link", "--peer", "127.0.0.1:9", "--force-scale", "-1"], "force scale = -1"),
+        (["check-link", "--peer", "127.0.0.1:9", "--force-scale", "-1"], "force_scale (lambda_f) = -1: must be"),
         (["slave", "--listen", "127.0.0.1:0", "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
     ],
 )  # fmt: skip

@@ -46,6 +46,7 @@ __all__ = [
     "ProxyStatistics",
     "Pusher",
     "Recording",
+    "RecordingReport",
     "SafetyController",
     "SafetyLayer",
     "SafetyObserver",
