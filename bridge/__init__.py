@@ -9,6 +9,7 @@ from haptether._core import (
     LoopReport,
     MasterSettings,
     MasterTrace,
+    RecordingReport,
     Sinusoid,
     SlaveSettings,
     SlaveTrace,
@@ -16,6 +17,7 @@ from haptether._core import (
     ladder_state_name,
     run_local,
 )
+from haptether.bridge.recording import Recording, read_recording
 from haptether.bridge.scene import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene_error import SceneError
 from haptether.bridge.scene_far import (
@@ -99,6 +101,8 @@ __all__ = [
     "Plane",
     "PusherTable",
     "RecordTable",
+    "Recording",
+    "RecordingReport",
     "RegraspTable",
     "ReleaseTable",
     "Run",
@@ -122,6 +126,7 @@ __all__ = [
     "load_scene",
     "override_scene",
     "read_key",
+    "read_recording",
     "run_bridge",
     "run_local",
     "scene_json",

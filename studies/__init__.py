@@ -1,5 +1,6 @@
 """Studies: what uses the bridge to answer a question."""
 
+from haptether.studies.delay_margin import ContactLoop, Follower, largest_delay_s
 from haptether.studies.demo import (
     DEMO_CONTROLLERS,
     DemoScene,
@@ -7,6 +8,7 @@ from haptether.studies.demo import (
     draw_demo,
     run_demo,
 )
+from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
 from haptether.studies.operator import Operator
 from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
 from haptether.studies.paper_figures import draw_paper
@@ -16,9 +18,13 @@ from haptether.studies.remote_push import PushResult, measure_push, save_master_
 
 __all__ = [
     "DEMO_CONTROLLERS",
+    "ContactLoop",
     "RAVEN_ATTACKS",
     "DemoScene",
+    "Follower",
     "Interrupted",
+    "LinkSummary",
+    "LinkVerdict",
     "Operator",
     "PaperReport",
     "PaperRow",
@@ -28,10 +34,13 @@ __all__ = [
     "RavenRow",
     "draw_demo",
     "draw_paper",
+    "judge_link",
+    "largest_delay_s",
     "measure_attack",
     "measure_push",
     "raven_suite",
     "reproduce_paper",
     "run_demo",
     "save_master_trace",
+    "summarise_link",
 ]

@@ -24,6 +24,7 @@ TRACE_SIGNALS = (
     "acted",
     "state",
     "age_s",
+    "round_trip_s",
     "overshoot_s",
     "fault",
 )

@@ -23,7 +23,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_version_and_help() -> None:
     assert run("--version").stdout.startswith("haptether 0.")
     shown = run("--help").stdout
-    for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen", "explain"):
+    for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen", "explain", "check-link"):
         assert name in shown
         assert "Examples" in run(name, "--help").stdout
     for name in ("list", "sample", "proxy", "set", "echo", "record", "compare"):
@@ -40,6 +40,11 @@ def test_version_and_help() -> None:
         (["demo", "--seed", "-1"], "seed = -1: must be between 0 and 2^64 - 1"),
         ([*PROXY, "--duration-s", "inf"], "duration_s = inf"),
         (["paper", "--encoder-quantum", "-1"], "encoder_quantum = -1: must be"),
+        (["master", "--peer", "127.0.0.1:9", "--priority", "100"], "priority = 100: must be 1 to 99"),
+        (["slave", "--listen", "127.0.0.1:0", "--min-free-bytes", "-1"], "min-free-bytes = -1: must be 0 to"),
+        (["check-link", "--peer", "127.0.0.1:9", "--duration-s", "601"], "duration-s = 601: must be between"),
+        (["check-link", "--peer", "127.0.0.1:9", "--wall-stiffness", "0"], "wall-stiffness = 0: must be above 0"),
+        (["check-link", "--peer", "127.0.0.1:9", "--force-scale", "-1"], "force_scale (lambda_f) = -1: must be"),
         (["slave", "--listen", "127.0.0.1:0", "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
     ],
 )  # fmt: skip

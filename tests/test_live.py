@@ -328,3 +328,84 @@ def test_sockets_are_not_left_open(key: Path, children: list[Child]) -> None:
     assert again.address() == address
     assert "no master came within 0.3 s" in again.end()
     assert again.process.returncode == 1
+
+
+def test_check_link_measures_and_moves_nothing(children: list[Child], tmp_path: Path) -> None:
+    slave = Child("slave", "--listen", "127.0.0.1:0", "--json", str(tmp_path / "slave.json"))
+    children.append(slave)
+    path = tmp_path / "link.json"
+    check = Child("check-link", "--peer", slave.address(), "--duration-s", "2", "--json", str(path))
+    children.append(check)
+    said = check.end()
+    report = json.loads(path.read_text())
+    # Whether this machine is good enough now is not the subject: the status must say the same.
+    assert check.process.returncode == (0 if report["verdict"]["good"] else 1), said
+    link, verdict = report["link"], report["verdict"]
+    assert link["arrived"] > 100
+    assert link["rate_hz"] <= 1000.5
+    # One tick there and one back is the least; both ends wake once a millisecond.
+    assert 1e-3 <= link["round_trip_p50_s"] <= link["round_trip_p99_s"] <= link["round_trip_max_s"]
+    assert verdict["delay_s"] == pytest.approx(link["round_trip_p99_s"] + 1.5e-3)
+    assert verdict["bearable_delay_s"] is None, "a soft wall under a firm hand"
+    assert verdict["bearable_gap_s"] == pytest.approx(0.021)
+    slave.process.send_signal(signal.SIGINT)
+    slave.end()
+    seen = json.loads((tmp_path / "slave.json").read_text())
+    assert seen["final_state"] == "disengaged"
+    assert seen["peak_environment_force_n"] == 0.0
+    assert seen["link"]["arrived"] > 100
+
+
+def test_check_link_says_when_a_coupling_bears_less_than_the_link_has(children: list[Child], tmp_path: Path) -> None:
+    slave = Child("slave", "--listen", "127.0.0.1:0")
+    children.append(slave)
+    netsim = Child(
+        "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address(), "--delay-s", "0.02",
+        "--max-error-s", "1",
+    )  # fmt: skip
+    children.append(netsim)
+    path = tmp_path / "link.json"
+    check = Child(
+        "check-link", "--peer", netsim.address(), "--duration-s", "1", "--wall-stiffness", "500", "--json", str(path),
+    )  # fmt: skip
+    children.append(check)
+    check.end()
+    assert check.process.returncode == 1
+    verdict = json.loads(path.read_text())["verdict"]
+    assert verdict["delay_s"] >= 0.04
+    assert 0.0 < verdict["bearable_delay_s"] < 0.04
+    assert any("contact would oscillate" in complaint for complaint in verdict["complaints"])
+
+
+def test_check_link_without_a_slave_says_so(children: list[Child]) -> None:
+    check = Child("check-link", "--peer", "127.0.0.1:9", "--duration-s", "0.5")
+    children.append(check)
+    assert "no slave answered at 127.0.0.1:9 within 0.5 s" in check.end()
+    assert check.process.returncode == 1
+
+
+def test_both_sides_record_what_they_did(children: list[Child], tmp_path: Path) -> None:
+    from haptether.bridge import read_recording
+
+    slave_path, master_path = tmp_path / "slave.mcap", tmp_path / "master.mcap"
+    slave = Child(
+        "slave", "--listen", "127.0.0.1:0", "--duration-s", "1", "--record", str(slave_path),
+        "--min-free-bytes", "0", "--json", str(tmp_path / "slave.json"),
+    )  # fmt: skip
+    children.append(slave)
+    trace_path = tmp_path / "run.npz"
+    master = Child(
+        "master", "--peer", slave.address(), "--duration-s", "0.8", "--record", str(master_path),
+        "--min-free-bytes", "0", "--trace", str(trace_path),
+    )  # fmt: skip
+    children.append(master)
+    master.end()
+    slave.end()
+    trace, recording = load(trace_path), read_recording(master_path)
+    assert recording.whole
+    np.testing.assert_array_equal(recording.signals["device_force"][:, 0], trace["device_force"])
+    np.testing.assert_array_equal(np.isnan(recording.signals["round_trip_s"]), np.isinf(trace["round_trip_s"]))
+    assert "engaged" in set(recording.signals["state"])
+    other = read_recording(slave_path)
+    assert (other.side, other.security) == ("slave", "insecure")
+    assert len(other.signals["time_ns"]) == json.loads((tmp_path / "slave.json").read_text())["link"]["recorded"]

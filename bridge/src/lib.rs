@@ -18,6 +18,7 @@ mod path;
 mod plant;
 pub mod playout;
 mod record;
+pub mod recorder;
 pub mod scene;
 pub mod session;
 mod side;

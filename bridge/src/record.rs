@@ -14,12 +14,18 @@ use crate::{
 pub(crate) struct Told {
     reason: u8,
     clutch: bool,
+    round_trip_ns: u64,
 }
 
 impl Told {
     pub(crate) fn of<const N: usize>(exchange: &Exchange<N>) -> Self {
         let reason = exchange.last_transition().map_or(0, |last| last.reason.code());
-        Self { reason, clutch: exchange.clutch() }
+        // 0 is what the link says before the first.
+        let round_trip_ns = match exchange.counts().0.round_trip_ns {
+            0 => u64::MAX,
+            round_trip_ns => round_trip_ns,
+        };
+        Self { reason, clutch: exchange.clutch(), round_trip_ns }
     }
 }
 
@@ -58,6 +64,8 @@ pub struct MasterRecord<const N: usize> {
     pub clutch: bool,
     /// Silence of the peer in ns, `u64::MAX` before its first frame.
     pub age_ns: u64,
+    /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
+    pub round_trip_ns: u64,
     /// How late the loop woke, in ns; 0 in virtual time.
     pub overshoot_ns: u64,
     /// The fault's code, 0 without.
@@ -65,6 +73,32 @@ pub struct MasterRecord<const N: usize> {
 }
 
 impl<const N: usize> MasterRecord<N> {
+    /// A record of nothing.
+    pub(crate) fn empty() -> Self {
+        let zeros = Axes::zeros();
+        Self {
+            time_ns: 0,
+            position: zeros,
+            true_position: zeros,
+            velocity: zeros,
+            hand_force: zeros,
+            rendered_force: zeros,
+            grasp_force: zeros,
+            safety_force: zeros,
+            device_force: zeros,
+            observers: [f64::NAN; 3],
+            tripped: 0,
+            acted: 0,
+            state: LadderState::Disengaged,
+            reason: 0,
+            clutch: false,
+            age_ns: u64::MAX,
+            round_trip_ns: u64::MAX,
+            overshoot_ns: 0,
+            fault: 0,
+        }
+    }
+
     pub(crate) fn new(
         time: TickTime,
         position: &Axes<N>,
@@ -95,6 +129,7 @@ impl<const N: usize> MasterRecord<N> {
             reason: told.reason,
             clutch: told.clutch,
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
+            round_trip_ns: told.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
             fault: tick.safety.fault.map_or(0, Fault::code),
         }
@@ -120,6 +155,10 @@ pub struct SlaveRecord<const N: usize> {
     pub clutch: bool,
     /// Which bounds acted on the command, [`crate::coupling::Limited::bits`].
     pub limited: u8,
+    /// Silence of the peer in ns, `u64::MAX` before its first frame.
+    pub age_ns: u64,
+    /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
+    pub round_trip_ns: u64,
     /// How late the loop woke, in ns; 0 in virtual time.
     pub overshoot_ns: u64,
     /// The fault's code, 0 without.
@@ -127,6 +166,25 @@ pub struct SlaveRecord<const N: usize> {
 }
 
 impl<const N: usize> SlaveRecord<N> {
+    /// A record of nothing.
+    pub(crate) fn empty() -> Self {
+        let zeros = Axes::zeros();
+        Self {
+            time_ns: 0,
+            position: zeros,
+            command: zeros,
+            environment_force: zeros,
+            state: LadderState::Disengaged,
+            reason: 0,
+            clutch: false,
+            limited: 0,
+            age_ns: u64::MAX,
+            round_trip_ns: u64::MAX,
+            overshoot_ns: 0,
+            fault: 0,
+        }
+    }
+
     pub(crate) fn new(
         time: TickTime,
         [position, _, environment_force]: &[Axes<N>; 3],
@@ -142,6 +200,8 @@ impl<const N: usize> SlaveRecord<N> {
             reason: told.reason,
             clutch: told.clutch,
             limited: tick.limited.bits(),
+            age_ns: tick.age_ns.unwrap_or(u64::MAX),
+            round_trip_ns: told.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
             fault: tick.fault.map_or(0, Fault::code),
         }

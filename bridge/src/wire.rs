@@ -378,7 +378,7 @@ mod tests {
             bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
             Frame::<1>::decode(&bytes, Role::Slave)
         };
-        assert_eq!(resealed(&|b| b[6] = 0x0F), Err(WireError::Flags(7)));
+        assert_eq!(resealed(&|b| b[6] = 0x0F), Err(WireError::Flags(15)));
         assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x103)));
         assert_eq!(resealed(&|b| b[6] = 2), Err(WireError::Flags(2)));
         let silent = resealed(&|b| {

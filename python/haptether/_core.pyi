@@ -47,6 +47,7 @@ __all__ = [
     "ProxyStatistics",
     "Pusher",
     "Recording",
+    "RecordingReport",
     "SafetyController",
     "SafetyLayer",
     "SafetyObserver",
@@ -1683,6 +1684,10 @@ class MasterTrace:
         """Silence of the peer in s; infinite before its first frame."""
 
     @property
+    def round_trip_s(self) -> _Array:
+        """Round trip in s of the newest echo, both loops' waits for their ticks included; infinite before the first."""
+
+    @property
     def overshoot_s(self) -> _Array:
         """How late the loop woke, in s; 0 in virtual time."""
 
@@ -1726,6 +1731,14 @@ class SlaveTrace:
     @property
     def clutch(self) -> _Bits:
         """1 while the clutch is closed, as far as this side knows."""
+
+    @property
+    def age_s(self) -> _Array:
+        """Silence of the peer in s; infinite before its first frame."""
+
+    @property
+    def round_trip_s(self) -> _Array:
+        """Round trip in s of the newest echo, both loops' waits for their ticks included; infinite before the first."""
 
     @property
     def overshoot_s(self) -> _Array:
@@ -1772,6 +1785,22 @@ class LinkStatistics:
         """Least round trip in s; 0 before any."""
 
 @final
+class RecordingReport:
+    """What became of a recording."""
+
+    @property
+    def written(self) -> int:
+        """Records that the system took."""
+
+    @property
+    def dropped(self) -> int:
+        """Records of the loop that are not in the file; while it runs, those that wait are among them."""
+
+    @property
+    def end(self) -> str | None:
+        """Why the recording ended before the run; none if it did not."""
+
+@final
 class LoopReport:
     """How the loop of one side went."""
 
@@ -1814,6 +1843,18 @@ class LoopReport:
     @property
     def engaged_s(self) -> float:
         """When the sides first engaged, in s since the start; infinite if never."""
+
+    @property
+    def realtime(self) -> str:
+        """What the loop's thread got of the system, as read back from it."""
+
+    @property
+    def is_realtime(self) -> bool:
+        """Whether the loop ran under SCHED_FIFO."""
+
+    @property
+    def recording(self) -> RecordingReport | None:
+        """What became of the recording; none without one."""
 
 @final
 class LadderSettings:
@@ -1933,11 +1974,17 @@ class LiveMaster:
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
         keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
+            fails without.
+        priority: Under SCHED_FIFO, 1 to 99.
+        cpu: Processor that the loop stays on; without it the kernel chooses.
+        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
+        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, or neither a key nor
-            `insecure`, or both.
-        OSError: An address that cannot be used.
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
+            `insecure`, both, or no such real time.
+        OSError: An address or a file that cannot be used, or real time that is required and refused.
     """
 
     def __new__(
@@ -1952,6 +1999,11 @@ class LiveMaster:
         duration_s: float | None = None,
         patience_s: float | None = None,
         keep_s: float = 600.0,
+        realtime: str = "auto",
+        priority: int = 80,
+        cpu: int | None = None,
+        record: str | PathLike[str] | None = None,
+        min_free_bytes: int = ...,
     ) -> LiveMaster: ...
     @property
     def address(self) -> str:
@@ -1968,6 +2020,14 @@ class LiveMaster:
     @property
     def finished(self) -> bool:
         """Whether the loop has ended."""
+
+    @property
+    def realtime(self) -> str:
+        """What the loop's thread got of the system, as read back from it."""
+
+    @property
+    def recording(self) -> RecordingReport | None:
+        """How the recording stands; none without one."""
 
     def poll(self) -> int:
         """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
@@ -2019,11 +2079,17 @@ class LiveSlave:
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
         keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
+            fails without.
+        priority: Under SCHED_FIFO, 1 to 99.
+        cpu: Processor that the loop stays on; without it the kernel chooses.
+        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
+        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, or neither a key nor
-            `insecure`, or both.
-        OSError: An address that cannot be used.
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
+            `insecure`, both, or no such real time.
+        OSError: An address or a file that cannot be used, or real time that is required and refused.
     """
 
     def __new__(
@@ -2037,6 +2103,11 @@ class LiveSlave:
         duration_s: float | None = None,
         patience_s: float | None = None,
         keep_s: float = 600.0,
+        realtime: str = "auto",
+        priority: int = 80,
+        cpu: int | None = None,
+        record: str | PathLike[str] | None = None,
+        min_free_bytes: int = ...,
     ) -> LiveSlave: ...
     @property
     def address(self) -> str:
@@ -2053,6 +2124,14 @@ class LiveSlave:
     @property
     def finished(self) -> bool:
         """Whether the loop has ended."""
+
+    @property
+    def realtime(self) -> str:
+        """What the loop's thread got of the system, as read back from it."""
+
+    @property
+    def recording(self) -> RecordingReport | None:
+        """How the recording stands; none without one."""
 
     def poll(self) -> int:
         """Takes over the records so far and returns their number; up to 65536 wait between two calls."""

@@ -2,6 +2,7 @@
 
 use std::{
     ops::ControlFlow,
+    path::PathBuf,
     sync::{Mutex, PoisonError},
 };
 
@@ -11,9 +12,10 @@ use haptether_bridge::{
     VirtualSettings,
     coupling::CommandBounds,
     live::{
-        LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, Security, SecurityEvent, StartError,
-        run_live,
+        LiveRun, LiveSettings, LoopReport, PeerAddress, PeerSocket, RealtimeSettings, Security,
+        SecurityEvent, StartError, run_live,
     },
+    recorder::{Recorded, Recorder, RecorderSettings},
     run_virtual,
     session::{PreSharedKey, Rejections},
     wire::Role,
@@ -28,7 +30,8 @@ use pyo3::{
 
 use crate::{
     axes::refuse,
-    bridge_trace::{MasterTrace, PyLoopReport, SlaveTrace},
+    bridge_trace::{MasterTrace, PyLoopReport, PyRecordingReport, SlaveTrace},
+    live_options::{realtime_settings, recorder_settings},
     local::{MOST_TICKS, PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
     netsim::{address, link_settings},
     safety::{PyEstimatorKind, PyLimiterSettings, PySafetySettings},
@@ -360,7 +363,8 @@ struct Place<'a> {
     peer: Option<&'a str>,
 }
 
-impl<R: Copy + Send + 'static> Live<R> {
+impl<R: Recorded> Live<R> {
+    #[allow(clippy::too_many_arguments)] // they have names in Python
     fn start<S: Side<Record = R> + Send + 'static>(
         side: S,
         Place { role, local, peer }: Place<'_>,
@@ -368,6 +372,8 @@ impl<R: Copy + Send + 'static> Live<R> {
         period_ns: u64,
         [duration_s, patience_s]: [Option<f64>; 2],
         keep_s: f64,
+        realtime: RealtimeSettings,
+        record: Option<RecorderSettings>,
     ) -> PyResult<Self> {
         if !(keep_s > 0.0 && keep_s <= MOST_KEPT_S) {
             let text = format!("keep_s = {keep_s}: must be above 0 and at most {MOST_KEPT_S} s");
@@ -388,8 +394,16 @@ impl<R: Copy + Send + 'static> Live<R> {
             duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
             patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
             ring: 1 << 16,
+            realtime,
         };
-        let run = run_live(side, socket, settings, security).map_err(|error| match error {
+        // After the socket, so that a run that cannot be replaces no file.
+        let recorder = record
+            .map(|to| {
+                let path = to.path.display();
+                Recorder::begin(&to).map_err(|error| PyOSError::new_err(format!("record = {path}: {error}")))
+            })
+            .transpose()?;
+        let run = run_live(side, socket, settings, security, recorder).map_err(|error| match error {
             StartError::Session(error) => PyValueError::new_err(error.to_string()),
             StartError::System(error) => PyOSError::new_err(error.to_string()),
         })?;
@@ -470,6 +484,16 @@ macro_rules! live_methods {
                 self.live.run().is_finished()
             }
 
+            #[getter]
+            fn realtime(&mut self) -> String {
+                self.live.run().realtime().to_string()
+            }
+
+            #[getter]
+            fn recording(&mut self) -> Option<PyRecordingReport> {
+                self.live.run().recording().map(Into::into)
+            }
+
             fn stop(&mut self) {
                 self.live.run().stop();
             }
@@ -498,7 +522,8 @@ pub(crate) struct LiveMaster {
 impl LiveMaster {
     #[new]
     #[pyo3(signature = (settings, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
-        patience_s=None, keep_s=600.0))]
+        patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
+        min_free_bytes=1_000_000_000))]
     #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PyMasterSettings,
@@ -510,7 +535,14 @@ impl LiveMaster {
         duration_s: Option<f64>,
         patience_s: Option<f64>,
         keep_s: f64,
+        realtime: &str,
+        priority: u8,
+        cpu: Option<u16>,
+        record: Option<PathBuf>,
+        min_free_bytes: u64,
     ) -> PyResult<Self> {
+        let realtime = realtime_settings(realtime, priority, cpu)?;
+        let record = recorder_settings(record, min_free_bytes, insecure);
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
         let is_v6 = address("peer", peer)?.is_ipv6();
         let listen = listen.unwrap_or(if is_v6 { "[::]:0" } else { "0.0.0.0:0" });
@@ -521,7 +553,8 @@ impl LiveMaster {
         }
         let place = Place { role: Role::Master, local: listen, peer: Some(peer) };
         let security = security(key, insecure)?;
-        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s], keep_s)? })
+        let ends = [duration_s, patience_s];
+        Ok(Self { live: Live::start(side, place, security, period_ns, ends, keep_s, realtime, record)? })
     }
 
     fn press_clutch(&mut self) {
@@ -547,7 +580,8 @@ pub(crate) struct LiveSlave {
 impl LiveSlave {
     #[new]
     #[pyo3(signature = (settings, *, listen, session, key=None, insecure=false, duration_s=None,
-        patience_s=None, keep_s=600.0))]
+        patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
+        min_free_bytes=1_000_000_000))]
     #[allow(clippy::too_many_arguments)] // they have names in Python
     fn new(
         settings: &PySlaveSettings,
@@ -558,11 +592,19 @@ impl LiveSlave {
         duration_s: Option<f64>,
         patience_s: Option<f64>,
         keep_s: f64,
+        realtime: &str,
+        priority: u8,
+        cpu: Option<u16>,
+        record: Option<PathBuf>,
+        min_free_bytes: u64,
     ) -> PyResult<Self> {
+        let realtime = realtime_settings(realtime, priority, cpu)?;
+        let record = recorder_settings(record, min_free_bytes, insecure);
         let (side, period_ns) = (settings.side(session)?, settings.endpoint.period_ns);
         let place = Place { role: Role::Slave, local: listen, peer: None };
         let security = security(key, insecure)?;
-        Ok(Self { live: Live::start(side, place, security, period_ns, [duration_s, patience_s], keep_s)? })
+        let ends = [duration_s, patience_s];
+        Ok(Self { live: Live::start(side, place, security, period_ns, ends, keep_s, realtime, record)? })
     }
 
     fn allow_takeover(&mut self) {

@@ -2,7 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use haptether_bridge::{LinkStatistics, MasterRecord, SlaveRecord, live::LoopReport};
+use haptether_bridge::{
+    LinkStatistics, MasterRecord, SlaveRecord,
+    live::{Granted, LoopReport},
+    recorder::RecordingReport,
+};
 use pyo3::prelude::*;
 
 use crate::arrays::column;
@@ -12,6 +16,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<SlaveTrace>()?;
     module.add_class::<PyLinkStatistics>()?;
     module.add_class::<PyLoopReport>()?;
+    module.add_class::<PyRecordingReport>()?;
     Ok(())
 }
 
@@ -66,6 +71,7 @@ columns!(MasterTrace, record, {
     reason => record.reason,
     clutch => u8::from(record.clutch),
     age_s => seconds(record.age_ns),
+    round_trip_s => seconds(record.round_trip_ns),
     overshoot_s => seconds(record.overshoot_ns),
     fault => record.fault,
 });
@@ -79,6 +85,8 @@ columns!(SlaveTrace, record, {
     state => record.state.code(),
     reason => record.reason,
     clutch => u8::from(record.clutch),
+    age_s => seconds(record.age_ns),
+    round_trip_s => seconds(record.round_trip_ns),
     overshoot_s => seconds(record.overshoot_ns),
     fault => record.fault,
 });
@@ -111,6 +119,20 @@ impl From<LinkStatistics> for PyLinkStatistics {
     }
 }
 
+#[pyclass(name = "RecordingReport", module = "haptether.bridge", frozen, get_all)]
+#[derive(Clone)]
+pub(crate) struct PyRecordingReport {
+    written: u64,
+    dropped: u64,
+    end: Option<String>,
+}
+
+impl From<RecordingReport> for PyRecordingReport {
+    fn from(of: RecordingReport) -> Self {
+        Self { written: of.written, dropped: of.dropped, end: of.end.map(|end| end.to_string()) }
+    }
+}
+
 #[pyclass(name = "LoopReport", module = "haptether.bridge", frozen, get_all)]
 pub(crate) struct PyLoopReport {
     ticks: u64,
@@ -123,6 +145,9 @@ pub(crate) struct PyLoopReport {
     secure: bool,
     rejections: BTreeMap<String, u64>,
     engaged_s: f64,
+    realtime: String,
+    is_realtime: bool,
+    recording: Option<PyRecordingReport>,
 }
 
 impl From<LoopReport> for PyLoopReport {
@@ -143,6 +168,9 @@ impl From<LoopReport> for PyLoopReport {
                 .map(|(cause, count)| (cause.to_string(), count))
                 .collect(),
             engaged_s: seconds(of.engaged_ns),
+            realtime: of.realtime.to_string(),
+            is_realtime: matches!(of.realtime.fifo, Granted::Yes(_)),
+            recording: of.recording.map(Into::into),
         }
     }
 }

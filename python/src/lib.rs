@@ -9,6 +9,7 @@ mod arrays;
 mod axes;
 mod bridge;
 mod bridge_trace;
+mod live_options;
 mod local;
 mod netsim;
 mod netsim_live;

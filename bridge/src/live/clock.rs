@@ -15,8 +15,15 @@ pub(super) fn now_ns() -> u64 {
     seconds * SECOND + nanoseconds
 }
 
-/// Sleeps until the monotonic clock shows `deadline_ns`; returns at once if it already does.
+/// Least time asleep between two ticks of a loop that is behind.
+const REST_NS: u64 = 50_000;
+
+/// Sleeps until the monotonic clock shows `deadline_ns`, and for 50 us if it already does.
+///
+/// With real-time scheduling nobody else would run on this processor while a loop that cannot keep up never sleeps.
 pub(super) fn sleep_until(deadline_ns: u64) {
+    let now_ns = now_ns();
+    let deadline_ns = if deadline_ns > now_ns { deadline_ns } else { now_ns + REST_NS };
     #[allow(clippy::cast_possible_wrap)] // 292 years
     let deadline = Timespec { tv_sec: (deadline_ns / SECOND) as i64, tv_nsec: (deadline_ns % SECOND) as i64 };
     // A signal ends the sleep early: sleep on.

@@ -1,10 +1,12 @@
 //! The live loop of one side.
 
 use std::{
+    io,
     net::SocketAddr,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
+        mpsc,
     },
     thread::JoinHandle,
 };
@@ -13,6 +15,8 @@ use super::{
     channel::{Came, LiveChannel, RELEASES, Security},
     clock,
     handshakes::{SecurityEvent, StartError},
+    outlets::Outlets,
+    realtime::{self, RealtimeDemand, RealtimeReport, RealtimeSettings},
     socket::PeerSocket,
 };
 use crate::{
@@ -20,6 +24,7 @@ use crate::{
     ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
+    recorder::{Recorder, Recording, RecordingReport},
     session::{MAX_DATAGRAM, Rejections},
     side::{Side, TickTime},
     wire::Role,
@@ -38,6 +43,8 @@ pub struct LiveSettings {
     pub patience_ns: Option<u64>,
     /// Records that wait for a reader; further ones are counted and dropped.
     pub ring: usize,
+    /// What to ask of the system.
+    pub realtime: RealtimeSettings,
 }
 
 /// How a live loop went.
@@ -63,6 +70,10 @@ pub struct LoopReport {
     pub rejections: Rejections,
     /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
     pub engaged_ns: u64,
+    /// What the loop's thread got of the system.
+    pub realtime: RealtimeReport,
+    /// What became of the recording; none if there was none.
+    pub recording: Option<RecordingReport>,
 }
 
 /// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
@@ -95,14 +106,19 @@ pub struct LiveRun<R> {
     acts: rtrb::Producer<Act>,
     shared: Arc<Shared>,
     address: SocketAddr,
+    realtime: RealtimeReport,
+    recording: Option<Recording>,
 }
 
-/// Starts the loop of one side on a thread of its own.
+/// Starts the loop of one side on a thread of its own; `recorder` gets every record, too.
+///
+/// Fails where real-time scheduling is required and not all of it was granted.
 pub fn run_live<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
     security: Security,
+    recorder: Option<Recorder<S::Record>>,
 ) -> Result<LiveRun<S::Record>, StartError> {
     let (producer, records) = rtrb::RingBuffer::new(settings.ring);
     let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
@@ -111,10 +127,23 @@ pub fn run_live<S: Side + Send + 'static>(
     let shared = Arc::new(Shared::default());
     let address = socket.local_address()?;
     let seen = Arc::clone(&shared);
-    let thread = std::thread::Builder::new()
-        .name("haptether-loop".into())
-        .spawn(move || turn(side, socket, channel, settings, (producer, told), done, &seen))?;
-    Ok(LiveRun { thread: Some(thread), records, events, acts, shared, address })
+    let recording = recorder.as_ref().map(Recorder::recording);
+    let (say, heard) = mpsc::sync_channel(1);
+    let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
+        let (realtime, _kept) = realtime::prepare(settings.realtime);
+        let _ = say.send(realtime);
+        let outlets = Outlets::new(producer, recorder);
+        if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
+            return LoopReport { recording: outlets.end(), realtime, ..LoopReport::default() };
+        }
+        LoopReport { realtime, ..turn(side, socket, channel, settings, (outlets, told), done, &seen) }
+    })?;
+    let realtime = heard.recv().map_err(io::Error::other)?;
+    if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
+        let text = format!("real time is required: {realtime}");
+        return Err(io::Error::new(io::ErrorKind::PermissionDenied, text).into());
+    }
+    Ok(LiveRun { thread: Some(thread), records, events, acts, shared, address, realtime, recording })
 }
 
 /// A side that is left without force or motion however its loop ends.
@@ -132,11 +161,10 @@ fn turn<S: Side>(
     mut socket: PeerSocket,
     mut channel: LiveChannel,
     settings: LiveSettings,
-    (mut records, mut events): (rtrb::Producer<S::Record>, rtrb::Producer<SecurityEvent>),
+    (mut records, mut events): (Outlets<S::Record>, rtrb::Producer<SecurityEvent>),
     mut acts: rtrb::Consumer<Act>,
     shared: &Shared,
 ) -> LoopReport {
-    clock::ask_for_prompt_wakeups();
     let mut report =
         LoopReport { engaged_ns: u64::MAX, secure: channel.is_secure(), ..LoopReport::default() };
     let mut buffer = [0; MAX_DATAGRAM];
@@ -222,6 +250,8 @@ fn turn<S: Side>(
     (report.holds, report.limited) = (counts.holds, counts.limited);
     *shared.flight.lock().unwrap_or_else(PoisonError::into_inner) = Some(*side.0.flight());
     report.unsent = socket.unsent;
+    drop(side);
+    report.recording = records.end();
     report
 }
 
@@ -253,6 +283,16 @@ impl<R> LiveRun<R> {
     /// Where the ladder stands.
     pub fn state(&self) -> LadderState {
         LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
+    }
+
+    /// What the loop's thread got of the system.
+    pub fn realtime(&self) -> RealtimeReport {
+        self.realtime
+    }
+
+    /// How the recording stands; none if there is none.
+    pub fn recording(&self) -> Option<RecordingReport> {
+        self.recording.as_ref().map(Recording::report)
     }
 
     /// Ticks done so far.

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Protocol, Union
 import tyro
 
 from haptether import __version__
+from haptether.cli.check_link import CheckLink
 from haptether.cli.demo import Demo
 from haptether.cli.explain import Explain
 from haptether.cli.keygen import Keygen
@@ -40,6 +41,7 @@ COMMANDS: dict[str, type[Any]] = {
     "master": Master,
     "slave": Slave,
     "netsim": Netsim,
+    "check-link": CheckLink,
     "explain": Explain,
     "keygen": Keygen,
 }

@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-import numpy as np
-import numpy.typing as npt
+if TYPE_CHECKING:
+    from haptether.bridge import RecordingReport
 
 POLL_S = 0.05
 
@@ -70,9 +70,11 @@ def wait(
             stopped.sleep(POLL_S)
 
 
-def percentile(values: npt.NDArray[np.float64], share: float) -> float:
-    """Percentile of `values`, 0 for none."""
-    return float(np.percentile(values, share)) if values.size else 0.0
+def recording_status(recording: "RecordingReport | None") -> str:
+    """What the line of a run that goes on says of its recording: that it has ended, or nothing."""
+    if recording is None or recording.end is None:
+        return ""
+    return f", recording ended: {recording.end}"
 
 
 def tell(events: list[str]) -> None:

@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from haptether.cli.live_options import LiveOptions
 from haptether.cli.options import Controller
 
 if TYPE_CHECKING:
-    from haptether.studies import PushResult
+    from haptether.studies import LinkSummary, PushResult
 
 
 @dataclass(frozen=True, kw_only=True)
-class Master:
+class Master(LiveOptions):
     """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
 
     Times count from the moment the two sides engage. Starting this command presses the clutch. When the slave falls
@@ -64,17 +65,18 @@ class Master:
     def run(self) -> int:
         """Runs until told to stop; fails if the slave never answered."""
         from haptether.bridge import LiveMaster, ladder_reason
-        from haptether.cli.live import Acts, FlightFile, Stopped, tell, wait
+        from haptether.cli.live import Acts, FlightFile, Stopped, recording_status, tell, wait
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_target
         from haptether.cli.security import marked, session_key
-        from haptether.studies import measure_push, save_master_trace
+        from haptether.studies import measure_push, save_master_trace, summarise_link
 
         check_target(self.json)
         check_target(self.trace)
         check_target(self.flight)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
+        live = self.live()
         settings = master_settings(
             self.controller,
             depth=self.depth,
@@ -94,17 +96,20 @@ class Master:
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
                 keep_s=self.keep_s,
+                **live,
             )
 
             def status() -> str:
                 master.poll()
                 tell(master.security_events())
                 flight.write(master.flight())
-                return marked(f"master {master.state}, {master.ticks} ticks", insecure=self.insecure)
+                shown = f"master {master.state}, {master.ticks} ticks{recording_status(master.recording)}"
+                return marked(shown, insecure=self.insecure)
 
             with Acts(press=master.press_clutch, acknowledge=master.acknowledge):
                 wait(
-                    marked(f"master on {master.address} talks to {self.peer}", insecure=self.insecure),
+                    marked(f"master on {master.address} talks to {self.peer}", insecure=self.insecure)
+                    + f"\nreal time: {master.realtime}",
                     status,
                     lambda: master.finished,
                     stopped,
@@ -114,7 +119,7 @@ class Master:
             tell(master.security_events())
             flight.write(master.flight())
         result = measure_push(self.controller, trace, report, self.release_at_s)
-        self._report(result)
+        self._report(result, summarise_link(trace, report))
         if self.trace is not None:
             save_master_trace(trace, self.trace)
         if result.engaged_s is None and not stopped:
@@ -128,13 +133,17 @@ class Master:
             raise RuntimeError(message)
         return 0
 
-    def _report(self, result: "PushResult") -> None:
+    def _report(self, result: "PushResult", link: "LinkSummary") -> None:
         import msgspec
         from rich.console import Console
 
+        from haptether.cli.link_table import link_table
         from haptether.cli.output import table_goes_to_stderr, write_json
         from haptether.cli.push_table import push_table
 
-        Console(stderr=table_goes_to_stderr(self.json)).print(push_table([result]))
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        console.print(push_table([result]))
+        console.print(link_table(link))
         if self.json is not None:
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))
+            report = {**msgspec.to_builtins(result), "link": link}
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))

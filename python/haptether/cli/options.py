@@ -38,7 +38,7 @@ def master_settings(
     release_at_s: float | None,
     force_scale: float = 1.0,
     encoder_quantum: float = 2.3e-5,
-    clutch: Literal["once", "auto"] = "once",
+    clutch: Literal["once", "auto", "never"] = "once",
 ) -> "MasterSettings":
     """A PHANTOM Desktop in a hand that presses `depth` m deep and lets go at `release_at_s` (never if none).
 
@@ -64,7 +64,9 @@ def master_settings(
         release_ramp_s=RELEASE_RAMP_S,
     )
     device = HapticDevice.phantom_desktop(encoder_quantum=encoder_quantum, stops=STOPS_M)
-    return MasterSettings(device, hand, safety=safety, force_scale=force_scale, clutch=clutch)
+    return MasterSettings(
+        device, hand, safety=safety, force_scale=force_scale, clutch=[] if clutch == "never" else clutch
+    )
 
 
 def slave_settings(

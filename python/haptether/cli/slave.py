@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from haptether.cli.live_options import LiveOptions
+
 if TYPE_CHECKING:
     from haptether.bridge import LoopReport, SlaveTrace
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slave:
+class Slave(LiveOptions):
     """Run the side of the robot: a simulated position-controlled arm in front of a wall.
 
     The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
@@ -57,7 +59,7 @@ class Slave:
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import Acts, FlightFile, Stopped, tell, wait
+        from haptether.cli.live import Acts, FlightFile, Stopped, recording_status, tell, wait
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_target
         from haptether.cli.security import marked, session_key
@@ -67,6 +69,7 @@ class Slave:
         check_target(self.flight)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
+        live = self.live()
         settings = slave_settings(
             wall_stiffness=self.wall_stiffness,
             push_at_s=self.push_at_s,
@@ -83,15 +86,18 @@ class Slave:
                 duration_s=self.duration_s,
                 patience_s=self.patience_s,
                 keep_s=self.keep_s,
+                **live,
             )
 
             def status() -> str:
                 slave.poll()
                 tell(slave.security_events())
                 flight.write(slave.flight())
-                return marked(f"slave {slave.state}, {slave.ticks} ticks", insecure=self.insecure)
+                shown = f"slave {slave.state}, {slave.ticks} ticks{recording_status(slave.recording)}"
+                return marked(shown, insecure=self.insecure)
 
             headline = marked(f"slave listens on {slave.address}", insecure=self.insecure)
+            headline += f"\nreal time: {slave.realtime}"
             with Acts(press=slave.allow_takeover, acknowledge=slave.acknowledge):
                 wait(headline, status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
@@ -110,11 +116,12 @@ class Slave:
         from rich.console import Console
 
         from haptether.bridge import ladder_state_name
-        from haptether.cli.live import percentile
+        from haptether.cli.link_table import link_table
         from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.studies import summarise_link
 
         state = ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged"
-        late_p50_s, late_p99_s = (percentile(trace.overshoot_s, share) for share in (50, 99))
+        link = summarise_link(trace, report)
         result = {
             "security": "secure" if report.secure else "insecure",
             "final_state": state,
@@ -128,16 +135,17 @@ class Slave:
             "late": report.link.late,
             "refused": report.link.refused,
             "rejections": report.rejections,
-            "overshoot_p50_s": late_p50_s,
-            "overshoot_p99_s": late_p99_s,
+            "overshoot_p50_s": link.overshoot_p50_s,
+            "overshoot_p99_s": link.overshoot_p99_s,
+            "link": link,
         }
-        Console(stderr=table_goes_to_stderr(self.json)).print(
+        console = Console(stderr=table_goes_to_stderr(self.json))
+        console.print(
             f"slave {state}: {report.ticks} ticks, {report.holds} holds, {report.limited} commands clamped, "
-            f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}, "
-            f"loop late by p50 {late_p50_s * 1e3:.3f} ms, "
-            f"p99 {late_p99_s * 1e3:.3f} ms",
+            f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}",
             highlight=False,
         )
+        console.print(link_table(link))
         if self.json is not None:
             write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))
         return state

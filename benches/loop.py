@@ -1,0 +1,195 @@
+"""How late the live loop wakes, beside cyclictest in the same run, turn by turn and under the same policy.
+
+Required: p50 and p99 of the overshoot at most 1.2 times those of cyclictest.
+
+Both wait for absolute deadlines of CLOCK_MONOTONIC, 1 ms apart, with locked memory: under SCHED_FIFO 80 where that is
+allowed, else (and with `--policy other`) as ordinary threads. cyclictest does nothing between two deadlines; the loop
+is the master's: it takes datagrams, ticks its endpoint and its simulated device, and sends a frame to a socket that
+nobody reads. cyclictest comes with Debian's package rt-tests: apt-get install rt-tests.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.bridge import LiveMaster, MasterSettings
+from haptether.master import Hand, HapticDevice
+from haptether.safety import SafetySettings
+
+EXAMPLE = "example: python benches/loop.py --rounds 10 --json -"
+PRIORITY, PERIOD_US = 80, 1000
+LONGEST_NS = 1_000_000
+"""Largest overshoot that cyclictest tells apart; further ones are counted."""
+REQUIRED = 1.2
+SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """Overshoot in us of one turn."""
+
+    who: str
+    wakes: int
+    beyond: int
+    """Wakes more than 1 ms late."""
+    p50_us: float
+    p99_us: float
+    p999_us: float
+    load_average: float
+
+
+def quantiles(who: str, overshoot_ns: npt.NDArray[np.float64], beyond: int, load_average: float) -> Round:
+    """Of one turn; what is beyond the histogram counts as 1 ms."""
+    p50, p99, p999 = (float(np.quantile(overshoot_ns, share)) / 1e3 for share in SHARES.values())
+    return Round(
+        who=who, wakes=overshoot_ns.size, beyond=beyond, p50_us=p50, p99_us=p99, p999_us=p999, load_average=load_average
+    )
+
+
+def cyclictest(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int]:
+    """Its overshoots in ns, each wake once, and how many were later than 1 ms."""
+    with tempfile.NamedTemporaryFile() as histogram:
+        command = ["cyclictest", "-q", "-m", "-N", "-i", str(PERIOD_US), "-l", str(wakes), "-h", str(LONGEST_NS)]
+        command += ["--policy", policy, *(["-p", str(PRIORITY)] if policy == "fifo" else [])]
+        subprocess.run([*command, f"--histfile={histogram.name}"], check=True, stdout=subprocess.DEVNULL,
+                       stderr=subprocess.DEVNULL)  # fmt: skip
+        rows = [line.split() for line in Path(histogram.name).read_text().splitlines() if line[:1].isdigit()]
+    late_ns, counts = (np.array([int(row[column]) for row in rows]) for column in (0, 1))
+    beyond = max(wakes - int(counts.sum()), 0)
+    seen = np.repeat(late_ns, counts).astype(np.float64)
+    return np.concatenate([seen, np.full(beyond, float(LONGEST_NS))]), beyond
+
+
+def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, str]:
+    """The same of the live loop, and what it got of the system."""
+    settings = MasterSettings(
+        HapticDevice.phantom_desktop(),
+        Hand(stiffness=300, damping=8, strength_n=12, start=0.0),
+        safety=SafetySettings(["hsc", "wsc"]),
+        clutch=[],
+    )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.bind(("127.0.0.1", 0))
+        peer = f"127.0.0.1:{sink.getsockname()[1]}"
+        master = LiveMaster(
+            settings,
+            peer=peer,
+            session=1,
+            patience_s=wakes * PERIOD_US * 1e-6,
+            realtime="auto" if policy == "fifo" else "off",
+            priority=PRIORITY,
+        )
+        while not master.finished:
+            # Not `poll`: the ring holds 65 s.
+            time.sleep(0.2)
+        realtime = master.realtime
+        trace, report = master.finish()
+    overshoot_ns = np.minimum(trace.overshoot_s * 1e9, LONGEST_NS)
+    assert report.dropped_records == 0
+    return overshoot_ns, int(np.count_nonzero(trace.overshoot_s * 1e9 >= LONGEST_NS)), realtime
+
+
+def main() -> int:
+    """Measures, prints the table, and says whether the requirement is met."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--rounds", type=int, default=6, help="turns of each; default 6")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each turn, 1 to 60; default 10")
+    parser.add_argument("--policy", choices=("fifo", "other"), help="by default fifo where it is allowed")
+    arguments = parser.parse_args()
+    if not (1 <= arguments.seconds <= 60 and 1 <= arguments.rounds <= 1000):
+        parser.error("--seconds must be 1 to 60, --rounds 1 to 1000")
+    if shutil.which("cyclictest") is None:
+        parser.error("cyclictest is missing: apt-get install rt-tests")
+    policy = arguments.policy or allowed_policy()
+    wakes = round(arguments.seconds * 1e6 / PERIOD_US)
+
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    print(f"overshoot in us, {wakes} wakes a turn, policy {policy}\n", file=out)
+    print(f"{'':<14}{'p50':>10}{'p99':>10}{'p99.9':>10}{'> 1 ms':>10}  load average", file=out)
+    rounds: list[Round] = []
+    pooled: dict[str, list[npt.NDArray[np.float64]]] = {"cyclictest": [], "haptether": []}
+    realtime = ""
+
+    def turn(who: str) -> None:
+        nonlocal realtime
+        load_average = os.getloadavg()[0]
+        if who == "cyclictest":
+            overshoot_ns, beyond = cyclictest(policy, wakes)
+        else:
+            overshoot_ns, beyond, realtime = live_loop(policy, wakes)
+        pooled[who].append(overshoot_ns)
+        rounds.append(quantiles(who, overshoot_ns, beyond, load_average))
+        show(rounds[-1])
+
+    def show(of: Round) -> None:
+        print(
+            f"{of.who:<14}{of.p50_us:>10.1f}{of.p99_us:>10.1f}{of.p999_us:>10.1f}{of.beyond:>10}"
+            f"  {of.load_average:.1f}",
+            file=out,
+        )
+
+    for number in range(arguments.rounds):
+        # Who goes first changes, so that a load that rises or falls favours neither.
+        order = ("cyclictest", "haptether") if number % 2 == 0 else ("haptether", "cyclictest")
+        for who in order:
+            turn(who)
+
+    print("\nall turns together", file=out)
+    together = {}
+    for who, turns in pooled.items():
+        beyond = sum(of.beyond for of in rounds if of.who == who)
+        together[who] = quantiles(who, np.concatenate(turns), beyond, os.getloadavg()[0])
+        show(together[who])
+    ours, theirs = together["haptether"], together["cyclictest"]
+    ratios = {name: getattr(ours, f"{name}_us") / getattr(theirs, f"{name}_us") for name in SHARES}
+    print(f"\nthe loop's real time: {realtime}", file=out)
+    print("times cyclictest: " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()), file=out)
+    met = {f"{name} at most {REQUIRED} times cyclictest": ratios[name] <= REQUIRED for name in ("p50", "p99")}
+    for what, is_met in met.items():
+        print(f"required {what}: {'met' if is_met else 'MISSED'}", file=out)
+    if arguments.json is not None:
+        text = json.dumps(
+            {
+                "policy": policy,
+                "realtime": realtime,
+                "rounds": [asdict(of) for of in rounds],
+                "together": {who: asdict(of) for who, of in together.items()},
+                "ratios": ratios,
+                "met": met,
+            },
+            indent=2,
+        )
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 0 if all(met.values()) else 1
+
+
+def allowed_policy() -> str:
+    """What this process may have."""
+    try:
+        before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, before, parameter)
+    except PermissionError:
+        return "other"
+    return "fifo"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

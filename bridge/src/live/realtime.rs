@@ -1,0 +1,310 @@
+//! What the loop's thread asks of the system, and what it got.
+
+use std::{
+    fmt,
+    fs::{File, OpenOptions},
+    io::{self, Write},
+    sync::{Mutex, PoisonError},
+};
+
+use haptether_netsim::schedule_fifo;
+use rustix::{
+    io::Errno,
+    mm::{MlockAllFlags, mlockall, munlockall},
+    thread::{CpuSet, sched_getaffinity, sched_setaffinity},
+};
+
+use super::clock;
+
+/// How much is at stake.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RealtimeDemand {
+    /// Ask for nothing.
+    Off,
+    /// Ask, and go on with what was got.
+    #[default]
+    Auto,
+    /// Ask, and do not start with less.
+    Require,
+}
+
+/// What to ask of the system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RealtimeSettings {
+    /// How much is at stake.
+    pub demand: RealtimeDemand,
+    /// Priority under `SCHED_FIFO`, 1 to 99. The default lies above the threads of interrupts (50) and of netsim (40).
+    pub priority: u8,
+    /// Processor that the loop stays on; without one the kernel chooses.
+    pub cpu: Option<u16>,
+}
+
+impl Default for RealtimeSettings {
+    fn default() -> Self {
+        Self { demand: RealtimeDemand::Auto, priority: 80, cpu: None }
+    }
+}
+
+/// What became of one wish.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Granted<T> {
+    /// Nobody asked.
+    #[default]
+    NotAsked,
+    /// Granted, as the kernel says when it is asked again.
+    Yes(T),
+    /// Refused, with the number of the kernel's error; 0 where it said yes and did otherwise.
+    Refused(i32),
+}
+
+impl<T> Granted<T> {
+    fn from_result(result: io::Result<T>) -> Self {
+        Self::from_errno(result.map_err(|error| error.raw_os_error()))
+    }
+
+    fn from_errno(result: Result<T, Option<i32>>) -> Self {
+        match result {
+            Ok(got) => Self::Yes(got),
+            Err(number) => Self::Refused(number.unwrap_or(0)),
+        }
+    }
+
+    fn is_refused(&self) -> bool {
+        matches!(self, Self::Refused(_))
+    }
+}
+
+/// What the loop's thread has got, as read back from the kernel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RealtimeReport {
+    /// Priority under `SCHED_FIFO`.
+    pub fifo: Granted<u8>,
+    /// Bytes of the process that cannot be paged out.
+    pub locked: Granted<u64>,
+    /// Processor that the loop stays on.
+    pub cpu: Granted<u16>,
+    /// Processors that do not fall into a sleep from which they wake late. Only root may ask for that, and little
+    /// hangs on it: it is never required.
+    pub wakeful: Granted<()>,
+}
+
+impl RealtimeReport {
+    /// Whether all that was asked for was granted.
+    pub fn is_complete(&self) -> bool {
+        !(self.fifo.is_refused() || self.locked.is_refused() || self.cpu.is_refused())
+    }
+
+    /// What was refused, and what would have it granted.
+    fn refusals(&self) -> Vec<String> {
+        let mut refusals = Vec::new();
+        let mut add = |what: &str, number: i32, needs: &str| {
+            refusals.push(match Errno::from_raw_os_error(number) {
+                Errno::PERM | Errno::NOMEM | Errno::AGAIN => format!("{what} needs {needs}"),
+                _ if number == 0 => format!("{what} was granted and not given"),
+                _ => format!("{what}: {}", io::Error::from_raw_os_error(number)),
+            });
+        };
+        if let Granted::Refused(number) = self.fifo {
+            add("SCHED_FIFO", number, "CAP_SYS_NICE or a larger RLIMIT_RTPRIO");
+        }
+        if let Granted::Refused(number) = self.locked {
+            add("locked memory", number, "CAP_IPC_LOCK or a larger RLIMIT_MEMLOCK");
+        }
+        if let Granted::Refused(number) = self.cpu {
+            add("the processor", number, "a processor that this process may use");
+        }
+        refusals
+    }
+}
+
+impl fmt::Display for RealtimeReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if *self == Self::default() {
+            return f.write_str("off: ordinary scheduling");
+        }
+        let refusals = self.refusals();
+        let mut parts = vec![match self.fifo {
+            Granted::Yes(priority) => format!("SCHED_FIFO {priority}"),
+            _ => "ordinary scheduling".to_owned(),
+        }];
+        if let Granted::Yes(bytes) = self.locked {
+            parts.push(format!("memory locked ({} MiB)", bytes >> 20));
+        }
+        if let Granted::Yes(cpu) = self.cpu {
+            parts.push(format!("processor {cpu}"));
+        }
+        if self.wakeful == Granted::Yes(()) {
+            parts.push("no deep sleep of processors".to_owned());
+        }
+        if !refusals.is_empty() {
+            write!(f, "refused ({}): ", refusals.join("; "))?;
+        }
+        f.write_str(&parts.join(", "))
+    }
+}
+
+/// Asks for all of it for this thread; what is given must live as long as it is to last.
+pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
+    clock::ask_for_prompt_wakeups();
+    if settings.demand == RealtimeDemand::Off {
+        return (RealtimeReport::default(), Kept::default());
+    }
+    let memory = LockedMemory::new();
+    let awake = keep_awake();
+    let report = RealtimeReport {
+        locked: Granted::from_errno(
+            memory.as_ref().map(|memory| memory.bytes).map_err(|errno| Some(errno.raw_os_error())),
+        ),
+        cpu: settings.cpu.map_or(Granted::NotAsked, |cpu| Granted::from_result(stay_on(cpu))),
+        fifo: Granted::from_result(schedule_fifo(settings.priority)),
+        wakeful: Granted::from_errno(awake.as_ref().map(|_| ()).map_err(io::Error::raw_os_error)),
+    };
+    if memory.is_err() {
+        touch_stack(32);
+    }
+    (report, Kept { memory: memory.ok(), awake: awake.ok() })
+}
+
+/// What is granted for as long as it is held.
+#[derive(Debug, Default)]
+#[allow(dead_code)] // held, not read
+pub(super) struct Kept {
+    memory: Option<LockedMemory>,
+    awake: Option<File>,
+}
+
+/// Tells the kernel that no wake-up may take long, as cyclictest does, for as long as the file is open.
+fn keep_awake() -> io::Result<File> {
+    let mut latency = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;
+    latency.write_all(&0_i32.to_ne_bytes())?;
+    Ok(latency)
+}
+
+/// Keeps this thread on one processor.
+fn stay_on(cpu: u16) -> io::Result<u16> {
+    if usize::from(cpu) >= CpuSet::MAX_CPU {
+        return Err(Errno::INVAL.into());
+    }
+    let mut only = CpuSet::new();
+    only.set(usize::from(cpu));
+    sched_setaffinity(None, &only)?;
+    if sched_getaffinity(None)? == only { Ok(cpu) } else { Err(io::Error::other("another set")) }
+}
+
+/// Has the pages of the stack that a tick uses there before the first one, where they cannot be locked.
+#[inline(never)]
+fn touch_stack(pages: u32) -> u8 {
+    let page = std::hint::black_box([0_u8; 4096]);
+    let below = if pages == 0 { 0 } else { touch_stack(pages - 1) };
+    std::hint::black_box(page[0]) | below
+}
+
+/// Loops whose memory is locked: the kernel locks whole processes, not threads.
+static LOCKING: Mutex<usize> = Mutex::new(0);
+
+/// The memory of the process stays where it is, stacks and what is allocated later included.
+#[derive(Debug)]
+pub(super) struct LockedMemory {
+    /// As the kernel says.
+    bytes: u64,
+}
+
+impl LockedMemory {
+    fn new() -> Result<Self, Errno> {
+        let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
+        // The stack of this thread is a mapping like others: this has all its pages there, too.
+        mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)?;
+        *locking += 1;
+        Ok(Self { bytes: locked_bytes().unwrap_or(0) })
+    }
+}
+
+impl Drop for LockedMemory {
+    fn drop(&mut self) {
+        let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
+        *locking -= 1;
+        if *locking == 0 {
+            let _ = munlockall();
+        }
+    }
+}
+
+/// `VmLck` of this process.
+fn locked_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmLck:"))?;
+    Some(line.split_whitespace().next()?.parse::<u64>().ok()? << 10)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_got_is_said_in_words() {
+        let (not_asked, perm) = (Granted::NotAsked, Errno::PERM.raw_os_error());
+        for (fifo, locked, cpu, said) in [
+            (not_asked, Granted::NotAsked, Granted::NotAsked, "off: ordinary scheduling"),
+            (
+                Granted::Yes(80),
+                Granted::Yes(12 << 20),
+                Granted::NotAsked,
+                "SCHED_FIFO 80, memory locked (12 MiB)",
+            ),
+            (
+                Granted::Yes(80),
+                Granted::Yes(12 << 20),
+                Granted::Yes(1),
+                "SCHED_FIFO 80, memory locked (12 MiB), processor 1",
+            ),
+            (
+                Granted::Refused(perm),
+                Granted::Yes(1 << 20),
+                Granted::NotAsked,
+                "refused (SCHED_FIFO needs CAP_SYS_NICE or a larger RLIMIT_RTPRIO): ordinary scheduling, memory \
+                 locked (1 MiB)",
+            ),
+        ] {
+            let report = RealtimeReport { fifo, locked, cpu, wakeful: Granted::NotAsked };
+            assert_eq!(report.to_string(), said);
+            assert_eq!(report.is_complete(), !said.contains("refused"));
+        }
+    }
+
+    #[test]
+    fn a_processor_that_is_not_there_is_refused_and_nothing_else() {
+        for cpu in [u16::MAX, 1023] {
+            let settings = RealtimeSettings { cpu: Some(cpu), ..RealtimeSettings::default() };
+            let (report, _kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+            assert!(report.cpu.is_refused());
+            assert!(!report.is_complete());
+        }
+    }
+
+    #[test]
+    fn what_the_kernel_says_is_what_is_reported() {
+        let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
+        let (report, kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+        // Whether it is granted is this machine's; the report must be true either way.
+        match report.fifo {
+            Granted::Yes(priority) => assert_eq!(priority, 3),
+            Granted::Refused(number) => assert_ne!(number, 0),
+            Granted::NotAsked => panic!("it was asked for"),
+        }
+        match (report.locked, &kept.memory) {
+            (Granted::Yes(bytes), Some(_)) => assert!(bytes > 0 && locked_bytes() >= Some(1)),
+            (Granted::Refused(number), None) => assert_ne!(number, 0),
+            other => panic!("{other:?}"),
+        }
+        assert_eq!(report.wakeful == Granted::Yes(()), kept.awake.is_some());
+        drop(kept);
+    }
+
+    #[test]
+    fn nothing_is_asked_for_that_nobody_wants() {
+        let settings = RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() };
+        let (report, kept) = std::thread::spawn(move || prepare(settings)).join().unwrap();
+        assert_eq!(report, RealtimeReport::default());
+        assert!(kept.memory.is_none() && kept.awake.is_none());
+    }
+}

@@ -1,0 +1,187 @@
+//! What stands in a recording, and what it means.
+
+use serde_json::json;
+
+use super::SecurityMark;
+use crate::{
+    ladder::Reason,
+    record::{MasterRecord, SlaveRecord},
+};
+
+/// A value of a field.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value<'a> {
+    /// One number for each axis.
+    Axes(&'a [f64]),
+    /// A number; what is not finite becomes null.
+    Number(f64),
+    /// A count, a code or a set of bits.
+    Count(u64),
+    /// A name.
+    Name(&'static str),
+    /// Yes or no.
+    Flag(bool),
+}
+
+impl Value<'_> {
+    /// What JSON Schema calls it.
+    fn schema(self) -> serde_json::Value {
+        match self {
+            Self::Axes(_) => json!({"type": "array", "items": {"type": ["number", "null"]}}),
+            Self::Number(_) => json!({"type": ["number", "null"]}),
+            Self::Count(_) => json!({"type": "integer"}),
+            Self::Name(_) => json!({"type": "string"}),
+            Self::Flag(_) => json!({"type": "boolean"}),
+        }
+    }
+
+    fn write(self, out: &mut Vec<u8>) {
+        // A vector takes all that is written, and JSON has all these values.
+        let _ = match self {
+            Self::Axes(values) => serde_json::to_writer(out, values),
+            Self::Number(value) => serde_json::to_writer(out, &value),
+            Self::Count(value) => serde_json::to_writer(out, &value),
+            Self::Name(value) => serde_json::to_writer(out, value),
+            Self::Flag(value) => serde_json::to_writer(out, &value),
+        };
+    }
+}
+
+/// One field of a record: name, meaning with unit, value.
+pub type Field<'a> = (&'static str, &'static str, Value<'a>);
+
+/// What can be recorded.
+pub trait Recorded: Copy + Send + 'static {
+    /// Whose record it is.
+    const SIDE: &'static str;
+
+    /// Any record, which shows what fields there are.
+    fn any() -> Self;
+
+    /// Time since the run began, in ns.
+    fn time_ns(&self) -> u64;
+
+    /// Gives each field to `take`, always the same in the same order.
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
+}
+
+/// The JSON Schema of a record.
+pub(super) fn schema<R: Recorded>() -> String {
+    let record = R::any();
+    let mut properties = serde_json::Map::new();
+    record.fields(&mut |(name, meaning, value)| {
+        let mut field = value.schema();
+        field["description"] = meaning.into();
+        properties.insert(name.to_owned(), field);
+    });
+    let security =
+        json!({"type": "string", "description": "\"secure\" or \"insecure\": whether frames were sealed"});
+    properties.insert("security".to_owned(), security);
+    json!({"title": format!("haptether.{}", R::SIDE), "type": "object", "properties": properties}).to_string()
+}
+
+/// Writes a record as one JSON object.
+pub(super) fn write_json(record: &impl Recorded, security: SecurityMark, out: &mut Vec<u8>) {
+    let mut before = b'{';
+    record.fields(&mut |(name, _, value)| {
+        out.push(before);
+        before = b',';
+        Value::Name(name).write(out);
+        out.push(b':');
+        value.write(out);
+    });
+    out.extend_from_slice(b",\"security\":");
+    Value::Name(security.name()).write(out);
+    out.push(b'}');
+}
+
+/// A time in s; what never was is null.
+fn seconds(ns: u64) -> Value<'static> {
+    Value::Number(if ns == u64::MAX { f64::NAN } else { ns as f64 * 1e-9 })
+}
+
+fn reason(code: u8) -> Value<'static> {
+    Value::Name(Reason::from_code(code).map_or("", Reason::text))
+}
+
+const TIME: &str = "time since the run began, in ns";
+const STATE: &str = "state of the ladder";
+const REASON: &str = "why the ladder stands there; empty where it began";
+const CLUTCH: &str = "whether the clutch is closed, as far as this side knows";
+const AGE: &str = "silence of the peer in s; null before its first frame";
+const ROUND_TRIP: &str =
+    "round trip of the newest echo in s, waits for ticks included; null before the first";
+const OVERSHOOT: &str = "how late the loop woke, in s";
+const FAULT: &str = "code of the fault, 0 without";
+
+impl<const N: usize> Recorded for MasterRecord<N> {
+    const SIDE: &'static str = "master";
+
+    fn any() -> Self {
+        Self::empty()
+    }
+
+    fn time_ns(&self) -> u64 {
+        self.time_ns
+    }
+
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
+        let [velocity_force, grasp, windowed_energy_j] = self.observers;
+        for field in [
+            ("time_ns", TIME, Value::Count(self.time_ns)),
+            ("position", "x in m, as measured", Value::Axes(self.position.as_slice())),
+            ("true_position", "x in m of a modelled device", Value::Axes(self.true_position.as_slice())),
+            ("velocity", "V in m/s", Value::Axes(self.velocity.as_slice())),
+            ("hand_force", "force of a modelled hand in N", Value::Axes(self.hand_force.as_slice())),
+            ("rendered_force", "F_v in N", Value::Axes(self.rendered_force.as_slice())),
+            ("grasp_force", "F_h in N, as estimated", Value::Axes(self.grasp_force.as_slice())),
+            ("safety_force", "F_c in N", Value::Axes(self.safety_force.as_slice())),
+            ("device_force", "F_device in N", Value::Axes(self.device_force.as_slice())),
+            ("velocity_force", "S_vf; null where not observed", Value::Number(velocity_force)),
+            ("grasp", "S_h; null where not observed", Value::Number(grasp)),
+            ("windowed_energy_j", "E_wso in J; null where not observed", Value::Number(windowed_energy_j)),
+            ("tripped", "bits of the controllers that tripped", Value::Count(self.tripped.into())),
+            ("acted", "bits of the limiter's bounds that acted", Value::Count(self.acted.into())),
+            ("state", STATE, Value::Name(self.state.name())),
+            ("reason", REASON, reason(self.reason)),
+            ("clutch", CLUTCH, Value::Flag(self.clutch)),
+            ("age_s", AGE, seconds(self.age_ns)),
+            ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
+            ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
+            ("fault", FAULT, Value::Count(self.fault.into())),
+        ] {
+            take(field);
+        }
+    }
+}
+
+impl<const N: usize> Recorded for SlaveRecord<N> {
+    const SIDE: &'static str = "slave";
+
+    fn any() -> Self {
+        Self::empty()
+    }
+
+    fn time_ns(&self) -> u64 {
+        self.time_ns
+    }
+
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
+        for field in [
+            ("time_ns", TIME, Value::Count(self.time_ns)),
+            ("position", "of the tool, in m", Value::Axes(self.position.as_slice())),
+            ("command", "commanded position in m", Value::Axes(self.command.as_slice())),
+            ("environment_force", "F_e in N", Value::Axes(self.environment_force.as_slice())),
+            ("limited", "bits of the bounds that acted on the command", Value::Count(self.limited.into())),
+            ("state", STATE, Value::Name(self.state.name())),
+            ("reason", REASON, reason(self.reason)),
+            ("clutch", CLUTCH, Value::Flag(self.clutch)),
+            ("age_s", AGE, seconds(self.age_ns)),
+            ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
+            ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
+            ("fault", FAULT, Value::Count(self.fault.into())),
+        ] {
+            take(field);
+        }
+    }
+}

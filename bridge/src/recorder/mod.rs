@@ -1,0 +1,213 @@
+//! Records of a live loop to a file, on a thread of its own behind a bounded ring.
+//!
+//! The loop never waits for it. What a slow disk does not take in time is dropped and counted; a disk that refuses, or
+//! that has too little space left, ends the recording and nothing else. The file is MCAP with messages in JSON.
+
+mod disk;
+mod fields;
+mod mcap_file;
+mod writer;
+
+use std::{
+    io,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+        mpsc,
+    },
+    time::Duration,
+};
+
+pub use fields::{Field, Recorded, Value};
+
+use mcap_file::McapFile;
+
+/// Whether frames are sealed; a recording of an unsealed run says so in every record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SecurityMark {
+    /// Encrypted and authenticated.
+    Secure,
+    /// In plain sight, from anybody.
+    Insecure,
+}
+
+impl SecurityMark {
+    /// As it stands in a recording.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Secure => "secure",
+            Self::Insecure => "insecure",
+        }
+    }
+}
+
+/// How a recording is made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecorderSettings {
+    /// Its file; an existing one is replaced.
+    pub path: PathBuf,
+    /// Ends when fewer bytes than this are free on the disk; rosbag stops at 1e9, too.
+    pub min_free_bytes: u64,
+    /// What the run is marked as.
+    pub security: SecurityMark,
+}
+
+/// Why a recording ended before the run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RecordingEnd {
+    /// Too little space was left on the disk.
+    LowSpace,
+    /// The disk refused, with the number of the system's error.
+    Refused(i32),
+    /// The disk did not answer at the end of the run.
+    Stuck,
+}
+
+impl std::fmt::Display for RecordingEnd {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::LowSpace => f.write_str("too little space is left on the disk"),
+            Self::Refused(number) => write!(f, "{}", io::Error::from_raw_os_error(*number)),
+            Self::Stuck => write!(f, "the disk did not take the rest within {} s", PATIENCE.as_secs()),
+        }
+    }
+}
+
+/// What became of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RecordingReport {
+    /// Records that the system took.
+    pub written: u64,
+    /// Records of the loop that are not in the file; while it runs, those that wait are among them.
+    pub dropped: u64,
+    /// Why it ended early, if it did.
+    pub end: Option<RecordingEnd>,
+}
+
+/// Records that wait for the disk: 16 s at 1 kHz.
+const RING: usize = 1 << 14;
+
+/// How long the end of a run waits for the disk.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// What the recorder's thread tells.
+#[derive(Debug, Default)]
+struct Progress {
+    offered: AtomicU64,
+    written: AtomicU64,
+    end: AtomicU64,
+}
+
+/// A disk's refusal, above its error's number.
+const REFUSED: u64 = 1 << 32;
+const LOW_SPACE: u64 = 1;
+const STUCK: u64 = 2;
+
+impl Progress {
+    fn set_end(&self, end: RecordingEnd) {
+        let code = match end {
+            RecordingEnd::LowSpace => LOW_SPACE,
+            RecordingEnd::Stuck => STUCK,
+            RecordingEnd::Refused(number) => REFUSED | u64::from(number.unsigned_abs()),
+        };
+        // The first reason is the one that counts.
+        let _ = self.end.compare_exchange(0, code, Ordering::Relaxed, Ordering::Relaxed);
+    }
+
+    fn report(&self) -> RecordingReport {
+        let written = self.written.load(Ordering::Relaxed);
+        let end = match self.end.load(Ordering::Relaxed) {
+            0 => None,
+            LOW_SPACE => Some(RecordingEnd::LowSpace),
+            STUCK => Some(RecordingEnd::Stuck),
+            #[allow(clippy::cast_possible_truncation)] // put together above
+            refused => Some(RecordingEnd::Refused((refused as u32).cast_signed())),
+        };
+        RecordingReport {
+            written,
+            dropped: self.offered.load(Ordering::Relaxed).saturating_sub(written),
+            end,
+        }
+    }
+}
+
+/// How a recording stands, for whoever looks on.
+#[derive(Clone, Debug)]
+pub struct Recording(Arc<Progress>);
+
+impl Recording {
+    /// As it stands now.
+    pub fn report(&self) -> RecordingReport {
+        self.0.report()
+    }
+}
+
+/// The loop's end of the ring.
+#[derive(Debug)]
+pub struct Recorder<R> {
+    records: rtrb::Producer<R>,
+    progress: Arc<Progress>,
+    ended: mpsc::Receiver<()>,
+}
+
+impl<R: Recorded> Recorder<R> {
+    /// Opens the file, writes its head, and starts the thread that writes the rest.
+    pub fn begin(settings: &RecorderSettings) -> io::Result<Self> {
+        let free = disk::FreeSpace::beside(&settings.path)?;
+        if free.bytes() < settings.min_free_bytes {
+            let (free, least) = (free.bytes(), settings.min_free_bytes);
+            return Err(io::Error::new(
+                io::ErrorKind::StorageFull,
+                format!("{free} bytes are free on the disk, must be at least {least}"),
+            ));
+        }
+        let file = std::fs::File::create(&settings.path)?;
+        Self::write_to(file, move || free.bytes(), settings)
+    }
+
+    fn write_to(
+        out: impl io::Write + Send + 'static,
+        free_bytes: impl Fn() -> u64 + Send + 'static,
+        settings: &RecorderSettings,
+    ) -> io::Result<Self> {
+        let (records, waiting) = rtrb::RingBuffer::new(RING);
+        let progress = Arc::new(Progress::default());
+        let (tell, ended) = mpsc::sync_channel(1);
+        let (seen, security, min_free_bytes) =
+            (Arc::clone(&progress), settings.security, settings.min_free_bytes);
+        std::thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
+            // The head, too, is written there: not even that may keep a run waiting.
+            let file = McapFile::begin::<R>(out, security);
+            writer::write_while_open(file, waiting, &seen, &|| free_bytes() < min_free_bytes);
+            let _ = tell.send(());
+        })?;
+        Ok(Self { records, progress, ended })
+    }
+}
+
+impl<R> Recorder<R> {
+    /// Hands a record over, or drops it where the disk is behind: what is not written is counted.
+    pub(crate) fn take(&mut self, record: R) {
+        self.progress.offered.fetch_add(1, Ordering::Relaxed);
+        let _ = self.records.push(record);
+    }
+
+    /// Somebody else's view of it.
+    pub fn recording(&self) -> Recording {
+        Recording(Arc::clone(&self.progress))
+    }
+
+    /// Waits until all is written, but not for a disk that does not answer.
+    pub(crate) fn end(self) -> RecordingReport {
+        let Self { records, progress, ended } = self;
+        drop(records);
+        if ended.recv_timeout(PATIENCE).is_err() {
+            progress.set_end(RecordingEnd::Stuck);
+        }
+        progress.report()
+    }
+}
+
+#[cfg(test)]
+mod tests;

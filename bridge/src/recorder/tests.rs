@@ -1,0 +1,197 @@
+use std::{
+    io::{self, Write},
+    sync::{Mutex, mpsc},
+};
+
+use super::*;
+use crate::{LadderState, record::MasterRecord};
+
+const SETTINGS: RecorderSettings =
+    RecorderSettings { path: PathBuf::new(), min_free_bytes: 0, security: SecurityMark::Insecure };
+
+fn record(tick: u64) -> MasterRecord<2> {
+    MasterRecord {
+        time_ns: tick * 1_000_000,
+        position: [tick as f64, -0.1].into(),
+        observers: [0.25, f64::NAN, f64::INFINITY],
+        state: LadderState::Engaged,
+        reason: 1,
+        age_ns: u64::MAX,
+        round_trip_ns: 2_000_000,
+        ..MasterRecord::empty()
+    }
+}
+
+/// What was written, for whoever wrote it.
+#[derive(Clone, Default)]
+struct Paper(Arc<Mutex<Vec<u8>>>);
+
+impl Paper {
+    fn read(&self) -> Vec<u8> {
+        self.0.lock().unwrap().clone()
+    }
+}
+
+/// A disk that takes `room` bytes, and each only when `gate` is open.
+struct Disk {
+    paper: Paper,
+    room: usize,
+    gate: Option<mpsc::Receiver<()>>,
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if let Some(gate) = &self.gate {
+            // Gone is open for ever.
+            let _ = gate.recv();
+        }
+        let taken = bytes.len().min(self.room);
+        if taken == 0 {
+            return Err(rustix::io::Errno::NOSPC.into());
+        }
+        self.room -= taken;
+        self.paper.0.lock().unwrap().extend_from_slice(&bytes[..taken]);
+        Ok(taken)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn disk(room: usize) -> (Disk, Paper) {
+    let paper = Paper::default();
+    (Disk { paper: paper.clone(), room, gate: None }, paper)
+}
+
+/// The messages that can be read from a file, whole or not.
+fn messages(file: &[u8]) -> Vec<serde_json::Value> {
+    mcap::MessageStream::new_with_options(file, mcap::read::Options::IgnoreEndMagic.into())
+        .unwrap()
+        .map_while(Result::ok)
+        .map(|message| serde_json::from_slice(&message.data).unwrap())
+        .collect()
+}
+
+/// Hands over records as a loop does that has all the time that the disk needs.
+fn take_slowly(recorder: &mut Recorder<MasterRecord<2>>, count: u64) {
+    for tick in 0..count {
+        while recorder.records.is_full() {
+            std::thread::yield_now();
+        }
+        recorder.take(record(tick));
+    }
+}
+
+#[test]
+fn what_is_recorded_can_be_read() {
+    let (disk, paper) = disk(usize::MAX);
+    let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
+    take_slowly(&mut recorder, 1000);
+    assert_eq!(recorder.end(), RecordingReport { written: 1000, dropped: 0, end: None });
+    let file = paper.read();
+    let read = messages(&file);
+    assert_eq!(read.len(), 1000);
+    for (tick, message) in read.iter().enumerate() {
+        assert_eq!(message["time_ns"], tick * 1_000_000);
+        assert_eq!(message["position"], serde_json::json!([tick as f64, -0.1]));
+        assert_eq!(message["velocity_force"], 0.25);
+        assert!(message["grasp"].is_null() && message["windowed_energy_j"].is_null());
+        assert!(message["age_s"].is_null());
+        assert_eq!(message["round_trip_s"], 0.002);
+        assert_eq!(message["state"], "engaged");
+        assert_eq!(message["security"], "insecure");
+    }
+    let summary = mcap::Summary::read(&file).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, 1000);
+    let channel = summary.channels.values().next().unwrap();
+    assert_eq!((channel.topic.as_str(), channel.message_encoding.as_str()), ("/master", "json"));
+    assert_eq!(channel.metadata["security"], "insecure");
+    let schema = channel.schema.as_ref().unwrap();
+    assert_eq!((schema.name.as_str(), schema.encoding.as_str()), ("haptether.master", "jsonschema"));
+    let described: serde_json::Value = serde_json::from_slice(&schema.data).unwrap();
+    let described: Vec<&String> = described["properties"].as_object().unwrap().keys().collect();
+    let written: Vec<&String> = read[0].as_object().unwrap().keys().collect();
+    assert_eq!(described, written);
+}
+
+#[test]
+fn a_disk_that_does_not_answer_costs_records_and_no_time() {
+    let (open, gate) = mpsc::channel();
+    let (mut disk, paper) = disk(usize::MAX);
+    disk.gate = Some(gate);
+    let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
+    let offered = 3 * RING as u64;
+    // Nothing in here waits: the gate is shut, and all is handed over.
+    (0..offered).for_each(|tick| recorder.take(record(tick)));
+    assert!(recorder.records.is_full());
+    assert_eq!(recorder.recording().report().written, 0);
+    drop(open);
+    let report = recorder.end();
+    assert_eq!((report.written + report.dropped, report.end), (offered, None));
+    assert!(report.written >= RING as u64 && report.dropped > 0, "{report:?}");
+    assert_eq!(messages(&paper.read()).len() as u64, report.written);
+}
+
+#[test]
+fn a_run_ends_without_a_disk_that_never_answers() {
+    let (open, gate) = mpsc::channel();
+    let (mut disk, _) = disk(usize::MAX);
+    disk.gate = Some(gate);
+    let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
+    (0..10).for_each(|tick| recorder.take(record(tick)));
+    let report = recorder.end();
+    assert_eq!(report, RecordingReport { written: 0, dropped: 10, end: Some(RecordingEnd::Stuck) });
+    drop(open);
+}
+
+#[test]
+fn a_disk_that_is_full_ends_the_recording_and_what_it_took_can_be_read() {
+    for room in [0, 10, 100_000, 500_000] {
+        let (disk, paper) = disk(room);
+        let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
+        take_slowly(&mut recorder, 5000);
+        let report = recorder.end();
+        let full = rustix::io::Errno::NOSPC.raw_os_error();
+        assert_eq!(report.end, Some(RecordingEnd::Refused(full)), "{room}");
+        assert_eq!(report.written + report.dropped, 5000);
+        assert_eq!(report.written > 0, room >= 500_000, "{report:?}");
+        if room > 10 {
+            // Of a chunk that the disk took in part, a part can be read.
+            let read = messages(&paper.read()).len() as u64;
+            assert!((report.written..report.written + writer::CHUNK).contains(&read), "{read}, {report:?}");
+        }
+    }
+}
+
+#[test]
+fn too_little_space_ends_the_recording_with_a_whole_file() {
+    let (disk, paper) = disk(usize::MAX);
+    let looked = std::cell::Cell::new(0);
+    let free = move || {
+        looked.set(looked.get() + 1);
+        if looked.get() < 3 { 100 } else { 99 }
+    };
+    let settings = RecorderSettings { min_free_bytes: 100, ..SETTINGS };
+    let mut recorder = Recorder::write_to(disk, free, &settings).unwrap();
+    take_slowly(&mut recorder, 5000);
+    let report = recorder.end();
+    assert_eq!(report.end, Some(RecordingEnd::LowSpace));
+    assert!(report.written > 0 && report.written + report.dropped == 5000, "{report:?}");
+    let summary = mcap::Summary::read(&paper.read()).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, report.written);
+}
+
+#[test]
+fn a_recording_that_cannot_begin_touches_no_file() {
+    let path = std::env::temp_dir().join(format!("haptether-recorder-{}", std::process::id()));
+    std::fs::write(&path, "before").unwrap();
+    let settings = RecorderSettings { path: path.clone(), min_free_bytes: u64::MAX - 1, ..SETTINGS };
+    let error = Recorder::<MasterRecord<2>>::begin(&settings).unwrap_err();
+    assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+    assert!(error.to_string().contains("must be at least 18446744073709551614"), "{error}");
+    assert_eq!(std::fs::read(&path).unwrap(), b"before");
+    std::fs::remove_file(&path).unwrap();
+    let nowhere = RecorderSettings { path: path.join("beneath"), ..settings };
+    assert_eq!(Recorder::<MasterRecord<2>>::begin(&nowhere).unwrap_err().kind(), io::ErrorKind::NotFound);
+}

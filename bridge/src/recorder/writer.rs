@@ -1,0 +1,70 @@
+//! The thread that writes: it may wait for a disk, the loop may not.
+
+use std::{io::Write, sync::atomic::Ordering, thread, time::Duration};
+
+use super::{McapFile, Progress, Recorded, RecordingEnd};
+
+/// How long an empty ring is left alone: a small part of the time in which it fills.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// Records between two looks at the disk; they are one chunk of the file, which is lost where a run is killed.
+pub(super) const CHUNK: u64 = 256;
+
+/// Writes records until the other end of the ring is gone and all are written, or the disk has had enough.
+pub(super) fn write_while_open<R: Recorded>(
+    file: McapFile<impl Write>,
+    mut records: rtrb::Consumer<R>,
+    progress: &Progress,
+    is_full: &dyn Fn() -> bool,
+) {
+    let mut file = Some(file);
+    let mut taken = 0;
+    loop {
+        // Looked at first: what was pushed before the end is seen below.
+        let is_last = records.is_abandoned();
+        while let Ok(record) = records.pop() {
+            if let Some(open) = &mut file {
+                open.write(&record);
+                taken += 1;
+                if taken % CHUNK == 0 {
+                    look_at_disk(&mut file, taken, progress, is_full);
+                }
+            }
+        }
+        look_at_disk(&mut file, taken, progress, is_full);
+        if is_last {
+            break;
+        }
+        thread::sleep(PAUSE);
+    }
+    if let Some(open) = file {
+        match open.finish() {
+            Some(number) => progress.set_end(RecordingEnd::Refused(number)),
+            None => progress.written.store(taken, Ordering::Relaxed),
+        }
+    }
+}
+
+/// Has what was written so far taken by the system; closes the file where that fails or little space is left.
+fn look_at_disk(
+    file: &mut Option<McapFile<impl Write>>,
+    taken: u64,
+    progress: &Progress,
+    is_full: &dyn Fn() -> bool,
+) {
+    if taken == progress.written.load(Ordering::Relaxed) {
+        return;
+    }
+    let Some(open) = file else { return };
+    if let Some(number) = open.flush() {
+        progress.set_end(RecordingEnd::Refused(number));
+        *file = None;
+        return;
+    }
+    progress.written.store(taken, Ordering::Relaxed);
+    if is_full() {
+        progress.set_end(RecordingEnd::LowSpace);
+        // What is there becomes a whole file: the index at its end is small.
+        let _ = file.take().map(McapFile::finish);
+    }
+}

@@ -1,0 +1,37 @@
+"""The table of a link that `master`, `slave` and `check-link` print."""
+
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from haptether.studies import LinkSummary
+
+
+def link_table(of: "LinkSummary") -> Table:
+    """Rate, late cycles, round trip, jitter, loss, worst gap; and what was recorded."""
+
+    def ms(*values: float | None) -> str:
+        return " / ".join("-" if value is None else f"{value * 1e3:.3f}" for value in values)
+
+    table = Table(header_style="bold", pad_edge=False, show_header=False)
+    table.add_column()
+    table.add_column(overflow="fold")
+    loss = "-" if of.loss is None else f"{of.lost} of {of.arrived + of.lost} ({of.loss:.2%})"
+    rows = {
+        "real time": of.realtime,
+        "rate [Hz]": f"{of.rate_hz:.1f}",
+        "late cycles, ticks left out": f"{of.late_cycles}, {of.skipped_ticks}",
+        "loop wakes late, p50 / p99 / max [ms]": ms(of.overshoot_p50_s, of.overshoot_p99_s, of.overshoot_max_s),
+        "round trip, p50 / p99 / max [ms]": ms(of.round_trip_p50_s, of.round_trip_p99_s, of.round_trip_max_s),
+        "jitter of the round trip [ms]": ms(of.jitter_s),
+        "lost on the way here": loss,
+        "worst gap between arrivals [ms]": ms(of.worst_gap_s),
+    }
+    if of.recorded is not None:
+        rows["recorded, dropped"] = f"{of.recorded}, {of.unrecorded}"
+        if of.recording_end is not None:
+            rows["recording ended early"] = of.recording_end
+    for name, value in rows.items():
+        table.add_row(name.replace("[", "\\["), value.replace("[", "\\["))
+    return table

@@ -1,0 +1,129 @@
+"""What a live run says of its loop and of the link: the lines at the end of `master`, `slave` and `check-link`."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from haptether.bridge import LoopReport, MasterTrace, SlaveTrace
+
+
+class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """One side's view of a run. Times in s; none where nothing arrived."""
+
+    realtime: str
+    """What the loop's thread got of the system."""
+    rate_hz: float
+    """Ticks per second."""
+    late_cycles: int
+    """Wakes later than a whole period, after which ticks were left out."""
+    skipped_ticks: int
+    overshoot_p50_s: float
+    overshoot_p99_s: float
+    overshoot_max_s: float
+    """How late the loop woke."""
+    round_trip_p50_s: float | None
+    round_trip_p99_s: float | None
+    round_trip_max_s: float | None
+    """As the coupling has it: the waits of both loops for their next ticks are part of it."""
+    jitter_s: float | None
+    """Standard deviation of the round trip."""
+    sent: int
+    arrived: int
+    lost: int
+    """Frames of the peer that never arrived, up to the newest one."""
+    loss: float | None
+    """Their share."""
+    worst_gap_s: float | None
+    """Longest time between two arrivals."""
+    recorded: int | None
+    """Records in the recording; none without one."""
+    unrecorded: int | None
+    """Records that the disk did not take."""
+    recording_end: str | None
+    """Why the recording ended before the run, if it did."""
+
+
+def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s: float = 1e-3) -> LinkSummary:
+    """Summarises a run of one side whose loop has the period `period_s`."""
+    time_s, overshoot_s = trace.time_s, trace.overshoot_s
+    fresh = trace.age_s == 0.0
+    round_trips = trace.round_trip_s[fresh & np.isfinite(trace.round_trip_s)]
+    arrivals = time_s[fresh]
+    lasted_s = float(time_s[-1] - time_s[0]) if time_s.size > 1 else 0.0
+    link, recording = report.link, report.recording
+    arrived = link.fresh + link.late
+
+    def late(share: float) -> float:
+        return float(np.quantile(overshoot_s, share)) if overshoot_s.size else 0.0
+
+    def round_trip(share: float) -> float | None:
+        return float(np.quantile(round_trips, share)) if round_trips.size else None
+
+    return LinkSummary(
+        realtime=report.realtime,
+        rate_hz=(time_s.size - 1) / lasted_s if lasted_s > 0.0 else 0.0,
+        late_cycles=int(np.count_nonzero(overshoot_s >= period_s)),
+        skipped_ticks=report.skipped,
+        overshoot_p50_s=late(0.5),
+        overshoot_p99_s=late(0.99),
+        overshoot_max_s=late(1.0),
+        round_trip_p50_s=round_trip(0.5),
+        round_trip_p99_s=round_trip(0.99),
+        round_trip_max_s=round_trip(1.0),
+        jitter_s=float(np.std(round_trips)) if round_trips.size else None,
+        sent=link.sent,
+        arrived=arrived,
+        lost=link.missing,
+        loss=link.missing / (arrived + link.missing) if arrived + link.missing else None,
+        worst_gap_s=float(np.diff(arrivals).max()) if arrivals.size > 1 else None,
+        recorded=None if recording is None else recording.written,
+        unrecorded=None if recording is None else recording.dropped,
+        recording_end=None if recording is None else recording.end,
+    )
+
+
+class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether a link is good enough for a coupling."""
+
+    bearable_delay_s: float | None
+    """Least sum of both delays at which contact begins to oscillate while a hand holds; none if at none."""
+    delay_s: float | None
+    """What the link has: the p99 of the round trip, and one and a half periods in which both sides sample and hold."""
+    bearable_gap_s: float
+    """Longest gap between arrivals without a hold."""
+    gap_s: float | None
+    """What the link has."""
+    good: bool
+    complaints: list[str]
+
+
+def judge_link(
+    summary: LinkSummary, bearable_delay_s: float, bearable_gap_s: float, period_s: float = 1e-3
+) -> LinkVerdict:
+    """Holds what a link has against what a coupling and the ladder bear."""
+    complaints = []
+    delay_s = None
+    if summary.round_trip_p99_s is None:
+        complaints.append("no answer carried an echo")
+    else:
+        # Sent as sampled at a tick, answered with what the slave sampled at its next, held for a period: T + T/2.
+        delay_s = summary.round_trip_p99_s + 1.5 * period_s
+        if delay_s >= bearable_delay_s:
+            complaints.append(
+                f"contact would oscillate: a delay of {delay_s * 1e3:.1f} ms, bearable is "
+                f"{bearable_delay_s * 1e3:.1f} ms"
+            )
+    if summary.worst_gap_s is not None and summary.worst_gap_s > bearable_gap_s:
+        complaints.append(
+            f"the ladder would have held: a gap of {summary.worst_gap_s * 1e3:.1f} ms, bearable is "
+            f"{bearable_gap_s * 1e3:.1f} ms"
+        )
+    return LinkVerdict(
+        bearable_delay_s=bearable_delay_s if math.isfinite(bearable_delay_s) else None,
+        delay_s=delay_s,
+        bearable_gap_s=bearable_gap_s,
+        gap_s=summary.worst_gap_s,
+        good=not complaints,
+        complaints=complaints,
+    )
