@@ -51,7 +51,6 @@ from haptether.bridge.scene_tables import (
     ChangeTable,
     ClockTable,
     CouplingTable,
-    SecurityTable,
     Kalman,
     LadderTable,
     LimiterTable,
@@ -62,6 +61,7 @@ from haptether.bridge.scene_tables import (
     SafetyTable,
     SavitzkyGolay,
     Scene,
+    SecurityTable,
 )
 from haptether.bridge.session_key import read_key, write_key
 from haptether.bridge.virtual_run import run_bridge
@@ -75,7 +75,6 @@ __all__ = [
     "ClockTable",
     "ContactTable",
     "CouplingTable",
-    "SecurityTable",
     "EnvironmentTable",
     "Event",
     "ForceSensorTable",
@@ -111,6 +110,7 @@ __all__ = [
     "SavitzkyGolay",
     "Scene",
     "SceneError",
+    "SecurityTable",
     "SeriesTable",
     "Signals",
     "Sinusoid",

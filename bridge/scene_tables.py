@@ -122,7 +122,7 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class SecurityTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[security]`: the session in which frames travel. Without this table they travel in the clear, as with `secure = false`.
+    """`[security]`: the session in which frames travel. Without this table they travel in the clear.
 
     Live runs are secure unless told otherwise; a scene without attacks pays nothing for what it would not show.
     """

@@ -18,8 +18,8 @@ from haptether.studies.remote_push import PushResult, measure_push, save_master_
 
 __all__ = [
     "DEMO_CONTROLLERS",
-    "ContactLoop",
     "RAVEN_ATTACKS",
+    "ContactLoop",
     "DemoScene",
     "Follower",
     "Interrupted",

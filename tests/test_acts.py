@@ -136,13 +136,14 @@ def test_times_out_of_order_or_range_are_refused(given: dict[str, float], said: 
 def test_scales_change_while_both_sides_run() -> None:
     hand = Hand(stiffness=300.0, damping=8.0, strength_n=20.0, start=0.02, legs=[(0.4, -0.03, "minimum-jerk")])
     ladder = LadderSettings(hold_after_s=0.5, stop_after_s=1.0)
+    key = bytes(range(32))
     slave = LiveSlave(
         SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02, ladder=ladder),
-        listen="127.0.0.1:0", session=2, duration_s=2.0, patience_s=20.0,
+        listen="127.0.0.1:0", session=2, key=key, duration_s=2.0, patience_s=20.0,
     )  # fmt: skip
     master = LiveMaster(
         MasterSettings(HapticDevice.phantom_desktop(), hand, ladder=ladder),
-        peer=slave.address, session=1, duration_s=2.0, patience_s=20.0,
+        peer=slave.address, session=1, key=key, duration_s=2.0, patience_s=20.0,
     )  # fmt: skip
     for refused in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="must be finite and above 0"):

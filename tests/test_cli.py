@@ -10,6 +10,8 @@ import pytest
 
 PROXY = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9"]
 COMMAND = [sys.executable, "-m", "haptether"]
+LISTEN = ["--listen", "127.0.0.1:0"]
+NOBODY = ["--insecure", "--peer", "127.0.0.1:9"]
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -33,19 +35,23 @@ def test_version_and_help() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["slave", "--listen", "nowhere"], "listen = \"nowhere\": "),
-        (["master", "--peer", "127.0.0.1:99999"], "peer = \"127.0.0.1:99999\": "),
+        (["slave", "--insecure", "--listen", "nowhere"], "listen = \"nowhere\": "),
+        (["master", "--insecure", "--peer", "127.0.0.1:99999"], "peer = \"127.0.0.1:99999\": "),
+        (["slave", "--listen", "127.0.0.1:0"], "--key PATH is missing: `haptether keygen PATH` makes a key"),
+        (["master", "--peer", "127.0.0.1:9"], "--insecure goes without, in the clear"),
+        (["master", "--peer", "127.0.0.1:9", "--key", "a.key", "--insecure"], "--key, --insecure: give one of the two"),
+        (["check-link", "--peer", "127.0.0.1:9", "--key", "/proc/self/status"], "others may use this key"),
         ([*PROXY, "--loss", "2"], "loss = 2: must be"),
         (["demo", "--jitter-s", "0.1"], "jitter_s"),
         (["demo", "--seed", "-1"], "seed = -1: must be between 0 and 2^64 - 1"),
         ([*PROXY, "--duration-s", "inf"], "duration_s = inf"),
         (["paper", "--encoder-quantum", "-1"], "encoder_quantum = -1: must be"),
-        (["master", "--peer", "127.0.0.1:9", "--priority", "100"], "priority = 100: must be 1 to 99"),
-        (["slave", "--listen", "127.0.0.1:0", "--min-free-bytes", "-1"], "min-free-bytes = -1: must be 0 to"),
-        (["check-link", "--peer", "127.0.0.1:9", "--duration-s", "601"], "duration-s = 601: must be between"),
-        (["check-link", "--peer", "127.0.0.1:9", "--wall-stiffness", "0"], "wall-stiffness = 0: must be above 0"),
-        (["check-link", "--peer", "127.0.0.1:9", "--force-scale", "-1"], "force_scale (lambda_f) = -1: must be"),
-        (["slave", "--listen", "127.0.0.1:0", "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
+        (["master", *NOBODY, "--priority", "100"], "priority = 100: must be 1 to 99"),
+        (["slave", "--insecure", *LISTEN, "--min-free-bytes", "-1"], "min-free-bytes = -1: must be 0 to"),
+        (["check-link", *NOBODY, "--duration-s", "601"], "duration-s = 601: must be between"),
+        (["check-link", *NOBODY, "--wall-stiffness", "0"], "wall-stiffness = 0: must be above 0"),
+        (["check-link", *NOBODY, "--force-scale", "-1"], "force_scale (lambda_f) = -1: must be"),
+        (["slave", "--insecure", *LISTEN, "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
     ],
 )  # fmt: skip
 def test_a_bad_request_is_one_line_and_status_2(arguments: list[str], said: str) -> None:

@@ -41,7 +41,7 @@ def peer() -> Iterator[str]:
 
 def start(peer: str, patience_s: float | None = None, **options: Unpack[Options]) -> LiveMaster:
     settings = MasterSettings(HapticDevice.phantom_desktop(), HAND, clutch=[])
-    return LiveMaster(settings, peer=peer, session=1, patience_s=patience_s, **options)
+    return LiveMaster(settings, peer=peer, session=1, insecure=True, patience_s=patience_s, **options)
 
 
 def run_for(peer: str, seconds: float, **options: Unpack[Options]) -> tuple[MasterTrace, LoopReport]:
@@ -115,7 +115,7 @@ def test_without_the_right_it_says_so_and_goes_on_unless_required(demand: str) -
     ended = subprocess.run(
         [
             "setpriv", "--bounding-set", "-sys_nice,-ipc_lock", sys.executable, "-m", "haptether", "master",
-            "--peer", "127.0.0.1:9", "--patience-s", "0.2", "--realtime", demand,
+            "--insecure", "--peer", "127.0.0.1:9", "--patience-s", "0.2", "--realtime", demand,
         ],
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip

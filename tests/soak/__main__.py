@@ -19,6 +19,8 @@ from typing import Any
 from tests.soak import commands
 from tests.soak.memory import Growth, anonymous_bytes, growth, loop_sleeps
 
+from haptether.bridge import write_key
+
 SAMPLE_S = 1.0
 LEAST_S = 160.0
 """Shortest soak that is judged: a loop's ring of 65536 records has each of its pages touched only after 66 s, and what
@@ -83,6 +85,7 @@ def soak(duration_s: float, tell: Callable[[str], None]) -> dict[str, Any]:
         results = {name: Path(folder, f"{name}.json") for name in ("slave", "network", "master")}
         running: dict[str, Running] = {}
         try:
+            write_key(results["slave"].with_name("soak.key"))
             running["slave"] = Running(commands.slave(results["slave"]))
             running["network"] = Running(commands.proxy(running["slave"].address(), results["network"]))
             running["master"] = Running(commands.master(running["network"].address(), results["master"]))

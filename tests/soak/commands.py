@@ -10,10 +10,26 @@ KEEP_S = 10.0
 """What the two sides keep of their ticks, in s: it is full long before memory is measured."""
 
 
+def key(result: Path) -> list[str]:
+    """The key of both sides, beside their results."""
+    return ["--key", str(result.with_name("soak.key"))]
+
+
 def slave(result: Path) -> list[str]:
     """The side of the robot, in front of a wall, pushed once."""
     pushed = ["--push-at-s", "5", "--push-force-n", "2"]
-    return [*HAPTETHER, "slave", "--listen", "127.0.0.1:0", "--keep-s", f"{KEEP_S}", *pushed, "--json", str(result)]
+    return [
+        *HAPTETHER,
+        "slave",
+        "--listen",
+        "127.0.0.1:0",
+        *key(result),
+        "--keep-s",
+        f"{KEEP_S}",
+        *pushed,
+        "--json",
+        str(result),
+    ]
 
 
 def proxy(slave_address: str, result: Path) -> list[str]:
@@ -28,4 +44,4 @@ def proxy(slave_address: str, result: Path) -> list[str]:
 def master(proxy_address: str, result: Path) -> list[str]:
     """The side of the hand, which presses the wall all the time."""
     judged = ["--controller", "wsc", "--keep-s", f"{KEEP_S}", "--json", str(result)]
-    return [*HAPTETHER, "master", "--peer", proxy_address, *judged]
+    return [*HAPTETHER, "master", "--peer", proxy_address, *key(result), *judged]

@@ -26,7 +26,7 @@ class Master(LiveOptions):
 
     haptether master --peer 127.0.0.1:9000 --key arm.key --controller wsc
 
-    haptether master --peer 127.0.0.1:9001 --key arm.key --controller hsc --release-at-s 2.6 --duration-s 3.4 --json run.json
+    haptether master --peer 127.0.0.1:9001 --key arm.key --release-at-s 2.6 --duration-s 3.4 --json run.json
     """
 
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
