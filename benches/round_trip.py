@@ -1,0 +1,240 @@
+"""Round trip of authenticated frames through two endpoints on loopback, beside bare datagrams and other transports.
+
+Required: p50 of a round trip in a secure session at most 1.3 times that of a bare UDP ping-pong of as many bytes in
+Rust, in the same run.
+
+A round trip is what two ticks cost beyond waiting: tick, send, seal, UDP, open, receive, tick, send, seal, UDP, open,
+receive (`bridge/examples/ping_pong.rs`, which has the bare one, too). The peers in Python send the same bytes and do
+nothing with them: a socket, asyncio, and pyzmq (a PAIR over TCP, which is what it has for two ends).
+"""
+
+import argparse
+import asyncio
+import importlib
+import json
+import multiprocessing
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+EXAMPLE = "example: python benches/round_trip.py --json -"
+ROOT = Path(__file__).resolve().parents[1]
+BYTES = 148
+"""Of a sealed frame of one axis."""
+REQUIRED = 1.3
+WARM_UP = 500
+PATIENCE_S = 30.0
+
+Taken = npt.NDArray[np.float64]
+
+
+# Each peer answers in a process of its own, tells its port, and ends with what it was told to expect.
+
+
+def answer_socket(port: Connection, pings: int) -> None:
+    """Sends back what it gets."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.settimeout(PATIENCE_S)
+        there.bind(("127.0.0.1", 0))
+        port.send(there.getsockname()[1])
+        for _ in range(pings):
+            data, source = there.recvfrom(2048)
+            there.sendto(data, source)
+
+
+def ask_socket(port: int, pings: int) -> Taken:
+    """Round trips in ns."""
+    taken = np.empty(pings)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
+        here.settimeout(PATIENCE_S)
+        here.connect(("127.0.0.1", port))
+        for ping in range(pings):
+            begun = time.perf_counter_ns()
+            here.send(bytes(BYTES))
+            here.recv(2048)
+            taken[ping] = time.perf_counter_ns() - begun
+    return taken
+
+
+class Answering(asyncio.DatagramProtocol):
+    """Sends back what it gets."""
+
+    def __init__(self, pings: int) -> None:
+        self.left = pings
+        self.done = asyncio.get_running_loop().create_future()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Keeps what it sends with."""
+        self.transport = cast("asyncio.DatagramTransport", transport)
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """Back."""
+        self.transport.sendto(data, addr)
+        self.left -= 1
+        if self.left == 0:
+            self.done.set_result(None)
+
+
+def answer_asyncio(port: Connection, pings: int) -> None:
+    """The same in an event loop."""
+
+    async def serve() -> None:
+        loop = asyncio.get_running_loop()
+        transport, protocol = await loop.create_datagram_endpoint(lambda: Answering(pings), ("127.0.0.1", 0))
+        port.send(transport.get_extra_info("sockname")[1])
+        await asyncio.wait_for(protocol.done, PATIENCE_S)
+        # What was sent last may still wait in the loop.
+        await asyncio.sleep(0.05)
+
+    asyncio.run(serve())
+
+
+class Asking(asyncio.DatagramProtocol):
+    """Hands over what it gets."""
+
+    def __init__(self) -> None:
+        self.answers: asyncio.Queue[bytes] = asyncio.Queue()
+
+    def datagram_received(self, data: bytes, _: tuple[str, int]) -> None:
+        """To who waits."""
+        self.answers.put_nowait(data)
+
+
+def ask_asyncio(port: int, pings: int) -> Taken:
+    """Round trips in ns."""
+    taken = np.empty(pings)
+
+    async def ask() -> None:
+        loop = asyncio.get_running_loop()
+        transport, protocol = await loop.create_datagram_endpoint(Asking, remote_addr=("127.0.0.1", port))
+        for ping in range(pings):
+            begun = time.perf_counter_ns()
+            transport.sendto(bytes(BYTES))
+            await protocol.answers.get()
+            taken[ping] = time.perf_counter_ns() - begun
+        transport.close()
+
+    asyncio.run(ask())
+    return taken
+
+
+def pair() -> Any:  # noqa: ANN401  # pyzmq is not there where types are checked
+    """A ZeroMQ socket whose waits have an end."""
+    zmq = importlib.import_module("zmq")
+    made = zmq.Context().socket(zmq.PAIR)
+    made.setsockopt(zmq.RCVTIMEO, round(PATIENCE_S * 1e3))
+    made.setsockopt(zmq.LINGER, 1000)
+    return made
+
+
+def answer_zmq(port: Connection, pings: int) -> None:
+    """The same over ZeroMQ."""
+    there = pair()
+    port.send(there.bind_to_random_port("tcp://127.0.0.1"))
+    for _ in range(pings):
+        there.send(there.recv())
+    there.close()
+    there.context.term()
+
+
+def ask_zmq(port: int, pings: int) -> Taken:
+    """Round trips in ns."""
+    taken = np.empty(pings)
+    here = pair()
+    here.connect(f"tcp://127.0.0.1:{port}")
+    for ping in range(pings):
+        begun = time.perf_counter_ns()
+        here.send(bytes(BYTES))
+        here.recv()
+        taken[ping] = time.perf_counter_ns() - begun
+    here.close()
+    here.context.term()
+    return taken
+
+
+PEERS: dict[str, tuple[Callable[[Connection, int], None], Callable[[int, int], Taken]]] = {
+    "Python socket": (answer_socket, ask_socket),
+    "asyncio": (answer_asyncio, ask_asyncio),
+    "pyzmq": (answer_zmq, ask_zmq),
+}
+
+
+def measured(name: str, pings: int) -> Taken:
+    """Round trips of a peer in Python, in ns."""
+    answer, ask = PEERS[name]
+    here, there = multiprocessing.Pipe()
+    # Not forked: a copy of this process would share the peers' threads.
+    process = multiprocessing.get_context("spawn").Process(target=answer, args=(there, pings + WARM_UP), daemon=True)
+    process.start()
+    if not here.poll(PATIENCE_S):
+        message = f"{name}: did not open its socket within {PATIENCE_S:g} s"
+        raise RuntimeError(message)
+    taken = ask(here.recv(), pings + WARM_UP)[WARM_UP:]
+    process.join(PATIENCE_S)
+    return taken
+
+
+def main() -> int:
+    """Measures, prints the table, and says whether the requirement is met."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--turns", type=int, default=6, help="turns of each, 1 to 100; default 6")
+    parser.add_argument("--pings", type=int, default=5000, help="round trips of each turn, 100 to 20000; default 5000")
+    arguments = parser.parse_args()
+    if not (1 <= arguments.turns <= 100 and 100 <= arguments.pings <= 20_000):
+        parser.error("--turns must be 1 to 100, --pings 100 to 20000")
+    command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-bridge"]
+    subprocess.run([*command, "--example", "ping_pong"], check=True, cwd=ROOT)
+    ping_pong = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "ping_pong")
+
+    rounds: dict[str, list[Taken]] = {}
+    for _ in range(arguments.turns):
+        ended = subprocess.run(
+            [str(ping_pong), "1", str(arguments.pings)], check=True, capture_output=True, text=True, timeout=300
+        )
+        for kind, turns in json.loads(ended.stdout).items():
+            rounds.setdefault(kind, []).extend(np.array(turn, dtype=np.float64) for turn in turns)
+        for name in PEERS:
+            try:
+                rounds.setdefault(name, []).append(measured(name, arguments.pings))
+            except ModuleNotFoundError:
+                rounds.pop(name)
+                print(f"{name} is not installed: left out", file=sys.stderr)
+
+    names = {"bare": "bare UDP, Rust", "insecure": "endpoints, in the clear", "secure": "endpoints, secure session"}
+    bare = np.concatenate(rounds["bare"])
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    print(f"round trip in us, {arguments.turns} turns of {arguments.pings}, {BYTES} bytes\n", file=out)
+    print(f"{'':<28}{'p50':>8}{'p99':>8}{'p99.9':>9}{'p50, times bare':>18}", file=out)
+    figures = {}
+    for kind, turns in rounds.items():
+        taken = np.concatenate(turns)
+        p50, p99, p999 = (float(np.percentile(taken, share)) / 1e3 for share in (50, 99, 99.9))
+        ratio = p50 / (float(np.percentile(bare, 50)) / 1e3)
+        figures[kind] = {"p50_us": p50, "p99_us": p99, "p999_us": p999, "p50_times_bare": ratio}
+        print(f"{names.get(kind, kind):<28}{p50:>8.1f}{p99:>8.1f}{p999:>9.1f}{ratio:>18.2f}", file=out)
+    is_met = figures["secure"]["p50_times_bare"] <= REQUIRED
+    what = f"p50 of a secure round trip at most {REQUIRED} times a bare one"
+    print(f"\nrequired {what}: {'met' if is_met else 'MISSED'}", file=out)
+    if arguments.json is not None:
+        text = json.dumps({"bytes": BYTES, "figures": figures, "met": {what: is_met}}, indent=2)
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 0 if is_met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
