@@ -66,7 +66,7 @@ pub struct MasterRecord<const N: usize> {
     pub age_ns: u64,
     /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
     pub round_trip_ns: u64,
-    /// How late the loop woke, in ns; 0 in virtual time.
+    /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
     pub overshoot_ns: u64,
     /// The fault's code, 0 without.
     pub fault: u8,
@@ -159,7 +159,7 @@ pub struct SlaveRecord<const N: usize> {
     pub age_ns: u64,
     /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
     pub round_trip_ns: u64,
-    /// How late the loop woke, in ns; 0 in virtual time.
+    /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
     pub overshoot_ns: u64,
     /// The fault's code, 0 without.
     pub fault: u8,

@@ -144,7 +144,7 @@ pub enum WireError {
         allowed: usize,
     },
     /// With flags that have no meaning, or with an echo that its flag denies.
-    #[error("flags {0:#06x}: must be a sum of 1 and 2, and without 1 the fields of the echo zero")]
+    #[error("flags {0:#06x}: must be a sum of 1, 2 and 4, and without 1 the fields of the echo zero")]
     Flags(u16),
     /// Damaged on the way.
     #[error("checksum {seen:#010x}: must be {computed:#010x}")]

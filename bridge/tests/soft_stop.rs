@@ -191,7 +191,7 @@ proptest! {
         if one.state.is_coupled() && two.state.is_coupled() {
             let expected = if which { scale } else { f64::from(u8::from(!locked)) } * speed * 1e-3;
             let most = (CommandBounds::default().speed * 1e-3).min(expected.abs());
-            prop_assert!((two.command - one.command).abs() <= most.max(CommandBounds::default().speed * 1e-3) + 1e-12);
+            prop_assert!((two.command - one.command).abs() <= most + 1e-12);
         }
     }
 }

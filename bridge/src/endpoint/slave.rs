@@ -149,9 +149,8 @@ impl<const N: usize> SlaveEndpoint<N> {
 
     /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there.
     pub fn rests(&mut self, rest: &Axes<N>) {
-        if self.command.is_some() && Signal::Position.check(rest).is_ok() {
-            self.command = Some(*rest);
-        }
+        // Where it does not know where it is, nothing is commanded until the two engage anew.
+        self.command = self.command.and(Signal::Position.check(rest).is_ok().then_some(*rest));
     }
 
     /// A person at this side says that its fault is mended; the master's clutch must then be released and pressed.

@@ -111,10 +111,13 @@ impl LiveChannel {
                     tell(SecurityEvent::Handshake(event));
                 }
             }
-            if self.ticks % TELL_EVERY == 0 {
+            if self.ticks.is_multiple_of(TELL_EVERY) {
                 handshakes.tell(self.session.standing(now_ns));
             }
             self.ticks += 1;
+            if handshakes.has_died() {
+                tell(SecurityEvent::KeysEnd);
+            }
         }
         while let Some(event) = self.session.poll_event() {
             tell(SecurityEvent::Session(event));

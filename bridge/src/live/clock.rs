@@ -1,4 +1,4 @@
-//! The one place of this crate that reads a clock and sleeps.
+//! The live loop's clock and sleep.
 
 use rustix::{
     thread::{ClockId, clock_nanosleep_absolute, set_current_timer_slack},

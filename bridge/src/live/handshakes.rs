@@ -13,7 +13,7 @@ use std::{
 
 use super::clock;
 use crate::session::{
-    EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey,
+    EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey, Rejection,
     Rejections, SessionEvent, SessionSettings, Standing, StillHeard, SystemEntropy, Verdict,
 };
 
@@ -50,6 +50,7 @@ pub(super) struct Handshakes {
     keys: u64,
     /// Messages that found the thread busy.
     dropped: u64,
+    was_told: bool,
 }
 
 impl Handshakes {
@@ -63,7 +64,7 @@ impl Handshakes {
         let thread = std::thread::Builder::new()
             .name("haptether-keys".into())
             .spawn(move || answer(handshake, entropy, to_answer, answers, &over))?;
-        Ok(Self { asks, told, is_over, thread: Some(thread), keys: 0, dropped: 0 })
+        Ok(Self { asks, told, is_over, thread: Some(thread), keys: 0, dropped: 0, was_told: false })
     }
 
     /// Tells how the session stands, unless the thread has not come to what it was told before.
@@ -90,10 +91,18 @@ impl Handshakes {
         Some(told)
     }
 
-    /// Ends the thread; gives what it did not take.
+    /// Whether the thread has ended by itself; said once.
+    pub(super) fn has_died(&mut self) -> bool {
+        let died = !self.was_told && self.thread.as_ref().is_some_and(JoinHandle::is_finished);
+        self.was_told |= died;
+        died
+    }
+
+    /// Ends the thread; gives what it did not take, and what it was too busy for.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
-        self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default()
+        let rejections = self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        rejections.with(Rejection::Busy, std::mem::take(&mut self.dropped))
     }
 }
 
@@ -166,6 +175,8 @@ pub enum SecurityEvent {
     Handshake(HandshakeEvent),
     /// A person at the slave may not let another master begin yet.
     StillHeard(StillHeard),
+    /// The thread that makes keys has ended by itself.
+    KeysEnd,
 }
 
 impl std::fmt::Display for SecurityEvent {
@@ -188,11 +199,17 @@ impl std::fmt::Display for SecurityEvent {
                  and a person here allows another (SIGUSR1)",
             ),
             Self::Handshake(HandshakeEvent::Refused { verdict: Verdict::Leased, .. }) => {
-                formatter.write_str("refused: another master has the lease of this slave")
+                formatter.write_str(
+                "refused: another master has the lease of this slave, or this one from before it lost its keys: \
+                 SIGUSR1 of the slave frees it after 2 s of silence",
+            )
             }
             Self::Handshake(HandshakeEvent::Refused { payload_length, .. }) => {
                 write!(formatter, "refused: the peer's frames have {payload_length} bytes, so another number of axes")
             }
+            Self::KeysEnd => formatter.write_str(
+                "the thread that makes keys has died: this session ends when its keys grow old, within 180 s",
+            ),
             Self::StillHeard(still) => {
                 write!(formatter, "no other master yet: this one was heard {:.1} s ago, must be silent for {:.0} s",
                     still.ago_ns as f64 * 1e-9, still.silence_ns as f64 * 1e-9)

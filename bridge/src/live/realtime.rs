@@ -11,6 +11,7 @@ use haptether_netsim::schedule_fifo;
 use rustix::{
     io::Errno,
     mm::{MlockAllFlags, mlockall, munlockall},
+    process::{Resource, getrlimit},
     thread::{CpuSet, sched_getaffinity, sched_setaffinity},
 };
 
@@ -98,9 +99,11 @@ impl RealtimeReport {
     fn refusals(&self) -> Vec<String> {
         let mut refusals = Vec::new();
         let mut add = |what: &str, number: i32, needs: &str| {
-            refusals.push(match Errno::from_raw_os_error(number) {
-                Errno::PERM | Errno::NOMEM | Errno::AGAIN => format!("{what} needs {needs}"),
-                _ if number == 0 => format!("{what} was granted and not given"),
+            // A number that the kernel does not have is none for `Errno`, either.
+            let rights = [Errno::PERM, Errno::NOMEM, Errno::AGAIN].map(Errno::raw_os_error);
+            refusals.push(match number {
+                0 => format!("{what} was granted and not given"),
+                _ if rights.contains(&number) => format!("{what} needs {needs}"),
                 _ => format!("{what}: {}", io::Error::from_raw_os_error(number)),
             });
         };
@@ -213,7 +216,13 @@ impl LockedMemory {
     fn new() -> Result<Self, Errno> {
         let mut locking = LOCKING.lock().unwrap_or_else(PoisonError::into_inner);
         // The stack of this thread is a mapping like others: this has all its pages there, too.
-        mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)?;
+        // Under a bound, what is allocated later would be refused at some point, and end the process.
+        let is_bounded = getrlimit(Resource::Memlock).current.is_some() && !may_lock_all();
+        mlockall(if is_bounded {
+            MlockAllFlags::CURRENT
+        } else {
+            MlockAllFlags::CURRENT | MlockAllFlags::FUTURE
+        })?;
         *locking += 1;
         Ok(Self { bytes: locked_bytes().unwrap_or(0) })
     }
@@ -227,6 +236,15 @@ impl Drop for LockedMemory {
             let _ = munlockall();
         }
     }
+}
+
+/// Whether this thread has `CAP_IPC_LOCK`, bit 14 of the effective capabilities: no bound holds for it.
+fn may_lock_all() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+    effective
+        .and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok())
+        .is_some_and(|bits| bits >> 14 & 1 == 1)
 }
 
 /// `VmLck` of this process.

@@ -4,7 +4,7 @@ use std::{
     io,
     net::SocketAddr,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc,
         atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
         mpsc,
     },
@@ -88,21 +88,24 @@ struct Shared {
     ticks: AtomicU64,
     press: AtomicBool,
     takeover: AtomicBool,
-    /// As of the last STOP or FAULT, or of the end. The loop only tries the lock: whoever reads cannot hold it up.
-    flight: Mutex<Option<FlightRecorder>>,
 }
 
 /// Between two releases at the end of a run, in ns.
 const RELEASE_NS: u64 = 1_000_000;
+/// States and commands as of a STOP or FAULT that wait for a reader.
+const MOST_FLIGHTS: usize = 2;
 /// Acts that may wait for the loop: it takes all of them at its next tick.
 const MOST_ACTS: usize = 16;
 
 /// A live loop on its own thread.
 #[derive(Debug)]
 pub struct LiveRun<R> {
-    thread: Option<JoinHandle<LoopReport>>,
+    thread: Option<JoinHandle<(LoopReport, Option<Box<FlightRecorder>>)>>,
     records: rtrb::Consumer<R>,
     events: rtrb::Consumer<SecurityEvent>,
+    flights: rtrb::Consumer<FlightRecorder>,
+    /// The newest that was taken.
+    flight: Option<Box<FlightRecorder>>,
     acts: rtrb::Producer<Act>,
     shared: Arc<Shared>,
     address: SocketAddr,
@@ -123,6 +126,7 @@ pub fn run_live<S: Side + Send + 'static>(
     let (producer, records) = rtrb::RingBuffer::new(settings.ring);
     let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
     let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
+    let (flown, flights) = rtrb::RingBuffer::new(MOST_FLIGHTS);
     let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
     let shared = Arc::new(Shared::default());
     let address = socket.local_address()?;
@@ -134,16 +138,29 @@ pub fn run_live<S: Side + Send + 'static>(
         let _ = say.send(realtime);
         let outlets = Outlets::new(producer, recorder);
         if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
-            return LoopReport { recording: outlets.end(), realtime, ..LoopReport::default() };
+            return (LoopReport { recording: outlets.end(), realtime, ..LoopReport::default() }, None);
         }
-        LoopReport { realtime, ..turn(side, socket, channel, settings, (outlets, told), done, &seen) }
+        let ways = Ways { records: outlets, events: told, flights: flown, acts: done };
+        let (report, flight) = turn(side, socket, channel, settings, ways, &seen);
+        (LoopReport { realtime, ..report }, Some(flight))
     })?;
     let realtime = heard.recv().map_err(io::Error::other)?;
     if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
         let text = format!("real time is required: {realtime}");
         return Err(io::Error::new(io::ErrorKind::PermissionDenied, text).into());
     }
-    Ok(LiveRun { thread: Some(thread), records, events, acts, shared, address, realtime, recording })
+    Ok(LiveRun {
+        thread: Some(thread),
+        records,
+        events,
+        flights,
+        flight: None,
+        acts,
+        shared,
+        address,
+        realtime,
+        recording,
+    })
 }
 
 /// A side that is left without force or motion however its loop ends.
@@ -155,16 +172,23 @@ impl<S: Side> Drop for Resting<S> {
     }
 }
 
+/// The loop's ends of what leads to and from it; none of them is ever waited for.
+struct Ways<R> {
+    records: Outlets<R>,
+    events: rtrb::Producer<SecurityEvent>,
+    flights: rtrb::Producer<FlightRecorder>,
+    acts: rtrb::Consumer<Act>,
+}
+
 /// The loop: wait for the deadline, take what has arrived, tick, send, record.
 fn turn<S: Side>(
     side: S,
     mut socket: PeerSocket,
     mut channel: LiveChannel,
     settings: LiveSettings,
-    (mut records, mut events): (Outlets<S::Record>, rtrb::Producer<SecurityEvent>),
-    mut acts: rtrb::Consumer<Act>,
+    Ways { mut records, mut events, mut flights, mut acts }: Ways<S::Record>,
     shared: &Shared,
-) -> LoopReport {
+) -> (LoopReport, Box<FlightRecorder>) {
     let mut report =
         LoopReport { engaged_ns: u64::MAX, secure: channel.is_secure(), ..LoopReport::default() };
     let mut buffer = [0; MAX_DATAGRAM];
@@ -183,8 +207,9 @@ fn turn<S: Side>(
         report.skipped += missed;
         deadline_ns = wake.deadline_ns;
         if wake.is_stalled() {
-            socket.discard();
             side.0.stalled(deadline_ns);
+            // Late already: another period for this is not much.
+            socket.discard(clock::now_ns() + settings.period_ns);
         }
         // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
         let now_ns = deadline_ns;
@@ -195,11 +220,11 @@ fn turn<S: Side>(
             channel.allow_takeover(now_ns, &mut tell);
         }
         while let Ok(act) = acts.pop() {
-            // What cannot be was refused where it was asked for.
+            // `LiveRun::act` has refused what cannot be.
             let _ = side.0.act(now_ns, act);
         }
         let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
-        socket.drain(until_ns, |from, datagram| {
+        socket.drain(now_ns, until_ns, |from, datagram| {
             channel.receive(now_ns, from, datagram, &mut side.0) == Came::Used
         });
         channel.advance(now_ns, |to, datagram| socket.send(to, datagram), &mut tell);
@@ -215,13 +240,11 @@ fn turn<S: Side>(
         if state.is_coupled() && report.engaged_ns == u64::MAX {
             report.engaged_ns = now_ns - start_ns;
         }
-        // Until it could be shown: a reader may have had the lock.
-        if state != shown && matches!(state, LadderState::Stop | LadderState::Fault) {
-            if let Ok(mut flight) = shared.flight.try_lock() {
-                *flight = Some(*side.0.flight());
-                shown = state;
-            }
-        } else {
+        // Until there was room: nobody may have looked at the one before.
+        if state == shown
+            || !matches!(state, LadderState::Stop | LadderState::Fault)
+            || flights.push(*side.0.flight()).is_ok()
+        {
             shown = state;
         }
         shared.state.store(state.code(), Ordering::Relaxed);
@@ -236,6 +259,9 @@ fn turn<S: Side>(
         }
         deadline_ns += settings.period_ns;
     }
+    let (counts, flight) = (side.0.counts(), Box::new(*side.0.flight()));
+    // First of all: what follows takes its time.
+    drop(side);
     for release in 0..RELEASES {
         let now_ns = clock::now_ns();
         let Ok(datagram) = channel.release(now_ns, &mut buffer) else { break };
@@ -244,15 +270,12 @@ fn turn<S: Side>(
             clock::sleep_until(now_ns + RELEASE_NS);
         }
     }
-    let counts = side.0.counts();
     report.rejections = channel.end();
     report.link = counts.link.with(&report.rejections);
     (report.holds, report.limited) = (counts.holds, counts.limited);
-    *shared.flight.lock().unwrap_or_else(PoisonError::into_inner) = Some(*side.0.flight());
     report.unsent = socket.unsent;
-    drop(side);
     report.recording = records.end();
-    report
+    (report, flight)
 }
 
 impl<R> LiveRun<R> {
@@ -316,10 +339,11 @@ impl<R> LiveRun<R> {
     }
 
     /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.
-    pub fn flight(&self) -> Option<String> {
-        // Copied first: the loop must find the lock free.
-        let flight = *self.shared.flight.lock().unwrap_or_else(PoisonError::into_inner);
-        flight.map(|flight| flight.to_json())
+    pub fn flight(&mut self) -> Option<String> {
+        while let Ok(flight) = self.flights.pop() {
+            self.flight = Some(Box::new(flight));
+        }
+        self.flight.as_ref().map(|flight| flight.to_json())
     }
 
     /// Asks the loop to end after its current tick.
@@ -330,7 +354,10 @@ impl<R> LiveRun<R> {
     /// Ends the loop and gives its report; none if it was given before or the loop panicked.
     pub fn join(&mut self) -> Option<LoopReport> {
         self.stop();
-        self.thread.take()?.join().ok()
+        let (report, flight) = self.thread.take()?.join().ok()?;
+        while self.flights.pop().is_ok() {}
+        self.flight = flight.or(self.flight.take());
+        Some(report)
     }
 }
 

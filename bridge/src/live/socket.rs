@@ -10,6 +10,8 @@ use crate::session::MAX_DATAGRAM;
 
 /// Datagrams between two looks at the clock.
 const ROUND: usize = 32;
+/// Silence in ns after which a peer may be elsewhere: that after which the ladder holds.
+const MOVES_AFTER_NS: u64 = 20_000_000;
 /// Datagrams taken at once, however fast they are.
 const MOST_DATAGRAMS: usize = 4096;
 
@@ -28,6 +30,8 @@ pub struct PeerSocket {
     socket: UdpSocket,
     peer: Option<SocketAddr>,
     learns: bool,
+    /// When the peer was last heard where it is, in ns.
+    heard_ns: u64,
     /// Frames that the system refused to send: nobody listens there, or its buffer was full.
     pub unsent: u64,
 }
@@ -41,7 +45,7 @@ impl PeerSocket {
             PeerAddress::Known(address) => (Some(address), false),
             PeerAddress::Learned => (None, true),
         };
-        Ok(Self { socket, peer, learns, unsent: 0 })
+        Ok(Self { socket, peer, learns, heard_ns: 0, unsent: 0 })
     }
 
     /// Where it listens.
@@ -51,13 +55,14 @@ impl PeerSocket {
 
     /// Gives each datagram that waits to `take`, which says whether it was good, until the clock shows `until_ns`.
     ///
-    /// A datagram from elsewhere than a known peer is not looked at. At least [`ROUND`] are taken: a loop that woke
-    /// late must hear its peer, too.
-    pub fn drain(&mut self, until_ns: u64, mut take: impl FnMut(SocketAddr, &mut [u8]) -> bool) {
+    /// A datagram from elsewhere than a known peer is not looked at. A peer that was learned is followed elsewhere only
+    /// once it has been silent for [`MOVES_AFTER_NS`] where it was: who copies its frames, and is faster, does not draw
+    /// the answers away from it. At least [`ROUND`] are taken: a loop that woke late must hear its peer, too.
+    pub fn drain(&mut self, now_ns: u64, until_ns: u64, mut take: impl FnMut(SocketAddr, &mut [u8]) -> bool) {
         // One byte more than the longest datagram, so that a longer one is seen to be too long.
         let mut buffer = [0; MAX_DATAGRAM + 1];
         for taken in 0..MOST_DATAGRAMS {
-            if taken % ROUND == ROUND - 1 && clock::now_ns() >= until_ns {
+            if taken > 0 && taken % ROUND == 0 && clock::now_ns() >= until_ns {
                 return;
             }
             match self.socket.recv_from(&mut buffer) {
@@ -66,7 +71,9 @@ impl PeerSocket {
                         continue;
                     }
                     if take(from, &mut buffer[..length]) && self.learns {
-                        self.peer = Some(from);
+                        if self.peer == Some(from) || now_ns.saturating_sub(self.heard_ns) > MOVES_AFTER_NS {
+                            (self.peer, self.heard_ns) = (Some(from), now_ns);
+                        }
                     }
                 }
                 // Nobody listens there (yet): a later frame may find somebody.
@@ -77,11 +84,13 @@ impl PeerSocket {
         }
     }
 
-    /// Throws away what waits: it is old.
-    pub fn discard(&mut self) {
+    /// Throws away what waits: it is old. Until the clock shows `until_ns`: a flood must not hold the loop here.
+    pub fn discard(&mut self, until_ns: u64) {
         let mut buffer = [0; 1];
-        // A bound, because a flood could otherwise hold the loop here; a buffer holds far less.
-        for _ in 0..100_000 {
+        for thrown in 1..=MOST_DATAGRAMS {
+            if thrown % ROUND == 0 && clock::now_ns() >= until_ns {
+                return;
+            }
             if let Err(error) = self.socket.recv_from(&mut buffer)
                 && error.kind() == io::ErrorKind::WouldBlock
             {

@@ -78,6 +78,13 @@ impl Rejections {
         self.0[cause as usize] += 1;
     }
 
+    /// With `more` for a cause.
+    #[must_use]
+    pub fn with(mut self, cause: Rejection, more: u64) -> Self {
+        self.0[cause as usize] += more;
+        self
+    }
+
     /// Datagrams not taken for this cause.
     pub fn of(&self, cause: Rejection) -> u64 {
         self.0[cause as usize]

@@ -354,7 +354,7 @@ impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
         let stopped = self.side.plant.stops - stops;
         let dead = |state| matches!(state, LadderState::Stop | LadderState::Fault);
         let due = dead(record.state) && !dead(before) || before.is_coupled() && !record.state.is_coupled();
-        self.watch.hold(stopped <= u64::from(due), time, || format!("stopped {stopped} times, due {due}"));
+        self.watch.hold(stopped == u64::from(due), time, || format!("stopped {stopped} times, due {due}"));
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
         self.command(time, record.state, stopped > 0);

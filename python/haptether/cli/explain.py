@@ -53,7 +53,7 @@ class Explain:
 
     Examples:
 
-    haptether master --peer 127.0.0.1:9000 --flight master.flight
+    haptether master --peer 127.0.0.1:9000 --key arm.key --flight master.flight
 
     haptether explain master.flight
     """
