@@ -36,6 +36,8 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Their share."""
     worst_gap_s: float | None
     """Longest time between two arrivals."""
+    silence_at_end_s: float | None
+    """From the newest arrival to the end of the run."""
     recorded: int | None
     """Records in the recording; none without one."""
     unrecorded: int | None
@@ -77,6 +79,7 @@ def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s
         lost=link.missing,
         loss=link.missing / (arrived + link.missing) if arrived + link.missing else None,
         worst_gap_s=float(np.diff(arrivals).max()) if arrivals.size > 1 else None,
+        silence_at_end_s=float(time_s[-1] - arrivals[-1]) if arrivals.size else None,
         recorded=None if recording is None else recording.written,
         unrecorded=None if recording is None else recording.dropped,
         recording_end=None if recording is None else recording.end,
@@ -114,16 +117,20 @@ def judge_link(
                 f"contact would oscillate: a delay of {delay_s * 1e3:.1f} ms, bearable is "
                 f"{bearable_delay_s * 1e3:.1f} ms"
             )
-    if summary.worst_gap_s is not None and summary.worst_gap_s > bearable_gap_s:
-        complaints.append(
-            f"the ladder would have held: a gap of {summary.worst_gap_s * 1e3:.1f} ms, bearable is "
-            f"{bearable_gap_s * 1e3:.1f} ms"
-        )
+    gap_s = None
+    if summary.worst_gap_s is None or summary.silence_at_end_s is None:
+        complaints.append("fewer than two answers came")
+    else:
+        gap_s = max(summary.worst_gap_s, summary.silence_at_end_s)
+        if gap_s > bearable_gap_s:
+            complaints.append(
+                f"the ladder would have held: a gap of {gap_s * 1e3:.1f} ms, bearable is {bearable_gap_s * 1e3:.1f} ms"
+            )
     return LinkVerdict(
         bearable_delay_s=bearable_delay_s if math.isfinite(bearable_delay_s) else None,
         delay_s=delay_s,
         bearable_gap_s=bearable_gap_s,
-        gap_s=summary.worst_gap_s,
+        gap_s=gap_s,
         good=not complaints,
         complaints=complaints,
     )

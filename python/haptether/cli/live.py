@@ -26,6 +26,9 @@ class Stopped:
     def __enter__(self) -> Self:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             self._before[number] = signal.signal(number, self._set)
+        # Buttons of a side, before it has begun and after it has ended: they must not end the process.
+        for number in (signal.SIGUSR1, signal.SIGUSR2):
+            self._before[number] = signal.signal(number, signal.SIG_IGN)
         return self
 
     def __exit__(
@@ -125,7 +128,11 @@ class FlightFile:
         """Writes them, if there are any and they are new; the file is never seen half written."""
         if self._path is None or flight is None or flight == self._written:
             return
-        beside = self._path.with_name(f".{self._path.name}.part")
-        beside.write_text(flight, encoding="utf-8")
-        beside.replace(self._path)
+        # Tried once: a disk that is full, at the very stop that the file is to explain, must not end the run.
         self._written = flight
+        beside = self._path.with_name(f".{self._path.name}.part")
+        try:
+            beside.write_text(flight, encoding="utf-8")
+            beside.replace(self._path)
+        except OSError as error:
+            print(f"{self._path}: not written: {error.strerror or error}", file=sys.stderr, flush=True)
