@@ -379,7 +379,7 @@ mod tests {
             Frame::<1>::decode(&bytes, Role::Slave)
         };
         assert_eq!(resealed(&|b| b[6] = 0x0F), Err(WireError::Flags(15)));
-        assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x103)));
+        assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x107)));
         assert_eq!(resealed(&|b| b[6] = 2), Err(WireError::Flags(2)));
         let silent = resealed(&|b| {
             b[6] = 2;
