@@ -106,3 +106,83 @@ impl UsualAge {
         *self = Self::new();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    /// Feeds an age in ms each ms, from `from_ms` on.
+    fn feed(usual: &mut UsualAge, from_ms: u64, count: u64, age_ms: impl Fn(u64) -> f64) {
+        for n in from_ms..from_ms + count {
+            usual.take(n * MS, (age_ms(n) * MS as f64) as u64);
+        }
+    }
+
+    fn level_ms(usual: &UsualAge) -> f64 {
+        usual.level_ns().unwrap() as f64 / MS as f64
+    }
+
+    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: of the first guess the share that 20 ms have of the time known is left.
+    #[test]
+    fn of_the_first_guess_the_share_of_its_time_is_left() {
+        for (age_ms, first_ms) in [(10.0, 5.0), (40.0, 20.0), (100.0, 20.0)] {
+            let mut usual = UsualAge::new();
+            assert_eq!(usual.level_ns(), None);
+            feed(&mut usual, 0, 1, |_| age_ms);
+            assert_eq!(level_ms(&usual), age_ms + 4.0 * first_ms);
+            for (from_ms, count, known_ms) in [(1, 80, 100.0), (81, 900, 1000.0), (981, 980, 1980.0)] {
+                feed(&mut usual, from_ms, count, |_| age_ms);
+                let wanted = age_ms + 4.0 * first_ms * 20.0 / known_ms;
+                // Whole ns.
+                assert!((level_ms(&usual) - wanted).abs() < 2e-6, "{known_ms}: {} {wanted}", level_ms(&usual));
+            }
+        }
+    }
+
+    /// Two ages in turn, 6 ms apart, deviate by 3 ms: 12 ms above the mean.
+    #[test]
+    fn jitter_is_usual() {
+        let mut usual = UsualAge::new();
+        feed(&mut usual, 0, 30_000, |n| if n % 2 == 0 { 50.0 } else { 56.0 });
+        // A three hundredth of the first guess is left after as many ms, and each sample moves the mean.
+        assert!((level_ms(&usual) - (53.0 + 12.0)).abs() < 0.5, "{}", level_ms(&usual));
+    }
+
+    #[test]
+    fn what_creeps_up_is_not_followed_and_what_falls_is_within_8_s() {
+        let mut usual = UsualAge::new();
+        feed(&mut usual, 0, 3000, |_| 20.0);
+        let learnt = level_ms(&usual);
+        feed(&mut usual, 3000, 10_000, |n| 20.0 + 0.012 * (n - 3000) as f64);
+        assert!(level_ms(&usual) <= learnt);
+        // Pressed anew at 140 ms: that is usual now, but for how far it is behind the creep within 0.1 s.
+        usual.anchor();
+        let deviation_ms = (level_ms(&usual) - 140.0) / 4.0;
+        assert!((-0.5..=20.0).contains(&deviation_ms), "{deviation_ms}");
+        feed(&mut usual, 13_000, 60_000, |_| 140.0);
+        assert!((level_ms(&usual) - 140.0).abs() < 0.5, "{}", level_ms(&usual));
+        // The mean falls by exp(-t / 8 s), and the level after it likewise: (1 + t / T) exp(-t / T) of 100 ms are left
+        // after 40 s, and what the fall adds to the deviation for a while.
+        feed(&mut usual, 73_000, 40_000, |_| 40.0);
+        let left_ms = level_ms(&usual) - 40.0;
+        assert!((0.0..100.0 * 6.0 * (-5.0_f64).exp() + 4.0 * 20.0 * 6.0 * (-5.0_f64).exp()).contains(&left_ms));
+        usual.restart();
+        assert_eq!(usual, UsualAge::new());
+    }
+
+    /// Whatever is told, the level stays finite and within 80 ms of the greatest age.
+    #[test]
+    fn no_jitter_raises_the_level_by_more_than_80_ms() {
+        let mut usual = UsualAge::new();
+        for n in 0..20_000_u64 {
+            let age_ns = n.wrapping_mul(6_364_136_223_846_793_005) >> 36;
+            usual.take(n * MS, age_ns);
+            if n % 3000 == 0 {
+                usual.anchor();
+            }
+            assert!(usual.level_ns().unwrap() <= (1 << 28) + 80 * MS);
+        }
+    }
+}

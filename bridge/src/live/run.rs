@@ -24,6 +24,7 @@ use crate::{
     ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
+    path::PathReport,
     recorder::{Recorder, Recording, RecordingReport},
     session::{MAX_DATAGRAM, Rejections},
     side::{Side, TickTime},
@@ -48,7 +49,7 @@ pub struct LiveSettings {
 }
 
 /// How a live loop went.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopReport {
     /// Ticks done.
     pub ticks: u64,
@@ -60,6 +61,8 @@ pub struct LoopReport {
     pub unsent: u64,
     /// Counts of the link.
     pub link: LinkStatistics,
+    /// What the way did to the peer's frames, and what is known of its clock.
+    pub path: PathReport,
     /// How often the ladder went to HOLD.
     pub holds: u64,
     /// Ticks at which a bound acted on the remote command.
@@ -245,6 +248,7 @@ fn turn<S: Side>(
         }
     }
     let counts = side.0.counts();
+    report.path = side.0.path(deadline_ns);
     report.rejections = channel.end();
     report.link = counts.link.with(&report.rejections);
     (report.holds, report.limited) = (counts.holds, counts.limited);
