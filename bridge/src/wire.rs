@@ -382,7 +382,7 @@ mod tests {
         assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x107)));
         assert_eq!(resealed(&|b| b[6] = 2), Err(WireError::Flags(2)));
         let silent = resealed(&|b| {
-            b[6] = 2;
+            b[6] = 6;
             b[24..32].fill(0);
             b[40..64].fill(0);
         });

@@ -136,7 +136,11 @@ mod tests {
                 feed(&mut usual, from_ms, count, |_| age_ms);
                 let wanted = age_ms + 4.0 * first_ms * 20.0 / known_ms;
                 // Whole ns.
-                assert!((level_ms(&usual) - wanted).abs() < 2e-6, "{known_ms}: {} {wanted}", level_ms(&usual));
+                assert!(
+                    (level_ms(&usual) - wanted).abs() < 2e-6,
+                    "{known_ms}: {} {wanted}",
+                    level_ms(&usual)
+                );
             }
         }
     }
@@ -163,11 +167,11 @@ mod tests {
         assert!((-0.5..=20.0).contains(&deviation_ms), "{deviation_ms}");
         feed(&mut usual, 13_000, 60_000, |_| 140.0);
         assert!((level_ms(&usual) - 140.0).abs() < 0.5, "{}", level_ms(&usual));
-        // The mean falls by exp(-t / 8 s), and the level after it likewise: (1 + t / T) exp(-t / T) of 100 ms are left
-        // after 40 s, and what the fall adds to the deviation for a while.
-        feed(&mut usual, 73_000, 40_000, |_| 40.0);
+        // Mean, deviation and level follow one another, each by exp(-t / 8 s): of 100 ms and of the deviation's four times
+        // 20 ms no more than (1 + s + s^2 / 2) exp(-s) is left after s = 10.
+        feed(&mut usual, 73_000, 80_000, |_| 40.0);
         let left_ms = level_ms(&usual) - 40.0;
-        assert!((0.0..100.0 * 6.0 * (-5.0_f64).exp() + 4.0 * 20.0 * 6.0 * (-5.0_f64).exp()).contains(&left_ms));
+        assert!((0.0..180.0 * 61.0 * (-10.0_f64).exp()).contains(&left_ms), "{left_ms}");
         usual.restart();
         assert_eq!(usual, UsualAge::new());
     }
