@@ -167,11 +167,13 @@ mod tests {
         assert!((-0.5..=20.0).contains(&deviation_ms), "{deviation_ms}");
         feed(&mut usual, 13_000, 60_000, |_| 140.0);
         assert!((level_ms(&usual) - 140.0).abs() < 0.5, "{}", level_ms(&usual));
-        // Mean, deviation and level follow one another, each by exp(-t / 8 s): of 100 ms and of the deviation's four times
-        // 20 ms no more than (1 + s + s^2 / 2) exp(-s) is left after s = 10.
+        // Mean, deviation and level follow one another with 8 s. Once the mean is within 20 ms of the fallen age, after
+        // ln 5 of these, what is left of the level is at most (100 + 100 s + 40 s^2) exp(-s) ms.
         feed(&mut usual, 73_000, 80_000, |_| 40.0);
         let left_ms = level_ms(&usual) - 40.0;
-        assert!((0.0..180.0 * 61.0 * (-10.0_f64).exp()).contains(&left_ms), "{left_ms}");
+        let s = 10.0 - 5.0_f64.ln();
+        let most_ms = (100.0 + 100.0 * s + 40.0 * s * s) * (-s).exp();
+        assert!((0.0..most_ms).contains(&left_ms), "{left_ms} {most_ms}");
         usual.restart();
         assert_eq!(usual, UsualAge::new());
     }
