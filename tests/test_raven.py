@@ -76,8 +76,8 @@ def test_a_hijacked_arm_goes_where_it_is_told(report: RavenReport) -> None:
     run = simulate("raven_hijack", overrides=SECURITY["off"])
     held = [event for event in run.events if event.kind == "hold"]
     assert held[0].detail == "master: peer's news is old"
-    # The last echo arrives 20 ms after the first frame of somebody else; then 20 ms, a period of silence, ticks, and what
-    # is left of the first guess of the deviation, 40 ms * 20 ms / 580 ms. The slave is told within 11 ms.
+    # The last echo arrives 20 ms after the first frame of somebody else; then 20 ms, a period of silence, ticks, and
+    # what is left of the first guess of the deviation, 40 ms * 20 ms / 580 ms. The slave is told within 11 ms.
     assert 0.64 <= held[0].time_s <= held[1].time_s <= 0.64 + 0.006 + 0.011
     time_s, position = run.signals["time_s"], run.signals["position"]
     away_mm = 1e3 * abs(position[(time_s >= 0.6) & (time_s <= held[1].time_s)] + 0.08)
