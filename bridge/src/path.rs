@@ -82,7 +82,7 @@ impl PeerPath {
         let told = match exchanged {
             Some((own_sent_ns, held_ns)) => self
                 .clock
-                .take(&FourTimes {
+                .learn(&FourTimes {
                     sent_ns: own_sent_ns,
                     peer_received_ns: sent_ns.saturating_sub(held_ns),
                     peer_sent_ns: sent_ns,

@@ -23,6 +23,7 @@ const DEVIATIONS: f64 = 4.0;
 /// Source: RFC 6298, section 2 (`K = 4`, first deviation `R / 2`), with gains by time instead of by sample, since packets
 /// of one link are correlated.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::struct_field_names, reason = "they are of one unit")]
 pub struct UsualAge {
     last_ns: Option<u64>,
     present_ns: f64,
@@ -96,8 +97,8 @@ impl UsualAge {
     }
 
     /// The level in ns; none before the first packet.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // finite, not negative: a mean of ages
     pub fn level_ns(&self) -> Option<u64> {
-        // Finite, and not negative: a mean of ages.
         self.last_ns.map(|_| self.level_ns as u64)
     }
 
@@ -114,6 +115,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     /// Feeds an age in ms each ms, from `from_ms` on.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // whole ns of tens of ms
     fn feed(usual: &mut UsualAge, from_ms: u64, count: u64, age_ms: impl Fn(u64) -> f64) {
         for n in from_ms..from_ms + count {
             usual.take(n * MS, (age_ms(n) * MS as f64) as u64);
