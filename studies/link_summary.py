@@ -38,6 +38,23 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Longest time between two arrivals."""
     silence_at_end_s: float | None
     """From the newest arrival to the end of the run."""
+    interarrival_jitter_s: float
+    """Of the peer's frames (RFC 3550)."""
+    loss_bursts: int
+    longest_burst: int
+    """Runs of lost frames, and the longest of them."""
+    reordered: int
+    """Frames that arrived after a newer one."""
+    usual_age_s: float | None
+    """Age of the peer's news that the link is used to, as a bound; none before any echo."""
+    offset_s: float | None
+    offset_bound_s: float | None
+    """The peer's clock less ours, and how wrong that may be; none before it is known."""
+    drift_ppm: float | None
+    """How much faster it runs."""
+    clock_faults: int
+    last_clock_fault: str | None
+    """Exchanges that no healthy clocks make, and the last of them."""
     recorded: int | None
     """Records in the recording; none without one."""
     unrecorded: int | None
@@ -53,7 +70,7 @@ def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s
     round_trips = trace.round_trip_s[fresh & np.isfinite(trace.round_trip_s)]
     arrivals = time_s[fresh]
     lasted_s = float(time_s[-1] - time_s[0]) if time_s.size > 1 else 0.0
-    link, recording = report.link, report.recording
+    link, path, recording = report.link, report.path, report.recording
     arrived = link.fresh + link.late
 
     def late(share: float) -> float:
@@ -80,6 +97,16 @@ def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s
         loss=link.missing / (arrived + link.missing) if arrived + link.missing else None,
         worst_gap_s=float(np.diff(arrivals).max()) if arrivals.size > 1 else None,
         silence_at_end_s=float(time_s[-1] - arrivals[-1]) if arrivals.size else None,
+        interarrival_jitter_s=path.jitter_s,
+        loss_bursts=path.bursts,
+        longest_burst=path.longest_burst,
+        reordered=path.reordered,
+        usual_age_s=path.usual_age_s,
+        offset_s=path.offset_s,
+        offset_bound_s=path.offset_bound_s,
+        drift_ppm=path.drift_ppm,
+        clock_faults=path.clock_faults,
+        last_clock_fault=path.last_clock_fault,
         recorded=None if recording is None else recording.written,
         unrecorded=None if recording is None else recording.dropped,
         recording_end=None if recording is None else recording.end,

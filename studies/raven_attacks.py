@@ -40,8 +40,8 @@ RAVEN_ATTACKS = (
         because="no key makes a packet arrive in time; silence holds the arm",
     ),
     RavenAttack(
-        scene="raven_creeping_delay", kind="intent modification", without="late", protected="late",
-        because="looks like a slow network, with a key too; the arm goes where the hand was",
+        scene="raven_creeping_delay", kind="intent modification", without="stopped", protected="stopped",
+        because="no key makes a packet arrive in time; old news holds the arm",
     ),
     RavenAttack(
         scene="raven_reorder", kind="intent modification", without="none", protected="none",

@@ -406,8 +406,31 @@ def test_the_names_of_the_ladder() -> None:
     with pytest.raises(ValueError, match=r"^state 7: must be 0 to 6$"):
         ladder_state_name(7)
     assert ladder_reason(4) == "peer is silent"
-    with pytest.raises(ValueError, match=r"^reason 0: must be 1 to 16$"):
+    with pytest.raises(ValueError, match=r"^reason 0: must be 1 to 17$"):
         ladder_reason(0)
+
+
+def test_the_report_says_what_the_way_did() -> None:
+    """A second over 5 ms each way: the same frames as the link counts, and a clock that is ours."""
+    forward = LinkSettings(delay_s=0.005, loss=0.1, mean_burst=3.0)
+    *_, master, slave = press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0)
+    there, back = slave.path, master.path
+    assert (there.lost, there.received) == (slave.link.missing, slave.link.fresh)
+    assert there.loss == pytest.approx(there.lost / there.expected)
+    assert there.lost == pytest.approx(there.bursts * there.mean_burst)
+    assert there.longest_burst >= 3
+    assert (back.lost, back.bursts, back.reordered, back.jitter_s) == (0, 0, 0, 0.0)
+    assert back.rate_hz == pytest.approx(1000.0)
+    assert there.worst_gap_s == pytest.approx(1e-3 * (there.longest_burst + 1))
+    for path in (there, back):
+        assert (path.clock_steps, path.clock_faults, path.last_clock_fault) == (0, 0, None)
+        assert path.offset_s is not None
+        assert path.offset_bound_s is not None
+        assert abs(path.offset_s) <= path.offset_bound_s <= 0.006
+        # Both ways and the wait for a tick; what is usual lies above the median by the jitter.
+        assert path.expected_age_s is not None
+        assert path.usual_age_s is not None
+        assert 0.010 <= path.expected_age_s <= path.usual_age_s <= 0.020
 
 
 def counts(forward: LinkSettings) -> tuple[LinkStatistics, LinkStatistics]:

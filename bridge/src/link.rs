@@ -268,6 +268,11 @@ impl<const N: usize> FrameLink<N> {
         &self.path
     }
 
+    /// The two sides engage at the ages that the link has now.
+    pub fn anchor(&mut self) {
+        self.path.anchor();
+    }
+
     /// What is known of the way at `now_ns`: for the end of a run, as it walks the last 2048 sequences.
     pub fn path_report(&self, now_ns: u64) -> PathReport {
         self.path.report(now_ns)

@@ -1,7 +1,7 @@
 //! What one end knows of the way to its peer, from the frames alone.
 
 use crate::{
-    clock::{AgeSettings, ClockFault, ClockSettings, FourTimes, PacketAge, PeerClock, PeerOffset},
+    clock::{AgeSettings, ClockFault, ClockSettings, FourTimes, PacketAge, PeerClock, PeerOffset, UsualAge},
     playout::{PathMeter, PathStatistics},
     wire::Echo,
 };
@@ -23,6 +23,7 @@ pub struct PathSettings {
 pub struct PeerPath {
     clock: PeerClock,
     age: PacketAge,
+    usual: UsualAge,
     meter: PathMeter,
     clock_faults: u64,
     last_fault: Option<ClockFault>,
@@ -46,6 +47,8 @@ pub struct PathReport {
     pub last_fault: Option<ClockFault>,
     /// Bound of the age in ns that frames have on arrival: the median, by our clock alone.
     pub expected_age_ns: Option<u64>,
+    /// Bound of the age in ns that the link is used to, which the ladder measures against.
+    pub usual_age_ns: Option<u64>,
 }
 
 impl PeerPath {
@@ -54,6 +57,7 @@ impl PeerPath {
         Self {
             clock: PeerClock::new(settings.clock),
             age: PacketAge::new(settings.age),
+            usual: UsualAge::new(),
             meter: PathMeter::new(),
             clock_faults: 0,
             last_fault: None,
@@ -78,7 +82,7 @@ impl PeerPath {
         let told = match exchanged {
             Some((own_sent_ns, held_ns)) => self
                 .clock
-                .take(&FourTimes {
+                .learn(&FourTimes {
                     sent_ns: own_sent_ns,
                     peer_received_ns: sent_ns.saturating_sub(held_ns),
                     peer_sent_ns: sent_ns,
@@ -88,6 +92,9 @@ impl PeerPath {
             None => self.clock.backward_delay(sent_ns, now_ns).map(|_| ()),
         };
         let aged = self.age.received(now_ns, echo.map(|echo| (echo.sequence, echo.held_ns)));
+        if let Some(age_ns) = self.age.age(now_ns).and_then(|age| age.at_most_ns) {
+            self.usual.take(now_ns, age_ns);
+        }
         if let Err(fault) = told.and(aged) {
             self.clock_faults += 1;
             self.last_fault = Some(fault);
@@ -98,6 +105,7 @@ impl PeerPath {
     pub fn begin(&mut self) {
         self.clock.restart();
         self.age.restart();
+        self.usual.restart();
         self.meter.restart();
     }
 
@@ -111,6 +119,17 @@ impl PeerPath {
         &self.age
     }
 
+    /// The two sides engage: what ages are now is what they are measured against.
+    pub fn anchor(&mut self) {
+        self.usual.anchor();
+    }
+
+    /// By how much the newest of the peer may be older at `now_ns` than the link is used to, in ns; none until the peer has
+    /// echoed anything.
+    pub fn over_usual_ns(&self, now_ns: u64) -> Option<u64> {
+        Some(self.age.age(now_ns)?.at_most_ns?.saturating_sub(self.usual.level_ns()?))
+    }
+
     /// What is known at `now_ns`.
     pub fn report(&self, now_ns: u64) -> PathReport {
         PathReport {
@@ -121,6 +140,7 @@ impl PeerPath {
             clock_faults: self.clock_faults,
             last_fault: self.last_fault,
             expected_age_ns: self.age.expected_ns(),
+            usual_age_ns: self.usual.level_ns(),
         }
     }
 }

@@ -6,6 +6,7 @@ use crate::{
     endpoint::{MasterEndpoint, SlaveEndpoint},
     ladder::{Clutch, ClutchError, FlightRecorder, LadderState, Person},
     link::{LinkStatistics, Refusal},
+    path::PathReport,
     plant::{MasterPlant, SlavePlant},
     record::{MasterRecord, SlaveRecord, Told},
     wire::{MAX_FRAME, frame_length},
@@ -75,6 +76,12 @@ pub trait Side {
 
     /// Counts of the run.
     fn counts(&self) -> SideCounts;
+
+    /// What is known of the way to the peer at `now_ns`: for the end of a run, as it walks the last 2048 sequences. Empty
+    /// of a side that measures none.
+    fn path(&self, _now_ns: u64) -> PathReport {
+        PathReport::default()
+    }
 
     /// The last states and commands.
     fn flight(&self) -> &FlightRecorder;
@@ -156,6 +163,10 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     fn counts(&self) -> SideCounts {
         let (link, holds) = self.endpoint.exchange().counts();
         SideCounts { link, holds, limited: 0 }
+    }
+
+    fn path(&self, now_ns: u64) -> PathReport {
+        self.endpoint.exchange().path_report(now_ns)
     }
 
     fn flight(&self) -> &FlightRecorder {
@@ -252,6 +263,10 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
     fn counts(&self) -> SideCounts {
         let (link, holds) = self.endpoint.exchange().counts();
         SideCounts { link, holds, limited: self.endpoint.limited_ticks() }
+    }
+
+    fn path(&self, now_ns: u64) -> PathReport {
+        self.endpoint.exchange().path_report(now_ns)
     }
 
     fn flight(&self) -> &FlightRecorder {

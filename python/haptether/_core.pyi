@@ -43,6 +43,7 @@ __all__ = [
     "MasterSettings",
     "MasterTrace",
     "PassivityObserver",
+    "PathReport",
     "Proxy",
     "ProxyStatistics",
     "Pusher",
@@ -1785,6 +1786,102 @@ class LinkStatistics:
         """Least round trip in s; 0 before any."""
 
 @final
+class PathReport:
+    """What the way did to the peer's frames up to the end of a run, and what is known of the peer's clock."""
+
+    @property
+    def expected(self) -> int:
+        """Frames from the first to the newest that arrived."""
+
+    @property
+    def received(self) -> int:
+        """Different frames among them that arrived."""
+
+    @property
+    def lost(self) -> int:
+        """Those that did not."""
+
+    @property
+    def loss(self) -> float:
+        """Their share; 0 before the first frame."""
+
+    @property
+    def bursts(self) -> int:
+        """Runs of lost frames."""
+
+    @property
+    def mean_burst(self) -> float:
+        """Mean length of a run in frames; 0 without any."""
+
+    @property
+    def longest_burst(self) -> int:
+        """The longest run in frames."""
+
+    @property
+    def reordered(self) -> int:
+        """Frames that arrived after a newer one."""
+
+    @property
+    def mean_extent(self) -> float:
+        """By how many arrivals they came too late, on average (RFC 4737); 0 without any."""
+
+    @property
+    def longest_extent(self) -> int:
+        """By how many at most."""
+
+    @property
+    def duplicate(self) -> int:
+        """Frames that had arrived before; those of a session are in `LoopReport.rejections`."""
+
+    @property
+    def too_late(self) -> int:
+        """Frames so late that they count as lost, or of before the first."""
+
+    @property
+    def jitter_s(self) -> float:
+        """Interarrival jitter in s (RFC 3550)."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of arrival in Hz."""
+
+    @property
+    def worst_gap_s(self) -> float:
+        """Longest time in s without a frame, the end of the run included."""
+
+    @property
+    def expected_age_s(self) -> float | None:
+        """Bound of the age in s that frames have on arrival, by our clock alone: the median; none before any echo."""
+
+    @property
+    def usual_age_s(self) -> float | None:
+        """Bound of the age in s that the link is used to, which the ladder measures against; none before any echo."""
+
+    @property
+    def offset_s(self) -> float | None:
+        """The peer's clock less ours in s; none before it is known."""
+
+    @property
+    def offset_bound_s(self) -> float | None:
+        """How wrong `offset_s` may be, in s."""
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """How much faster the peer's clock runs, in parts per million; none in the first second."""
+
+    @property
+    def clock_steps(self) -> int:
+        """How often a clock was proven to step."""
+
+    @property
+    def clock_faults(self) -> int:
+        """Exchanges that no healthy clocks make, steps included."""
+
+    @property
+    def last_clock_fault(self) -> str | None:
+        """The last of them."""
+
+@final
 class RecordingReport:
     """What became of a recording."""
 
@@ -1823,6 +1920,10 @@ class LoopReport:
     @property
     def link(self) -> LinkStatistics:
         """Counts of the link."""
+
+    @property
+    def path(self) -> PathReport:
+        """What the way did to the peer's frames, and what is known of its clock."""
 
     @property
     def holds(self) -> int:

@@ -8,7 +8,7 @@ use std::{
 
 use haptether_bridge::{
     Act, Clutch, Event, LadderSettings, LadderState, MasterEndpoint, MasterRecord, MasterSettings,
-    MasterSide, Reason, Side, SideCounts, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide,
+    MasterSide, PathReport, Reason, Side, SideCounts, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide,
     VirtualSettings,
     coupling::CommandBounds,
     live::{
@@ -295,13 +295,15 @@ fn run_bridge(
         })
     });
     let [at_master, at_slave] = counted.map_err(refuse)?.rejections;
-    let report = |counts: SideCounts,
+    let end_ns = settings.ticks.saturating_sub(1) * settings.period_ns;
+    let report = |(counts, path): (SideCounts, PathReport),
                   rejections: Rejections,
                   mut states: Box<dyn Iterator<Item = (u64, LadderState)> + '_>| {
         let engaged = states.find(|(_, state)| state.is_coupled());
         LoopReport {
             ticks: settings.ticks,
             link: counts.link.with(&rejections),
+            path,
             secure,
             holds: counts.holds,
             limited: counts.limited,
@@ -310,12 +312,12 @@ fn run_bridge(
         }
     };
     let master_report = report(
-        master.counts(),
+        (master.counts(), master.path(end_ns)),
         at_master,
         Box::new(master_records.iter().map(|record| (record.time_ns, record.state))),
     );
     let slave_report = report(
-        slave.counts(),
+        (slave.counts(), slave.path(end_ns)),
         at_slave,
         Box::new(slave_records.iter().map(|record| (record.time_ns, record.state))),
     );

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use haptether_bridge::{
-    LinkStatistics, MasterRecord, SlaveRecord,
+    LinkStatistics, MasterRecord, PathReport, SlaveRecord,
     live::{Granted, LoopReport},
     recorder::RecordingReport,
 };
@@ -15,6 +15,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<MasterTrace>()?;
     module.add_class::<SlaveTrace>()?;
     module.add_class::<PyLinkStatistics>()?;
+    module.add_class::<PyPathReport>()?;
     module.add_class::<PyLoopReport>()?;
     module.add_class::<PyRecordingReport>()?;
     Ok(())
@@ -119,6 +120,66 @@ impl From<LinkStatistics> for PyLinkStatistics {
     }
 }
 
+#[pyclass(name = "PathReport", module = "haptether.bridge", frozen, get_all)]
+#[derive(Clone)]
+pub(crate) struct PyPathReport {
+    expected: u64,
+    received: u64,
+    lost: u64,
+    loss: f64,
+    bursts: u64,
+    mean_burst: f64,
+    longest_burst: u64,
+    reordered: u64,
+    mean_extent: f64,
+    longest_extent: u64,
+    duplicate: u64,
+    too_late: u64,
+    jitter_s: f64,
+    rate_hz: f64,
+    worst_gap_s: f64,
+    expected_age_s: Option<f64>,
+    usual_age_s: Option<f64>,
+    offset_s: Option<f64>,
+    offset_bound_s: Option<f64>,
+    drift_ppm: Option<f64>,
+    clock_steps: u64,
+    clock_faults: u64,
+    last_clock_fault: Option<String>,
+}
+
+impl From<PathReport> for PyPathReport {
+    fn from(of: PathReport) -> Self {
+        let statistics = &of.statistics;
+        let (losses, reordering) = (&statistics.losses, &statistics.reordering);
+        Self {
+            expected: statistics.expected,
+            received: statistics.received,
+            lost: losses.lost,
+            loss: statistics.loss(),
+            bursts: losses.bursts,
+            mean_burst: losses.mean(),
+            longest_burst: losses.longest,
+            reordered: reordering.reordered,
+            mean_extent: reordering.mean_extent(),
+            longest_extent: reordering.longest_extent,
+            duplicate: statistics.duplicate,
+            too_late: statistics.too_late,
+            jitter_s: seconds(statistics.jitter_ns),
+            rate_hz: statistics.rate_hz,
+            worst_gap_s: seconds(statistics.worst_gap_ns),
+            expected_age_s: of.expected_age_ns.map(seconds),
+            usual_age_s: of.usual_age_ns.map(seconds),
+            offset_s: of.offset.map(|offset| offset.offset_ns as f64 * 1e-9),
+            offset_bound_s: of.offset.map(|offset| seconds(offset.bound_ns)),
+            drift_ppm: of.drift_ppb.map(|ppb| ppb as f64 * 1e-3),
+            clock_steps: of.steps,
+            clock_faults: of.clock_faults,
+            last_clock_fault: of.last_fault.map(|fault| fault.to_string()),
+        }
+    }
+}
+
 #[pyclass(name = "RecordingReport", module = "haptether.bridge", frozen, get_all)]
 #[derive(Clone)]
 pub(crate) struct PyRecordingReport {
@@ -140,6 +201,7 @@ pub(crate) struct PyLoopReport {
     dropped_records: u64,
     unsent: u64,
     link: PyLinkStatistics,
+    path: PyPathReport,
     holds: u64,
     limited: u64,
     secure: bool,
@@ -158,6 +220,7 @@ impl From<LoopReport> for PyLoopReport {
             dropped_records: of.dropped_records,
             unsent: of.unsent,
             link: of.link.into(),
+            path: of.path.into(),
             holds: of.holds,
             limited: of.limited,
             secure: of.secure,

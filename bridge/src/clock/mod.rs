@@ -11,6 +11,7 @@ mod drift;
 mod fault;
 mod four_times;
 mod peer_clock;
+mod usual;
 mod window;
 
 #[cfg(test)]
@@ -22,6 +23,7 @@ pub use age::{Age, AgeSettings, PacketAge};
 pub use fault::ClockFault;
 pub use four_times::FourTimes;
 pub use peer_clock::{ClockSettings, OneWay, PeerClock, PeerOffset, Reading};
+pub use usual::UsualAge;
 pub(crate) use window::WindowMinimum;
 
 /// Parts per billion in one.

@@ -101,13 +101,18 @@ impl PeerClock {
     ///
     /// On [`ClockFault::Step`] the estimate begins anew; on any other fault the exchange is left out.
     pub fn take(&mut self, times: &FourTimes) -> Result<Option<Reading>, ClockFault> {
+        Ok(if self.learn(times)? { self.reading(times) } else { None })
+    }
+
+    /// The same without what the exchange says, which costs as much again; whether it was taken.
+    pub fn learn(&mut self, times: &FourTimes) -> Result<bool, ClockFault> {
         times.check(self.settings.max_drift_ppb)?;
         if times.received_ns < self.newest_ns {
             return Err(ClockFault::Backwards { side: "own", by_ns: self.newest_ns - times.received_ns });
         }
         self.newest_ns = times.received_ns;
         if times.sent_ns < self.anew_from_ns {
-            return Ok(None);
+            return Ok(false);
         }
         if let Some(contradiction) = self.bounds.contradicted(times) {
             let fault = self.step(times, contradiction);
@@ -122,7 +127,7 @@ impl PeerClock {
         // Below 2^63 like the times it is made of.
         self.window.add(times.received_ns, round_trip_ns.cast_signed(), Reference { middle_ns, offset_ns });
         self.fit.add(Point { at_ns: middle_ns, offset_ns, round_trip_ns });
-        Ok(self.reading(times))
+        Ok(true)
     }
 
     fn step(&self, times: &FourTimes, contradiction: Contradiction) -> ClockFault {

@@ -103,8 +103,16 @@ impl<const N: usize> Exchange<N> {
             }
         };
         self.clutch = clutch;
-        let input = LadderInput { age_ns, expected_age_ns, peer, clutch, asks };
-        (self.ladder.step(now_ns, &input), age_ns)
+        // On arrival an age is what the link is used to; until the next frame it grows by what silence may.
+        let over = self.link.path().over_usual_ns(now_ns);
+        let over_usual_ns = over.map(|over| over.saturating_sub(expected_age_ns));
+        let input = LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, asks };
+        let before = self.ladder.state();
+        let state = self.ladder.step(now_ns, &input);
+        if state.is_coupled() && !before.is_coupled() {
+            self.link.anchor();
+        }
+        (state, age_ns)
     }
 
     /// Keeps this tick in the flight recorder: measured position, command and force.

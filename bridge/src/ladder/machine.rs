@@ -26,6 +26,8 @@ pub struct LadderInput {
     pub age_ns: Option<u64>,
     /// Age in ns that the link has when nothing is wrong: silence counts from there.
     pub expected_age_ns: u64,
+    /// By how much in ns the newest may be older than the link is used to; none until that is known.
+    pub over_usual_ns: Option<u64>,
     /// What the newest frame says.
     pub peer: Option<PeerReport>,
     /// Whether the clutch is closed: at the master the button, at the slave what the master's frame says of it.
@@ -88,6 +90,7 @@ impl Ladder {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
         let silent = self.excess_ns.is_none_or(|excess| excess > hold_after_ns);
+        let old = input.over_usual_ns.is_some_and(|over| over > hold_after_ns);
         // What had arrived while this side was blind is as old as that.
         let seen = input
             .age_ns
@@ -116,6 +119,8 @@ impl Ladder {
             .with(Reason::PeerHolds, stands(LadderState::Hold))
             .with(Reason::PeerStopped, stands(LadderState::Stop))
             .with(Reason::PeerFaulted, stands(LadderState::Fault))
+            // What it is used to is that of an engagement.
+            .with(Reason::NewsOld, self.state.is_coupled() && old)
             .with(Reason::ClutchReleased, !input.clutch)
             .with(Reason::ClutchPressed, pressed)
             .with(Reason::BothAligned, both_hear && aligned)

@@ -9,6 +9,7 @@ fn sound(age: u64) -> LadderInput {
     LadderInput {
         age_ns: Some(age * MS),
         expected_age_ns: MS,
+        over_usual_ns: Some(0),
         peer: Some(PeerReport { state: Engaged, hears: true, answers: true }),
         clutch: true,
         asks: false,
@@ -98,6 +99,24 @@ fn what_a_peer_says_holds_this_side() {
     let mut ladder = engaged();
     ladder.step(301 * MS, &LadderInput { peer: None, age_ns: None, ..sound(1) });
     assert_eq!(ladder.state(), Hold);
+}
+
+/// Old news holds without a silence, and neither stops nor keeps a press from engaging: what is usual is anchored then.
+#[test]
+fn old_news_holds_until_a_press_at_the_new_age() {
+    let old = |over| LadderInput { over_usual_ns: Some(over), ..sound(1) };
+    let mut ladder = engaged();
+    assert_eq!(ladder.step(301 * MS, &old(20 * MS)), Engaged);
+    assert_eq!(ladder.step(302 * MS, &old(20 * MS + 1)), Hold);
+    assert_eq!(ladder.history().last().unwrap().reason, Reason::NewsOld);
+    for now in 303..1000 {
+        assert_eq!(ladder.step(now * MS, &old(900 * MS)), Hold, "the peer is heard");
+    }
+    ladder.step(1000 * MS, &LadderInput { clutch: false, ..old(900 * MS) });
+    assert_eq!(ladder.step(1001 * MS, &LadderInput { asks: true, ..old(900 * MS) }), Engaged);
+    assert_eq!(ladder.step(1002 * MS, &old(0)), Engaged);
+    let unknown = LadderInput { over_usual_ns: None, ..sound(1) };
+    assert_eq!(ladder.step(1003 * MS, &unknown), Engaged);
 }
 
 /// A held ladder: what engages it again, and what does not.
@@ -235,10 +254,12 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
         prop_oneof![6 => Just(Some(0_u64)), 3 => (0..400_u64).prop_map(Some), 1 => Just(None)],
         prop_oneof![6 => Just(Some(good)), 3 => peer.prop_map(Some), 1 => Just(None)],
         prop::bool::weighted(0.7),
+        prop_oneof![6 => Just(Some(0_u64)), 1 => (0..60_u64).prop_map(Some), 1 => Just(None)],
     )
-        .prop_map(|(age, peer, clutch)| LadderInput {
+        .prop_map(|(age, peer, clutch, over)| LadderInput {
             age_ns: age.map(|age| age * MS),
             expected_age_ns: MS,
+            over_usual_ns: over.map(|over| over * MS),
             peer,
             clutch,
             asks: false,

@@ -40,17 +40,19 @@ pub enum Reason {
     MasterStartedAnew,
     /// A person at this side has acknowledged the fault.
     Acknowledged,
+    /// The newest of the peer may be older than the link is used to by more than `hold_after`.
+    NewsOld,
 }
 
 use Reason::{
     Acknowledged, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack, FramesLate,
-    MasterStartedAnew, OwnDelay, PeerDeaf, PeerFaulted, PeerHolds, PeerRestarted, PeerSilent, PeerStopped,
-    SilentTooLong,
+    MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerFaulted, PeerHolds, PeerRestarted, PeerSilent,
+    PeerStopped, SilentTooLong,
 };
 
 impl Reason {
     /// All reasons in the order of their codes.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         BadNumber,
         OwnDelay,
         PeerRestarted,
@@ -67,6 +69,7 @@ impl Reason {
         SilentTooLong,
         MasterStartedAnew,
         Acknowledged,
+        NewsOld,
     ];
 
     /// Its number in records, from 1; 0 stands for none.
@@ -98,6 +101,7 @@ impl Reason {
             SilentTooLong => "no sound peer for too long",
             MasterStartedAnew => "master was started anew",
             Acknowledged => "fault acknowledged at this side",
+            NewsOld => "peer's news is old",
         }
     }
 }
@@ -136,6 +140,7 @@ pub const TABLE: &[Row] = &[
     row(Engaged, PeerStopped, Hold),
     row(Engaged, PeerHolds, Hold),
     row(Engaged, PeerDeaf, Hold),
+    row(Engaged, NewsOld, Hold),
     row(Engaged, ClutchReleased, Disengaged),
     row(Engaged, FramesLate, Stale),
     row(Stale, BadNumber, Fault),
@@ -146,6 +151,7 @@ pub const TABLE: &[Row] = &[
     row(Stale, PeerStopped, Hold),
     row(Stale, PeerHolds, Hold),
     row(Stale, PeerDeaf, Hold),
+    row(Stale, NewsOld, Hold),
     row(Stale, ClutchReleased, Disengaged),
     row(Stale, FramesBack, Engaged),
     row(Hold, BadNumber, Fault),
@@ -207,10 +213,10 @@ mod tests {
     use super::*;
 
     fn all_facts() -> impl Iterator<Item = Facts> {
-        (0..1_u32 << 16).map(|bits| Facts(bits << 1))
+        (0..1_u32 << 17).map(|bits| Facts(bits << 1))
     }
 
-    /// Every state under every set of reasons: 7 times 65536 cases.
+    /// Every state under every set of reasons: 7 times 131072 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
         for state in LadderState::ALL {
@@ -218,7 +224,7 @@ mod tests {
                 let Some(row) = next(state, facts) else {
                     // What must never be ignored.
                     assert!(!facts.has(BadNumber) || state == Fault, "{state:?} {facts:?}");
-                    let worse = [OwnDelay, PeerSilent, PeerRestarted];
+                    let worse = [OwnDelay, PeerSilent, PeerRestarted, NewsOld];
                     assert!(!state.is_coupled() || !worse.iter().any(|reason| facts.has(*reason)));
                     continue;
                 };
@@ -256,6 +262,7 @@ mod tests {
             (PeerRestarted, Hold),
             (PeerSilent, Hold),
             (PeerDeaf, Hold),
+            (NewsOld, Hold),
             (PeerHolds, Hold),
             (PeerStopped, Hold),
             (PeerFaulted, Hold),
@@ -305,7 +312,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(17)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(18)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.

@@ -24,6 +24,7 @@ use crate::{
     ladder::{FlightRecorder, LadderState},
     link::LinkStatistics,
     pace::Wake,
+    path::PathReport,
     recorder::{Recorder, Recording, RecordingReport},
     session::{MAX_DATAGRAM, Rejections},
     side::{Side, TickTime},
@@ -48,7 +49,7 @@ pub struct LiveSettings {
 }
 
 /// How a live loop went.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoopReport {
     /// Ticks done.
     pub ticks: u64,
@@ -60,6 +61,8 @@ pub struct LoopReport {
     pub unsent: u64,
     /// Counts of the link.
     pub link: LinkStatistics,
+    /// What the way did to the peer's frames, and what is known of its clock.
+    pub path: PathReport,
     /// How often the ladder went to HOLD.
     pub holds: u64,
     /// Ticks at which a bound acted on the remote command.
@@ -260,6 +263,7 @@ fn turn<S: Side>(
         deadline_ns += settings.period_ns;
     }
     let (counts, flight) = (side.0.counts(), Box::new(*side.0.flight()));
+    report.path = side.0.path(deadline_ns);
     // First of all: what follows takes its time.
     drop(side);
     for release in 0..RELEASES {

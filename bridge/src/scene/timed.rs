@@ -1,8 +1,8 @@
 //! A side at which a person acts at given times.
 
 use crate::{
-    Act, FlightRecorder, LadderState, Refusal, Side, SideCounts, TickTime, coupling::CouplingError,
-    wire::MAX_FRAME,
+    Act, FlightRecorder, LadderState, PathReport, Refusal, Side, SideCounts, TickTime,
+    coupling::CouplingError, wire::MAX_FRAME,
 };
 
 /// A side, and what is done at it when, in ns since the start, in order.
@@ -60,6 +60,10 @@ impl<S: Side> Side for Timed<S> {
 
     fn counts(&self) -> SideCounts {
         self.side.counts()
+    }
+
+    fn path(&self, now_ns: u64) -> PathReport {
+        self.side.path(now_ns)
     }
 
     fn flight(&self) -> &FlightRecorder {

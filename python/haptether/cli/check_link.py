@@ -99,6 +99,9 @@ class CheckLink:
             wait(headline, status, lambda: master.finished, stopped, None)
             trace, report = master.finish()
             tell(master.security_events())
+        if stopped:
+            # Of a part of what was asked for there is no verdict.
+            raise KeyboardInterrupt
         if not np.isfinite(trace.age_s).any():
             message = f"no slave answered at {self.peer} within {self.duration_s:g} s: is it running there, and free?"
             raise RuntimeError(message)

@@ -28,6 +28,10 @@ def link_table(of: "LinkSummary") -> Table:
         "lost on the way here": loss,
         "worst gap between arrivals [ms]": ms(of.worst_gap_s),
     }
+    if of.loss_bursts:
+        rows["runs of lost frames, longest"] = f"{of.loss_bursts}, {of.longest_burst}"
+    if of.clock_faults:
+        rows["faults of a clock, the last"] = f"{of.clock_faults}, {of.last_clock_fault}"
     if of.recorded is not None:
         rows["recorded, dropped"] = f"{of.recorded}, {of.unrecorded}"
         if of.recording_end is not None:

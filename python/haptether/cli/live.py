@@ -1,13 +1,14 @@
 """What the live commands share: waiting, Ctrl-C, and the end of a run."""
 
 import contextlib
+import os
 import signal
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 if TYPE_CHECKING:
     from haptether.bridge import RecordingReport
@@ -80,10 +81,34 @@ def recording_status(recording: "RecordingReport | None") -> str:
     return f", recording ended: {recording.end}"
 
 
-def tell(events: list[str]) -> None:
-    """Says on standard error what has happened."""
+def tell(events: list[str]) -> str | None:
+    """Says on standard error what has happened; gives why the slave refused, if it did."""
+    refused = None
     for event in events:
         print(event, file=sys.stderr, flush=True)
+        refused = event if event.startswith("refused") else refused
+    return refused
+
+
+class Steps:
+    """What a person must know of the ladder while it runs, and what to do about it."""
+
+    REMEDIES: ClassVar = {
+        "hold": "release the clutch and press it again",
+        "stop": "release the clutch and press it again",
+        "fault": "mend the cause, acknowledge it, then release the clutch and press it again",
+    }
+
+    def __init__(self, press: str) -> None:
+        self._press = press
+        self._shown = ""
+
+    def show(self, state: str) -> None:
+        """Says on standard error that a side has come to hold, stop or fault."""
+        before, self._shown = self._shown, state
+        if state != before and state in self.REMEDIES:
+            acknowledge = f" (here kill -USR2 {os.getpid()})" if state == "fault" else ""
+            print(f"{state}: {self.REMEDIES[state]}{acknowledge}{self._press}", file=sys.stderr, flush=True)
 
 
 class Acts:
@@ -130,9 +155,14 @@ class FlightFile:
             return
         # Tried once: a disk that is full, at the very stop that the file is to explain, must not end the run.
         self._written = flight
-        beside = self._path.with_name(f".{self._path.name}.part")
         try:
+            if self._path.exists() and not self._path.is_file():
+                # A pipe or a device stays what it is.
+                self._path.write_text(flight, encoding="utf-8")
+                return
+            path = self._path.resolve()
+            beside = path.with_name(f".{path.name}.part")
             beside.write_text(flight, encoding="utf-8")
-            beside.replace(self._path)
+            beside.replace(path)
         except OSError as error:
             print(f"{self._path}: not written: {error.strerror or error}", file=sys.stderr, flush=True)

@@ -64,16 +64,19 @@ class Master(LiveOptions):
 
     def run(self) -> int:
         """Runs until told to stop; fails if the slave never answered."""
+        import os
+
         from haptether.bridge import LiveMaster, ladder_reason
-        from haptether.cli.live import Acts, FlightFile, Stopped, recording_status, tell, wait
+        from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
         from haptether.cli.options import master_settings, new_session
-        from haptether.cli.output import check_target
+        from haptether.cli.output import check_distinct, check_target
         from haptether.cli.security import marked, session_key
         from haptether.studies import measure_push, save_master_trace, summarise_link
 
         check_target(self.json)
         check_target(self.trace)
         check_target(self.flight)
+        check_distinct(key=self.key, json=self.json, trace=self.trace, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         live = self.live()
@@ -99,9 +102,13 @@ class Master(LiveOptions):
                 **live,
             )
 
+            steps = Steps(f": kill -USR1 {os.getpid()}")
+            refused: list[str | None] = []
+
             def status() -> str:
                 master.poll()
-                tell(master.security_events())
+                refused.append(tell(master.security_events()))
+                steps.show(master.state)
                 flight.write(master.flight())
                 shown = f"master {master.state}, {master.ticks} ticks{recording_status(master.recording)}"
                 return marked(shown, insecure=self.insecure)
@@ -116,17 +123,23 @@ class Master(LiveOptions):
                     None,
                 )
             trace, report = master.finish()
-            tell(master.security_events())
+            refused.append(tell(master.security_events()))
             flight.write(master.flight())
         result = measure_push(self.controller, trace, report, self.release_at_s)
         self._report(result, summarise_link(trace, report))
         if self.trace is not None:
             save_master_trace(trace, self.trace)
+        if result.final_state == "fault":
+            message = f"the run ended in fault: {result.fault}"
+            raise RuntimeError(message)
+        if result.engaged_s is None and not stopped and (why := next(filter(None, refused), None)):
+            message = f"no slave to steer at {self.peer}: {why}"
+            raise RuntimeError(message)
         if result.engaged_s is None and not stopped:
             message = f"no slave answered at {self.peer} within {self.patience_s:g} s: is it running there, and free?"
             raise RuntimeError(message)
-        if result.final_state in {"stop", "fault"} and not stopped:
-            message = f"the run ended in {result.final_state}: {result.fault or 'the slave fell silent for 200 ms'}"
+        if result.final_state == "stop" and not stopped:
+            message = "the run ended in stop: the slave fell silent for 200 ms"
             raise RuntimeError(message)
         if result.final_state == "hold" and not stopped:
             message = f"the run ended in hold: {ladder_reason(int(trace.reason[-1]))}"

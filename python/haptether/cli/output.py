@@ -47,6 +47,23 @@ def check_target(target: Path | None) -> None:
         raise OSError(message)
 
 
+def check_distinct(**files: Path | None) -> None:
+    """Refuses options that name one file twice: what is written last would destroy the other, be it a key.
+
+    Raises:
+        ValueError: With both options.
+    """
+    seen: dict[Path, str] = {}
+    for name, path in files.items():
+        if path is None or str(path) == "-":
+            continue
+        option = f"--{name.replace('_', '-')}"
+        other = seen.setdefault(path.resolve(), option)
+        if other != option:
+            message = f"{other}, {option}: both name {path}: give two files"
+            raise ValueError(message)
+
+
 def make_folder(folder: Path) -> None:
     """Makes a folder for pictures, before the run rather than after it.
 

@@ -59,14 +59,15 @@ class Slave(LiveOptions):
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import Acts, FlightFile, Stopped, recording_status, tell, wait
+        from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
         from haptether.cli.options import new_session, slave_settings
-        from haptether.cli.output import check_target
+        from haptether.cli.output import check_distinct, check_target
         from haptether.cli.security import marked, session_key
         from haptether.safety import fault_message
 
         check_target(self.json)
         check_target(self.flight)
+        check_distinct(key=self.key, json=self.json, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         live = self.live()
@@ -89,9 +90,12 @@ class Slave(LiveOptions):
                 **live,
             )
 
+            steps = Steps(" at the master")
+
             def status() -> str:
                 slave.poll()
                 tell(slave.security_events())
+                steps.show(slave.state)
                 flight.write(slave.flight())
                 shown = f"slave {slave.state}, {slave.ticks} ticks{recording_status(slave.recording)}"
                 return marked(shown, insecure=self.insecure)
