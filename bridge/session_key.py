@@ -35,8 +35,8 @@ def write_key(path: Path, *, replace: bool = False) -> None:
     if path.is_dir():
         message = f"{path}: is a folder, must be a file"
         raise OSError(message)
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        message = f"{path}: is a link or a device, must be a plain file to be replaced"
+    if not path.is_symlink() and path.exists() and not path.is_file():
+        message = f"{path}: is no plain file: give another"
         raise OSError(message)
     # Whole or not at all, and never for a moment with the mode of the file before.
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")

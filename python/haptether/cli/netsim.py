@@ -1,5 +1,7 @@
 """`haptether netsim`: its commands."""
 
+from dataclasses import dataclass
+
 from haptether.cli.netsim_compare import Compare
 from haptether.cli.netsim_echo import Echo
 from haptether.cli.netsim_list import List
@@ -19,6 +21,7 @@ NETSIM_COMMANDS = {
 }
 
 
+@dataclass(frozen=True)
 class Netsim:
     """Impair a network: live between two processes, or as a table of what happens to each packet.
 
