@@ -7,14 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-
-from tests.faults import clocks, numbers, virtual
+from tests.faults import clocks, hostile, machine, numbers, processes, virtual
 from tests.faults.rows import Row
 from tests.faults.table import print_table
 
 GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "virtual": lambda: [*virtual.rows(), *clocks.rows()],
     "numbers": numbers.rows,
+    "processes": processes.rows,
+    "machine": machine.rows,
+    "hostile": hostile.rows,
 }
 """Where rows come from, in the order in which they run."""
 

@@ -3,11 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-
-from haptether.bridge import Run, simulate
-
 from tests.faults.rows import Complaints, Row
 from tests.faults.signals import HOLD, NAMES
+
+from haptether.bridge import Run, simulate
 
 STEP_S = 1.0
 """When a clock jumps, in s."""

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from tests.faults.rows import Complaints, Row
+from tests.faults.signals import NAMES
 
 from haptether.bridge import LadderSettings, LiveMaster, LiveSlave
 from haptether.cli.options import master_settings, slave_settings
@@ -15,9 +17,6 @@ from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySe
 from haptether.slave import Arm, Wall
 from haptether.studies import RAVEN_ATTACKS
 from haptether.studies.raven import measure_attack
-
-from tests.faults.rows import Complaints, Row
-from tests.faults.signals import NAMES
 
 BAD = {"NaN": math.nan, "+Inf": math.inf, "-Inf": -math.inf, "1e300": 1e300, "largest": sys.float_info.max}
 TINY = {"denormal": 5e-324, "-denormal": -2.2e-308, "-0": -0.0}

@@ -9,13 +9,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
-from haptether.bridge import read_recording, write_key
-
+import numpy as np
 from tests.faults.signals import Ticks
+
+from haptether.bridge import read_recording, write_key
 
 HAPTETHER = (sys.executable, "-m", "haptether")
 END_S = 30.0
@@ -24,6 +25,9 @@ PRESSED_S = 1.8
 """From a master's first line: handshake, engagement, 1.2 s of path; the hand presses the wall with some 3 N."""
 AGAIN_S = 1.2
 """From a press: 0.1 s released, realignment, 0.2 s of fade-in."""
+
+APART_S = 0.2
+"""Between the ends of two processes that are told at once: each looks for that every 50 ms."""
 
 
 class Process:
@@ -56,7 +60,7 @@ class Process:
             raise RuntimeError(f"{self.headline.strip()!r}: must say where it listens")
         return found[1].rstrip(",")
 
-    def signal(self, number: signal.Signals) -> None:
+    def send(self, number: signal.Signals) -> None:
         """Sends it a signal."""
         self.process.send_signal(number)
 
@@ -74,9 +78,9 @@ class Process:
 
     def frozen(self, length_s: float) -> None:
         """Stops it for a time, as a machine does that swaps or whose debugger holds it."""
-        self.signal(signal.SIGSTOP)
+        self.send(signal.SIGSTOP)
         time.sleep(length_s)
-        self.signal(signal.SIGCONT)
+        self.send(signal.SIGCONT)
 
     def kill(self) -> None:
         """Ends it whatever it does."""
@@ -109,6 +113,13 @@ class Stage:
     def key(self) -> Path:
         """The key of both sides."""
         return self.folder / "session.key"
+
+    def end_together(self, *processes: Process) -> None:
+        """Ends sides within a moment of one another, so that the end of one is not a fault of the other."""
+        for process in processes:
+            process.process.terminate()
+        for process in processes:
+            process.end(None)
 
     def path(self, name: str) -> Path:
         """Of a file of this row."""
@@ -157,7 +168,6 @@ class Recorded:
     reasons: list[str]
     overshoot_s: list[float]
 
-    def transitions(self) -> list[tuple[int, str]]:
-        """Ticks at which the state changed, and why."""
-        state = self.ticks.state
-        return [(n, self.reasons[n]) for n in range(1, len(state)) if state[n] != state[n - 1]]
+    def before_end(self) -> Self:
+        """Without the last moment, in which the other side may have ended already."""
+        return replace(self, ticks=self.ticks.between(-np.inf, float(self.ticks.time_s[-1]) - APART_S))

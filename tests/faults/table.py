@@ -6,7 +6,6 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-
 from tests.faults.rows import Row
 
 COLOURS = {"ok": "green", "FAILED": "red", "n/a": "yellow"}

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from tests.faults.rows import Complaints, Row
+from tests.faults.signals import Ticks
 
 from haptether.bridge import LoopReport, MasterSettings, SlaveSettings, run_bridge
 from haptether.master import Hand, HapticDevice
@@ -24,9 +26,6 @@ from haptether.netsim import (
 )
 from haptether.safety import SafetySettings
 from haptether.slave import Arm, Wall
-
-from tests.faults.rows import Complaints, Row
-from tests.faults.signals import Ticks
 
 PERIOD_S = 1e-3
 DELAY_S = 0.005
