@@ -14,9 +14,9 @@ from tests.faults.table import print_table
 GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "virtual": lambda: [*virtual.rows(), *clocks.rows()],
     "numbers": numbers.rows,
-    "processes": processes.rows,
-    "machine": machine.rows,
-    "hostile": hostile.rows,
+    "processes": lambda: list(processes.rows().values()),
+    "machine": lambda: list(machine.rows().values()),
+    "hostile": lambda: list(hostile.rows().values()),
 }
 """Where rows come from, in the order in which they run."""
 

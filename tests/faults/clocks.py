@@ -1,6 +1,7 @@
 """Clocks that are not right, in virtual time."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from tests.faults.rows import Complaints, Row
@@ -66,6 +67,6 @@ def rows() -> list[Callable[[], Row]]:
     """All of them, to be run one after the other."""
     found: list[Callable[[], Row]] = []
     for side in ("master", "slave"):
-        found += [lambda side=side, by=by: offset(side, by) for by in (-1e6, 4e9)]
-        found += [lambda side=side, by=by, to=to: jump(side, by, to) for by, to in ((0.1, "hold"), (1.0, "stop"))]
+        found += [partial(offset, side, by) for by in (-1e6, 4e9)]
+        found += [partial(jump, side, by, to) for by, to in ((0.1, "hold"), (1.0, "stop"))]
     return found

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from tests.faults.flood import HEADER
@@ -19,11 +20,16 @@ from tests.faults.rows import Row
 from tests.faults.running import END_S, PRESSED_S, Recorded, Stage
 from tests.faults.virtual import PERIOD_S, causes
 
+REPLAYED = "replay of a recorded session to the slave, and to one started anew"
+FUZZED = "header fuzz at the socket, 40000 datagrams"
 ANY_SESSION = 0x0123_4567_89AB_CDEF
 FLOOD_S = 3.0
-RATE_HZ = 1e5
+RATE_HZ, LEAST_RATE_HZ = 1e5, 8e4
+"""Asked for, and what a busy machine must reach for the row to count; the row says what it was."""
 LATE_SHARE = 0.005
 """More late cycles than without the flood, as a share of all."""
+COUNTED_SHARE = 0.5
+"""Of what was sent: what a full socket drops, nobody sees."""
 LATER_S = 0.5e-3
 """By how much p99 of how late the loop wakes may grow: half a period."""
 
@@ -93,7 +99,7 @@ def send_all(to: str, datagrams: list[bytes], every: int = 50) -> int:
 
 
 def replayed_session(limits: Limits) -> Row:
-    """Replay of a recorded session to the slave, and to one started anew"""
+    """Everything that a master has sent, sent again without the key."""
     with Stage.set() as stage:
         slave = stage.slave("slave")
         relay = Relay(slave.address)
@@ -127,9 +133,7 @@ def replayed_session(limits: Limits) -> Row:
     judged.say(
         f"{len(relay.recorded)} datagrams: {refused[0]} and {refused[1]} refused, {answers} and {fresh_answers} answers"
     )
-    return judged.row(
-        "replay of a recorded session to the slave, and to one started anew", "nothing engages, nothing moves"
-    )
+    return judged.row(REPLAYED, "nothing engages, nothing moves")
 
 
 def fuzz(count: int, seed: int) -> Iterator[bytes]:
@@ -149,7 +153,7 @@ def fuzz(count: int, seed: int) -> Iterator[bytes]:
 
 
 def fuzzed(limits: Limits) -> Row:
-    """Header fuzz at the socket, 40000 datagrams"""
+    """Datagrams of all kinds beside a session that lives."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         answers = send_all(slave.address, list(fuzz(40_000, seed=3)), every=20)
@@ -163,7 +167,7 @@ def fuzzed(limits: Limits) -> Row:
     refused = sum(report["rejections"].values())
     judged.wrong.check(refused >= 35_000, f"{refused} refused")
     judged.say(f"{causes(report['rejections'])}; no answer, no hold")
-    return judged.row("header fuzz at the socket, 40000 datagrams", "counted, never answered, the loop goes on")
+    return judged.row(FUZZED, "counted, never answered, the loop goes on")
 
 
 def living_session(port: int) -> tuple[int, int] | None:
@@ -200,8 +204,9 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
         # Ahead of what the master will have sent by then, and never to be reached.
         asked = ["--session", str(session), "--counter", str(counter + 100_000_000), "--kind", kind]
         begun_s = time.monotonic()
+        sender = [sys.executable, "-m", "tests.faults.flood", slave.address]
         ended = subprocess.run(
-            [sys.executable, "-m", "tests.faults.flood", slave.address, "--rate", f"{RATE_HZ}", "--seconds", f"{seconds}", *asked],
+            [*sender, "--rate", f"{RATE_HZ}", "--seconds", f"{seconds}", *asked],
             capture_output=True, text=True, timeout=END_S, check=True,
         )  # fmt: skip
         flooded_s = time.monotonic()
@@ -211,6 +216,8 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
         report = stage.report("slave")
     sent = json.loads(ended.stdout)
     rate_hz, arrived = float(sent["rate_hz"]), sum(report["rejections"].values())
+    if rate_hz < LEAST_RATE_HZ:
+        raise DisturbedError(f"the sender reached {rate_hz:.0f} a second, must be {LEAST_RATE_HZ:g}")
     windows = {
         side: (
             _late(recorded, flooded_s - quiet_s, flooded_s - begun_s),
@@ -225,14 +232,15 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
     never_held(*(side.before_end() for side in sides.values()))
     judged = Judged(limits)
     judged.slave(sides["slave"].before_end())
-    judged.wrong.check(rate_hz >= 0.9 * RATE_HZ, f"the sender reached {rate_hz:.0f} a second, must be {RATE_HZ:g}")
+    judged.wrong.check(arrived >= COUNTED_SHARE * sent["datagrams"], f"{arrived} of {sent['datagrams']} counted")
     judged.wrong.check(
         during[0] <= before[0] + LATER_S, f"p99 of waking late went from {before[0]:g} to {during[0]:g} s"
     )
     judged.wrong.check(during[1] <= before[1] + LATE_SHARE, f"late cycles went from {before[1]:.2%} to {during[1]:.2%}")
     judged.say(
-        f"{rate_hz:.0f}/s sent, {arrived / sent['seconds']:.0f}/s refused; wakes late p99 {before[0] * 1e6:.0f} us without, "
-        f"{during[0] * 1e6:.0f} us with; late cycles {before[1]:.2%}, {during[1]:.2%}; no hold"
+        f"{rate_hz:.0f}/s sent, {arrived / sent['seconds']:.0f}/s refused; "
+        f"wakes late p99 {before[0] * 1e6:.0f} us without, {during[0] * 1e6:.0f} us with; "
+        f"late cycles {before[1]:.2%}, {during[1]:.2%}; no hold"
     )
     return judged.row(name, "no hold, timing stays")
 
@@ -254,16 +262,10 @@ FLOODS = (
 )
 
 
-def rows(limits: Limits | None = None) -> list[Callable[[], Row]]:
-    """All of them, to be run one after the other."""
+def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
+    """All of them by name, to be run one after the other."""
     bounds = limits or Limits()
-    return [
-        *(
-            again(lambda measure=measure: measure(bounds), measure.__doc__ or "")
-            for measure in (replayed_session, fuzzed)
-        ),
-        *(
-            again(lambda name=name, kind=kind, knows=knows: flooded(name, kind, bounds, knows_session=knows), name)
-            for name, kind, knows in FLOODS
-        ),
-    ]
+    measures: dict[str, Callable[[Limits], Row]] = {REPLAYED: replayed_session, FUZZED: fuzzed}
+    for name, kind, knows in FLOODS:
+        measures[name] = partial(flooded, name, kind, knows_session=knows)
+    return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}

@@ -5,16 +5,19 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from tests.faults.processes import Judged, Limits, again, never_held
 from tests.faults.rows import Row
 from tests.faults.running import PRESSED_S, Recorded, Stage
-from tests.faults.signals import NAMES, Ticks
+from tests.faults.signals import ENGAGED, NAMES, Ticks
 
 DISK_KIB = 512
 """Of the disk that is full: a second of a recording."""
+FULL_DISK = f"full disk: {DISK_KIB} KiB tmpfs under the recordings of both sides"
+WALL_CLOCK = "wall clock of both sides set: +1 h, then -2 h"
 STEPPED_S = 4.2
 """After its start the wall clock of a process has been set twice (`wall_step.c`)."""
 
@@ -29,8 +32,8 @@ def mount_namespace() -> tuple[str, ...] | None:
 
 
 def full_disk(limits: Limits) -> Row:
-    """Full disk under a recording of both sides"""
-    name = f"full disk: {DISK_KIB} KiB tmpfs under the recordings of both sides"
+    """A disk without room under the recordings; the rest of the machine has room."""
+    name = FULL_DISK
     within = mount_namespace()
     if within is None:
         return Row(fault=name, how="-", expected="-", measured="no leave to mount a tmpfs here", applies=False)
@@ -76,8 +79,8 @@ def _traced(path: Path) -> Recorded:
 
 
 def wall_clock(limits: Limits) -> Row:
-    """Wall clock of both sides set: +1 h, then -2 h"""
-    name = "wall clock of both sides set: +1 h, then -2 h"
+    """The wall clock of two processes is set; that of the machine is not touched."""
+    name = WALL_CLOCK
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:
         return Row(fault=name, how="-", expected="-", measured="no C compiler", applies=False)
@@ -100,15 +103,13 @@ def wall_clock(limits: Limits) -> Row:
         step_s = np.diff(side.ticks.time_s)
         judged.wrong.check(step_s.min() > 0.0, "time ran backwards in a recording")
         judged.wrong.check(step_s.max() < 0.1, f"{step_s.max():g} s between two ticks")
-    judged.say(
-        f"{NAMES[2]} all the time; {max(float(np.diff(side.ticks.time_s).max()) for side in sides) * 1e3:.0f} ms between two ticks at most"
-    )
+    widest_s = max(float(np.diff(side.ticks.time_s).max()) for side in sides)
+    judged.say(f"{NAMES[ENGAGED]} all the time; {widest_s * 1e3:.0f} ms between two ticks at most")
     return judged.row(name, "nothing")
 
 
-def rows(limits: Limits | None = None) -> list[Callable[[], Row]]:
-    """All of them, to be run one after the other."""
+def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
+    """All of them by name, to be run one after the other."""
     bounds = limits or Limits()
-    return [
-        again(lambda measure=measure: measure(bounds), measure.__doc__ or "") for measure in (full_disk, wall_clock)
-    ]
+    measures = {FULL_DISK: full_disk, WALL_CLOCK: wall_clock}
+    return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}

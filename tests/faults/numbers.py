@@ -5,6 +5,7 @@ import secrets
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from tests.faults.rows import Complaints, Row
@@ -13,7 +14,7 @@ from tests.faults.signals import NAMES
 from haptether.bridge import LadderSettings, LiveMaster, LiveSlave
 from haptether.cli.options import master_settings, slave_settings
 from haptether.master import Hand, HapticDevice
-from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySettings, fault_message
+from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySettings, SafetyTicks, fault_message
 from haptether.slave import Arm, Wall
 from haptether.studies import RAVEN_ATTACKS
 from haptether.studies.raven import measure_attack
@@ -65,7 +66,7 @@ def tiny_from_device() -> Row:
     )  # fmt: skip
 
 
-def _layer(signal: str, sample: float):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _layer(signal: str, sample: float) -> SafetyTicks:
     time_s = np.arange(TICKS) * 1e-3
     signals = {
         "position": 1e-3 * np.sin(9.0 * time_s),
@@ -97,7 +98,7 @@ def at_the_door() -> Row:
         # A bound that is large is a matter of taste; what is no number never is.
         for name in ("NaN", "+Inf", "-Inf"):
             asked += 1
-            found.check(_refuses(lambda build=build, name=name: build(BAD[name])), f"{key} = {name} was taken")
+            found.check(_refuses(partial(build, BAD[name])), f"{key} = {name} was taken")
     return Row(
         fault="NaN, +Inf, -Inf from Python: settings", how="calls", expected="ValueError, nothing is built",
         measured=f"{asked} refused" if not found.all() else "; ".join(found.all()), complaints=found.all(),
@@ -122,7 +123,7 @@ def to_a_living_loop() -> Row:
             if name in {"1e300", "largest"}:
                 continue
             asked += 1
-            found.check(_refuses(lambda tell=tell, bad=bad: tell(bad)), f"{who} = {name} was taken")
+            found.check(_refuses(partial(tell, bad)), f"{who} = {name} was taken")
     time.sleep(0.2)
     # Whatever is allowed, the limiter and the bounds of a command have the last word.
     for scale in (sys.float_info.max, 5e-324):
@@ -142,7 +143,8 @@ def to_a_living_loop() -> Row:
     return Row(
         fault="the same, 0, -1, huge and denormal to living loops", how="calls",
         expected="ValueError; what is taken stays within force and speed bounds",
-        measured=f"{asked} refused; huge force scale: {NAMES[int(trace.state.max())]}, {force_n:.2f} N, {grown_n:.2f} N more a tick at most, {step_m * 1e3:.2f} mm a tick",
+        measured=f"{asked} refused; huge force scale: {NAMES[int(trace.state.max())]}; "
+        f"{force_n:.2f} N, {grown_n:.2f} N more a tick at most, {step_m * 1e3:.2f} mm a tick",
         complaints=found.all(),
     )  # fmt: skip
 
@@ -169,9 +171,8 @@ def in_frames(security: str) -> Row:
 
 def no_driver(fault: str) -> Row:
     """What there is nothing to do it to."""
-    return Row(
-        fault=fault, how="-", expected="fault, zero force", measured="no Python driver yet: not applicable", applies=False,
-    )  # fmt: skip
+    measured = "no Python driver yet: not applicable"
+    return Row(fault=fault, how="-", expected="fault, zero force", measured=measured, applies=False)
 
 
 def _refuses(call: Callable[[], object]) -> bool:
@@ -185,11 +186,11 @@ def _refuses(call: Callable[[], object]) -> bool:
 def rows() -> list[Callable[[], Row]]:
     """All of them, to be run one after the other."""
     return [
-        *(lambda signal=signal: from_device(signal) for signal in ("position", "rendered_force", "velocity")),
+        *(partial(from_device, signal) for signal in ("position", "rendered_force", "velocity")),
         tiny_from_device,
         at_the_door,
         to_a_living_loop,
-        *(lambda security=security: in_frames(security) for security in ("on", "off")),
-        lambda: no_driver("exception in a device driver"),
-        lambda: no_driver("device driver that blocks (SIGSTOP of a process blocks its loop)"),
+        *(partial(in_frames, security) for security in ("on", "off")),
+        partial(no_driver, "exception in a device driver"),
+        partial(no_driver, "device driver that blocks (SIGSTOP of a process blocks its loop)"),
     ]

@@ -4,11 +4,12 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from tests.faults.rows import Complaints, Row
 from tests.faults.running import AGAIN_S, PRESSED_S, Process, Recorded, Stage
-from tests.faults.signals import HOLD, NAMES
+from tests.faults.signals import HOLD, NAMES, STOP
 from tests.faults.virtual import FADE_S, HOLD_S, PERIOD_S, causes
 
 from haptether.bridge import write_key
@@ -17,6 +18,11 @@ ATTEMPTS = 3
 """A machine that stalls a loop before the fault makes it hold, as it should: the row is then measured anew."""
 SOUND_S = 1.0
 """From engaging, at least, to the fault."""
+KILLED_SLAVE = "slave: SIGKILL, then started anew"
+KILLED_MASTER = "master: SIGKILL, then started anew"
+RESTARTED_MASTER = "master: SIGTERM, then started anew"
+WRONG_KEY = "wrong key"
+SECOND_MASTER = "second master with the key"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +185,7 @@ def pair(stage: Stage) -> tuple[Process, Process]:
 
 
 def killed_slave(limits: Limits) -> Row:
-    """slave: SIGKILL, then started anew"""
+    """A slave that is killed, and another in its place."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         address = slave.address
@@ -189,11 +195,11 @@ def killed_slave(limits: Limits) -> Row:
         other = stage.slave("other", listen=address)
         # 2 s of silence until a new handshake, its repeats included; nothing may engage.
         time.sleep(3.5)
-        waited_s = time.monotonic()
+        pressed_s = time.monotonic()
         master.send(signal.SIGUSR1)
         time.sleep(AGAIN_S)
-        master.end()
-        other.end()
+        stage.end_together(master, other)
+        since_s = time.monotonic() - pressed_s
         at_master, at_other = stage.ticks("master"), stage.ticks("other")
     undisturbed(at_master)
     judged = Judged(limits)
@@ -201,20 +207,23 @@ def killed_slave(limits: Limits) -> Row:
     judged.master(at_master)
     judged.reached(at_master, "stop")
     judged.slave(at_other)
-    judged.ended(at_master)
-    first = int(np.flatnonzero(at_other.ticks.coupled)[0]) if at_other.ticks.coupled.any() else None
-    judged.wrong.check(first is not None, "the new slave never engaged")
-    if first is not None:
-        pressed_s = at_other.ticks.time_s[-1] - at_other.ticks.time_s[first]
-        # Counted from the end, for the clocks of the two processes have different zeros.
-        judged.wrong.check(pressed_s <= time.monotonic() - waited_s, "the new slave engaged before the press")
-        judged.wrong.check(at_other.ticks.output[first] == at_other.ticks.output[0], "the new slave leapt")
-        judged.say(f"new slave engaged {pressed_s:.1f} s before the end, by the press")
-    return judged.row("slave: SIGKILL, then started anew", "hold, stop; engages by a press alone")
+    judged.ended(at_master.before_end())
+    ticks = at_other.ticks
+    coupled = np.flatnonzero(ticks.coupled)
+    judged.wrong.check(coupled.size, "the new slave never engaged")
+    if coupled.size:
+        # Counted from the end, for the clocks of two processes have different zeros.
+        before_end_s = float(ticks.time_s[-1] - ticks.time_s[coupled[0]])
+        judged.wrong.check(
+            before_end_s <= since_s, f"the new slave engaged {before_end_s - since_s:g} s before the press"
+        )
+        judged.wrong.check(ticks.output[coupled[0]] == ticks.output[0], "the new slave leapt")
+        judged.say("new slave engaged by the press")
+    return judged.row(KILLED_SLAVE, "hold, stop; engages by a press alone")
 
 
 def killed_master(limits: Limits) -> Row:
-    """master: SIGKILL, then started anew"""
+    """A master that is killed, and others after it."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         master.send(signal.SIGKILL)
@@ -237,11 +246,11 @@ def killed_master(limits: Limits) -> Row:
     judged.wrong.check(refused.process.returncode == 1, "the next master engaged without leave")
     judged.ended(at_allowed)
     judged.say("next master refused until SIGUSR1 at the slave, then engaged")
-    return judged.row("master: SIGKILL, then started anew", "hold, stop; no other master without leave at the slave")
+    return judged.row(KILLED_MASTER, "hold, stop; no other master without leave at the slave")
 
 
 def restarted_master(limits: Limits) -> Row:
-    """master: SIGTERM, then started anew"""
+    """A master that ends, and another after it."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         master.end()
@@ -262,7 +271,7 @@ def restarted_master(limits: Limits) -> Row:
     judged.wrong.check(np.ptp(between) == 0.0, f"the command travelled {np.ptp(between):g} m between the two")
     judged.ended(at_other)
     judged.say(f"slave left because {_left(at_slave)!r}")
-    return judged.row("master: SIGTERM, then started anew", "lease released; begins disengaged, engages by its press")
+    return judged.row(RESTARTED_MASTER, "lease released; begins disengaged, engages by its press")
 
 
 def _left(recorded: Recorded) -> str:
@@ -293,13 +302,17 @@ def frozen(who: str, length_s: float, limits: Limits) -> Row:
     judged.slave(sides["slave"])
     for side in sides.values():
         judged.ended(side)
-    length = f"{length_s * 1e3:.0f} ms" if length_s < 1.0 else f"{length_s:g} s"
-    worst = NAMES[HOLD] if length_s < 0.2 else "stop"
-    return judged.row(f"{who}: SIGSTOP {length}", f"both {worst}, itself in the tick it wakes; a press engages")
+    worst = NAMES[HOLD] if length_s < 0.2 else NAMES[STOP]
+    return judged.row(stopped(who, length_s), f"both {worst}, itself in the tick it wakes; a press engages")
+
+
+def stopped(who: str, length_s: float) -> str:
+    """Name of the row."""
+    return f"{who}: SIGSTOP " + (f"{length_s * 1e3:.0f} ms" if length_s < 1.0 else f"{length_s:g} s")
 
 
 def wrong_key(limits: Limits) -> Row:
-    """Wrong key"""
+    """A master with another key."""
     with Stage.set() as stage:
         write_key(stage.path("other.key"))
         slave = stage.slave()
@@ -316,11 +329,11 @@ def wrong_key(limits: Limits) -> Row:
         report["sent"] == 0 and sum(report["rejections"].values()) >= 2, f"slave: {report['rejections']}"
     )
     judged.say(f"slave: {causes(report['rejections'])}, nothing sent")
-    return judged.row("wrong key", "never answered, counted, slave disengaged")
+    return judged.row(WRONG_KEY, "never answered, counted, slave disengaged")
 
 
 def second_master(limits: Limits) -> Row:
-    """Second master with the key"""
+    """A second master beside one that lives."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         begun_s = time.monotonic()
@@ -335,19 +348,20 @@ def second_master(limits: Limits) -> Row:
     judged.wrong.check("refused: another master has the lease" in said, f"the second master said {said!r}")
     judged.wrong.check(second.process.returncode == 1, "the second master did not fail")
     judged.say(f"refused and told so; it gave up {took_s:.1f} s after its start; the first never held")
-    return judged.row("second master with the key", "refused and told so; the first goes on")
+    return judged.row(SECOND_MASTER, "refused and told so; the first goes on")
 
 
-def rows(limits: Limits | None = None) -> list[Callable[[], Row]]:
-    """All of them, to be run one after the other."""
+def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
+    """All of them by name, to be run one after the other."""
     bounds = limits or Limits()
-    measured: dict[str, Callable[[Limits], Row]] = {
-        (measure.__doc__ or ""): measure
-        for measure in (killed_slave, killed_master, restarted_master, wrong_key, second_master)
+    measures: dict[str, Callable[[Limits], Row]] = {
+        KILLED_SLAVE: killed_slave,
+        KILLED_MASTER: killed_master,
+        RESTARTED_MASTER: restarted_master,
+        WRONG_KEY: wrong_key,
+        SECOND_MASTER: second_master,
     }
     for length_s in (0.1, 3.0):
         for who in ("slave", "master"):
-            measured[f"{who}: SIGSTOP {length_s:g} s"] = lambda limits, who=who, length_s=length_s: frozen(
-                who, length_s, limits
-            )
-    return [again(lambda measure=measure: measure(bounds), fault) for fault, measure in measured.items()]
+            measures[stopped(who, length_s)] = partial(frozen, who, length_s)
+    return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}

@@ -125,7 +125,7 @@ class Stage:
         """Of a file of this row."""
         return self.folder / name
 
-    def slave(self, name: str = "slave", *arguments: str, listen: str = "127.0.0.1:0", **more: Any) -> Process:
+    def slave(self, name: str = "slave", *arguments: str, listen: str = "127.0.0.1:0", **more: Any) -> Process:  # noqa: ANN401  # those of Process
         """The side of the robot."""
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
@@ -133,7 +133,7 @@ class Stage:
             record=record, **more,
         ))  # fmt: skip
 
-    def master(self, peer: str, name: str = "master", *arguments: str, key: Path | None = None, **more: Any) -> Process:
+    def master(self, peer: str, name: str = "master", *arguments: str, key: Path | None = None, **more: Any) -> Process:  # noqa: ANN401  # those of Process
         """The side of the hand."""
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(

@@ -52,12 +52,14 @@ class Ticks:
     @property
     def held(self) -> npt.NDArray[np.bool_]:
         """Which ticks are in HOLD, STOP or FAULT."""
-        return self.state >= HOLD
+        held: npt.NDArray[np.bool_] = self.state >= HOLD
+        return held
 
     @property
     def coupled(self) -> npt.NDArray[np.bool_]:
         """Which ticks are in ENGAGED or STALE."""
-        return (self.state == ENGAGED) | (self.state == STALE)
+        coupled: npt.NDArray[np.bool_] = (self.state == ENGAGED) | (self.state == STALE)
+        return coupled
 
     def first(self, state: int) -> int | None:
         """First tick at or beyond a state."""

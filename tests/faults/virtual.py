@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from typing import Literal, TypeAlias
 
 import numpy as np
 from tests.faults.rows import Complaints, Row
@@ -39,6 +40,8 @@ AGAIN_S = 3.0
 STROKE_S = 0.4
 CLEAN = LinkSettings(delay_s=DELAY_S)
 
+Leg: TypeAlias = tuple[float, float, Literal["linear", "minimum-jerk"]]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
@@ -52,10 +55,11 @@ class Pair:
 
 def run(forward: LinkSettings, backward: LinkSettings, duration_s: float) -> Pair:
     """A hand that strokes a wall to and fro, 15 mm in 0.4 s, and a person who presses again after each hold."""
-    strokes = [(STROKE_S, (-0.045, -0.03)[n % 2], "minimum-jerk") for n in range(round(duration_s / STROKE_S))]
-    hand = Hand(
-        stiffness=300.0, damping=8.0, strength_n=12.0, start=0.02, legs=[(1.0, -0.03, "minimum-jerk"), *strokes]
-    )
+    first: Leg = (1.0, -0.03, "minimum-jerk")
+    strokes: list[Leg] = [
+        (STROKE_S, (-0.045, -0.03)[n % 2], "minimum-jerk") for n in range(round(duration_s / STROKE_S))
+    ]
+    hand = Hand(stiffness=300.0, damping=8.0, strength_n=12.0, start=0.02, legs=[first, *strokes])
     safety = SafetySettings(["wsc"], hold_off_s=0.1, release_ramp_s=0.2)
     master = MasterSettings(HapticDevice.phantom_desktop(), hand, safety=safety, clutch="auto")
     slave = SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02)
@@ -175,52 +179,51 @@ def without(length_s: float) -> LinkSettings:
 def outages() -> Iterator[Callable[[], Row]]:
     """Times without frames."""
     for milliseconds in (10, 30, 100, 1_000, 10_000):
-        dead = without(milliseconds * 1e-3)
-        yield lambda ms=milliseconds, dead=dead: outage(f"outage {ms} ms", ms * 1e-3, forward=dead, backward=dead)
+        length_s = milliseconds * 1e-3
+        dead = without(length_s)
+        yield partial(outage, f"outage {milliseconds} ms", length_s, forward=dead, backward=dead)
     for milliseconds in (30, 1_000):
-        dead = without(milliseconds * 1e-3)
-        yield lambda ms=milliseconds, dead=dead: outage(
-            f"one-way outage {ms} ms, to the slave", ms * 1e-3, forward=dead, backward=CLEAN, one_way=True
-        )
-        yield lambda ms=milliseconds, dead=dead: outage(
-            f"one-way outage {ms} ms, to the master", ms * 1e-3, forward=CLEAN, backward=dead, one_way=True
-        )
+        length_s = milliseconds * 1e-3
+        dead = without(length_s)
+        one_way = partial(outage, length_s=length_s, one_way=True)
+        yield partial(one_way, f"one-way outage {milliseconds} ms, to the slave", forward=dead, backward=CLEAN)
+        yield partial(one_way, f"one-way outage {milliseconds} ms, to the master", forward=CLEAN, backward=dead)
     burst = attacked(Attack(action=Drop(), target=Target(from_s=FAULT_S, until_s=FAULT_S + 40 * PERIOD_S)))
-    yield lambda: outage("40 packets lost in a row, both ways", 0.040, forward=burst, backward=burst)
+    yield partial(outage, "40 packets lost in a row, both ways", 0.040, forward=burst, backward=burst)
     queue = LinkSettings(delay_s=DELAY_S, outages=(Outage(times=Once(at_s=FAULT_S, duration_s=0.04), effect="hold"),))
-    yield lambda: outage("40 packets late, then all at once", 0.040, forward=queue, backward=queue)
+    yield partial(outage, "40 packets late, then all at once", 0.040, forward=queue, backward=queue)
 
 
 def strays() -> Iterator[Callable[[], Row]]:
     """Datagrams out of place, and those that nobody with the key has sent: 6000 true ones each."""
     reorder = LinkSettings(delay_s=DELAY_S, reorder=0.2, reorder_hold_s=0.003)
-    yield lambda: stray(
-        "reorder: a fifth is held for 3 ms", reorder, least_refused=500, held_back_s=0.008, cause="late"
+    yield partial(
+        stray, "reorder: a fifth is held for 3 ms", reorder, least_refused=500, held_back_s=0.008, cause="late"
     )
     twice = LinkSettings(delay_s=DELAY_S, duplicate=0.5, duplicate_gap_s=0.002)
-    yield lambda: stray("duplicate: every second one", twice, least_refused=2_500)
+    yield partial(stray, "duplicate: every second one", twice, least_refused=2_500)
     again = attacked(Attack(action=Replay(after_s=0.5)))
-    yield lambda: stray("replay of all, 0.5 s later", again, least_refused=5_000)
+    yield partial(stray, "replay of all, 0.5 s later", again, least_refused=5_000)
     long_ago = attacked(Attack(action=Replay(after_s=3.0)))
-    yield lambda: stray("replay of all, 3 s later: beyond the window", long_ago, least_refused=2_500)
+    yield partial(stray, "replay of all, 3 s later: beyond the window", long_ago, least_refused=2_500)
     mirror = attacked(Attack(action=Mirror()))
-    yield lambda: stray("all sent back to their sender", mirror, least_refused=5_500)
+    yield partial(stray, "all sent back to their sender", mirror, least_refused=5_500)
     forged = attacked(Attack(action=Forge(keep_bytes=24)))
-    yield lambda: stray("forged: true header, random rest", forged, least_refused=5_500)
+    yield partial(stray, "forged: true header, random rest", forged, least_refused=5_500)
     ahead = attacked(Attack(action=SequenceLead(lead=1_000_000, offset=16)))
-    yield lambda: stray("forged: counter a million ahead", ahead, least_refused=5_500)
+    yield partial(stray, "forged: counter a million ahead", ahead, least_refused=5_500)
     fuzz = attacked(*(Attack(action=Forge(keep_bytes=keep)) for keep in (0, 2, 3, 4, 8, 16)))
-    yield lambda: stray("header fuzz: random from byte 0, 2, 3, 4, 8, 16 on", fuzz, least_refused=30_000)
+    yield partial(stray, "header fuzz: random from byte 0, 2, 3, 4, 8, 16 on", fuzz, least_refused=30_000)
     flip = attacked(
         Attack(action=BitFlip(bits=1, within=ByteRange(start=0, end=148)), target=Target(from_s=0.5, every=3))
     )
-    yield lambda: stray("a bit flipped in every third", flip, least_refused=1_750, held_back_s=0.003)
+    yield partial(stray, "a bit flipped in every third", flip, least_refused=1_750, held_back_s=0.003)
     head = attacked(
         Attack(action=BitFlip(bits=3, within=ByteRange(start=0, end=24)), target=Target(from_s=0.5, every=3))
     )
-    yield lambda: stray("three bits flipped in every third header", head, least_refused=1_750, held_back_s=0.003)
+    yield partial(stray, "three bits flipped in every third header", head, least_refused=1_750, held_back_s=0.003)
     cut = LinkSettings(delay_s=DELAY_S, truncate=0.1, truncate_bytes=100)
-    yield lambda: stray("a tenth cut short", cut, least_refused=450, held_back_s=0.006)
+    yield partial(stray, "a tenth cut short", cut, least_refused=450, held_back_s=0.006)
 
 
 def rows() -> list[Callable[[], Row]]:

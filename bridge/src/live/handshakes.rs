@@ -14,7 +14,7 @@ use std::{
 use super::clock;
 use crate::session::{
     EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey,
-    Rejections, SessionEvent, SessionSettings, Standing, StillHeard, SystemEntropy, Verdict,
+    Rejection, Rejections, SessionEvent, SessionSettings, Standing, StillHeard, SystemEntropy, Verdict,
 };
 
 /// What waits in either direction; more is dropped, as a network would.
@@ -90,10 +90,11 @@ impl Handshakes {
         Some(told)
     }
 
-    /// Ends the thread; gives what it did not take.
+    /// Ends the thread; gives what it did not take, and what it was too busy for.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
-        self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default()
+        let refused = self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        refused.with(Rejection::Busy, std::mem::take(&mut self.dropped))
     }
 }
 

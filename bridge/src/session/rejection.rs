@@ -78,6 +78,13 @@ impl Rejections {
         self.0[cause as usize] += 1;
     }
 
+    /// The same with `more` datagrams not taken for this cause.
+    #[must_use]
+    pub(crate) fn with(mut self, cause: Rejection, more: u64) -> Self {
+        self.0[cause as usize] += more;
+        self
+    }
+
     /// Datagrams not taken for this cause.
     pub fn of(&self, cause: Rejection) -> u64 {
         self.0[cause as usize]
