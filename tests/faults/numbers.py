@@ -9,19 +9,22 @@ from functools import partial
 
 import numpy as np
 from tests.faults.rows import Complaints, Row
-from tests.faults.signals import NAMES
+from tests.faults.signals import NAMES, Ticks
+from tests.faults.virtual import CLEAN, DELAY_S, FADE_S, PERIOD_S
 
-from haptether.bridge import LadderSettings, LiveMaster, LiveSlave
+from haptether.bridge import LadderSettings, LiveMaster, LiveSlave, MasterSettings, SlaveSettings, run_bridge
 from haptether.cli.options import master_settings, slave_settings
 from haptether.master import Hand, HapticDevice
 from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySettings, SafetyTicks, fault_message
-from haptether.slave import Arm, Wall
+from haptether.slave import Arm, Pusher, Wall
 from haptether.studies import RAVEN_ATTACKS
 from haptether.studies.raven import measure_attack
 
 BAD = {"NaN": math.nan, "+Inf": math.inf, "-Inf": -math.inf, "1e300": 1e300, "largest": sys.float_info.max}
 TINY = {"denormal": 5e-324, "-denormal": -2.2e-308, "-0": -0.0}
 TICKS, AT = 400, 200
+PUSH_S = 1.0
+"""After engaging."""
 
 
 def from_device(signal: str) -> Row:
@@ -45,6 +48,39 @@ def from_device(signal: str) -> Row:
         fault=f"{', '.join(BAD)} from the device: {signal.replace('_', ' ')}", how="calls",
         expected="fault, zero force in the same tick, latched", measured="; ".join(sorted(reasons)),
         reaction_s=worst_ticks * 1e-3, limit_s=0.0, force_n=force_n, complaints=found.all(),
+    )  # fmt: skip
+
+
+def from_arm() -> Row:
+    """A force at the arm beyond what can be measured: fault at the slave, and its master hears of it one way later."""
+    found = Complaints()
+    took_s, moved_m, force_n = 0.0, 0.0, 0.0
+    for push_n in (1e4, 1e300, sys.float_info.max):
+        hand = Hand(stiffness=300.0, damping=8.0, strength_n=12.0, start=0.02, legs=[(0.8, -0.03, "minimum-jerk")])
+        pusher = Pusher(at_s=PUSH_S, force_n=push_n, duration_s=0.5)
+        near, far, _, report = run_bridge(
+            MasterSettings(HapticDevice.phantom_desktop(), hand),
+            SlaveSettings(Arm(), Wall(stiffness=100.0), pusher=pusher, position=0.02),
+            forward=CLEAN, backward=CLEAN, duration_s=3.0, seed=7, secure=True,
+        )  # fmt: skip
+        master, slave = Ticks.of_trace(near), Ticks.of_trace(far)
+        pushed_s = report.engaged_s + PUSH_S
+        found.check(slave.last == "fault", f"{push_n:g} N: the slave ended in {slave.last}")
+        found.check(master.last == "stop", f"{push_n:g} N: the master ended in {master.last}")
+        found.check(slave.held_after_s(pushed_s) <= PERIOD_S + 1e-9, f"{push_n:g} N: the slave's fault was late")
+        took_s = max(took_s, master.held_after_s(pushed_s))
+        moved_m = max(moved_m, slave.travelled())
+        force_n = max(force_n, master.force_after_n(FADE_S + PERIOD_S))
+        grown_n = float(np.abs(near.device_force[near.time_s >= pushed_s]).max() - np.abs(near.device_force).max())
+        found.check(grown_n <= 0.0, f"{push_n:g} N: {grown_n:g} N more on the hand")
+    limit_s = DELAY_S + 2 * PERIOD_S
+    found.check(took_s <= limit_s + 1e-9, f"the master held after {took_s:g} s, must be {limit_s:g} s at most")
+    found.check(moved_m == 0.0, f"the command travelled {moved_m:g} m")
+    found.check(force_n == 0.0, f"{force_n:g} N after the fade")
+    return Row(
+        fault="1e4, 1e300, largest N at the arm", how="virtual", expected="slave: fault in its tick; master: hold, stop",
+        measured="fault, stop; no force from it on the hand", reaction_s=took_s, limit_s=limit_s, moved_m=moved_m,
+        force_n=force_n, complaints=found.all(),
     )  # fmt: skip
 
 
@@ -187,6 +223,7 @@ def rows() -> list[Callable[[], Row]]:
     """All of them, to be run one after the other."""
     return [
         *(partial(from_device, signal) for signal in ("position", "rendered_force", "velocity")),
+        from_arm,
         tiny_from_device,
         at_the_door,
         to_a_living_loop,

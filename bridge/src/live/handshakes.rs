@@ -13,8 +13,8 @@ use std::{
 
 use super::clock;
 use crate::session::{
-    EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey,
-    Rejection, Rejections, SessionEvent, SessionSettings, Standing, StillHeard, SystemEntropy, Verdict,
+    EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey, Rejection,
+    Rejections, SessionEvent, SessionSettings, Standing, StillHeard, SystemEntropy, Verdict,
 };
 
 /// What waits in either direction; more is dropped, as a network would.
