@@ -71,7 +71,8 @@ def from_arm() -> Row:
         took_s = max(took_s, master.held_after_s(pushed_s))
         moved_m = max(moved_m, slave.travelled())
         force_n = max(force_n, master.force_after_n(FADE_S + PERIOD_S))
-        grown_n = float(np.abs(near.device_force[near.time_s >= pushed_s]).max() - np.abs(near.device_force).max())
+        force = np.abs(near.device_force)
+        grown_n = float(force[near.time_s >= pushed_s].max() - force[near.time_s < pushed_s].max())
         found.check(grown_n <= 0.0, f"{push_n:g} N: {grown_n:g} N more on the hand")
     limit_s = DELAY_S + 2 * PERIOD_S
     found.check(took_s <= limit_s + 1e-9, f"the master held after {took_s:g} s, must be {limit_s:g} s at most")
@@ -200,7 +201,7 @@ def in_frames(security: str) -> Row:
     found.check(row.is_safe, "moved in hold")
     return Row(
         fault=f"NaN in frames, key {security}", how="virtual", expected="refused, counted; nothing moves",
-        measured=f"{row.refused} refused; arm {row.effect}, ends {row.final_states[1]}",
+        measured=f"{row.refused} refused; effect {row.effect}, ends {row.final_states[1]}",
         moved_m=row.moved_in_hold_mm * 1e-3, force_n=row.force_in_hold_n, complaints=found.all(),
     )  # fmt: skip
 
