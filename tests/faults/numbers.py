@@ -73,13 +73,15 @@ def from_arm() -> Row:
         force_n = max(force_n, master.force_after_n(FADE_S + PERIOD_S))
         force = np.abs(near.device_force)
         grown_n = float(force[near.time_s >= pushed_s].max() - force[near.time_s < pushed_s].max())
-        found.check(grown_n <= 0.0, f"{push_n:g} N: {grown_n:g} N more on the hand")
+        # The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
+        found.check(grown_n <= 1e-6, f"{push_n:g} N: {grown_n:g} N more on the hand")
     limit_s = DELAY_S + 2 * PERIOD_S
     found.check(took_s <= limit_s + 1e-9, f"the master held after {took_s:g} s, must be {limit_s:g} s at most")
     found.check(moved_m == 0.0, f"the command travelled {moved_m:g} m")
     found.check(force_n == 0.0, f"{force_n:g} N after the fade")
     return Row(
-        fault="1e4, 1e300, largest N at the arm", how="virtual", expected="slave: fault in its tick; master: hold, stop",
+        fault="1e4, 1e300, largest N at the arm", how="virtual",
+        expected="slave: fault in its tick; master: hold, stop",
         measured="fault, stop; no force from it on the hand", reaction_s=took_s, limit_s=limit_s, moved_m=moved_m,
         force_n=force_n, complaints=found.all(),
     )  # fmt: skip

@@ -111,7 +111,7 @@ impl LiveChannel {
                     tell(SecurityEvent::Handshake(event));
                 }
             }
-            if self.ticks % TELL_EVERY == 0 {
+            if self.ticks.is_multiple_of(TELL_EVERY) {
                 handshakes.tell(self.session.standing(now_ns));
             }
             self.ticks += 1;
