@@ -307,6 +307,7 @@ fn run_bridge(
             secure,
             holds: counts.holds,
             limited: counts.limited,
+            rejections,
             engaged_ns: engaged.map_or(u64::MAX, |(time_ns, _)| time_ns),
             ..LoopReport::default()
         }

@@ -1,0 +1,55 @@
+"""`make faults`: every fault, what is expected, what was seen. Exit status 1: something was not as expected."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from tests.faults import clocks, hostile, machine, numbers, processes, virtual
+from tests.faults.rows import Row
+from tests.faults.table import print_table
+
+GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
+    "virtual": lambda: [*virtual.rows(), *clocks.rows()],
+    "numbers": numbers.rows,
+    "processes": lambda: list(processes.rows().values()),
+    "machine": lambda: list(machine.rows().values()),
+    "hostile": lambda: list(hostile.rows().values()),
+}
+"""Where rows come from, in the order in which they run."""
+
+WIDTH = 200
+"""Of the table where it goes to no terminal."""
+
+
+def main() -> int:
+    """Runs the suite as the command line asks for."""
+    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    parser.add_argument("--json", type=Path, help="where the same goes for machines; - for standard output")
+    parser.add_argument("--only", choices=list(GROUPS), action="append", help="these rows alone")
+    asked = parser.parse_args()
+    console = Console(stderr=str(asked.json) == "-")
+    if not console.is_terminal:
+        console.width = WIDTH
+    rows: list[Row] = []
+    for name in asked.only or GROUPS:
+        for make in GROUPS[name]():
+            rows.append(make())
+            if rows[-1].how == "processes":
+                print(f"{rows[-1].fault}: {rows[-1].verdict}", file=sys.stderr, flush=True)
+    print_table(console, rows)
+    passed = not any(row.complaints for row in rows)
+    if asked.json is not None:
+        text = json.dumps({"passed": passed, "rows": [row.as_json() for row in rows]}, indent=1) + "\n"
+        if str(asked.json) == "-":
+            sys.stdout.write(text)
+        else:
+            asked.json.parent.mkdir(parents=True, exist_ok=True)
+            asked.json.write_text(text, encoding="utf-8")
+    return 0 if passed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

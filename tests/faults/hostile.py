@@ -1,0 +1,271 @@
+"""Somebody who can send to a real slave, or has recorded what was sent to it, and has no key."""
+
+import contextlib
+import json
+import random
+import select
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from tests.faults.flood import HEADER
+from tests.faults.processes import DisturbedError, Judged, Limits, again, never_held, pair
+from tests.faults.rows import Row
+from tests.faults.running import END_S, PRESSED_S, Recorded, Stage
+from tests.faults.virtual import PERIOD_S, causes
+
+REPLAYED = "replay of a recorded session to the slave, and to one started anew"
+FUZZED = "header fuzz at the socket, 40000 datagrams"
+ANY_SESSION = 0x0123_4567_89AB_CDEF
+FLOOD_S = 3.0
+RATE_HZ, LEAST_RATE_HZ = 1e5, 8e4
+"""Asked for, and what a busy machine must reach for the row to count; the row says what it was."""
+LATE_SHARE = 0.005
+"""More late cycles than without the flood, as a share of all."""
+COUNTED_SHARE = 0.5
+"""Of what was sent: what a full socket drops, nobody sees."""
+LATER_S = 0.5e-3
+"""By how much p99 of how late the loop wakes may grow: half a period."""
+
+
+class Relay:
+    """Passes on what a master and a slave send each other, and keeps what the master sent."""
+
+    def __init__(self, slave: str) -> None:
+        host, port = slave.rsplit(":", 1)
+        self._slave = (host, int(port))
+        self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._near.bind(("127.0.0.1", 0))
+        self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._far.connect(self._slave)
+        self._done = threading.Event()
+        self.recorded: list[bytes] = []
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """Where a master is to send."""
+        host, port = self._near.getsockname()
+        return f"{host}:{port}"
+
+    def _run(self) -> None:
+        master = None
+        while not self._done.is_set():
+            ready, _, _ = select.select([self._near, self._far], [], [], 0.05)
+            if self._near in ready:
+                datagram, master = self._near.recvfrom(2048)
+                self.recorded.append(datagram)
+                with contextlib.suppress(OSError):
+                    self._far.send(datagram)
+            if self._far in ready and master is not None:
+                with contextlib.suppress(OSError):
+                    self._near.sendto(self._far.recv(2048), master)
+
+    def close(self) -> None:
+        """Ends it."""
+        self._done.set()
+        self._thread.join()
+        self._near.close()
+        self._far.close()
+
+
+def send_all(to: str, datagrams: list[bytes], every: int = 50) -> int:
+    """Sends datagrams to an address, some a millisecond, and counts what comes back within 0.3 s."""
+    host, port = to.rsplit(":", 1)
+    answers = 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.connect((host, int(port)))
+        sender.setblocking(False)
+        for n, datagram in enumerate(datagrams):
+            with contextlib.suppress(OSError):
+                sender.send(datagram)
+            if n % every == every - 1:
+                time.sleep(1e-3)
+        end = time.monotonic() + 0.3
+        while time.monotonic() < end:
+            with contextlib.suppress(OSError):
+                sender.recv(2048)
+                answers += 1
+                continue
+            time.sleep(0.01)
+    return answers
+
+
+def replayed_session(limits: Limits) -> Row:
+    """Everything that a master has sent, sent again without the key."""
+    with Stage.set() as stage:
+        slave = stage.slave("slave")
+        relay = Relay(slave.address)
+        master = stage.master(relay.address, record=None)
+        time.sleep(PRESSED_S)
+        master.end()
+        relay.close()
+        time.sleep(0.3)
+        again_at_s = time.monotonic()
+        answers = send_all(slave.address, relay.recorded)
+        slave.end()
+        since_s = time.monotonic() - again_at_s
+        fresh = stage.slave("fresh")
+        fresh_answers = send_all(fresh.address, relay.recorded)
+        fresh.end()
+        at_slave, at_fresh = stage.ticks("slave"), stage.ticks("fresh")
+        reports = [stage.report("slave"), stage.report("fresh")]
+    judged = Judged(limits)
+    if not at_slave.ticks.coupled.any():
+        raise DisturbedError("never engaged")
+    after = at_slave.ticks.between(at_slave.ticks.time_s[-1] - since_s)
+    judged.slave(at_slave)
+    judged.slave(at_fresh)
+    for ticks in (after, at_fresh.ticks):
+        judged.wrong.check(not ticks.coupled.any(), "a replay engaged")
+        judged.wrong.check(np.ptp(ticks.output) == 0.0, "the command travelled")
+    # First messages of handshakes are answered, within their budget: without the key an answer is of no use.
+    judged.wrong.check(answers + fresh_answers <= 16, f"{answers} + {fresh_answers} answers")
+    refused = [sum(report["rejections"].values()) for report in reports]
+    judged.wrong.check(min(refused) >= 0.9 * len(relay.recorded), f"{refused} of {len(relay.recorded)} refused")
+    judged.say(
+        f"{len(relay.recorded)} datagrams: {refused[0]} and {refused[1]} refused, {answers} and {fresh_answers} answers"
+    )
+    return judged.row(REPLAYED, "nothing engages, nothing moves")
+
+
+def fuzz(count: int, seed: int) -> Iterator[bytes]:
+    """Datagrams of every length, kind and header, right in more and more places."""
+    draw = random.Random(seed)
+    for n in range(count):
+        length = draw.choice((0, 1, 23, 24, 25, 87, 88, 89, 107, 108, 109, 147, 148, 149, 1400))
+        head = b""
+        if n % 4:
+            version = draw.choice((0, 1, 2, 255)) if n % 2 else 1
+            kind = draw.randrange(256) if n % 3 else 1 + n % 5
+            counter = draw.choice((0, 1, 2**32, 2**64 - 1))
+            head = HEADER.pack(b"HS", version, kind, draw.choice((0, 1, 2**32 - 1)), ANY_SESSION, counter)
+        elif n % 16 == 4:
+            head = b"HT"
+        yield (head + draw.randbytes(1400))[:length]
+
+
+def fuzzed(limits: Limits) -> Row:
+    """Datagrams of all kinds beside a session that lives."""
+    with Stage.set() as stage:
+        slave, master = pair(stage)
+        answers = send_all(slave.address, list(fuzz(40_000, seed=3)), every=20)
+        stage.end_together(slave, master)
+        sides = [stage.ticks("slave").before_end(), stage.ticks("master").before_end()]
+        report = stage.report("slave")
+    never_held(*sides)
+    judged = Judged(limits)
+    judged.slave(sides[0])
+    judged.wrong.check(answers == 0, f"{answers} answers")
+    refused = sum(report["rejections"].values())
+    judged.wrong.check(refused >= 35_000, f"{refused} refused")
+    judged.say(f"{causes(report['rejections'])}; no answer, no hold")
+    return judged.row(FUZZED, "counted, never answered, the loop goes on")
+
+
+def living_session(port: int) -> tuple[int, int] | None:
+    """Session and counter of a frame on its way to a port of this machine; none without leave to listen."""
+    with contextlib.ExitStack() as stack:
+        try:
+            tap = stack.enter_context(socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(0x0800)))
+            tap.bind(("lo", 0))
+        except (OSError, AttributeError):
+            return None
+        tap.settimeout(0.5)
+        end = time.monotonic() + 1.0
+        with contextlib.suppress(OSError):
+            while time.monotonic() < end:
+                packet = tap.recv(2048)
+                datagram = packet[(packet[0] & 15) * 4 :]
+                if len(datagram) >= 8 + HEADER.size and struct.unpack_from("!H", datagram, 2)[0] == port:
+                    magic, _, kind, _, session, counter = HEADER.unpack_from(datagram, 8)
+                    if (magic, kind) == (b"HS", 3):
+                        return session, counter
+    return None
+
+
+def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False, seconds: float = FLOOD_S) -> Row:
+    """1e5 forged packets a second, beside as long a time without."""
+    with Stage.set() as stage:
+        slave, master = pair(stage)
+        seen = living_session(int(slave.address.rsplit(":", 1)[1])) if knows_session else None
+        if knows_session and seen is None:
+            return Row(fault=name, how="-", expected="-", measured="no leave to listen on lo", applies=False)
+        session, counter = seen or (ANY_SESSION, 0)
+        quiet_s = time.monotonic()
+        time.sleep(seconds)
+        # Ahead of what the master will have sent by then, and never to be reached.
+        asked = ["--session", str(session), "--counter", str(counter + 100_000_000), "--kind", kind]
+        begun_s = time.monotonic()
+        sender = [sys.executable, "-m", "tests.faults.flood", slave.address]
+        ended = subprocess.run(
+            [*sender, "--rate", f"{RATE_HZ}", "--seconds", f"{seconds}", *asked],
+            capture_output=True, text=True, timeout=END_S, check=True,
+        )  # fmt: skip
+        flooded_s = time.monotonic()
+        # From the last tick it is counted back.
+        stage.end_together(slave, master)
+        sides = {"slave": stage.ticks("slave"), "master": stage.ticks("master")}
+        report = stage.report("slave")
+    sent = json.loads(ended.stdout)
+    rate_hz, arrived = float(sent["rate_hz"]), sum(report["rejections"].values())
+    if rate_hz < LEAST_RATE_HZ:
+        raise DisturbedError(f"the sender reached {rate_hz:.0f} a second, must be {LEAST_RATE_HZ:g}")
+    windows = {
+        side: (
+            _late(recorded, flooded_s - quiet_s, flooded_s - begun_s),
+            _late(recorded, flooded_s - begun_s, 0.1),
+        )
+        for side, recorded in sides.items()
+    }
+    before, during = windows["slave"]
+    for side in sides.values():
+        if side.ticks.between(-np.inf, float(side.ticks.time_s[-1]) - (flooded_s - begun_s)).held.any():
+            raise DisturbedError("held before the flood")
+    never_held(*(side.before_end() for side in sides.values()))
+    judged = Judged(limits)
+    judged.slave(sides["slave"].before_end())
+    judged.wrong.check(arrived >= COUNTED_SHARE * sent["datagrams"], f"{arrived} of {sent['datagrams']} counted")
+    judged.wrong.check(
+        during[0] <= before[0] + LATER_S, f"p99 of waking late went from {before[0]:g} to {during[0]:g} s"
+    )
+    judged.wrong.check(during[1] <= before[1] + LATE_SHARE, f"late cycles went from {before[1]:.2%} to {during[1]:.2%}")
+    judged.say(
+        f"{rate_hz:.0f}/s sent, {arrived / sent['seconds']:.0f}/s refused; "
+        f"wakes late p99 {before[0] * 1e6:.0f} us without, {during[0] * 1e6:.0f} us with; "
+        f"late cycles {before[1]:.2%}, {during[1]:.2%}; no hold"
+    )
+    return judged.row(name, "no hold, timing stays")
+
+
+def _late(recorded: Recorded, from_end_s: float, until_end_s: float) -> tuple[float, float]:
+    """Of a time counted back from the last tick: p99 of how late the loop woke in s, and the share of late cycles."""
+    time_s = recorded.ticks.time_s
+    inside = (time_s >= time_s[-1] - from_end_s) & (time_s < time_s[-1] - until_end_s)
+    late_s = np.asarray(recorded.overshoot_s)[inside]
+    if not late_s.size:
+        raise DisturbedError("no ticks")
+    return float(np.percentile(late_s, 99)), float(np.mean(late_s > PERIOD_S))
+
+
+FLOODS = (
+    ("1e5 forged frames/s, of the living session", "frame", True),
+    ("1e5 forged frames/s, of any session", "frame", False),
+    ("1e5 forged first messages/s", "hello", False),
+)
+
+
+def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
+    """All of them by name, to be run one after the other."""
+    bounds = limits or Limits()
+    measures: dict[str, Callable[[Limits], Row]] = {REPLAYED: replayed_session, FUZZED: fuzzed}
+    for name, kind, knows in FLOODS:
+        measures[name] = partial(flooded, name, kind, knows_session=knows)
+    return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}

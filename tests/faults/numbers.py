@@ -1,0 +1,236 @@
+"""Numbers that cannot be, from the device and from Python."""
+
+import math
+import secrets
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from tests.faults.rows import Complaints, Row
+from tests.faults.signals import NAMES, Ticks
+from tests.faults.virtual import CLEAN, DELAY_S, FADE_S, PERIOD_S
+
+from haptether.bridge import LadderSettings, LiveMaster, LiveSlave, MasterSettings, SlaveSettings, run_bridge
+from haptether.cli.options import master_settings, slave_settings
+from haptether.master import Hand, HapticDevice
+from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySettings, SafetyTicks, fault_message
+from haptether.slave import Arm, Pusher, Wall
+from haptether.studies import RAVEN_ATTACKS
+from haptether.studies.raven import measure_attack
+
+BAD = {"NaN": math.nan, "+Inf": math.inf, "-Inf": -math.inf, "1e300": 1e300, "largest": sys.float_info.max}
+TINY = {"denormal": 5e-324, "-denormal": -2.2e-308, "-0": -0.0}
+TICKS, AT = 400, 200
+PUSH_S = 1.0
+"""After engaging."""
+
+
+def from_device(signal: str) -> Row:
+    """One bad sample at the door of a master tick: fault and no force in the same tick, and they stay."""
+    found = Complaints()
+    worst_ticks, force_n, reasons = 0, 0.0, set()
+    for name, bad in BAD.items():
+        told = _layer(signal, bad)
+        faulty = np.flatnonzero(told.fault)
+        if not faulty.size:
+            found.check(False, f"{name}: no fault")
+            continue
+        reasons.add(str(fault_message(int(told.fault[AT]))))
+        worst_ticks = max(worst_ticks, int(faulty[0]) - AT)
+        force_n = max(force_n, float(np.abs(told.device_force[AT:]).max()))
+        found.check(np.abs(told.device_force[:AT]).max() > 0.5, f"{name}: no force before it")
+        found.check(faulty.tolist() == list(range(AT, TICKS)), f"{name}: faulty at {faulty[:3].tolist()}...")
+    found.check(worst_ticks == 0, f"{worst_ticks} ticks late")
+    found.check(force_n == 0.0, f"{force_n:g} N after it")
+    return Row(
+        fault=f"{', '.join(BAD)} from the device: {signal.replace('_', ' ')}", how="calls",
+        expected="fault, zero force in the same tick, latched", measured="; ".join(sorted(reasons)),
+        reaction_s=worst_ticks * 1e-3, limit_s=0.0, force_n=force_n, complaints=found.all(),
+    )  # fmt: skip
+
+
+def from_arm() -> Row:
+    """A force at the arm beyond what can be measured: fault at the slave, and its master hears of it one way later."""
+    found = Complaints()
+    took_s, moved_m, force_n = 0.0, 0.0, 0.0
+    for push_n in (1e4, 1e300, sys.float_info.max):
+        hand = Hand(stiffness=300.0, damping=8.0, strength_n=12.0, start=0.02, legs=[(0.8, -0.03, "minimum-jerk")])
+        pusher = Pusher(at_s=PUSH_S, force_n=push_n, duration_s=0.5)
+        near, far, _, report = run_bridge(
+            MasterSettings(HapticDevice.phantom_desktop(), hand),
+            SlaveSettings(Arm(), Wall(stiffness=100.0), pusher=pusher, position=0.02),
+            forward=CLEAN, backward=CLEAN, duration_s=3.0, seed=7, secure=True,
+        )  # fmt: skip
+        master, slave = Ticks.of_trace(near), Ticks.of_trace(far)
+        pushed_s = report.engaged_s + PUSH_S
+        found.check(slave.last == "fault", f"{push_n:g} N: the slave ended in {slave.last}")
+        found.check(master.last == "stop", f"{push_n:g} N: the master ended in {master.last}")
+        found.check(slave.held_after_s(pushed_s) <= PERIOD_S + 1e-9, f"{push_n:g} N: the slave's fault was late")
+        took_s = max(took_s, master.held_after_s(pushed_s))
+        moved_m = max(moved_m, slave.travelled())
+        force_n = max(force_n, master.force_after_n(FADE_S + PERIOD_S))
+        force = np.abs(near.device_force)
+        grown_n = float(force[near.time_s >= pushed_s].max() - force[near.time_s < pushed_s].max())
+        # The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
+        found.check(grown_n <= 1e-6, f"{push_n:g} N: {grown_n:g} N more on the hand")
+    limit_s = DELAY_S + 2 * PERIOD_S
+    found.check(took_s <= limit_s + 1e-9, f"the master held after {took_s:g} s, must be {limit_s:g} s at most")
+    found.check(moved_m == 0.0, f"the command travelled {moved_m:g} m")
+    found.check(force_n == 0.0, f"{force_n:g} N after the fade")
+    return Row(
+        fault="1e4, 1e300, largest N at the arm", how="virtual",
+        expected="slave: fault in its tick; master: hold, stop",
+        measured="fault, stop; no force from it on the hand", reaction_s=took_s, limit_s=limit_s, moved_m=moved_m,
+        force_n=force_n, complaints=found.all(),
+    )  # fmt: skip
+
+
+def tiny_from_device() -> Row:
+    """Denormal numbers are numbers: the same as zero."""
+    found = Complaints()
+    apart_n = 0.0
+    for signal in ("position", "rendered_force", "velocity"):
+        zero = _layer(signal, 0.0)
+        for name, tiny in TINY.items():
+            told = _layer(signal, tiny)
+            found.check(not told.fault.any(), f"{name} as {signal}: fault")
+            apart_n = max(apart_n, float(np.abs(told.device_force - zero.device_force).max()))
+    # A force as small as the sample itself.
+    found.check(apart_n <= 1e-300, f"{apart_n:g} N from what zero gives")
+    return Row(
+        fault=f"{', '.join(TINY)} from the device", how="calls", expected="as zero: no fault, the same force",
+        measured="no fault", force_n=apart_n, complaints=found.all(),
+    )  # fmt: skip
+
+
+def _layer(signal: str, sample: float) -> SafetyTicks:
+    time_s = np.arange(TICKS) * 1e-3
+    signals = {
+        "position": 1e-3 * np.sin(9.0 * time_s),
+        "rendered_force": np.full(TICKS, 1.0),
+        "velocity": 9e-3 * np.cos(9.0 * time_s),
+    }
+    signals[signal][AT] = sample
+    layer = SafetyLayer(DeviceModel.phantom_desktop(), SafetySettings(["wsc"]))
+    return layer.run(signals["position"], signals["rendered_force"], signals["velocity"])
+
+
+def at_the_door() -> Row:
+    """What describes a side is refused before there is one."""
+    builds: dict[str, Callable[[float], object]] = {
+        "force_scale": lambda bad: master_settings("wsc", depth=0.03, release_at_s=None, force_scale=bad),
+        "mass_kg": lambda bad: HapticDevice(mass_kg=bad),
+        "hand stiffness": lambda bad: Hand(stiffness=bad, damping=8.0, strength_n=12.0, start=0.0),
+        "wall stiffness": lambda bad: Wall(stiffness=bad),
+        "wall position": lambda bad: Wall(stiffness=1.0, position=bad),
+        "arm mass": lambda bad: Arm(mass_kg=bad),
+        "max_force_n": lambda bad: SafetyLayer(
+            DeviceModel.phantom_desktop(), SafetySettings(["wsc"]), limiter=LimiterSettings(max_force_n=bad)
+        ),
+        "hold_after_s": lambda bad: LadderSettings(hold_after_s=bad),
+    }
+    found = Complaints()
+    asked = 0
+    for key, build in builds.items():
+        # A bound that is large is a matter of taste; what is no number never is.
+        for name in ("NaN", "+Inf", "-Inf"):
+            asked += 1
+            found.check(_refuses(partial(build, BAD[name])), f"{key} = {name} was taken")
+    return Row(
+        fault="NaN, +Inf, -Inf from Python: settings", how="calls", expected="ValueError, nothing is built",
+        measured=f"{asked} refused" if not found.all() else "; ".join(found.all()), complaints=found.all(),
+    )  # fmt: skip
+
+
+def to_a_living_loop() -> Row:
+    """A scale that cannot be, told to loops that run: refused, and they run on as they did."""
+    key = secrets.token_bytes(32)
+    slave = LiveSlave(
+        slave_settings(wall_stiffness=100.0, push_at_s=None, push_force_n=1.0, push_duration_s=1.0),
+        listen="127.0.0.1:0", session=1, key=key, realtime="off",
+    )  # fmt: skip
+    master = LiveMaster(
+        master_settings("none", depth=0.045, release_at_s=None), peer=slave.address, session=2, key=key, realtime="off",
+    )  # fmt: skip
+    found = Complaints()
+    asked = 0
+    time.sleep(1.5)
+    for tell, who in ((master.set_force_scale, "force_scale"), (slave.set_position_scale, "position_scale")):
+        for name, bad in {**BAD, "-1": -1.0, "0": 0.0}.items():
+            if name in {"1e300", "largest"}:
+                continue
+            asked += 1
+            found.check(_refuses(partial(tell, bad)), f"{who} = {name} was taken")
+    time.sleep(0.2)
+    # Whatever is allowed, the limiter and the bounds of a command have the last word.
+    for scale in (sys.float_info.max, 5e-324):
+        master.set_force_scale(scale)
+        slave.set_position_scale(scale)
+        time.sleep(0.2)
+    trace, _ = master.finish()
+    far, _ = slave.finish()
+    force_n = float(np.abs(trace.device_force).max())
+    step_m = float(np.abs(np.diff(far.command)).max())
+    most_n = LIMITER_N
+    found.check(np.isfinite(trace.device_force).all(), "a force that is no number")
+    found.check(np.isfinite(far.command).all(), "a command that is no number")
+    found.check(force_n <= most_n + 1e-9, f"{force_n:g} N, must be {most_n:g} N at most")
+    grown_n = float(np.diff(np.abs(trace.device_force)).max())
+    found.check(grown_n <= GROWTH_N + 1e-9, f"{grown_n:g} N more within a tick, must be {GROWTH_N:g} N at most")
+    return Row(
+        fault="the same, 0, -1, huge and denormal to living loops", how="calls",
+        expected="ValueError; what is taken stays within force and speed bounds",
+        measured=f"{asked} refused; huge force scale: {NAMES[int(trace.state.max())]}; "
+        f"{force_n:.2f} N, {grown_n:.2f} N more a tick at most, {step_m * 1e3:.2f} mm a tick",
+        complaints=found.all(),
+    )  # fmt: skip
+
+
+LIMITER_N = 7.9
+"""What a PHANTOM Desktop exerts: the limiter's default."""
+GROWTH_N = 1.0
+"""Of a force within a tick: 1000 N/s; unloading is free."""
+
+
+def in_frames(security: str) -> Row:
+    """A sender whose poses are NaN: with a key a stranger's are refused, without one they are still no numbers."""
+    (attack,) = (attack for attack in RAVEN_ATTACKS if attack.scene == "raven_nan")
+    row = measure_attack(attack, "on" if security == "on" else "off")
+    found = Complaints()
+    found.check(row.effect == row.expected, f"{row.effect}, must be {row.expected}")
+    found.check(row.is_safe, "moved in hold")
+    return Row(
+        fault=f"NaN in frames, key {security}", how="virtual", expected="refused, counted; nothing moves",
+        measured=f"{row.refused} refused; effect {row.effect}, ends {row.final_states[1]}",
+        moved_m=row.moved_in_hold_mm * 1e-3, force_n=row.force_in_hold_n, complaints=found.all(),
+    )  # fmt: skip
+
+
+def no_driver(fault: str) -> Row:
+    """What there is nothing to do it to."""
+    measured = "no Python driver yet: not applicable"
+    return Row(fault=fault, how="-", expected="fault, zero force", measured=measured, applies=False)
+
+
+def _refuses(call: Callable[[], object]) -> bool:
+    try:
+        call()
+    except ValueError:
+        return True
+    return False
+
+
+def rows() -> list[Callable[[], Row]]:
+    """All of them, to be run one after the other."""
+    return [
+        *(partial(from_device, signal) for signal in ("position", "rendered_force", "velocity")),
+        from_arm,
+        tiny_from_device,
+        at_the_door,
+        to_a_living_loop,
+        *(partial(in_frames, security) for security in ("on", "off")),
+        partial(no_driver, "exception in a device driver"),
+        partial(no_driver, "device driver that blocks (SIGSTOP of a process blocks its loop)"),
+    ]

@@ -1,0 +1,367 @@
+"""Faults of processes: real masters and slaves over loopback, in a secure session."""
+
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from tests.faults.rows import Complaints, Row
+from tests.faults.running import AGAIN_S, PRESSED_S, Process, Recorded, Stage
+from tests.faults.signals import HOLD, NAMES, STOP
+from tests.faults.virtual import FADE_S, HOLD_S, PERIOD_S, causes
+
+from haptether.bridge import write_key
+
+ATTEMPTS = 3
+"""A machine that stalls a loop before the fault makes it hold, as it should: the row is then measured anew."""
+SOUND_S = 1.0
+"""From engaging, at least, to the fault."""
+KILLED_SLAVE = "slave: SIGKILL, then started anew"
+KILLED_MASTER = "master: SIGKILL, then started anew"
+RESTARTED_MASTER = "master: SIGTERM, then started anew"
+WRONG_KEY = "wrong key"
+SECOND_MASTER = "second master with the key"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Longest times that pass, for loops that a machine may wake late."""
+
+    hold_s: float = HOLD_S + 2 * PERIOD_S + 0.008
+    """Silence at HOLD: 20 ms over the expected age of one tick, and wakes up to 8 ms late."""
+    fade_s: float = FADE_S + 2 * PERIOD_S
+    """From HOLD to no force; in ticks of the loop, whose times are its deadlines."""
+
+
+class DisturbedError(Exception):
+    """A side held before anything was done to it."""
+
+
+def undisturbed(recorded: Recorded) -> None:
+    """Refuses a run that had not engaged soundly before the fault.
+
+    Raises:
+        DisturbedError: It had not.
+    """
+    ticks = recorded.ticks
+    engaged = np.flatnonzero(ticks.coupled)
+    held = ticks.first(HOLD)
+    if not engaged.size:
+        raise DisturbedError("never engaged")
+    if held is not None and ticks.time_s[held] < ticks.time_s[engaged[0]] + SOUND_S:
+        raise DisturbedError(f"held {ticks.time_s[held] - ticks.time_s[engaged[0]]:.3f} s after engaging")
+
+
+def never_held(*sides: Recorded) -> None:
+    """Refuses a run in which a side held where nothing may make it.
+
+    Raises:
+        DisturbedError: It did, or never engaged.
+    """
+    for side in sides:
+        if side.ticks.held.any():
+            raise DisturbedError(f"held because {side.reasons[side.ticks.first(HOLD) or 0]!r}")
+        if side.ticks.last not in {"engaged", "stale"}:
+            raise DisturbedError(f"ended in {side.ticks.last}")
+
+
+def again(measure: Callable[[], Row], fault: str) -> Callable[[], Row]:
+    """Measures anew where the machine got in between; after `ATTEMPTS` the row has failed."""
+
+    def measured() -> Row:
+        told = ""
+        for attempt in range(ATTEMPTS):
+            try:
+                row = measure()
+            except DisturbedError as error:
+                told = str(error)
+                continue
+            return row if attempt == 0 else replace(row, measured=f"{row.measured}; at attempt {attempt + 1}")
+        return replace(_nothing(fault), complaints=(f"{ATTEMPTS} attempts, each disturbed: {told}",))
+
+    return measured
+
+
+def _nothing(fault: str) -> Row:
+    return Row(fault=fault, how="processes", expected="-")
+
+
+class Judged:
+    """What the survivors of a row did, check by check."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.wrong = Complaints()
+        self._limits = limits
+        self._took_s: list[float] = []
+        self._told: list[str] = []
+        self._moved_m: float | None = None
+        self._force_n: float | None = None
+
+    def say(self, told: str) -> None:
+        """Adds to what was measured."""
+        self._told.append(told)
+
+    def silence(self, recorded: Recorded, reason: str = "peer is silent") -> None:
+        """It held 20 ms after the last frame, and for that reason."""
+        ticks = recorded.ticks
+        tick = ticks.first(HOLD)
+        if tick is None:
+            self.wrong.check(False, "never held")
+            return
+        age_s = float(ticks.age_s[tick])
+        self._took_s.append(age_s)
+        self.wrong.check(
+            HOLD_S <= age_s <= self._limits.hold_s,
+            f"held at a silence of {age_s:g} s, must be {HOLD_S:g} to {self._limits.hold_s:g} s",
+        )
+        self.wrong.check(
+            recorded.reasons[tick] == reason, f"held because {recorded.reasons[tick]!r}, must be {reason!r}"
+        )
+
+    def woke(self, recorded: Recorded, expected: str) -> None:
+        """It found that it had slept, in the tick in which it woke, and began at zero force."""
+        ticks = recorded.ticks
+        tick = ticks.first(HOLD)
+        if tick is None:
+            self.wrong.check(False, "the frozen side never held")
+            return
+        gap_s = float(ticks.time_s[tick] - ticks.time_s[tick - 1])
+        reason = recorded.reasons[tick]
+        self.wrong.check(reason == expected, f"woke and held because {reason!r}, must be {expected!r}")
+        self.wrong.check(gap_s > 0.05, f"held after a gap of {gap_s:g} s")
+        self.say(f"{NAMES[int(ticks.state[tick])]} in the tick it woke, after {gap_s:.2f} s")
+
+    def master(self, recorded: Recorded) -> None:
+        """The force went, and stayed away while it held."""
+        fade_s = recorded.ticks.fade_s()
+        force_n = recorded.ticks.force_after_n(self._limits.fade_s)
+        self._force_n = max(self._force_n or 0.0, force_n)
+        self.wrong.check(fade_s <= self._limits.fade_s + 1e-9, f"force faded over {fade_s:g} s")
+        self.wrong.check(force_n == 0.0, f"{force_n:g} N on the hand after the fade")
+        first = recorded.ticks.first(HOLD)
+        before = (
+            0.0 if first is None else float(np.abs(recorded.ticks.output[max(first - 50, 0) : first]).max(initial=0.0))
+        )
+        self.say(f"force {before:.1f} N gone in {fade_s * 1e3:.0f} ms")
+
+    def slave(self, recorded: Recorded) -> None:
+        """Nothing moved while it held, and it did not leap when it engaged again."""
+        ticks = recorded.ticks
+        moved_m = ticks.travelled()
+        self._moved_m = max(self._moved_m or 0.0, moved_m)
+        self.wrong.check(moved_m == 0.0, f"the command travelled {moved_m:g} m while it held")
+        # 3 m/s, by the bounds of a command, for each tick that passed.
+        step = np.abs(np.diff(ticks.output)) / np.diff(ticks.time_s)
+        self.wrong.check(float(step.max(initial=0.0)) <= 3.0 + 1e-6, f"the command leapt at {step.max():g} m/s")
+
+    def reached(self, recorded: Recorded, state: str) -> None:
+        """How far down the ladder it went."""
+        self.wrong.check(recorded.ticks.worst == state, f"went to {recorded.ticks.worst}, must be {state}")
+
+    def ended(self, recorded: Recorded, states: tuple[str, ...] = ("engaged", "stale")) -> None:
+        """Where it stood at the last tick."""
+        self.wrong.check(
+            recorded.ticks.last in states, f"ended in {recorded.ticks.last}, must be {' or '.join(states)}"
+        )
+
+    def row(self, fault: str, expected: str) -> Row:
+        """All of it."""
+        took_s = max(self._took_s, default=None)
+        return Row(
+            fault=fault, how="processes", expected=expected, measured="; ".join(self._told), reaction_s=took_s,
+            limit_s=None if took_s is None else self._limits.hold_s, moved_m=self._moved_m, force_n=self._force_n,
+            complaints=self.wrong.all(),
+        )  # fmt: skip
+
+
+def pair(stage: Stage) -> tuple[Process, Process]:
+    """A slave, and a master that presses its wall."""
+    slave = stage.slave()
+    master = stage.master(slave.address)
+    time.sleep(PRESSED_S)
+    return slave, master
+
+
+def killed_slave(limits: Limits) -> Row:
+    """A slave that is killed, and another in its place."""
+    with Stage.set() as stage:
+        slave, master = pair(stage)
+        address = slave.address
+        slave.send(signal.SIGKILL)
+        slave.end(None)
+        time.sleep(0.3)
+        other = stage.slave("other", listen=address)
+        # 2 s of silence until a new handshake, its repeats included; nothing may engage.
+        time.sleep(3.5)
+        pressed_s = time.monotonic()
+        master.send(signal.SIGUSR1)
+        time.sleep(AGAIN_S)
+        stage.end_together(master, other)
+        since_s = time.monotonic() - pressed_s
+        at_master, at_other = stage.ticks("master"), stage.ticks("other")
+    undisturbed(at_master)
+    judged = Judged(limits)
+    judged.silence(at_master)
+    judged.master(at_master)
+    judged.reached(at_master, "stop")
+    judged.slave(at_other)
+    judged.ended(at_master.before_end())
+    ticks = at_other.ticks
+    coupled = np.flatnonzero(ticks.coupled)
+    judged.wrong.check(coupled.size, "the new slave never engaged")
+    if coupled.size:
+        # Counted from the end, for the clocks of two processes have different zeros.
+        before_end_s = float(ticks.time_s[-1] - ticks.time_s[coupled[0]])
+        judged.wrong.check(
+            before_end_s <= since_s, f"the new slave engaged {before_end_s - since_s:g} s before the press"
+        )
+        judged.wrong.check(ticks.output[coupled[0]] == ticks.output[0], "the new slave leapt")
+        judged.say("new slave engaged by the press")
+    return judged.row(KILLED_SLAVE, "hold, stop; engages by a press alone")
+
+
+def killed_master(limits: Limits) -> Row:
+    """A master that is killed, and others after it."""
+    with Stage.set() as stage:
+        slave, master = pair(stage)
+        master.send(signal.SIGKILL)
+        master.end(None)
+        time.sleep(0.3)
+        refused = stage.master(slave.address, "refused", "--patience-s", "2.5")
+        said = refused.end(None)
+        slave.send(signal.SIGUSR1)
+        allowed = stage.master(slave.address, "allowed")
+        time.sleep(PRESSED_S)
+        allowed.end()
+        slave.end()
+        at_slave, at_allowed = stage.ticks("slave"), stage.ticks("allowed")
+    undisturbed(at_slave)
+    judged = Judged(limits)
+    judged.silence(at_slave)
+    judged.slave(at_slave)
+    judged.reached(at_slave, "stop")
+    judged.wrong.check("another master has the lease" in said, "the next master was not told why it was refused")
+    judged.wrong.check(refused.process.returncode == 1, "the next master engaged without leave")
+    judged.ended(at_allowed)
+    judged.say("next master refused until SIGUSR1 at the slave, then engaged")
+    return judged.row(KILLED_MASTER, "hold, stop; no other master without leave at the slave")
+
+
+def restarted_master(limits: Limits) -> Row:
+    """A master that ends, and another after it."""
+    with Stage.set() as stage:
+        slave, master = pair(stage)
+        master.end()
+        other = stage.master(slave.address, "other")
+        time.sleep(PRESSED_S)
+        other.end()
+        slave.end()
+        at_slave, at_other = stage.ticks("slave"), stage.ticks("other")
+    undisturbed(at_slave)
+    judged = Judged(limits)
+    judged.silence(at_slave)
+    judged.slave(at_slave)
+    coupled = at_slave.ticks.coupled
+    begun = np.flatnonzero(coupled[1:] & ~coupled[:-1]) + 1
+    judged.wrong.check(begun.size == 2, f"engaged {begun.size} times, must be 2")
+    ended = np.flatnonzero(~coupled[1:] & coupled[:-1]) + 1
+    between = at_slave.ticks.output[ended[0] : begun[-1]] if begun.size == 2 and ended.size else np.zeros(1)
+    judged.wrong.check(np.ptp(between) == 0.0, f"the command travelled {np.ptp(between):g} m between the two")
+    judged.ended(at_other)
+    judged.say(f"slave left because {_left(at_slave)!r}")
+    return judged.row(RESTARTED_MASTER, "lease released; begins disengaged, engages by its press")
+
+
+def _left(recorded: Recorded) -> str:
+    coupled = recorded.ticks.coupled
+    left = np.flatnonzero(~coupled[1:] & coupled[:-1]) + 1
+    return recorded.reasons[int(left[0])] if left.size else "never"
+
+
+def frozen(who: str, length_s: float, limits: Limits) -> Row:
+    """SIGSTOP for a time."""
+    with Stage.set() as stage:
+        slave, master = pair(stage)
+        (slave if who == "slave" else master).frozen(length_s)
+        # What stopped for 3 s has lost its session: the handshake comes first.
+        time.sleep(0.5 if length_s < 2.0 else 3.0)
+        master.send(signal.SIGUSR1)
+        time.sleep(AGAIN_S)
+        stage.end_together(slave, master)
+        sides = {"slave": stage.ticks("slave").before_end(), "master": stage.ticks("master").before_end()}
+    for side in sides.values():
+        undisturbed(side)
+    judged = Judged(limits)
+    other = "master" if who == "slave" else "slave"
+    judged.silence(sides[other])
+    judged.reached(sides[other], "hold" if length_s < 0.2 else "stop")
+    judged.woke(sides[who], "own loop was late" if length_s < 0.2 else "no sound peer for too long")
+    judged.master(sides["master"])
+    judged.slave(sides["slave"])
+    for side in sides.values():
+        judged.ended(side)
+    worst = NAMES[HOLD] if length_s < 0.2 else NAMES[STOP]
+    return judged.row(stopped(who, length_s), f"both {worst}, itself in the tick it wakes; a press engages")
+
+
+def stopped(who: str, length_s: float) -> str:
+    """Name of the row."""
+    return f"{who}: SIGSTOP " + (f"{length_s * 1e3:.0f} ms" if length_s < 1.0 else f"{length_s:g} s")
+
+
+def wrong_key(limits: Limits) -> Row:
+    """A master with another key."""
+    with Stage.set() as stage:
+        write_key(stage.path("other.key"))
+        slave = stage.slave()
+        master = stage.master(slave.address, "master", "--patience-s", "2", key=stage.path("other.key"))
+        said = master.end(None)
+        slave.end()
+        at_slave, report = stage.ticks("slave"), stage.report("slave")
+    judged = Judged(limits)
+    judged.slave(at_slave)
+    judged.wrong.check(set(at_slave.ticks.state) == {0}, "the slave left disengaged")
+    judged.wrong.check(np.ptp(at_slave.ticks.output) == 0.0, "the command travelled")
+    judged.wrong.check(master.process.returncode == 1 and "no slave answered" in said, f"the master said {said!r}")
+    judged.wrong.check(
+        report["sent"] == 0 and sum(report["rejections"].values()) >= 2, f"slave: {report['rejections']}"
+    )
+    judged.say(f"slave: {causes(report['rejections'])}, nothing sent")
+    return judged.row(WRONG_KEY, "never answered, counted, slave disengaged")
+
+
+def second_master(limits: Limits) -> Row:
+    """A second master beside one that lives."""
+    with Stage.set() as stage:
+        slave, master = pair(stage)
+        begun_s = time.monotonic()
+        second = stage.master(slave.address, "second", "--patience-s", "1.5")
+        said = second.end(None)
+        took_s = time.monotonic() - begun_s
+        stage.end_together(slave, master)
+        sides = [stage.ticks("slave").before_end(), stage.ticks("master").before_end()]
+    judged = Judged(limits)
+    never_held(*sides)
+    judged.slave(sides[0])
+    judged.wrong.check("refused: another master has the lease" in said, f"the second master said {said!r}")
+    judged.wrong.check(second.process.returncode == 1, "the second master did not fail")
+    judged.say(f"refused and told so; it gave up {took_s:.1f} s after its start; the first never held")
+    return judged.row(SECOND_MASTER, "refused and told so; the first goes on")
+
+
+def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
+    """All of them by name, to be run one after the other."""
+    bounds = limits or Limits()
+    measures: dict[str, Callable[[Limits], Row]] = {
+        KILLED_SLAVE: killed_slave,
+        KILLED_MASTER: killed_master,
+        RESTARTED_MASTER: restarted_master,
+        WRONG_KEY: wrong_key,
+        SECOND_MASTER: second_master,
+    }
+    for length_s in (0.1, 3.0):
+        for who in ("slave", "master"):
+            measures[stopped(who, length_s)] = partial(frozen, who, length_s)
+    return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}

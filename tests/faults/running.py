@@ -1,0 +1,173 @@
+"""Real master and slave processes under test, and what they recorded."""
+
+import contextlib
+import json
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from tests.faults.signals import Ticks
+
+from haptether.bridge import read_recording, write_key
+
+HAPTETHER = (sys.executable, "-m", "haptether")
+END_S = 30.0
+"""What any process has to end in, and to say its first line."""
+PRESSED_S = 1.8
+"""From a master's first line: handshake, engagement, 1.2 s of path; the hand presses the wall with some 3 N."""
+AGAIN_S = 1.2
+"""From a press: 0.1 s released, realignment, 0.2 s of fade-in."""
+
+APART_S = 0.2
+"""Between the ends of two processes that are told at once: each looks for that every 50 ms."""
+
+
+class Process:
+    """A command, and the line that says that its socket is open."""
+
+    def __init__(
+        self, *arguments: str, record: Path | None = None, within: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:  # fmt: skip
+        recorded = () if record is None else ("--record", str(record), "--min-free-bytes", "0")
+        self.record = record
+        self.begun_s = time.monotonic()
+        self.process = subprocess.Popen(
+            [*within, *HAPTETHER, *arguments, *recorded], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True, env=None if environment is None else dict(environment),
+        )  # fmt: skip
+        assert self.process.stderr is not None
+        self.headline = self.process.stderr.readline()
+        self.said = ""
+
+    @property
+    def address(self) -> str:
+        """Where it listens.
+
+        Raises:
+            RuntimeError: It did not say.
+        """
+        found = re.search(r"(?:listens on|master on) (\S+:\d+)", self.headline)
+        if found is None:
+            raise RuntimeError(f"{self.headline.strip()!r}: must say where it listens")
+        return found[1].rstrip(",")
+
+    def send(self, number: signal.Signals) -> None:
+        """Sends it a signal."""
+        self.process.send_signal(number)
+
+    def end(self, number: signal.Signals | None = signal.SIGTERM) -> str:
+        """Asks it to end, or only waits for that; gives what it said."""
+        if number is not None and self.process.poll() is None:
+            self.process.send_signal(number)
+        try:
+            _, said = self.process.communicate(timeout=END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            _, said = self.process.communicate()
+        self.said += said or ""
+        return self.said
+
+    def frozen(self, length_s: float) -> None:
+        """Stops it for a time, as a machine does that swaps or whose debugger holds it."""
+        self.send(signal.SIGSTOP)
+        time.sleep(length_s)
+        self.send(signal.SIGCONT)
+
+    def kill(self) -> None:
+        """Ends it whatever it does."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.communicate()
+
+
+@dataclass
+class Stage:
+    """A folder, a key, and the processes of one row; all are gone when it ends."""
+
+    folder: Path
+    processes: list[Process] = field(default_factory=list)
+
+    @classmethod
+    @contextlib.contextmanager
+    def set(cls) -> Iterator[Self]:
+        """Sets one up and takes it down."""
+        with tempfile.TemporaryDirectory() as folder:
+            stage = cls(Path(folder))
+            write_key(stage.key)
+            try:
+                yield stage
+            finally:
+                for process in stage.processes:
+                    process.kill()
+
+    @property
+    def key(self) -> Path:
+        """The key of both sides."""
+        return self.folder / "session.key"
+
+    def end_together(self, *processes: Process) -> None:
+        """Ends sides within a moment of one another, so that the end of one is not a fault of the other."""
+        for process in processes:
+            process.process.terminate()
+        for process in processes:
+            process.end(None)
+
+    def path(self, name: str) -> Path:
+        """Of a file of this row."""
+        return self.folder / name
+
+    def slave(self, name: str = "slave", *arguments: str, listen: str = "127.0.0.1:0", **more: Any) -> Process:  # noqa: ANN401  # those of Process
+        """The side of the robot."""
+        record = more.pop("record", self.path(f"{name}.mcap"))
+        return self._begun(Process(
+            "slave", "--key", str(self.key), "--listen", listen, "--json", str(self.path(f"{name}.json")), *arguments,
+            record=record, **more,
+        ))  # fmt: skip
+
+    def master(self, peer: str, name: str = "master", *arguments: str, key: Path | None = None, **more: Any) -> Process:  # noqa: ANN401  # those of Process
+        """The side of the hand."""
+        record = more.pop("record", self.path(f"{name}.mcap"))
+        return self._begun(Process(
+            "master", "--key", str(key or self.key), "--peer", peer, "--json", str(self.path(f"{name}.json")),
+            *arguments, record=record, **more,
+        ))  # fmt: skip
+
+    def _begun(self, process: Process) -> Process:
+        self.processes.append(process)
+        return process
+
+    def report(self, name: str) -> dict[str, Any]:
+        """What a process that has ended says of itself."""
+        told: dict[str, Any] = json.loads(self.path(f"{name}.json").read_text())
+        return told
+
+    def ticks(self, name: str) -> "Recorded":
+        """What a process recorded."""
+        recording = read_recording(self.path(f"{name}.mcap"))
+        return Recorded(
+            ticks=Ticks.of_signals(recording.side, recording.signals),
+            reasons=[str(reason) for reason in recording.signals["reason"]],
+            overshoot_s=[float(late) for late in recording.signals["overshoot_s"]],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """A recording of one side."""
+
+    ticks: Ticks
+    reasons: list[str]
+    overshoot_s: list[float]
+
+    def before_end(self) -> Self:
+        """Without the last moment, in which the other side may have ended already."""
+        return replace(self, ticks=self.ticks.between(-np.inf, float(self.ticks.time_s[-1]) - APART_S))

@@ -1,0 +1,113 @@
+"""The fault suite in short, and that its rows can fail."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tests.faults import clocks, hostile, machine, numbers, processes, virtual
+from tests.faults.rows import Row
+from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
+
+LOOSE = processes.Limits(hold_s=0.15, fade_s=0.2)
+"""Of single runs beside other work."""
+
+
+def judge(row: Row) -> None:
+    if row.verdict == "n/a":
+        pytest.skip(row.measured)
+    assert row.verdict == "ok", f"{row.fault}: {'; '.join(row.complaints)}"
+
+
+def names(rows: list[Callable[[], Row]]) -> list[str]:
+    return [f"{n}" for n in range(len(rows))]
+
+
+VIRTUAL = [*virtual.rows(), *clocks.rows()]
+
+
+@pytest.mark.parametrize("measure", VIRTUAL, ids=names(VIRTUAL))
+def test_in_virtual_time(measure: Callable[[], Row]) -> None:
+    judge(measure())
+
+
+NUMBERS = numbers.rows()
+
+
+@pytest.mark.parametrize("measure", NUMBERS, ids=names(NUMBERS))
+def test_numbers_that_cannot_be(measure: Callable[[], Row]) -> None:
+    judge(measure())
+
+
+SELECTED = {
+    name: measure
+    for rows in (processes.rows(LOOSE), machine.rows(LOOSE), hostile.rows(LOOSE))
+    for name, measure in rows.items()
+    if name in {processes.KILLED_MASTER, processes.stopped("slave", 0.1), machine.FULL_DISK, hostile.REPLAYED}
+}
+
+
+@pytest.mark.parametrize("name", SELECTED)
+def test_with_processes(name: str) -> None:
+    judge(SELECTED[name]())
+
+
+def ticks(state: list[int], output: list[float]) -> Ticks:
+    count = len(state)
+    return Ticks(
+        time_s=np.arange(count, dtype=np.float64) * 1e-3,
+        state=np.array(state),
+        age_s=np.zeros(count),
+        output=np.array(output, dtype=np.float64),
+    )
+
+
+def test_what_moves_in_hold_shows() -> None:
+    still = ticks([ENGAGED, HOLD, HOLD, STOP, ENGAGED], [0.0, 1.0, 1.0, 1.0, 2.0])
+    assert still.travelled() == 0.0
+    assert ticks([ENGAGED, HOLD, HOLD, STOP, ENGAGED], [0.0, 1.0, 1.5, 1.25, 2.0]).travelled() == 0.75
+
+
+def test_a_force_that_stays_shows() -> None:
+    fading = ticks([ENGAGED, HOLD, HOLD, HOLD, ENGAGED], [3.0, 2.0, 1.0, 0.0, 0.5])
+    assert fading.fade_s() == pytest.approx(2e-3)
+    assert fading.force_after_n(1.5e-3) == 0.0
+    staying = ticks([ENGAGED, HOLD, HOLD, STOP, STOP], [3.0, 2.0, 1.0, 1.0, 1.0])
+    assert staying.fade_s() == np.inf
+    assert staying.force_after_n(1.5e-3) == 1.0
+
+
+def test_a_row_says_what_was_not_as_expected() -> None:
+    """An outage that is told as shorter than it is."""
+    dead = virtual.without(0.1)
+    row = virtual.outage("told as 10 ms", 0.010, forward=dead, backward=dead)
+    assert row.verdict == "FAILED"
+    assert "a side held" in row.complaints
+    assert row.as_json()["verdict"] == "FAILED"
+
+
+def test_datagrams_that_change_something_show() -> None:
+    from haptether.netsim import LinkSettings
+
+    row = virtual.stray("later by 2 ms", LinkSettings(delay_s=virtual.DELAY_S + 0.002), least_refused=0)
+    assert any("m off" in complaint for complaint in row.complaints)
+
+
+def test_a_run_that_is_disturbed_is_measured_anew() -> None:
+    calls = 0
+
+    def measure() -> Row:
+        nonlocal calls
+        calls += 1
+        if calls < 3:
+            raise processes.DisturbedError("held")
+        return Row(fault="a", how="processes", expected="b", measured="c")
+
+    row = processes.again(measure, "a")()
+    assert (row.verdict, row.measured) == ("ok", "c; at attempt 3")
+
+    def never() -> Row:
+        raise processes.DisturbedError("held")
+
+    row = processes.again(never, "a")()
+    assert row.verdict == "FAILED"
+    assert row.complaints == ("3 attempts, each disturbed: held",)
