@@ -70,10 +70,10 @@ impl PeerSocket {
                     if !self.learns && self.peer != Some(from) {
                         continue;
                     }
-                    if take(from, &mut buffer[..length]) && self.learns {
-                        if self.peer == Some(from) || now_ns.saturating_sub(self.heard_ns) > MOVES_AFTER_NS {
-                            (self.peer, self.heard_ns) = (Some(from), now_ns);
-                        }
+                    let stays = self.peer == Some(from);
+                    let may_move = self.learns && now_ns.saturating_sub(self.heard_ns) > MOVES_AFTER_NS;
+                    if take(from, &mut buffer[..length]) && (stays || may_move) {
+                        (self.peer, self.heard_ns) = (Some(from), now_ns);
                     }
                 }
                 // Nobody listens there (yet): a later frame may find somebody.
