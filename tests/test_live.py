@@ -330,11 +330,11 @@ def test_sockets_are_not_left_open(key: Path, children: list[Child]) -> None:
     assert again.process.returncode == 1
 
 
-def test_check_link_measures_and_moves_nothing(children: list[Child], tmp_path: Path) -> None:
-    slave = Child("slave", "--listen", "127.0.0.1:0", "--json", str(tmp_path / "slave.json"))
+def test_check_link_measures_and_moves_nothing(key: Path, children: list[Child], tmp_path: Path) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0", "--json", str(tmp_path / "slave.json"))
     children.append(slave)
     path = tmp_path / "link.json"
-    check = Child("check-link", "--peer", slave.address(), "--duration-s", "2", "--json", str(path))
+    check = Child("check-link", "--key", str(key), "--peer", slave.address(), "--duration-s", "2", "--json", str(path))
     children.append(check)
     said = check.end()
     report = json.loads(path.read_text())
@@ -356,8 +356,10 @@ def test_check_link_measures_and_moves_nothing(children: list[Child], tmp_path: 
     assert seen["link"]["arrived"] > 100
 
 
-def test_check_link_says_when_a_coupling_bears_less_than_the_link_has(children: list[Child], tmp_path: Path) -> None:
-    slave = Child("slave", "--listen", "127.0.0.1:0")
+def test_check_link_says_when_a_coupling_bears_less_than_the_link_has(
+    key: Path, children: list[Child], tmp_path: Path
+) -> None:
+    slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
     netsim = Child(
         "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address(), "--delay-s", "0.02",
@@ -366,7 +368,7 @@ def test_check_link_says_when_a_coupling_bears_less_than_the_link_has(children: 
     children.append(netsim)
     path = tmp_path / "link.json"
     check = Child(
-        "check-link", "--peer", netsim.address(), "--duration-s", "1", "--wall-stiffness", "500", "--json", str(path),
+        "check-link", "--key", str(key), "--peer", netsim.address(), "--duration-s", "1", "--wall-stiffness", "500", "--json", str(path),
     )  # fmt: skip
     children.append(check)
     check.end()
@@ -377,25 +379,25 @@ def test_check_link_says_when_a_coupling_bears_less_than_the_link_has(children: 
     assert any("contact would oscillate" in complaint for complaint in verdict["complaints"])
 
 
-def test_check_link_without_a_slave_says_so(children: list[Child]) -> None:
-    check = Child("check-link", "--peer", "127.0.0.1:9", "--duration-s", "0.5")
+def test_check_link_without_a_slave_says_so(key: Path, children: list[Child]) -> None:
+    check = Child("check-link", "--key", str(key), "--peer", "127.0.0.1:9", "--duration-s", "0.5")
     children.append(check)
     assert "no slave answered at 127.0.0.1:9 within 0.5 s" in check.end()
     assert check.process.returncode == 1
 
 
-def test_both_sides_record_what_they_did(children: list[Child], tmp_path: Path) -> None:
+def test_both_sides_record_what_they_did(key: Path, children: list[Child], tmp_path: Path) -> None:
     from haptether.bridge import read_recording
 
     slave_path, master_path = tmp_path / "slave.mcap", tmp_path / "master.mcap"
     slave = Child(
-        "slave", "--listen", "127.0.0.1:0", "--duration-s", "1", "--record", str(slave_path),
+        "slave", "--key", str(key), "--listen", "127.0.0.1:0", "--duration-s", "1", "--record", str(slave_path),
         "--min-free-bytes", "0", "--json", str(tmp_path / "slave.json"),
     )  # fmt: skip
     children.append(slave)
     trace_path = tmp_path / "run.npz"
     master = Child(
-        "master", "--peer", slave.address(), "--duration-s", "0.8", "--record", str(master_path),
+        "master", "--key", str(key), "--peer", slave.address(), "--duration-s", "0.8", "--record", str(master_path),
         "--min-free-bytes", "0", "--trace", str(trace_path),
     )  # fmt: skip
     children.append(master)
@@ -407,5 +409,5 @@ def test_both_sides_record_what_they_did(children: list[Child], tmp_path: Path) 
     np.testing.assert_array_equal(np.isnan(recording.signals["round_trip_s"]), np.isinf(trace["round_trip_s"]))
     assert "engaged" in set(recording.signals["state"])
     other = read_recording(slave_path)
-    assert (other.side, other.security) == ("slave", "insecure")
+    assert (other.side, other.security) == ("slave", "secure")
     assert len(other.signals["time_ns"]) == json.loads((tmp_path / "slave.json").read_text())["link"]["recorded"]
