@@ -368,7 +368,8 @@ def test_check_link_says_when_a_coupling_bears_less_than_the_link_has(
     children.append(netsim)
     path = tmp_path / "link.json"
     check = Child(
-        "check-link", "--key", str(key), "--peer", netsim.address(), "--duration-s", "1", "--wall-stiffness", "500", "--json", str(path),
+        "check-link", "--key", str(key), "--peer", netsim.address(), "--duration-s", "1", "--wall-stiffness", "500",
+        "--json", str(path),
     )  # fmt: skip
     children.append(check)
     check.end()
