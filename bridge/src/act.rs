@@ -1,9 +1,9 @@
 //! What a person does at one side while it runs.
 
-use crate::coupling::{CouplingError, FrameMap, PositionForce};
-
-/// Most axes of a device or an arm.
-const MOST_AXES: usize = 7;
+use crate::{
+    coupling::{CouplingError, FrameMap, PositionForce},
+    wire::MOST_AXES,
+};
 
 /// Something done at one side while it runs. Nothing of it comes from the network.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,7 +3,7 @@
 use crate::{
     session::{
         EndError, HandshakeDatagram, MAX_DATAGRAM, PreSharedKey, Received, Rejections, SeededEntropy,
-        SessionEnd, SessionSettings,
+        Session, SessionEnd, SessionSettings,
     },
     side::Side,
     wire::{MAX_FRAME, Role},
@@ -62,15 +62,25 @@ impl Channel {
         side: &mut impl Side,
         buffer: &'a mut [u8; MAX_DATAGRAM],
     ) -> Option<&'a [u8]> {
-        if !self.end.session.is_open(now_ns) {
-            return None;
-        }
-        let mut frame = [0; MAX_FRAME];
-        self.end.session.seal(now_ns, side.send(now_ns, &mut frame), buffer).ok()
+        sealed_frame(&mut self.end.session, now_ns, side, buffer)
     }
 
     /// Datagrams not taken, by cause.
     pub(crate) fn rejections(&self) -> Rejections {
         self.end.rejections()
     }
+}
+
+/// The next frame of a side as a datagram of its session; none, and no frame is numbered, while there are no keys.
+pub(crate) fn sealed_frame<'a>(
+    session: &mut Session,
+    now_ns: u64,
+    side: &mut impl Side,
+    buffer: &'a mut [u8; MAX_DATAGRAM],
+) -> Option<&'a [u8]> {
+    if !session.is_open(now_ns) {
+        return None;
+    }
+    let mut frame = [0; MAX_FRAME];
+    session.seal(now_ns, side.send(now_ns, &mut frame), buffer).ok()
 }

@@ -47,8 +47,10 @@ pub const HEADER: usize = 64;
 const ENERGIES: usize = 16;
 /// Bytes of the checksum.
 const CHECKSUM: usize = 4;
+/// Most axes of a device or an arm.
+pub const MOST_AXES: usize = 7;
 /// Bytes of a frame of the largest number of axes.
-pub const MAX_FRAME: usize = frame_length(7);
+pub const MAX_FRAME: usize = frame_length(MOST_AXES);
 
 /// Bytes of a frame of `axes` axes.
 pub const fn frame_length(axes: usize) -> usize {

@@ -1690,7 +1690,7 @@ class MasterTrace:
 
     @property
     def overshoot_s(self) -> _Array:
-        """How late the loop woke, in s; 0 in virtual time."""
+        """How late the loop woke, in s; in virtual time only where the clock of this side is set."""
 
     @property
     def fault(self) -> _Bits:
@@ -1743,7 +1743,7 @@ class SlaveTrace:
 
     @property
     def overshoot_s(self) -> _Array:
-        """How late the loop woke, in s; 0 in virtual time."""
+        """How late the loop woke, in s; in virtual time only where the clock of this side is set."""
 
     @property
     def fault(self) -> _Bits:

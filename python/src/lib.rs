@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 mod arrays;
 mod axes;
 mod bridge;
+mod bridge_live;
 mod bridge_trace;
 mod live_options;
 mod local;
@@ -28,5 +29,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     netsim_probe::register(module)?;
     scene::register(module)?;
     bridge_trace::register(module)?;
-    bridge::register(module)
+    bridge::register(module)?;
+    bridge_live::register(module)
 }

@@ -2,8 +2,9 @@
 //!
 //! Two sides have two monotonic clocks with different beginnings and rates. [`PeerClock`] estimates how they differ,
 //! for logs and diagnosis only. Of an offset only a range is certain, since no packet arrives before it was sent; where
-//! in it the offset lies rests on the belief that both ways take alike, which no measurement can show. [`PacketAge`] needs no such belief, so that is what the ladder works with. No function here takes a wall
-//! time, therefore a step of the wall clock changes nothing.
+//! in it the offset lies rests on the belief that both ways take alike, which no measurement can show. [`PacketAge`]
+//! needs no such belief, so the ladder holds by that. No function here takes a wall time, therefore a step of the wall
+//! clock changes nothing.
 
 mod age;
 mod causal;

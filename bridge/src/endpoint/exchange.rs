@@ -24,8 +24,6 @@ pub struct Exchange<const N: usize> {
     interval_ns: Option<u64>,
     /// Its own, which stands for the peer's until that is known.
     period_ns: u64,
-    /// Age in ns that the newest frame has when nothing is wrong; by default the peer's interval.
-    expected_age_ns: Option<u64>,
     /// The clutch as of the last tick.
     clutch: bool,
     /// Holds that were seen, and the sequence of a frame of this side that tells of the last one.
@@ -50,7 +48,6 @@ impl<const N: usize> Exchange<N> {
             outgoing: PortState::default(),
             interval_ns: None,
             period_ns,
-            expected_age_ns: None,
             clutch: false,
             told: (0, 0),
             flight: Box::new(FlightRecorder::new(match role {
@@ -84,7 +81,7 @@ impl<const N: usize> Exchange<N> {
             self.told = (self.ladder.holds(), self.link.next_sequence());
         }
         let age_ns = self.link.age_ns(now_ns);
-        let expected_age_ns = self.expected_age_ns.or(self.interval_ns).unwrap_or(self.period_ns);
+        let expected_age_ns = self.interval_ns.unwrap_or(self.period_ns);
         let newest = self.newest();
         let peer = newest.map(|frame| PeerReport {
             // A state that this version does not know is none to be coupled with.
@@ -152,11 +149,6 @@ impl<const N: usize> Exchange<N> {
     /// A person at this side says that its fault is mended.
     pub(super) fn acknowledge(&mut self, now_ns: u64) {
         self.ladder.acknowledge(now_ns);
-    }
-
-    /// Age in ns that the newest frame has when nothing is wrong; none takes the interval at which the peer sends.
-    pub fn set_expected_age_ns(&mut self, expected_ns: Option<u64>) {
-        self.expected_age_ns = expected_ns;
     }
 
     /// Where the ladder stands.

@@ -3,12 +3,10 @@
 use serde::Serialize;
 
 use super::{history::History, state::LadderState};
+use crate::wire::MOST_AXES;
 
 /// How many ticks are kept.
 const KEPT: usize = 50;
-
-/// Most axes that an entry has room for.
-const MOST_AXES: usize = 7;
 
 /// One tick of a side.
 #[derive(Clone, Copy, Debug, PartialEq)]

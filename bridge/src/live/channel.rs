@@ -4,9 +4,10 @@ use std::net::SocketAddr;
 
 use super::handshakes::{Handshakes, SecurityEvent, StartError};
 use crate::{
+    channel::sealed_frame,
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Rejections, SealError, Session, SessionSettings},
     side::Side,
-    wire::{MAX_FRAME, Role},
+    wire::Role,
 };
 
 /// How the frames of a live run travel.
@@ -131,11 +132,7 @@ impl LiveChannel {
         side: &mut impl Side,
         buffer: &'a mut [u8; MAX_DATAGRAM],
     ) -> Option<&'a [u8]> {
-        if !self.session.is_open(now_ns) {
-            return None;
-        }
-        let mut frame = [0; MAX_FRAME];
-        self.session.seal(now_ns, side.send(now_ns, &mut frame), buffer).ok()
+        sealed_frame(&mut self.session, now_ns, side, buffer)
     }
 
     /// A datagram that ends the session at the peer.

@@ -16,21 +16,15 @@ if TYPE_CHECKING:
 POLL_S = 0.05
 
 
-class Stopped:
-    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once."""
+class Handlers:
+    """Handlers of signals that are put back at the end."""
 
     def __init__(self) -> None:
-        # A plain flag: an Event has a lock, and a handler that runs while this thread holds it would wait for ever.
-        self._is_set = False
         self._before: dict[int, object] = {}
 
-    def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._before[number] = signal.signal(number, self._set)
-        # Buttons of a side, before it has begun and after it has ended: they must not end the process.
-        for number in (signal.SIGUSR1, signal.SIGUSR2):
-            self._before[number] = signal.signal(number, signal.SIG_IGN)
-        return self
+    def handle(self, number: int, handler: "Callable[[int, FrameType | None], None] | signal.Handlers") -> None:
+        """Sets one."""
+        self._before[number] = signal.signal(number, handler)
 
     def __exit__(
         self,
@@ -40,6 +34,23 @@ class Stopped:
     ) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal gave
+
+
+class Stopped(Handlers):
+    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once."""
+
+    def __init__(self) -> None:
+        # A plain flag: an Event has a lock, and a handler that runs while this thread holds it would wait for ever.
+        super().__init__()
+        self._is_set = False
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            self.handle(number, self._set)
+        # Buttons of a side, before it has begun and after it has ended: they must not end the process.
+        for number in (signal.SIGUSR1, signal.SIGUSR2):
+            self.handle(number, signal.SIG_IGN)
+        return self
 
     def _set(self, _number: int, _frame: FrameType | None) -> None:
         self._is_set = True
@@ -111,26 +122,17 @@ class Steps:
             print(f"{state}: {self.REMEDIES[state]}{acknowledge}{self._press}", file=sys.stderr, flush=True)
 
 
-class Acts:
+class Acts(Handlers):
     """Signals as what a person does: SIGUSR1 is the button of this side, SIGUSR2 acknowledges."""
 
-    def __init__(self, *, acknowledge: Callable[[], None], press: Callable[[], None] | None = None) -> None:
-        self._acts = {signal.SIGUSR2: acknowledge} | ({signal.SIGUSR1: press} if press is not None else {})
-        self._before: dict[int, object] = {}
+    def __init__(self, *, acknowledge: Callable[[], None], press: Callable[[], None]) -> None:
+        super().__init__()
+        self._acts = {signal.SIGUSR1: press, signal.SIGUSR2: acknowledge}
 
     def __enter__(self) -> Self:
         for number, act in self._acts.items():
-            self._before[number] = signal.signal(number, _told(act))
+            self.handle(number, _told(act))
         return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal gave
 
 
 def _told(act: Callable[[], None]) -> Callable[[int, FrameType | None], None]:
