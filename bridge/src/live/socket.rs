@@ -108,3 +108,65 @@ impl PeerSocket {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn client(to: SocketAddr) -> UdpSocket {
+        let client = UdpSocket::bind("127.0.0.1:0").unwrap();
+        client.connect(to).unwrap();
+        client.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        client
+    }
+
+    /// Takes one datagram of which the session says `good`, at `now_ns`.
+    fn hears(socket: &mut PeerSocket, from: &UdpSocket, now_ns: u64, good: bool) {
+        from.send(&[1; 8]).unwrap();
+        let mut heard = 0;
+        // Loopback has it there at once, but nothing says when.
+        for _ in 0..5000 {
+            socket.drain(now_ns, u64::MAX, |_, datagram| {
+                heard += datagram.len();
+                good
+            });
+            if heard > 0 {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        panic!("nothing arrived");
+    }
+
+    fn answers(socket: &mut PeerSocket, at: &UdpSocket, said: u8) -> bool {
+        socket.send(None, &[said]);
+        let mut buffer = [0; 2];
+        at.recv(&mut buffer).is_ok_and(|length| buffer[..length] == [said])
+    }
+
+    #[test]
+    fn a_learned_peer_is_followed_only_once_it_is_silent() {
+        let mut socket = PeerSocket::bind("127.0.0.1:0".parse().unwrap(), PeerAddress::Learned).unwrap();
+        let here = socket.local_address().unwrap();
+        let (peer, other) = (client(here), client(here));
+        // What is not good teaches nothing.
+        hears(&mut socket, &other, 1000 * MS, false);
+        socket.send(None, &[9]);
+        hears(&mut socket, &peer, 1000 * MS, true);
+        assert!(answers(&mut socket, &peer, 1));
+        // A copy of the peer's frame that was faster than the peer.
+        hears(&mut socket, &other, 1020 * MS, true);
+        assert!(answers(&mut socket, &peer, 2), "20 ms are no silence");
+        hears(&mut socket, &peer, 1021 * MS, true);
+        hears(&mut socket, &other, 1041 * MS, true);
+        assert!(answers(&mut socket, &peer, 3), "the peer was heard since");
+        hears(&mut socket, &other, 1042 * MS, false);
+        assert!(answers(&mut socket, &peer, 4));
+        hears(&mut socket, &other, 1042 * MS, true);
+        assert!(answers(&mut socket, &other, 5), "21 ms are");
+    }
+}
