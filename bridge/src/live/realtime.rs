@@ -282,6 +282,12 @@ mod tests {
                 "refused (SCHED_FIFO needs CAP_SYS_NICE or a larger RLIMIT_RTPRIO): ordinary scheduling, memory \
                  locked (1 MiB)",
             ),
+            (
+                Granted::Refused(0),
+                Granted::Yes(1 << 20),
+                Granted::NotAsked,
+                "refused (SCHED_FIFO was granted and not given): ordinary scheduling, memory locked (1 MiB)",
+            ),
         ] {
             let report = RealtimeReport { fifo, locked, cpu, wakeful: Granted::NotAsked };
             assert_eq!(report.to_string(), said);
