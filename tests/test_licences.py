@@ -60,7 +60,7 @@ CLASSIFIERS = {
     "The Unlicense (Unlicense)": "Unlicense",
 }
 
-EXTRAS = ("", "analysis")
+EXTRAS = ("", "analysis", "record", "ur")
 """The optional dependencies that tools/requirements.txt holds, and none at all."""
 
 
@@ -195,12 +195,13 @@ def licence(distribution: importlib.metadata.Distribution) -> str:
     stated = [
         line.rpartition(" :: ")[2]
         for line in metadata.get_all("Classifier") or []
+        # "OSI Approved" alone names none.
         if line.startswith("License :: ") and line.count(" :: ") > 1
     ]
     if stated:
         return " AND ".join(CLASSIFIERS.get(name, name.replace(" ", "-")) for name in stated)
     if "License" in metadata:
-        return metadata["License"]
+        return CLASSIFIERS.get(metadata["License"], metadata["License"])
     return "none-stated"
 
 
