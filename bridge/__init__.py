@@ -7,17 +7,21 @@ from haptether._core import (
     LiveSlave,
     LocalTrace,
     LoopReport,
+    MasterLoop,
     MasterSettings,
     MasterTrace,
     PathReport,
     RecordingReport,
     Sinusoid,
+    SlaveLoop,
     SlaveSettings,
     SlaveTrace,
     ladder_reason,
     ladder_state_name,
     run_local,
 )
+from haptether.bridge.device_loop import DeviceError, DeviceRun, drive_master, drive_slave
+from haptether.bridge.devices import MASTERS, SLAVES, device_names, load_master, load_slave
 from haptether.bridge.recording import Recording, read_recording
 from haptether.bridge.scene import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene_error import SceneError
@@ -68,6 +72,8 @@ from haptether.bridge.session_key import read_key, write_key
 from haptether.bridge.virtual_run import run_bridge
 
 __all__ = [
+    "MASTERS",
+    "SLAVES",
     "AdaptiveWindow",
     "BackwardDifference",
     "BodyTable",
@@ -76,6 +82,8 @@ __all__ = [
     "ClockTable",
     "ContactTable",
     "CouplingTable",
+    "DeviceError",
+    "DeviceRun",
     "EnvironmentTable",
     "Event",
     "ForceSensorTable",
@@ -91,6 +99,7 @@ __all__ = [
     "LocalTrace",
     "LoopReport",
     "LowPass",
+    "MasterLoop",
     "MasterSettings",
     "MasterTable",
     "MasterTrace",
@@ -116,6 +125,7 @@ __all__ = [
     "SeriesTable",
     "Signals",
     "Sinusoid",
+    "SlaveLoop",
     "SlaveSettings",
     "SlaveTable",
     "SlaveTrace",
@@ -123,9 +133,14 @@ __all__ = [
     "Spring",
     "Sweep",
     "TremorTable",
+    "device_names",
+    "drive_master",
+    "drive_slave",
     "ladder_reason",
     "ladder_state_name",
+    "load_master",
     "load_scene",
+    "load_slave",
     "override_scene",
     "read_key",
     "read_recording",

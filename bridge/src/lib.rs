@@ -7,6 +7,7 @@ mod act;
 mod channel;
 pub mod clock;
 pub mod coupling;
+mod driven;
 mod endpoint;
 pub mod ladder;
 mod lanes;
@@ -26,6 +27,7 @@ mod virtual_time;
 pub mod wire;
 
 pub use act::Act;
+pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
     EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings,
     SlaveTick,

@@ -75,6 +75,49 @@ fn shown_ns(clock: &EndpointClock, true_ns: u64) -> u64 {
     ORIGIN_NS.wrapping_add_signed(clock.reading_ns(true_ns))
 }
 
+/// Share of a device's lateness that is taken for its pace, each tick: a device whose clock is slow by 100 ppm is met
+/// 0.1 periods late instead of ever later.
+const PACE_SHARE: u64 = 1024;
+
+/// When a loop ticks that a device paces: at its samples, each of which may come late, but none before its time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DevicePace {
+    period_ns: u64,
+    /// When the next sample is due.
+    next_ns: u64,
+}
+
+impl DevicePace {
+    pub(crate) fn new(period_ns: u64) -> Self {
+        Self { period_ns, next_ns: 0 }
+    }
+
+    /// The first sample is due.
+    pub(crate) fn begin(&mut self, now_ns: u64) {
+        self.next_ns = now_ns;
+    }
+
+    /// When the next tick is due.
+    pub(crate) fn next_ns(&self) -> u64 {
+        self.next_ns
+    }
+
+    /// A tick that this side's clock was waited for.
+    pub(crate) fn waited(&mut self, now_ns: u64) -> Wake {
+        let wake = Wake::new(self.next_ns, now_ns, self.period_ns);
+        self.next_ns = wake.deadline_ns + self.period_ns;
+        wake
+    }
+
+    /// A tick whose sample the device has given now: due then where it is early, for it sets the pace.
+    pub(crate) fn sampled(&mut self, now_ns: u64) -> Wake {
+        let wake = Wake::new(self.next_ns.min(now_ns), now_ns, self.period_ns);
+        let late_ns = now_ns - wake.deadline_ns;
+        self.next_ns = wake.deadline_ns + late_ns / PACE_SHARE + self.period_ns;
+        wake
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use haptether_netsim::ClockSettings;
@@ -92,6 +135,42 @@ mod tests {
             (at_ns, wake)
         };
         (0..ticks).map(|_| tick()).collect()
+    }
+
+    #[test]
+    fn a_device_sets_the_pace_whatever_its_clock() {
+        for drift_ppm in [-1000_i64, -100, 0, 100, 900] {
+            let mut pace = DevicePace::new(MS);
+            pace.begin(5 * MS);
+            let (mut late_ns, mut before_ns) = (0, 0);
+            for n in 0..200_000_i64 {
+                let now_ns = 5 * MS + (n * (1_000_000 + drift_ppm)).cast_unsigned();
+                let wake = pace.sampled(now_ns);
+                assert_eq!(wake.missed, 0, "{drift_ppm} {n}");
+                assert!(wake.deadline_ns > before_ns && wake.deadline_ns <= now_ns);
+                (late_ns, before_ns) = (wake.overshoot_ns, wake.deadline_ns);
+            }
+            // Where what is late grows by a tick is what its share takes away.
+            let expected_ns = (drift_ppm * 1024).max(0).cast_unsigned();
+            assert!(late_ns.abs_diff(expected_ns) < 2048, "{drift_ppm}: {late_ns}");
+        }
+    }
+
+    #[test]
+    fn a_driver_that_blocks_leaves_ticks_out_and_stalls() {
+        for (blocked_ms, missed, stalled) in [(1, 1, false), (19, 19, false), (20, 20, false), (21, 21, true)]
+        {
+            for waits in [false, true] {
+                let mut pace = DevicePace::new(MS);
+                pace.begin(7 * MS);
+                let mut tick = |now_ns| if waits { pace.waited(now_ns) } else { pace.sampled(now_ns) };
+                assert_eq!(tick(7 * MS), Wake { deadline_ns: 7 * MS, overshoot_ns: 0, missed: 0 });
+                let wake = tick((8 + blocked_ms) * MS);
+                assert_eq!((wake.missed, wake.is_stalled()), (missed, stalled), "{blocked_ms} {waits}");
+                assert_eq!(wake.deadline_ns, (8 + blocked_ms) * MS);
+                assert_eq!(tick((9 + blocked_ms) * MS).missed, 0);
+            }
+        }
     }
 
     #[test]

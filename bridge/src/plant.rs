@@ -65,6 +65,32 @@ pub trait SlavePlant<const N: usize> {
     fn engaged(&mut self, _now_ns: u64) {}
 }
 
+impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
+    fn begin(&mut self, now_ns: u64) {
+        (**self).begin(now_ns);
+    }
+
+    fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
+        (**self).read(now_ns)
+    }
+
+    fn write(&mut self, force: &Axes<N>) {
+        (**self).write(force);
+    }
+
+    fn clutch(&self) -> Option<bool> {
+        (**self).clutch()
+    }
+
+    fn engaged(&mut self) {
+        (**self).engaged();
+    }
+
+    fn truth(&self) -> Option<Truth<N>> {
+        (**self).truth()
+    }
+}
+
 impl<const N: usize> MasterPlant<N> for SimulatedMaster<N> {
     fn begin(&mut self, now_ns: u64) {
         SimulatedMaster::begin(self, now_ns);

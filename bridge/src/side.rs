@@ -68,6 +68,9 @@ pub trait Side {
     /// The loop was late by more than the ladder allows, until `now_ns`.
     fn stalled(&mut self, now_ns: u64);
 
+    /// The plant has failed, or says so, at `now_ns`; a model does not.
+    fn device_failed(&mut self, _now_ns: u64) {}
+
     /// Leaves the plant without force or motion.
     fn rest(&mut self);
 
@@ -150,6 +153,10 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn stalled(&mut self, now_ns: u64) {
         self.endpoint.stalled(now_ns);
+    }
+
+    fn device_failed(&mut self, now_ns: u64) {
+        self.endpoint.device_failed(now_ns);
     }
 
     fn rest(&mut self) {
@@ -250,6 +257,10 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn stalled(&mut self, now_ns: u64) {
         self.endpoint.stalled(now_ns);
+    }
+
+    fn device_failed(&mut self, now_ns: u64) {
+        self.endpoint.device_failed(now_ns);
     }
 
     fn rest(&mut self) {

@@ -40,6 +40,7 @@ __all__ = [
     "LiveSlave",
     "LocalTrace",
     "LoopReport",
+    "MasterLoop",
     "MasterSettings",
     "MasterTrace",
     "PassivityObserver",
@@ -57,6 +58,7 @@ __all__ = [
     "SafetyTicks",
     "SceneRun",
     "Sinusoid",
+    "SlaveLoop",
     "SlaveSettings",
     "SlaveTrace",
     "VelocityForceObserver",
@@ -1601,7 +1603,7 @@ def run_local(
 
 @final
 class MasterTrace:
-    """Ticks of a master: each signal an array of shape `(n_ticks,)`."""
+    """Ticks of a master: each signal an array of shape `(n_ticks,)`, or `(n_ticks, axes)` for vectors of several axes."""
 
     def __len__(self) -> int: ...
     @property
@@ -1698,7 +1700,7 @@ class MasterTrace:
 
 @final
 class SlaveTrace:
-    """Ticks of a slave: each signal an array of shape `(n_ticks,)`."""
+    """Ticks of a slave: each signal an array of shape `(n_ticks,)`, or `(n_ticks, axes)` for vectors of several axes."""
 
     def __len__(self) -> int: ...
     @property
@@ -2066,7 +2068,7 @@ class LiveMaster:
     """The side of the hand, live over UDP on a thread of its own.
 
     Args:
-        settings: The side.
+        settings: The side, or a scene of any number of axes as `scene_json` gives it.
         peer: The slave or a proxy before it, `HOST:PORT`.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`.
@@ -2084,13 +2086,13 @@ class LiveMaster:
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
-            `insecure`, both, or no such real time.
+            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
         OSError: An address or a file that cannot be used, or real time that is required and refused.
     """
 
     def __new__(
         cls,
-        settings: MasterSettings,
+        settings: MasterSettings | bytes,
         *,
         peer: str,
         session: int,
@@ -2172,7 +2174,7 @@ class LiveSlave:
     """The side of the robot, live over UDP on a thread of its own; it learns the master's address.
 
     Args:
-        settings: The side.
+        settings: The side, or a scene of any number of axes as `scene_json` gives it.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`.
@@ -2189,13 +2191,13 @@ class LiveSlave:
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
-            `insecure`, both, or no such real time.
+            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
         OSError: An address or a file that cannot be used, or real time that is required and refused.
     """
 
     def __new__(
         cls,
-        settings: SlaveSettings,
+        settings: SlaveSettings | bytes,
         *,
         listen: str,
         session: int,
@@ -2229,6 +2231,287 @@ class LiveSlave:
     @property
     def realtime(self) -> str:
         """What the loop's thread got of the system, as read back from it."""
+
+    @property
+    def recording(self) -> RecordingReport | None:
+        """How the recording stands; none without one."""
+
+    def poll(self) -> int:
+        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
+
+    def stop(self) -> None:
+        """Asks the loop to end after its current tick."""
+
+    def security_events(self) -> list[str]:
+        """What has happened to the session since the last call, in words."""
+
+    def flight(self) -> str | None:
+        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+
+    def allow_takeover(self) -> None:
+        """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
+    def set_position_scale(self, scale: float) -> None:
+        """Changes lambda_p from the next tick on; the arm goes on from where it is.
+
+        Raises:
+            ValueError: A scale that is not finite or not above 0.
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def acknowledge(self) -> None:
+        """Says that the fault of this side is mended: the master's clutch must then be released and pressed.
+
+        Raises:
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def finish(self) -> tuple[SlaveTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went.
+
+        Raises:
+            RuntimeError: Called a second time, or the loop panicked.
+        """
+
+@final
+class MasterLoop:
+    """The side of the hand, live over UDP, turned by a driver at each sample of its device: `begin`, `turn`, `finish`.
+
+    Args:
+        scene: As `scene_json` gives it; its device and its arm are left to drivers.
+        peer: The slave or a proxy before it, `HOST:PORT`.
+        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        key: The 32 bytes that both sides share, of `read_key`.
+        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
+        listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
+        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
+        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
+            fails without.
+        priority: Under SCHED_FIFO, 1 to 99.
+        cpu: Processor that the loop stays on; without it the kernel chooses.
+        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
+        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
+
+    Raises:
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
+            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
+        OSError: An address or a file that cannot be used.
+    """
+
+    def __new__(
+        cls,
+        scene: bytes,
+        *,
+        peer: str,
+        session: int,
+        key: bytes | None = None,
+        insecure: bool = False,
+        listen: str | None = None,
+        duration_s: float | None = None,
+        patience_s: float | None = None,
+        keep_s: float = 600.0,
+        realtime: str = "auto",
+        priority: int = 80,
+        cpu: int | None = None,
+        record: str | PathLike[str] | None = None,
+        min_free_bytes: int = ...,
+    ) -> MasterLoop: ...
+    def begin(self) -> str:
+        """Time begins; asks the system for real time for this thread, and returns what it gave.
+
+        Raises:
+            OSError: Real time is required and refused; the loop is over.
+        """
+
+    def turn(
+        self,
+        position: float | Sequence[float],
+        velocity: float | Sequence[float] | None = None,
+        clutch: bool | None = None,
+        *,
+        failed: bool = False,
+    ) -> tuple[float, ...] | None:
+        """One tick, at a sample of the device.
+
+        A number that is not finite or absurd gives zero force and a fault, and no exception.
+
+        Args:
+            position: x in m, a number for one axis or shape `(axes,)`.
+            velocity: V in m/s from a device that measures it, at every sample or at none.
+            clutch: Whether it is pressed, from a device with a button; else the scene's person works it.
+            failed: The device says that something is wrong with it: a fault.
+
+        Returns:
+            F_device in N, shape `(axes,)`; none where the run is over.
+
+        Raises:
+            TypeError: A sample that is no number, or of another number of axes; nothing was done.
+            RuntimeError: Another thread turns it.
+        """
+
+    def wait(self) -> None:
+        """Sleeps until the next tick is due: for a device that does not wait in `read`."""
+
+    def fail(self) -> None:
+        """The device is gone: a fault, of which the peer is told for 20 ticks; the loop is over."""
+
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def state(self) -> str:
+        """Where the ladder stands: a name of `ladder_state_name`."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the loop has ended."""
+
+    @property
+    def recording(self) -> RecordingReport | None:
+        """How the recording stands; none without one."""
+
+    def poll(self) -> int:
+        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
+
+    def stop(self) -> None:
+        """Asks the loop to end after its current tick."""
+
+    def security_events(self) -> list[str]:
+        """What has happened to the session since the last call, in words."""
+
+    def flight(self) -> str | None:
+        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+
+    def press_clutch(self) -> None:
+        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
+
+    def set_force_scale(self, scale: float) -> None:
+        """Changes lambda_f from the next tick on; the limiter says how fast the force follows.
+
+        Raises:
+            ValueError: A scale that is not finite or not above 0.
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def acknowledge(self) -> None:
+        """Says that the fault of this side is mended: the clutch must then be released and pressed.
+
+        Raises:
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def finish(self) -> tuple[MasterTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went.
+
+        Raises:
+            RuntimeError: Called a second time, or the loop panicked.
+        """
+
+@final
+class SlaveLoop:
+    """The side of the robot, live over UDP, turned by a driver at each sample of its arm: `begin`, `turn`, `finish`.
+
+    Args:
+        scene: As `scene_json` gives it; its device and its arm are left to drivers.
+        listen: Its address, `HOST:PORT`; port 0 lets the system choose.
+        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        key: The 32 bytes that both sides share, of `read_key`.
+        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
+        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
+        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
+            fails without.
+        priority: Under SCHED_FIFO, 1 to 99.
+        cpu: Processor that the loop stays on; without it the kernel chooses.
+        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
+        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
+
+    Raises:
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
+            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
+        OSError: An address or a file that cannot be used.
+    """
+
+    def __new__(
+        cls,
+        scene: bytes,
+        *,
+        listen: str,
+        session: int,
+        key: bytes | None = None,
+        insecure: bool = False,
+        duration_s: float | None = None,
+        patience_s: float | None = None,
+        keep_s: float = 600.0,
+        realtime: str = "auto",
+        priority: int = 80,
+        cpu: int | None = None,
+        record: str | PathLike[str] | None = None,
+        min_free_bytes: int = ...,
+    ) -> SlaveLoop: ...
+    def begin(self) -> str:
+        """Time begins; asks the system for real time for this thread, and returns what it gave.
+
+        Raises:
+            OSError: Real time is required and refused; the loop is over.
+        """
+
+    def turn(
+        self,
+        position: float | Sequence[float],
+        velocity: float | Sequence[float],
+        force: float | Sequence[float],
+        *,
+        failed: bool = False,
+    ) -> tuple[Literal["wait", "move", "stop"], tuple[float, ...], tuple[float, ...]] | None:
+        """One tick, at a sample of the arm.
+
+        A number that is not finite or absurd gives a stop and a fault, and no exception.
+
+        Args:
+            position: Of the tool in m, a number for one axis or shape `(axes,)`.
+            velocity: Of the tool in m/s.
+            force: F_e in N.
+            failed: The arm says that something is wrong with it: a fault.
+
+        Returns:
+            What the arm is to do, and where it is to move in m and with which velocity in m/s, shape `(axes,)` each,
+            both empty unless it is to move; none where the run is over. An arm that is no longer led is moved to rest
+            with constant deceleration, `slave.max_acceleration` of the scene or 5 m/s².
+
+        Raises:
+            TypeError: A sample that is no number, or of another number of axes; nothing was done.
+            RuntimeError: Another thread turns it.
+        """
+
+    def wait(self) -> None:
+        """Sleeps until the next tick is due: for an arm that does not wait in `read`."""
+
+    def fail(self) -> None:
+        """The arm is gone: a fault, of which the peer is told for 20 ticks; the loop is over."""
+
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def state(self) -> str:
+        """Where the ladder stands: a name of `ladder_state_name`."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the loop has ended."""
 
     @property
     def recording(self) -> RecordingReport | None:

@@ -12,6 +12,36 @@ pub(crate) fn refuse(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
+/// Runs an expression for a number of axes; `$n` is that number as a constant.
+macro_rules! of_axes {
+    ($axes:expr, $n:ident => $body:expr) => {
+        match $axes {
+            1 => {
+                const $n: usize = 1;
+                $body
+            }
+            2 => {
+                const $n: usize = 2;
+                $body
+            }
+            3 => {
+                const $n: usize = 3;
+                $body
+            }
+            6 => {
+                const $n: usize = 6;
+                $body
+            }
+            7 => {
+                const $n: usize = 7;
+                $body
+            }
+            axes => return Err(crate::axes::refuse_axes(axes)),
+        }
+    };
+}
+pub(crate) use of_axes;
+
 /// Declares an enum with one variant per number of axes.
 macro_rules! per_axes {
     ($(#[$doc:meta])* $name:ident, $inner:ident) => {

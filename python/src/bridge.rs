@@ -14,7 +14,7 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{
     axes::refuse,
-    bridge_trace::{MasterTrace, PyLoopReport, SlaveTrace},
+    bridge_trace::{MasterRows, MasterTrace, PyLoopReport, SlaveRows, SlaveTrace},
     local::{MOST_TICKS, PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
     netsim::link_settings,
     safety::{PyEstimatorKind, PyLimiterSettings, PySafetySettings},
@@ -301,8 +301,8 @@ fn run_bridge(
         Box::new(slave_records.iter().map(|record| (record.time_ns, record.state))),
     );
     Ok((
-        MasterTrace { records: master_records },
-        SlaveTrace { records: slave_records },
+        MasterTrace { rows: MasterRows::One(master_records) },
+        SlaveTrace { rows: SlaveRows::One(slave_records) },
         master_report.into(),
         slave_report.into(),
     ))

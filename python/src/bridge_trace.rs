@@ -5,11 +5,16 @@ use std::collections::BTreeMap;
 use haptether_bridge::{
     LinkStatistics, MasterRecord, PathReport, SlaveRecord,
     live::{Granted, LoopReport},
-    recorder::RecordingReport,
+    recorder::{Recorded, RecordingReport},
 };
+use haptether_safety::Axes;
+use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 
-use crate::arrays::column;
+use crate::{
+    arrays::column,
+    axes::{per_axes, with_axes},
+};
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<MasterTrace>()?;
@@ -25,44 +30,102 @@ fn seconds(ns: u64) -> f64 {
     if ns == u64::MAX { f64::INFINITY } else { ns as f64 * 1e-9 }
 }
 
+type MasterRecords<const N: usize> = Vec<MasterRecord<N>>;
+type SlaveRecords<const N: usize> = Vec<SlaveRecord<N>>;
+
+per_axes!(
+    /// Ticks of a master.
+    MasterRows,
+    MasterRecords
+);
+per_axes!(
+    /// Ticks of a slave.
+    SlaveRows,
+    SlaveRecords
+);
+
+/// A record of which there are many, of a known number of axes.
+pub(crate) trait Rowed: Recorded {
+    /// The same of any number of axes.
+    type Rows;
+
+    /// Takes them together.
+    fn rows(records: Vec<Self>) -> Self::Rows;
+}
+
+macro_rules! rowed {
+    ($($variant:ident $n:literal),*) => {
+        $(impl Rowed for MasterRecord<$n> {
+            type Rows = MasterRows;
+
+            fn rows(records: Vec<Self>) -> MasterRows {
+                MasterRows::$variant(records)
+            }
+        }
+
+        impl Rowed for SlaveRecord<$n> {
+            type Rows = SlaveRows;
+
+            fn rows(records: Vec<Self>) -> SlaveRows {
+                SlaveRows::$variant(records)
+            }
+        })*
+    };
+}
+
+rowed!(One 1, Two 2, Three 3, Six 6, Seven 7);
+
 /// Ticks of the master.
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct MasterTrace {
-    pub(crate) records: Vec<MasterRecord<1>>,
+    pub(crate) rows: MasterRows,
 }
 
 /// Ticks of the slave.
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SlaveTrace {
-    pub(crate) records: Vec<SlaveRecord<1>>,
+    pub(crate) rows: SlaveRows,
+}
+
+/// Vectors over ticks: of shape `(n_ticks,)` for one axis, else `(n_ticks, axes)`.
+fn vectors<const N: usize>(py: Python<'_>, values: impl Iterator<Item = Axes<N>>) -> PyResult<Py<PyAny>> {
+    let flat: Vec<f64> = values.flat_map(|value| value.data.0[0]).collect();
+    if N == 1 {
+        return Ok(column(py, flat));
+    }
+    let ticks = flat.len() / N;
+    Ok(flat.into_pyarray(py).reshape([ticks, N])?.into_any().unbind())
 }
 
 /// Getters that give one array per signal.
 macro_rules! columns {
-    ($class:ident, $record:ident, { $($name:ident => $value:expr),* $(,)? }) => {
+    ($class:ident, $rows:ident, $record:ident,
+        { $($name:ident => $value:expr),* $(,)? }, { $($vector:ident),* $(,)? }) => {
         #[pymethods]
         impl $class {
             $(#[getter]
             fn $name(&self, py: Python<'_>) -> Py<PyAny> {
-                column(py, self.records.iter().map(|$record| $value).collect())
+                with_axes!(&self.rows, $rows, records => {
+                    column(py, records.iter().map(|$record| $value).collect())
+                })
+            })*
+
+            $(#[getter]
+            fn $vector(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+                with_axes!(&self.rows, $rows, records => {
+                    vectors(py, records.iter().map(|record| record.$vector))
+                })
             })*
 
             fn __len__(&self) -> usize {
-                self.records.len()
+                with_axes!(&self.rows, $rows, records => records.len())
             }
         }
     };
 }
 
-columns!(MasterTrace, record, {
+columns!(MasterTrace, MasterRows, record, {
     time_s => seconds(record.time_ns),
-    position => record.position[0],
-    velocity => record.velocity[0],
-    hand_force => record.hand_force[0],
-    rendered_force => record.rendered_force[0],
-    grasp_force => record.grasp_force[0],
-    safety_force => record.safety_force[0],
-    device_force => record.device_force[0],
     velocity_force => record.observers[0],
     grasp => record.observers[1],
     windowed_energy_j => record.observers[2],
@@ -75,13 +138,10 @@ columns!(MasterTrace, record, {
     round_trip_s => seconds(record.round_trip_ns),
     overshoot_s => seconds(record.overshoot_ns),
     fault => record.fault,
-});
+}, { position, velocity, hand_force, rendered_force, grasp_force, safety_force, device_force });
 
-columns!(SlaveTrace, record, {
+columns!(SlaveTrace, SlaveRows, record, {
     time_s => seconds(record.time_ns),
-    position => record.position[0],
-    command => record.command[0],
-    environment_force => record.environment_force[0],
     limited => record.limited,
     state => record.state.code(),
     reason => record.reason,
@@ -90,7 +150,7 @@ columns!(SlaveTrace, record, {
     round_trip_s => seconds(record.round_trip_ns),
     overshoot_s => seconds(record.overshoot_ns),
     fault => record.fault,
-});
+}, { position, command, environment_force });
 
 #[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]
 #[derive(Clone, Copy)]

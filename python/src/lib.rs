@@ -10,7 +10,9 @@ mod axes;
 mod bridge;
 mod bridge_live;
 mod bridge_trace;
+mod device_loop;
 mod live_options;
+mod live_watch;
 mod local;
 mod netsim;
 mod netsim_live;
@@ -30,5 +32,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     scene::register(module)?;
     bridge_trace::register(module)?;
     bridge::register(module)?;
-    bridge_live::register(module)
+    bridge_live::register(module)?;
+    device_loop::register(module)
 }

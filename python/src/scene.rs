@@ -19,7 +19,7 @@ use pyo3::{
     types::{PyDict, PyList},
 };
 
-use crate::{arrays::column, axes::refuse};
+use crate::{arrays::column, axes::refuse, bridge::nanoseconds};
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySceneRun>()?;
@@ -81,6 +81,17 @@ fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<
     metrics.set_item("diverged", outcome.diverged.is_some())?;
     metrics.set_item("ticks", outcome.ticks)?;
     Ok(metrics.unbind())
+}
+
+/// A scene as `scene_json` writes it.
+pub(crate) fn scene_spec(json: &[u8]) -> PyResult<SceneSpec> {
+    serde_json::from_slice(json).map_err(|error| PyValueError::new_err(format!("scene: {error}")))
+}
+
+/// Periods of master and slave in ns.
+pub(crate) fn live_periods(scene: &SceneSpec) -> PyResult<[u64; 2]> {
+    let slave_s = scene.slave.as_ref().map_or(scene.run.period_s, |slave| slave.period_s);
+    Ok([nanoseconds("run.period_s", scene.run.period_s)?, nanoseconds("slave.period_s", slave_s)?])
 }
 
 /// Runs a scene.

@@ -71,14 +71,19 @@ pub enum Fault {
     /// A sample was finite and absurd.
     #[error("{} exceeds {} {}", .0.name(), .0.bound(), .0.unit())]
     OutOfRange(Signal),
+    /// What drives the device has failed, or says that the device has.
+    #[error("the device failed")]
+    Device,
 }
 
 impl Fault {
     /// A small number for records: 0 is reserved for "no fault".
     pub const fn code(self) -> u8 {
-        let (Self::NotFinite(signal) | Self::OutOfRange(signal)) = self;
-        let kind = if matches!(self, Self::NotFinite(_)) { 1 } else { 6 };
-        kind + signal as u8
+        match self {
+            Self::NotFinite(signal) => 1 + signal as u8,
+            Self::OutOfRange(signal) => 6 + signal as u8,
+            Self::Device => 11,
+        }
     }
 
     /// The fault with that [`code`](Fault::code), if there is one.
@@ -93,6 +98,7 @@ impl Fault {
         match code {
             1..=5 => Some(Self::NotFinite(SIGNALS[usize::from(code - 1)])),
             6..=10 => Some(Self::OutOfRange(SIGNALS[usize::from(code - 6)])),
+            11 => Some(Self::Device),
             _ => None,
         }
     }

@@ -195,6 +195,11 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
+    /// Renders no force from now on, until [`reset`](Self::reset): a fault that only others can see.
+    pub fn fail(&mut self, fault: Fault) {
+        self.fault.get_or_insert(fault);
+    }
+
     fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
         self.fault = Some(fault);
         self.device_force = Axes::zeros();

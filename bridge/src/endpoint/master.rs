@@ -1,8 +1,8 @@
 //! The master's endpoint: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer, SafetyTick, controller::SafetySettings,
-    estimator::EstimatorKind,
+    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyLayer, SafetyTick,
+    controller::SafetySettings, estimator::EstimatorKind,
 };
 
 use super::{EndpointError, Exchange, check_period, period_s};
@@ -145,6 +145,12 @@ impl<const N: usize> MasterEndpoint<N> {
     pub fn stalled(&mut self, now_ns: u64) {
         self.exchange.stalled(now_ns);
         self.has_stalled = true;
+    }
+
+    /// The device has failed, or says so: no force, and the peer is told.
+    pub fn device_failed(&mut self, now_ns: u64) {
+        self.layer.fail(Fault::Device);
+        self.exchange.ladder.fault(now_ns);
     }
 
     /// A person at this side says that its fault is mended; the clutch must then be released and pressed.

@@ -147,6 +147,12 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.stalled(now_ns);
     }
 
+    /// The arm has failed, or says so: no motion, and the peer is told.
+    pub fn device_failed(&mut self, now_ns: u64) {
+        self.fault.get_or_insert(Fault::Device);
+        self.exchange.ladder.fault(now_ns);
+    }
+
     /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there.
     pub fn rests(&mut self, rest: &Axes<N>) {
         // Where it does not know where it is, nothing is commanded until the two engage anew.

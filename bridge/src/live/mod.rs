@@ -4,12 +4,17 @@ mod channel;
 mod clock;
 mod handshakes;
 mod outlets;
+mod paced;
 mod realtime;
 mod run;
 mod socket;
+mod turning;
+mod watch;
 
 pub use channel::Security;
 pub use handshakes::{SecurityEvent, StartError};
+pub use paced::{PacedLoop, paced_by_device};
 pub use realtime::{Granted, RealtimeDemand, RealtimeReport, RealtimeSettings};
 pub use run::{LiveRun, LiveSettings, LoopReport, run_live};
 pub use socket::{PeerAddress, PeerSocket};
+pub use watch::LiveWatch;

@@ -95,6 +95,15 @@ impl RealtimeReport {
         !(self.fifo.is_refused() || self.locked.is_refused() || self.cpu.is_refused())
     }
 
+    /// Refuses to go on where all of it is demanded and not all was granted.
+    pub(super) fn check(&self, demand: RealtimeDemand) -> io::Result<()> {
+        if demand == RealtimeDemand::Require && !self.is_complete() {
+            let text = format!("real time is required: {self}");
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, text));
+        }
+        Ok(())
+    }
+
     /// What was refused, and what would have it granted.
     fn refusals(&self) -> Vec<String> {
         let mut refusals = Vec::new();

@@ -2,7 +2,7 @@
 
 use std::{
     io,
-    net::SocketAddr,
+    ops::{Deref, DerefMut},
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
@@ -12,22 +12,23 @@ use std::{
 };
 
 use super::{
-    channel::{Came, LiveChannel, RELEASES, Security},
+    channel::{LiveChannel, Security},
     clock,
-    handshakes::{SecurityEvent, StartError},
+    handshakes::StartError,
     outlets::Outlets,
-    realtime::{self, RealtimeDemand, RealtimeReport, RealtimeSettings},
+    realtime::{self, RealtimeReport, RealtimeSettings},
     socket::PeerSocket,
+    turning::{Turning, Ways},
+    watch::LiveWatch,
 };
 use crate::{
-    act::Act,
-    ladder::{FlightRecorder, LadderState},
+    ladder::FlightRecorder,
     link::LinkStatistics,
     pace::Wake,
     path::PathReport,
-    recorder::{Recorder, Recording, RecordingReport},
-    session::{MAX_DATAGRAM, Rejections},
-    side::{Side, TickTime},
+    recorder::{Recorder, RecordingReport},
+    session::Rejections,
+    side::Side,
     wire::Role,
 };
 
@@ -79,41 +80,56 @@ pub struct LoopReport {
     pub recording: Option<RecordingReport>,
 }
 
-/// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
-const MOST_TAKING: u64 = 4;
 /// Events that wait for a reader; further ones are dropped.
 const MOST_EVENTS: usize = 64;
 
+/// What the loop and those who watch it both see.
 #[derive(Debug, Default)]
-struct Shared {
-    stop: AtomicBool,
-    state: AtomicU8,
-    ticks: AtomicU64,
-    press: AtomicBool,
-    takeover: AtomicBool,
+pub(super) struct Shared {
+    pub(super) stop: AtomicBool,
+    pub(super) state: AtomicU8,
+    pub(super) ticks: AtomicU64,
+    pub(super) press: AtomicBool,
+    pub(super) takeover: AtomicBool,
 }
 
-/// Between two releases at the end of a run, in ns.
-const RELEASE_NS: u64 = 1_000_000;
 /// States and commands as of a STOP or FAULT that wait for a reader.
 const MOST_FLIGHTS: usize = 2;
 /// Acts that may wait for the loop: it takes all of them at its next tick.
 const MOST_ACTS: usize = 16;
 
+/// What a loop is made of before its time begins, and the other ends of its rings.
+pub(super) fn assemble<S: Side>(
+    socket: &PeerSocket,
+    settings: &LiveSettings,
+    security: Security,
+    recorder: Option<Recorder<S::Record>>,
+) -> Result<(LiveChannel, Ways<S::Record>, LiveWatch<S::Record>), StartError> {
+    let (producer, records) = rtrb::RingBuffer::new(settings.ring);
+    let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
+    let (flown, flights) = rtrb::RingBuffer::new(MOST_FLIGHTS);
+    let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
+    let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
+    let watch = LiveWatch {
+        records,
+        events,
+        flights,
+        flight: None,
+        acts,
+        shared: Arc::default(),
+        address: socket.local_address()?,
+        recording: recorder.as_ref().map(Recorder::recording),
+    };
+    let ways = Ways { records: Outlets::new(producer, recorder), events: told, flights: flown, acts: done };
+    Ok((channel, ways, watch))
+}
+
 /// A live loop on its own thread.
 #[derive(Debug)]
 pub struct LiveRun<R> {
     thread: Option<JoinHandle<(LoopReport, Option<Box<FlightRecorder>>)>>,
-    records: rtrb::Consumer<R>,
-    events: rtrb::Consumer<SecurityEvent>,
-    flights: rtrb::Consumer<FlightRecorder>,
-    /// The newest that was taken.
-    flight: Option<Box<FlightRecorder>>,
-    acts: rtrb::Producer<Act>,
-    shared: Arc<Shared>,
-    address: SocketAddr,
+    watch: LiveWatch<R>,
     realtime: RealtimeReport,
-    recording: Option<Recording>,
 }
 
 /// Starts the loop of one side on a thread of its own; `recorder` gets every record, too.
@@ -126,205 +142,52 @@ pub fn run_live<S: Side + Send + 'static>(
     security: Security,
     recorder: Option<Recorder<S::Record>>,
 ) -> Result<LiveRun<S::Record>, StartError> {
-    let (producer, records) = rtrb::RingBuffer::new(settings.ring);
-    let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
-    let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
-    let (flown, flights) = rtrb::RingBuffer::new(MOST_FLIGHTS);
-    let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
-    let shared = Arc::new(Shared::default());
-    let address = socket.local_address()?;
-    let seen = Arc::clone(&shared);
-    let recording = recorder.as_ref().map(Recorder::recording);
+    let (channel, ways, watch) = assemble::<S>(&socket, &settings, security, recorder)?;
+    let shared = Arc::clone(&watch.shared);
     let (say, heard) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
         let (realtime, _kept) = realtime::prepare(settings.realtime);
         let _ = say.send(realtime);
-        let outlets = Outlets::new(producer, recorder);
-        if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
-            return (LoopReport { recording: outlets.end(), realtime, ..LoopReport::default() }, None);
+        if realtime.check(settings.realtime.demand).is_err() {
+            let recording = ways.records.end();
+            return (LoopReport { recording, realtime, ..LoopReport::default() }, None);
         }
-        let ways = Ways { records: outlets, events: told, flights: flown, acts: done };
-        let (report, flight) = turn(side, socket, channel, settings, ways, &seen);
+        let mut deadline_ns = clock::now_ns();
+        let mut turning = Turning::begin(side, socket, channel, settings, ways, deadline_ns);
+        while !shared.stop.load(Ordering::Relaxed) {
+            clock::sleep_until(deadline_ns);
+            let wake = Wake::new(deadline_ns, clock::now_ns(), settings.period_ns);
+            if turning.turn(wake, &shared).is_break() {
+                break;
+            }
+            deadline_ns = wake.deadline_ns + settings.period_ns;
+        }
+        let (report, flight) = turning.end();
         (LoopReport { realtime, ..report }, Some(flight))
     })?;
     let realtime = heard.recv().map_err(io::Error::other)?;
-    if settings.realtime.demand == RealtimeDemand::Require && !realtime.is_complete() {
-        let text = format!("real time is required: {realtime}");
-        return Err(io::Error::new(io::ErrorKind::PermissionDenied, text).into());
-    }
-    Ok(LiveRun {
-        thread: Some(thread),
-        records,
-        events,
-        flights,
-        flight: None,
-        acts,
-        shared,
-        address,
-        realtime,
-        recording,
-    })
+    realtime.check(settings.realtime.demand)?;
+    Ok(LiveRun { thread: Some(thread), watch, realtime })
 }
 
-/// A side that is left without force or motion however its loop ends.
-struct Resting<S: Side>(S);
+impl<R> Deref for LiveRun<R> {
+    type Target = LiveWatch<R>;
 
-impl<S: Side> Drop for Resting<S> {
-    fn drop(&mut self) {
-        self.0.rest();
+    fn deref(&self) -> &LiveWatch<R> {
+        &self.watch
     }
 }
 
-/// The loop's ends of what leads to and from it; none of them is ever waited for.
-struct Ways<R> {
-    records: Outlets<R>,
-    events: rtrb::Producer<SecurityEvent>,
-    flights: rtrb::Producer<FlightRecorder>,
-    acts: rtrb::Consumer<Act>,
-}
-
-/// The loop: wait for the deadline, take what has arrived, tick, send, record.
-fn turn<S: Side>(
-    side: S,
-    mut socket: PeerSocket,
-    mut channel: LiveChannel,
-    settings: LiveSettings,
-    Ways { mut records, mut events, mut flights, mut acts }: Ways<S::Record>,
-    shared: &Shared,
-) -> (LoopReport, Box<FlightRecorder>) {
-    let mut report =
-        LoopReport { engaged_ns: u64::MAX, secure: channel.is_secure(), ..LoopReport::default() };
-    let mut buffer = [0; MAX_DATAGRAM];
-    let mut tell = |event| {
-        let _ = events.push(event);
-    };
-    let mut side = Resting(side);
-    let start_ns = clock::now_ns();
-    side.0.begin(start_ns);
-    let mut deadline_ns = start_ns;
-    let mut shown = LadderState::Disengaged;
-    while !shared.stop.load(Ordering::Relaxed) {
-        clock::sleep_until(deadline_ns);
-        let wake = Wake::new(deadline_ns, clock::now_ns(), settings.period_ns);
-        let Wake { overshoot_ns, missed, .. } = wake;
-        report.skipped += missed;
-        deadline_ns = wake.deadline_ns;
-        if wake.is_stalled() {
-            side.0.stalled(deadline_ns);
-            // Late already: another period for this is not much.
-            socket.discard(clock::now_ns() + settings.period_ns);
-        }
-        // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
-        let now_ns = deadline_ns;
-        if shared.press.swap(false, Ordering::Relaxed) {
-            side.0.press_again();
-        }
-        if shared.takeover.swap(false, Ordering::Relaxed) {
-            channel.allow_takeover(now_ns, &mut tell);
-        }
-        while let Ok(act) = acts.pop() {
-            // `LiveRun::act` has refused what cannot be.
-            let _ = side.0.act(now_ns, act);
-        }
-        let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
-        socket.drain(now_ns, until_ns, |from, datagram| {
-            channel.receive(now_ns, from, datagram, &mut side.0) == Came::Used
-        });
-        channel.advance(now_ns, |to, datagram| socket.send(to, datagram), &mut tell);
-        let record = side.0.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
-        if let Some(datagram) = channel.send(now_ns, &mut side.0, &mut buffer) {
-            socket.send(None, datagram);
-        }
-        report.ticks += 1;
-        if records.push(record).is_err() {
-            report.dropped_records += 1;
-        }
-        let state = side.0.state();
-        if state.is_coupled() && report.engaged_ns == u64::MAX {
-            report.engaged_ns = now_ns - start_ns;
-        }
-        // Until there was room: nobody may have looked at the one before.
-        if state == shown
-            || !matches!(state, LadderState::Stop | LadderState::Fault)
-            || flights.push(*side.0.flight()).is_ok()
-        {
-            shown = state;
-        }
-        shared.state.store(state.code(), Ordering::Relaxed);
-        shared.ticks.store(report.ticks, Ordering::Relaxed);
-        let elapsed_ns = now_ns - start_ns;
-        let limit_ns = match report.engaged_ns {
-            u64::MAX => settings.patience_ns,
-            engaged_ns => settings.duration_ns.map(|duration_ns| engaged_ns.saturating_add(duration_ns)),
-        };
-        if limit_ns.is_some_and(|limit_ns| elapsed_ns >= limit_ns) {
-            break;
-        }
-        deadline_ns += settings.period_ns;
+impl<R> DerefMut for LiveRun<R> {
+    fn deref_mut(&mut self) -> &mut LiveWatch<R> {
+        &mut self.watch
     }
-    let (counts, flight) = (side.0.counts(), Box::new(*side.0.flight()));
-    report.path = side.0.path(deadline_ns);
-    // First of all: what follows takes its time.
-    drop(side);
-    for release in 0..RELEASES {
-        let now_ns = clock::now_ns();
-        let Ok(datagram) = channel.release(now_ns, &mut buffer) else { break };
-        socket.send(None, datagram);
-        if release + 1 < RELEASES {
-            clock::sleep_until(now_ns + RELEASE_NS);
-        }
-    }
-    report.rejections = channel.end();
-    report.link = counts.link.with(&report.rejections);
-    (report.holds, report.limited) = (counts.holds, counts.limited);
-    report.unsent = socket.unsent;
-    report.recording = records.end();
-    (report, flight)
 }
 
 impl<R> LiveRun<R> {
-    /// Takes the records that wait.
-    pub fn drain(&mut self, mut take: impl FnMut(R)) {
-        while let Ok(record) = self.records.pop() {
-            take(record);
-        }
-    }
-
-    /// Takes what happened to the session.
-    pub fn drain_events(&mut self, mut take: impl FnMut(SecurityEvent)) {
-        while let Ok(event) = self.events.pop() {
-            take(event);
-        }
-    }
-
-    /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave.
-    pub fn allow_takeover(&self) {
-        self.shared.takeover.store(true, Ordering::Relaxed);
-    }
-
-    /// Where the socket listens.
-    pub fn address(&self) -> SocketAddr {
-        self.address
-    }
-
-    /// Where the ladder stands.
-    pub fn state(&self) -> LadderState {
-        LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
-    }
-
     /// What the loop's thread got of the system.
     pub fn realtime(&self) -> RealtimeReport {
         self.realtime
-    }
-
-    /// How the recording stands; none if there is none.
-    pub fn recording(&self) -> Option<RecordingReport> {
-        self.recording.as_ref().map(Recording::report)
-    }
-
-    /// Ticks done so far.
-    pub fn ticks(&self) -> u64 {
-        self.shared.ticks.load(Ordering::Relaxed)
     }
 
     /// Whether the loop has ended.
@@ -332,35 +195,11 @@ impl<R> LiveRun<R> {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Lets go of the clutch for a moment and presses it again: the act of a person at this side.
-    pub fn press_clutch(&self) {
-        self.shared.press.store(true, Ordering::Relaxed);
-    }
-
-    /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait.
-    pub fn act(&mut self, act: Act) -> Result<(), Act> {
-        self.acts.push(act).map_err(|rtrb::PushError::Full(act)| act)
-    }
-
-    /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.
-    pub fn flight(&mut self) -> Option<String> {
-        while let Ok(flight) = self.flights.pop() {
-            self.flight = Some(Box::new(flight));
-        }
-        self.flight.as_ref().map(|flight| flight.to_json())
-    }
-
-    /// Asks the loop to end after its current tick.
-    pub fn stop(&self) {
-        self.shared.stop.store(true, Ordering::Relaxed);
-    }
-
     /// Ends the loop and gives its report; none if it was given before or the loop panicked.
     pub fn join(&mut self) -> Option<LoopReport> {
-        self.stop();
+        self.watch.stop();
         let (report, flight) = self.thread.take()?.join().ok()?;
-        while self.flights.pop().is_ok() {}
-        self.flight = flight.or(self.flight.take());
+        self.watch.ended(flight);
         Some(report)
     }
 }

@@ -11,30 +11,26 @@ use haptether_slave::SimulatedSlave;
 
 use super::{
     build::{
-        SceneError, arm, axes, clutch, device_model, environment, estimator, exact_master, force_sensor,
-        is_continuous, limiter, measures, period_ns, safety_settings, stepped_master, stepping, ticks,
+        SceneError, clutch, exact_master, is_continuous, measures, period_ns, stepped_master, stepping, ticks,
     },
-    coupled::{Present, acts, bounds, ladder},
+    coupled::{Present, acts},
     events::EventLog,
+    live::{coupled, master_endpoint, simulated_arm, slave_endpoint},
     measures::{Divergence, DivergenceCause, MeasureSettings, Measures},
     run::{SceneRun, tell_schedule},
     signals::{Recorder, Sample},
-    spec::{CouplingSpec, SceneSpec, SignalsSpec, SlaveSpec},
+    spec::{CouplingSpec, SceneSpec, SignalsSpec},
     timed::Timed,
 };
 use crate::{
-    Act, EndpointError, Event, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSettings,
-    MasterSide, Reason, Side, SlaveEndpoint, SlaveRecord, SlaveSettings, SlaveSide, VirtualSettings,
-    run_virtual,
+    Act, EndpointError, Event, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSide, Reason,
+    Side, SlaveRecord, SlaveSide, VirtualSettings, run_virtual,
 };
 
 /// Sessions of the two sides: constants, for nobody listens in.
 const SESSIONS: (u64, u64) = (1, 2);
 
 pub(crate) fn simulate<const N: usize>(scene: &SceneSpec, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-    let Some(slave) = &scene.slave else {
-        return Err(SceneError::Contradiction("slave: is missing".into()));
-    };
     let refuse = |text: &str| Err(SceneError::Contradiction(text.to_owned()));
     if scene.safety.signals == SignalsSpec::True {
         return refuse("safety.signals = \"true\": an endpoint knows only what is measured");
@@ -46,12 +42,12 @@ pub(crate) fn simulate<const N: usize>(scene: &SceneSpec, stop: &AtomicBool) -> 
         None => {
             let mut plant = exact_master::<N>(scene)?;
             plant.set_waiting(true);
-            Bilateral::new(scene, slave)?.run(plant, stop)
+            Bilateral::new(scene)?.run(plant, stop)
         }
         Some(stepping) => {
             let mut plant = stepped_master::<N>(scene, stepping)?;
             plant.set_waiting(true);
-            Bilateral::new(scene, slave)?.run(plant, stop)
+            Bilateral::new(scene)?.run(plant, stop)
         }
     }
 }
@@ -77,10 +73,8 @@ struct Bilateral<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Bilateral<'a, N> {
-    fn new(scene: &'a SceneSpec, slave: &SlaveSpec) -> Result<Self, SceneError> {
-        let Some(coupling) = &scene.coupling else {
-            return Err(SceneError::Contradiction("coupling: a [slave] must be coupled".into()));
-        };
+    fn new(scene: &'a SceneSpec) -> Result<Self, SceneError> {
+        let (slave, coupling) = coupled(scene)?;
         let links = scene.link.as_ref();
         let settings = VirtualSettings {
             period_ns: period_ns("run.period_s", scene.run.period_s)?,
@@ -93,36 +87,11 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             master_clock: clock("master_clock", links.and_then(|links| links.master_clock))?,
             slave_clock: clock("slave_clock", links.and_then(|links| links.slave_clock))?,
         };
-        let ladder = ladder(scene.safety.ladder.as_ref())?;
-        let endpoint = MasterEndpoint::new(&MasterSettings {
-            period_ns: settings.period_ns,
-            session: SESSIONS.0,
-            device: device_model(&scene.master)?,
-            estimator: estimator(&scene.safety.estimator),
-            safety: safety_settings(&scene.safety),
-            limiter: limiter(&scene.safety),
-            force_scale: coupling.force_scale,
-            ladder,
-        })?;
-        let plant = SimulatedSlave::in_environment(
-            arm(slave)?,
-            environment(scene.environment.as_ref())?,
-            force_sensor(slave, scene.run.seed)?,
-            axes("slave.position", &slave.position)?,
-            0,
-        )?;
-        let far = SlaveEndpoint::new(&SlaveSettings {
-            period_ns: settings.slave_period_ns,
-            session: SESSIONS.1,
-            position_scale: coupling.position_scale,
-            bounds: bounds(coupling),
-            ladder,
-        })?;
         Ok(Self {
             scene,
             settings,
-            endpoint,
-            slave: SlaveSide::new(plant, far),
+            endpoint: master_endpoint(scene, SESSIONS.0)?,
+            slave: SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?),
             coupling: coupling.clone(),
             acts: acts::<N>(coupling)?,
         })

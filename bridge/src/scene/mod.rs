@@ -4,6 +4,7 @@ mod bilateral;
 mod build;
 mod coupled;
 mod events;
+mod live;
 mod local;
 mod measures;
 mod run;
@@ -14,8 +15,10 @@ mod timed;
 
 pub use build::SceneError;
 pub use events::SceneEvent;
+pub use live::{driven_master, driven_slave, simulated_master, simulated_slave};
 pub use measures::{Divergence, DivergenceCause, Outcome};
 pub use run::{SceneRun, simulate};
 pub use signals::Signal;
 pub use spec::SceneSpec;
 pub use sweep::{Progress, SweepError, SweepSettings, Variation, sweep};
+pub use timed::Timed;

@@ -6,8 +6,10 @@ use crate::{
 };
 
 /// A side, and what is done at it when, in ns since the start, in order.
-pub(crate) struct Timed<S> {
-    pub(crate) side: S,
+#[derive(Clone, Debug)]
+pub struct Timed<S> {
+    /// At which it is done.
+    pub side: S,
     acts: Vec<(u64, Act)>,
     done: usize,
 }
@@ -48,6 +50,10 @@ impl<S: Side> Side for Timed<S> {
 
     fn stalled(&mut self, now_ns: u64) {
         self.side.stalled(now_ns);
+    }
+
+    fn device_failed(&mut self, now_ns: u64) {
+        self.side.device_failed(now_ns);
     }
 
     fn rest(&mut self) {

@@ -1,0 +1,255 @@
+"""The loop of a side whose driver is in Python: `read -> tick -> write -> wait`, one extension call a tick."""
+
+import contextlib
+import gc
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from haptether._core import LoopReport, MasterLoop, MasterTrace, RecordingReport, SlaveLoop, SlaveTrace
+
+if TYPE_CHECKING:
+    from haptether.master import MasterDevice
+    from haptether.slave import SlaveDevice
+
+SWITCH_S = 2e-4
+"""How long another thread may keep the interpreter while the loop waits for it; Python's own 5 ms are five ticks."""
+JOIN_S = 5.0
+"""How long the end of a run waits for a driver that blocks."""
+
+
+class DeviceError(RuntimeError):
+    """A driver raised an exception; its cause is that exception."""
+
+
+@dataclass
+class DeviceNotes:
+    """What the device and a person beside it say to each other."""
+
+    fault: str | None = None
+    """What the device said last that is wrong with it."""
+    acknowledged: bool = False
+    """A person says that it is mended; taken back once the device and the loop have heard it."""
+    realtime: str = ""
+    """What the loop's thread got of the system, once it has begun."""
+
+
+def drive_master(device: "MasterDevice", loop: MasterLoop, notes: DeviceNotes | None = None) -> None:
+    """Turns the loop of a master with its device until the run is over.
+
+    The device is opened here, exerts no force at the end, and is closed.
+
+    Raises:
+        DeviceError: The driver raised an exception: no force, and the slave has been told.
+        OSError: Real time is required and refused.
+    """
+    notes = notes or DeviceNotes()
+    rest: tuple[float, ...] = ()
+    with _opened(device):
+        notes.realtime = loop.begin()
+        wait = None if device.paces else loop.wait
+        try:
+            while True:
+                if notes.acknowledged:
+                    _acknowledge(device, loop, notes)
+                position, velocity, clutch, fault = device.read()
+                if fault is not None:
+                    notes.fault = fault
+                force = loop.turn(position, velocity, clutch, failed=fault is not None)
+                if force is None:
+                    break
+                device.write(force)
+                rest = (0.0,) * len(force)
+                if wait is not None:
+                    wait()
+            if rest:
+                device.write(rest)
+        except Exception as error:
+            with contextlib.suppress(Exception):
+                if rest:
+                    device.write(rest)
+            loop.fail()
+            raise _failed(device, error) from error
+
+
+def drive_slave(device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | None = None) -> None:
+    """Turns the loop of a slave with its arm until the run is over.
+
+    The arm is opened here, is stopped at the end, and closed.
+
+    Raises:
+        DeviceError: The driver raised an exception: the arm was told to stop, and the master has been told.
+        OSError: Real time is required and refused.
+    """
+    notes = notes or DeviceNotes()
+    before = "wait"
+    with _opened(device):
+        notes.realtime = loop.begin()
+        wait = None if device.paces else loop.wait
+        try:
+            while True:
+                if notes.acknowledged:
+                    _acknowledge(device, loop, notes)
+                position, velocity, force, fault = device.read()
+                if fault is not None:
+                    notes.fault = fault
+                order = loop.turn(position, velocity, force, failed=fault is not None)
+                if order is None:
+                    break
+                kind, position, velocity = order
+                if kind == "move":
+                    device.write(position, velocity)
+                elif kind == "stop" and before == "move":
+                    device.stop()
+                before = kind
+                if wait is not None:
+                    wait()
+            device.stop()
+        except Exception as error:
+            with contextlib.suppress(Exception):
+                device.stop()
+            loop.fail()
+            raise _failed(device, error) from error
+
+
+@contextlib.contextmanager
+def _opened(device: "MasterDevice | SlaveDevice") -> Iterator[None]:
+    try:
+        device.open()
+    except Exception as error:
+        # What it had opened by then, nobody else closes.
+        with contextlib.suppress(Exception):
+            device.close()
+        raise _failed(device, error) from error
+    try:
+        yield
+    finally:
+        with contextlib.suppress(Exception):
+            device.close()
+
+
+def _acknowledge(device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveLoop, notes: DeviceNotes) -> None:
+    notes.acknowledged, notes.fault = False, None
+    if (mend := getattr(device, "acknowledge", None)) is not None:
+        mend()
+    loop.acknowledge()
+
+
+def _failed(device: "MasterDevice | SlaveDevice", error: Exception) -> DeviceError:
+    return DeviceError(f"{type(device).__name__}: {type(error).__name__}: {error}")
+
+
+class DeviceRun:
+    """A loop and its device on a thread of their own; what is seen of it is as with `LiveMaster` and `LiveSlave`."""
+
+    def __init__(self, loop: MasterLoop | SlaveLoop, drive: Callable[[DeviceNotes], None]) -> None:
+        self.notes = DeviceNotes()
+        self.error: Exception | None = None
+        """What ended the loop, if anything did."""
+        self._loop = loop
+        self._drive = drive
+        self._thread = threading.Thread(target=self._run, name="haptether-loop", daemon=True)
+        # The collector strikes wherever memory is asked for, the loop included: `poll` collects what is young instead.
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        self._switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        self._thread.start()
+
+    @classmethod
+    def of_master(cls, device: "MasterDevice", loop: MasterLoop) -> "DeviceRun":
+        """Begins to drive a master."""
+        return cls(loop, lambda notes: drive_master(device, loop, notes))
+
+    @classmethod
+    def of_slave(cls, device: "SlaveDevice", loop: SlaveLoop) -> "DeviceRun":
+        """Begins to drive a slave."""
+        return cls(loop, lambda notes: drive_slave(device, loop, notes))
+
+    def _run(self) -> None:
+        try:
+            self._drive(self.notes)
+        except Exception as error:  # told at the end of the run
+            self.error = error
+        finally:
+            self._loop.stop()
+
+    def poll(self) -> int:
+        """Takes over the records so far and returns their number."""
+        gc.collect(0)
+        return self._loop.poll()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the loop has ended."""
+        return not self._thread.is_alive()
+
+    @property
+    def address(self) -> str:
+        """Where it listens."""
+        return self._loop.address
+
+    @property
+    def realtime(self) -> str:
+        """What the loop's thread got of the system; empty until the device is open."""
+        return self.notes.realtime
+
+    @property
+    def state(self) -> str:
+        """Where the ladder stands."""
+        return self._loop.state
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+        return self._loop.ticks
+
+    @property
+    def recording(self) -> RecordingReport | None:
+        """How the recording stands; none without one."""
+        return self._loop.recording
+
+    def security_events(self) -> list[str]:
+        """What has happened to the session since the last call, in words."""
+        return self._loop.security_events()
+
+    def flight(self) -> str | None:
+        """The last states and commands as JSON."""
+        return self._loop.flight()
+
+    def stop(self) -> None:
+        """Asks the loop to end after its current tick."""
+        self._loop.stop()
+
+    def acknowledge(self) -> None:
+        """Says that the fault of this side is mended: the clutch must then be released and pressed."""
+        self.notes.acknowledged = True
+
+    def press_clutch(self) -> None:
+        """Lets go of the clutch for 0.1 s and presses it again; nothing at a slave."""
+        if isinstance(self._loop, MasterLoop):
+            self._loop.press_clutch()
+
+    def allow_takeover(self) -> None:
+        """Lets another master begin; nothing at a master."""
+        if isinstance(self._loop, SlaveLoop):
+            self._loop.allow_takeover()
+
+    def finish(self) -> tuple[MasterTrace | SlaveTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
+
+        Raises:
+            RuntimeError: The driver blocks, or the run was finished before.
+        """
+        self._loop.stop()
+        self._thread.join(JOIN_S)
+        sys.setswitchinterval(self._switch_s)
+        gc.enable()
+        gc.unfreeze()
+        if self._thread.is_alive():
+            message = f"the driver has blocked for {JOIN_S:g} s: its device keeps what it was told last"
+            raise RuntimeError(message)
+        return self._loop.finish()

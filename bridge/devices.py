@@ -1,0 +1,72 @@
+"""Drivers of devices, found by the entry points that packages declare."""
+
+import inspect
+from collections.abc import Mapping
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from haptether.master import MasterDevice
+    from haptether.slave import SlaveDevice
+
+MASTERS = "haptether.masters"
+SLAVES = "haptether.slaves"
+_METHODS = {MASTERS: ("open", "read", "write", "close"), SLAVES: ("open", "read", "write", "stop", "close")}
+
+
+def device_names(group: str) -> tuple[str, ...]:
+    """Names of the drivers of a group that are installed."""
+    return tuple(sorted(entry_points(group=group).names))
+
+
+def load_master(name: str, options: Mapping[str, Any]) -> "MasterDevice":
+    """The driver of a haptic device, called with `options` as keywords.
+
+    Raises:
+        ValueError: No such driver, options that it does not have, or something that is none.
+    """
+    device: MasterDevice = _load(MASTERS, name, options)
+    return device
+
+
+def load_slave(name: str, options: Mapping[str, Any]) -> "SlaveDevice":
+    """The driver of an arm, called with `options` as keywords.
+
+    Raises:
+        ValueError: No such driver, options that it does not have, or something that is none.
+    """
+    device: SlaveDevice = _load(SLAVES, name, options)
+    return device
+
+
+def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401  # of either group
+    found = entry_points(group=group, name=name)
+    if not found:
+        names = device_names(group)
+        near = get_close_matches(name, names, 1)
+        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(('simulated', *names))}"
+        message = f"device = {name}: no such driver ({group}): {hint}"
+        raise ValueError(message)
+    if len({point.value for point in found}) > 1:
+        message = f"device = {name}: several packages have it: {', '.join(sorted(map(_origin, found)))}"
+        raise ValueError(message)
+    (point,) = tuple(found)[:1]
+    make = point.load()
+    try:
+        inspect.signature(make).bind(**options)
+    except TypeError as error:
+        message = f"device = {name}: options {dict(options)}: {error}: it takes {inspect.signature(make)}"
+        raise ValueError(message) from None
+    device = make(**options)
+    missing = [method for method in _METHODS[group] if not callable(getattr(device, method, None))]
+    if not isinstance(getattr(device, "paces", None), bool):
+        missing.append("paces")
+    if missing:
+        message = f"device = {name}: {point.value} has no {', '.join(missing)}"
+        raise ValueError(message)
+    return device
+
+
+def _origin(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else point.value

@@ -1,0 +1,178 @@
+//! One live tick, whoever waits for its time: take what has arrived, tick, send, record.
+
+use std::{ops::ControlFlow, sync::atomic::Ordering};
+
+use super::{
+    channel::{Came, LiveChannel, RELEASES},
+    clock,
+    handshakes::SecurityEvent,
+    outlets::Outlets,
+    run::{LiveSettings, LoopReport, Shared},
+    socket::PeerSocket,
+};
+use crate::{
+    act::Act,
+    ladder::{FlightRecorder, LadderState},
+    pace::Wake,
+    session::MAX_DATAGRAM,
+    side::{Side, TickTime},
+};
+
+/// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
+const MOST_TAKING: u64 = 4;
+/// Between two releases at the end of a run, in ns.
+const RELEASE_NS: u64 = 1_000_000;
+
+/// A side that is left without force or motion however its loop ends.
+struct Resting<S: Side>(S);
+
+impl<S: Side> Drop for Resting<S> {
+    fn drop(&mut self) {
+        self.0.rest();
+    }
+}
+
+/// The loop's ends of what leads to and from it; none of them is ever waited for.
+pub(super) struct Ways<R> {
+    pub(super) records: Outlets<R>,
+    pub(super) events: rtrb::Producer<SecurityEvent>,
+    pub(super) flights: rtrb::Producer<FlightRecorder>,
+    pub(super) acts: rtrb::Consumer<Act>,
+}
+
+/// A side in its loop.
+pub(super) struct Turning<S: Side> {
+    side: Resting<S>,
+    socket: PeerSocket,
+    channel: LiveChannel,
+    settings: LiveSettings,
+    ways: Ways<S::Record>,
+    report: LoopReport,
+    start_ns: u64,
+    /// Of the last tick.
+    now_ns: u64,
+    shown: LadderState,
+    buffer: [u8; MAX_DATAGRAM],
+}
+
+impl<S: Side> Turning<S> {
+    /// Time begins at `start_ns`.
+    pub(super) fn begin(
+        mut side: S,
+        socket: PeerSocket,
+        channel: LiveChannel,
+        settings: LiveSettings,
+        ways: Ways<S::Record>,
+        start_ns: u64,
+    ) -> Self {
+        let report =
+            LoopReport { engaged_ns: u64::MAX, secure: channel.is_secure(), ..LoopReport::default() };
+        side.begin(start_ns);
+        Self {
+            side: Resting(side),
+            socket,
+            channel,
+            settings,
+            ways,
+            report,
+            start_ns,
+            now_ns: start_ns,
+            shown: LadderState::Disengaged,
+            buffer: [0; MAX_DATAGRAM],
+        }
+    }
+
+    /// What is driven.
+    pub(super) fn side(&mut self) -> &mut S {
+        &mut self.side.0
+    }
+
+    /// One tick; breaks where the run is over.
+    pub(super) fn turn(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
+        let Self { side: Resting(side), socket, channel, settings, ways, report, .. } = self;
+        let Ways { records, events, flights, acts } = ways;
+        let mut tell = |event| {
+            let _ = events.push(event);
+        };
+        let Wake { deadline_ns, overshoot_ns, missed } = wake;
+        report.skipped += missed;
+        if wake.is_stalled() {
+            side.stalled(deadline_ns);
+            // Late already: another period for this is not much.
+            socket.discard(clock::now_ns() + settings.period_ns);
+        }
+        // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
+        let now_ns = deadline_ns;
+        self.now_ns = now_ns;
+        if shared.press.swap(false, Ordering::Relaxed) {
+            side.press_again();
+        }
+        if shared.takeover.swap(false, Ordering::Relaxed) {
+            channel.allow_takeover(now_ns, &mut tell);
+        }
+        while let Ok(act) = acts.pop() {
+            // `LiveRun::act` has refused what cannot be.
+            let _ = side.act(now_ns, act);
+        }
+        let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
+        socket.drain(now_ns, until_ns, |from, datagram| {
+            channel.receive(now_ns, from, datagram, side) == Came::Used
+        });
+        channel.advance(now_ns, |to, datagram| socket.send(to, datagram), &mut tell);
+        let start_ns = self.start_ns;
+        let record = side.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
+        if let Some(datagram) = channel.send(now_ns, side, &mut self.buffer) {
+            socket.send(None, datagram);
+        }
+        report.ticks += 1;
+        if records.push(record).is_err() {
+            report.dropped_records += 1;
+        }
+        let state = side.state();
+        if state.is_coupled() && report.engaged_ns == u64::MAX {
+            report.engaged_ns = now_ns - start_ns;
+        }
+        // Until there was room: nobody may have looked at the one before.
+        if state == self.shown
+            || !matches!(state, LadderState::Stop | LadderState::Fault)
+            || flights.push(*side.flight()).is_ok()
+        {
+            self.shown = state;
+        }
+        shared.state.store(state.code(), Ordering::Relaxed);
+        shared.ticks.store(report.ticks, Ordering::Relaxed);
+        let elapsed_ns = now_ns - start_ns;
+        let limit_ns = match report.engaged_ns {
+            u64::MAX => settings.patience_ns,
+            engaged_ns => settings.duration_ns.map(|duration_ns| engaged_ns.saturating_add(duration_ns)),
+        };
+        if limit_ns.is_some_and(|limit_ns| elapsed_ns >= limit_ns) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    }
+
+    /// Leaves the plant at rest, tells the peer, and closes what is open.
+    pub(super) fn end(self) -> (LoopReport, Box<FlightRecorder>) {
+        let Self { side, mut socket, mut channel, ways, mut report, now_ns, mut buffer, .. } = self;
+        let (counts, flight) = (side.0.counts(), Box::new(*side.0.flight()));
+        report.path = side.0.path(now_ns);
+        // First of all: what follows takes its time.
+        drop(side);
+        for release in 0..RELEASES {
+            let now_ns = clock::now_ns();
+            let Ok(datagram) = channel.release(now_ns, &mut buffer) else { break };
+            socket.send(None, datagram);
+            if release + 1 < RELEASES {
+                clock::sleep_until(now_ns + RELEASE_NS);
+            }
+        }
+        report.rejections = channel.end();
+        report.link = counts.link.with(&report.rejections);
+        (report.holds, report.limited) = (counts.holds, counts.limited);
+        report.unsent = socket.unsent;
+        report.recording = ways.records.end();
+        (report, flight)
+    }
+}

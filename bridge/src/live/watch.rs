@@ -1,0 +1,102 @@
+//! What can be seen of a live loop, and done to it, from outside.
+
+use std::{
+    net::SocketAddr,
+    sync::{Arc, atomic::Ordering},
+};
+
+use super::{handshakes::SecurityEvent, run::Shared};
+use crate::{
+    act::Act,
+    ladder::{FlightRecorder, LadderState},
+    recorder::{Recording, RecordingReport},
+};
+
+/// The outer ends of a loop's rings; the loop never waits for them.
+#[derive(Debug)]
+pub struct LiveWatch<R> {
+    pub(super) records: rtrb::Consumer<R>,
+    pub(super) events: rtrb::Consumer<SecurityEvent>,
+    pub(super) flights: rtrb::Consumer<FlightRecorder>,
+    /// The newest that was taken.
+    pub(super) flight: Option<Box<FlightRecorder>>,
+    pub(super) acts: rtrb::Producer<Act>,
+    pub(super) shared: Arc<Shared>,
+    pub(super) address: SocketAddr,
+    pub(super) recording: Option<Recording>,
+}
+
+impl<R> LiveWatch<R> {
+    /// Takes the records that wait.
+    pub fn drain(&mut self, mut take: impl FnMut(R)) {
+        while let Ok(record) = self.records.pop() {
+            take(record);
+        }
+    }
+
+    /// Takes what happened to the session.
+    pub fn drain_events(&mut self, mut take: impl FnMut(SecurityEvent)) {
+        while let Ok(event) = self.events.pop() {
+            take(event);
+        }
+    }
+
+    /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave.
+    pub fn allow_takeover(&self) {
+        self.shared.takeover.store(true, Ordering::Relaxed);
+    }
+
+    /// Where the socket listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Where the ladder stands.
+    pub fn state(&self) -> LadderState {
+        LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
+    }
+
+    /// How the recording stands; none if there is none.
+    pub fn recording(&self) -> Option<RecordingReport> {
+        self.recording.as_ref().map(Recording::report)
+    }
+
+    /// Ticks done so far.
+    pub fn ticks(&self) -> u64 {
+        self.shared.ticks.load(Ordering::Relaxed)
+    }
+
+    /// Lets go of the clutch for a moment and presses it again: the act of a person at this side.
+    pub fn press_clutch(&self) {
+        self.shared.press.store(true, Ordering::Relaxed);
+    }
+
+    /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait.
+    pub fn act(&mut self, act: Act) -> Result<(), Act> {
+        self.acts.push(act).map_err(|rtrb::PushError::Full(act)| act)
+    }
+
+    /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.
+    pub fn flight(&mut self) -> Option<String> {
+        while let Ok(flight) = self.flights.pop() {
+            self.flight = Some(Box::new(flight));
+        }
+        self.flight.as_ref().map(|flight| flight.to_json())
+    }
+
+    /// Asks the loop to end after its current tick.
+    pub fn stop(&self) {
+        self.shared.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the loop was asked to end, or has ended by itself where somebody else turns it.
+    pub fn is_stopped(&self) -> bool {
+        self.shared.stop.load(Ordering::Relaxed)
+    }
+
+    /// The loop is over: what it said last counts.
+    pub fn ended(&mut self, flight: Option<Box<FlightRecorder>>) {
+        while self.flights.pop().is_ok() {}
+        self.flight = flight.or(self.flight.take());
+    }
+}

@@ -1,0 +1,141 @@
+//! The two sides of a scene, each by itself: what a run in virtual time couples, and what runs live.
+
+use haptether_slave::SimulatedSlave;
+
+use super::{
+    build::{
+        SceneError, arm, axes, clutch, device_model, environment, estimator, exact_master, force_sensor,
+        limiter, period_ns, safety_settings, stepped_master, stepping,
+    },
+    coupled::{acts, bounds, ladder},
+    spec::{CouplingSpec, SceneSpec, SlaveSpec},
+    timed::Timed,
+};
+use crate::{
+    DrivenMaster, DrivenSlave, MasterEndpoint, MasterPlant, MasterSettings, MasterSide, SlaveEndpoint,
+    SlaveSettings, SlaveSide,
+};
+
+/// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
+const DECELERATION: f64 = 5.0;
+
+/// The arm and the coupling that a scene with two sides has.
+pub(super) fn coupled(scene: &SceneSpec) -> Result<(&SlaveSpec, &CouplingSpec), SceneError> {
+    let missing = |text: &str| SceneError::Contradiction(text.to_owned());
+    let slave = scene.slave.as_ref().ok_or_else(|| missing("slave: is missing"))?;
+    let coupling = scene.coupling.as_ref().ok_or_else(|| missing("coupling: a [slave] must be coupled"))?;
+    Ok((slave, coupling))
+}
+
+/// What decides at the side of the hand.
+pub(super) fn master_endpoint<const N: usize>(
+    scene: &SceneSpec,
+    session: u64,
+) -> Result<MasterEndpoint<N>, SceneError> {
+    let (_, coupling) = coupled(scene)?;
+    Ok(MasterEndpoint::new(&MasterSettings {
+        period_ns: period_ns("run.period_s", scene.run.period_s)?,
+        session,
+        device: device_model(&scene.master)?,
+        estimator: estimator(&scene.safety.estimator),
+        safety: safety_settings(&scene.safety),
+        limiter: limiter(&scene.safety),
+        force_scale: coupling.force_scale,
+        ladder: ladder(scene.safety.ladder.as_ref())?,
+    })?)
+}
+
+/// What decides at the side of the robot.
+pub(super) fn slave_endpoint<const N: usize>(
+    scene: &SceneSpec,
+    session: u64,
+) -> Result<SlaveEndpoint<N>, SceneError> {
+    let (slave, coupling) = coupled(scene)?;
+    Ok(SlaveEndpoint::new(&SlaveSettings {
+        period_ns: period_ns("slave.period_s", slave.period_s)?,
+        session,
+        position_scale: coupling.position_scale,
+        bounds: bounds(coupling),
+        ladder: ladder(scene.safety.ladder.as_ref())?,
+    })?)
+}
+
+/// The scene's arm in its environment.
+pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec) -> Result<SimulatedSlave<N>, SceneError> {
+    let (slave, _) = coupled(scene)?;
+    Ok(SimulatedSlave::in_environment(
+        arm(slave)?,
+        environment(scene.environment.as_ref())?,
+        force_sensor(slave, scene.run.seed)?,
+        axes("slave.position", &slave.position)?,
+        0,
+    )?)
+}
+
+/// The side of the hand with the scene's device in the scene's hand; `session` is drawn anew at every start.
+///
+/// # Errors
+///
+/// A number or a combination that no part can have, as for all of these.
+#[allow(clippy::type_complexity)]
+pub fn simulated_master<const N: usize>(
+    scene: &SceneSpec,
+    session: u64,
+) -> Result<Timed<MasterSide<Box<dyn MasterPlant<N> + Send>, N>>, SceneError> {
+    let plant: Box<dyn MasterPlant<N> + Send> = match stepping(scene.run.integrator) {
+        None => {
+            let mut plant = exact_master::<N>(scene)?;
+            plant.set_waiting(true);
+            Box::new(plant)
+        }
+        Some(stepping) => {
+            let mut plant = stepped_master::<N>(scene, stepping)?;
+            plant.set_waiting(true);
+            Box::new(plant)
+        }
+    };
+    let side = MasterSide::new(plant, master_endpoint(scene, session)?, clutch(scene))?;
+    Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
+}
+
+/// The side of the robot with the scene's arm in the scene's environment.
+///
+/// # Errors
+///
+/// As [`simulated_master`].
+pub fn simulated_slave<const N: usize>(
+    scene: &SceneSpec,
+    session: u64,
+) -> Result<Timed<SlaveSide<SimulatedSlave<N>, N>>, SceneError> {
+    let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, session)?);
+    Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
+}
+
+/// The side of the hand with a device whose driver is elsewhere.
+///
+/// # Errors
+///
+/// As [`simulated_master`].
+pub fn driven_master<const N: usize>(
+    scene: &SceneSpec,
+    session: u64,
+) -> Result<Timed<MasterSide<DrivenMaster<N>, N>>, SceneError> {
+    let side = MasterSide::new(DrivenMaster::default(), master_endpoint(scene, session)?, clutch(scene))?;
+    Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
+}
+
+/// The side of the robot with an arm whose driver is elsewhere.
+///
+/// # Errors
+///
+/// As [`simulated_master`].
+pub fn driven_slave<const N: usize>(
+    scene: &SceneSpec,
+    session: u64,
+) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
+    let (slave, coupling) = coupled(scene)?;
+    let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
+        .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
+    let side = SlaveSide::new(plant, slave_endpoint(scene, session)?);
+    Ok(Timed::new(side, acts::<N>(coupling)?))
+}

@@ -1,0 +1,44 @@
+"""What a haptic device is to Haptether: four methods that a driver has."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+
+class MasterSample(NamedTuple):
+    """What a haptic device has measured."""
+
+    position: float | Sequence[float]
+    """x in m (rad for joints); for several axes shape `(axes,)`."""
+    velocity: float | Sequence[float] | None = None
+    """V in m/s from a device that measures it, at every sample or at none."""
+    clutch: bool | None = None
+    """Whether the clutch is pressed; none without a button."""
+    fault: str | None = None
+    """What the device says is wrong with it; the force stays zero while there is something, and until a person at this
+    side acknowledges it."""
+
+
+@runtime_checkable
+class MasterDevice(Protocol):
+    """A haptic device: `read -> tick -> write` at each sample, on one thread.
+
+    An exception ends the run: the force goes to zero, and the peer is told of a fault. A `read` or `write` that blocks
+    for more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.masters`, which
+    is called with the options of the command line as keywords. A driver may have `acknowledge()`, called when a person
+    at this side says that a fault is mended.
+    """
+
+    paces: bool
+    """Whether `read` waits for the next sample; else Haptether waits, by its own clock, after each `write`."""
+
+    def open(self) -> None:
+        """Connects; called once, before the first `read`."""
+
+    def read(self) -> MasterSample:
+        """The newest sample."""
+
+    def write(self, force: tuple[float, ...]) -> None:
+        """Exerts F_device in N, shape `(axes,)`, until the next call."""
+
+    def close(self) -> None:
+        """Disconnects; called once, also after an exception, when the last force was zero."""

@@ -1,0 +1,306 @@
+//! What the live classes share: where a side is, and what is seen of its loop.
+
+use std::ops::DerefMut;
+
+use haptether_bridge::{
+    Act, FlightRecorder,
+    live::{
+        LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket, Security, SecurityEvent,
+        StartError,
+    },
+    recorder::{Recorded, Recorder, RecorderSettings, RecordingReport},
+    session::PreSharedKey,
+    wire::Role,
+};
+use pyo3::{
+    exceptions::{PyOSError, PyRuntimeError, PyValueError},
+    prelude::*,
+};
+
+use crate::{axes::refuse, bridge::nanoseconds, bridge_trace::Rowed, netsim::address};
+
+/// How much of a live run is kept at most, in s: an hour.
+const MOST_KEPT_S: f64 = 3600.0;
+/// Records that wait for a poll.
+const RING: usize = 1 << 16;
+
+/// How frames travel: a key, or the explicit wish to go without.
+pub(crate) fn security(key: Option<&[u8]>, insecure: bool) -> PyResult<Security> {
+    match (key, insecure) {
+        (Some(key), false) => {
+            let bytes = key.try_into().map_err(|_| {
+                PyValueError::new_err(format!("key: {} bytes, must be the 32 of read_key", key.len()))
+            })?;
+            Ok(Security::Secure(PreSharedKey::new(bytes)))
+        }
+        (None, true) => Ok(Security::Insecure),
+        (Some(_), true) => Err(PyValueError::new_err("key, insecure: give one of the two")),
+        (None, false) => Err(PyValueError::new_err(
+            "key: is missing: read_key() reads one, insecure=True goes without, in the clear",
+        )),
+    }
+}
+
+/// Where a side is, whom it talks to, and how.
+pub(crate) struct Place {
+    pub(crate) socket: PeerSocket,
+    pub(crate) settings: LiveSettings,
+    pub(crate) security: Security,
+    kept: usize,
+    record: Option<RecorderSettings>,
+}
+
+impl Place {
+    /// Where a master goes; without `listen` any free port.
+    pub(crate) fn of_master(peer: &str, listen: Option<&str>, how: How) -> PyResult<Self> {
+        let known = address("peer", peer)?;
+        let listen = listen.unwrap_or(if known.is_ipv6() { "[::]:0" } else { "0.0.0.0:0" });
+        if address("listen", listen)?.is_ipv6() != known.is_ipv6() {
+            let text =
+                format!("listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}");
+            return Err(PyValueError::new_err(text));
+        }
+        Self::new(Role::Master, listen, PeerAddress::Known(known), how)
+    }
+
+    /// Where a slave waits.
+    pub(crate) fn of_slave(listen: &str, how: How) -> PyResult<Self> {
+        Self::new(Role::Slave, listen, PeerAddress::Learned, how)
+    }
+
+    fn new(role: Role, listen: &str, peer: PeerAddress, how: How) -> PyResult<Self> {
+        let How { security, period_ns, duration_s, patience_s, keep_s, realtime, record } = how;
+        if !(keep_s > 0.0 && keep_s <= MOST_KEPT_S) {
+            let text = format!("keep_s = {keep_s}: must be above 0 and at most {MOST_KEPT_S} s");
+            return Err(PyValueError::new_err(text));
+        }
+        let settings = LiveSettings {
+            role,
+            period_ns,
+            duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
+            patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
+            ring: RING,
+            realtime,
+        };
+        let local = address("listen", listen)?;
+        let cannot = |error: std::io::Error| PyOSError::new_err(format!("cannot listen on {local}: {error}"));
+        let socket = PeerSocket::bind(local, peer).map_err(cannot)?;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // in range, as checked
+        let kept = (keep_s * 1e9 / period_ns as f64).ceil() as usize;
+        Ok(Self { socket, settings, security, kept, record })
+    }
+
+    /// The recorder, if one is asked for: after the socket, so that a run that cannot be replaces no file.
+    pub(crate) fn recorder<R: Recorded>(&self) -> PyResult<Option<Recorder<R>>> {
+        let begin = |to: &RecorderSettings| {
+            Recorder::begin(to)
+                .map_err(|error| PyOSError::new_err(format!("record = {}: {error}", to.path.display())))
+        };
+        self.record.as_ref().map(begin).transpose()
+    }
+
+    /// So many of the newest records stay, up to twice as many are held.
+    pub(crate) fn kept(&self) -> usize {
+        self.kept
+    }
+}
+
+/// How a side goes.
+pub(crate) struct How {
+    pub(crate) security: Security,
+    pub(crate) period_ns: u64,
+    pub(crate) duration_s: Option<f64>,
+    pub(crate) patience_s: Option<f64>,
+    pub(crate) keep_s: f64,
+    pub(crate) realtime: haptether_bridge::live::RealtimeSettings,
+    pub(crate) record: Option<RecorderSettings>,
+}
+
+/// Why a loop did not begin.
+pub(crate) fn not_begun(error: StartError) -> PyErr {
+    match error {
+        StartError::Session(error) => PyValueError::new_err(error.to_string()),
+        StartError::System(error) => PyOSError::new_err(error.to_string()),
+    }
+}
+
+/// A loop, or its watch, and its newest records.
+pub(crate) struct Live<R, T> {
+    pub(crate) run: T,
+    records: Vec<R>,
+    kept: usize,
+}
+
+impl<R, T> Live<R, T> {
+    pub(crate) fn new(run: T, kept: usize) -> Self {
+        Self { run, records: Vec::new(), kept }
+    }
+}
+
+/// What is seen of a loop of any number of axes, and done to it.
+pub(crate) trait Watching<Rows>: Send {
+    fn poll(&mut self) -> usize;
+    fn address(&self) -> String;
+    fn state(&self) -> &'static str;
+    fn ticks(&self) -> u64;
+    fn recording(&self) -> Option<RecordingReport>;
+    fn stop(&self);
+    fn events(&mut self) -> Vec<String>;
+    fn flight(&mut self) -> Option<String>;
+    fn act(&mut self, act: Act) -> PyResult<()>;
+    fn press_clutch(&self);
+    fn allow_takeover(&self);
+    fn rows(&mut self) -> Rows;
+    fn is_stopped(&self) -> bool;
+    fn ended(&mut self, flight: Option<Box<FlightRecorder>>);
+}
+
+impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for Live<R, T> {
+    fn poll(&mut self) -> usize {
+        let Self { run, records, kept } = self;
+        run.drain(|record| records.push(record));
+        // A run without an end must not fill the memory: the older half goes.
+        if records.len() > 2 * *kept {
+            records.drain(..records.len() - *kept);
+        }
+        records.len()
+    }
+
+    fn address(&self) -> String {
+        self.run.address().to_string()
+    }
+
+    fn state(&self) -> &'static str {
+        self.run.state().name()
+    }
+
+    fn ticks(&self) -> u64 {
+        self.run.ticks()
+    }
+
+    fn recording(&self) -> Option<RecordingReport> {
+        self.run.recording()
+    }
+
+    fn stop(&self) {
+        self.run.stop();
+    }
+
+    fn events(&mut self) -> Vec<String> {
+        let mut events = Vec::new();
+        self.run.drain_events(|event: SecurityEvent| events.push(event.to_string()));
+        events
+    }
+
+    fn flight(&mut self) -> Option<String> {
+        self.run.flight()
+    }
+
+    fn act(&mut self, act: Act) -> PyResult<()> {
+        act.check::<1>().map_err(refuse)?;
+        let full =
+            |_| PyRuntimeError::new_err("the loop has not done what it was told before: is it running?");
+        self.run.act(act).map_err(full)
+    }
+
+    fn press_clutch(&self) {
+        self.run.press_clutch();
+    }
+
+    fn allow_takeover(&self) {
+        self.run.allow_takeover();
+    }
+
+    fn rows(&mut self) -> R::Rows {
+        self.poll();
+        R::rows(std::mem::take(&mut self.records))
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.run.is_stopped()
+    }
+
+    fn ended(&mut self, flight: Option<Box<FlightRecorder>>) {
+        self.run.ended(flight);
+    }
+}
+
+/// A loop on a thread of its own.
+pub(crate) trait Running<Rows>: Watching<Rows> {
+    fn is_finished(&self) -> bool;
+    fn realtime(&self) -> String;
+    fn join(&mut self) -> Option<LoopReport>;
+}
+
+impl<R: Rowed> Running<R::Rows> for Live<R, LiveRun<R>> {
+    fn is_finished(&self) -> bool {
+        self.run.is_finished()
+    }
+
+    fn realtime(&self) -> String {
+        self.run.realtime().to_string()
+    }
+
+    fn join(&mut self) -> Option<LoopReport> {
+        self.run.join()
+    }
+}
+
+/// What the classes that watch a loop share; `$watch` is a method that gives it.
+macro_rules! watch_methods {
+    ($class:ident) => {
+        #[pymethods]
+        impl $class {
+            fn poll(&self) -> usize {
+                self.watch().poll()
+            }
+
+            #[getter]
+            fn address(&self) -> String {
+                self.watch().address()
+            }
+
+            #[getter]
+            fn state(&self) -> &'static str {
+                self.watch().state()
+            }
+
+            #[getter]
+            fn ticks(&self) -> u64 {
+                self.watch().ticks()
+            }
+
+            #[getter]
+            fn recording(&self) -> Option<PyRecordingReport> {
+                self.watch().recording().map(Into::into)
+            }
+
+            fn stop(&self) {
+                self.watch().stop();
+            }
+
+            fn security_events(&self) -> Vec<String> {
+                self.watch().events()
+            }
+
+            fn flight(&self) -> Option<String> {
+                self.watch().flight()
+            }
+
+            fn acknowledge(&self) -> PyResult<()> {
+                self.act(Act::Acknowledge)
+            }
+        }
+    };
+}
+pub(crate) use watch_methods;
+
+/// A loop that has ended does nothing more.
+pub(crate) fn ended() -> PyErr {
+    PyRuntimeError::new_err("the loop has ended")
+}
+
+/// Asked a second time for how it went.
+pub(crate) fn finished_before() -> PyErr {
+    PyRuntimeError::new_err("the loop was finished before, or it panicked")
+}

@@ -1,0 +1,47 @@
+"""What a robot arm is to Haptether: five methods that a driver has."""
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+
+class SlaveSample(NamedTuple):
+    """What an arm has measured."""
+
+    position: float | Sequence[float]
+    """Of the tool, in m (rad for joints); for several axes shape `(axes,)`."""
+    velocity: float | Sequence[float]
+    """Of the tool, in m/s."""
+    force: float | Sequence[float]
+    """F_e in N: of the environment on the tool."""
+    fault: str | None = None
+    """What the arm says is wrong with it; it is not moved while there is something, and until a person at this side
+    acknowledges it."""
+
+
+@runtime_checkable
+class SlaveDevice(Protocol):
+    """An arm: `read -> tick -> write` at each sample, on one thread.
+
+    An exception ends the run: the arm is stopped, and the peer is told of a fault. A `read` or `write` that blocks for
+    more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.slaves`, which is
+    called with the options of the command line as keywords. A driver may have `acknowledge()`, called when a person at
+    this side says that a fault is mended.
+    """
+
+    paces: bool
+    """Whether `read` waits for the next sample; else Haptether waits, by its own clock, after each `write`."""
+
+    def open(self) -> None:
+        """Connects; called once, before the first `read`. The arm does not move."""
+
+    def read(self) -> SlaveSample:
+        """The newest sample."""
+
+    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        """Takes the tool to a position in m that moves with a velocity in m/s, shape `(axes,)` each."""
+
+    def stop(self) -> None:
+        """Comes to rest softly and stays until the next `write`; never an emergency stop. May be called again."""
+
+    def close(self) -> None:
+        """Disconnects; called once, also after an exception, when the arm was told to stop."""
