@@ -20,7 +20,14 @@ from haptether._core import (
     ladder_state_name,
     run_local,
 )
-from haptether.bridge.device_loop import DeviceError, DeviceRun, drive_master, drive_slave
+from haptether.bridge.device_loop import (
+    DeviceError,
+    DeviceRun,
+    MasterRun,
+    SlaveRun,
+    drive_master,
+    drive_slave,
+)
 from haptether.bridge.devices import MASTERS, SLAVES, device_names, load_master, load_slave
 from haptether.bridge.recording import Recording, read_recording
 from haptether.bridge.scene import load_scene, override_scene, scene_json, scene_names
@@ -100,6 +107,7 @@ __all__ = [
     "LoopReport",
     "LowPass",
     "MasterLoop",
+    "MasterRun",
     "MasterSettings",
     "MasterTable",
     "MasterTrace",
@@ -126,6 +134,7 @@ __all__ = [
     "Signals",
     "Sinusoid",
     "SlaveLoop",
+    "SlaveRun",
     "SlaveSettings",
     "SlaveTable",
     "SlaveTrace",

@@ -159,16 +159,6 @@ class DeviceRun:
         sys.setswitchinterval(SWITCH_S)
         self._thread.start()
 
-    @classmethod
-    def of_master(cls, device: "MasterDevice", loop: MasterLoop) -> "DeviceRun":
-        """Begins to drive a master."""
-        return cls(loop, lambda notes: drive_master(device, loop, notes))
-
-    @classmethod
-    def of_slave(cls, device: "SlaveDevice", loop: SlaveLoop) -> "DeviceRun":
-        """Begins to drive a slave."""
-        return cls(loop, lambda notes: drive_slave(device, loop, notes))
-
     def _run(self) -> None:
         try:
             self._drive(self.notes)
@@ -176,6 +166,10 @@ class DeviceRun:
             self.error = error
         finally:
             self._loop.stop()
+
+    def ready(self) -> bool:
+        """Whether the device is open and its loop turns, or it has ended."""
+        return bool(self.notes.realtime) or self.finished
 
     def poll(self) -> int:
         """Takes over the records so far and returns their number."""
@@ -228,22 +222,7 @@ class DeviceRun:
         """Says that the fault of this side is mended: the clutch must then be released and pressed."""
         self.notes.acknowledged = True
 
-    def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again; nothing at a slave."""
-        if isinstance(self._loop, MasterLoop):
-            self._loop.press_clutch()
-
-    def allow_takeover(self) -> None:
-        """Lets another master begin; nothing at a master."""
-        if isinstance(self._loop, SlaveLoop):
-            self._loop.allow_takeover()
-
-    def finish(self) -> tuple[MasterTrace | SlaveTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
-
-        Raises:
-            RuntimeError: The driver blocks, or the run was finished before.
-        """
+    def _end(self) -> None:
         self._loop.stop()
         self._thread.join(JOIN_S)
         sys.setswitchinterval(self._switch_s)
@@ -252,4 +231,45 @@ class DeviceRun:
         if self._thread.is_alive():
             message = f"the driver has blocked for {JOIN_S:g} s: its device keeps what it was told last"
             raise RuntimeError(message)
-        return self._loop.finish()
+
+
+class MasterRun(DeviceRun):
+    """A master with its device on a thread of its own."""
+
+    def __init__(self, device: "MasterDevice", loop: MasterLoop) -> None:
+        super().__init__(loop, lambda notes: drive_master(device, loop, notes))
+        self._master = loop
+
+    def press_clutch(self) -> None:
+        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
+        self._master.press_clutch()
+
+    def finish(self) -> tuple[MasterTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
+
+        Raises:
+            RuntimeError: The driver blocks, or the run was finished before.
+        """
+        self._end()
+        return self._master.finish()
+
+
+class SlaveRun(DeviceRun):
+    """A slave with its arm on a thread of its own."""
+
+    def __init__(self, device: "SlaveDevice", loop: SlaveLoop) -> None:
+        super().__init__(loop, lambda notes: drive_slave(device, loop, notes))
+        self._slave = loop
+
+    def allow_takeover(self) -> None:
+        """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
+        self._slave.allow_takeover()
+
+    def finish(self) -> tuple[SlaveTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
+
+        Raises:
+            RuntimeError: The driver blocks, or the run was finished before.
+        """
+        self._end()
+        return self._slave.finish()

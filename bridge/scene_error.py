@@ -94,6 +94,10 @@ def _inside(kinds: Iterable[inspect.Type], step: str | int) -> Iterator[inspect.
             yield from (part for field in kind.fields if field.name == step for part in members(field.type))
         elif isinstance(kind, inspect.VarTupleType) and isinstance(step, int):
             yield from members(kind.item_type)
+        elif isinstance(kind, inspect.DictType) and isinstance(step, str):
+            yield from members(kind.value_type)
+        elif isinstance(kind, inspect.AnyType):
+            yield kind
 
 
 _ROOT = inspect.type_info(Scene)
@@ -151,7 +155,7 @@ def _words(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each type
             return f"a list of any of {_choices(values)}"
         case inspect.VarTupleType():
             return "a list of such values" if kind.min_length is None else "a list with one value per axis"
-        case inspect.StructType():
+        case inspect.StructType() | inspect.DictType():
             return "a table"
         case inspect.BoolType():
             return "true or false"

@@ -9,6 +9,7 @@ from haptether.bridge.scene_ranges import (
     Duration,
     ForcePerAxis,
     NonNegative,
+    Options,
     PerAxis,
     PositionPerAxis,
     Positive,
@@ -56,6 +57,11 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Where it starts, in m; by default where the master does."""
     force_sensor: ForceSensorTable | None = None
     """Its force sensor; by default the force is exact."""
+    device: str = "simulated"
+    """Live only: drives a real arm, by the name of an entry point of `haptether.slaves`, such as "ur"; by default, and
+    in virtual time, the arm is the model that the rest of this table describes."""
+    options: Options = {}
+    """Live only: what the driver is called with."""
 
 
 class Plane(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="plane"):

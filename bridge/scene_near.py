@@ -11,6 +11,7 @@ from haptether.bridge.scene_ranges import (
     ForcePerAxis,
     NonNegative,
     NonNegativePerAxis,
+    Options,
     PerAxis,
     PositionPerAxis,
     Positive,
@@ -65,6 +66,11 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Where it starts, in m; by default where the hand's path begins, without a hand 0."""
     velocity: SpeedPerAxis = 0.0
     """V at the start, in m/s."""
+    driver: str | None = None
+    """Live only: drives a real device, by the name of an entry point of `haptether.masters`; this table then says what
+    the safety layer takes the device for. By default a model of this table is held by the operator."""
+    options: Options = {}
+    """Live only: what the driver is called with."""
 
 
 class SeriesTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -1,6 +1,6 @@
 """Numbers of a scene with their ranges, which validation, messages and tools read from the types."""
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from msgspec import Meta
 
@@ -61,3 +61,5 @@ AxisIndices: TypeAlias = Annotated[tuple[Annotated[int, Meta(ge=0, le=MOST_AXES 
 """Some of the axes, counted from 0."""
 ClutchTimes: TypeAlias = tuple[_times, ...]
 """Press and release times in s."""
+Options: TypeAlias = dict[str, Any]
+"""What a driver is called with: its own business, and its own errors."""

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from haptether.bridge import LoopReport, MasterTrace, ladder_state_name
 from haptether.safety import fault_message
@@ -77,9 +78,14 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     """Why it stands in `fault`."""
 
 
+def _along(signal: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """A signal of one axis as it is, of several axes its norm."""
+    return signal if signal.ndim == 1 else np.sqrt((signal**2).sum(axis=1))
+
+
 def measure_push(controller: str, trace: MasterTrace, report: LoopReport, release_after_s: float | None) -> PushResult:
     """Measures a run whose hand let go `release_after_s` after engaging (never if none)."""
-    time_s, velocity = trace.time_s, trace.velocity
+    time_s, velocity, force = trace.time_s, _along(trace.velocity), _along(trace.device_force)
     on = trace.tripped > 0
     period_s = float(time_s[-1]) / max(len(trace) - 1, 1) if len(trace) else 0.0
     engaged_s = report.engaged_s if np.isfinite(report.engaged_s) else None
@@ -95,7 +101,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         engaged_s=engaged_s,
         release_s=release_s,
         peak_hand_speed=float(velocity[after].max(initial=0.0)),
-        peak_force_n=float(np.abs(trace.device_force).max(initial=0.0)),
+        peak_force_n=float(np.abs(force).max(initial=0.0)),
         time_to_trip_s=(float(tripped_at[0]) - release_s if release_s is not None and tripped_at.size else None),
         trips_before_release=int(np.count_nonzero(begins & ~after)) if release_s is not None else 0,
         intervention_s=float(np.count_nonzero(on)) * period_s,
@@ -111,7 +117,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         holds=report.holds,
         dropped_records=report.dropped_records,
         unsent=report.unsent,
-        force_at_release_n=(float(trace.device_force[after][0]) if release_s is not None and after.any() else None),
+        force_at_release_n=(float(force[after][0]) if release_s is not None and after.any() else None),
         final_state=ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged",
         fault=fault_message(int(trace.fault[-1])) if len(trace) else None,
     )

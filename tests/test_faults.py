@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tests.faults import clocks, hostile, machine, numbers, processes, virtual
+from tests.faults import clocks, drivers, hostile, machine, numbers, processes, virtual
 from tests.faults.rows import Row
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
 
@@ -35,6 +35,14 @@ NUMBERS = numbers.rows()
 
 @pytest.mark.parametrize("measure", NUMBERS, ids=names(NUMBERS))
 def test_numbers_that_cannot_be(measure: Callable[[], Row]) -> None:
+    judge(measure())
+
+
+DRIVERS = drivers.rows(LOOSE.hold_s)
+
+
+@pytest.mark.parametrize("measure", DRIVERS, ids=names(DRIVERS))
+def test_drivers_in_python_that_fail(measure: Callable[[], Row]) -> None:
     judge(measure())
 
 

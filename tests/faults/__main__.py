@@ -7,13 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from tests.faults import clocks, hostile, machine, numbers, processes, virtual
+from tests.faults import clocks, drivers, hostile, machine, numbers, processes, virtual
 from tests.faults.rows import Row
 from tests.faults.table import print_table
 
 GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "virtual": lambda: [*virtual.rows(), *clocks.rows()],
     "numbers": numbers.rows,
+    "drivers": drivers.rows,
     "processes": lambda: list(processes.rows().values()),
     "machine": lambda: list(machine.rows().values()),
     "hostile": lambda: list(hostile.rows().values()),

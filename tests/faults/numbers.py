@@ -208,12 +208,6 @@ def in_frames(security: str) -> Row:
     )  # fmt: skip
 
 
-def no_driver(fault: str) -> Row:
-    """What there is nothing to do it to."""
-    measured = "no Python driver yet: not applicable"
-    return Row(fault=fault, how="-", expected="fault, zero force", measured=measured, applies=False)
-
-
 def _refuses(call: Callable[[], object]) -> bool:
     try:
         call()
@@ -231,6 +225,4 @@ def rows() -> list[Callable[[], Row]]:
         at_the_door,
         to_a_living_loop,
         *(partial(in_frames, security) for security in ("on", "off")),
-        partial(no_driver, "exception in a device driver"),
-        partial(no_driver, "device driver that blocks (SIGSTOP of a process blocks its loop)"),
     ]

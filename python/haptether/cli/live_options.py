@@ -1,4 +1,4 @@
-"""What both live commands are asked for beside their side: real time and a recording."""
+"""What both live commands are asked for beside their side: a scene, real time and a recording."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,8 +9,12 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions:
-    """Real time and recording."""
+    """The scene, real time and recording."""
 
+    scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
+    """Take everything but the network from a scene, the same at both sides, and drive the devices that it names."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """Change the scene, as in `haptether simulate`; may be given often."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and locked memory and go on without (auto), do not ask (off), or fail without (require)."""
     priority: Annotated[int, tyro.conf.arg(metavar="1-99")] = 80

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -10,6 +10,7 @@ from haptether.cli.live_options import LiveOptions
 from haptether.cli.options import Controller
 
 if TYPE_CHECKING:
+    from haptether.bridge import MasterRun, Scene
     from haptether.studies import LinkSummary, PushResult
 
 
@@ -27,6 +28,8 @@ class Master(LiveOptions):
     haptether master --peer 127.0.0.1:9000 --key arm.key --controller wsc
 
     haptether master --peer 127.0.0.1:9001 --key arm.key --release-at-s 2.6 --duration-s 3.4 --json run.json
+
+    haptether master --peer 127.0.0.1:9000 --key arm.key --scene three_axis_box --set safety.controllers=[hsc]
     """
 
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
@@ -66,8 +69,9 @@ class Master(LiveOptions):
         """Runs until told to stop; fails if the slave never answered."""
         import os
 
-        from haptether.bridge import LiveMaster, ladder_reason
+        from haptether.bridge import LiveMaster
         from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
+        from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_master
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_distinct, check_target
         from haptether.cli.security import marked, session_key
@@ -80,27 +84,36 @@ class Master(LiveOptions):
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         live = self.live()
-        settings = master_settings(
-            self.controller,
-            depth=self.depth,
-            release_at_s=self.release_at_s,
-            force_scale=self.force_scale,
-            encoder_quantum=self.encoder_quantum,
-            clutch=self.clutch,
-        )
+        scene = live_scene(
+            self, self.scene, self.set,
+            ("controller", "depth", "release_at_s", "force_scale", "encoder_quantum", "clutch"),
+        )  # fmt: skip
+        how: dict[str, Any] = {
+            "peer": self.peer,
+            "listen": self.listen,
+            "session": new_session(),
+            "key": key,
+            "insecure": self.insecure,
+            "duration_s": self.duration_s,
+            "patience_s": self.patience_s,
+            "keep_s": self.keep_s,
+            **live,
+        }
+        controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
         with Stopped() as stopped:
-            master = LiveMaster(
-                settings,
-                peer=self.peer,
-                listen=self.listen,
-                session=new_session(),
-                key=key,
-                insecure=self.insecure,
-                duration_s=self.duration_s,
-                patience_s=self.patience_s,
-                keep_s=self.keep_s,
-                **live,
-            )
+            master: LiveMaster | MasterRun
+            if scene is not None:
+                master = start_master(scene, **how)
+            else:
+                settings = master_settings(
+                    self.controller,
+                    depth=self.depth,
+                    release_at_s=self.release_at_s,
+                    force_scale=self.force_scale,
+                    encoder_quantum=self.encoder_quantum,
+                    clutch=self.clutch,
+                )
+                master = LiveMaster(settings, **how)
 
             steps = Steps(f": kill -USR1 {os.getpid()}")
             refused: list[str | None] = []
@@ -110,7 +123,8 @@ class Master(LiveOptions):
                 refused.append(tell(master.security_events()))
                 steps.show(master.state)
                 flight.write(master.flight())
-                shown = f"master {master.state}, {master.ticks} ticks{recording_status(master.recording)}"
+                said = fault_text(master) + recording_status(master.recording)
+                shown = f"master {master.state}, {master.ticks} ticks{said}"
                 return marked(shown, insecure=self.insecure)
 
             with Acts(press=master.press_clutch, acknowledge=master.acknowledge):
@@ -125,10 +139,18 @@ class Master(LiveOptions):
             trace, report = master.finish()
             refused.append(tell(master.security_events()))
             flight.write(master.flight())
-        result = measure_push(self.controller, trace, report, self.release_at_s)
+        result = measure_push(controller, trace, report, release_at_s)
         self._report(result, summarise_link(trace, report))
         if self.trace is not None:
             save_master_trace(trace, self.trace)
+        raise_error(master)
+        self._judge(result, stopped=bool(stopped), refused=refused, reason=int(trace.reason[-1]) if len(trace) else 0)
+        return 0
+
+    def _judge(self, result: "PushResult", *, stopped: bool, refused: list[str | None], reason: int) -> None:
+        """Raises what a run that did not end well ended by."""
+        from haptether.bridge import ladder_reason
+
         if result.final_state == "fault":
             message = f"the run ended in fault: {result.fault}"
             raise RuntimeError(message)
@@ -142,9 +164,8 @@ class Master(LiveOptions):
             message = "the run ended in stop: the slave fell silent for 200 ms"
             raise RuntimeError(message)
         if result.final_state == "hold" and not stopped:
-            message = f"the run ended in hold: {ladder_reason(int(trace.reason[-1]))}"
+            message = f"the run ended in hold: {ladder_reason(reason)}"
             raise RuntimeError(message)
-        return 0
 
     def _report(self, result: "PushResult", link: "LinkSummary") -> None:
         import msgspec
@@ -160,3 +181,10 @@ class Master(LiveOptions):
         if self.json is not None:
             report = {**msgspec.to_builtins(result), "link": link}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+
+
+def _protection(scene: "Scene") -> tuple[str, float | None]:
+    """The controllers of a scene, and when its hand lets go."""
+    operator = scene.operator
+    released = operator.release.at_s if operator is not None and operator.release is not None else None
+    return ", ".join(scene.safety.controllers) or "none", released if scene.master.driver is None else None

@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from haptether.cli.live_options import LiveOptions
 
 if TYPE_CHECKING:
-    from haptether.bridge import LoopReport, SlaveTrace
+    from haptether.bridge import LoopReport, SlaveRun, SlaveTrace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +27,8 @@ class Slave(LiveOptions):
     haptether slave --listen 127.0.0.1:9000 --key arm.key
 
     haptether slave --listen 127.0.0.1:9000 --key arm.key --wall-stiffness 100 --push-at-s 2 --push-force-n 3.5
+
+    haptether slave --listen 127.0.0.1:9000 --key arm.key --scene three_axis_box
     """
 
     listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
@@ -60,6 +62,7 @@ class Slave(LiveOptions):
 
         from haptether.bridge import LiveSlave
         from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
+        from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_slave
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_distinct, check_target
         from haptether.cli.security import marked, session_key
@@ -71,24 +74,31 @@ class Slave(LiveOptions):
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
         live = self.live()
-        settings = slave_settings(
-            wall_stiffness=self.wall_stiffness,
-            push_at_s=self.push_at_s,
-            push_force_n=self.push_force_n,
-            push_duration_s=self.push_duration_s,
+        scene = live_scene(
+            self, self.scene, self.set, ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s")
         )
+        how: dict[str, Any] = {
+            "listen": self.listen,
+            "session": new_session(),
+            "key": key,
+            "insecure": self.insecure,
+            "duration_s": self.duration_s,
+            "patience_s": self.patience_s,
+            "keep_s": self.keep_s,
+            **live,
+        }
         with Stopped() as stopped:
-            slave = LiveSlave(
-                settings,
-                listen=self.listen,
-                session=new_session(),
-                key=key,
-                insecure=self.insecure,
-                duration_s=self.duration_s,
-                patience_s=self.patience_s,
-                keep_s=self.keep_s,
-                **live,
-            )
+            slave: LiveSlave | SlaveRun
+            if scene is not None:
+                slave = start_slave(scene, **how)
+            else:
+                settings = slave_settings(
+                    wall_stiffness=self.wall_stiffness,
+                    push_at_s=self.push_at_s,
+                    push_force_n=self.push_force_n,
+                    push_duration_s=self.push_duration_s,
+                )
+                slave = LiveSlave(settings, **how)
 
             steps = Steps(" at the master")
 
@@ -97,7 +107,9 @@ class Slave(LiveOptions):
                 tell(slave.security_events())
                 steps.show(slave.state)
                 flight.write(slave.flight())
-                shown = f"slave {slave.state}, {slave.ticks} ticks{recording_status(slave.recording)}"
+                shown = (
+                    f"slave {slave.state}, {slave.ticks} ticks{fault_text(slave)}{recording_status(slave.recording)}"
+                )
                 return marked(shown, insecure=self.insecure)
 
             headline = marked(f"slave listens on {slave.address}", insecure=self.insecure)
@@ -108,6 +120,7 @@ class Slave(LiveOptions):
             tell(slave.security_events())
             flight.write(slave.flight())
         state = self._report(trace, report)
+        raise_error(slave)
         if not np.isfinite(report.engaged_s) and not stopped:
             raise RuntimeError(f"no master came within {self.patience_s} s")
         if state == "fault":

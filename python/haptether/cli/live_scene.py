@@ -1,0 +1,101 @@
+"""Live sides as a scene says: whose device is a model, or real with a driver."""
+
+import time
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from haptether.bridge import DeviceRun, LiveMaster, LiveSlave, MasterRun, Scene, SlaveRun
+
+READY_S = 60.0
+"""How long a driver may take to open its device."""
+
+
+def live_scene(options: Any, name: str | None, overrides: Iterable[str], instead: Iterable[str]) -> "Scene | None":  # noqa: ANN401  # a command
+    """The scene of a live command, if one is named; then the flags that say the same must not be given.
+
+    Raises:
+        SceneError: A scene that cannot be.
+        ValueError: Flags beside it, changes without it, or a scene of one side only.
+    """
+    from haptether.bridge import load_scene
+
+    overrides = tuple(overrides)
+    if name is None:
+        if overrides:
+            message = f"set = {overrides[0]}: changes a scene: --scene must name one"
+            raise ValueError(message)
+        return None
+    default = {field.name: field.default for field in fields(options)}
+    if given := [flag for flag in instead if getattr(options, flag) != default[flag]]:
+        flags = ", ".join(f"--{flag.replace('_', '-')}" for flag in given)
+        message = f"{flags}: the scene says that: change it by --set KEY=VALUE"
+        raise ValueError(message)
+    scene = load_scene(name, overrides)
+    if scene.slave is None:
+        message = f"scene = {name}: has no [slave]: a live scene has two sides"
+        raise ValueError(message)
+    return scene
+
+
+def start_master(scene: "Scene", **how: Any) -> "LiveMaster | MasterRun":  # noqa: ANN401  # of LiveMaster
+    """The master of a scene, begun.
+
+    Raises:
+        ValueError: A driver or an option that there is not.
+        OSError: An address that cannot be used.
+    """
+    from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_master, scene_json
+
+    spec = scene_json(scene)
+    if scene.master.driver is None:
+        return LiveMaster(spec, **how)
+    device = load_master(scene.master.driver, scene.master.options)
+    return _opened(MasterRun(device, MasterLoop(spec, **how)), scene.master.driver)
+
+
+def start_slave(scene: "Scene", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: ANN401  # of LiveSlave
+    """The slave of a scene, begun.
+
+    Raises:
+        ValueError: A driver or an option that there is not.
+        OSError: An address that cannot be used.
+    """
+    from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_slave, scene_json
+
+    assert scene.slave is not None
+    spec = scene_json(scene)
+    if scene.slave.device == "simulated":
+        return LiveSlave(spec, **how)
+    device = load_slave(scene.slave.device, scene.slave.options)
+    return _opened(SlaveRun(device, SlaveLoop(spec, **how)), scene.slave.device)
+
+
+Run = TypeVar("Run", bound="DeviceRun")
+
+
+def _opened(run: Run, name: str) -> Run:
+    """Waits until the device is open."""
+    from rich.console import Console
+
+    end = time.monotonic() + READY_S
+    with Console(stderr=True).status(f"opening {name}"):
+        while not run.ready() and time.monotonic() < end:
+            time.sleep(0.01)
+    return run
+
+
+def fault_text(run: "LiveMaster | LiveSlave | DeviceRun") -> str:
+    """What the line of a run says of a device that has failed, or nothing."""
+    from haptether.bridge import DeviceRun
+
+    return f", {run.notes.fault}" if isinstance(run, DeviceRun) and run.notes.fault is not None else ""
+
+
+def raise_error(run: "LiveMaster | LiveSlave | DeviceRun") -> None:
+    """Raises what ended the loop of a driver, if anything did."""
+    from haptether.bridge import DeviceRun
+
+    if isinstance(run, DeviceRun) and run.error is not None:
+        raise run.error
