@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -27,6 +27,8 @@ class Demo:
     haptether demo
 
     haptether demo --delay-s 0.02 --jitter-s 0.001 --loss 0 --out out/fast-link --json -
+
+    haptether demo --slave ur
     """
 
     delay_s: float = 0.05
@@ -37,6 +39,8 @@ class Demo:
     """Share of packets lost."""
     seed: int = 1
     """Seed of jitter and loss, 0 to 2^64 - 1."""
+    slave: Literal["simulated", "ur"] = "simulated"
+    """The model of an arm; or an emulated UR controller, driven by the vendor's own client library (extra "ur")."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
     """Folder of the picture and of every tick (.npz)."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -58,7 +62,9 @@ class Demo:
         require_matplotlib()  # before the runs, not after them
         # Refuses early.
         link_spec(LinkSettings(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss), "forward")
-        scene = DemoScene(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss, seed=self.seed)
+        scene = DemoScene(
+            delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss, seed=self.seed, slave=self.slave
+        )
         self.out.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=table_goes_to_stderr(self.json))
         console.print(
