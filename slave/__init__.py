@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from haptether._core import Arm, Pusher, Wall
+from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 
 if TYPE_CHECKING:
     from haptether.slave.ur_calibration import UrCalibration, read_calibration
@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 __all__ = [
     "UR_MODELS",
     "Arm",
+    "ForceSensor",
     "Pusher",
     "Rates",
+    "SceneTouch",
     "UrCalibration",
     "UrKinematics",
     "UrModel",

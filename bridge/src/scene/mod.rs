@@ -12,7 +12,7 @@ mod spec;
 mod sweep;
 mod timed;
 
-pub use build::SceneError;
+pub use build::{SceneError, scene_environment};
 pub use events::SceneEvent;
 pub use measures::{Divergence, DivergenceCause, Outcome};
 pub use run::{SceneRun, simulate};
