@@ -1145,6 +1145,8 @@ class SceneTouch:
     @property
     def touches(self) -> bool:
         """Whether the tool was inside an object when the force was last asked for."""
+    def reset(self) -> None:
+        """Everything is as it was at first, and the pushers wait."""
     def start_pushers(self, time_s: float) -> None:
         """The time of the pushers begins at a time in s of the scene."""
     def force(

@@ -109,8 +109,8 @@ class ArmKinematics:
     def inverse(self, pose: Six, near: Joints) -> Joints | None:
         """Joint angles nearest to others with which the tool has a pose; None where no angles have."""
         flange = transform_from_pose(pose) @ self._tool_inverse
-        found = self._inverse.nearest(flange, near)
-        return None if found is None else six(np.asarray(found))
+        found = self._inverse.nearest(flange, np.array(near))
+        return None if found is None else six(found)
 
     def is_within_limits(self, q: Joints) -> bool:
         """Whether every joint may be there."""
