@@ -7,6 +7,7 @@ from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 
 if TYPE_CHECKING:
     from haptether.slave.ur_calibration import UrCalibration, read_calibration
+    from haptether.slave.ur_inverse import UrInverse
     from haptether.slave.ur_kinematics import Rates, UrKinematics
     from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
 
@@ -18,6 +19,7 @@ __all__ = [
     "Rates",
     "SceneTouch",
     "UrCalibration",
+    "UrInverse",
     "UrKinematics",
     "UrModel",
     "Wall",
@@ -31,6 +33,7 @@ WHERE: Final = {
     "UR_MODELS": "ur_models",
     "Rates": "ur_kinematics",
     "UrCalibration": "ur_calibration",
+    "UrInverse": "ur_inverse",
     "UrKinematics": "ur_kinematics",
     "UrModel": "ur_models",
     "WrenchSensor": "ur_models",

@@ -1,12 +1,12 @@
 """Kinematics as the controller uses them: with the tool that is set."""
 
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from haptether.slave.ur_emulator.joint_tracking import Joints
+from haptether.slave.ur_inverse import UrInverse
 from haptether.slave.ur_kinematics import UrKinematics
 from haptether.slave.ur_pose import pose_from_transform, transform_from_pose
 
@@ -34,16 +34,11 @@ class ArmKinematics:
 
     def __init__(self, model: "UrModel") -> None:
         self._forward = UrKinematics(model)
+        self._inverse = UrInverse(model)
         self._model = model
         self.tcp_offset: Six = (0.0,) * 6
         self._tool: Array = np.eye(4)
         self._tool_inverse: Array = np.eye(4)
-
-    @cached_property
-    def _inverse(self):
-        from haptether.slave.ur_inverse import UrInverse
-
-        return UrInverse(self._model)
 
     def set_tcp(self, offset: Six) -> None:
         """Sets the pose of the tool in the frame of the flange."""
