@@ -19,6 +19,8 @@ mod netsim_live;
 mod netsim_probe;
 mod safety;
 mod scene;
+mod ur;
+mod ur_environment;
 
 /// Entry point of the module.
 #[pymodule(gil_used = true)]
@@ -26,10 +28,12 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     safety::register(module)?;
     local::register(module)?;
+    ur::register(module)?;
     netsim::register(module)?;
     netsim_live::register(module)?;
     netsim_probe::register(module)?;
     scene::register(module)?;
+    ur_environment::register(module)?;
     bridge_trace::register(module)?;
     bridge::register(module)?;
     bridge_live::register(module)?;
