@@ -1,6 +1,49 @@
-"""The side of the robot: arm and environment models, and what a driver of an arm has."""
+"""The side of the robot: arm and environment models, what a driver of an arm has, the UR arm and its kinematics."""
 
-from haptether._core import Arm, Pusher, Wall
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 from haptether.slave.device import SlaveDevice, SlaveSample
 
-__all__ = ["Arm", "Pusher", "SlaveDevice", "SlaveSample", "Wall"]
+if TYPE_CHECKING:
+    from haptether.slave.ur_calibration import UrCalibration, read_calibration
+    from haptether.slave.ur_kinematics import Rates, UrKinematics
+    from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
+
+__all__ = [
+    "UR_MODELS",
+    "Arm",
+    "ForceSensor",
+    "Pusher",
+    "Rates",
+    "SceneTouch",
+    "SlaveDevice",
+    "SlaveSample",
+    "UrCalibration",
+    "UrKinematics",
+    "UrModel",
+    "Wall",
+    "WrenchSensor",
+    "read_calibration",
+    "ur_model",
+]
+
+# Whoever has no UR arm does not wait for NumPy.
+WHERE: Final = {
+    "UR_MODELS": "ur_models",
+    "Rates": "ur_kinematics",
+    "UrCalibration": "ur_calibration",
+    "UrKinematics": "ur_kinematics",
+    "UrModel": "ur_models",
+    "WrenchSensor": "ur_models",
+    "read_calibration": "ur_calibration",
+    "ur_model": "ur_models",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in WHERE:
+        return getattr(import_module(f"haptether.slave.{WHERE[name]}"), name)
+    message = f"module {__name__!r} has no attribute {name!r}"
+    raise AttributeError(message)

@@ -27,6 +27,7 @@ __all__ = [
     "Echo",
     "Estimator",
     "EstimatorKind",
+    "ForceSensor",
     "Hand",
     "HandGraspObserver",
     "HapticDevice",
@@ -57,6 +58,7 @@ __all__ = [
     "SafetyTick",
     "SafetyTicks",
     "SceneRun",
+    "SceneTouch",
     "Sinusoid",
     "SlaveLoop",
     "SlaveSettings",
@@ -1120,6 +1122,67 @@ class Pusher:
     def __eq__(self, other: object, /) -> bool: ...
     def force(self, time_s: float) -> float:
         """Force in N at a time in s."""
+
+@final
+class SceneTouch:
+    """What an arm that is not the scene's would touch there: `[environment]`, along the first axes of the arm's base.
+
+    The scene's time begins when the caller says so: it is the `time_s` of every call. Pushers do not push before
+    `start_pushers`.
+
+    Args:
+        scene_json: As `haptether.bridge.scene_json` gives it.
+
+    Raises:
+        ValueError: A scene that cannot be built, or one of more than 3 axes. From every method: what is not finite.
+    """
+
+    def __new__(cls, scene_json: bytes) -> SceneTouch: ...
+    @property
+    def axes(self) -> int:
+        """1, 2 or 3; along the others there is no force."""
+    @property
+    def start(self) -> list[float]:
+        """Where the scene's arm starts, in m, or its device if it has no arm; 3 numbers."""
+    @property
+    def touches(self) -> bool:
+        """Whether the tool was inside an object when the force was last asked for."""
+    def start_pushers(self, time_s: float) -> None:
+        """The time of the pushers begins at a time in s of the scene."""
+    def force(
+        self, time_s: float, position: Sequence[float], velocity: Sequence[float]
+    ) -> tuple[float, float, float]:
+        """Force in N of objects and pushers on the tool at one instant; free bodies as they are now.
+
+        Args:
+            time_s: Time of the scene in s.
+            position: Of the tool in m, (3,).
+            velocity: Of the tool in m/s, (3,).
+        """
+    def advance(
+        self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]
+    ) -> None:
+        """Moves the free bodies over a step in s that begins at `time_s`, while the tool moves on at its velocity."""
+
+@final
+class ForceSensor:
+    """What a sensor makes of a force: `q round((F + bias + noise) / q)` on each of 3 axes.
+
+    Args:
+        noise_n: Standard deviation in N, 0 or more.
+        bias_n: Offsets in N, (3,).
+        quantum_n: Resolution in N; 0 is exact.
+        seed: Of the noise.
+
+    Raises:
+        ValueError: A parameter outside its range. From `sample`: a force that is not finite.
+    """
+
+    def __new__(
+        cls, *, noise_n: float = 0.0, bias_n: Sequence[float] = ..., quantum_n: float = 0.0, seed: int = 0
+    ) -> ForceSensor: ...
+    def sample(self, force: Sequence[float], index: int) -> tuple[float, float, float]:
+        """Sample number `index` of a force in N, (3,): the same index gives the same noise."""
 
 @final
 class Arm:

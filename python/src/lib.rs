@@ -19,6 +19,7 @@ mod netsim_live;
 mod netsim_probe;
 mod safety;
 mod scene;
+mod ur_environment;
 
 /// Entry point of the module.
 #[pymodule(gil_used = true)]
@@ -30,6 +31,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     netsim_live::register(module)?;
     netsim_probe::register(module)?;
     scene::register(module)?;
+    ur_environment::register(module)?;
     bridge_trace::register(module)?;
     bridge::register(module)?;
     bridge_live::register(module)?;

@@ -327,6 +327,14 @@ fn push_shape(pusher: &PusherSpec) -> PushShape {
     }
 }
 
+/// What is touched in a scene and what pushes there, for an arm that the scene does not have.
+pub fn scene_environment<const N: usize>(scene: &SceneSpec) -> Result<Environment<N>, SceneError> {
+    if scene.master.axes != N {
+        return contradiction(format!("master.axes = {}: must be {N}", scene.master.axes));
+    }
+    environment(scene.environment.as_ref())
+}
+
 pub(crate) fn environment<const N: usize>(
     spec: Option<&EnvironmentSpec>,
 ) -> Result<Environment<N>, SceneError> {

@@ -13,7 +13,7 @@ mod spec;
 mod sweep;
 mod timed;
 
-pub use build::SceneError;
+pub use build::{SceneError, scene_environment};
 pub use events::SceneEvent;
 pub use live::{driven_master, driven_slave, simulated_master, simulated_slave};
 pub use measures::{Divergence, DivergenceCause, Outcome};

@@ -23,6 +23,7 @@ from haptether.cli.raven import Raven
 from haptether.cli.simulate import Simulate
 from haptether.cli.slave import Slave
 from haptether.cli.sweep import Sweep
+from haptether.cli.ur_emulator import UrEmulator
 
 
 class Command(Protocol):
@@ -41,6 +42,7 @@ COMMANDS: dict[str, type[Any]] = {
     "master": Master,
     "slave": Slave,
     "netsim": Netsim,
+    "ur-emulator": UrEmulator,
     "check-link": CheckLink,
     "explain": Explain,
     "keygen": Keygen,

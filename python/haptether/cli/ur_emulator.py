@@ -1,0 +1,144 @@
+"""`haptether ur-emulator`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.slave import SceneTouch
+    from haptether.slave.ur_emulator import ControlChannel, Controller, ToolEnvironment
+
+
+@dataclass(frozen=True, kw_only=True)
+class UrEmulator:
+    """Emulate the controller of a UR arm, for the real client libraries.
+
+    It serves RTDE on port 30004, the dashboard on 29999 and scripts on 30001 to 30003 of one address; these ports are
+    fixed by the protocol, so several emulators need several addresses, 127.0.0.2, 127.0.0.3 and so on. Behind it an arm
+    follows servoj, speedj, speedl, moves and force mode, and touches what a scene says. docs/ur_emulator.md has what is
+    modelled, and the lines of --control that push the tool and make things go wrong.
+
+    Examples:
+
+    haptether ur-emulator
+
+    haptether ur-emulator --host 127.0.0.2 --model ur10e --version 5.23 --scene three_axis_box --control -
+    """
+
+    host: str = "127.0.0.1"
+    """Address to listen on."""
+    expose: bool = False
+    """Allow an address that other machines reach: anybody there can then move the arm."""
+    model: str = "ur5e"
+    """The arm: ur3, ur5, ur10, ur3e, ur5e, ur7e, ur10e, ur12e, ur16e, ur20 or ur30."""
+    version: Annotated[str, tyro.conf.arg(metavar="X.Y[.Z[.BUILD]]")] = "5.11"
+    """Version of the controller: 3.15 (CB3, 125 Hz) or 5.4 to 5.26 (500 Hz)."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
+    """What the tool touches: [environment] of a shipped scene or of a scene file; by default nothing."""
+    start: Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="Q")] = (
+        -1.6, -1.7, -2.2, -0.8, 1.6, 0.0,
+    )  # fmt: skip
+    """Joint angles at the begin, in rad."""
+    tcp: Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="P")] = (0.0,) * 6
+    """The tool in the frame of the flange at the begin, x y z rx ry rz in m and rad."""
+    noise: float = 0.0
+    """Standard deviation of the force sensor in N; its torques have a tenth of it in N m."""
+    bias: Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="W")] = (0.0,) * 6
+    """Offset of the force sensor, three in N and three in N m."""
+    seed: int = 0
+    """Seed of the sensor's noise and of the jitter of late packages."""
+    local: bool = False
+    """Begin in local control, in which scripts are refused, rather than in remote control."""
+    unlock_after_s: float = 5.0
+    """How long after a protective stop it cannot be unlocked, in s."""
+    control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
+    """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """End after this time in s; without it, run until Ctrl-C."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write state and figures as JSON at the end; - for standard output."""
+
+    def run(self) -> int:
+        """Serves until told to stop."""
+        import time
+
+        from haptether.cli.live import Stopped
+        from haptether.cli.options import check_duration
+        from haptether.cli.output import check_target, write_json
+        from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server
+
+        check_duration("duration_s", self.duration_s)
+        check_target(self.json)
+        self._check_host()
+        controller, environment = self._controller()
+        faults = Faults(seed=self.seed)
+        server = Server(controller, faults, self.host)
+        line = ControlLine(controller, environment, faults, server)
+        end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
+        with Stopped() as stopped:
+            channel = None
+            try:
+                if self.control is not None:
+                    channel = server.channel = ControlChannel(self.control, line)
+                print(self._headline(channel), flush=True)
+                server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
+            finally:
+                server.close()
+                if channel is not None:
+                    channel.close()
+        if self.json is not None:
+            write_json(self.json, line.status_json())
+        return 0
+
+    def _headline(self, channel: "ControlChannel | None") -> str:
+        controlled = "" if channel is None else f", controlled by {channel.address}"
+        return f"listening on {self.host} as a {self.model} with software {self.version}{controlled}"
+
+    def _check_host(self) -> None:
+        import ipaddress
+
+        try:
+            address = ipaddress.ip_address("127.0.0.1" if self.host == "localhost" else self.host)
+        except ValueError:
+            message = f"host = {self.host!r}: must be an IPv4 address such as 127.0.0.1"
+            raise ValueError(message) from None
+        if address.version != 4:
+            message = f"host = {self.host}: must be an IPv4 address: the clients speak no other"
+            raise ValueError(message)
+        if not (address.is_loopback or self.expose):
+            message = f"host = {self.host}: other machines reach it, and could move the arm: add --expose to allow that"
+            raise ValueError(message)
+
+    def _controller(self) -> "tuple[Controller, ToolEnvironment]":
+        from haptether.slave.ur_emulator import (
+            Controller,
+            ControllerSettings,
+            ControllerVersion,
+            ToolEnvironment,
+            WrenchSensing,
+        )
+        from haptether.slave.ur_models import ur_model
+
+        environment = ToolEnvironment(self._scene())
+        settings = ControllerSettings(
+            model=ur_model(self.model),
+            version=ControllerVersion.parsed(self.version),
+            start=self.start,
+            tcp=self.tcp,
+            remote_control=not self.local,
+            unlock_after_s=self.unlock_after_s,
+        )
+        sensing = WrenchSensing(noise_n=self.noise, bias=self.bias, seed=self.seed)
+        controller = Controller(settings, environment, sensing)
+        controller.on_engaged = environment.engage
+        return controller, environment
+
+    def _scene(self) -> "SceneTouch | None":
+        if self.scene is None:
+            return None
+        from haptether.bridge import load_scene, scene_json
+        from haptether.slave import SceneTouch
+
+        return SceneTouch(scene_json(load_scene(self.scene)))

@@ -1,0 +1,120 @@
+"""Kinematics as the controller uses them: with the tool that is set."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.slave.ur_emulator.joint_tracking import Joints
+from haptether.slave.ur_kinematics import UrKinematics
+from haptether.slave.ur_pose import pose_from_transform, transform_from_pose
+
+if TYPE_CHECKING:
+    from haptether.slave.ur_models import UrModel
+
+Array = npt.NDArray[np.float64]
+Six = tuple[float, ...]
+
+SINGULAR = 1e-6
+"""Least singular value of the Jacobian, in m and rad per rad, below which a tool velocity has no joint velocity."""
+
+
+def six(values: Array) -> Six:
+    """Six plain numbers."""
+    return tuple(values.tolist())
+
+
+class ArmKinematics:
+    """Poses are those of the tool in the frame of the base, as `x y z rx ry rz` in m and rad.
+
+    Args:
+        model: The arm, without calibration.
+    """
+
+    def __init__(self, model: "UrModel") -> None:
+        self._forward = UrKinematics(model)
+        self._model = model
+        self.tcp_offset: Six = (0.0,) * 6
+        self._tool: Array = np.eye(4)
+        self._tool_inverse: Array = np.eye(4)
+
+    @cached_property
+    def _inverse(self):
+        from haptether.slave.ur_inverse import UrInverse
+
+        return UrInverse(self._model)
+
+    def set_tcp(self, offset: Six) -> None:
+        """Sets the pose of the tool in the frame of the flange."""
+        self.tcp_offset = offset
+        self._tool = transform_from_pose(offset)
+        self._tool_inverse = np.linalg.inv(self._tool).astype(np.float64)
+
+    def flange_pose(self, q: Joints) -> Six:
+        """Pose of the flange."""
+        return six(pose_from_transform(self._forward.forward(q)))
+
+    def pose(self, q: Joints, offset: Six | None = None) -> Six:
+        """Pose of the tool, or of one with another offset."""
+        tool = self._tool if offset is None else transform_from_pose(offset)
+        return six(pose_from_transform(self._forward.forward(q) @ tool))
+
+    def flange_turn(self, tool: Array) -> Array:
+        """Rotation base_from_flange, (3, 3), from base_from_tool, (4, 4)."""
+        turn: Array = tool[:3, :3] @ self._tool[:3, :3].T
+        return turn
+
+    def lever(self, tool: Array) -> Array:
+        """From the flange to the tool in m, in the frame of the base, (3,), from base_from_tool, (4, 4)."""
+        arm: Array = self.flange_turn(tool) @ self._tool[:3, 3]
+        return arm
+
+    def transform_and_jacobian(self, q: Joints) -> tuple[Array, Array]:
+        """base_from_tool, (4, 4), and the Jacobian of the tool: velocity over angular velocity, (6, 6)."""
+        flange, jacobian = self._forward.forward_and_jacobian(q)
+        lever = flange[:3, :3] @ self._tool[:3, 3]
+        moved = np.array(jacobian)
+        x, y, z = lever.tolist()
+        # v_tool = v_flange + omega x lever
+        moved[:3] -= np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))) @ jacobian[3:]
+        return flange @ self._tool, moved
+
+    def jacobian_rate(self, q: Joints, qd: Joints) -> Array:
+        """How the Jacobian of the tool changes with time, (6, 6), by central differences.
+
+        The step leaves an error of some 1e-9 of the rate: of the third derivative 1e-10, of rounding 1e-11.
+        """
+        step = 1e-5
+        ahead, behind = (
+            self.transform_and_jacobian(tuple(a + sign * step * v for a, v in zip(q, qd, strict=True)))[1]
+            for sign in (1.0, -1.0)
+        )
+        return (ahead - behind) / (2.0 * step)
+
+    def tool_velocity(self, q: Joints, qd: Joints) -> Six:
+        """Velocity in m/s and angular velocity in rad/s of the tool, in the frame of the base."""
+        _, jacobian = self.transform_and_jacobian(q)
+        return six(jacobian @ np.array(qd))
+
+    def joint_velocity(self, q: Joints, velocity: Six) -> Joints | None:
+        """Joint velocities in rad/s with which the tool has a velocity; None where no finite ones have."""
+        _, jacobian = self.transform_and_jacobian(q)
+        try:
+            rates = np.linalg.solve(jacobian, np.array(velocity))
+        except np.linalg.LinAlgError:
+            return None
+        return six(rates) if float(np.abs(rates).max()) < 1.0 / SINGULAR else None
+
+    def inverse(self, pose: Six, near: Joints) -> Joints | None:
+        """Joint angles nearest to others with which the tool has a pose; None where no angles have."""
+        flange = transform_from_pose(pose) @ self._tool_inverse
+        found = self._inverse.nearest(flange, near)
+        return None if found is None else six(np.asarray(found))
+
+    def is_within_limits(self, q: Joints) -> bool:
+        """Whether every joint may be there."""
+        model = self._model
+        return all(
+            low <= angle <= high for low, angle, high in zip(model.position_min, q, model.position_max, strict=True)
+        )

@@ -1,0 +1,150 @@
+"""Connections of clients: each takes bytes and gives bytes; none of them owns a socket."""
+
+from typing import TYPE_CHECKING, Final, Protocol
+
+from haptether.slave.ur_emulator.dashboard import BANNER, Dashboard
+from haptether.slave.ur_emulator.rtde_session import RtdeSession
+from haptether.slave.ur_emulator.script_port import ScriptReader
+
+if TYPE_CHECKING:
+    from haptether.slave.ur_emulator.controller import Controller
+
+LONGEST_LINE: Final = 4096
+
+RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
+PORTS: Final = {30004: RTDE, 29999: DASHBOARD, 30001: SCRIPT, 30002: SCRIPT, 30003: SCRIPT}
+"""Fixed by the protocol: clients have no setting for them."""
+
+
+class Peer(Protocol):
+    """One connection."""
+
+    kind: str
+
+    def greeting(self) -> bytes:
+        """What is sent first."""
+
+    def receive(self, came: bytes) -> tuple[bytes, bool]:
+        """The answer to what arrived, and whether the connection stays open.
+
+        Raises:
+            ValueError: It is not what this port speaks.
+        """
+
+    def package(self, cycles: int) -> bytes | None:
+        """What is to be sent after so many control cycles."""
+
+    def close(self) -> None:
+        """It has ended."""
+
+
+class RtdePeer:
+    """A client of RTDE."""
+
+    kind = RTDE
+
+    def __init__(self, controller: "Controller", number: int) -> None:
+        self._session = RtdeSession(
+            number,
+            controller.version.rate_hz,
+            lambda: controller.reported_version,
+            controller.inputs,
+            controller.outputs,
+            controller.output_types,
+            lambda text: controller.tell(f"RTDE client: {text}"),
+        )
+
+    def greeting(self) -> bytes:
+        """Nothing: clients take the first frame for the answer to their first request."""
+        return b""
+
+    def receive(self, came: bytes) -> tuple[bytes, bool]:
+        """See `Peer`."""
+        return self._session.receive(came), True
+
+    def package(self, cycles: int) -> bytes | None:
+        """See `Peer`."""
+        return self._session.package(cycles)
+
+    def close(self) -> None:
+        """See `Peer`."""
+        self._session.close()
+
+
+class DashboardPeer:
+    """A client of the dashboard server."""
+
+    kind = DASHBOARD
+
+    def __init__(self, dashboard: Dashboard) -> None:
+        self._dashboard = dashboard
+        self._waiting = b""
+
+    def greeting(self) -> bytes:
+        """See `Peer`."""
+        return f"{BANNER}\n".encode()
+
+    def receive(self, came: bytes) -> tuple[bytes, bool]:
+        """See `Peer`."""
+        *lines, self._waiting = (self._waiting + came).split(b"\n")
+        if len(self._waiting) > LONGEST_LINE:
+            message = f"line of {len(self._waiting)} bytes: must be at most {LONGEST_LINE}"
+            raise ValueError(message)
+        answers = b""
+        for line in lines:
+            said, stays = self._dashboard.answer(line.decode("utf-8", "replace"))
+            answers += f"{said}\n".encode()
+            if not stays:
+                return answers, False
+        return answers, True
+
+    def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
+        """See `Peer`."""
+        return None
+
+    def close(self) -> None:
+        """See `Peer`."""
+
+
+class ScriptPeer:
+    """A client of one of the script interfaces; it is sent nothing."""
+
+    kind = SCRIPT
+
+    def __init__(self, controller: "Controller") -> None:
+        self._controller = controller
+        self._reader = ScriptReader()
+
+    def greeting(self) -> bytes:
+        """See `Peer`."""
+        return b""
+
+    def receive(self, came: bytes) -> tuple[bytes, bool]:
+        """See `Peer`."""
+        for submitted in self._reader.receive(came):
+            self._controller.submit(submitted)
+        return b"", True
+
+    def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
+        """See `Peer`."""
+        return None
+
+    def close(self) -> None:
+        """See `Peer`."""
+
+
+class Reception:
+    """Makes a peer for each connection that is accepted."""
+
+    def __init__(self, controller: "Controller") -> None:
+        self._controller = controller
+        self._dashboard = Dashboard(controller)
+        self._accepted = 0
+
+    def peer(self, port: int) -> Peer:
+        """The peer of a new connection to a port."""
+        self._accepted += 1
+        kind = PORTS[port]
+        if kind == RTDE:
+            return RtdePeer(self._controller, self._accepted)
+        return DashboardPeer(self._dashboard) if kind == DASHBOARD else ScriptPeer(self._controller)

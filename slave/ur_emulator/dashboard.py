@@ -1,0 +1,114 @@
+"""The dashboard server: a line comes in, a line goes out.
+
+Source: Universal Robots, "Dashboard Server e-Series"; what ur_rtde 1.6.5 and ur_client_library compare answers with.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from haptether.slave.ur_emulator.controller import Controller
+
+BANNER: Final = "Connected: Universal Robots Dashboard Server"
+CONTROL_PROGRAM: Final = "rtde_control.urp"
+"""The one program that the controller has on its disk: the control script of ur_rtde."""
+NEEDS_REMOTE: Final = frozenset(
+    {"play", "stop", "pause", "load", "power on", "power off", "brake release", "unlock protective stop"}
+)
+
+
+class Dashboard:
+    """What the dashboard server says; its connections share it."""
+
+    def __init__(self, controller: "Controller") -> None:
+        self._of = controller
+
+    def answer(self, line: str) -> tuple[str, bool]:
+        """The answer to a line, and whether the connection stays open."""
+        command, _, argument = line.strip().partition(" ")
+        words = line.strip().lower()
+        if words in {"quit", "shutdown"}:
+            return ("Disconnected" if words == "quit" else "Shutting down"), False
+        for name, answer in self._table().items():
+            if words == name or (name in TAKES_ARGUMENT and words.startswith(f"{name} ")):
+                if self._is_local and name in NEEDS_REMOTE:
+                    return "Command is not allowed due to safety reasons", True
+                return answer(line.strip()[len(name) :].strip()), True
+        del command, argument
+        return f"could not understand: '{line.strip()}'", True
+
+    @property
+    def _is_local(self) -> bool:
+        return not (self._of.remote_control or self._of.version.is_cb3)
+
+    def _table(self) -> dict[str, Callable[[str], str]]:
+        of = self._of
+        series = of.version.has(None, (5, 6))
+        return {
+            "polyscopeversion": lambda _: f"URSoftware {of.reported_version} (Jan 01 2024)",
+            **(
+                {
+                    "get serial number": lambda _: of.settings.serial_number,
+                    "is in remote control": lambda _: str(of.remote_control).lower(),
+                }
+                if series
+                else {}
+            ),
+            "robotmode": lambda _: f"Robotmode: {of.safety.robot_mode.name}",
+            "safetymode": lambda _: f"Safetymode: {of.safety.mode.name}",
+            "safetystatus": lambda _: f"Safetystatus: {of.safety.mode.name}",
+            "programstate": lambda _: f"{of.runtime.name} {of.program_name or of.loaded or '<unnamed>'}",
+            "running": lambda _: f"Program running: {str(of.runtime.name == 'PLAYING').lower()}",
+            "isprogramsaved": lambda _: f"true {of.loaded or '<unnamed>'}",
+            "get loaded program": lambda _: f"Loaded program: {of.loaded}" if of.loaded else "No program loaded",
+            "get robot model": lambda _: of.settings.model.name.rstrip("e").upper(),
+            "get operational mode": lambda _: "AUTOMATIC" if of.remote_control else "MANUAL",
+            "play": lambda _: "Starting program" if of.play() else "Failed to execute: play",
+            "stop": self._stop,
+            "pause": lambda _: "Pausing program" if of.pause() else "Failed to execute: pause",
+            "load": self._load,
+            "power on": self._power_on,
+            "power off": self._power_off,
+            "brake release": self._release_brakes,
+            "unlock protective stop": lambda _: of.safety.unlock(of.now_s),
+            "restart safety": self._restart,
+            "close safety popup": lambda _: "closing safety popup",
+            "close popup": lambda _: "closing popup",
+            "popup": lambda _: "showing popup",
+            "addtolog": self._add_to_log,
+            "set operational mode": lambda mode: f"Setting operational mode: {mode}",
+            "clear operational mode": lambda _: "No longer controlling the operational mode.",
+        }
+
+    def _stop(self, _: str) -> str:
+        self._of.stop_program()
+        return "Stopped"
+
+    def _load(self, name: str) -> str:
+        if name.rpartition("/")[2] != CONTROL_PROGRAM:
+            return f"File not found: {name}"
+        self._of.loaded = name
+        return f"Loading program: {name}"
+
+    def _power_on(self, _: str) -> str:
+        self._of.safety.power_on(self._of.now_s)
+        return "Powering on"
+
+    def _power_off(self, _: str) -> str:
+        self._of.safety.power_off()
+        return "Powering off"
+
+    def _release_brakes(self, _: str) -> str:
+        self._of.safety.release_brakes(self._of.now_s)
+        return "Brake releasing"
+
+    def _restart(self, _: str) -> str:
+        self._of.safety.restart(self._of.now_s)
+        return "Restarting safety"
+
+    def _add_to_log(self, text: str) -> str:
+        self._of.tell(f"dashboard: {text}")
+        return "Added log message"
+
+
+TAKES_ARGUMENT: Final = frozenset({"load", "popup", "addtolog", "set operational mode"})

@@ -1,0 +1,131 @@
+"""Force mode: compliant axes move until the force on them is what was asked for."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.slave.ur_emulator.script_error import ScriptError
+from haptether.slave.ur_pose import matrix_from_rotvec
+
+Six = tuple[float, ...]
+Array = npt.NDArray[np.float64]
+
+MASS_KG: Final = 50.0
+"""Virtual mass at a gain scaling of 1."""
+INERTIA_KGM2: Final = 2.0
+"""Virtual inertia at a gain scaling of 1."""
+DAMPING_RATE: Final = 400.0
+"""Rate in 1/s at which speed decays at a damping of 1."""
+STOPPED: Final = 1e-4
+"""Speed in m/s below which the tool gives no direction to a frame of type 3."""
+
+
+@dataclass(slots=True)
+class ForceMode:
+    """The virtual body that a compliant axis moves as.
+
+    On each compliant axis of the task frame `M v' = w + F_e - M d v`, with the wrench w that the tool is to exert, the
+    wrench F_e of the environment on the tool, `M = 50 kg / gain scaling` (2 kg m² for rotation) and
+    `d = 400 1/s damping`; |v| stays within the limit of that axis. Contact then settles at `F_e = -w`, and an axis
+    without contact drifts at `w / (M d)`. Axes that are not compliant follow the program.
+
+    The vendor publishes the meaning of damping and gain scaling, not the law: its constants are chosen such that a
+    wall of up to 10 kN/m is met without ringing at the defaults of ur_rtde (gain scaling 0.5, damping 0.025).
+
+    Source: Universal Robots, script manual, force_mode, force_mode_set_damping, force_mode_set_gain_scaling.
+    """
+
+    gain_scaling: float = 1.0
+    damping: float = 0.025
+    active: bool = False
+    frame: Six = (0.0,) * 6
+    selection: tuple[bool, ...] = (False,) * 6
+    wrench: Six = (0.0,) * 6
+    kind: int = 2
+    limits: Six = (0.0,) * 6
+    _velocity: Six = field(default=(0.0,) * 6)
+
+    def begin(self, frame: Six, selection: tuple[bool, ...], wrench: Six, kind: int, limits: Six) -> None:
+        """force_mode: begins, or goes on with other numbers.
+
+        Raises:
+            ScriptError: A type that there is not.
+        """
+        if kind not in {1, 2, 3}:
+            message = f"force_mode: type = {kind}: must be 1, 2 or 3"
+            raise ScriptError(message)
+        if not self.active or selection != self.selection:
+            self._velocity = (0.0,) * 6
+        self.frame, self.selection, self.wrench, self.kind, self.limits = frame, selection, wrench, kind, limits
+        self.active = True
+
+    def set_damping(self, damping: float) -> None:
+        """force_mode_set_damping, between 0 and 1."""
+        self.damping = min(max(damping, 0.0), 1.0)
+
+    def set_gain_scaling(self, scaling: float) -> None:
+        """force_mode_set_gain_scaling, between 0 and 2."""
+        self.gain_scaling = min(max(scaling, 0.0), 2.0)
+
+    def end(self) -> None:
+        """end_force_mode."""
+        self.active = False
+        self._velocity = (0.0,) * 6
+
+    def velocity(self, wanted: Array, measured: Six, tool: Array, actual: Array, step_s: float) -> Array:
+        """Tool velocity in the frame of the base, (6,).
+
+        Args:
+            wanted: The program's tool velocity in the frame of the base.
+            measured: F_e in the frame of the base, in N and N m.
+            tool: base_from_tool, (4, 4).
+            actual: The tool's velocity in the frame of the base.
+            step_s: Duration of the step in s.
+        """
+        base_from_task = self._base_from_task(tool, actual)
+        force = np.array(measured).reshape(2, 3) @ base_from_task
+        follow = wanted.reshape(2, 3) @ base_from_task
+        wrench_task = force.ravel().tolist()
+        velocity = follow.ravel().tolist()
+        rate = DAMPING_RATE * self.damping
+        decay = math.exp(-rate * step_s)
+        # What is gained over the step under a constant force; step_s without damping.
+        gain_s = -math.expm1(-rate * step_s) / rate if rate > 0.0 else step_s
+        new = []
+        for axis, compliant in enumerate(self.selection):
+            if not compliant:
+                new.append(0.0)
+                continue
+            mass = (MASS_KG if axis < 3 else INERTIA_KGM2) / max(self.gain_scaling, 1e-3)
+            v = decay * self._velocity[axis] + gain_s * (self.wrench[axis] + wrench_task[axis]) / mass
+            limit = abs(self.limits[axis])
+            velocity[axis] = min(max(v, -limit), limit)
+            new.append(velocity[axis])
+        self._velocity = tuple(new)
+        return (np.array(velocity).reshape(2, 3) @ base_from_task.T).ravel()
+
+    def _base_from_task(self, tool: Array, actual: Array) -> Array:
+        frame = matrix_from_rotvec(self.frame[3:])
+        if self.kind == 2:
+            return frame
+        if self.kind == 1:
+            # y points from the tool to the origin of the frame.
+            way = np.array(self.frame[:3]) - tool[:3, 3]
+            if (length := float(np.linalg.norm(way))) < 1e-9:
+                return frame
+            y = way / length
+            x = frame[:, 0] - y * float(y @ frame[:, 0])
+            if (size := float(np.linalg.norm(x))) < 1e-9:
+                return frame
+            x /= size
+            return np.column_stack((x, y, np.cross(x, y)))
+        # x is the velocity of the tool, projected on the plane of x and y.
+        z = frame[:, 2]
+        x = actual[:3] - z * float(z @ actual[:3])
+        if (speed := float(np.linalg.norm(x))) < STOPPED:
+            return frame
+        x /= speed
+        return np.column_stack((x, np.cross(z, x), z))

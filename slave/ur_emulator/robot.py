@@ -1,0 +1,220 @@
+"""The arm under its controller: the joint target, the joints behind it, and what the tool touches."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+from haptether.slave.ur_emulator.arm_kinematics import ArmKinematics, Array, Six, six
+from haptether.slave.ur_emulator.force_mode import ForceMode
+from haptether.slave.ur_emulator.joint_tracking import JointLoop, Joints
+from haptether.slave.ur_emulator.motions import Motion, StopJoints, Target, Torque
+from haptether.slave.ur_emulator.script_error import ScriptError
+from haptether.slave.ur_emulator.touch import Nothing, Touch
+from haptether.slave.ur_emulator.wrench_sensor import WrenchSensing
+from haptether.slave.ur_pose import pose_from_transform
+
+if TYPE_CHECKING:
+    from haptether.slave.ur_models import UrModel
+
+ACCELERATES_AT: Final = 50.0
+"""Acceleration in rad/s² that the motors can give a joint: the inertia is the torque over this."""
+BANDWIDTH: Final = 2.0 * math.pi * 30.0
+"""Of the loops that hold the joints to their targets, in rad/s."""
+IDLE_DECELERATION: Final = 10.0
+"""rad/s² at which a joint target stops that nothing commands any more."""
+FREEDRIVE_LIMITS: Final = (0.25, 0.25, 0.25, 0.5, 0.5, 0.5)
+"""m/s and rad/s at which an arm goes at most that a push moves."""
+FRICTION_SHARE: Final = 0.05
+"""Of its largest torque, what friction takes of a joint at its largest speed."""
+NO_TORQUE: Final = (0.0,) * 6
+HISTORY: Final = 2000
+"""Control cycles that the joint positions are remembered for."""
+
+
+class Commander(Protocol):
+    """Who commands a motion: a thread of a program."""
+
+    alive: bool
+
+
+@dataclass(slots=True)
+class Measured:
+    """What the controller measures in a control cycle."""
+
+    q: Joints
+    qd: Joints
+    tool: Array
+    """base_from_tool, (4, 4)."""
+    pose: Six
+    velocity: Six
+    """Of the tool in the frame of the base, in m/s and rad/s."""
+    force: Six
+    """The true wrench on the tool at its point, in the frame of the base, in N and N m."""
+    sensed: Six
+    """As the sensor has it, with its offset taken away."""
+    torque: Joints
+    """External torque on each joint in N m."""
+
+
+class Robot:
+    """A pure state machine: `step` advances it by one control cycle.
+
+    Args:
+        model: The arm.
+        q: Where it starts, in rad.
+        period_s: Duration of a control cycle in s.
+        touch: What the tool touches.
+        sensing: What the force sensor makes of it.
+    """
+
+    def __init__(
+        self,
+        model: "UrModel",
+        q: Joints,
+        period_s: float,
+        touch: Touch | None = None,
+        sensing: WrenchSensing | None = None,
+    ) -> None:
+        self.model = model
+        self.period_s = period_s
+        self.arm = ArmKinematics(model)
+        self.touch = touch or Nothing()
+        self.sensing = sensing or WrenchSensing()
+        self.loop = JointLoop(
+            tuple(torque / ACCELERATES_AT for torque in model.max_torque), tuple(model.max_torque), BANDWIDTH
+        )
+        self.target = Target(q)
+        self.force_mode = ForceMode()
+        self.friction: Joints = tuple(
+            FRICTION_SHARE * torque / speed for torque, speed in zip(model.max_torque, model.max_speed, strict=True)
+        )
+        """Viscous friction of each joint in N m s/rad, which only direct torque feels."""
+        self._time_s = 0.0
+        self.share = 1.0
+        """At which the controller's own moves go: the speed slider, and what the limit of tool speed leaves of it."""
+        self.tool_speed = 0.0
+        """Of the target, in m/s."""
+        self.motion: Motion | None = None
+        self._commander: Commander | None = None
+        self.measured = self._measure(0.0)
+        self.history: deque[tuple[Joints, Six]] = deque([(q, self.measured.force)], maxlen=HISTORY)
+
+    # ------------------------------------------------------------------------------------------------ commands
+
+    def take(self, motion: Motion, commander: Commander) -> None:
+        """Begins a motion in the name of a thread; when that ends, the motion does.
+
+        Raises:
+            ScriptError: Another thread moves the arm.
+        """
+        other = self._commander
+        if other is not None and other is not commander and other.alive:
+            message = "another thread is already controlling the robot"
+            raise ScriptError(message)
+        self.motion, self._commander = motion, commander
+
+    def leave(self, commander: Commander) -> None:
+        """The thread moves the arm no more; what moves still comes to rest."""
+        if self._commander is commander:
+            self.motion, self._commander = None, None
+
+    def set_tcp(self, offset: Six) -> None:
+        """Sets the tool in the frame of the flange; what it touches now is touched there."""
+        self.arm.set_tcp(offset)
+        self.measured = self._measure(self._time_s)
+
+    def release(self, *, on: bool) -> None:
+        """Lets a push move the arm (freedrive, teach mode), or holds it again."""
+        if on:
+            self.force_mode.begin((0.0,) * 6, (True,) * 6, (0.0,) * 6, 2, FREEDRIVE_LIMITS)
+        else:
+            self.force_mode.end()
+
+    def brake(self, deceleration: float) -> None:
+        """Stops, whatever commands it."""
+        self.force_mode.end()
+        self.motion, self._commander = StopJoints(deceleration), None
+
+    def place(self, q: Joints) -> None:
+        """Puts the arm somewhere at rest, at once: what a person does with the brakes released."""
+        self.target = Target(q)
+        self.loop.rest()
+        self.motion, self._commander = None, None
+        self.measured = self._measure(0.0)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the arm rests and nobody commands it to move."""
+        return self.target.rests and max(map(abs, self.loop.rate)) < 1e-4
+
+    # ---------------------------------------------------------------------------------------------------- step
+
+    def step(self, time_s: float) -> None:
+        """Advances by one control cycle, which ends at a time in s of the environment.
+
+        Raises:
+            ScriptError: The motion cannot go on.
+        """
+        try:
+            self.target = self._next_target()
+        except ScriptError:
+            self.brake(IDLE_DECELERATION)
+            self.target = self._next_target()
+            raise
+        finally:
+            self._time_s = time_s
+            # Under direct torque the external torque moves the target itself.
+            free = isinstance(self.motion, Torque)
+            self.loop.step(self.target.qdd, NO_TORQUE if free else self.measured.torque, self.period_s)
+            self.touch.advance(time_s - self.period_s, self.period_s, *self._tool_motion())
+            self.measured = self._measure(time_s)
+            self.history.append((self.measured.q, self.measured.sensed))
+
+    def _next_target(self) -> Target:
+        motion, commander = self.motion, self._commander
+        if motion is None or (commander is not None and not commander.alive):
+            motion = self.motion = None if self.target.rests else StopJoints(IDLE_DECELERATION)
+            self._commander = None
+        now = self.target
+        if isinstance(motion, Torque):
+            motion.external = self.measured.torque
+        new = Target(now.q) if motion is None else motion.step(now, self.period_s, self.share)
+        if self.force_mode.active:
+            new = self._compliant(now, new)
+        return new
+
+    def _compliant(self, now: Target, new: Target) -> Target:
+        _, jacobian = self.arm.transform_and_jacobian(now.q)
+        # What the program moves the joints by, rather than its speed at the end: positions stay together.
+        mean = [(b - a) / self.period_s for a, b in zip(now.q, new.q, strict=True)]
+        velocity = self.force_mode.velocity(
+            jacobian @ np.array(mean),
+            self.measured.sensed,
+            self.measured.tool,
+            np.array(self.measured.velocity),
+            self.period_s,
+        )
+        qd = self.arm.joint_velocity(now.q, six(velocity))
+        if qd is None:
+            message = "force_mode: the arm is singular"
+            raise ScriptError(message)
+        q = tuple(a + v * self.period_s for a, v in zip(now.q, qd, strict=True))
+        qdd = tuple((v - old) / self.period_s for v, old in zip(qd, now.qd, strict=True))
+        return Target(q, qd, qdd)
+
+    def _tool_motion(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        return self.measured.pose[:3], self.measured.velocity[:3]
+
+    def _measure(self, time_s: float) -> Measured:
+        q = tuple(a + d for a, d in zip(self.target.q, self.loop.deflection, strict=True))
+        qd = tuple(a + d for a, d in zip(self.target.qd, self.loop.rate, strict=True))
+        tool, jacobian = self.arm.transform_and_jacobian(q)
+        # The kinematics lend their memory until the next call.
+        velocity = six(jacobian @ np.array(qd))
+        pose = six(pose_from_transform(tool))
+        force = (*self.touch.force(time_s, pose[:3], velocity[:3]), 0.0, 0.0, 0.0)
+        torque = six(jacobian.T @ np.array(force))
+        return Measured(q, qd, tool, pose, velocity, force, self.sensing.sample(force), torque)

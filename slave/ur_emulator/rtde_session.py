@@ -1,0 +1,189 @@
+"""One RTDE connection: what it was promised, and what it is sent."""
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from haptether.slave.ur_emulator import rtde_frames as frames
+from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
+from haptether.slave.ur_emulator.rtde_types import NOT_FOUND, Number, Value, WireType
+from haptether.slave.ur_emulator.version import ControllerVersion
+
+MOST_RECIPES: Final = 255
+PROTOCOLS: Final = frozenset({1, 2})
+SLOWEST_HZ: Final = 1.0
+
+
+@dataclass(slots=True)
+class InputRecipe:
+    """Inputs that travel together."""
+
+    names: tuple[str, ...]
+    kinds: tuple[WireType, ...]
+    layout: struct.Struct
+
+    def values(self, packed: bytes) -> dict[str, Value] | None:
+        """What a package of them says; None if it is too short. What is too long has a tail that nobody reads."""
+        if len(packed) < self.layout.size:
+            return None
+        numbers = self.layout.unpack_from(packed)
+        values: dict[str, Value] = {}
+        at = 0
+        for name, kind in zip(self.names, self.kinds, strict=True):
+            values[name] = numbers[at] if kind.count == 1 else numbers[at : at + kind.count]
+            at += kind.count
+        return values
+
+
+@dataclass(slots=True)
+class OutputRecipe:
+    """Outputs that travel together, and how often."""
+
+    names: tuple[str, ...]
+    scalar: tuple[bool, ...]
+    layout: struct.Struct
+    head: bytes
+    share: float
+    """Packages per control cycle, at most 1."""
+    due: float = 0.0
+
+    def packed(self, outputs: Mapping[str, Value]) -> bytes:
+        """A data package with the present values."""
+        numbers: list[Number] = []
+        for name, scalar in zip(self.names, self.scalar, strict=True):
+            value = outputs[name]
+            if scalar:
+                numbers.append(value)  # type: ignore[arg-type]  # the table says that it is a number
+            else:
+                numbers.extend(value)  # type: ignore[arg-type]  # the table says that it is a vector
+        return self.head + self.layout.pack(*numbers)
+
+    def is_due(self, cycles: int) -> bool:
+        """Whether one is to be sent after so many control cycles; of several that are due only the newest is."""
+        self.due += self.share * cycles
+        # A share such as 1/3 must not lose a package to rounding.
+        whole = math.floor(self.due + 1e-9)
+        self.due -= whole
+        return whole > 0
+
+
+@dataclass(slots=True)
+class RtdeSession:
+    """The protocol of one connection; it owns no socket.
+
+    Call `receive` with what arrived and send what it gives; call `package` once a control cycle and send that.
+    """
+
+    number: int
+    rate_hz: float
+    """Of the control cycle."""
+    version: Callable[[], ControllerVersion]
+    """What it says the controller's version is."""
+    inputs: RtdeInputs
+    outputs: Mapping[str, Value]
+    output_types: Mapping[str, WireType]
+    tell: Callable[[str], None]
+    protocol: int = 1
+    started: bool = False
+    _reader: frames.FrameReader = field(default_factory=frames.FrameReader)
+    _recipes: dict[int, InputRecipe] = field(default_factory=dict)
+    _output: OutputRecipe | None = None
+
+    def receive(self, came: bytes) -> bytes:
+        """Answers to what arrived.
+
+        Raises:
+            FramingError: It cannot be RTDE.
+        """
+        answer = b""
+        for kind, payload in self._reader.frames(came):
+            answer += self._answer(frames.request_of(kind, payload, self.protocol))
+        return answer
+
+    def package(self, cycles: int = 1) -> bytes | None:
+        """The data package that is due after so many control cycles, if any."""
+        if not self.started or self._output is None or not self._output.is_due(cycles):
+            return None
+        return self._output.packed(self.outputs)
+
+    def close(self) -> None:
+        """Gives back what it owned."""
+        self.inputs.release(self.number)
+
+    def _answer(self, request: frames.Request) -> bytes:  # noqa: PLR0911
+        match request:
+            case frames.Written(number, packed):
+                self._write(number, packed)
+                return b""
+            case frames.ProtocolAsked(version):
+                return self._negotiated(version)
+            case frames.ControllerAsked():
+                return frames.controller_version(self.version())
+            case frames.OutputsAsked(rate_hz, names):
+                return self._set_up_outputs(rate_hz, names)
+            case frames.InputsAsked(names):
+                return self._set_up_inputs(names)
+            case frames.StartAsked():
+                return self._start()
+            case frames.PauseAsked():
+                self.started = False
+                return frames.accepted(frames.PAUSE, yes=True)
+            case frames.Told(text):
+                self.tell(text)
+        return b""
+
+    def _negotiated(self, version: int) -> bytes:
+        fits = version in PROTOCOLS
+        if fits:
+            self.protocol = version
+        return frames.accepted(frames.PROTOCOL_VERSION, yes=fits)
+
+    def _set_up_outputs(self, rate_hz: float, names: tuple[str, ...]) -> bytes:
+        types = [kind.name if (kind := self.output_types.get(name)) else NOT_FOUND for name in names]
+        kinds = [kind for name in names if (kind := self.output_types.get(name))]
+        fits = names and NOT_FOUND not in types and rate_hz >= SLOWEST_HZ and _fits(names)
+        self.started = False
+        self._output = None
+        if fits:
+            layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
+            body = b"\x01" if self.protocol != 1 else b""
+            size = frames.HEADER.size + len(body) + layout.size
+            self._output = OutputRecipe(
+                names,
+                tuple(kind.count == 1 for kind in kinds),
+                layout,
+                frames.HEADER.pack(size, frames.DATA_PACKAGE) + body,
+                min(1.0, rate_hz / self.rate_hz),
+            )
+        number = None if self.protocol == 1 else int(bool(fits))
+        return frames.recipe(frames.SETUP_OUTPUTS, number, types)
+
+    def _set_up_inputs(self, names: tuple[str, ...]) -> bytes:
+        fits = bool(names) and len(self._recipes) < MOST_RECIPES and _fits(names)
+        types, kinds = self.inputs.claim(self.number, names, wanted=fits)
+        number = 0
+        if fits and kinds is not None:
+            number = len(self._recipes) + 1
+            layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
+            self._recipes[number] = InputRecipe(names, kinds, layout)
+        return frames.recipe(frames.SETUP_INPUTS, number, types)
+
+    def _start(self) -> bytes:
+        if self._output is None:
+            return frames.accepted(frames.START, yes=False)
+        self.started = True
+        self._output.due = 0.0
+        # Clients wait for the first package without a time limit, so it goes with the answer.
+        return frames.accepted(frames.START, yes=True) + self._output.packed(self.outputs)
+
+    def _write(self, number: int, packed: bytes) -> None:
+        # ur_rtde writes to recipes that it has not set up yet while it reconnects: not an error.
+        known = self._recipes.get(number)
+        if known is not None and (values := known.values(packed)) is not None:
+            self.inputs.write(values)
+
+
+def _fits(names: tuple[str, ...]) -> bool:
+    return sum(len(name) + 1 for name in names) <= frames.LONGEST_NAMES

@@ -1,0 +1,192 @@
+"""Functions of URScript that move the arm or ask where it is."""
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from haptether.slave.ur_emulator.arm_kinematics import Six
+from haptether.slave.ur_emulator.joint_tracking import Joints
+from haptether.slave.ur_emulator.motions import (
+    Motion,
+    MoveJoints,
+    MoveTool,
+    Servo,
+    SpeedJoints,
+    SpeedTool,
+    StopJoints,
+    StopTool,
+)
+from haptether.slave.ur_emulator.program import Program, Steps
+from haptether.slave.ur_emulator.robot import Robot
+from haptether.slave.ur_emulator.script_error import ScriptError
+
+LOOKAHEAD_S: Final = (0.03, 0.2)
+GAIN: Final = (100.0, 2000.0)
+CONTACT_N: Final = 5.0
+"""Force in N against the direction of contact from which tool_contact tells of one."""
+CONTACT_BEGINS_N: Final = 1.0
+"""Force in N at which it says that the contact began."""
+
+
+class ScriptFunctions:
+    """What a thread of a program may call; a generator blocks until it is through.
+
+    Args:
+        robot: What moves.
+        program: Whose thread calls.
+        jump: rad by which a target of servoj may jump.
+        protective_stop: Is told why, where it jumps by more.
+    """
+
+    def __init__(self, robot: Robot, program: Program, jump: float, protective_stop: Callable[[str], None]) -> None:
+        self._jump = jump
+        self._protective_stop = protective_stop
+        self.robot = robot
+        self.program = program
+        self.arm = robot.arm
+
+    # ------------------------------------------------------------------------------------------------- motions
+
+    def movej(self, q: Joints, acceleration: float, speed: float) -> Steps:
+        """Moves in joint space to q in rad."""
+        self._check_joints("movej", q)
+        return self._until_done(MoveJoints(q, _positive("movej", "v", speed), _positive("movej", "a", acceleration)))
+
+    def movel(self, pose: Six, acceleration: float, speed: float) -> Steps:
+        """Moves the tool straight to a pose."""
+        speed, acceleration = _positive("movel", "v", speed), _positive("movel", "a", acceleration)
+        return self._until_done(MoveTool(self.arm, pose, speed, acceleration))
+
+    def stopj(self, deceleration: float) -> Steps:
+        """Stops, in joint space."""
+        return self._until_done(StopJoints(_positive("stopj", "a", deceleration)))
+
+    def stopl(self, deceleration: float) -> Steps:
+        """Stops, along the way of the tool."""
+        return self._until_done(StopTool(self.arm, _positive("stopl", "a", deceleration)))
+
+    def servoj(self, q: Joints, time_s: float, lookahead_s: float, gain: float) -> Steps:
+        """Follows a joint target for a time."""
+        self._check_joints("servoj", q)
+        if not LOOKAHEAD_S[0] <= lookahead_s <= LOOKAHEAD_S[1] or not GAIN[0] <= gain <= GAIN[1]:
+            message = (
+                f"servoj: lookahead_time = {lookahead_s:g}, gain = {gain:g}: must be between {LOOKAHEAD_S[0]:g} and "
+                f"{LOOKAHEAD_S[1]:g} s, between {GAIN[0]:g} and {GAIN[1]:g}"
+            )
+            raise ScriptError(message)
+        before = self.robot.motion
+        seen = before.goal if isinstance(before, Servo) else self.robot.target.q
+        if max(abs(new - old) for new, old in zip(q, seen, strict=True)) > self._jump:
+            self._protective_stop("C204 path sanity check: sudden change in target position")
+        self.begin(Servo(q, lookahead_s, gain, tuple(self.robot.model.max_speed)))
+        yield from self.sleep(time_s)
+
+    def speedj(self, qd: Joints, acceleration: float, time_s: float) -> Steps:
+        """Moves at joint velocities, for a time or, if that is 0, until they are reached."""
+        yield from self._speeding(SpeedJoints(qd, _positive("speedj", "a", acceleration)), time_s)
+
+    def speedl(self, velocity: Six, acceleration: float, time_s: float) -> Steps:
+        """Moves the tool at a velocity, for a time or, if that is 0, until it is reached."""
+        motion = SpeedTool(self.arm, velocity, _positive("speedl", "a", acceleration))
+        before = self.robot.motion
+        if isinstance(before, SpeedTool):
+            # Goes on from the velocity that it has, which the joints show only approximately.
+            motion.now = before.now
+        yield from self._speeding(motion, time_s)
+
+    def sleep(self, time_s: float) -> Steps:
+        """Waits for a time, at least until the next control cycle."""
+        for _ in range(max(1, round(time_s / self.robot.period_s))):
+            yield
+
+    def _speeding(self, motion: SpeedJoints | SpeedTool, time_s: float) -> Steps:
+        self.begin(motion)
+        if time_s > 0.0:
+            yield from self.sleep(time_s)
+            return
+        yield
+        while not motion.done:
+            yield
+
+    def _until_done(self, motion: Motion) -> Steps:
+        self.begin(motion)
+        yield
+        while not motion.done:
+            yield
+        if self.program.running is not None:
+            self.robot.leave(self.program.running)
+
+    def begin(self, motion: Motion) -> None:
+        """Begins a motion in the name of the thread that runs.
+
+        Raises:
+            ScriptError: Another thread moves the arm.
+        """
+        if self.program.running is None:
+            raise AssertionError
+        self.robot.take(motion, self.program.running)
+
+    def _check_joints(self, name: str, q: Joints) -> None:
+        if not self.arm.is_within_limits(q):
+            message = f"{name}: {list(q)} is beyond the limits of the joints"
+            raise ScriptError(message)
+
+    # ----------------------------------------------------------------------------------------------- questions
+
+    def inverse(self, pose: Six, near: Joints | None = None) -> Joints:
+        """get_inverse_kin: joint angles in rad nearest to others, by default to those of the arm.
+
+        Raises:
+            ScriptError: No joint angles have this pose.
+        """
+        q = self.arm.inverse(pose, near or self.robot.measured.q)
+        if q is None or not self.arm.is_within_limits(q):
+            message = f"get_inverse_kin: no solution for {[round(v, 6) for v in pose]}"
+            raise ScriptError(message)
+        return q
+
+    def has_inverse(self, pose: Six, near: Joints | None = None) -> bool:
+        """get_inverse_kin_has_solution."""
+        q = self.arm.inverse(pose, near or self.robot.measured.q)
+        return q is not None and self.arm.is_within_limits(q)
+
+    def tool_contact(self, direction: Six) -> int:
+        """tool_contact: for how many control cycles the tool has touched something on its way; 0 if it does not.
+
+        The direction is that of the tool, in the frame of the base; the zero vector stands for every direction.
+        """
+        length = math.hypot(*direction[:3])
+
+        def against(force: Six) -> float:
+            if length == 0.0:
+                return math.hypot(*force[:3])
+            return -sum(f * d for f, d in zip(force[:3], direction[:3], strict=True)) / length
+
+        history = self.robot.history
+        if against(history[-1][1]) < CONTACT_N:
+            return 0
+        steps = 0
+        for _, force in reversed(history):
+            if against(force) < CONTACT_BEGINS_N:
+                break
+            steps += 1
+        return max(1, steps)
+
+    def positions_before(self, steps: int) -> Joints:
+        """get_actual_joint_positions_history: joint angles so many control cycles ago.
+
+        Raises:
+            ScriptError: So long ago nobody remembers.
+        """
+        history = self.robot.history
+        if not 0 <= steps < len(history):
+            message = f"get_actual_joint_positions_history: steps = {steps}: must be between 0 and {len(history) - 1}"
+            raise ScriptError(message)
+        return history[-1 - steps][0]
+
+
+def _positive(name: str, argument: str, value: float) -> float:
+    if not value > 0.0:
+        message = f"{name}: {argument} = {value:g}: must be positive"
+        raise ScriptError(message)
+    return value

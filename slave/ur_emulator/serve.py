@@ -1,0 +1,263 @@
+"""The process of an emulated controller: its sockets and its clock. Nothing else of it has either."""
+
+import gc
+import select
+import socket
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from haptether.slave.ur_emulator.connections import PORTS, Peer, Reception
+from haptether.slave.ur_emulator.outbox import Outbox
+
+if TYPE_CHECKING:
+    from haptether.slave.ur_emulator.controller import Controller
+    from haptether.slave.ur_emulator.faults import Faults
+
+MOST_CONNECTIONS: Final = 64
+SEND_BUFFER: Final = 1 << 16
+"""Bytes in the system's hands: so much is old at most when a slow reader comes back."""
+RECEIVE: Final = 1 << 16
+MOST_CATCH_UP_S: Final = 0.5
+"""Time that is made up for after a stall; what was lost beyond it is lost."""
+
+
+class Channel(Protocol):
+    """Something else that this loop reads from."""
+
+    def readers(self) -> list[int]:
+        """Descriptors to wait for."""
+
+    def serve(self, descriptor: int) -> None:
+        """Reads what has come."""
+
+
+class Connection:
+    """A socket, what it speaks, and what waits to be sent."""
+
+    def __init__(self, endpoint: socket.socket, peer: Peer, number: int) -> None:
+        self.socket = endpoint
+        self.peer = peer
+        self.number = number
+        self.outbox = Outbox()
+        self.closing = False
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self.socket.fileno()
+
+
+class Server:
+    """Listens on the five ports of a controller and runs its control cycles at absolute times.
+
+    `select.select` waits to the microsecond; epoll rounds up to a millisecond, half a control cycle.
+
+    Args:
+        controller: What is served.
+        faults: What is to go wrong.
+        host: An address of this machine.
+
+    Raises:
+        OSError: A port that cannot be used, with which.
+    """
+
+    def __init__(self, controller: "Controller", faults: "Faults", host: str) -> None:
+        self.controller = controller
+        self.faults = faults
+        self.host = host
+        self.channel: Channel | None = None
+        self.lost_s = 0.0
+        """Time that was never made up for."""
+        self.late_cycles = 0
+        """Control cycles that began more than a period late."""
+        self.worst_late_s = 0.0
+        self.busiest_s = 0.0
+        """Longest that one control cycle took, packages included."""
+        self._reception = Reception(controller)
+        self._connections: list[Connection] = []
+        self._accepted = 0
+        self._skipped = 0
+        self._listening: dict[socket.socket, int] = {}
+        try:
+            for port in PORTS:
+                self._listening[_listen(host, port)] = port
+        except OSError:
+            self.close()
+            raise
+
+    def figures(self) -> dict[str, Any]:
+        """How the process does."""
+        return {
+            "connections": [connection.peer.kind for connection in self._connections],
+            "late_cycles": self.late_cycles,
+            "worst_late_s": self.worst_late_s,
+            "busiest_s": self.busiest_s,
+            "lost_s": self.lost_s,
+            "skipped_packages": self._skipped + sum(c.outbox.skipped for c in self._connections),
+        }
+
+    def forget_lateness(self) -> None:
+        """Begins to measure lateness anew."""
+        self.lost_s = self.worst_late_s = self.busiest_s = 0.0
+        self.late_cycles = 0
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Serves until it is told to stop."""
+        gc.collect()
+        # What exists now lives as long as the process: no collection need look at it again.
+        gc.freeze()
+        period_s = self.controller.period_s
+        due_s = time.monotonic() + period_s
+        while not stopped():
+            self._wait(due_s)
+            now_s = time.monotonic()
+            if now_s < due_s:
+                continue
+            due_s = self._cycles(due_s, now_s)
+
+    def close(self) -> None:
+        """Closes all sockets."""
+        for connection in self._connections.copy():
+            self._drop(connection)
+        for listening in self._listening:
+            listening.close()
+        self._listening = {}
+
+    # ---------------------------------------------------------------------------------------------------- cycle
+
+    def _cycles(self, due_s: float, now_s: float) -> float:
+        """Runs the control cycles that are due; when the next one is."""
+        controller, period_s = self.controller, self.controller.period_s
+        late_s = now_s - due_s
+        self.worst_late_s = max(self.worst_late_s, late_s)
+        self.late_cycles += late_s > period_s
+        if late_s > MOST_CATCH_UP_S:
+            # Whole periods, so that the rhythm stays.
+            lost = int((late_s - MOST_CATCH_UP_S) / period_s) * period_s
+            self.lost_s += lost
+            due_s += lost
+        cycles = 0
+        while due_s <= now_s:
+            controller.cycle()
+            cycles += 1
+            due_s += period_s
+        if not self.faults.is_frozen(now_s):
+            self._send_packages(cycles, now_s)
+        self.busiest_s = max(self.busiest_s, (time.monotonic() - now_s) / cycles)
+        return due_s
+
+    def _send_packages(self, cycles: int, now_s: float) -> None:
+        for kind in self.faults.take_dropping():
+            for connection in [c for c in self._connections if c.peer.kind == kind]:
+                self._drop(connection)
+        for connection in self._connections.copy():
+            outbox = connection.outbox
+            package = connection.peer.package(cycles)
+            if package is not None:
+                outbox.package(package, self.faults.due_s(connection.number, now_s), now_s)
+            outbox.release(now_s)
+            if outbox.ready:
+                self._flush(connection, now_s)
+            if outbox.is_stalled(now_s):
+                self.controller.tell(f"{connection.peer.kind} client reads nothing: connection closed")
+                self._drop(connection)
+
+    # -------------------------------------------------------------------------------------------------- sockets
+
+    def _wait(self, due_s: float) -> None:
+        """Serves sockets until the next control cycle is due."""
+        now_s = time.monotonic()
+        channel = self.channel.readers() if self.channel is not None else []
+        frozen = self.faults.is_frozen(now_s)
+        sockets: list[socket.socket | Connection] = [] if frozen else [*self._listening, *self._connections]
+        blocked = [] if frozen else [c for c in self._connections if c.outbox.ready]
+        readable, writable, _ = select.select([*channel, *sockets], blocked, [], max(0.0, due_s - now_s))
+        if not (readable or writable):
+            return
+        now_s = time.monotonic()
+        for ready in readable:
+            if isinstance(ready, int):
+                if self.channel is not None:
+                    self.channel.serve(ready)
+            elif isinstance(ready, Connection):
+                self._read(ready, now_s)
+            else:
+                self._accept(ready)
+        for connection in writable:
+            self._flush(connection, now_s)
+
+    def _accept(self, listening: socket.socket) -> None:
+        try:
+            endpoint, _ = listening.accept()
+        except OSError:
+            # It went away again.
+            return
+        if self.faults.refusing or len(self._connections) >= MOST_CONNECTIONS:
+            endpoint.close()
+            return
+        endpoint.setblocking(False)
+        endpoint.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self._accepted += 1
+        connection = Connection(endpoint, self._reception.peer(self._listening[listening]), self._accepted)
+        self._connections.append(connection)
+        connection.outbox.answer(connection.peer.greeting())
+        self._flush(connection, time.monotonic())
+
+    def _read(self, connection: Connection, now_s: float) -> None:
+        if connection not in self._connections:
+            return
+        try:
+            came = connection.socket.recv(RECEIVE)
+        except BlockingIOError:
+            return
+        except OSError:
+            came = b""
+        if not came:
+            self._drop(connection)
+            return
+        try:
+            answer, stays = connection.peer.receive(came)
+        except ValueError as error:
+            self.controller.tell(f"{connection.peer.kind} client: {error}")
+            self._drop(connection)
+            return
+        connection.outbox.answer(answer)
+        connection.closing = not stays
+        self._flush(connection, now_s)
+
+    def _flush(self, connection: Connection, now_s: float) -> None:
+        if connection not in self._connections:
+            return
+        if connection.outbox.ready:
+            try:
+                count = connection.socket.send(connection.outbox.ready)
+            except BlockingIOError:
+                count = 0
+            except OSError:
+                self._drop(connection)
+                return
+            connection.outbox.sent(count, now_s)
+        if connection.closing and not connection.outbox.ready:
+            self._drop(connection)
+
+    def _drop(self, connection: Connection) -> None:
+        if connection in self._connections:
+            self._connections.remove(connection)
+            self._skipped += connection.outbox.skipped
+            connection.peer.close()
+            connection.socket.close()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+        listening.listen(16)
+    except OSError as error:
+        listening.close()
+        message = f"{host}:{port}: {error.strerror or error}"
+        raise OSError(message) from None
+    listening.setblocking(False)
+    return listening
