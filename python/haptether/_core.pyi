@@ -63,6 +63,7 @@ __all__ = [
     "SlaveLoop",
     "SlaveSettings",
     "SlaveTrace",
+    "UrInverseSolver",
     "VelocityForceObserver",
     "Wall",
     "WindowedSafetyObserver",
@@ -86,6 +87,7 @@ __all__ = [
 _Array: TypeAlias = npt.NDArray[np.float64]
 _Bits: TypeAlias = npt.NDArray[np.uint8]
 _Sample: TypeAlias = float | Sequence[float] | _Array
+_Rows: TypeAlias = tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float]]
 
 __version__: str
 """Version of the distribution, as in `pip show haptether`."""
@@ -1206,6 +1208,43 @@ class Arm:
     @property
     def stiffness(self) -> float:
         """Stiffness M w² of the position control in N/m."""
+
+@final
+class UrInverseSolver:
+    """Inverse kinematics of a UR arm in closed form, refined for a unit: see `haptether.slave.UrInverse`.
+
+    Args:
+        model: Denavit-Hartenberg rows theta, a, d and alpha, six numbers each, in m and rad.
+        unit: The same of a unit that differs from its model.
+        position_min: Least joint angles in rad, -inf where there is none.
+        position_max: Largest joint angles in rad.
+        flange_from_tool: Rigid transform, (4, 4).
+
+    Raises:
+        ValueError: The model is not a UR arm, a number is not finite, limits leave nothing, or no rigid transform.
+    """
+
+    def __new__(
+        cls,
+        model: _Rows,
+        unit: _Rows | None,
+        position_min: Sequence[float],
+        position_max: Sequence[float],
+        flange_from_tool: _Array,
+    ) -> UrInverseSolver: ...
+    def all(self, base_from_tool: _Array) -> _Array:
+        """All branches, (n, 6), n up to 8, rad.
+
+        Raises:
+            ValueError: Not a rigid transform, (4, 4).
+        """
+
+    def nearest(self, base_from_tool: _Array, near: _Array) -> _Array | str:
+        """The posture nearest to `near`, (6,), rad, or why there is none.
+
+        Raises:
+            ValueError: Not a rigid transform, (4, 4), or not six finite numbers.
+        """
 
 # ---------------------------------------------------------------------------------------------- netsim
 

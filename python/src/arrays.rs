@@ -12,6 +12,12 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 /// is copied once to where it may be read.
 pub(crate) struct SignalArray<'py>(PyReadonlyArrayDyn<'py, f64>);
 
+impl<'py> SignalArray<'py> {
+    pub(crate) fn array(&self) -> &PyReadonlyArrayDyn<'py, f64> {
+        &self.0
+    }
+}
+
 impl<'py> FromPyObject<'_, 'py> for SignalArray<'py> {
     type Error = PyErr;
 

@@ -19,6 +19,7 @@ mod netsim_live;
 mod netsim_probe;
 mod safety;
 mod scene;
+mod ur;
 mod ur_environment;
 
 /// Entry point of the module.
@@ -27,6 +28,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     safety::register(module)?;
     local::register(module)?;
+    ur::register(module)?;
     netsim::register(module)?;
     netsim_live::register(module)?;
     netsim_probe::register(module)?;

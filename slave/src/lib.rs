@@ -28,6 +28,10 @@ mod simulated;
 mod solve;
 mod solver;
 mod transition;
+mod ur_inverse;
+mod ur_nearest;
+mod ur_refine;
+mod ur_rows;
 mod wall;
 
 pub use arm::{ArmControl, ArmModel, ArmParameters};
@@ -42,6 +46,9 @@ pub use pusher::{PushShape, Pusher, Series};
 pub use rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
 pub use shape::Shape;
 pub use simulated::{SimulatedSlave, SlaveSample};
+pub use ur_inverse::{UrBranches, UrUnreached};
+pub use ur_nearest::UrInverse;
+pub use ur_rows::{UrPose, UrRows};
 pub use wall::Wall;
 
 /// A parameter that a model cannot have.

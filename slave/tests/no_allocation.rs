@@ -8,7 +8,7 @@ use std::{
 
 use haptether_slave::{
     ArmControl, ArmModel, Axes, Contact, ContactLaw, Environment, ForceSensor, FreeBody, Object,
-    ObjectMotion, PushShape, Pusher, Series, Shape, SimulatedSlave,
+    ObjectMotion, PushShape, Pusher, Series, Shape, SimulatedSlave, UrInverse, UrPose, UrRows,
 };
 
 thread_local! {
@@ -112,4 +112,27 @@ fn a_tick_allocates_nothing() {
     on::<3>();
     on::<6>();
     on::<7>();
+}
+
+#[test]
+fn inverse_kinematics_allocates_nothing() {
+    let half = std::f64::consts::FRAC_PI_2;
+    let model = UrRows {
+        theta: [0.0; 6],
+        a: [0.0, -0.425, -0.3922, 0.0, 0.0, 0.0],
+        d: [0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996],
+        alpha: [half, 0.0, 0.0, half, -half, 0.0],
+    };
+    let unit = UrRows { theta: [1e-3; 6], ..model };
+    let rows = |x| [[1.0, 0.0, 0.0, x], [0.0, 0.0, 1.0, -0.3], [0.0, -1.0, 0.0, 0.2]];
+    for unit in [None, Some(&unit)] {
+        let inverse = UrInverse::new(&model, unit, [-7.0; 6], [7.0; 6]).unwrap();
+        let before = allocations();
+        for x in [0.3, 0.4, 3.0] {
+            let pose = UrPose::from_rows(&rows(x)).unwrap();
+            assert_eq!(inverse.nearest(&pose, &[0.1; 6]).is_ok(), x < 1.0);
+            assert_eq!(inverse.all(&pose).postures().is_empty(), x > 1.0);
+        }
+        assert_eq!(allocations(), before);
+    }
 }
