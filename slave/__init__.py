@@ -7,10 +7,12 @@ from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 from haptether.slave.device import SlaveDevice, SlaveSample
 
 if TYPE_CHECKING:
+    from haptether.slave.ur import UrSlave
     from haptether.slave.ur_calibration import UrCalibration, read_calibration
     from haptether.slave.ur_inverse import UrInverse
     from haptether.slave.ur_kinematics import Rates, UrKinematics
     from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
+    from haptether.slave.ur_options import UrOptions
 
 __all__ = [
     "UR_MODELS",
@@ -25,6 +27,8 @@ __all__ = [
     "UrInverse",
     "UrKinematics",
     "UrModel",
+    "UrOptions",
+    "UrSlave",
     "Wall",
     "WrenchSensor",
     "read_calibration",
@@ -39,6 +43,8 @@ WHERE: Final = {
     "UrInverse": "ur_inverse",
     "UrKinematics": "ur_kinematics",
     "UrModel": "ur_models",
+    "UrOptions": "ur_options",
+    "UrSlave": "ur",
     "WrenchSensor": "ur_models",
     "read_calibration": "ur_calibration",
     "ur_model": "ur_models",

@@ -1,0 +1,158 @@
+"""Calls of a vendor's library that may never return, on a thread of their own and never waited for beyond a limit."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+ABANDONED: list[object] = []
+"""What a call still holds that never returned: to let go of it could block whoever does."""
+
+
+class OverdueError(RuntimeError):
+    """A call has not returned within its limit."""
+
+
+class Call:
+    """One call: not begun, running, or over."""
+
+    def __init__(self, name: str, function: Callable[[], Any], limit_s: float) -> None:
+        self.name = name
+        self.limit_s = limit_s
+        self.result: Any = None
+        self.error: Exception | None = None
+        self.begun_s: float | None = None
+        self._function = function
+        self._over = threading.Event()
+
+    @property
+    def over(self) -> bool:
+        """Whether it has returned, or never will be called."""
+        return self._over.is_set()
+
+    @property
+    def failed(self) -> str | None:
+        """Why it did not do what it should; none while it runs and where it did."""
+        if not self.over:
+            return None
+        if self.error is not None:
+            return f"{self.name}: {self.error}"
+        return f"{self.name} was refused" if self.result is False else None
+
+    def wait(self, limit_s: float) -> bool:
+        """Waits until it is over, but no longer than that; whether it is."""
+        return self._over.wait(limit_s)
+
+    def give_up(self, why: str) -> None:
+        """Ends it without calling it."""
+        self.error = OverdueError(why)
+        self._over.set()
+
+    def perform(self) -> None:
+        """Calls it, on the thread of this worker."""
+        self.begun_s = time.monotonic()
+        try:
+            self.result = self._function()
+        except Exception as error:  # of a library of somebody else
+            self.error = error
+        self._over.set()
+
+
+class Bounded:
+    """A thread that makes one call after another; of those that are streamed only the newest counts.
+
+    Args:
+        name: Of the thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._changed = threading.Condition()
+        self._calls: deque[Call] = deque()
+        self._newest: Call | None = None
+        self._running: Call | None = None
+        self._stuck: Call | None = None
+        self._ended = False
+        self.streamed: Call | None = None
+        """The newest of the streamed calls that is over."""
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def start(self, name: str, function: Callable[[], Any], limit_s: float) -> Call:
+        """Queues a call, and drops what was streamed and has not begun; does not wait."""
+        call = Call(name, function, limit_s)
+        with self._changed:
+            if self._ended or self.stuck is not None:
+                call.give_up(f"{self._name}: does not answer")
+                return call
+            self._newest = None
+            self._calls.append(call)
+            self._changed.notify()
+        return call
+
+    def run(self, name: str, function: Callable[[], Any], limit_s: float) -> Any:  # noqa: ANN401  # what it gives
+        """Makes a call and waits for it.
+
+        Raises:
+            OverdueError: It did not return in time; its connection must not be used again.
+            Exception: What it raised.
+        """
+        call = self.start(name, function, limit_s)
+        if not call.wait(limit_s):
+            with self._changed:
+                self._stuck = self._stuck or call
+            message = f"{name}: has not returned within {limit_s:g} s"
+            raise OverdueError(message)
+        if call.error is not None:
+            raise call.error
+        return call.result
+
+    def stream(self, name: str, function: Callable[[], Any], limit_s: float) -> None:
+        """Has a call made as soon as the thread is free, instead of the streamed one that has not begun."""
+        with self._changed:
+            if not self._ended and self._stuck is None:
+                self._newest = Call(name, function, limit_s)
+                self._changed.notify()
+
+    @property
+    def stuck(self) -> Call | None:
+        """The call that did not return in time; once there is one the thread is never used again."""
+        running = self._running
+        if self._stuck is None and running is not None and running.begun_s is not None:
+            if not running.over and time.monotonic() - running.begun_s > running.limit_s:
+                self._stuck = running
+        return self._stuck
+
+    def end(self, *held: object) -> None:
+        """Lets the thread end after what it does now; `held` is kept for ever where a call never returned."""
+        if self.stuck is not None:
+            ABANDONED.extend(held)
+        with self._changed:
+            self._ended, self._newest = True, None
+            while self._calls:
+                self._calls.popleft().give_up(f"{self._name}: ended")
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not (self._ended or self._calls or self._newest):
+                    self._changed.wait()
+                if self._ended:
+                    return
+                streamed = not self._calls
+                call = self._newest if streamed else self._calls.popleft()
+                if streamed:
+                    self._newest = None
+                if call is None:
+                    continue
+                call.begun_s = time.monotonic()
+                self._running = call
+            call.perform()
+            self._running = None
+            if streamed:
+                self.streamed = call
+            if self._stuck is not None:
+                # Too late: whoever waited has gone on without it.
+                return

@@ -1,0 +1,230 @@
+"""What is gone through before a UR arm moves: each line says what was found, and what to do where it is refused."""
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Final
+
+from haptether.slave.ur_dashboard import DashboardError, is_in_remote_control
+from haptether.slave.ur_link import LinkError, UrLink
+from haptether.slave.ur_options import UrOptions
+from haptether.slave.ur_probe import Probe, ProbeError, probe
+from haptether.slave.ur_state import (
+    NORMAL,
+    PLAYING,
+    PROTECTIVE_STOP,
+    ROBOT_MODES,
+    RUNNING,
+    RUNTIME_STATES,
+    SAFETY_MODES,
+    UrState,
+)
+
+OLDEST: Final = ((3, 15), (5, 4))
+"""Before these, registers or status words that the library needs are missing."""
+REMOTE_SINCE: Final = (5, 6)
+NO_DASHBOARD_SINCE: Final = (10, 0)
+TOOL_M: Final = 1e-4
+"""How far what was set as tool may be from what the controller says it has, in m and rad."""
+MODEL_M: Final = 0.03
+"""Farthest that the chosen model's tool may be from the controller's: calibrations are millimetres."""
+ZEROED_N: Final = 5.0
+"""Most that a sensor may show just after it was zeroed; e-Series sensors are precise to 2 to 5 N."""
+
+
+class UrRefusedError(RuntimeError):
+    """The arm is not to be moved now."""
+
+
+class Checklist:
+    """Lines of what was found; `finish` raises where one was refused.
+
+    Args:
+        host: The controller.
+        tell: Takes each line; by default they go to standard error.
+    """
+
+    def __init__(self, host: str, tell: Callable[[str], None] | None = None) -> None:
+        self._host = host
+        self._tell = tell or _to_stderr
+        self.refused: list[str] = []
+
+    def ok(self, what: str, found: str) -> None:
+        """It is as it should be."""
+        self._tell(f"ur {self._host}: ok       {what}: {found}")
+
+    def refuse(self, what: str, found: str, remedy: str) -> None:
+        """It is not."""
+        self._tell(f"ur {self._host}: REFUSED  {what}: {found}: {remedy}")
+        self.refused.append(f"{what}: {found}: {remedy}")
+
+    def check(self, what: str, found: str, *, good: bool, remedy: str) -> None:
+        """One or the other."""
+        if good:
+            self.ok(what, found)
+        else:
+            self.refuse(what, found, remedy)
+
+    def finish(self) -> None:
+        """Ends a part of the list.
+
+        Raises:
+            UrRefusedError: Something was refused.
+        """
+        if self.refused:
+            raise UrRefusedError("; ".join(self.refused))
+
+
+def check_before(options: UrOptions, checklist: Checklist) -> Probe:
+    """What can be seen before anything is sent: controller, version, modes, stops, program, remote control.
+
+    Raises:
+        UrRefusedError: The arm is not ready.
+    """
+    host = options.host
+    try:
+        seen = probe(host)
+    except ProbeError as error:
+        checklist.refuse("reachable", str(error), "is it on, in this network, and RTDE not disabled in its security settings?")
+        checklist.finish()
+        raise AssertionError from error
+    checklist.ok("reachable", f"{seen.rate_hz:.0f} packages/s")
+    version = seen.version[:2]
+    oldest = OLDEST[0] if version[0] <= 3 else OLDEST[1]
+    checklist.check(
+        "software", seen.version_text, good=version >= oldest,
+        remedy="needs 3.15 (CB3) or 5.4 and later: update the controller",
+    )  # fmt: skip
+    if REMOTE_SINCE <= version < NO_DASHBOARD_SINCE:
+        check_remote(host, checklist)
+    check_state(seen.robot_mode, seen.safety_mode, seen.safety_bits, checklist)
+    checklist.check(
+        "program", RUNTIME_STATES.get(seen.runtime_state, str(seen.runtime_state)), good=seen.runtime_state != PLAYING,
+        remedy="somebody else's program plays: stop it on the pendant",
+    )  # fmt: skip
+    checklist.finish()
+    return seen
+
+
+def check_remote(host: str, checklist: Checklist) -> None:
+    """Whether the controller takes scripts from outside."""
+    remedy = "switch the pendant to Remote Control (Settings > System > Remote Control enables it)"
+    try:
+        remote = is_in_remote_control(host)
+    except DashboardError as error:
+        checklist.refuse("remote control", str(error), "is the dashboard server enabled in the security settings?")
+        return
+    checklist.check("remote control", "on" if remote else "off", good=remote, remedy=remedy)
+
+
+def check_state(robot_mode: int, safety_mode: int, safety_bits: int, checklist: Checklist) -> None:
+    """Robot mode and safety mode."""
+    checklist.check(
+        "robot mode", ROBOT_MODES.get(robot_mode, str(robot_mode)), good=robot_mode == RUNNING,
+        remedy="power the arm on and release its brakes on the pendant",
+    )  # fmt: skip
+    # Reduced is normal with the lower limits of a zone: those are the controller's to keep.
+    good = safety_mode == NORMAL and not safety_bits & ~0b11
+    stopped = safety_mode == PROTECTIVE_STOP
+    checklist.check(
+        "safety mode", SAFETY_MODES.get(safety_mode, str(safety_mode)), good=good,
+        remedy="find the cause, clear the tool, unlock it on the pendant" if stopped
+        else "bring it to normal on the pendant, at full speed limits",
+    )  # fmt: skip
+
+
+def check_after(options: UrOptions, link: UrLink, checklist: Checklist, *, sensor: bool = True) -> UrState:
+    """What needs the control script: payload, tool, watchdog, force sensor.
+
+    Args:
+        options: Of the driver.
+        link: Connected, its script playing.
+        checklist: Takes the lines.
+        sensor: Whether to zero the force sensor: not where the tool may touch something.
+
+    Raises:
+        UrRefusedError: Something was refused.
+    """
+    control = link.control
+    steps: list[tuple[str, str, Callable[[], str]]] = []
+    if options.payload_kg is not None:
+        cog = list(options.payload_cog or (0.0, 0.0, 0.0))
+        steps.append((
+            "payload", "is it within what the arm carries?",
+            lambda: _set(link, "payload", lambda: control.setPayload(options.payload_kg, cog), f"{options.payload_kg:g} kg"),
+        ))  # fmt: skip
+    else:
+        checklist.ok("payload", "as set on the pendant")
+    steps.append(("tool", "set it on the pendant, or in the options", lambda: _tool(options, link)))
+    if sensor and options.zero_ft_sensor:
+        steps.append(("force sensor", "the tool must touch nothing; zero_ft_sensor = false leaves it", lambda: _zero(link)))
+    # Last: from then on this side must be heard.
+    steps.append(("watchdog", "without it nothing stops the arm when this side dies", lambda: _watchdog(options, link)))
+    for what, remedy, step in steps:
+        try:
+            checklist.ok(what, step())
+        except LinkError as error:
+            checklist.refuse(what, str(error), remedy)
+            # What follows would only wait for the same.
+            break
+    checklist.finish()
+    return link.state()
+
+
+def check_model(distance_m: float, options: UrOptions, checklist: Checklist) -> None:
+    """Whether the arm is the one that the options name.
+
+    Raises:
+        UrRefusedError: The tool of that model would be elsewhere.
+    """
+    checklist.check(
+        "model", f"{options.model}, its tool {1e3 * distance_m:.1f} mm from where the controller has it",
+        good=distance_m <= MODEL_M, remedy="model or tool is that of another arm",
+    )  # fmt: skip
+    checklist.finish()
+
+
+def _set(link: UrLink, name: str, function: Callable[[], object], found: str) -> str:
+    link.setting(name, function)
+    return found
+
+
+def _tool(options: UrOptions, link: UrLink) -> str:
+    control = link.control
+    if options.tool is not None:
+        link.setting("tool", lambda: control.setTcp(list(options.tool or ())))
+    seen = link.setting("tool", control.getTCPOffset)
+    if options.tool is not None and max(abs(a - b) for a, b in zip(seen, options.tool, strict=True)) > TOOL_M:
+        message = f"is {_text(seen)} after {_text(options.tool)} was set"
+        raise LinkError(message)
+    return f"{_text(seen)} (m, rad)"
+
+
+def _watchdog(options: UrOptions, link: UrLink) -> str:
+    period_s = 1.0 / options.watchdog_hz
+    if not options.verify_watchdog:
+        return f"{options.watchdog_hz:g} Hz, not tried"
+    link.arm_watchdog()
+    # Silence: the program must end.
+    try:
+        link.await_state("the program ends in silence", lambda state: state.runtime_state != PLAYING, period_s + 1.0)
+    except LinkError as error:
+        message = f"does not bite: {error}"
+        raise LinkError(message) from None
+    # The driver arms it again with its first sample, from when on it is heard.
+    link.upload()
+    return f"{options.watchdog_hz:g} Hz, tried: it ends the program"
+
+
+def _zero(link: UrLink) -> str:
+    before = math.hypot(*link.state().wrench[:3])
+    link.setting("zero_ftsensor", link.control.zeroFtSensor)
+    return f"zeroed, showed {before:.1f} N"
+
+
+def _text(pose: object) -> str:
+    return "(" + ", ".join(f"{part:g}" for part in pose) + ")"  # type: ignore[attr-defined]  # numbers
+
+
+def _to_stderr(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

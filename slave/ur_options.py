@@ -1,0 +1,148 @@
+"""What the driver of a UR arm is called with: `[slave.options]` of a scene."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from haptether.slave.ur_models import ur_model
+
+Three: TypeAlias = tuple[float, float, float]
+Six: TypeAlias = tuple[float, float, float, float, float, float]
+Plane: TypeAlias = tuple[float, float, float, float]
+Mode: TypeAlias = Literal["servoj", "servol", "speedl", "direct-torque"]
+
+FARTHEST_M: Final = 10.0
+"""No number of metres in these options is larger: it was meant in millimetres."""
+LEAST_NORM: Final = 1e-6
+
+
+class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the driver `ur`, in SI units; directions and positions in the base frame of the controller."""
+
+    host: str
+    """Address or name of the controller."""
+    model: str = "ur5e"
+    """The arm: ur3, ur5, ur10, ur3e, ur5e, ur7e, ur10e, ur12e, ur16e, ur20 or ur30."""
+    calibration: str | None = None
+    """File with the deltas of this unit; without it the arm is as its data sheet has it."""
+    mode: Mode = "servoj"
+    """Which command of the controller moves the arm."""
+    frequency: Literal[125, 500] | None = None
+    """Packages a second; by default the rate of the controller, 500 Hz or 125 Hz (CB3)."""
+    axes: Annotated[int, Meta(ge=1, le=3)] = 1
+    """1 for motion along `axis`, 3 for x, y and z of the base; 2 there is not."""
+    axis: Three = (1.0, 0.0, 0.0)
+    """Direction of the one axis, of any length."""
+    lookahead_time: Annotated[float, Meta(ge=0.03, le=0.2)] = 0.05
+    """servoj and servol: by which the arm trails a target that moves, in s."""
+    gain: Annotated[float, Meta(ge=100.0, le=2000.0)] = 1000.0
+    """servoj and servol: pull towards the target, in 1/s²."""
+    position_gain: Annotated[float, Meta(ge=0.5, le=30.0)] = 10.0
+    """speedl: speed for a distance from the target, in 1/s; what the delay of the loop bears."""
+    joint_stiffness: Annotated[float, Meta(ge=10.0, le=2000.0)] = 300.0
+    """direct-torque: of the three large joints in N m/rad; the wrists have a fifth."""
+    joint_damping: Annotated[float, Meta(ge=0.0, le=200.0)] = 30.0
+    """direct-torque: of the three large joints in N m s/rad; the wrists have a fifth."""
+    torque_share: Annotated[float, Meta(gt=0.0, le=0.8)] = 0.3
+    """direct-torque: of the largest torque of each joint, the most that is commanded."""
+    payload_kg: Annotated[float, Meta(ge=0.0, le=50.0)] | None = None
+    """Mass of all that the flange carries; by default what is set on the pendant."""
+    payload_cog: Three | None = None
+    """Its centre of gravity in the frame of the flange, in m; needs `payload_kg`."""
+    tool: Six | None = None
+    """The tool's point in the frame of the flange, x y z rx ry rz in m and rad; by default as set on the pendant."""
+    zero_ft_sensor: bool = True
+    """Zero the force sensor before the first motion: the tool must touch nothing then."""
+    force_source: Literal["tcp", "raw"] = "tcp"
+    """The controller's own force at the tool, or what the sensor in the flange shows (e-Series from 5.9 on)."""
+    force_filter_hz: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = 50.0
+    """Corner of the low-pass on the force, or null for none."""
+    force_deadband_n: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+    """What of the force is taken away, as noise."""
+    max_speed: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.25
+    """Fastest that the tool is sent, in m/s."""
+    max_acceleration: Annotated[float, Meta(gt=0.0, le=20.0)] = 5.0
+    """Largest acceleration that it is sent with, in m/s²."""
+    stop_deceleration: Annotated[float, Meta(ge=0.1, le=20.0)] = 5.0
+    """Of a soft stop: m/s² of the tool (speedl), rad/s² of the joints (the others)."""
+    max_jump: Annotated[float, Meta(gt=0.0, le=0.1)] = 0.005
+    """How far from the tool a first command may be, in m."""
+    workspace: tuple[Plane, ...] = ()
+    """Planes nx, ny, nz, d: the tool's point is sent to where n . p >= d, n of any length."""
+    watchdog_hz: Annotated[float, Meta(ge=5.0, le=100.0)] = 10.0
+    """The controller ends the program where it hears less often than this."""
+    verify_watchdog: bool = True
+    """Let the watchdog bite once before the first motion."""
+
+    @property
+    def axis_unit(self) -> Three:
+        """Direction of the one axis, of length 1."""
+        length = math.hypot(*self.axis)
+        x, y, z = self.axis
+        return x / length, y / length, z / length
+
+
+def ur_options(given: Mapping[str, Any]) -> UrOptions:
+    """The options from what a scene has, whose numbers may be written as text.
+
+    Raises:
+        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+    """
+    known = UrOptions.__struct_fields__
+    for key in given:
+        if key not in known:
+            raise _wrong(key, given[key], f"is no option: must be one of {', '.join(known)}")
+    if "host" not in given:
+        message = "device = ur: options: host is missing: must be the address of the controller"
+        raise ValueError(message)
+    for key, value in given.items():
+        if not all(map(math.isfinite, _numbers(value))):
+            raise _wrong(key, value, "must be finite")
+    try:
+        options = msgspec.convert(dict(given), UrOptions, strict=False)
+    except msgspec.ValidationError as error:
+        text, _, place = str(error).partition(" - at `$.")
+        key = place.split("[")[0].split(".")[0].rstrip("`")
+        raise _wrong(key, given.get(key), text.lower().replace("`", "")) from None
+    _check(options)
+    return options
+
+
+def _check(options: UrOptions) -> None:
+    host = options.host
+    if not host or any(sign.isspace() or sign in ":/" for sign in host):
+        raise _wrong("host", host, "must be an IPv4 address or a name, without a port")
+    try:
+        model = ur_model(options.model)
+    except ValueError as error:
+        raise _wrong("model", options.model, str(error)) from None
+    if options.axes == 2:
+        raise _wrong("axes", 2, "must be 1 (along axis) or 3 (x, y and z of the base)")
+    if math.hypot(*options.axis) < LEAST_NORM:
+        raise _wrong("axis", options.axis, "must have a length")
+    if options.payload_cog is not None and options.payload_kg is None:
+        raise _wrong("payload_cog", options.payload_cog, "needs payload_kg")
+    if any(abs(part) > FARTHEST_M for part in (*(options.tool or ())[:3], *(options.payload_cog or ()))):
+        raise _wrong("tool or payload_cog", (options.tool, options.payload_cog), "must be in m")
+    for plane in options.workspace:
+        if math.hypot(*plane[:3]) < LEAST_NORM:
+            raise _wrong("workspace", plane, "must have a normal of some length")
+    if options.force_source == "raw" and not model.wrench.measured:
+        raise _wrong("force_source", "raw", f"a {model.name} has no sensor in its flange: must be tcp")
+
+
+def _numbers(value: object) -> Iterator[float]:
+    if isinstance(value, float | int):
+        yield float(value)
+    elif isinstance(value, list | tuple):
+        for part in value:
+            yield from _numbers(part)
+    elif isinstance(value, str) and value.strip().lstrip("+-").lower() in {"nan", "inf", "infinity"}:
+        yield math.nan
+
+
+def _wrong(key: str, value: object, why: str) -> ValueError:
+    return ValueError(f"device = ur: {key} = {value!r}: {why}")

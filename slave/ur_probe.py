@@ -1,0 +1,159 @@
+"""A look at a controller over RTDE before the vendor's library meets it.
+
+The constructors of ur_rtde wait for replies without a limit and hold Python's interpreter meanwhile: from a controller
+that accepts connections and says nothing they never come back, and no other thread runs any more. So whether it answers
+is found out here, with time limits, and what it says about itself with it.
+
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2.
+"""
+
+import socket
+import struct
+import time
+from dataclasses import dataclass
+from typing import Final
+
+PORT: Final = 30004
+REQUEST_VERSION, CONTROLLER_VERSION, TEXT, PACKAGE, OUTPUTS, START = b"VvMUOS"
+FRAME: Final = struct.Struct(">HB")
+NAMES: Final = (
+    "timestamp",
+    "robot_mode",
+    "safety_mode",
+    "safety_status_bits",
+    "runtime_state",
+    "actual_q",
+    "actual_TCP_pose",
+)
+FORMATS: Final = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", "VECTOR6D": "6d"}
+PACKAGES: Final = 5
+"""How many are waited for: whether time goes on there."""
+
+Six = tuple[float, ...]
+
+
+class ProbeError(RuntimeError):
+    """No controller, or one that does not answer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Probe:
+    """What a controller says about itself."""
+
+    version: tuple[int, int, int, int]
+    """Major, minor, bugfix, build."""
+    robot_mode: int
+    safety_mode: int
+    safety_bits: int
+    runtime_state: int
+    q: Six
+    """Joint angles in rad."""
+    pose: Six
+    """Of the tool, x y z rx ry rz in m and rad."""
+    rate_hz: float
+    """Of its packages, by its own clock."""
+
+    @property
+    def version_text(self) -> str:
+        """As it is written."""
+        return ".".join(map(str, self.version[:3]))
+
+
+def probe(host: str, limit_s: float = 5.0) -> Probe:
+    """Asks the controller at `host`, within a time in s.
+
+    Raises:
+        ProbeError: There is none, or it does not answer as one.
+    """
+    wire = _Wire(host, time.monotonic() + limit_s)
+    try:
+        return _ask(wire)
+    except (OSError, struct.error) as error:
+        seen = getattr(error, "strerror", None) or str(error)
+        message = f"{host}:{PORT}: {wire.doing}: {seen}"
+        raise ProbeError(message) from None
+    finally:
+        wire.close()
+
+
+class _Wire:
+    def __init__(self, host: str, end_s: float) -> None:
+        self.host = host
+        self.doing = "connect"
+        self._end_s = end_s
+        self._socket: socket.socket | None = None
+        self._came = b""
+
+    def open(self) -> None:
+        self._socket = socket.create_connection((self.host, PORT), timeout=self._left_s())
+
+    def request(self, doing: str, kind: int, payload: bytes = b"") -> bytes:
+        self.doing = doing
+        assert self._socket is not None
+        self._socket.sendall(FRAME.pack(FRAME.size + len(payload), kind) + payload)
+        return self.reply(kind)
+
+    def reply(self, kind: int) -> bytes:
+        while True:
+            size, got = FRAME.unpack(self._bytes(FRAME.size))
+            if size < FRAME.size:
+                raise OSError(f"a frame of {size} bytes: no RTDE")  # noqa: EM102  # told by `probe`
+            payload = self._bytes(size - FRAME.size)
+            # Packages and messages may come between.
+            if got == kind:
+                return payload
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+
+    def _bytes(self, count: int) -> bytes:
+        assert self._socket is not None
+        while len(self._came) < count:
+            self._socket.settimeout(self._left_s())
+            part = self._socket.recv(4096)
+            if not part:
+                raise OSError("the connection was closed")  # noqa: EM101  # told by `probe`
+            self._came += part
+        taken, self._came = self._came[:count], self._came[count:]
+        return taken
+
+    def _left_s(self) -> float:
+        left = self._end_s - time.monotonic()
+        if left <= 0.0:
+            raise OSError("no answer in time")  # noqa: EM101  # told by `probe`
+        return left
+
+
+def _ask(wire: _Wire) -> Probe:
+    wire.open()
+    if wire.request("protocol version 2", REQUEST_VERSION, struct.pack(">H", 2)) != b"\x01":
+        raise OSError("is refused")  # noqa: EM101  # told by `probe`
+    major, minor, bugfix, build = struct.unpack(">4I", wire.request("version", CONTROLLER_VERSION))
+    rate_hz = 125.0 if major <= 3 else 500.0
+    answer = wire.request("outputs", OUTPUTS, struct.pack(">d", rate_hz) + ",".join(NAMES).encode())
+    kinds = answer[1:].decode("ascii", "replace").split(",")
+    if len(kinds) != len(NAMES) or not all(kind in FORMATS for kind in kinds):
+        raise OSError(f"{dict(zip(NAMES, kinds, strict=False))}")  # noqa: EM102  # told by `probe`
+    if wire.request("start", START) != b"\x01":
+        raise OSError("is refused")  # noqa: EM101  # told by `probe`
+    wire.doing = "packages"
+    layout = struct.Struct(">B" + "".join(FORMATS[kind] for kind in kinds))
+    times: list[float] = []
+    values: tuple[float, ...] = ()
+    while len(times) < PACKAGES:
+        _, *values = layout.unpack(wire.reply(PACKAGE))  # type: ignore[assignment]  # numbers all
+        times.append(values[0])
+    elapsed_s = times[-1] - times[0]
+    if elapsed_s <= 0.0:
+        raise OSError("its time stands still")  # noqa: EM101  # told by `probe`
+    return Probe(
+        version=(major, minor, bugfix, build),
+        robot_mode=int(values[1]),
+        safety_mode=int(values[2]),
+        safety_bits=int(values[3]),
+        runtime_state=int(values[4]),
+        q=tuple(values[5:11]),
+        pose=tuple(values[11:17]),
+        rate_hz=(PACKAGES - 1) / elapsed_s,
+    )
