@@ -57,6 +57,8 @@ class UrSlave:
     """
 
     paces = True
+    spins = True
+    """ur_rtde waits for the controller without sleeping."""
 
     def __init__(self, **options: Any) -> None:
         self.options: UrOptions = ur_options(options)
