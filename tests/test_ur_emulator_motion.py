@@ -1,4 +1,4 @@
-"""How the emulated arm moves: against matrix exponentials, closed forms and the figures that are reported of real ones."""
+"""How the emulated arm moves: against matrix exponentials, closed forms and figures that are reported of real ones."""
 
 import math
 
@@ -23,7 +23,7 @@ from haptether.slave.ur_pose import matrix_from_rotvec
 
 STEP_S = 0.002
 FAST = (1e9,)
-SIX = (0.0,) * 6
+SIX: tuple[float, ...] = (0.0,) * 6
 
 positive = st.floats(1e-3, 1e3)
 
@@ -38,7 +38,8 @@ def test_transitions_are_matrix_exponentials(stiffness: float, damping: float, s
 
 
 def servo(goal: float, lookahead_s: float, gain: float, steps: int, speed: float = 0.0) -> np.ndarray:
-    q, qd = (0.0,), (0.0,)
+    q: tuple[float, ...] = (0.0,)
+    qd: tuple[float, ...] = (0.0,)
     path = []
     for step in range(steps):
         target = (goal + speed * (step + 1) * STEP_S,)
@@ -102,7 +103,7 @@ def test_a_motor_that_is_asked_for_too_much_falls_behind() -> None:
     joints = loop()
     # 100 rad/s² asked of 150 N m / 3 kg m²: after t the joint is 25 t² behind.
     for _ in range(10):
-        joints.step((100.0,) + SIX[1:], SIX, STEP_S)
+        joints.step((100.0, *SIX[1:]), SIX, STEP_S)
     assert joints.saturated
     assert joints.deflection[0] == pytest.approx(-25.0 * 0.02**2, rel=1e-9)
 
@@ -110,7 +111,7 @@ def test_a_motor_that_is_asked_for_too_much_falls_behind() -> None:
 def test_a_torque_beyond_the_motor_pushes_the_joint_away() -> None:
     joints = loop()
     for _ in range(500):
-        joints.step(SIX, (180.0,) + SIX[1:], STEP_S)
+        joints.step(SIX, (180.0, *SIX[1:]), STEP_S)
     # What the motor does not hold, 30 N m, accelerates 3 kg m²; the first step is short of it.
     assert joints.deflection[0] == pytest.approx(0.5 * 10.0 * 1.0**2, rel=0.05)
 
@@ -154,7 +155,7 @@ def test_movej_leads_every_joint_there_at_the_same_time() -> None:
 
 
 def test_movej_goes_slower_with_the_slider() -> None:
-    path, _ = run(MoveJoints((0.5,) + SIX[1:], 1.0, 2.0), Target(SIX), share=0.25)
+    path, _ = run(MoveJoints((0.5, *SIX[1:]), 1.0, 2.0), Target(SIX), share=0.25)
     assert len(path) * STEP_S == pytest.approx(4.0, abs=STEP_S)
     assert max(abs(target.qd[0]) for target in path) == pytest.approx(0.25, rel=0.01)
 
@@ -222,7 +223,7 @@ def test_force_mode_presses_a_wall_with_the_force_that_was_asked_for() -> None:
 def test_force_mode_drifts_in_free_space_within_its_limit() -> None:
     for wrench, limit, speed in [(10.0, 1.0, 0.01), (10.0, 0.005, 0.005), (-100.0, 1.0, -0.1)]:
         mode = ForceMode(gain_scaling=0.5, damping=0.025)
-        mode.begin(SIX, (True,) + (False,) * 5, (wrench,) + SIX[1:], 2, (limit,) * 6)
+        mode.begin(SIX, (True,) + (False,) * 5, (wrench, *SIX[1:]), 2, (limit,) * 6)
         for _ in range(2000):
             velocity = mode.velocity(np.full(6, 0.3), SIX, np.eye(4), np.zeros(6), STEP_S)
         # w / (M d) with M = 50 kg / 0.5 and d = 400 1/s * 0.025.
@@ -233,16 +234,16 @@ def test_force_mode_drifts_in_free_space_within_its_limit() -> None:
 def test_the_axes_of_force_mode_are_those_of_its_frame() -> None:
     mode = ForceMode(gain_scaling=0.5, damping=0.025)
     turned = (0.0, 0.0, 0.0, 0.0, 0.0, math.pi / 2)
-    mode.begin(turned, (True,) + (False,) * 5, (10.0,) + SIX[1:], 2, (1.0,) * 6)
+    mode.begin(turned, (True,) + (False,) * 5, (10.0, *SIX[1:]), 2, (1.0,) * 6)
     for _ in range(2000):
         velocity = mode.velocity(np.zeros(6), SIX, np.eye(4), np.zeros(6), STEP_S)
     assert velocity[:3] == pytest.approx((0.0, 0.01, 0.0), abs=1e-9)
-    mode.begin((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), (False, True) + (False,) * 4, (0.0, 10.0) + SIX[2:], 1, (1.0,) * 6)
+    mode.begin((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), (False, True) + (False,) * 4, (0.0, 10.0, *SIX[2:]), 1, (1.0,) * 6)
     for _ in range(2000):
         velocity = mode.velocity(np.zeros(6), SIX, np.eye(4), np.zeros(6), STEP_S)
     # Type 1: y points from the tool, here at the origin, to the frame.
     assert velocity[:3] == pytest.approx((0.0, 0.0, 0.01), abs=1e-9)
-    mode.begin(SIX, (True,) + (False,) * 5, (10.0,) + SIX[1:], 3, (1.0,) * 6)
+    mode.begin(SIX, (True,) + (False,) * 5, (10.0, *SIX[1:]), 3, (1.0,) * 6)
     moving = np.array((0.0, -0.2, 0.1, 0.0, 0.0, 0.0))
     for _ in range(2000):
         velocity = mode.velocity(np.zeros(6), SIX, np.eye(4), moving, STEP_S)

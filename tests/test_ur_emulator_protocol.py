@@ -4,19 +4,22 @@ import itertools
 import math
 import struct
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.ur.plain_rtde import frame
 
 from haptether.slave.ur_emulator import ControllerVersion
 from haptether.slave.ur_emulator.outbox import PATIENCE_S, Outbox
 from haptether.slave.ur_emulator.rtde_frames import FramingError, text_message
 from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
 from haptether.slave.ur_emulator.rtde_session import RtdeSession
-from haptether.slave.ur_emulator.rtde_types import Value
 from haptether.slave.ur_emulator.rtde_variables import inputs_of, outputs_of
-from tests.ur.plain_rtde import frame
+
+if TYPE_CHECKING:
+    from haptether.slave.ur_emulator.rtde_types import Value
 
 E_SERIES = ControllerVersion(5, 11, 10, 108)
 CB3 = ControllerVersion(3, 15, 8, 106339)

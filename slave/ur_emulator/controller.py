@@ -75,9 +75,7 @@ class Controller:
         self.inputs = RtdeInputs(inputs_of(settings.version))
         self.output_types = outputs_of(settings.version)
         self.outputs: dict[str, Value] = {name: kind.zero for name, kind in self.output_types.items()}
-        self.robot = Robot(
-            settings.model, settings.start, settings.tcp, self.period_s, touch=touch, sensing=sensing
-        )
+        self.robot = Robot(settings.model, settings.start, settings.tcp, self.period_s, touch=touch, sensing=sensing)
         self.log: deque[str] = deque(maxlen=LOG_LINES)
         self.cycles = 0
         self.remote_control = settings.remote_control

@@ -4,17 +4,18 @@
 so whoever runs this has a time-out and kills it.
 """
 
+import itertools
 import json
 import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
-import dashboard_client
+import dashboard_client  # type: ignore[import-not-found]  # they have no stubs
 import numpy as np
-import rtde_control
-import rtde_io
-import rtde_receive
+import rtde_control  # type: ignore[import-not-found]
+import rtde_io  # type: ignore[import-not-found]
+import rtde_receive  # type: ignore[import-not-found]
 
 START = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 PERIOD_S = 0.002
@@ -119,9 +120,14 @@ def servol(host: str, seconds: float, pose: list[float], amplitude: float, frequ
 
 
 @scenario
-def speedl(host: str, seconds: float, velocity: list[float], acceleration: float) -> Result:
-    """A constant velocity of the tool."""
-    return streamed(host, seconds, lambda control, _: bool(control.speedL(velocity, acceleration, 0.0)), 500.0)
+def speedl(host: str, seconds: float, velocity: list[float], acceleration: float, frequency_hz: float = 0.0) -> Result:
+    """A velocity of the tool, constant or as a cosine."""
+
+    def command(control: "rtde_control.RTDEControlInterface", t: float) -> bool:
+        share = np.cos(2 * np.pi * frequency_hz * t)
+        return bool(control.speedL([share * v for v in velocity], acceleration, 0.0))
+
+    return streamed(host, seconds, command, 500.0)
 
 
 @scenario
@@ -230,7 +236,11 @@ def questions(host: str) -> Result:
     time.sleep(0.3)
     result["jog_speed"] = receive.getActualTCPSpeed()
     result["jog_stop"] = control.jogStop()
-    result["contact"] = [control.startContactDetection(), control.readContactDetection(), control.stopContactDetection()]
+    result["contact"] = [
+        control.startContactDetection(),
+        control.readContactDetection(),
+        control.stopContactDetection(),
+    ]
     control.stopScript()
     return result
 
@@ -390,7 +400,7 @@ def lost(host: str) -> Result:
         if not stamps or stamps[-1][1] != stamp:
             stamps.append((now, stamp))
         pace.wait()
-    gaps = [(b[0] - a[0], a[0]) for a, b in zip(stamps, stamps[1:], strict=False)]
+    gaps = [(b[0] - a[0], a[0]) for a, b in itertools.pairwise(stamps)]
     return {
         "outcomes": outcomes,
         "longest_silence_s": max(gaps)[0] if gaps else None,

@@ -1,4 +1,4 @@
-"""An emulated controller as a process of its own, and ur_rtde as another: a call of it that hangs can only be killed."""
+"""An emulated controller as a process, and ur_rtde as another: a call of ur_rtde that hangs can only be killed."""
 
 import itertools
 import json

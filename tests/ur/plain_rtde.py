@@ -1,4 +1,4 @@
-"""A small RTDE client, written from the guide alone: names without a trailing comma, PAUSE and START, several recipes."""
+"""A small RTDE client from the guide alone: names without a trailing comma, PAUSE and START, several recipes."""
 
 import socket
 import struct
