@@ -1149,11 +1149,11 @@ class SceneTouch:
     @property
     def touches(self) -> bool:
         """Whether the tool was inside an object when the force was last asked for."""
+    def reset(self) -> None:
+        """Everything is as it was at first, and the pushers wait."""
     def start_pushers(self, time_s: float) -> None:
         """The time of the pushers begins at a time in s of the scene."""
-    def force(
-        self, time_s: float, position: Sequence[float], velocity: Sequence[float]
-    ) -> tuple[float, float, float]:
+    def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
         """Force in N of objects and pushers on the tool at one instant; free bodies as they are now.
 
         Args:
@@ -1161,9 +1161,7 @@ class SceneTouch:
             position: Of the tool in m, (3,).
             velocity: Of the tool in m/s, (3,).
         """
-    def advance(
-        self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]
-    ) -> None:
+    def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
         """Moves the free bodies over a step in s that begins at `time_s`, while the tool moves on at its velocity."""
 
 @final

@@ -13,6 +13,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 }
 
 /// An environment along the first axes of the base.
+#[derive(Clone)]
 enum Along {
     One(Environment<1>),
     Two(Environment<2>),
@@ -22,6 +23,8 @@ enum Along {
 #[pyclass(name = "SceneTouch", module = "haptether.slave")]
 pub(crate) struct PySceneTouch {
     environment: Along,
+    /// As it was at first.
+    untouched: Along,
     #[pyo3(get)]
     start: [f64; 3],
 }
@@ -62,7 +65,11 @@ impl PySceneTouch {
         }
         let position = scene.slave.as_ref().map_or(&scene.master.position, |slave| &slave.position);
         let start = std::array::from_fn(|axis| position.get(axis).copied().unwrap_or(0.0));
-        Ok(Self { environment, start })
+        Ok(Self { untouched: environment.clone(), environment, start })
+    }
+
+    fn reset(&mut self) {
+        self.environment = self.untouched.clone();
     }
 
     #[getter]

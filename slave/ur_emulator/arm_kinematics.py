@@ -1,12 +1,12 @@
 """Kinematics as the controller uses them: with the tool that is set."""
 
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from haptether.slave.ur_emulator.joint_tracking import Joints
+from haptether.slave.ur_inverse import UrInverse
 from haptether.slave.ur_kinematics import UrKinematics
 from haptether.slave.ur_pose import pose_from_transform, transform_from_pose
 
@@ -34,16 +34,11 @@ class ArmKinematics:
 
     def __init__(self, model: "UrModel") -> None:
         self._forward = UrKinematics(model)
+        self._inverse = UrInverse(model)
         self._model = model
         self.tcp_offset: Six = (0.0,) * 6
         self._tool: Array = np.eye(4)
         self._tool_inverse: Array = np.eye(4)
-
-    @cached_property
-    def _inverse(self):
-        from haptether.slave.ur_inverse import UrInverse
-
-        return UrInverse(self._model)
 
     def set_tcp(self, offset: Six) -> None:
         """Sets the pose of the tool in the frame of the flange."""
@@ -109,8 +104,8 @@ class ArmKinematics:
     def inverse(self, pose: Six, near: Joints) -> Joints | None:
         """Joint angles nearest to others with which the tool has a pose; None where no angles have."""
         flange = transform_from_pose(pose) @ self._tool_inverse
-        found = self._inverse.nearest(flange, near)
-        return None if found is None else six(np.asarray(found))
+        found = self._inverse.nearest(flange, np.array(near))
+        return None if found is None else six(found)
 
     def is_within_limits(self, q: Joints) -> bool:
         """Whether every joint may be there."""

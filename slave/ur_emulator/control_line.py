@@ -56,6 +56,7 @@ class ControlLine:
             "status": lambda _w, _t: json.dumps(self._status()),
             "log": self._log,
             "quit": self._quit,
+            "reset": self._reset,
             "forget-lateness": lambda _w, _t: self._process.forget_lateness() if self._process else None,
             "push": self._push,
             "engage": lambda _w, _t: self._environment.engage(),
@@ -134,6 +135,12 @@ class ControlLine:
 
     def _quit(self, _words: list[str], _now_s: float) -> None:
         self.quit = True
+
+    def _reset(self, _words: list[str], _now_s: float) -> None:
+        self._environment.reset()
+        self._of.inputs.blocked = frozenset()
+        self._of.reset()
+        self._faults.reset()
 
     # ---------------------------------------------------------------------------------------------- arm and force
 

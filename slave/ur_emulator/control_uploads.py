@@ -16,7 +16,8 @@ MARKS: Final = ("def process_cmd(", "def rtde_cmd(", "read_input_integer_reg(0)"
 CONTROL_SCRIPT_NAME: Final = "rtde_control"
 CONTROL_SCRIPT: Final = "\n".join((f"def {CONTROL_SCRIPT_NAME}():", *(f"  {mark}" for mark in MARKS), "end"))
 """What stands for the script where the controller has it on its disk."""
-OFFSET: Final = re.compile(r"^\s*global reg_offset_int\s*=\s*(\d+)", re.MULTILINE)
+OFFSET: Final = re.compile(r"# int register offset\s*(\d+)")
+"""The client puts the number behind the comment that marks its place, on a line of its own."""
 PATH: Final = re.compile(r"def exec_move_path\(\):(.*?)^\s*end\s*$", re.MULTILINE | re.DOTALL)
 NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 MOVE: Final = re.compile(

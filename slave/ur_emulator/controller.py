@@ -75,8 +75,7 @@ class Controller:
         self.inputs = RtdeInputs(inputs_of(settings.version))
         self.output_types = outputs_of(settings.version)
         self.outputs: dict[str, Value] = {name: kind.zero for name, kind in self.output_types.items()}
-        self.robot = Robot(settings.model, settings.start, self.period_s, touch, sensing)
-        self.robot.set_tcp(settings.tcp)
+        self.robot = Robot(settings.model, settings.start, settings.tcp, self.period_s, touch=touch, sensing=sensing)
         self.log: deque[str] = deque(maxlen=LOG_LINES)
         self.cycles = 0
         self.remote_control = settings.remote_control
@@ -127,10 +126,13 @@ class Controller:
         self.safety.advance(self.now_s)
         self._slide()
         self.digital.update()
-        self._start_program()
-        self._run_programs()
+        wrench = self.inputs.values["external_force_torque"]
+        self.robot.sensing.external = wrench if self.setup.external_sensor else None  # type: ignore[assignment]
+        # What was commanded in the cycle before has moved the arm until now; what is commanded now moves it after.
         self._move()
         self._look_at_limits()
+        self._start_program()
+        self._run_programs()
         self._values.update()
 
     def _slide(self) -> None:
@@ -230,6 +232,20 @@ class Controller:
         if not (self.remote_control or self.version.is_cb3):
             return "not in remote control"
         return f"robot mode {self.safety.robot_mode.name}, safety mode {self.safety.mode.name}"
+
+    def reset(self) -> None:
+        """Everything as at the begin, but for time, log and the registers: the arm is back at its start at once."""
+        self.safety.reset()
+        self.stop_program()
+        self.remote_control = self.settings.remote_control
+        self.claimed_version = None
+        self.loaded = self.program_name = ""
+        self.slider = 1.0
+        self.setup.reset()
+        self.digital.reset()
+        self.robot.place(self.settings.start, self.settings.tcp)
+        self._stop_wanted = ""
+        self._has_engaged = False
 
     def stop_program(self) -> None:
         """Ends the program that runs; the arm comes to rest."""

@@ -31,6 +31,11 @@ class DigitalOutputs:
                     share = float(values[f"standard_analog_output_{output}"])  # type: ignore[arg-type]  # DOUBLE
                     self.analog[output] = min(max(share, 0.0), 1.0)
 
+    def reset(self) -> None:
+        """All off."""
+        self.bits = 0
+        self.analog = [0.0, 0.0]
+
     def set(self, output: int, *, on: bool) -> None:
         """Sets one bit: set_digital_out."""
         self.bits = self.bits & ~(1 << output) | on << output

@@ -39,6 +39,14 @@ class ToolEnvironment:
             if self._scene is not None:
                 self._scene.start_pushers(0.0)
 
+    def reset(self) -> None:
+        """The scene as at first, not engaged, anchored anew where the tool is next; no push."""
+        if self._scene is not None:
+            self._scene.reset()
+        self._origin = None
+        self._engaged_at_s = math.inf
+        self._push_until_s = -math.inf
+
     def anchor(self, position: Sequence[float]) -> None:
         """The tool's place in m, in the frame of the base, is where the scene's arm starts."""
         start = (0.0,) * 3 if self._scene is None else self._scene.start

@@ -29,6 +29,12 @@ class Faults:
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
 
+    def reset(self) -> None:
+        """Nothing goes wrong any more."""
+        self.refusing = False
+        self.late_s = self.jitter_s = 0.0
+        self.thaw()
+
     def freeze(self, now_s: float, duration_s: float = math.inf) -> None:
         """Nothing is read, sent or accepted for a time, as if the network were gone; the arm goes on."""
         self._frozen_until_s = now_s + duration_s

@@ -70,6 +70,11 @@ class ForceMode:
         """force_mode_set_gain_scaling, between 0 and 2."""
         self.gain_scaling = min(max(scaling, 0.0), 2.0)
 
+    def reset(self) -> None:
+        """As at the begin."""
+        self.end()
+        self.gain_scaling, self.damping = 1.0, 0.025
+
     def end(self) -> None:
         """end_force_mode."""
         self.active = False

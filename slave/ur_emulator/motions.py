@@ -53,6 +53,11 @@ def towards(target: Target, qd: Joints, acceleration: float, step_s: float) -> t
     return moved(target, new, step_s), reached
 
 
+def ahead(target: Target, step_s: float) -> Joints:
+    """Where the joints will be after a step, to its first order: where velocities at its end are looked for."""
+    return tuple(at + rate * step_s for at, rate in zip(target.q, target.qd, strict=True))
+
+
 def moved(target: Target, qd: Joints, step_s: float) -> Target:
     """The target after a step over which its velocity changes linearly."""
     q = tuple(at + 0.5 * (old + new) * step_s for at, old, new in zip(target.q, target.qd, qd, strict=True))
@@ -89,7 +94,7 @@ class StopTool:
         left = speed - self.deceleration * step_s
         if left > 0.0:
             self._velocity = tuple(v * left / speed for v in velocity)
-            qd = self.arm.joint_velocity(target.q, self._velocity)
+            qd = self.arm.joint_velocity(ahead(target, step_s), self._velocity)
             if qd is not None:
                 return moved(target, qd, step_s)
         # At rest, but for what the joints do that the tool does not show; or where the tool cannot be led.
@@ -157,7 +162,7 @@ class SpeedTool:
         largest = max(math.hypot(*gap[:3]), math.hypot(*gap[3:]))
         self.done = largest <= most
         self.now = self.velocity if self.done else tuple(v + d * most / largest for v, d in zip(now, gap, strict=True))
-        qd = self.arm.joint_velocity(target.q, self.now)
+        qd = self.arm.joint_velocity(ahead(target, step_s), self.now)
         if qd is None:
             message = "speedl: the arm is singular, no joint velocities move the tool so"
             raise ScriptError(message)

@@ -16,8 +16,8 @@ from haptether.slave.ur_emulator.robot_state import (
 from haptether.slave.ur_pose import pose_from_transform
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_emulator.rtde_types import Value
     from haptether.slave.ur_emulator.controller import Controller
+    from haptether.slave.ur_emulator.rtde_types import Value
 
 
 class OutputValues:

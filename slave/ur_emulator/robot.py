@@ -65,6 +65,7 @@ class Robot:
     Args:
         model: The arm.
         q: Where it starts, in rad.
+        tcp: Its tool in the frame of the flange, in m and rad.
         period_s: Duration of a control cycle in s.
         touch: What the tool touches.
         sensing: What the force sensor makes of it.
@@ -74,13 +75,16 @@ class Robot:
         self,
         model: "UrModel",
         q: Joints,
+        tcp: Six,
         period_s: float,
+        *,
         touch: Touch | None = None,
         sensing: WrenchSensing | None = None,
     ) -> None:
         self.model = model
         self.period_s = period_s
         self.arm = ArmKinematics(model)
+        self.arm.set_tcp(tcp)
         self.touch = touch or Nothing()
         self.sensing = sensing or WrenchSensing()
         self.loop = JointLoop(
@@ -138,12 +142,15 @@ class Robot:
         self.force_mode.end()
         self.motion, self._commander = StopJoints(deceleration), None
 
-    def place(self, q: Joints) -> None:
-        """Puts the arm somewhere at rest, at once: what a person does with the brakes released."""
+    def place(self, q: Joints, tcp: Six) -> None:
+        """Puts the arm somewhere at rest, at once, with a tool and without what was set up."""
         self.target = Target(q)
         self.loop.rest()
+        self.force_mode.reset()
+        self.sensing.offset = (0.0,) * 6
         self.motion, self._commander = None, None
-        self.measured = self._measure(0.0)
+        self.arm.set_tcp(tcp)
+        self.measured = self._measure(self._time_s)
 
     @property
     def is_steady(self) -> bool:

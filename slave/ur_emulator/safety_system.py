@@ -63,6 +63,10 @@ class SafetySystem:
         """Something of the robot is broken: only `restart` helps."""
         self._stopped(SafetyMode.FAULT, reason, now_s)
 
+    def reset(self) -> None:
+        """As at the begin: ready to move."""
+        self.mode, self.robot_mode, self.reason, self._next_mode = SafetyMode.NORMAL, RobotMode.RUNNING, "", None
+
     def unlock(self, now_s: float) -> str:
         """Unlocks a protective stop: the dashboard's answer."""
         if self.mode != SafetyMode.PROTECTIVE_STOP:

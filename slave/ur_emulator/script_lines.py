@@ -1,9 +1,10 @@
 """Programs that are no control script: calls with literal arguments, one line after another, without control flow."""
 
 import ast
+import operator
 import re
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from haptether.slave.ur_emulator.script_error import ScriptError
 
@@ -15,7 +16,12 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.setup import Setup
 
 POSE: Final = re.compile(r"\bp\s*\[")
-WORDS: Final = re.compile(r"\b(True|False)\b")
+ARITHMETIC: Final[dict[type[ast.operator], Callable[[Any, Any], object]]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
 
 Six = tuple[float, ...]
 
@@ -145,8 +151,12 @@ def _literal(node: ast.expr, line: str) -> object:
     try:
         if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "_pose":
             return Pose(_six("pose", ast.literal_eval(node.slice)))
-        return ast.literal_eval(node)
-    except (ValueError, TypeError):
+        if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
+            left, right = _literal(node.left, line), _literal(node.right, line)
+            return ARITHMETIC[type(node.op)](left, right)
+        literal: object = ast.literal_eval(node)
+        return literal
+    except (ValueError, TypeError, ArithmeticError):
         raise ScriptError(_unknown(line)) from None
 
 

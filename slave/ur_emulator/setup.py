@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from haptether.slave.ur_emulator.force_mode import ForceMode
 from haptether.slave.ur_emulator.script_error import ScriptError
@@ -59,6 +59,12 @@ class Setup:
         if self.has(None, (5, 0)):
             force_mode.gain_scaling = 0.5
         force_mode.damping = 0.025
+
+    def reset(self) -> None:
+        """As at the begin."""
+        fresh = Setup(self.version, self.protective_stop, self.engage)
+        for field in fields(self):
+            setattr(self, field.name, getattr(fresh, field.name))
 
     def program_ended(self) -> None:
         """Forgets what lives as long as a program."""

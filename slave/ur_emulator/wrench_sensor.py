@@ -50,8 +50,9 @@ class WrenchSensing:
             lever: From the flange to the tool in m, in the frame of the base, (3,).
         """
         force, torque = self._last[:3], self._last[3:]
-        about_flange = np.array(torque) + np.cross(lever, force)
-        return (*(np.array(force) @ flange_turn).tolist(), *(about_flange @ flange_turn).tolist())
+        (x, y, z), (fx, fy, fz), (tx, ty, tz) = lever.tolist(), force, torque
+        about_flange = (tx + y * fz - z * fy, ty + z * fx - x * fz, tz + x * fy - y * fx)
+        return (*(np.array(force) @ flange_turn).tolist(), *(np.array(about_flange) @ flange_turn).tolist())
 
     def zero(self) -> None:
         """zero_ftsensor: what it shows now becomes zero."""

@@ -1,0 +1,107 @@
+"""An emulated controller as a process, and ur_rtde as another: a call of ur_rtde that hangs can only be killed."""
+
+import itertools
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+START_S = 30.0
+ANSWER_S = 10.0
+_numbers = itertools.count(1)
+
+
+def free_host() -> str:
+    """An address of this machine that no other test process uses: the ports are the same on all of them."""
+    process, number = os.getpid(), next(_numbers)
+    return f"127.{64 + process // 250 % 128}.{process % 250 + 1}.{number % 250 + 1}"
+
+
+class Emulated:
+    """A controller that runs, and its control line."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]", host: str) -> None:
+        self.process = process
+        self.host = host
+        self._waiting = b""
+
+    def line(self, patience_s: float = ANSWER_S) -> str:
+        """The next line that it says."""
+        assert self.process.stdout is not None
+        end = time.monotonic() + patience_s
+        while b"\n" not in self._waiting:
+            left = end - time.monotonic()
+            if left <= 0.0 or not select.select([self.process.stdout], [], [], left)[0]:
+                message = f"the emulator said nothing for {patience_s} s"
+                raise TimeoutError(message)
+            came = os.read(self.process.stdout.fileno(), 1 << 16)
+            if not came:
+                message = f"the emulator ended with {self.process.wait(ANSWER_S)}"
+                raise RuntimeError(message)
+            self._waiting += came
+        line, self._waiting = self._waiting.split(b"\n", 1)
+        return line.decode()
+
+    def ask(self, line: str) -> str:
+        """The answer to a control line."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{line}\n".encode())
+        self.process.stdin.flush()
+        return self.line()
+
+    def do(self, line: str) -> str:
+        """The result of a control line that must succeed."""
+        answer = self.ask(line)
+        assert answer.startswith("ok"), answer
+        return answer[3:]
+
+    def status(self) -> dict[str, Any]:
+        """State and figures."""
+        status: dict[str, Any] = json.loads(self.do("status"))
+        return status
+
+    def wait_for(self, key: str, value: object, patience_s: float = 10.0) -> dict[str, Any]:
+        """The state, once one of its values is what is waited for."""
+        end = time.monotonic() + patience_s
+        while (status := self.status())[key] != value:
+            if time.monotonic() > end:
+                message = f"{key} = {status[key]!r}: was to become {value!r}"
+                raise TimeoutError(message)
+            time.sleep(0.02)
+        return status
+
+
+@contextmanager
+def emulator(*arguments: str, host: str | None = None) -> Iterator[Emulated]:
+    """Runs `haptether ur-emulator` with its control line on standard input, and ends it in any case."""
+    host = host or free_host()
+    command = [sys.executable, "-m", "haptether", "ur-emulator", "--host", host, "--control", "-", *arguments]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    emulated = Emulated(process, host)
+    try:
+        assert emulated.line(START_S).startswith(f"listening on {host} ")
+        yield emulated
+    finally:
+        process.terminate()
+        try:
+            process.wait(5.0)
+        finally:
+            process.kill()
+            process.wait()
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    stream.close()
+
+
+def client(scenario: str, host: str, arguments: Sequence[object] = (), patience_s: float = 30.0) -> dict[str, Any]:
+    """What a scenario of `tests.ur.clients` gives, run with ur_rtde in a process that is killed if it hangs."""
+    command = [sys.executable, "-m", "tests.ur.clients", scenario, host, json.dumps(list(arguments))]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=False)
+    assert ended.returncode == 0, f"{scenario}: {ended.stderr}{ended.stdout}"
+    result: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
+    return result

@@ -1,0 +1,148 @@
+"""The emulated controller in virtual time, with a client that does what ur_rtde does."""
+
+from collections.abc import Sequence
+
+from haptether.bridge import load_scene, scene_json
+from haptether.slave import SceneTouch, ur_model
+from haptether.slave.ur_emulator import (
+    Controller,
+    ControllerSettings,
+    ControllerVersion,
+    ControlLine,
+    Faults,
+    SafetyLimits,
+    ToolEnvironment,
+    WrenchSensing,
+)
+from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT
+from haptether.slave.ur_emulator.script_port import Submitted
+
+START = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
+READY, DONE = 1, 2
+
+
+class World:
+    """A controller, what its tool touches, and a client that has uploaded the control script."""
+
+    def __init__(
+        self,
+        version: str = "5.11",
+        *,
+        scene: str | None = None,
+        overrides: Sequence[str] = (),
+        offset: int = 0,
+        limits: SafetyLimits | None = None,
+        noise_n: float = 0.0,
+        tcp: Sequence[float] = (0.0,) * 6,
+        upload: bool = True,
+    ) -> None:
+        touch = None if scene is None else SceneTouch(scene_json(load_scene(scene, overrides)))
+        self.environment = ToolEnvironment(touch)
+        self.of = Controller(
+            ControllerSettings(
+                model=ur_model("ur5e"),
+                version=ControllerVersion.parsed(version),
+                start=START,
+                tcp=tuple(tcp),
+                limits=limits or SafetyLimits(),
+            ),
+            self.environment,
+            WrenchSensing(noise_n=noise_n, seed=1),
+        )
+        self.of.on_engaged = self.environment.engage
+        self.line = ControlLine(self.of, self.environment, Faults())
+        self.offset = offset
+        if upload:
+            self.upload()
+
+    # ------------------------------------------------------------------------------------------------- the client
+
+    def upload(self) -> None:
+        """Uploads the control script and waits until it is ready."""
+        text = f"{CONTROL_SCRIPT.removesuffix('end')}  # int register offset\n{self.offset}\nend"
+        self.write(0)
+        self.of.submit(Submitted("rtde_control", text))
+        self.until(lambda: self.playing and self.answer == READY)
+
+    def write(self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = ()) -> None:
+        """Writes a command with its arguments, as one package."""
+        values: dict[str, float | int] = {f"input_int_register_{self.offset}": command}
+        values |= {f"input_double_register_{self.offset + n}": v for n, v in enumerate(doubles)}
+        values |= {f"input_int_register_{self.offset + 1 + n}": v for n, v in enumerate(integers)}
+        self.of.inputs.write(values)
+
+    def realtime(self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = ()) -> None:
+        """A command of the real-time class: it is written once the script is ready."""
+        self.until(lambda: self.answer == READY)
+        self.write(command, doubles, integers)
+
+    def call(
+        self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = (), *, limit_s: float = 30.0
+    ) -> int:
+        """A whole handshake; how many control cycles it took from the command to its answer."""
+        self.realtime(command, doubles, integers)
+        begin = self.of.cycles
+        self.until(lambda: self.answer == DONE or not self.playing, limit_s)
+        assert self.answer == DONE, self.of.log
+        took = self.of.cycles - begin
+        self.write(0)
+        return took
+
+    def servo(self, q: Sequence[float], time_s: float = 0.002, lookahead_s: float = 0.1, gain: float = 300.0) -> None:
+        """One call of servoJ."""
+        self.realtime(11, [*q, 0.0, 0.0, time_s, lookahead_s, gain])
+
+    # ---------------------------------------------------------------------------------------------------- time
+
+    def cycles(self, count: int) -> None:
+        """Lets control cycles pass."""
+        for _ in range(count):
+            self.of.cycle()
+
+    def seconds(self, seconds: float) -> None:
+        """Lets time pass."""
+        self.cycles(round(seconds / self.of.period_s))
+
+    def until(self, holds: "object", limit_s: float = 1.0) -> None:
+        """Lets time pass until something holds."""
+        assert callable(holds)
+        for _ in range(round(limit_s / self.of.period_s)):
+            if holds():
+                return
+            self.of.cycle()
+        assert holds(), self.of.log
+
+    # --------------------------------------------------------------------------------------------------- outputs
+
+    @property
+    def playing(self) -> bool:
+        """Whether the program runs."""
+        return self.of.runtime.name == "PLAYING"
+
+    @property
+    def answer(self) -> int:
+        """The handshake's register."""
+        return self.integer(0)
+
+    def integer(self, number: int) -> int:
+        """An output register of the script."""
+        value = self.of.outputs[f"output_int_register_{self.offset + number}"]
+        assert isinstance(value, int)
+        return value
+
+    def six(self, first: int = 0) -> tuple[float, ...]:
+        """Six output registers of the script."""
+        names = [f"output_double_register_{self.offset + first + n}" for n in range(6)]
+        return tuple(float(self.of.outputs[name]) for name in names)  # type: ignore[arg-type]
+
+    def vector(self, name: str) -> tuple[float, ...]:
+        """An output that is a vector."""
+        value = self.of.outputs[name]
+        assert isinstance(value, tuple)
+        return value
+
+    def number(self, name: str) -> float:
+        """An output that is a number."""
+        value = self.of.outputs[name]
+        assert isinstance(value, float | int)
+        return value
