@@ -5,7 +5,7 @@ import time
 from typing import Any, Final
 
 from haptether.slave.device import SlaveSample
-from haptether.slave.ur_bounded import Bounded, Call
+from haptether.slave.ur_bounded import Bounded, Call, Idle
 from haptether.slave.ur_checks import (
     NO_DASHBOARD_SINCE,
     REMOTE_SINCE,
@@ -143,6 +143,10 @@ class UrSlave:
         )  # fmt: skip
         if not self._moving and not self._begin(state, target):
             return
+        if self._link.worker.idled is not None:
+            # It was stopped meanwhile: on from where it is, as fast as it may.
+            self._link.worker.idled = None
+            self._point.begin(state.pose[:3])  # type: ignore[arg-type]  # three of six
         elapsed_s = min(max(now_s - self._written_s, 0.25 * self._period_s), MOST_PERIODS * self._period_s)
         self._written_s = now_s
         self._point.step(target, target_velocity, elapsed_s)
@@ -152,7 +156,8 @@ class UrSlave:
             self._latch(f"{error}: lead it elsewhere, then acknowledge")
             return
         control = self._link.control
-        self._link.worker.stream(self._mode.name, lambda: order(control), STREAM_S)
+        idle = Idle(SILENCE_S, "stop", lambda: self._mode.stop(control), STOP_S) if self._mode.goes_on else None
+        self._link.worker.stream(self._mode.name, lambda: order(control), STREAM_S, idle)
         self._latency.add(now_s, self._along(target), self._along(state.pose[:3]))
 
     def stop(self) -> None:
@@ -257,10 +262,7 @@ class UrSlave:
         if self._guard is None:
             link = self._link
             self._guard = link.worker.start("setWatchdog", lambda: link.control.setWatchdog(self.options.watchdog_hz), 1.0)
-        elif self._moving:
-            if self._mode.goes_on and now_s - self._written_s > SILENCE_S:
-                self.stop()
-        elif self._guard.over and now_s - self._kicked_s > 1.0 / (KICKS * self.options.watchdog_hz):
+        elif not self._moving and self._guard.over and now_s - self._kicked_s > 1.0 / (KICKS * self.options.watchdog_hz):
             if self._halt is None or self._halt.over:
                 self._link.kick()
                 self._kicked_s = now_s
@@ -271,7 +273,7 @@ class UrSlave:
 
     def _look_at_halt(self) -> None:
         """Where a soft stop did not succeed and the program may still play, ends the program through the dashboard."""
-        halt = self._halt
+        halt = self._halt or self._link.worker.idled
         if halt is None or self._second_way is not None:
             return
         overdue = not halt.over and halt.begun_s is not None and time.monotonic() - halt.begun_s > STOP_S
@@ -281,7 +283,7 @@ class UrSlave:
         fresh = time.monotonic() - self._arrived_s < STALE_S
         if fresh and self._state.runtime_state != PLAYING:
             # It has come to rest by itself.
-            self._halt = None
+            self._halt = self._link.worker.idled = None
             return
         host = self.options.host
         self._second_way = self._aside.start("dashboard stop", lambda: stop_program(host), 1.0)

@@ -4,7 +4,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 ABANDONED: list[object] = []
 """What a call still holds that never returned: to let go of it could block whoever does."""
@@ -59,6 +59,15 @@ class Call:
         self._over.set()
 
 
+class Idle(NamedTuple):
+    """What is called where nothing else has been asked for."""
+
+    after_s: float
+    name: str
+    function: Callable[[], Any]
+    limit_s: float
+
+
 class Bounded:
     """A thread that makes one call after another; of those that are streamed only the newest counts.
 
@@ -74,8 +83,11 @@ class Bounded:
         self._running: Call | None = None
         self._stuck: Call | None = None
         self._ended = False
+        self._idle: Idle | None = None
         self.streamed: Call | None = None
         """The newest of the streamed calls that is over."""
+        self.idled: Call | None = None
+        """What was called last because nothing more was streamed."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
@@ -86,7 +98,7 @@ class Bounded:
             if self._ended or self.stuck is not None:
                 call.give_up(f"{self._name}: does not answer")
                 return call
-            self._newest = None
+            self._newest = self._idle = None
             self._calls.append(call)
             self._changed.notify()
         return call
@@ -108,11 +120,16 @@ class Bounded:
             raise call.error
         return call.result
 
-    def stream(self, name: str, function: Callable[[], Any], limit_s: float) -> None:
-        """Has a call made as soon as the thread is free, instead of the streamed one that has not begun."""
+    def stream(self, name: str, function: Callable[[], Any], limit_s: float, idle: "Idle | None" = None) -> None:
+        """Has a call made as soon as the thread is free, instead of the streamed one that has not begun.
+
+        With `idle` another one follows if nothing else is asked for within a time: also where the thread that streams
+        hangs.
+        """
         with self._changed:
             if not self._ended and self._stuck is None:
                 self._newest = Call(name, function, limit_s)
+                self._idle = idle
                 self._changed.notify()
 
     @property
@@ -129,7 +146,7 @@ class Bounded:
         if self.stuck is not None:
             ABANDONED.extend(held)
         with self._changed:
-            self._ended, self._newest = True, None
+            self._ended, self._newest, self._idle = True, None, None
             while self._calls:
                 self._calls.popleft().give_up(f"{self._name}: ended")
             self._changed.notify()
@@ -138,7 +155,11 @@ class Bounded:
         while True:
             with self._changed:
                 while not (self._ended or self._calls or self._newest):
-                    self._changed.wait()
+                    idle = self._idle
+                    if not self._changed.wait(idle.after_s if idle else None) and idle is not None:
+                        self._idle = None
+                        self.idled = Call(idle.name, idle.function, idle.limit_s)
+                        self._calls.append(self.idled)
                 if self._ended:
                     return
                 streamed = not self._calls

@@ -37,6 +37,7 @@ class Mode(Protocol):
     """One way to move the arm."""
 
     name: str
+    """Of the call of the library."""
     goes_on: bool
     """Whether the arm goes on moving where nothing more is sent: then the driver ends that itself."""
 
@@ -98,7 +99,7 @@ class Joints:
 class ServoJ:
     """`servoJ` on joint angles that are found here: the least work for the controller."""
 
-    name = "servoj"
+    name = "servoJ"
     goes_on = False
 
     def __init__(self, options: UrOptions, joints: Joints, period_s: float) -> None:
@@ -125,7 +126,7 @@ class ServoL:
     """`servoL`: the controller finds the joint angles, on its own calibrated chain; where it finds none it ends the
     program."""
 
-    name = "servol"
+    name = "servoL"
     goes_on = False
 
     def __init__(self, options: UrOptions, period_s: float) -> None:
@@ -154,7 +155,7 @@ class SpeedL:
     no driver any more.
     """
 
-    name = "speedl"
+    name = "speedL"
     goes_on = True
 
     def __init__(self, options: UrOptions, period_s: float) -> None:
@@ -194,7 +195,7 @@ class DirectTorque:
     Gravity and friction are the controller's. The arm gives way to a force instead of insisting on its position.
     """
 
-    name = "direct-torque"
+    name = "directTorque"
     goes_on = True
 
     def __init__(self, options: UrOptions, joints: Joints, model: "UrModel") -> None:

@@ -49,7 +49,8 @@ class SetPoint:
         """Goes on for a time in s towards a target in m that moves with a velocity in m/s."""
         target, target_velocity = self._inside(target, target_velocity)
         most, settle = self._max_acceleration, self._settle
-        error = _less(target, self.position)
+        # From where the target was when this point was last moved: else it would run ahead by v times a period.
+        error = _less(_less(target, _scaled(target_velocity, elapsed_s)), self.position)
         distance = math.hypot(*error)
         near = most * settle * settle
         if distance <= near:

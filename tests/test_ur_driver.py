@@ -1,0 +1,410 @@
+"""The UR driver against a controller of plain objects: what it calls, in which order, and what it does not wait for."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from tests.ur.fake_rtde import START_POSE, STOPPED, Arm, install
+
+from haptether.slave import SlaveSample, UrSlave
+from haptether.slave.ur_checks import UrRefusedError
+from haptether.slave.ur_link import LinkError
+from haptether.slave.ur_recovery import UNLOCK_AFTER_S
+
+LONG_S = 20.0
+BLOCKED_S = 0.3
+"""What a call into the driver may take on a busy machine, while the library hangs for 30 s."""
+
+
+@pytest.fixture
+def arm(monkeypatch: pytest.MonkeyPatch) -> Iterator[Arm]:
+    arm = Arm()
+    install(monkeypatch, arm)
+    yield arm
+    arm.released.set()
+
+
+class Driven:
+    """A driver turned as the loop turns it."""
+
+    def __init__(self, arm: Arm, **options: Any) -> None:
+        self.arm = arm
+        self.driver = UrSlave(host="fake", **({"mode": "speedl"} | options))
+        self.driver.open()
+        self.home = START_POSE[0]
+
+    def turn(self, *, moving: bool = False, at: float = 0.0) -> SlaveSample:
+        sample = self.driver.read()
+        if moving and sample.fault is None:
+            self.driver.write((self.home + at,), (0.0,))
+        return sample
+
+    def until(self, holds: Callable[[SlaveSample], bool], *, moving: bool = False) -> SlaveSample:
+        end_s = time.monotonic() + LONG_S
+        while not holds(sample := self.turn(moving=moving)):
+            assert time.monotonic() < end_s, (sample, self.arm.names[-20:])
+        return sample
+
+    def moves(self) -> None:
+        self.until(lambda _: self.arm.names[-1] == "speedL", moving=True)
+
+    def fault(self, *, moving: bool = False) -> str:
+        sample = self.until(lambda sample: sample.fault is not None, moving=moving)
+        assert sample.fault is not None
+        return sample.fault
+
+    def ready(self) -> None:
+        """Acknowledges, and waits until it could be engaged."""
+        self.driver.acknowledge()
+        self.until(lambda _: self.driver._recovery is None)
+
+
+def test_the_watchdog_is_tried_and_armed_before_the_first_motion(arm: Arm) -> None:
+    driven = Driven(arm, payload_kg=1.5, tool=[0.0] * 6)
+    opened = arm.names
+    assert opened.index("setPayload") < opened.index("zeroFtSensor") < opened.index("setWatchdog")
+    # It bit, so the script was uploaded anew.
+    assert opened[-2:] == ["setWatchdog", "reuploadScript"]
+    assert arm.watchdog_hz is None
+    driven.moves()
+    after = arm.names[len(opened) :]
+    assert after[0] == "setWatchdog"
+    assert after.index("setWatchdog") < after.index("speedL")
+    assert arm.watchdog_hz == 10.0
+    driven.driver.close()
+
+
+def test_a_watchdog_that_does_not_bite_is_refused(arm: Arm) -> None:
+    arm.watchdog_bites = False
+    with pytest.raises(UrRefusedError, match="watchdog: does not bite"):
+        Driven(arm, watchdog_hz=50)
+    assert "speedL" not in arm.names
+
+
+def test_it_is_heard_while_it_waits(arm: Arm) -> None:
+    driven = Driven(arm)
+    end_s = time.monotonic() + 0.5
+    while time.monotonic() < end_s:
+        assert driven.turn().fault is None
+    assert arm.names.count("kickWatchdog") >= 5
+    driven.driver.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"robot_mode": 5}, "robot mode: idle: power the arm on"),
+        ({"safety_mode": 3, "safety_bits": 4}, "safety mode: protective stop: find the cause"),
+        ({"safety_mode": 7, "safety_bits": 1 << 6}, "safety mode: robot emergency stop"),
+        ({"runtime_state": 2, "version": (5, 11, 0, 0)}, "program: playing: somebody else's program"),
+        ({"version": (5, 3, 0, 0), "runtime_state": 1}, "software: 5.3.0: needs"),
+        ({"remote": False, "runtime_state": 1}, "remote control: off: switch the pendant"),
+    ],
+)
+def test_what_is_not_ready_is_refused_before_anything_is_sent(arm: Arm, change: dict[str, Any], said: str) -> None:
+    for name, value in change.items():
+        setattr(arm, name, value)
+    with pytest.raises(UrRefusedError) as refused:
+        Driven(arm)
+    assert said in str(refused.value)
+    assert arm.said == []
+
+
+def test_the_checklist_says_all_lines(arm: Arm, capsys: pytest.CaptureFixture[str]) -> None:
+    Driven(arm, payload_kg=1.5).driver.close()
+    said = capsys.readouterr().err
+    for line in ("reachable", "software: 5.11.0", "remote control: on", "robot mode: running", "safety mode: normal",
+                 "program: stopped", "payload: 1.5 kg", "tool: ", "force sensor: zeroed", "watchdog: 10 Hz, tried"):  # fmt: skip
+        assert f"ur fake: ok       {line}" in said, said
+
+
+def test_direct_torque_needs_its_version(arm: Arm) -> None:
+    with pytest.raises(ValueError, match=r"direct-torque': needs software 5.26 or later, the controller has 5.11.0"):
+        Driven(arm, mode="direct-torque")
+    assert arm.said == []
+
+
+def test_without_the_library_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rtde_control", None)
+    with pytest.raises(LinkError, match=r"pip install 'haptether\[ur\]' under Python 3.11 or 3.12"):
+        UrSlave(host="127.0.3.99").open()
+
+
+def test_a_first_command_elsewhere_is_refused(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.until(lambda _: driven.driver._guard is not None and driven.driver._guard.over)
+    driven.turn(moving=True, at=0.012)
+    assert "12.0 mm away from where the tool is" in driven.fault()
+    assert "speedL" not in arm.names
+    driven.driver.close()
+
+
+def test_speed_is_bounded_whatever_is_told(arm: Arm) -> None:
+    driven = Driven(arm, max_speed=0.1, axis=[0, 2, 0])
+    driven.home = START_POSE[1]
+    driven.moves()
+    for tick in range(100):
+        driven.turn(moving=True, at=0.1 * tick)
+    orders = [call[1] for call in arm.said if call[0] == "speedL"]
+    assert max(sum(part**2 for part in xd[:3]) ** 0.5 for xd in orders) <= 0.1 + 1e-12
+    # Along the axis alone.
+    assert max(abs(xd[0]) + abs(xd[2]) for xd in orders) < 1e-12
+    driven.driver.close()
+
+
+def test_an_arm_that_would_go_on_is_stopped_in_silence(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    # Nothing calls the driver any more: a bridge that hangs.
+    end_s = time.monotonic() + LONG_S
+    while "speedStop" not in arm.names:
+        assert time.monotonic() < end_s
+        time.sleep(0.001)
+    assert arm.names.count("speedStop") == 1
+    # And the next order leads it on, from where it is.
+    arm.kicked_s = time.monotonic()
+    arm.runtime_state = 2
+    driven.moves()
+    driven.turn(moving=True, at=0.02)
+    assert driven.turn().fault is None
+    driven.driver.close()
+
+
+def test_a_stop_returns_at_once_and_is_done_once(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    arm.blocks.add("speedStop")
+    begun_s = time.monotonic()
+    driven.driver.stop()
+    driven.driver.stop()
+    assert time.monotonic() - begun_s < BLOCKED_S
+    arm.released.set()
+    driven.until(lambda _: driven.driver._halt is not None and driven.driver._halt.over)
+    assert arm.names.count("speedStop") == 1
+    assert driven.turn().fault is None
+    driven.driver.close()
+
+
+def test_a_stop_that_is_not_heard_ends_the_program(arm: Arm) -> None:
+    driven = Driven(arm, watchdog_hz=5)
+    driven.moves()
+    arm.blocks.add("speedStop")
+    arm.watchdog_bites = False
+    driven.driver.stop()
+    fault = driven.fault()
+    assert "has not returned" in fault or "was not acknowledged" in fault
+    driven.until(lambda _: "stop" in arm.dashboard)
+    assert arm.runtime_state == STOPPED
+    driven.driver.close()
+
+
+@pytest.mark.parametrize("name", ["speedL", "kickWatchdog"])
+def test_a_call_that_hangs_is_a_fault_and_nothing_waits_for_it(arm: Arm, name: str) -> None:
+    driven = Driven(arm)
+    arm.watchdog_bites = False
+    arm.blocks.add(name)
+    slowest = 0.0
+    end_s = time.monotonic() + LONG_S
+    while True:
+        begun_s = time.monotonic()
+        sample = driven.turn(moving=name == "speedL")
+        slowest = max(slowest, time.monotonic() - begun_s)
+        if sample.fault is not None:
+            break
+        assert time.monotonic() < end_s
+    assert f"{name} has not returned: the controller does not answer" in sample.fault
+    assert slowest < BLOCKED_S
+    begun_s = time.monotonic()
+    driven.driver.close()
+    assert time.monotonic() - begun_s < 5.0
+    # The second way was taken, at the latest at the end.
+    assert "stop" in arm.dashboard
+
+
+def test_the_end_is_bounded_where_the_library_hangs(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    arm.blocks |= {"stopScript", "disconnect"}
+    begun_s = time.monotonic()
+    driven.driver.stop()
+    driven.driver.close()
+    assert time.monotonic() - begun_s < 5.0
+    assert "stop" in arm.dashboard
+
+
+@pytest.mark.parametrize("how", ["refuses", "raises"])
+def test_commands_that_fail_are_a_fault(arm: Arm, how: str) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    getattr(arm, how).add("speedL")
+    assert "the controller takes no commands: speedL" in driven.fault(moving=True)
+    driven.driver.close()
+
+
+def emergency(arm: Arm) -> None:
+    arm.safety_mode, arm.safety_bits, arm.runtime_state, arm.robot_mode = 7, 1 << 6 | 1 << 7 | 1 << 10, STOPPED, 3
+
+
+def paused(arm: Arm) -> None:
+    arm.runtime_state = 4
+
+
+def stopped(arm: Arm) -> None:
+    arm.runtime_state = STOPPED
+
+
+def safeguard(arm: Arm) -> None:
+    arm.safety_mode, arm.safety_bits, arm.runtime_state = 5, 1 << 4 | 1 << 10, 4
+
+
+def violation(arm: Arm) -> None:
+    arm.safety_mode, arm.safety_bits, arm.runtime_state = 8, 1 << 8 | 1 << 10, STOPPED
+
+
+def frozen(arm: Arm) -> None:
+    arm.frozen_at = 1.0
+
+
+def closed(arm: Arm) -> None:
+    arm.connected = arm.control_connected = False
+
+
+def local(arm: Arm) -> None:
+    arm.remote = False
+
+
+def powered_off(arm: Arm) -> None:
+    arm.robot_mode, arm.runtime_state = 3, STOPPED
+
+
+FAULTS: list[tuple[Callable[[Arm], None], str]] = [
+    (Arm.stop_by_protection, "protective stop (last seen before: 0.0 N, 0.000 m/s, joint 1 0.0000 rad"),
+    (emergency, "emergency stop: find its cause, release the button, power the arm on"),
+    (safeguard, "safeguard stop: close the safeguard"),
+    (violation, "safety system: violation"),
+    (stopped, "the control script is stopped"),
+    (paused, "the control script is paused"),
+    (powered_off, "robot mode power off"),
+    (frozen, "nothing has come from the controller for 1"),
+    (closed, "the controller closed the connection"),
+    (local, "remote control was switched off"),
+]
+
+
+@pytest.mark.parametrize(("cause", "said"), FAULTS, ids=lambda value: getattr(value, "__name__", None))
+def test_each_fault_is_latched_with_its_reason(arm: Arm, cause: Callable[[Arm], None], said: str) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    cause(arm)
+    fault = driven.fault(moving=True)
+    assert fault.startswith(said), fault
+    # Gone by itself: it stays until somebody says so.
+    sent = len([name for name in arm.names if name == "speedL"])
+    arm.runtime_state, arm.safety_mode, arm.safety_bits, arm.robot_mode = 2, 1, 1, 7
+    arm.connected, arm.frozen_at, arm.remote = True, None, True
+    for _ in range(20):
+        assert driven.turn(moving=True).fault == fault
+    assert len([name for name in arm.names if name == "speedL"]) == sent
+    driven.driver.close()
+
+
+def test_an_acknowledgement_makes_it_ready_and_leaves_it_disengaged(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    stopped(arm)
+    driven.fault()
+    sent = len(arm.said)
+    driven.ready()
+    assert driven.turn().fault is None
+    again = arm.names[sent:]
+    assert "reuploadScript" in again
+    assert "zeroFtSensor" not in again
+    assert "speedL" not in again
+    # The watchdog was forgotten with the script.
+    driven.until(lambda _: arm.watchdog_hz is not None)
+    driven.moves()
+    driven.driver.close()
+
+
+def test_a_protective_stop_is_unlocked_by_a_person_and_not_at_once(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    arm.stop_by_protection()
+    driven.fault()
+    driven.driver.acknowledge()
+    assert "can be unlocked in" in driven.fault()
+    assert "unlock protective stop" not in arm.dashboard
+    monkeypatch.setattr("haptether.slave.ur_recovery.UNLOCK_AFTER_S", 0.0)
+    assert UNLOCK_AFTER_S == 5.0
+    driven.ready()
+    assert driven.turn().fault is None
+    assert "unlock protective stop" in arm.dashboard
+    driven.driver.close()
+
+
+def test_an_emergency_stop_is_for_people_beside_the_arm(arm: Arm) -> None:
+    driven = Driven(arm)
+    emergency(arm)
+    driven.fault()
+    driven.driver.acknowledge()
+    fault = driven.fault()
+    assert "safety mode: robot emergency stop" in fault
+    assert "robot mode: power off" in fault
+    assert arm.dashboard.count("power on") == arm.dashboard.count("brake release") == 0
+    driven.driver.close()
+
+
+def test_a_lost_connection_is_made_anew(arm: Arm) -> None:
+    driven = Driven(arm)
+    closed(arm)
+    driven.fault()
+    driven.ready()
+    assert driven.turn().fault is None
+    assert "reconnect" in arm.names
+    driven.driver.close()
+
+
+def test_a_library_that_hangs_is_left_and_replaced(arm: Arm) -> None:
+    driven = Driven(arm)
+    arm.watchdog_bites = False
+    arm.blocks.add("kickWatchdog")
+    driven.fault()
+    arm.blocks.clear()
+    arm.watchdog_bites = True
+    driven.ready()
+    assert driven.turn().fault is None
+    assert arm.names.count("connect") == 2
+    driven.driver.close()
+
+
+def test_whoever_engages_too_early_begins_again(arm: Arm) -> None:
+    driven = Driven(arm)
+    stopped(arm)
+    driven.fault()
+    arm.blocks.add("reuploadScript")
+    driven.driver.acknowledge()
+    assert driven.turn().fault is None
+    driven.driver.write((driven.home,), (0.0,))
+    assert "engaged before the arm was ready" in driven.fault()
+    arm.released.set()
+    driven.driver.close()
+
+
+def test_positions_forces_and_axes(arm: Arm) -> None:
+    arm.force = [1.0, -2.0, 3.0, 0.0, 0.0, 0.0]
+    arm.speed = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
+    one = Driven(arm, axis=[0, 0, -2], force_filter_hz=None, zero_ft_sensor=False)
+    sample = one.turn()
+    assert sample[:3] == pytest.approx((-START_POSE[2], -0.3, -3.0))
+    one.driver.close()
+    arm.runtime_state = STOPPED
+    three = Driven(arm, axes=3, force_filter_hz=None, zero_ft_sensor=False)
+    sample = three.turn()
+    assert sample.position == pytest.approx(START_POSE[:3])
+    assert sample.velocity == pytest.approx((0.1, 0.2, 0.3))
+    assert sample.force == pytest.approx((1.0, -2.0, 3.0))
+    three.driver.close()

@@ -1,0 +1,132 @@
+"""Reaching a controller: whoever accepts a connection and says nothing must not hold the driver."""
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from haptether.slave import ur_dashboard, ur_probe
+from haptether.slave.ur_dashboard import DashboardError
+from haptether.slave.ur_probe import ProbeError, probe
+
+HOST = "127.0.3.98"
+LIMIT_S = 0.3
+
+
+class Peer:
+    """A server whose handler is a function."""
+
+    def __init__(self, port: int, handle: Callable[[socket.socket], None]) -> None:
+        self._listening = socket.create_server((HOST, port))
+        self._handle = handle
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        try:
+            while True:
+                connection, _ = self._listening.accept()
+                with connection:
+                    connection.settimeout(5.0)
+                    try:
+                        self._handle(connection)
+                    except OSError:
+                        pass
+        except OSError:
+            pass
+
+    def close(self) -> None:
+        self._listening.shutdown(socket.SHUT_RDWR)
+        self._listening.close()
+        self._thread.join(5.0)
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[int, Callable[[socket.socket], None]], None]]:
+    peers: list[Peer] = []
+    yield lambda port, handle: peers.append(Peer(port, handle))
+    for peer in peers:
+        peer.close()
+
+
+Serve = Callable[[int, Callable[[socket.socket], None]], None]
+
+
+def silent(connection: socket.socket) -> None:
+    connection.recv(1)
+    time.sleep(3 * LIMIT_S)
+
+
+def closing(connection: socket.socket) -> None:
+    connection.recv(1)
+
+
+def web(connection: socket.socket) -> None:
+    connection.recv(100)
+    connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+    time.sleep(2 * LIMIT_S)
+
+
+def nonsense(connection: socket.socket) -> None:
+    connection.recv(100)
+    connection.sendall(struct.pack(">HB", 1, 86))
+    time.sleep(2 * LIMIT_S)
+
+
+def endless(connection: socket.socket) -> None:
+    while True:
+        connection.sendall(struct.pack(">HB", 4, 77) + b"x")
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("handle", [silent, closing, web, nonsense, endless])
+def test_the_probe_ends_in_time_with_whoever_is_there(serve: Serve, handle: Callable[[socket.socket], None]) -> None:
+    serve(ur_probe.PORT, handle)
+    begun_s = time.monotonic()
+    with pytest.raises(ProbeError, match=f"{HOST}:30004: protocol version 2: "):
+        probe(HOST, LIMIT_S)
+    assert time.monotonic() - begun_s < LIMIT_S + 1.0
+
+
+def test_nobody_there(serve: Serve) -> None:
+    del serve
+    with pytest.raises(ProbeError, match=f"{HOST}:30004: connect: "):
+        probe(HOST, LIMIT_S)
+    with pytest.raises(DashboardError, match=f"dashboard {HOST}:29999: "):
+        ur_dashboard.ask(HOST, "stop", limit_s=LIMIT_S)
+
+
+@pytest.mark.parametrize("handle", [silent, closing, endless])
+def test_the_dashboard_is_not_waited_for(serve: Serve, handle: Callable[[socket.socket], None]) -> None:
+    serve(ur_dashboard.PORT, handle)
+    begun_s = time.monotonic()
+    with pytest.raises(DashboardError):
+        ur_dashboard.ask(HOST, "stop", limit_s=LIMIT_S)
+    assert time.monotonic() - begun_s < LIMIT_S + 1.0
+
+
+def dashboard(answers: dict[str, str]) -> Callable[[socket.socket], None]:
+    def handle(connection: socket.socket) -> None:
+        # In parts, as the network may deliver it.
+        connection.sendall(b"Connected: Universal Robots ")
+        connection.sendall(b"Dashboard Server\n")
+        for line in connection.makefile():
+            if line.strip() == "quit":
+                return
+            connection.sendall(f"{answers[line.strip()]}\n".encode())
+
+    return handle
+
+
+def test_what_the_dashboard_says(serve: Serve) -> None:
+    serve(ur_dashboard.PORT, dashboard({
+        "is in remote control": "true", "stop": "Stopped", "close safety popup": "closing safety popup",
+        "unlock protective stop": "Cannot unlock protective stop until 5s after occurrence.",
+    }))  # fmt: skip
+    assert ur_dashboard.is_in_remote_control(HOST)
+    ur_dashboard.stop_program(HOST)
+    with pytest.raises(DashboardError, match="unlock protective stop: Cannot unlock protective stop until 5s"):
+        ur_dashboard.unlock_protective_stop(HOST)

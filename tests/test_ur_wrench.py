@@ -1,0 +1,48 @@
+"""The force at the tool of a UR arm: frame, sign, filter, deadband."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import signal
+from scipy.spatial.transform import Rotation
+
+from haptether.slave.ur_wrench import UrWrench
+
+POSE = (0.1, -0.4, 0.2, 0.3, -1.2, 0.7)
+TOOL = (0.0, 0.0, 0.15, 0.4, 0.1, -0.3)
+
+
+def test_the_controllers_force_is_along_the_base_already() -> None:
+    wrench = UrWrench(raw=False, tool=TOOL, filter_hz=None, deadband_n=0.0)
+    assert wrench.force((1.0, -2.0, 3.0, 9.0, 9.0, 9.0), POSE, 0.002) == (1.0, -2.0, 3.0)
+
+
+def test_the_raw_force_is_turned_from_the_flange_to_the_base() -> None:
+    wrench = UrWrench(raw=True, tool=TOOL, filter_hz=None, deadband_n=0.0)
+    base_from_tool, flange_from_tool = Rotation.from_rotvec(POSE[3:]), Rotation.from_rotvec(TOOL[3:])
+    pushed = np.array((5.0, -1.0, 2.0))
+    shown = (base_from_tool * flange_from_tool.inv()).inv().apply(pushed)
+    assert wrench.force((*shown, 0.0, 0.0, 0.0), POSE, 0.002) == pytest.approx(tuple(pushed), abs=1e-12)
+    wrench.zero((*shown, 0.0, 0.0, 0.0), POSE)
+    assert wrench.force((*shown, 0.0, 0.0, 0.0), POSE, 0.002) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_the_filter_is_the_discrete_one_of_its_corner() -> None:
+    """Against SciPy's zero-order hold of 1/(1 + s/2 pi f)."""
+    corner, period_s = 2 * math.pi * 30.0, 0.002
+    b, a, _ = signal.cont2discrete(([corner], [1.0, corner]), period_s)
+    x = np.random.default_rng(1).normal(size=200)
+    wrench = UrWrench(raw=False, tool=(0.0,) * 6, filter_hz=30.0, deadband_n=0.0)  # type: ignore[arg-type]
+    y = [wrench.force((value, 0.0, 0.0, 0.0, 0.0, 0.0), POSE, period_s)[0] for value in x]
+    # SciPy's output is due one sample later than an input that counts at once; both begin at the first.
+    want = signal.lfilter(b.ravel()[1:], a, x, zi=[x[0] * (1 - b.ravel()[1])])[0]
+    assert y == pytest.approx(want, abs=1e-12)
+
+
+def test_the_deadband_takes_the_same_of_every_direction_and_leaves_no_step() -> None:
+    wrench = UrWrench(raw=False, tool=(0.0,) * 6, filter_hz=None, deadband_n=2.0)  # type: ignore[arg-type]
+    assert wrench.force((1.2, 1.6, 0.0, 0.0, 0.0, 0.0), POSE, 0.002) == (0.0, 0.0, 0.0)
+    assert wrench.force((3.0, 4.0, 0.0, 0.0, 0.0, 0.0), POSE, 0.002) == pytest.approx((1.8, 2.4, 0.0))
+    assert wrench.force((0.0,) * 6, POSE, 0.002) == (0.0, 0.0, 0.0)
+    assert math.hypot(*wrench.force((2.0 + 1e-9, 0.0, 0.0, 0.0, 0.0, 0.0), POSE, 0.002)) < 1e-8

@@ -1,0 +1,102 @@
+"""A hand and a UR arm of the real driver, in one process that can be killed: `python -m tests.ur.driven OPTIONS SCENE`.
+
+Lines on standard input act (`ack`, `press`, `end`); each line on standard output is an event with its time on the
+system's monotonic clock, which the process that watches has as well.
+"""
+
+import json
+import os
+import select
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from haptether.bridge import LiveMaster, SlaveLoop, SlaveRun, load_scene, load_slave, scene_json
+
+LOOK_S = 0.001
+LONGEST_S = 60.0
+
+
+class Watched:
+    """Both sides, and what of them has been told."""
+
+    def __init__(self, options: dict[str, Any], overrides: list[str]) -> None:
+        self.begun_s = time.monotonic()
+        period = "slave.period_s=0.002"
+        scene = load_scene("remote_push", [*overrides, period, "environment.pushers=[]", "operator.clutch=once"])
+        spec, key = scene_json(scene), os.urandom(32)
+        self.device: Any = load_slave("ur", options)
+        loop = SlaveLoop(spec, listen="127.0.0.1:0", session=1, key=key)
+        self.slave = SlaveRun(self.device, loop)
+        while not self.slave.ready():
+            time.sleep(LOOK_S)
+        self.master = LiveMaster(spec, peer=loop.address, session=2, key=key)
+        self._seen: dict[str, object] = {}
+
+    def look(self) -> None:
+        """Tells what is new."""
+        for key, value in (
+            ("slave", self.slave.state), ("master", self.master.state), ("fault", self.slave.notes.fault),
+            ("recovering", self.device._recovery is not None), ("error", str(self.slave.error or "")),
+        ):  # fmt: skip
+            if self._seen.get(key) != value:
+                self._seen[key] = value
+                tell({key: value})
+
+    def act(self, line: str) -> bool:
+        """Does what a line says; whether to go on."""
+        acts: dict[str, Callable[[], None]] = {
+            "ack": self.slave.acknowledge, "press": self.master.press_clutch, "end": lambda: None
+        }  # fmt: skip
+        acts[line]()
+        return line != "end"
+
+    def end(self) -> dict[str, Any]:
+        """Ends both; figures of the run."""
+        begun_s = time.monotonic()
+        trace, report = self.slave.finish()
+        ended_s = time.monotonic() - begun_s
+        near, _ = self.master.finish()
+        engaged = trace.command.ravel()[~np.isnan(trace.command.ravel())]
+        return {
+            "end_s": ended_s,
+            "latency_s": self.device.latency_s,
+            "ticks": report.ticks,
+            "skipped": report.skipped,
+            "holds": report.holds,
+            "travel_m": float(np.ptp(engaged)) if len(engaged) else 0.0,
+            "arm_travel_m": float(np.ptp(trace.position.ravel())),
+            "environment_force_n": float(np.abs(trace.environment_force).max()),
+            "device_force_n": float(np.abs(near.device_force).max()),
+        }
+
+
+def tell(event: dict[str, Any]) -> None:
+    """A line for who watches."""
+    print(json.dumps({"at_s": time.monotonic(), **event}), flush=True)
+
+
+def main() -> None:
+    """Runs until told to end, or until nobody is there any more."""
+    watched = Watched(json.loads(sys.argv[1]), sys.argv[2:])
+    going, waiting, end_s = True, b"", time.monotonic() + LONGEST_S
+    while going and time.monotonic() < end_s:
+        watched.look()
+        if select.select([sys.stdin], [], [], LOOK_S)[0]:
+            came = os.read(sys.stdin.fileno(), 4096)
+            if not came:
+                break
+            *lines, waiting = (waiting + came).split(b"\n")
+            for line in lines:
+                going = watched.act(line.decode()) and going
+    tell({"end": watched.end()})
+    # Threads that never came back and the library's destructors are not waited for.
+    sys.stdout.flush()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

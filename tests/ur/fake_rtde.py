@@ -1,0 +1,196 @@
+"""A controller and ur_rtde as far as the driver uses them, as plain objects: what the real ones do when something is
+wrong is asked for, and what was called is kept.
+"""
+
+import threading
+import time
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from haptether.slave.ur_probe import Probe
+
+START_Q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
+START_POSE = (-0.143195, -0.436400, 0.215901, 0.045165, 3.112182, -0.019942)
+PLAYING, STOPPED = 2, 1
+
+
+@dataclass
+class Arm:
+    """The state that both interfaces show, and what they are to do wrong."""
+
+    version: tuple[int, int, int, int] = (5, 11, 0, 0)
+    pose: list[float] = field(default_factory=lambda: list(START_POSE))
+    speed: list[float] = field(default_factory=lambda: [0.0] * 6)
+    q: list[float] = field(default_factory=lambda: list(START_Q))
+    force: list[float] = field(default_factory=lambda: [0.0] * 6)
+    runtime_state: int = STOPPED
+    robot_mode: int = 7
+    safety_mode: int = 1
+    safety_bits: int = 1
+    watchdog_hz: float | None = None
+    connected: bool = True
+    control_connected: bool = True
+    frozen_at: float | None = None
+    blocks: set[str] = field(default_factory=set)
+    """Calls that do not return until `release`."""
+    refuses: set[str] = field(default_factory=set)
+    raises: set[str] = field(default_factory=set)
+    said: list[tuple[Any, ...]] = field(default_factory=list)
+    dashboard: list[str] = field(default_factory=list)
+    dashboard_gone: bool = False
+    remote: bool = True
+    watchdog_bites: bool = True
+    released: threading.Event = field(default_factory=threading.Event)
+    kicked_s: float = 0.0
+
+    def call(self, name: str, *arguments: Any) -> bool:
+        """Any call of the control interface."""
+        self.said.append((name, *arguments))
+        self.kicked_s = time.monotonic()
+        if name in self.blocks:
+            self.released.wait(30.0)
+        if name in self.raises:
+            raise RuntimeError(f"{name}: write: Broken pipe")
+        return name not in self.refuses and (self.runtime_state == PLAYING or name == "reuploadScript")
+
+    def look(self) -> None:
+        """Lets its watchdog look at the time."""
+        hz = self.watchdog_hz
+        if hz is not None and self.watchdog_bites and time.monotonic() - self.kicked_s > 1.0 / hz:
+            self.runtime_state, self.watchdog_hz = STOPPED, None
+
+    @property
+    def names(self) -> list[str]:
+        """The calls, in order."""
+        return [call[0] for call in self.said]
+
+    def probe(self, _host: str, limit_s: float = 5.0) -> Probe:
+        """Instead of `ur_probe.probe`."""
+        del limit_s
+        return Probe(
+            version=self.version, robot_mode=self.robot_mode, safety_mode=self.safety_mode,
+            safety_bits=self.safety_bits, runtime_state=self.runtime_state, q=tuple(self.q), pose=tuple(self.pose),
+            rate_hz=500.0,
+        )  # fmt: skip
+
+    def stop_by_protection(self) -> None:
+        """A protective stop."""
+        self.safety_mode, self.safety_bits, self.runtime_state = 3, 1 << 2 | 1 << 10, STOPPED
+        self.watchdog_hz = None
+
+    def ask(self, _host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
+        """Instead of `ur_dashboard.ask`."""
+        del limit_s
+        from haptether.slave.ur_dashboard import DashboardError
+
+        self.dashboard.extend(lines)
+        if self.dashboard_gone:
+            raise DashboardError("dashboard: timed out")
+        return [self._answer(line) for line in lines]
+
+    def _answer(self, line: str) -> str:
+        if line == "unlock protective stop":
+            self.safety_mode, self.safety_bits = 1, 1
+            return "Protective stop releasing"
+        if line == "is in remote control":
+            return str(self.remote).lower()
+        if line == "stop":
+            self.runtime_state = STOPPED
+            return "Stopped"
+        return ""
+
+
+class Control:
+    """`rtde_control.RTDEControlInterface`."""
+
+    FLAG_UPLOAD_SCRIPT = 1
+    FLAG_NO_EXT_FT = 64
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        arm.said.append(("connect",))
+        arm.runtime_state = PLAYING
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *arguments: self._arm.call(name, *arguments)
+
+    def isConnected(self) -> bool:  # noqa: N802
+        return self._arm.control_connected
+
+    def setWatchdog(self, hz: float) -> bool:  # noqa: N802
+        done = self._arm.call("setWatchdog", hz)
+        if done:
+            self._arm.watchdog_hz = hz
+        return done
+
+    def reuploadScript(self) -> bool:  # noqa: N802
+        self._arm.call("reuploadScript")
+        self._arm.runtime_state, self._arm.watchdog_hz = PLAYING, None
+        return True
+
+    def reconnect(self) -> bool:
+        self._arm.call("reconnect")
+        self._arm.control_connected, self._arm.runtime_state, self._arm.watchdog_hz = True, PLAYING, None
+        return True
+
+    def getTCPOffset(self) -> list[float]:  # noqa: N802
+        self._arm.call("getTCPOffset")
+        return [0.0] * 6
+
+
+class Receive:
+    """`rtde_receive.RTDEReceiveInterface`; a package comes every 2 ms."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+
+    def getTimestamp(self) -> float:  # noqa: N802
+        self._arm.look()
+        if self._arm.frozen_at is not None:
+            return self._arm.frozen_at
+        return round(time.monotonic() / 0.002) * 0.002
+
+    def isConnected(self) -> bool:  # noqa: N802
+        return self._arm.connected
+
+    def reconnect(self) -> bool:
+        self._arm.connected, self._arm.frozen_at = True, None
+        return True
+
+    def disconnect(self) -> None:
+        return None
+
+    def __getattr__(self, name: str) -> Any:
+        arm = self._arm
+        shown: dict[str, Any] = {
+            "getTargetQ": arm.q, "getActualQ": arm.q, "getActualQd": [0.0] * 6, "getActualTCPPose": arm.pose,
+            "getActualTCPSpeed": arm.speed, "getActualTCPForce": arm.force, "getFtRawWrench": arm.force,
+            "getRobotMode": arm.robot_mode, "getSafetyMode": arm.safety_mode,
+            "getSafetyStatusBits": arm.safety_bits, "getRuntimeState": arm.runtime_state,
+        }  # fmt: skip
+        return lambda: shown[name]
+
+
+def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
+    """Puts the arm where the driver looks for the library and for the controller."""
+    modules = (
+        SimpleNamespace(RTDEControlInterface=_interface(arm)),
+        SimpleNamespace(RTDEReceiveInterface=lambda *_: Receive(arm)),
+    )
+    for place in ("ur_link", "ur"):
+        monkeypatch.setattr(f"haptether.slave.{place}.vendor_modules", lambda: modules)
+    for place in ("ur_checks", "ur_recovery"):
+        monkeypatch.setattr(f"haptether.slave.{place}.probe", arm.probe)
+    monkeypatch.setattr("haptether.slave.ur_dashboard.ask", arm.ask)
+
+
+def _interface(arm: Arm) -> Any:
+    def connect(*_: Any) -> Control:
+        return Control(arm)
+
+    connect.FLAG_UPLOAD_SCRIPT = 1  # type: ignore[attr-defined]
+    connect.FLAG_NO_EXT_FT = 64  # type: ignore[attr-defined]
+    return connect
