@@ -254,7 +254,7 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path) -> No
     figure = Figure(figsize=(13.0, 4.2), layout="constrained")
     figure.suptitle(
         f"A remote push reaches a hand that lets go, {scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) "
-        f"each way, {scene.loss:.1%} loss"
+        f"each way, {scene.loss:.1%} loss" + (", through an emulated UR5e" if scene.slave == "ur" else "")
     )
     panels = figure.subplots(1, 3)
     signals = ("velocity", "device_force", "position")

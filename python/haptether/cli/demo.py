@@ -67,9 +67,10 @@ class Demo:
         )
         self.out.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=table_goes_to_stderr(self.json))
+        arm = "an emulated UR controller - ur-rtde - " if self.slave == "ur" else ""
         console.print(
-            f"slave - network ({self.delay_s * 1e3:g} ms, sigma {self.jitter_s * 1e3:g} ms, each way, "
-            f"{self.loss:.1%} loss) - master,\n  as three processes on this machine; "
+            f"{arm}slave - network ({self.delay_s * 1e3:g} ms, sigma {self.jitter_s * 1e3:g} ms, each way, "
+            f"{self.loss:.1%} loss) - master,\n  as processes on this machine; "
             f"the hand presses; at {scene.push_at_s:g} s {scene.push_force_n:g} N shove the arm,\n  "
             f"at {scene.release_at_s:g} s the hand lets go",
             highlight=False,
