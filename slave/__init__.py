@@ -7,30 +7,58 @@ from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 from haptether.slave.device import SlaveDevice, SlaveSample
 
 if TYPE_CHECKING:
+<<<<<<< HEAD
     from haptether.slave.ur import UrSlave
+=======
+    from haptether.slave.quadratic_solver import QuadraticProgram
+    from haptether.slave.streaming_limits import (
+        SelfKeepOut,
+        StreamingCost,
+        StreamingLimits,
+        WorkspacePlane,
+        model_limits,
+    )
+>>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
     from haptether.slave.ur_calibration import UrCalibration, read_calibration
     from haptether.slave.ur_inverse import UrInverse
     from haptether.slave.ur_kinematics import Rates, UrKinematics
     from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
+<<<<<<< HEAD
     from haptether.slave.ur_options import UrOptions
+=======
+    from haptether.slave.ur_streaming import UrStreaming
+>>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
 
 __all__ = [
     "UR_MODELS",
     "Arm",
     "ForceSensor",
     "Pusher",
+    "QuadraticProgram",
     "Rates",
+<<<<<<< HEAD
     "SceneTouch",
     "SlaveDevice",
     "SlaveSample",
+=======
+    "SelfKeepOut",
+    "StreamingCost",
+    "StreamingLimits",
+>>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
     "UrCalibration",
     "UrInverse",
     "UrKinematics",
     "UrModel",
+<<<<<<< HEAD
     "UrOptions",
     "UrSlave",
+=======
+    "UrStreaming",
+>>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
     "Wall",
+    "WorkspacePlane",
     "WrenchSensor",
+    "model_limits",
     "read_calibration",
     "ur_model",
 ]
@@ -38,14 +66,24 @@ __all__ = [
 # Whoever has no UR arm does not wait for NumPy.
 WHERE: Final = {
     "UR_MODELS": "ur_models",
+    "QuadraticProgram": "quadratic_solver",
     "Rates": "ur_kinematics",
+    "SelfKeepOut": "streaming_limits",
+    "StreamingCost": "streaming_limits",
+    "StreamingLimits": "streaming_limits",
     "UrCalibration": "ur_calibration",
     "UrInverse": "ur_inverse",
     "UrKinematics": "ur_kinematics",
     "UrModel": "ur_models",
+<<<<<<< HEAD
     "UrOptions": "ur_options",
     "UrSlave": "ur",
+=======
+    "UrStreaming": "ur_streaming",
+    "WorkspacePlane": "streaming_limits",
+>>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
     "WrenchSensor": "ur_models",
+    "model_limits": "streaming_limits",
     "read_calibration": "ur_calibration",
     "ur_model": "ur_models",
 }
