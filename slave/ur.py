@@ -16,7 +16,7 @@ from haptether.slave.ur_checks import (
 )
 from haptether.slave.ur_dashboard import DashboardError, is_in_remote_control, stop_program
 from haptether.slave.ur_latency import Latency
-from haptether.slave.ur_link import STREAM_S, LinkError, UrLink, vendor_modules
+from haptether.slave.ur_link import STREAM_S, LinkError, UrLink, vendor_module
 from haptether.slave.ur_modes import Mode, UnreachableError, check_mode, model_distance, ur_mode
 from haptether.slave.ur_options import Three, UrOptions, ur_options
 from haptether.slave.ur_recovery import recover
@@ -80,7 +80,6 @@ class UrSlave:
         self._guard: Call | None = None
         """Arming the watchdog."""
         self._halt: Call | None = None
-        self._second_way: Call | None = None
         self._recovery: Call | None = None
         self._remote: Call | None = None
         self._watches_remote = False
@@ -89,7 +88,7 @@ class UrSlave:
 
     def open(self) -> None:
         """Goes through the checklist and connects; the arm does not move."""
-        vendor_modules()
+        vendor_module()
         options = self.options
         checklist = Checklist(options.host)
         seen = check_before(options, checklist)
@@ -97,7 +96,7 @@ class UrSlave:
         self._watches_remote = REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE
         self._link = UrLink(options, seen.version)
         self._period_s = 1.0 / self._link.rate_hz
-        self._aside = Bounded("ur-aside")
+        self._aside, self._stopper = Bounded("ur-aside"), Bounded("ur-stopper")
         self._opened = True
         self._link.connect()
         offset = tuple(options.tool or self._link.setting("tool", self._link.control.getTCPOffset))
@@ -162,7 +161,7 @@ class UrSlave:
 
     def stop(self) -> None:
         """Has the arm come to rest; returns at once, `read` sees to it that it does."""
-        if self._opened and self._moving:
+        if self._opened and self._moving and self._link.control is not None:
             self._moving = False
             mode, control = self._mode, self._link.control
             self._halt = self._link.worker.start("stop", lambda: mode.stop(control), STOP_S)
@@ -172,11 +171,11 @@ class UrSlave:
         if self._fault is None or self._recovery is not None:
             return
         self._fault = None
-        self._halt = self._second_way = self._guard = self._remote = None
+        self._halt = self._guard = self._remote = None
         if self._aside.stuck is not None:
             self._aside.end()
             self._aside = Bounded("ur-aside")
-        self._link.worker.streamed = None
+        self._link.worker.streamed = self._link.worker.idled = None
         options, link, stopped_s = self.options, self._link, self._fault_s
         self._recovery = self._aside.start("recovery", lambda: recover(options, link, stopped_s), 60.0)
 
@@ -191,6 +190,7 @@ class UrSlave:
         for failed in self._link.end():
             self._tell(f"at the end: {failed}")
         self._aside.end()
+        self._stopper.end()
         if (latency_s := self.latency_s) is not None:
             self._tell(f"the arm followed {1e3 * latency_s:.0f} ms late")
 
@@ -210,7 +210,7 @@ class UrSlave:
         if early_s > 0.0:
             time.sleep(early_s)
         while receive.getTimestamp() == before:
-            if time.monotonic() - begun_s > READ_S:
+            if time.monotonic() - begun_s > (READ_S if self._fault is None else self._period_s):
                 return
             time.sleep(POLL_S)
         self._state = self._link.state()
@@ -224,14 +224,18 @@ class UrSlave:
         if stop is not None:
             self._latch(stop.text)
         elif not self._link.receive.isConnected():
-            self._latch("the controller closed the connection: see that it is on and the cable is in, then acknowledge")
+            self._latch(
+                "the controller closed the connection: see that it is on and the cable is in, then acknowledge",
+                lost=True,
+            )
         elif now_s - self._arrived_s > STALE_S:
             self._latch(
                 f"nothing has come from the controller for {1e3 * (now_s - self._arrived_s):.0f} ms: see the network,"
-                " then acknowledge"
+                " then acknowledge",
+                lost=True,
             )
         elif (trouble := self._trouble()) is not None:
-            self._latch(trouble)
+            self._latch(trouble, lost=self._link.worker.stuck is not None or not self._link.control.alive)
         else:
             self._before = state
 
@@ -272,22 +276,36 @@ class UrSlave:
             self._remote = self._aside.start("remote control", lambda: is_in_remote_control(host), 2.0)
 
     def _look_at_halt(self) -> None:
-        """Where a soft stop did not succeed and the program may still play, ends the program through the dashboard."""
+        """Where a soft stop did not succeed and the program may still play, ends the program."""
         halt = self._halt or self._link.worker.idled
-        if halt is None or self._second_way is not None:
+        if halt is None or self._link.control is None:
             return
         overdue = not halt.over and halt.begun_s is not None and time.monotonic() - halt.begun_s > STOP_S
-        stuck = self._link.worker.stuck is not None
-        if not (overdue or stuck or halt.failed is not None):
+        if not (overdue or halt.failed is not None):
             return
-        fresh = time.monotonic() - self._arrived_s < STALE_S
-        if fresh and self._state.runtime_state != PLAYING:
-            # It has come to rest by itself.
-            self._halt = self._link.worker.idled = None
-            return
+        self._halt = self._link.worker.idled = None
+        if self._state.runtime_state == PLAYING or time.monotonic() - self._arrived_s > STALE_S:
+            text = "a soft stop was not acknowledged: the program is ended; see the arm, then acknowledge"
+            self._fault_text(text)
+            self._cut()
+
+    def _cut(self) -> None:
+        """Nothing leads the arm any more: the connection is cut, and the dashboard asked to end the program.
+
+        Where that does not come through either, the watchdog ends it.
+        """
+        self._moving = False
+        self._halt = None
+        self._link.cut()
         host = self.options.host
-        self._second_way = self._aside.start("dashboard stop", lambda: stop_program(host), 1.0)
-        self._latch("a soft stop was not acknowledged: its program is ended; see the arm, then acknowledge")
+
+        def end_program() -> None:
+            try:
+                stop_program(host)
+            except DashboardError as error:
+                self._tell(f"{error}: its watchdog ends the program; if the arm moves, press its emergency stop")
+
+        self._stopper.start("dashboard stop", end_program, 2.0)
 
     def _look_at_recovery(self, recovery: Call) -> None:
         if not recovery.over:
@@ -346,12 +364,19 @@ class UrSlave:
 
     # -------------------------------------------------------------------------------------------------- faults
 
-    def _latch(self, text: str) -> None:
-        """A fault stays until a person acknowledges it; the arm is stopped."""
+    def _latch(self, text: str, *, lost: bool = False) -> None:
+        """A fault stays until a person acknowledges it; the arm is stopped, or the connection cut where it is lost."""
+        if self._fault is None:
+            self._fault_text(text)
+            if lost:
+                self._cut()
+            else:
+                self.stop()
+
+    def _fault_text(self, text: str) -> None:
         if self._fault is None:
             self._fault, self._fault_s = text, time.monotonic()
             self._tell(f"fault: {text}")
-            self.stop()
 
     def _tell(self, text: str) -> None:
         print(f"ur {self.options.host}: {text}", file=sys.stderr, flush=True)

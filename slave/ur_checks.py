@@ -204,7 +204,7 @@ def _watchdog(options: UrOptions, link: UrLink) -> str:
     period_s = 1.0 / options.watchdog_hz
     if not options.verify_watchdog:
         return f"{options.watchdog_hz:g} Hz, not tried"
-    link.arm_watchdog()
+    link.setting("watchdog", lambda: link.control.setWatchdog(options.watchdog_hz))
     # Silence: the program must end.
     try:
         link.await_state("the program ends in silence", lambda state: state.runtime_state != PLAYING, period_s + 1.0)
@@ -212,7 +212,7 @@ def _watchdog(options: UrOptions, link: UrLink) -> str:
         message = f"does not bite: {error}"
         raise LinkError(message) from None
     # The driver arms it again with its first sample, from when on it is heard.
-    link.upload()
+    link.connect()
     return f"{options.watchdog_hz:g} Hz, tried: it ends the program"
 
 

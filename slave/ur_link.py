@@ -1,12 +1,14 @@
 """The connections to a UR controller: the vendor's library, each of its calls within a time limit."""
 
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from haptether.slave.ur_bounded import ABANDONED, Bounded, Call, OverdueError
+from haptether.slave.ur_bounded import Bounded, OverdueError
 from haptether.slave.ur_dashboard import DashboardError, stop_program
 from haptether.slave.ur_options import UrOptions
+from haptether.slave.ur_process import ControlProcess
 from haptether.slave.ur_state import PLAYING, RAW_WRENCH, VARIABLES, UrState, read_state
 
 CONNECT_S: Final = 12.0
@@ -15,10 +17,10 @@ RECEIVE_S: Final = 4.0
 SETTING_S: Final = 2.0
 """For a command that the control script acknowledges; two control cycles as a rule."""
 STREAM_S: Final = 0.1
-"""For a command that is sent on and not acknowledged; 30 to 60 us as a rule."""
+"""For a command that is sent on and not acknowledged; 0.2 ms as a rule."""
 UPLOAD_S: Final = 8.0
 END_S: Final = 0.8
-"""For each of the farewells; the library's own sleeps are half a second each."""
+"""For each of the farewells."""
 STARTED_S: Final = 2.0
 POLL_S: Final = 0.005
 
@@ -27,14 +29,14 @@ class LinkError(RuntimeError):
     """The library or the controller did not do what it was asked to."""
 
 
-def vendor_modules() -> tuple[Any, Any]:
-    """`rtde_control` and `rtde_receive`.
+def vendor_module() -> Any:  # noqa: ANN401  # it has no types
+    """`rtde_receive`, once `rtde_control` is there as well.
 
     Raises:
         LinkError: They are not installed.
     """
     try:
-        import rtde_control  # noqa: PLC0415  # only whoever has such an arm
+        import rtde_control  # noqa: F401, PLC0415  # only whoever has such an arm
         import rtde_receive  # noqa: PLC0415
     except ImportError as error:
         message = (
@@ -42,7 +44,7 @@ def vendor_modules() -> tuple[Any, Any]:
             " wheels for later ones"
         )
         raise LinkError(message) from None
-    return rtde_control, rtde_receive
+    return rtde_receive
 
 
 class UrLink:
@@ -55,7 +57,7 @@ class UrLink:
 
     def __init__(self, options: UrOptions, version: tuple[int, ...]) -> None:
         self._options = options
-        self._modules = vendor_modules()
+        self._module = vendor_module()
         self._raw_wrench = options.force_source == "raw"
         self._default_rate = 500.0 if version[0] > 3 else 125.0
         self.worker = Bounded("ur-control")
@@ -71,54 +73,35 @@ class UrLink:
     # -------------------------------------------------------------------------------------------------- connect
 
     def connect(self) -> None:
-        """Connects both, uploads the control script and waits until it plays.
+        """Connects what is not connected, uploads the control script and waits until it plays.
 
-        The library's constructors hold the interpreter: call `probe` before, so that they find somebody who answers.
+        The constructor of the receive interface holds the interpreter and has no time limit: call `probe` before, so
+        that it finds somebody who answers.
 
         Raises:
             LinkError: No connection, inputs that another client has, or a script that does not start.
         """
-        modules = self._modules
         host, rate = self._options.host, self.rate_hz
-        names = [*VARIABLES, *([RAW_WRENCH] if self._raw_wrench else [])]
-        flags = modules[0].RTDEControlInterface
-        self.receive = self._done(
-            self._second, "connect (receive)",
-            lambda: modules[1].RTDEReceiveInterface(host, rate, names), RECEIVE_S,
-        )  # fmt: skip
-        self.control = self._done(
-            self.worker, "connect (control)",
-            # An external force sensor through RTDE does not work in this library, and another client may have one.
-            lambda: modules[0].RTDEControlInterface(host, rate, flags.FLAG_UPLOAD_SCRIPT | flags.FLAG_NO_EXT_FT),
-            CONNECT_S,
-        )  # fmt: skip
-
-    def reconnect(self) -> None:
-        """Connects again what is not, on new threads where the old ones are stuck, and has the script play.
-
-        Raises:
-            LinkError: As `connect`.
-        """
-        if self.worker.stuck is not None or self._second.stuck is not None:
-            self._abandon()
-        if self.control is None or self.receive is None:
-            self.connect()
-            return
-        if not self.receive.isConnected() or not self._goes_on():
+        if self.receive is None:
+            names = [*VARIABLES, *([RAW_WRENCH] if self._raw_wrench else [])]
+            self.receive = self._done(
+                self._second, "connect (receive)",
+                lambda: self._module.RTDEReceiveInterface(host, rate, names), RECEIVE_S,
+            )  # fmt: skip
+        elif not self.receive.isConnected() or not self._goes_on():
             self._done(self._second, "reconnect (receive)", self.receive.reconnect, RECEIVE_S)
-        if not self._done(self.worker, "is connected", self.control.isConnected, SETTING_S):
-            self._done(self.worker, "reconnect (control)", self.control.reconnect, CONNECT_S)
-        self.upload()
-
-    def upload(self) -> None:
-        """Has the control script play, anew where it does not.
-
-        Raises:
-            LinkError: It does not start.
-        """
+        if self.control is None:
+            self.control = self._done(self.worker, "connect (control)", lambda: ControlProcess(host, rate), CONNECT_S)
         if self.state().runtime_state != PLAYING:
             self.setting("upload of the control script", self.control.reuploadScript, UPLOAD_S)
         self.await_state("the control script plays", lambda state: state.runtime_state == PLAYING, STARTED_S)
+
+    def cut(self) -> None:
+        """Ends the control interface, whatever it does: nothing of this side leads the arm any more."""
+        if self.control is not None:
+            self.control.kill()
+            self.worker.end()
+            self.control, self.worker = None, Bounded("ur-control")
 
     def _goes_on(self) -> bool:
         """Whether packages come."""
@@ -128,14 +111,6 @@ class UrLink:
                 return True
             time.sleep(POLL_S)
         return False
-
-    def _abandon(self) -> None:
-        """Leaves threads that never came back, with all that they hold."""
-        ABANDONED.extend((self.control, self.receive))
-        self.worker.end(self.control)
-        self._second.end(self.receive)
-        self.control = self.receive = None
-        self.worker, self._second = Bounded("ur-control"), Bounded("ur-receive")
 
     # ------------------------------------------------------------------------------------------------ commands
 
@@ -169,31 +144,22 @@ class UrLink:
             raise LinkError(message)
         return result
 
-    def arm_watchdog(self) -> None:
-        """The controller ends the program where it hears too seldom; each upload of the script forgets it.
-
-        Raises:
-            LinkError: It was refused.
-        """
-        self.setting("watchdog", lambda: self.control.setWatchdog(self._options.watchdog_hz))
-
     def kick(self) -> None:
         """Tells the watchdog that this side is there; leaves the arm as it is."""
-        control = self.control
-        self.worker.stream("kickWatchdog", control.kickWatchdog, STREAM_S)
+        self.worker.stream("kickWatchdog", self.control.kickWatchdog, STREAM_S)
 
     # ----------------------------------------------------------------------------------------------------- end
 
     def end(self) -> list[str]:
-        """Ends the script and disconnects, within a few seconds; what of that failed."""
+        """Ends the script and both connections, within a few seconds; what of that failed."""
         failed: list[str] = []
         control, receive = self.control, self.receive
         if control is not None:
-            for name, function in (("stopScript", control.stopScript), ("disconnect", control.disconnect)):
-                try:
-                    self.worker.run(name, function, END_S)
-                except Exception as error:  # of the library
-                    failed.append(f"{name}: {error}")
+            try:
+                self.worker.run("stopScript", control.stopScript, END_S)
+            except Exception as error:  # noqa: BLE001  # of the library
+                failed.append(f"stopScript: {error}")
+        self.cut()
         if failed:
             # The script may play on, if nobody heard; then it is for the watchdog to end it.
             try:
@@ -202,11 +168,9 @@ class UrLink:
             except DashboardError as error:
                 failed.append(str(error))
         if receive is not None:
-            try:
+            with contextlib.suppress(Exception):
                 self._second.run("disconnect (receive)", receive.disconnect, END_S)
-            except Exception as error:  # of the library
-                failed.append(str(error))
-        self.worker.end(control)
+        self.worker.end()
         self._second.end(receive)
         return failed
 
@@ -214,15 +178,7 @@ class UrLink:
         try:
             return worker.run(name, function, limit_s)
         except OverdueError:
-            raise LinkError(f"{name}: has not returned within {limit_s:g} s") from None  # noqa: EM102
-        except Exception as error:  # of the library
-            raise LinkError(f"{name}: {_one_line(error)}") from None  # noqa: EM102
-
-
-def failure(call: Call | None) -> str | None:
-    """Why the newest streamed call failed, if it did."""
-    return None if call is None else call.failed
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+            message = f"{name}: has not returned within {limit_s:g} s"
+        except Exception as error:  # noqa: BLE001  # of the library
+            message = f"{name}: {' '.join(str(error).split())}"
+        raise LinkError(message)

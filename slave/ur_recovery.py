@@ -42,7 +42,7 @@ def recover(options: UrOptions, link: UrLink, stopped_at_s: float) -> UrState:
     if REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE:
         check_remote(options.host, checklist)
     checklist.finish()
-    link.reconnect()
+    link.connect()
     return check_after(options, link, checklist, sensor=False)
 
 

@@ -32,7 +32,6 @@ class Arm:
     safety_bits: int = 1
     watchdog_hz: float | None = None
     connected: bool = True
-    control_connected: bool = True
     frozen_at: float | None = None
     blocks: set[str] = field(default_factory=set)
     """Calls that do not return until `release`."""
@@ -104,21 +103,21 @@ class Arm:
 
 
 class Control:
-    """`rtde_control.RTDEControlInterface`."""
-
-    FLAG_UPLOAD_SCRIPT = 1
-    FLAG_NO_EXT_FT = 64
+    """`rtde_control.RTDEControlInterface`, in a process that can be killed."""
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
+        self.alive = True
         arm.said.append(("connect",))
-        arm.runtime_state = PLAYING
+        arm.runtime_state, arm.watchdog_hz = PLAYING, None
 
     def __getattr__(self, name: str) -> Any:
         return lambda *arguments: self._arm.call(name, *arguments)
 
-    def isConnected(self) -> bool:  # noqa: N802
-        return self._arm.control_connected
+    def kill(self) -> None:
+        """Calls that hang come back."""
+        self.alive = False
+        self._arm.said.append(("kill",))
 
     def setWatchdog(self, hz: float) -> bool:  # noqa: N802
         done = self._arm.call("setWatchdog", hz)
@@ -129,11 +128,6 @@ class Control:
     def reuploadScript(self) -> bool:  # noqa: N802
         self._arm.call("reuploadScript")
         self._arm.runtime_state, self._arm.watchdog_hz = PLAYING, None
-        return True
-
-    def reconnect(self) -> bool:
-        self._arm.call("reconnect")
-        self._arm.control_connected, self._arm.runtime_state, self._arm.watchdog_hz = True, PLAYING, None
         return True
 
     def getTCPOffset(self) -> list[float]:  # noqa: N802
@@ -176,21 +170,10 @@ class Receive:
 
 def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
     """Puts the arm where the driver looks for the library and for the controller."""
-    modules = (
-        SimpleNamespace(RTDEControlInterface=_interface(arm)),
-        SimpleNamespace(RTDEReceiveInterface=lambda *_: Receive(arm)),
-    )
+    module = SimpleNamespace(RTDEReceiveInterface=lambda *_: Receive(arm))
     for place in ("ur_link", "ur"):
-        monkeypatch.setattr(f"haptether.slave.{place}.vendor_modules", lambda: modules)
+        monkeypatch.setattr(f"haptether.slave.{place}.vendor_module", lambda: module)
+    monkeypatch.setattr("haptether.slave.ur_link.ControlProcess", lambda *_: Control(arm))
     for place in ("ur_checks", "ur_recovery"):
         monkeypatch.setattr(f"haptether.slave.{place}.probe", arm.probe)
     monkeypatch.setattr("haptether.slave.ur_dashboard.ask", arm.ask)
-
-
-def _interface(arm: Arm) -> Any:
-    def connect(*_: Any) -> Control:
-        return Control(arm)
-
-    connect.FLAG_UPLOAD_SCRIPT = 1  # type: ignore[attr-defined]
-    connect.FLAG_NO_EXT_FT = 64  # type: ignore[attr-defined]
-    return connect

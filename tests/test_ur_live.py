@@ -1,0 +1,231 @@
+"""The real ur_rtde in the real driver under the bridge, with an emulated controller as another process.
+
+What hangs in the library cannot be interrupted from within, so the driver runs in a process that is killed by its id.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pytest
+from tests.ur.emulated import Emulated, emulator
+from tests.ur.watching import Watching, driven
+
+pytest.importorskip("rtde_control")
+
+HOST = "127.0.3.{}"
+MEND_S = 10.0
+SHARED_S = 0.35
+"""What a shared machine may add to a time limit: it delays three processes."""
+
+
+def engaged(watching: Watching, since_s: float = 0.0) -> float:
+    """When both were coupled."""
+    return max(
+        float(watching.wait_for(side, "engaged", since_s=since_s, patience_s=15.0)["at_s"]) for side in ("slave", "master")
+    )
+
+
+class ModeRow(NamedTuple):
+    """A way to move, and the latency that it may have: servoj's ramp lag and transport, with room for a busy machine."""
+
+    mode: str
+    version: str
+    options: dict[str, Any]
+    latency_s: tuple[float, float]
+
+
+MODES = [
+    # Ramp lag of q'' = gain (q_set - q - lookahead q') is the lookahead; 4 to 20 ms of transport.
+    ModeRow("servoj", "5.11", {"lookahead_time": 0.03, "gain": 2000}, (0.03, 0.09)),
+    ModeRow("servol", "5.11", {"lookahead_time": 0.1, "gain": 300}, (0.08, 0.16)),
+    ModeRow("speedl", "5.23", {}, (0.0, 0.05)),
+    ModeRow("direct-torque", "5.26", {}, (0.0, 0.09)),
+]
+
+
+@pytest.mark.parametrize("row", MODES, ids=lambda row: row.mode)
+def test_a_hand_leads_the_arm_into_a_wall_and_feels_it(row: ModeRow) -> None:
+    host = HOST.format(11 + MODES.index(row))
+    with emulator("--scene", "remote_push", "--version", row.version, host=host) as emulated:
+        with driven({"host": host, "mode": row.mode, **row.options}) as watching:
+            at_s = engaged(watching)
+            while time.monotonic() < at_s + 1.5:
+                watching.look(0.05)
+            figures = watching.end()
+        status = emulated.status()
+    assert not [event for event in watching.events if event.get("fault")], watching.events
+    # 65 mm of the hand, with what contact bends: the arm has come along with all of what it was told.
+    assert figures["travel_m"] > 0.02
+    assert figures["arm_travel_m"] > 0.02
+    assert figures["environment_force_n"] > 0.5
+    assert figures["device_force_n"] > 0.5
+    assert figures["end_s"] < 5.0
+    # It has heard nothing that it did not understand, rests, and nobody's program plays.
+    assert status["runtime_state"] == "STOPPED"
+    assert math.hypot(*status["tcp_speed"][:3]) < 1e-3
+    assert status["safety_mode"] == "NORMAL"
+    if figures["latency_s"] is not None:
+        low, high = row.latency_s
+        assert low <= figures["latency_s"] <= high + SHARED_S / 5, figures
+
+
+class FaultRow(NamedTuple):
+    """A fault, what it is mended by, and what the driver says; the reason's own limit in s."""
+
+    name: str
+    fault: str
+    said: str
+    limit_s: float
+    mend: Callable[[Emulated], None]
+    """What people do beside the arm."""
+
+
+def nothing(_: Emulated) -> None:
+    """Nobody needs to."""
+
+
+def released(emulated: Emulated) -> None:
+    """The button is turned back, the arm powered."""
+    emulated.do("release-emergency-stop")
+    emulated.do("power on")
+    emulated.wait_for("robot_mode", "RUNNING")
+
+
+def powered(emulated: Emulated) -> None:
+    emulated.do("power on")
+    emulated.wait_for("robot_mode", "RUNNING")
+
+
+# What RTDE tells is known within a package; silence after 100 ms; remote control is asked for once a second.
+FAULTS = [
+    FaultRow("emergency stop", "emergency-stop", "emergency stop: find its cause", 0.05, released),
+    FaultRow("program stopped", "stop-program", "the control script is stopped", 0.05, nothing),
+    FaultRow("program paused", "pause-program", "the control script is paused", 0.05, nothing),
+    FaultRow("power off", "power off", "robot mode power off", 0.05, powered),
+    FaultRow("remote control off", "remote-control off", "remote control was switched off", 2.2,
+             lambda emulated: emulated.do("remote-control on") and None),
+    FaultRow("network gone for 0.4 s", "freeze 0.4", "nothing has come from the controller for 1", 0.125, nothing),
+    FaultRow("connections closed", "drop all", "the controller closed the connection", 0.05, nothing),
+]  # fmt: skip
+
+
+def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
+    host = HOST.format(21)
+    seen: list[str] = []
+    with emulator(host=host) as emulated, driven({"host": host, "verify_watchdog": False}) as watching:
+        begun_s = engaged(watching)
+        for row in FAULTS:
+            time.sleep(0.2)
+            at_s = time.monotonic()
+            emulated.do(row.fault)
+            event = watching.wait_for("slave", "fault", since_s=at_s, patience_s=row.limit_s + 10.0)
+            took_s = event["at_s"] - at_s
+            said = watching.wait_for("fault", since_s=at_s)["fault"]
+            assert said.startswith(row.said), (row.name, said)
+            assert took_s <= row.limit_s + SHARED_S, (row.name, took_s)
+            watching.wait_for("master", "hold", "stop", since_s=at_s)
+            seen.append(f"{row.name}: {1e3 * took_s:.0f} ms")
+            # The arm rests.
+            end_s = time.monotonic() + 5.0
+            while math.hypot(*emulated.status()["tcp_speed"][:3]) > 1e-3:
+                assert time.monotonic() < end_s, row.name
+            row.mend(emulated)
+            time.sleep(0.3)
+            ack_s = recover(watching)
+            watching.wait_for("slave", "disengaged", since_s=ack_s)
+            watching.act("press")
+            begun_s = engaged(watching, since_s=ack_s)
+            assert begun_s > ack_s
+            assert emulated.status()["watchdog_hz"] == 10.0, row.name
+        figures = watching.end()
+    assert figures["end_s"] < 5.0
+    print("\n".join(seen))
+
+
+def recover(watching: Watching) -> float:
+    """Acknowledges until the arm is ready; when that was asked for."""
+    end_s = time.monotonic() + MEND_S
+    while True:
+        ack_s = time.monotonic()
+        watching.act("ack")
+        watching.wait_for("recovering", True, since_s=ack_s)
+        done_s = watching.wait_for("recovering", False, since_s=ack_s, patience_s=MEND_S)["at_s"]
+        for _ in range(3):
+            watching.look(0.02)
+        faults = [event for event in watching.events if event["at_s"] >= done_s - 0.01 and event.get("fault")]
+        if not faults:
+            return ack_s
+        assert time.monotonic() < end_s, faults
+        time.sleep(0.3)
+
+
+def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
+    host = HOST.format(22)
+    with emulator(host=host) as emulated, driven({"host": host, "verify_watchdog": False}) as watching:
+        engaged(watching)
+        at_s = time.monotonic()
+        # More than the limit of 150 N.
+        emulated.do("push 400 0.05")
+        event = watching.wait_for("slave", "fault", since_s=at_s)
+        assert event["at_s"] - at_s < 0.1 + SHARED_S
+        said = watching.wait_for("fault", since_s=at_s)["fault"]
+        assert said.startswith("protective stop (last seen before: ")
+        watching.act("ack")
+        again = watching.wait_for("fault", since_s=watching.events[-1]["at_s"] + 1e-6)
+        while not str(again["fault"]).startswith("protective stop: can be unlocked in"):
+            again = watching.wait_for("fault", since_s=again["at_s"] + 1e-6)
+        assert emulated.status()["safety_mode"] == "PROTECTIVE_STOP"
+        # Fully 5 s after the stop, and the emulator refuses before as a real one does.
+        time.sleep(max(0.0, at_s + 5.3 - time.monotonic()))
+        ack_s = recover(watching)
+        assert emulated.status()["safety_mode"] == "NORMAL"
+        watching.act("press")
+        engaged(watching, since_s=ack_s)
+        watching.end()
+
+
+@pytest.mark.parametrize("mode", ["servoj", "speedl"])
+def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> None:
+    host = HOST.format(23)
+    with emulator(host=host) as emulated, driven({"host": host, "mode": mode, "verify_watchdog": False}) as watching:
+        engaged(watching)
+        at_s = time.monotonic()
+        emulated.process.kill()
+        event = watching.wait_for("slave", "fault", since_s=at_s)
+        assert event["at_s"] - at_s < 0.125 + SHARED_S
+        watching.act("ack")
+        # It looks before it meets the library again: 5 s at most, and an error of the network at once.
+        said = watching.wait_for("fault", since_s=event["at_s"] + 0.01, patience_s=15.0)
+        while f"{host}:30004: connect: " not in str(said["fault"]):
+            said = watching.wait_for("fault", since_s=said["at_s"] + 1e-6, patience_s=15.0)
+        assert watching.end()["end_s"] < 5.0
+
+
+def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
+    host = HOST.format(24)
+    with emulator(host=host) as emulated, driven({"host": host, "mode": "speedl", "watchdog_hz": 10}) as watching:
+        engaged(watching)
+        end_s = time.monotonic() + 10.0
+        while math.hypot(*emulated.status()["tcp_speed"][:3]) < 0.02:
+            assert time.monotonic() < end_s
+        at_s = time.monotonic()
+        watching.process.kill()
+        emulated.wait_for("runtime_state", "STOPPED", patience_s=5.0)
+        took_s = time.monotonic() - at_s
+        assert took_s < 0.1 + 0.1 + SHARED_S
+        end_s = time.monotonic() + 5.0
+        while math.hypot(*emulated.status()["tcp_speed"][:3]) > 1e-3:
+            assert time.monotonic() < end_s
+
+
+def test_a_controller_that_says_nothing_does_not_hold_the_interpreter() -> None:
+    host = HOST.format(25)
+    with emulator(host=host) as emulated:
+        emulated.do("freeze 30")
+        with driven({"host": host}) as watching:
+            said = watching.wait_for("error", patience_s=15.0)
+            while "UrRefusedError: reachable: " not in said["error"]:
+                said = watching.wait_for("error", since_s=said["at_s"] + 1e-6, patience_s=15.0)
+            assert watching.end()["end_s"] < 5.0
