@@ -1,4 +1,4 @@
-"""The side of the robot: arm and environment models, what a driver of an arm has, kinematics of UR arms."""
+"""The side of the robot: arm and environment models, what a driver of an arm has, the UR arm and its kinematics."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
@@ -7,9 +7,6 @@ from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 from haptether.slave.device import SlaveDevice, SlaveSample
 
 if TYPE_CHECKING:
-<<<<<<< HEAD
-    from haptether.slave.ur import UrSlave
-=======
     from haptether.slave.quadratic_solver import QuadraticProgram
     from haptether.slave.streaming_limits import (
         SelfKeepOut,
@@ -18,16 +15,13 @@ if TYPE_CHECKING:
         WorkspacePlane,
         model_limits,
     )
->>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
+    from haptether.slave.ur import UrSlave
     from haptether.slave.ur_calibration import UrCalibration, read_calibration
     from haptether.slave.ur_inverse import UrInverse
     from haptether.slave.ur_kinematics import Rates, UrKinematics
     from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
-<<<<<<< HEAD
     from haptether.slave.ur_options import UrOptions
-=======
     from haptether.slave.ur_streaming import UrStreaming
->>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
 
 __all__ = [
     "UR_MODELS",
@@ -36,25 +30,19 @@ __all__ = [
     "Pusher",
     "QuadraticProgram",
     "Rates",
-<<<<<<< HEAD
     "SceneTouch",
+    "SelfKeepOut",
     "SlaveDevice",
     "SlaveSample",
-=======
-    "SelfKeepOut",
     "StreamingCost",
     "StreamingLimits",
->>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
     "UrCalibration",
     "UrInverse",
     "UrKinematics",
     "UrModel",
-<<<<<<< HEAD
     "UrOptions",
     "UrSlave",
-=======
     "UrStreaming",
->>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
     "Wall",
     "WorkspacePlane",
     "WrenchSensor",
@@ -75,13 +63,10 @@ WHERE: Final = {
     "UrInverse": "ur_inverse",
     "UrKinematics": "ur_kinematics",
     "UrModel": "ur_models",
-<<<<<<< HEAD
     "UrOptions": "ur_options",
     "UrSlave": "ur",
-=======
     "UrStreaming": "ur_streaming",
     "WorkspacePlane": "streaming_limits",
->>>>>>> 5bf713728bd51b0f2deab134ec1a999628813a75
     "WrenchSensor": "ur_models",
     "model_limits": "streaming_limits",
     "read_calibration": "ur_calibration",

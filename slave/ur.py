@@ -16,7 +16,7 @@ from haptether.slave.ur_checks import (
 )
 from haptether.slave.ur_dashboard import DashboardError, is_in_remote_control, stop_program
 from haptether.slave.ur_latency import Latency
-from haptether.slave.ur_link import STREAM_S, LinkError, UrLink, vendor_module
+from haptether.slave.ur_link import STREAM_S, UrLink, vendor_module
 from haptether.slave.ur_modes import Mode, UnreachableError, check_mode, model_distance, ur_mode
 from haptether.slave.ur_options import Three, UrOptions, ur_options
 from haptether.slave.ur_recovery import recover
@@ -265,12 +265,20 @@ class UrSlave:
             return
         if self._guard is None:
             link = self._link
-            self._guard = link.worker.start("setWatchdog", lambda: link.control.setWatchdog(self.options.watchdog_hz), 1.0)
-        elif not self._moving and self._guard.over and now_s - self._kicked_s > 1.0 / (KICKS * self.options.watchdog_hz):
+            self._guard = link.worker.start(
+                "setWatchdog", lambda: link.control.setWatchdog(self.options.watchdog_hz), 1.0
+            )
+        elif (
+            not self._moving and self._guard.over and now_s - self._kicked_s > 1.0 / (KICKS * self.options.watchdog_hz)
+        ):
             if self._halt is None or self._halt.over:
                 self._link.kick()
                 self._kicked_s = now_s
-        if self._watches_remote and now_s - self._remote_s > REMOTE_EVERY_S and (self._remote is None or self._remote.over):
+        if (
+            self._watches_remote
+            and now_s - self._remote_s > REMOTE_EVERY_S
+            and (self._remote is None or self._remote.over)
+        ):
             self._remote_s = now_s
             host = self.options.host
             self._remote = self._aside.start("remote control", lambda: is_in_remote_control(host), 2.0)

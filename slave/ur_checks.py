@@ -85,7 +85,9 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
     try:
         seen = probe(host)
     except ProbeError as error:
-        checklist.refuse("reachable", str(error), "is it on, in this network, and RTDE not disabled in its security settings?")
+        checklist.refuse(
+            "reachable", str(error), "is it on, in this network, and RTDE not disabled in its security settings?"
+        )
         checklist.finish()
         raise AssertionError from error
     checklist.ok("reachable", f"{seen.rate_hz:.0f} packages/s")
@@ -157,7 +159,9 @@ def check_after(options: UrOptions, link: UrLink, checklist: Checklist, *, senso
         checklist.ok("payload", "as set on the pendant")
     steps.append(("tool", "set it on the pendant, or in the options", lambda: _tool(options, link)))
     if sensor and options.zero_ft_sensor:
-        steps.append(("force sensor", "the tool must touch nothing; zero_ft_sensor = false leaves it", lambda: _zero(link)))
+        steps.append(
+            ("force sensor", "the tool must touch nothing; zero_ft_sensor = false leaves it", lambda: _zero(link))
+        )
     # Last: from then on this side must be heard.
     steps.append(("watchdog", "without it nothing stops the arm when this side dies", lambda: _watchdog(options, link)))
     for what, remedy, step in steps:

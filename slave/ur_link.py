@@ -157,7 +157,7 @@ class UrLink:
         if control is not None:
             try:
                 self.worker.run("stopScript", control.stopScript, END_S)
-            except Exception as error:  # noqa: BLE001  # of the library
+            except Exception as error:  # of the library
                 failed.append(f"stopScript: {error}")
         self.cut()
         if failed:
@@ -179,6 +179,6 @@ class UrLink:
             return worker.run(name, function, limit_s)
         except OverdueError:
             message = f"{name}: has not returned within {limit_s:g} s"
-        except Exception as error:  # noqa: BLE001  # of the library
+        except Exception as error:  # of the library
             message = f"{name}: {' '.join(str(error).split())}"
         raise LinkError(message)

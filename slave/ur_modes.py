@@ -124,7 +124,8 @@ class ServoJ:
 
 class ServoL:
     """`servoL`: the controller finds the joint angles, on its own calibrated chain; where it finds none it ends the
-    program."""
+    program.
+    """
 
     name = "servoL"
     goes_on = False
@@ -225,7 +226,7 @@ class DirectTorque:
     def stop(self, control: Control) -> bool:
         """See `Mode`."""
         # It has no stop of its own; this one returns nothing.
-        control.stopJ(self._deceleration, False)  # noqa: FBT003
+        control.stopJ(self._deceleration, False)
         return True
 
 

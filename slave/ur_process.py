@@ -115,7 +115,7 @@ def main() -> None:
         try:
             # An external force sensor through RTDE does not work in this library, and another client may have one.
             control = interface(host, float(rate), interface.FLAG_UPLOAD_SCRIPT | interface.FLAG_NO_EXT_FT)
-        except Exception as error:  # noqa: BLE001  # of the library: told to whoever asked
+        except Exception as error:  # of the library: told to whoever asked
             answer(str(error))
             os._exit(1)
         answer(None)
@@ -123,7 +123,7 @@ def main() -> None:
             name, arguments = json.loads(line)
             try:
                 result = getattr(control, name)(*arguments)
-            except Exception as error:  # noqa: BLE001
+            except Exception as error:
                 answer(str(error))
             else:
                 answer(None, result)
