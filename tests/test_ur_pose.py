@@ -1,6 +1,7 @@
 """Rotation vectors against SciPy's, from 0 to pi."""
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -53,7 +54,8 @@ def test_a_matrix_is_scipys(axis: tuple[float, ...], angle: float) -> None:
 def test_a_rotation_vector_comes_back(axis: tuple[float, ...], angle: float) -> None:
     rotvec = along(axis, angle)
     for back in (rotvec_from_quat_wxyz(quat_wxyz_from_rotvec(rotvec)), rotvec_from_matrix(matrix_from_rotvec(rotvec))):
-        assert math.hypot(*back) <= math.pi
+        # Three products are rounded on the way.
+        assert math.hypot(*back) <= math.pi * (1.0 + 4.0 * sys.float_info.epsilon)
         # Within rounding of pi it may come back from the other side, where it is the same rotation.
         away = min(np.abs(np.subtract(back, rotvec)).max(), np.abs(np.add(back, rotvec)).max() if angle > 3 else 9)
         assert away <= 4 * ROUNDING
