@@ -11,8 +11,8 @@ import pytest
 import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.ur_arms import CALIBRATIONS, TOOL
 
+from _ur_arms import CALIBRATIONS, TOOL
 from haptether.slave import (
     QuadraticProgram,
     SelfKeepOut,
