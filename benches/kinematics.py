@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import casadi
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -30,6 +31,7 @@ from _ur_quadratic import solvers
 from _ur_references import apart, extended_chain, minimum, residual
 from haptether.slave import (
     QuadraticProgram,
+    SelfKeepOut,
     StreamingLimits,
     UrCalibration,
     UrInverse,
@@ -250,18 +252,41 @@ def streaming_rows(rounds: int) -> list[Row]:
 
 
 def whole_steps(rounds: int) -> list[Row]:
-    """A period of `UrStreaming.velocity` from numbers to numbers, by what is named."""
+    """A period of `UrStreaming.velocity` from numbers to numbers, by what is named, over and over along a run."""
     joints = model_limits(ur_model(MODEL))
-    draws = np.random.default_rng(4)
-    q = np.array((-0.6, -1.6, 1.7, -1.5, -1.4, 0.3)) + draws.normal(0, 0.02, (CALLS, 6))
-    qd, twist = draws.normal(0, 0.02, (CALLS, 6)), draws.normal(0, 0.2, (CALLS, 6))
-    named = {"nothing named": StreamingLimits(), "joints": joints, **LIMITS}
+    planes, keep_out = LIMITS["speed, table and wall"].planes, SelfKeepOut()
+    named = {
+        "nothing": StreamingLimits(),
+        "joints": joints,
+        "joints, tool speed": msgspec.structs.replace(joints, max_tool_speed=0.2),
+        "joints, planes, self": msgspec.structs.replace(joints, planes=planes, self_keep_out=keep_out),
+        "all": msgspec.structs.replace(joints, max_tool_speed=0.2, planes=planes, self_keep_out=keep_out),
+    }
     works: dict[str, Work] = {}
+    errors: dict[str, dict[str, float]] = {}
     for name, limits in named.items():
         streaming = UrStreaming(UrKinematics(ur_model(MODEL)), limits, period_s=PERIOD_S)
+        q, qd, twist = np.zeros((CALLS, 6)), np.zeros((CALLS, 6)), np.zeros((CALLS, 6))
+        q[0] = (-0.6, -1.6, 1.7, -1.5, -1.4, 0.3)
+        # To and fro across, with a turn, at twice the limit: after its acceleration the tool is at its limit of speed.
+        twist[:, 1] = 0.4 * np.sign(np.sin(np.arange(CALLS) * 2 * np.pi / CALLS))
+        twist[:, 5] = 0.3
+        slow = braked = 0
+        for index in range(CALLS - 1):
+            qd[index + 1] = streaming.velocity(q[index], qd[index], twist[index])
+            q[index + 1] = q[index] + qd[index + 1] * PERIOD_S
+            slow += streaming.speed_multiplier > 0
+            braked += streaming.reason != ""
+        errors[name] = {"at tool speed": slow, "braked": braked}
         works[name] = over(streaming.velocity, q, qd, twist)
     return [
-        Row(table="a period of UrStreaming", name=name, us=least, us_median=median, errors={})
+        Row(
+            table=f"a period of UrStreaming over {CALLS} along a run, with limits of",
+            name=name,
+            us=least,
+            us_median=median,
+            errors=errors[name],
+        )
         for name, (least, median) in timed(works, rounds).items()
     ]
 
