@@ -31,31 +31,30 @@ class QuadraticProgram(NamedTuple):
 
 
 class QuadraticSolver:
-    """Solves programs that stand in the same memory one after the other, each from where the last one ended.
+    """Solves programs of one size, each from where the last one ended.
 
     Of daqp it takes care that
 
     - a program whose bounds cross is refused by `update`, which then keeps the one before, whose solution `solve` gives
       out again as solved;
-    - with a number that is not finite it says it has solved: whoever fills the memory must look.
+    - with a number that is not finite it says it has solved: that is for the caller to see before.
     """
 
-    def __init__(self, program: QuadraticProgram) -> None:
-        self._program = program
-        self._sense = np.zeros(len(program.lower), dtype=np.int32)
+    def __init__(self) -> None:
         self._solver: Any = import_module("daqp").Model()
         self._begun = False
-        self.multipliers = np.zeros(len(program.lower))
-        """Of the last solution: positive where an upper bound holds, negative where a lower one does."""
+        self.multipliers = np.zeros(0)
+        """Of the last solution, (m + n,): positive where an upper bound holds, negative where a lower one does."""
 
-    def solve(self, hessian: Array) -> Array | None:
-        """The minimum with this H and what else stands in the memory, (m,), or None where bounds leave nothing."""
-        _, linear, rows, lower, upper = self._program
+    def solve(self, program: QuadraticProgram) -> Array | None:
+        """The minimum, (m,), or None where the bounds leave nothing."""
+        hessian, linear, rows, lower, upper = program
         for _ in range(2):
             if self._begun:
                 refused = self._solver.update(hessian, linear, rows if len(rows) else None, upper, lower) < 0
             else:
-                refused = self._solver.setup(hessian, linear, rows, upper, lower, self._sense)[0] < 0
+                sense = np.zeros(len(lower), dtype=np.int32)
+                refused = self._solver.setup(hessian, linear, rows, upper, lower, sense)[0] < 0
                 self._solver.settings = SETTINGS
             self._begun = not refused
             if refused:

@@ -71,7 +71,7 @@ class UrStreaming:
         self._program = QuadraticProgram(
             memory[0].reshape(6, 6), memory[1], memory[2].reshape(n, 6), memory[3], memory[4]
         )
-        self._solver = QuadraticSolver(self._program)
+        self._solver = QuadraticSolver()
         self._slower: SpeedLimit | None = None
         if limits.max_tool_speed is not None:
             self._slower = SpeedLimit(limits.max_tool_speed, memory[5].reshape(3, 6), memory[6].reshape(6, 6))
@@ -104,7 +104,7 @@ class UrStreaming:
         except (TypeError, ValueError) as error:
             self.reason = str(error)
             return self._braking(qd)
-        solution = self._solver.solve(self._program.hessian) if self._slower is None else self._within_speed()
+        solution = self._solver.solve(self._program) if self._slower is None else self._within_speed()
         if solution is None:
             braking = self._braking(qd)
             self.reason = self._conflict(braking)
@@ -114,12 +114,13 @@ class UrStreaming:
 
     def _within_speed(self) -> Array | None:
         """The optimum with the tool's speed within its limit, from the multiplier of the period before."""
-        limit, hessian = self._slower, self._program.hessian
+        limit, program = self._slower, self._program
         assert limit is not None
         limit.begin()
         m = self.speed_multiplier
         for _ in range(MOST_SOLUTIONS):
-            solution = self._solver.solve(hessian if m == 0 else limit.added_to(hessian, m))
+            heavier = program if m == 0 else program._replace(hessian=limit.added_to(program.hessian, m))
+            solution = self._solver.solve(heavier)
             if solution is None:
                 break
             speed = limit.speed(solution)

@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 import pytest
-from tests.ur_arms import CALIBRATIONS, TOOL
 
+from _ur_arms import CALIBRATIONS, TOOL
 from haptether.slave import UR_MODELS, UrCalibration, UrInverse, UrKinematics, UrModel, ur_model
 from haptether.slave.ur_chain import chain_transform, dh_rows
 
