@@ -245,7 +245,7 @@ class ControlProgram:
 
     def _force_mode_stop(self) -> Steps:
         self._kill("force")
-        self.do.robot.force_mode.end()
+        self.do.robot.end_force_mode()
         return self.do.stopl(FORCE_STOP_DECELERATION)
 
     # ----------------------------------------------------------------------------------------------------- jog
