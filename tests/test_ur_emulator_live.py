@@ -226,6 +226,14 @@ def test_two_clients_of_control_and_reconnection(arm: Emulated) -> None:
     assert all(client("reconnects", arm.host)["states"])
 
 
+def test_the_upper_range_of_registers(arm: Emulated) -> None:
+    with Client(arm.host) as lower:
+        # Whoever has the lower range is not in the way.
+        assert lower.inputs([f"input_int_register_{n}" for n in range(24)])[0] == 1
+        result = client("upper_registers", arm.host)
+    assert result == {"moved": True, "offset": [0.0] * 6}
+
+
 @pytest.mark.parametrize("version", ["3.15", "5.23"])
 def test_other_versions(version: str) -> None:
     with emulator("--version", version, "--model", "ur10" if version == "3.15" else "ur20") as other:

@@ -380,6 +380,18 @@ def two_controls(host: str) -> Result:
 
 
 @scenario
+def upper_registers(host: str) -> Result:
+    """A control client in the upper range of the registers."""
+    flags = rtde_control.RTDEControlInterface.FLAG_UPLOAD_SCRIPT
+    flags |= rtde_control.RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
+    control = rtde_control.RTDEControlInterface(host, 500.0, flags)
+    moved = control.moveJ([*START[:5], 0.1], 2.0, 8.0)
+    offset = control.getTCPOffset()
+    control.stopScript()
+    return {"moved": moved, "offset": offset}
+
+
+@scenario
 def connect_control(host: str) -> Result:
     """Only connects."""
     try:
