@@ -9,6 +9,7 @@ from tests.ur.virtual import DONE, READY, START, World
 from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.async_progress import RUNNING
 from haptether.slave.ur_emulator.control_uploads import PathMove, recognised
+from haptether.slave.ur_emulator.dashboard import Dashboard
 from haptether.slave.ur_emulator.script_port import ScriptReader, Submitted
 from haptether.slave.ur_pose import pose_trans
 
@@ -498,6 +499,49 @@ def test_freedrive_lets_a_push_move_the_arm(world: World) -> None:
     assert world.integer(1) == 0
 
 
+def test_direct_torque_turns_a_joint_against_its_friction() -> None:
+    world = World("5.26", limits=SafetyLimits(deviation=10.0))
+    for _ in range(250):
+        world.realtime(66, [3.0, 0.0, 0.0, 0.0, 0.0, 0.0, *(0.0,) * 12])
+        world.cycles(1)
+    inertia, friction = world.of.robot.loop.inertia[0], world.of.robot.friction[0]
+    assert (inertia, friction) == pytest.approx((150.0 / 50.0, 0.05 * 150.0 / math.pi))
+    # I q'' = tau - b q', from rest.
+    t = 249 * 0.002
+    assert world.vector("actual_qd")[0] == pytest.approx(
+        3.0 / friction * (1.0 - math.exp(-friction * t / inertia)), rel=0.01
+    )
+    # An older one has no such line in its script.
+    old = World("5.23")
+    old.realtime(66, [3.0, *(0.0,) * 17])
+    old.cycles(10)
+    assert old.vector("actual_qd") == (0.0,) * 6
+    assert old.playing
+
+
+def test_a_sensor_of_the_client_can_take_the_place_of_the_flange(world: World) -> None:
+    world.of.inputs.write({"external_force_torque": (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)})
+    world.cycles(2)
+    assert world.vector("actual_TCP_force") == (0.0,) * 6
+    world.call(56, [0.5, *(0.0,) * 6], [1])
+    world.cycles(2)
+    assert world.vector("actual_TCP_force") == (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+    world.call(56, [0.5, *(0.0,) * 6], [0])
+    world.cycles(2)
+    assert world.vector("actual_TCP_force") == (0.0,) * 6
+
+
+def test_servoc_works_once_as_in_the_script(world: World) -> None:
+    goal = lifted(world.vector("actual_TCP_pose"), 0.02)
+    world.write(12, [*goal, 0.25, 1.2, 0.0])
+    world.cycles(2)
+    # It is not of the real-time class there, although the client takes it for that: it stays at "done".
+    assert world.answer == DONE
+    world.seconds(1.0)
+    assert world.vector("actual_TCP_pose") == pytest.approx(goal, abs=1e-6)
+    assert world.answer == DONE
+
+
 # ------------------------------------------------------------------------------------------------------- the safety
 
 
@@ -569,6 +613,136 @@ def test_the_same_seed_gives_the_same_noise() -> None:
         world.seconds(0.5)
     assert one.vector("actual_TCP_force") == other.vector("actual_TCP_force")
     assert any(one.vector("actual_TCP_force"))
+
+
+def test_the_end_of_force_mode_lets_nothing_jump() -> None:
+    # A servo target 50 mm away along the compliant axis: meanwhile the law has wound up nothing.
+    world = World()
+    goal = lifted(world.vector("actual_TCP_pose"), 0.05)
+    selection = [2, 0, 0, 1, 0, 0, 0]
+    world.realtime(6, [*(0.0,) * 12, *(0.1,) * 6], selection)
+    # Nothing of this class is acknowledged: what is written in the same cycle takes its place.
+    world.cycles(2)
+    world.realtime(24, [*goal, 0.0, 0.0, 0.002, 0.1, 300.0])
+    world.seconds(1.0)
+    assert world.vector("actual_TCP_pose")[2] == pytest.approx(goal[2] - 0.05, abs=1e-3)
+    world.of.robot.end_force_mode()
+    world.write(0)
+    world.cycles(3)
+    assert abs(world.vector("actual_TCP_speed")[2]) < 0.1
+
+
+# ----------------------------------------------------------------------------------- the dashboard and the control line
+
+
+@pytest.mark.parametrize(
+    ("said", "answer"),
+    [
+        ("PolyscopeVersion", "URSoftware 5.11.0.0 (Jan 01 2024)"),
+        ("robotmode", "Robotmode: RUNNING"),
+        ("ROBOTMODE\r", "Robotmode: RUNNING"),
+        ("safetystatus", "Safetystatus: NORMAL"),
+        ("programState", "PLAYING rtde_control"),
+        ("running", "Program running: true"),
+        ("is in remote control", "true"),
+        ("get serial number", "20240000001"),
+        ("get robot model", "UR5"),
+        ("stop", "Stopped"),
+        ("pause", "Pausing program"),
+        ("play", "Failed to execute: play"),
+        ("load nothing.urp", "File not found: nothing.urp"),
+        ("load rtde_control.urp", "Loading program: rtde_control.urp"),
+        ("popup careful", "showing popup"),
+        ("unlock protective stop", "Protective stop releasing"),
+        ("fly away", "could not understand: 'fly away'"),
+        ("", "could not understand: ''"),
+    ],
+)
+def test_the_dashboard_answers(world: World, said: str, answer: str) -> None:
+    assert Dashboard(world.of).answer(said) == (answer, True)
+
+
+def test_the_dashboard_in_local_control_and_of_a_cb3() -> None:
+    world = World(upload=False)
+    world.of.remote_control = False
+    for line in ("play", "power off", "load rtde_control.urp", "unlock protective stop"):
+        assert Dashboard(world.of).answer(line)[0] == "Command is not allowed due to safety reasons"
+    assert Dashboard(world.of).answer("is in remote control")[0] == "false"
+    assert Dashboard(world.of).answer("quit") == ("Disconnected", False)
+    cb3 = World("3.15", upload=False)
+    assert Dashboard(cb3.of).answer("is in remote control")[0].startswith("could not understand")
+
+
+def test_a_program_on_the_disk_can_be_played() -> None:
+    world = World(upload=False)
+    dashboard = Dashboard(world.of)
+    dashboard.answer("load rtde_control.urp")
+    assert dashboard.answer("play")[0] == "Starting program"
+    world.seconds(0.1)
+    assert world.playing
+    assert world.call(40) >= 1
+
+
+def test_power_comes_and_goes(world: World) -> None:
+    dashboard = Dashboard(world.of)
+    dashboard.answer("power off")
+    assert not world.playing
+    assert world.of.submit(Submitted("", "stopj(2)")) is False
+    for line, seconds, mode in [("power on", 0.5, "POWER_ON"), ("", 0.6, "IDLE"), ("brake release", 1.1, "RUNNING")]:
+        dashboard.answer(line)
+        world.seconds(seconds)
+        assert dashboard.answer("robotmode")[0] == f"Robotmode: {mode}"
+    assert world.vector("joint_mode") == (253,) * 6
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("push", "must be FX or FX,FY,FZ"),
+        ("push x", "must be 1 finite number"),
+        ("push 1,2", "must be one or three numbers"),
+        ("push nan", "must be 1 finite number"),
+        ("push 1e9", "must be one or three numbers of at most"),
+        ("push 1 -1", "must be positive"),
+        ("freeze 0", "must be positive"),
+        ("late", "must be 2 finite numbers"),
+        ("late -1", "must be between 0 and 60 s"),
+        ("drop all rtde", "must be all or some of"),
+        ("refuse maybe", "must be on or off"),
+        ("version five", "must be real, or like 5.8"),
+        ("power", "must be on"),
+        ("release-emergency-stop", "is not pressed"),
+        ("log x", "must be 1 finite number"),
+        ("nonsense", "must be one of"),
+        ("", "must be one of"),
+    ],
+)
+def test_lines_that_are_refused_say_why(world: World, line: str, said: str) -> None:
+    before = world.of.runtime
+    answer = world.line.answer(line, 0.0)
+    assert answer.startswith("error: ")
+    assert said in answer
+    assert world.of.runtime == before
+
+
+def test_reset_brings_everything_back(world: World) -> None:
+    world.call(29, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    world.call(17, [3.0, 0.0, 0.0, 0.1])
+    world.call(1, [*shifted(0, 0.2), 2.0, 4.0], [0])
+    world.environment.push((0.0, 0.0, 20.0), 100.0)
+    world.cycles(2)
+    world.call(8)
+    for line in ("protective-stop", "remote-control off", "version 1.2", "in-use on", "late 0.5"):
+        assert world.line.answer(line, 0.0) == "ok"
+    assert world.line.answer("reset", 0.0) == "ok"
+    world.cycles(1)
+    assert world.vector("actual_q") == START
+    assert world.vector("actual_TCP_force") == (0.0,) * 6
+    assert world.vector("tcp_offset") == (0.0,) * 6
+    assert world.number("payload") == 0.0
+    assert world.number("safety_mode") == 1
+    world.upload()
+    assert world.playing
 
 
 # --------------------------------------------------------------------------------------------------------- scripts

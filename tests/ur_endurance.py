@@ -16,12 +16,12 @@ STALE_S = 0.02
 """Age of a state that a bridge takes for a silent peer."""
 
 
-def modes(seconds: float, pose: list[float]) -> dict[str, list[Any]]:
-    """Scenario of `tests.ur.clients` and its arguments for each mode."""
+def runs(seconds: float) -> dict[str, list[Any]]:
+    """Arguments of each mode of `tests.ur.clients`."""
     return {
         "servoj": [seconds, 0.1, 0.5],
-        "servol": [seconds, pose, 0.01, 0.5],
-        "speedl": [seconds, [0.0, 0.0, 0.05, 0.0, 0.0, 0.0], 0.25, 0.5],
+        "servol": [seconds, 0.01, 0.5],
+        "speedl": [seconds, [0.0, 0.0, 0.05, 0.0, 0.0, 0.0], 0.5],
         "force": [seconds, [-10.0, 0.0, 0.0, 0.0, 0.0, 0.0]],
     }
 
@@ -29,16 +29,17 @@ def modes(seconds: float, pose: list[float]) -> dict[str, list[Any]]:
 def endured(mode: str, seconds: float, version: str) -> dict[str, Any]:
     """Figures of one mode."""
     with emulator("--scene", "three_axis_box", "--version", version) as running:
-        arguments = modes(seconds, running.status()["tcp_pose"])[mode]
         running.do("forget-lateness")
-        result = client(mode, running.host, arguments, patience_s=seconds + 30.0)
+        rate_hz = 125.0 if version.startswith("3.") else 500.0
+        run = [rate_hz, [mode, *runs(seconds)[mode]]]
+        result = client("streams", running.host, run, patience_s=seconds + 60.0)[mode]
         status = running.status()
     kept = ("calls", "accepted", "late_p99_s", "late_max_s", "call_p99_s", "call_max_s", "state_gap_max_s")
     figures = {name: result[name] for name in kept}
     figures |= {name: status[name] for name in ("late_cycles", "worst_late_s", "lost_s", "skipped_packages")}
     figures["good"] = (
         result["accepted"] == result["calls"]
-        and result["stops"] == [True, True, True]
+        and result["stopped"]
         and result["safety_mode"] == 1
         and result["state_steps_back"] == 0
         and result["state_gap_max_s"] < STALE_S
@@ -55,7 +56,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     asked = parser.parse_args()
     results = {}
-    for mode in modes(0.0, []):
+    for mode in runs(0.0):
         results[mode] = figures = endured(mode, asked.seconds, asked.version)
         print(
             f"{mode:7} {figures['accepted']}/{figures['calls']} calls, client late p99 "

@@ -60,6 +60,7 @@ class ControlProgram:
         self._threads: dict[str, Thread] = {}
         self._servo_target: Six = (0.0,) * 6
         self._servo: tuple[float, float, float] = (0.002, 0.1, 300.0)
+        self._circular: tuple[Six, float, float] = ((0.0,) * 6, 0.25, 1.2)
         self._speed: tuple[bool, Six, float, float] = (False, (0.0,) * 6, 0.5, 0.5)
         self._force: tuple[Six, tuple[bool, ...], Six, int, Six] | None = None
         self._jog: JogSpeed | None = None
@@ -115,6 +116,7 @@ class ControlProgram:
             9: lambda: self._speeding(along_tool=False),
             10: lambda: self._speeding(along_tool=True),
             11: lambda: self._servoing(self.registers.six(0)),
+            12: self._servoc,
             15: self._speed_stop,
             16: self._servo_stop,
             24: lambda: self._servoing(self.do.inverse(self.registers.six(0))),
@@ -208,8 +210,21 @@ class ControlProgram:
         while True:
             yield from self.do.servoj(self._servo_target, *self._servo)
 
+    def _servoc(self) -> None:
+        registers = self.registers
+        self._circular = registers.six(0), registers.double(6), registers.double(7)
+        self.setup.engage()
+        if not self._runs("servoc"):
+            self._run("servoc", self._servoc_loop())
+
+    def _servoc_loop(self) -> Steps:
+        while True:
+            pose, speed, acceleration = self._circular
+            yield from self.do.movel(pose, acceleration, speed)
+
     def _servo_stop(self) -> Steps:
         self._kill("servo")
+        self._kill("servoc")
         return self.do.stopj(self.registers.double(0))
 
     def _speeding(self, *, along_tool: bool) -> None:
@@ -245,7 +260,7 @@ class ControlProgram:
 
     def _force_mode_stop(self) -> Steps:
         self._kill("force")
-        self.do.robot.force_mode.end()
+        self.do.robot.end_force_mode()
         return self.do.stopl(FORCE_STOP_DECELERATION)
 
     # ----------------------------------------------------------------------------------------------------- jog

@@ -1,5 +1,6 @@
 """The controller: one control cycle after another, with what clients wrote and what they will read."""
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -64,11 +65,15 @@ class Controller:
         settings: What it is.
         touch: What the tool touches.
         sensing: The force sensor.
+
+    Raises:
+        ValueError: A start beyond the limits of a joint.
     """
 
     def __init__(
         self, settings: ControllerSettings, touch: "Touch | None" = None, sensing: "WrenchSensing | None" = None
     ) -> None:
+        _check_start(settings)
         self.settings = settings
         self.version = settings.version
         self.period_s = 1.0 / settings.version.rate_hz
@@ -253,7 +258,7 @@ class Controller:
         if self._program is not None:
             self._program.kill()
             self._program = None
-        self.robot.force_mode.end()
+        self.robot.end_force_mode()
         self.setup.program_ended()
         self.runtime = RuntimeState.STOPPED
 
@@ -296,6 +301,16 @@ class Controller:
     def is_powered(self) -> bool:
         """Whether the arm has power."""
         return self.safety.robot_mode in {RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.BACKDRIVE, RobotMode.RUNNING}
+
+
+def _check_start(settings: ControllerSettings) -> None:
+    model = settings.model
+    for joint, (low, angle, high) in enumerate(
+        zip(model.position_min, settings.start, model.position_max, strict=True), start=1
+    ):
+        if not low <= angle <= high or not math.isfinite(angle):
+            message = f"start: joint {joint} = {angle:g} rad: must be between {low:.4g} and {high:.4g}"
+            raise ValueError(message)
 
 
 def _nothing() -> None:

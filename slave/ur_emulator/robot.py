@@ -91,6 +91,8 @@ class Robot:
             tuple(torque / ACCELERATES_AT for torque in model.max_torque), tuple(model.max_torque), BANDWIDTH
         )
         self.target = Target(q)
+        self._plan = self.target
+        """The target as the program's motions go on from it: without the velocity that force mode adds."""
         self.force_mode = ForceMode()
         self.friction: Joints = tuple(
             FRICTION_SHARE * torque / speed for torque, speed in zip(model.max_torque, model.max_speed, strict=True)
@@ -130,21 +132,27 @@ class Robot:
         self.arm.set_tcp(offset)
         self.measured = self._measure(self._time_s)
 
+    def end_force_mode(self) -> None:
+        """What moves goes on, whatever made it move."""
+        if self.force_mode.active:
+            self.force_mode.end()
+            self._plan = self.target
+
     def release(self, *, on: bool) -> None:
         """Lets a push move the arm (freedrive, teach mode), or holds it again."""
         if on:
             self.force_mode.begin((0.0,) * 6, (True,) * 6, (0.0,) * 6, 2, FREEDRIVE_LIMITS)
         else:
-            self.force_mode.end()
+            self.end_force_mode()
 
     def brake(self, deceleration: float) -> None:
         """Stops, whatever commands it."""
-        self.force_mode.end()
+        self.end_force_mode()
         self.motion, self._commander = StopJoints(deceleration), None
 
     def place(self, q: Joints, tcp: Six) -> None:
         """Puts the arm somewhere at rest, at once, with a tool and without what was set up."""
-        self.target = Target(q)
+        self.target = self._plan = Target(q)
         self.loop.rest()
         self.force_mode.reset()
         self.sensing.offset = (0.0,) * 6
@@ -182,15 +190,18 @@ class Robot:
 
     def _next_target(self) -> Target:
         motion, commander = self.motion, self._commander
+        now = self._plan
         if motion is None or (commander is not None and not commander.alive):
-            motion = self.motion = None if self.target.rests else StopJoints(IDLE_DECELERATION)
+            motion = self.motion = None if now.rests else StopJoints(IDLE_DECELERATION)
             self._commander = None
-        now = self.target
         if isinstance(motion, Torque):
             motion.external = self.measured.torque
-        new = Target(now.q) if motion is None else motion.step(now, self.period_s, self.share)
-        if self.force_mode.active:
-            new = self._compliant(now, new)
+        plan = Target(now.q) if motion is None else motion.step(now, self.period_s, self.share)
+        if not self.force_mode.active:
+            self._plan = plan
+            return plan
+        new = self._compliant(self.target, plan)
+        self._plan = Target(new.q, plan.qd, plan.qdd)
         return new
 
     def _compliant(self, now: Target, new: Target) -> Target:

@@ -67,7 +67,7 @@ class ScriptLines:
             "set_tcp": lambda pose: do.robot.set_tcp(_six("set_tcp", pose)),
             "set_payload": lambda m, cog=(0.0, 0.0, 0.0): setup.set_payload(float(m), tuple(cog)),
             "zero_ftsensor": do.robot.sensing.zero,
-            "end_force_mode": do.robot.force_mode.end,
+            "end_force_mode": do.robot.end_force_mode,
             "protective_stop": lambda: setup.protective_stop("protective_stop() of the program"),
             "set_digital_out": lambda n, b: digital.set(int(n), on=bool(b)),
             "set_standard_digital_out": lambda n, b: digital.set(int(n), on=bool(b)),

@@ -18,6 +18,8 @@ MOST_CONNECTIONS: Final = 64
 SEND_BUFFER: Final = 1 << 16
 """Bytes in the system's hands: so much is old at most when a slow reader comes back."""
 RECEIVE: Final = 1 << 16
+WORTH_SENDING_S: Final = 0.02
+"""Age of a state from which on it is skipped where a newer one is there: a stall of the machine costs packages."""
 MOST_CATCH_UP_S: Final = 0.5
 """Time that is made up for after a stall; what was lost beyond it is lost."""
 
@@ -136,13 +138,17 @@ class Server:
             lost = int((late_s - MOST_CATCH_UP_S) / period_s) * period_s
             self.lost_s += lost
             due_s += lost
-        cycles = 0
+        cycles = unsent = 0
         while due_s <= now_s:
             controller.cycle()
             cycles += 1
+            unsent += 1
             due_s += period_s
-        if not self.faults.is_frozen(now_s):
-            self._send_packages(cycles, now_s)
+            # Of what is long past, only the newest is worth sending.
+            if now_s - due_s < WORTH_SENDING_S:
+                if not self.faults.is_frozen(now_s):
+                    self._send_packages(unsent, now_s)
+                unsent = 0
         self.busiest_s = max(self.busiest_s, (time.monotonic() - now_s) / cycles)
         return due_s
 

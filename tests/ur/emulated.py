@@ -103,5 +103,12 @@ def client(scenario: str, host: str, arguments: Sequence[object] = (), patience_
     command = [sys.executable, "-m", "tests.ur.clients", scenario, host, json.dumps(list(arguments))]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=False)
     assert ended.returncode == 0, f"{scenario}: {ended.stderr}{ended.stdout}"
-    result: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
+    return result_of(ended.stdout)
+
+
+def result_of(told: str) -> dict[str, Any]:
+    """The result in what a client said; ur_rtde says things of its own, from threads of its own."""
+    lines = [line for line in told.splitlines() if line.startswith("{")]
+    assert lines, f"no result: {told!r}"
+    result: dict[str, Any] = json.loads(lines[-1])
     return result

@@ -26,7 +26,11 @@ class Client:
         self._types: list[str] = []
         self._names: list[str] = []
         if version != 1:
-            assert self.request("V", struct.pack(">H", version)) == b"\x01"
+            try:
+                assert self.request("V", struct.pack(">H", version)) == b"\x01"
+            except BaseException:
+                self.socket.close()
+                raise
             self.version = version
 
     def __enter__(self) -> Self:
