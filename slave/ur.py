@@ -65,7 +65,7 @@ class UrSlave:
         self._point: SetPoint
         self._wrench: UrWrench
         self._state: UrState
-        self._latency: Latency
+        self._latency = Latency(0.002)
         self._before: UrState | None = None
         """The last state in which the arm was allowed to move."""
         self._opened = False

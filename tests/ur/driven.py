@@ -68,9 +68,9 @@ class Watched:
             "skipped": report.skipped,
             "holds": report.holds,
             "travel_m": float(np.ptp(engaged)) if len(engaged) else 0.0,
-            "arm_travel_m": float(np.ptp(trace.position.ravel())),
-            "environment_force_n": float(np.abs(trace.environment_force).max()),
-            "device_force_n": float(np.abs(near.device_force).max()),
+            "arm_travel_m": float(np.ptp(trace.position.ravel())) if len(trace) else 0.0,
+            "environment_force_n": float(np.abs(trace.environment_force).max(initial=0.0)),
+            "device_force_n": float(np.abs(near.device_force).max(initial=0.0)),
         }
 
 
