@@ -22,13 +22,12 @@ SHARED_S = 0.35
 
 def engaged(watching: Watching, since_s: float = 0.0) -> float:
     """When both were coupled."""
-    return max(
-        float(watching.wait_for(side, "engaged", since_s=since_s, patience_s=15.0)["at_s"]) for side in ("slave", "master")
-    )
+    events = [watching.wait_for(side, "engaged", since_s=since_s, patience_s=15.0) for side in ("slave", "master")]
+    return max(float(event["at_s"]) for event in events)
 
 
 class ModeRow(NamedTuple):
-    """A way to move, and the latency that it may have: servoj's ramp lag and transport, with room for a busy machine."""
+    """A way to move, and the latency that it may have: ramp lag and transport, with room for a busy machine."""
 
     mode: str
     version: str
@@ -98,6 +97,10 @@ def powered(emulated: Emulated) -> None:
     emulated.wait_for("robot_mode", "RUNNING")
 
 
+def remote(emulated: Emulated) -> None:
+    emulated.do("remote-control on")
+
+
 # What RTDE tells is known within a package; silence after 100 ms; remote control is asked for once a second.
 FAULTS = [
     FaultRow("emergency stop", "emergency-stop", "emergency stop: find its cause", 0.05, released),
@@ -105,7 +108,7 @@ FAULTS = [
     FaultRow("program paused", "pause-program", "the control script is paused", 0.05, nothing),
     FaultRow("power off", "power off", "robot mode power off", 0.05, powered),
     FaultRow("remote control off", "remote-control off", "remote control was switched off", 2.2,
-             lambda emulated: emulated.do("remote-control on") and None),
+             remote),
     FaultRow("network gone for 0.4 s", "freeze 0.4", "nothing has come from the controller for 1", 0.125, nothing),
     FaultRow("connections closed", "drop all", "the controller closed the connection", 0.05, nothing),
 ]  # fmt: skip
@@ -178,7 +181,7 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
         event = watching.wait_for("slave", "fault", since_s=at_s)
         assert event["at_s"] - at_s < 0.1 + SHARED_S
         said = watching.wait_for("fault", since_s=at_s)["fault"]
-        assert said.startswith("protective stop (last seen before: ")
+        assert said.startswith("protective stop (seen: ")
         watching.act("ack")
         until_said(watching, "protective stop: can be unlocked in", at_s)
         assert emulated.status()["safety_mode"] == "PROTECTIVE_STOP"

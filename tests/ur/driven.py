@@ -9,12 +9,14 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from haptether.bridge import LiveMaster, SlaveLoop, SlaveRun, load_scene, load_slave, scene_json
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 LOOK_S = 0.001
 LONGEST_S = 60.0
