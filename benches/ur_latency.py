@@ -58,7 +58,9 @@ def measure(mode: str, version: str, options: dict[str, float], seconds: float) 
         arm = UrSlave(host=HOST, mode=mode, **options)
         arm.open()
         try:
-            return Row(mode=mode, version=version, options=options, **_led(arm, seconds), overshoot=_model(mode, options))
+            return Row(
+                mode=mode, version=version, options=options, **_led(arm, seconds), overshoot=_model(mode, options)
+            )
         finally:
             arm.close()
     finally:

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, TypeAlias
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, json
 
 from haptether.bridge.scene_near import SeriesTable
 from haptether.bridge.scene_ranges import (
@@ -62,6 +62,10 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     in virtual time, the arm is the model that the rest of this table describes."""
     options: Options = {}
     """Live only: what the driver is called with."""
+
+    def __hash__(self) -> int:
+        # Options are a table of any keys, which has no hash of its own.
+        return hash(json.encode(self))
 
 
 class Plane(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="plane"):

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from msgspec import Struct
+from msgspec import Struct, json
 
 from haptether.bridge.scene_ranges import (
     Axis,
@@ -71,6 +71,10 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     the safety layer takes the device for. By default a model of this table is held by the operator."""
     options: Options = {}
     """Live only: what the driver is called with."""
+
+    def __hash__(self) -> int:
+        # Options are a table of any keys, which has no hash of its own.
+        return hash(json.encode(self))
 
 
 class SeriesTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

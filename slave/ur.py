@@ -59,6 +59,8 @@ class UrSlave:
     """
 
     paces = True
+    spins = True
+    """ur_rtde waits for the controller without sleeping."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)

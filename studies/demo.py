@@ -2,6 +2,7 @@
 
 import contextlib
 import queue
+import secrets
 import subprocess
 import sys
 import tempfile
@@ -9,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import msgspec
 import numpy as np
@@ -59,6 +60,8 @@ class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
     push_duration_s: float = 2.0
     release_at_s: float = 2.6
     duration_s: float = 3.6
+    slave: Literal["simulated", "ur"] = "simulated"
+    """The model of an arm, or an emulated UR controller that the vendor's client library drives."""
 
 
 def run_demo(
@@ -87,11 +90,9 @@ def run_demo(
         show(f"{controller}: starting", 0.0)
         key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "demo.key"
         write_key(key)
+        arm = _ur_arm(scene, stack, stopped) if scene.slave == "ur" else _simulated_arm(scene)
         slave = stack.enter_context(_process(
-            "slave", "--listen", local, "--key", str(key), "--wall-stiffness", str(scene.wall_stiffness),
-            "--push-at-s", str(scene.push_at_s), "--push-force-n", str(scene.push_force_n),
-            "--push-duration-s", str(scene.push_duration_s),
-            "--duration-s", limit, "--patience-s", limit,
+            "slave", "--listen", local, "--key", str(key), "--duration-s", limit, "--patience-s", limit, *arm,
         ))  # fmt: skip
         slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
         netsim = stack.enter_context(_process(
@@ -113,6 +114,32 @@ def run_demo(
             message = f"the master ended with status {master.process.returncode}: {master.said()}"
             raise RuntimeError(message)
         return msgspec.json.decode(result.read_bytes(), type=PushResult)
+
+
+def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
+    """What the slave is told of the model."""
+    return (
+        "--wall-stiffness", str(scene.wall_stiffness), "--push-at-s", str(scene.push_at_s),
+        "--push-force-n", str(scene.push_force_n), "--push-duration-s", str(scene.push_duration_s),
+    )  # fmt: skip
+
+
+def _ur_arm(scene: DemoScene, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
+    """Starts an emulated controller, whose tool meets wall and push, and gives what the slave is told of it."""
+    # The ports of a controller are fixed: an address of its own, so that several demos get on.
+    host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+    far = (
+        "--scene", "remote_push",
+        "--set", f"environment.objects.0.contact.stiffness={scene.wall_stiffness}",
+        "--set", f"environment.pushers.0.at_s={scene.push_at_s}",
+        "--set", f"environment.pushers.0.force_n={scene.push_force_n}",
+        "--set", f"environment.pushers.0.duration_s={scene.push_duration_s}",
+    )  # fmt: skip
+    emulator = stack.enter_context(_process("ur-emulator", "--host", host, *far, says="listening on"))
+    emulator.headline(stopped)
+    return (
+        *far, "--set", "slave.device=ur", "--set", f"slave.options.host={host}", "--set", "slave.period_s=0.002",
+    )  # fmt: skip
 
 
 def _follow(
@@ -144,8 +171,9 @@ def _follow(
 class _Process:
     """One of our own commands as a child process, and what it says."""
 
-    def __init__(self, name: str, process: "Popen[str]") -> None:
+    def __init__(self, name: str, process: "Popen[str]", says: str) -> None:
         self.name = name
+        self._says = says
         self.process = process
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._all: list[str] = []
@@ -154,13 +182,13 @@ class _Process:
         self._reader.start()
 
     def _read(self) -> None:
-        if self.process.stderr is not None:
-            for line in self.process.stderr:
+        if self.process.stdout is not None:
+            for line in self.process.stdout:
                 self._all.append(line.strip())
                 self._lines.put(line.strip())
 
     def headline(self, stopped: StopRequest) -> str:
-        """The first line that it says: its socket is open.
+        """The line that says that its socket is open.
 
         Raises:
             Interrupted: A stop was asked for.
@@ -176,7 +204,7 @@ class _Process:
                 if self.process.poll() is not None and self._lines.empty():
                     break
                 continue
-            if line.startswith(self.name):
+            if line.startswith(self._says):
                 return line
         message = f"{self.name} did not start: {self.said() or 'it said nothing'}"
         raise RuntimeError(message)
@@ -195,20 +223,20 @@ class _Process:
                 self.process.kill()
                 self.process.wait()
         self._reader.join(END_TIMEOUT_S)
-        if self.process.stderr is not None:
-            self.process.stderr.close()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
 
 
 @contextlib.contextmanager
-def _process(name: str, *arguments: str) -> Iterator[_Process]:
+def _process(name: str, *arguments: str, says: str | None = None) -> Iterator[_Process]:
     process = subprocess.Popen(
         [sys.executable, "-m", "haptether", name, *arguments],
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
     )
-    child = _Process(name, process)
+    child = _Process(name, process, says or name)
     try:
         yield child
     finally:
@@ -226,7 +254,7 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path) -> No
     figure = Figure(figsize=(13.0, 4.2), layout="constrained")
     figure.suptitle(
         f"A remote push reaches a hand that lets go, {scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) "
-        f"each way, {scene.loss:.1%} loss"
+        f"each way, {scene.loss:.1%} loss" + (", through an emulated UR5e" if scene.slave == "ur" else "")
     )
     panels = figure.subplots(1, 3)
     signals = ("velocity", "device_force", "position")

@@ -40,6 +40,7 @@ SHIPPED = {
     "remote_push",
     "sliding_mass",
     "three_axis_box",
+    "ur_peg",
 }
 MINIMAL = 'schema = 1\nmaster = { device = "touch" }\n'
 

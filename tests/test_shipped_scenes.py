@@ -44,6 +44,8 @@ SHOWN: list[Shown] = [
     ("sliding_mass", ["environment.objects.0.contact.stiffness=400"], (0.01, 0.3), (1.0, 2.0), None, 1),
     # 20 mm of target behind the resting depth of 150 and 300 N/m in series: 25 mm * 100 N/m = 2.5 N.
     ("three_axis_box", [], (0.35, 0.48), (2.4, 2.6), (0.06, 0.09), 0),
+    # The same of 25 mm into the table and 20 mm into the wall: 2.5 N and 2.0 N, 3.2 N together.
+    ("ur_peg", [], (0.35, 0.48), (3.1, 3.3), (0.05, 0.08), 0),
     # Nobody lets go: the hand moves at up to 1.875 L / T, 0.1016 and 0.1875 m/s.
     ("driving_network", [], (0.09, 0.11), (2.5, 2.9), None, 0),
     ("attack_replay", [], (0.17, 0.2), (2.1, 2.4), None, 0),

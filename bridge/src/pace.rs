@@ -110,11 +110,13 @@ impl DevicePace {
     }
 
     /// A tick whose sample the device has given now: due then where it is early, for it sets the pace.
+    ///
+    /// The tick's time is that of the sample, and not when it was due: what has arrived by then was sent before.
     pub(crate) fn sampled(&mut self, now_ns: u64) -> Wake {
         let wake = Wake::new(self.next_ns.min(now_ns), now_ns, self.period_ns);
         let late_ns = now_ns - wake.deadline_ns;
         self.next_ns = wake.deadline_ns + late_ns / PACE_SHARE + self.period_ns;
-        wake
+        Wake { deadline_ns: now_ns, ..wake }
     }
 }
 
@@ -147,8 +149,8 @@ mod tests {
                 let now_ns = 5 * MS + (n * (1_000_000 + drift_ppm)).cast_unsigned();
                 let wake = pace.sampled(now_ns);
                 assert_eq!(wake.missed, 0, "{drift_ppm} {n}");
-                assert!(wake.deadline_ns > before_ns && wake.deadline_ns <= now_ns);
-                (late_ns, before_ns) = (wake.overshoot_ns, wake.deadline_ns);
+                assert!(now_ns > before_ns && wake.deadline_ns == now_ns);
+                (late_ns, before_ns) = (wake.overshoot_ns, now_ns);
             }
             // Where what is late grows by a tick is what its share takes away.
             let expected_ns = (drift_ppm * 1024).max(0).cast_unsigned();

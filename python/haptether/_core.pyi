@@ -2426,8 +2426,8 @@ class MasterLoop:
 
     def turn(
         self,
-        position: float | Sequence[float],
-        velocity: float | Sequence[float] | None = None,
+        position: _Sample,
+        velocity: _Sample | None = None,
         clutch: bool | None = None,
         *,
         failed: bool = False,
@@ -2565,9 +2565,9 @@ class SlaveLoop:
 
     def turn(
         self,
-        position: float | Sequence[float],
-        velocity: float | Sequence[float],
-        force: float | Sequence[float],
+        position: _Sample,
+        velocity: _Sample,
+        force: _Sample,
         *,
         failed: bool = False,
     ) -> tuple[Literal["wait", "move", "stop"], tuple[float, ...], tuple[float, ...]] | None:

@@ -101,7 +101,8 @@ impl<S: Side> Turning<S> {
             // Late already: another period for this is not much.
             socket.discard(clock::now_ns() + settings.period_ns);
         }
-        // The tick's time is its deadline: the pure part sees a steady clock, as in virtual time.
+        // The tick's time is its deadline, or that of the device's sample: the pure part sees a steady clock, as in
+        // virtual time.
         let now_ns = deadline_ns;
         self.now_ns = now_ns;
         if shared.press.swap(false, Ordering::Relaxed) {

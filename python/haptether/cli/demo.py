@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -27,6 +27,8 @@ class Demo:
     haptether demo
 
     haptether demo --delay-s 0.02 --jitter-s 0.001 --loss 0 --out out/fast-link --json -
+
+    haptether demo --slave ur
     """
 
     delay_s: float = 0.05
@@ -37,6 +39,8 @@ class Demo:
     """Share of packets lost."""
     seed: int = 1
     """Seed of jitter and loss, 0 to 2^64 - 1."""
+    slave: Literal["simulated", "ur"] = "simulated"
+    """The model of an arm; or an emulated UR controller, driven by the vendor's own client library (extra "ur")."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
     """Folder of the picture and of every tick (.npz)."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -58,12 +62,15 @@ class Demo:
         require_matplotlib()  # before the runs, not after them
         # Refuses early.
         link_spec(LinkSettings(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss), "forward")
-        scene = DemoScene(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss, seed=self.seed)
+        scene = DemoScene(
+            delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss, seed=self.seed, slave=self.slave
+        )
         self.out.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=table_goes_to_stderr(self.json))
+        arm = "an emulated UR controller - ur-rtde - " if self.slave == "ur" else ""
         console.print(
-            f"slave - network ({self.delay_s * 1e3:g} ms, sigma {self.jitter_s * 1e3:g} ms, each way, "
-            f"{self.loss:.1%} loss) - master,\n  as three processes on this machine; "
+            f"{arm}slave - network ({self.delay_s * 1e3:g} ms, sigma {self.jitter_s * 1e3:g} ms, each way, "
+            f"{self.loss:.1%} loss) - master,\n  as processes on this machine; "
             f"the hand presses; at {scene.push_at_s:g} s {scene.push_force_n:g} N shove the arm,\n  "
             f"at {scene.release_at_s:g} s the hand lets go",
             highlight=False,

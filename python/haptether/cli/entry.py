@@ -16,6 +16,7 @@ from haptether.cli.check_link import CheckLink
 from haptether.cli.demo import Demo
 from haptether.cli.explain import Explain
 from haptether.cli.keygen import Keygen
+from haptether.cli.list import List
 from haptether.cli.master import Master
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
 from haptether.cli.paper import Paper
@@ -46,6 +47,7 @@ COMMANDS: dict[str, type[Any]] = {
     "check-link": CheckLink,
     "explain": Explain,
     "keygen": Keygen,
+    "list": List,
 }
 GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS}
 """Commands that only name others."""

@@ -80,6 +80,18 @@ class Simulate:
             raise SceneError(message)
         with spinner(f"running {self.scene}"):
             run = simulate(self.scene, overrides=self.set)
+        named = {
+            "slave.device": None if scene.slave is None else scene.slave.device,
+            "master.driver": scene.master.driver,
+        }
+        for key, name in named.items():
+            if name not in {None, "simulated"}:
+                table = key.partition(".")[0]
+                console.print(
+                    f"{key} = {name}: the model of [{table}] stands for it; `haptether {table} --scene` drives it live",
+                    highlight=False,
+                    markup=False,
+                )
         return self._report(console, run)
 
     def _report(self, console: "Console", run: "Run") -> int:

@@ -37,6 +37,8 @@ class UrEmulator:
     """Version of the controller: 3.15 (CB3, 125 Hz) or 5.4 to 5.26 (500 Hz)."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
     """What the tool touches: [environment] of a shipped scene or of a scene file; by default nothing."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """Change the scene, as in `haptether simulate`; may be given often."""
     start: Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="Q")] = (
         -1.6, -1.7, -2.2, -0.8, 1.6, 0.0,
     )  # fmt: skip
@@ -137,8 +139,11 @@ class UrEmulator:
 
     def _scene(self) -> "SceneTouch | None":
         if self.scene is None:
+            if self.set:
+                message = f"set = {self.set[0]}: changes a scene: --scene must name one"
+                raise ValueError(message)
             return None
         from haptether.bridge import load_scene, scene_json
         from haptether.slave import SceneTouch
 
-        return SceneTouch(scene_json(load_scene(self.scene)))
+        return SceneTouch(scene_json(load_scene(self.scene, self.set)))

@@ -1,0 +1,117 @@
+"""What a driver in Python costs: a loop that it turns, beside the native loop, turn by turn in the same run.
+
+Both are the master of the same scene under the same policy, send to a socket that nobody reads, and wait for the same
+absolute deadlines of 1 ms; one reads its device by a call into Python and back. Two figures: how late each wakes, and
+how long a turn takes from Python, conversions included, beside a call that does nothing.
+"""
+
+import argparse
+import json
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_scene, scene_json
+from haptether.master import MasterSample
+
+EXAMPLE = "example: python benches/device_loop.py --rounds 4 --json -"
+TURNS = 20_000
+
+
+class Still:
+    """A device that rests."""
+
+    paces = False
+
+    def open(self) -> None:
+        """Nothing to open."""
+
+    def read(self) -> MasterSample:
+        """Where it rests."""
+        return MasterSample(0.0)
+
+    def write(self, force: tuple[float, ...]) -> None:
+        """Nothing to move."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def scene() -> bytes:
+    """One axis, two controllers, nobody presses the clutch."""
+    return scene_json(load_scene("remote_push", ["safety.controllers=[hsc, wsc]", "operator.clutch=[]"]))
+
+
+def wakes(who: str, peer: str, seconds: float) -> npt.NDArray[np.float64]:
+    """Overshoots in us of one turn of the bench."""
+    how: dict[str, Any] = {"peer": peer, "session": 1, "insecure": True, "patience_s": seconds}
+    if who == "native":
+        master: LiveMaster | MasterRun = LiveMaster(scene(), **how)
+    else:
+        master = MasterRun(Still(), MasterLoop(scene(), **how))
+    while not master.finished:
+        time.sleep(0.1)
+    trace, _ = master.finish()
+    return trace.overshoot_s[100:] * 1e6
+
+
+def turn_us(peer: str) -> tuple[float, float]:
+    """Median time in us of a turn, and of a call of the extension that does nothing."""
+    loop = MasterLoop(scene(), peer=peer, session=1, insecure=True, realtime="off", keep_s=1.0)
+    loop.begin()
+    turn, nothing = loop.turn, loop.press_clutch
+    took = np.empty((2, TURNS))
+    for number in range(TURNS):
+        begun = time.perf_counter_ns()
+        turn(0.0)
+        between = time.perf_counter_ns()
+        nothing()
+        took[:, number] = between - begun, time.perf_counter_ns() - between
+    loop.finish()
+    of_turn, of_nothing = (float(np.median(row)) / 1e3 for row in took)
+    return of_turn, of_nothing
+
+
+def main() -> int:
+    """Measures and prints the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--rounds", type=int, default=4, help="turns of each; default 4")
+    parser.add_argument("--seconds", type=float, default=5.0, help="of each turn; default 5")
+    arguments = parser.parse_args()
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    pooled: dict[str, list[npt.NDArray[np.float64]]] = {"native": [], "python": []}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.bind(("127.0.0.1", 0))
+        peer = f"127.0.0.1:{sink.getsockname()[1]}"
+        for number in range(arguments.rounds):
+            order = ("native", "python") if number % 2 == 0 else ("python", "native")
+            for who in order:
+                pooled[who].append(wakes(who, peer, arguments.seconds))
+        of_turn, of_nothing = turn_us(peer)
+    report: dict[str, float] = {"turn_us": of_turn, "empty_call_us": of_nothing}
+    print(f"{'wakes late, us':<16}{'p50':>10}{'p99':>10}{'p99.9':>10}", file=out)
+    for who, turns in pooled.items():
+        late = np.concatenate(turns)
+        p50, p99, p999 = (float(np.quantile(late, share)) for share in (0.5, 0.99, 0.999))
+        report |= {f"{who}_p50_us": p50, f"{who}_p99_us": p99, f"{who}_p999_us": p999}
+        print(f"{who:<16}{p50:>10.1f}{p99:>10.1f}{p999:>10.1f}", file=out)
+    print(f"\na turn from Python takes {of_turn:.1f} us, a call that does nothing {of_nothing:.2f} us", file=out)
+    if arguments.json is not None:
+        text = json.dumps(report, indent=2)
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

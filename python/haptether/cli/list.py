@@ -1,0 +1,56 @@
+"""`haptether list`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """Say what there is to name: drivers of devices, presets of devices, scenes, networks.
+
+    Drivers are entry points of the groups `haptether.masters` and `haptether.slaves`; other packages that are installed
+    may bring more.
+
+    Examples:
+
+    haptether list
+
+    haptether list --json -
+    """
+
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the same as JSON; - for standard output."""
+
+    def run(self) -> int:
+        """Prints a row for each kind."""
+        import msgspec
+        from rich.console import Console
+        from rich.table import Table
+
+        from haptether.bridge import MASTERS, SLAVES, device_names, scene_names
+        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.master import DEVICE_PRESETS
+        from haptether.netsim import PRESETS
+
+        check_target(self.json)
+        kinds: dict[str, tuple[str, tuple[str, ...]]] = {
+            "[master] driver": ("drivers of haptic devices; without one a model", device_names(MASTERS)),
+            "[slave] device": ("drivers of arms, and a model", ("simulated", *device_names(SLAVES))),
+            "[master] device": ("presets of haptic devices", tuple(DEVICE_PRESETS)),
+            "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
+            "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
+        }
+        table = Table(header_style="bold", pad_edge=False, show_lines=True)
+        for name in ("key", "what", "names"):
+            table.add_column(name)
+        for key, (what, names) in kinds.items():
+            # Brackets are markup to the table.
+            table.add_row(key.replace("[", r"\["), what, ", ".join(names) or "-")
+        Console(stderr=table_goes_to_stderr(self.json)).print(table, highlight=False)
+        if self.json is not None:
+            report = {key: list(names) for key, (_, names) in kinds.items()}
+            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        return 0
