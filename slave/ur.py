@@ -37,6 +37,8 @@ SILENCE_S: Final = 0.02
 """After which an arm is stopped that would go on by itself and is not led."""
 STOP_S: Final = 1.0
 """For a soft stop: 0.25 m/s and the least deceleration allowed take longer, and then the program is ended."""
+ARMED_S: Final = 1.0
+LAST_WAY_S: Final = 1.0
 REMOTE_EVERY_S: Final = 1.0
 KICKS: Final = 5.0
 """Signs of life in each period of the watchdog, while nothing is commanded."""
@@ -60,14 +62,14 @@ class UrSlave:
     spins = True
     """ur_rtde waits for the controller without sleeping."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)
         self._link: UrLink
         self._mode: Mode
         self._point: SetPoint
         self._wrench: UrWrench
         self._state: UrState
-        self._latency: Latency
+        self._latency = Latency(0.002)
         self._before: UrState | None = None
         """The last state in which the arm was allowed to move."""
         self._opened = False
@@ -80,6 +82,8 @@ class UrSlave:
         self._guard: Call | None = None
         """Arming the watchdog."""
         self._halt: Call | None = None
+        self._last_way: Call | None = None
+        """Ending the program through the dashboard."""
         self._recovery: Call | None = None
         self._remote: Call | None = None
         self._watches_remote = False
@@ -99,12 +103,13 @@ class UrSlave:
         self._aside, self._stopper = Bounded("ur-aside"), Bounded("ur-stopper")
         self._opened = True
         self._link.connect()
-        offset = tuple(options.tool or self._link.setting("tool", self._link.control.getTCPOffset))
+        x, y, z, rx, ry, rz = options.tool or (self._link.setting("tool", self._link.control.getTCPOffset))
+        offset = (x, y, z, rx, ry, rz)
         # With CasADi, which takes its time: before the watchdog listens.
         self._mode = ur_mode(options, self._period_s, offset)
         self._point = SetPoint(options.max_speed, options.max_acceleration, self._period_s, options.workspace)
         self._wrench = UrWrench(
-            raw=options.force_source == "raw", tool=offset,  # type: ignore[arg-type]  # six of them
+            raw=options.force_source == "raw", tool=offset,
             filter_hz=options.force_filter_hz, deadband_n=options.force_deadband_n,
         )  # fmt: skip
         self._latency = Latency(self._period_s)
@@ -137,9 +142,8 @@ class UrSlave:
         if self._fault is not None or self._guard is None or not self._guard.over:
             return
         state, now_s = self._state, time.monotonic()
-        target, target_velocity = self._placed(position, self._point.position if self._moving else state.pose[:3]), (
-            self._placed(velocity, ORIGIN)
-        )  # fmt: skip
+        target = self._placed(position, self._point.position if self._moving else state.pose[:3])
+        target_velocity = self._placed(velocity, ORIGIN)
         if not self._moving and not self._begin(state, target):
             return
         if self._link.worker.idled is not None:
@@ -190,6 +194,8 @@ class UrSlave:
         for failed in self._link.end():
             self._tell(f"at the end: {failed}")
         self._aside.end()
+        if self._last_way is not None:
+            self._last_way.wait(LAST_WAY_S)
         self._stopper.end()
         if (latency_s := self.latency_s) is not None:
             self._tell(f"the arm followed {1e3 * latency_s:.0f} ms late")
@@ -222,7 +228,7 @@ class UrSlave:
         state = self._state
         stop = safety_stop(state, self._before)
         if stop is not None:
-            self._latch(stop.text)
+            self._latch(stop)
         elif not self._link.receive.isConnected():
             self._latch(
                 "the controller closed the connection: see that it is on and the cable is in, then acknowledge",
@@ -264,24 +270,21 @@ class UrSlave:
         if self._fault is not None:
             return
         if self._guard is None:
-            link = self._link
-            self._guard = link.worker.start(
-                "setWatchdog", lambda: link.control.setWatchdog(self.options.watchdog_hz), 1.0
-            )
+            control, hz = self._link.control, self.options.watchdog_hz
+            self._guard = self._link.worker.start("setWatchdog", lambda: control.setWatchdog(hz), ARMED_S)
         elif (
-            not self._moving and self._guard.over and now_s - self._kicked_s > 1.0 / (KICKS * self.options.watchdog_hz)
+            not self._moving
+            and self._guard.over
+            and (self._halt is None or self._halt.over)
+            and now_s - self._kicked_s > 1.0 / (KICKS * self.options.watchdog_hz)
         ):
-            if self._halt is None or self._halt.over:
-                self._link.kick()
-                self._kicked_s = now_s
-        if (
-            self._watches_remote
-            and now_s - self._remote_s > REMOTE_EVERY_S
-            and (self._remote is None or self._remote.over)
-        ):
+            self._link.kick()
+            self._kicked_s = now_s
+        if self._watches_remote and now_s - self._remote_s > REMOTE_EVERY_S:
             self._remote_s = now_s
-            host = self.options.host
-            self._remote = self._aside.start("remote control", lambda: is_in_remote_control(host), 2.0)
+            if self._remote is None or self._remote.over:
+                host = self.options.host
+                self._remote = self._aside.start("remote control", lambda: is_in_remote_control(host), 2.0)
 
     def _look_at_halt(self) -> None:
         """Where a soft stop did not succeed and the program may still play, ends the program."""
@@ -313,14 +316,17 @@ class UrSlave:
             except DashboardError as error:
                 self._tell(f"{error}: its watchdog ends the program; if the arm moves, press its emergency stop")
 
-        self._stopper.start("dashboard stop", end_program, 2.0)
+        self._last_way = self._stopper.start("dashboard stop", end_program, LAST_WAY_S)
 
     def _look_at_recovery(self, recovery: Call) -> None:
         if not recovery.over:
             return
         self._recovery = None
         if recovery.error is not None:
+            stopped_s = self._fault_s
             self._latch(" ".join(str(recovery.error).split()))
+            # Still the same stop.
+            self._fault_s = stopped_s
             return
         self._state = recovery.result
         self._before = None
@@ -343,9 +349,10 @@ class UrSlave:
         x, y, z = state.pose[:3]
         away = sum((a - b) ** 2 for a, b in zip(target, (x, y, z), strict=True)) ** 0.5
         if away > self.options.max_jump:
+            most = 1e3 * self.options.max_jump
             self._latch(
-                f"told to begin {1e3 * away:.1f} mm away from where the tool is (max_jump {1e3 * self.options.max_jump:g}"
-                " mm): acknowledge and engage anew"
+                f"told to begin {1e3 * away:.1f} mm away from where the tool is (max_jump {most:g} mm): acknowledge and"
+                " engage anew"
             )
             return False
         if (beyond := self._point.outside((x, y, z))) > self.options.max_jump:

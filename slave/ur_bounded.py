@@ -136,8 +136,9 @@ class Bounded:
     def stuck(self) -> Call | None:
         """The call that did not return in time; once there is one the thread is never used again."""
         running = self._running
-        if self._stuck is None and running is not None and running.begun_s is not None:
-            if not running.over and time.monotonic() - running.begun_s > running.limit_s:
+        if self._stuck is None and running is not None and not running.over:
+            begun_s = running.begun_s
+            if begun_s is not None and time.monotonic() - begun_s > running.limit_s:
                 self._stuck = running
         return self._stuck
 

@@ -85,11 +85,9 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
     try:
         seen = probe(host)
     except ProbeError as error:
-        checklist.refuse(
-            "reachable", str(error), "is it on, in this network, and RTDE not disabled in its security settings?"
-        )
-        checklist.finish()
-        raise AssertionError from error
+        remedy = "is it on, in this network, and RTDE not disabled in its security settings?"
+        checklist.refuse("reachable", str(error), remedy)
+        raise UrRefusedError("; ".join(checklist.refused)) from None
     checklist.ok("reachable", f"{seen.rate_hz:.0f} packages/s")
     version = seen.version[:2]
     oldest = OLDEST[0] if version[0] <= 3 else OLDEST[1]
@@ -147,21 +145,15 @@ def check_after(options: UrOptions, link: UrLink, checklist: Checklist, *, senso
     Raises:
         UrRefusedError: Something was refused.
     """
-    control = link.control
     steps: list[tuple[str, str, Callable[[], str]]] = []
     if options.payload_kg is not None:
-        cog = list(options.payload_cog or (0.0, 0.0, 0.0))
-        steps.append((
-            "payload", "is it within what the arm carries?",
-            lambda: _set(link, "payload", lambda: control.setPayload(options.payload_kg, cog), f"{options.payload_kg:g} kg"),
-        ))  # fmt: skip
+        steps.append(("payload", "is it within what the arm carries?", lambda: _payload(options, link)))
     else:
         checklist.ok("payload", "as set on the pendant")
     steps.append(("tool", "set it on the pendant, or in the options", lambda: _tool(options, link)))
     if sensor and options.zero_ft_sensor:
-        steps.append(
-            ("force sensor", "the tool must touch nothing; zero_ft_sensor = false leaves it", lambda: _zero(link))
-        )
+        remedy = "the tool must touch nothing; zero_ft_sensor = false leaves it"
+        steps.append(("force sensor", remedy, lambda: _zero(link)))
     # Last: from then on this side must be heard.
     steps.append(("watchdog", "without it nothing stops the arm when this side dies", lambda: _watchdog(options, link)))
     for what, remedy, step in steps:
@@ -188,9 +180,11 @@ def check_model(distance_m: float, options: UrOptions, checklist: Checklist) -> 
     checklist.finish()
 
 
-def _set(link: UrLink, name: str, function: Callable[[], object], found: str) -> str:
-    link.setting(name, function)
-    return found
+def _payload(options: UrOptions, link: UrLink) -> str:
+    control = link.control
+    cog = list(options.payload_cog or (0.0, 0.0, 0.0))
+    link.setting("payload", lambda: control.setPayload(options.payload_kg, cog))
+    return f"{options.payload_kg:g} kg"
 
 
 def _tool(options: UrOptions, link: UrLink) -> str:

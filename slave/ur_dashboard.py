@@ -38,7 +38,7 @@ def ask(host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
                     connection.settimeout(max(1e-3, end_s - time.monotonic()))
                     part = connection.recv(4096)
                     if not part:
-                        raise ConnectionError("closed")  # told below
+                        raise ConnectionError("closed")
                     came += part
                 answer, _, came = came.partition(b"\n")
                 answers.append(answer.decode("utf-8", "replace").strip())

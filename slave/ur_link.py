@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, Final
 
 from haptether.slave.ur_bounded import Bounded, OverdueError
@@ -36,15 +37,16 @@ def vendor_module() -> Any:  # noqa: ANN401  # it has no types
         LinkError: They are not installed.
     """
     try:
-        import rtde_control  # noqa: F401, PLC0415  # only whoever has such an arm
-        import rtde_receive  # noqa: PLC0415
+        # Only whoever has such an arm; it has no types.
+        import_module("rtde_control")
+        module = import_module("rtde_receive")
     except ImportError as error:
         message = (
             f"ur-rtde is not installed ({error}): pip install 'haptether[ur]' under Python 3.11 or 3.12; it has no"
             " wheels for later ones"
         )
         raise LinkError(message) from None
-    return rtde_receive
+    return module
 
 
 class UrLink:

@@ -12,7 +12,6 @@ from haptether.slave.ur_setpoint import SetPoint
 from haptether.slave.ur_state import Numbers, UrState
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_inverse import UrInverse
     from haptether.slave.ur_kinematics import UrKinematics
     from haptether.slave.ur_models import UrModel
 
@@ -21,6 +20,12 @@ Control = Any
 Order = Callable[[Control], bool]
 
 DIRECT_TORQUE_SINCE: Final = (5, 26)
+CLOSING_PERIODS: Final = 4.0
+"""Periods in which the joints close in on the set-point."""
+MOST_BEHIND_M: Final = 0.02
+"""How far the joints may stay behind it: what more there is would be made up for at once, somewhere else."""
+JOINT_ACCELERATION: Final = 25.0
+"""rad/s² at most: what the bounds of the tool ask for over the shortest lever, not what makes it smooth."""
 JOINT_SPEED_SHARE: Final = 0.9
 """Of the largest speed of a joint: what is commanded stays this far below."""
 TURN_SPEED: Final = 0.5
@@ -56,44 +61,74 @@ class Mode(Protocol):
 
 
 class Joints:
-    """From a set-point of the tool to joint angles: nearest posture, orientation kept.
+    """From a set-point of the tool to joint angles, orientation kept, within the limits of the joints.
+
+    Each period the joint velocities are those that follow `v_set + (x_set - x)/T` best within the limits
+    (`UrStreaming`): near a singularity, or at the end of a joint, the tool stays behind instead of a joint
+    going faster than it may.
 
     The unit's chain is only nearly that of its model, so motion is counted from where both have the tool at the begin:
     what they differ by stays where it was, and the first command is exactly where the joints are.
+
+    Args:
+        kinematics: The arm with its tool.
+        options: Of the driver.
+        period_s: Between two commands, in s.
     """
 
-    def __init__(self, model: "UrModel", kinematics: "UrKinematics", inverse: "UrInverse") -> None:
-        self._model = model
+    def __init__(self, kinematics: "UrKinematics", options: UrOptions, period_s: float) -> None:
+        from haptether.slave.streaming_limits import StreamingLimits  # noqa: PLC0415  # with CasADi
+        from haptether.slave.ur_streaming import UrStreaming  # noqa: PLC0415
+
+        model = kinematics.model
+        speeds = [JOINT_SPEED_SHARE * most for most in model.max_speed]
+        limits = StreamingLimits(
+            position_min=model.position_min,
+            position_max=model.position_max,
+            max_speed=(speeds[0], speeds[1], speeds[2], speeds[3], speeds[4], speeds[5]),
+            max_acceleration=(JOINT_ACCELERATION,) * 6,
+        )
         self._kinematics = kinematics
-        self._inverse = inverse
-        self._base_from_tool = np.eye(4)
-        self.offset: Three = (0.0, 0.0, 0.0)
-        self.q: Numbers = (0.0,) * 6
-        self.qd: Numbers = (0.0,) * 6
+        self._streaming = UrStreaming(kinematics, limits, period_s=period_s)
+        self._period_s = period_s
+        self._rate_hz = 1.0 / (CLOSING_PERIODS * period_s)
+        self._longest_m = max(options.max_jump, MOST_BEHIND_M)
+        self._turn = np.eye(3)
+        self._twist = np.zeros(6)
+        self.offset = np.zeros(3)
+        """From the controller's tool to that of the model, in m."""
+        self.q = np.zeros(6)
+        self.qd = np.zeros(6)
 
     def begin(self, state: UrState) -> None:
-        self._base_from_tool = np.array(self._kinematics.forward(state.q))
-        x, y, z = self._base_from_tool[:3, 3] - np.array(state.pose[:3])
-        self.offset = (float(x), float(y), float(z))
-        self.q, self.qd = state.q, (0.0,) * 6
+        """Motion begins where the arm is."""
+        transform = self._kinematics.forward(state.q)
+        self._turn = np.array(transform[:3, :3])
+        self.offset = transform[:3, 3] - np.array(state.pose[:3])
+        self.q, self.qd = np.array(state.q), np.zeros(6)
 
-    def follow(self, position: Three, elapsed_s: float) -> None:
-        for row in range(3):
-            self._base_from_tool[row, 3] = position[row] + self.offset[row]
-        found = self._inverse.nearest(self._base_from_tool, self.q)
-        if found is None:
-            message = f"no joint angles for the tool at {_text(position)} m: {self._inverse.reason}"
+    def follow(self, point: SetPoint, elapsed_s: float) -> None:
+        """Goes on for a time in s, in whole periods.
+
+        Raises:
+            UnreachableError: The tool stays far behind.
+        """
+        target = np.array(point.position) + self.offset
+        velocity = np.array(point.velocity)
+        for _ in range(max(1, round(elapsed_s / self._period_s))):
+            transform = self._kinematics.forward(self.q)
+            behind = target - transform[:3, 3]
+            # As in `SetPoint`: from where the target was a period ago.
+            self._twist[:3] = velocity + (behind - velocity * self._period_s) * self._rate_hz
+            self._twist[3:] = rotvec_from_matrix(self._turn @ transform[:3, :3].T)
+            self._twist[3:] *= self._rate_hz
+            self.qd = np.array(self._streaming.velocity(self.q, self.qd, self._twist))
+            self.q = self.q + self.qd * self._period_s
+        away = float(np.linalg.norm(behind))
+        if away > self._longest_m:
+            why = self._streaming.reason or "its joints are at their limits, or the arm is near a singularity"
+            message = f"the tool cannot follow: {1e3 * away:.0f} mm behind {_text(point.position)} m: {why}"
             raise UnreachableError(message)
-        q = tuple(found.tolist())
-        qd = tuple((new - old) / elapsed_s for new, old in zip(q, self.q, strict=True))
-        for joint, (speed, most) in enumerate(zip(qd, self._model.max_speed, strict=True)):
-            if abs(speed) > JOINT_SPEED_SHARE * most:
-                message = (
-                    f"joint {joint + 1} would have to move at {abs(speed):.2f} rad/s, at most"
-                    f" {JOINT_SPEED_SHARE * most:.2f}: the arm is near a singularity"
-                )
-                raise UnreachableError(message)
-        self.q, self.qd = q, qd
 
 
 class ServoJ:
@@ -113,8 +148,8 @@ class ServoJ:
 
     def order(self, point: SetPoint, state: UrState, elapsed_s: float) -> Order:  # noqa: ARG002
         """See `Mode`."""
-        self.joints.follow(point.position, elapsed_s)
-        q, rest = list(self.joints.q), self._rest
+        self.joints.follow(point, elapsed_s)
+        q, rest = self.joints.q.tolist(), self._rest
         return lambda control: bool(control.servoJ(q, *rest))
 
     def stop(self, control: Control) -> bool:
@@ -123,8 +158,9 @@ class ServoJ:
 
 
 class ServoL:
-    """`servoL`: the controller finds the joint angles, on its own calibrated chain; where it finds none it ends the
-    program.
+    """`servoL`: the controller finds the joint angles, on its own calibrated chain.
+
+    Where it finds none it ends the program.
     """
 
     name = "servoL"
@@ -214,11 +250,18 @@ class DirectTorque:
     def order(self, point: SetPoint, state: UrState, elapsed_s: float) -> Order:
         """See `Mode`."""
         joints = self.joints
-        joints.follow(point.position, elapsed_s)
+        joints.follow(point, elapsed_s)
         torque = [
             min(max(k * (q_set - q) + d * (qd_set - qd), -most), most)
             for k, d, most, q_set, q, qd_set, qd in zip(
-                self._stiffness, self._damping, self._most, joints.q, state.q, joints.qd, state.qd, strict=True
+                self._stiffness,
+                self._damping,
+                self._most,
+                joints.q.tolist(),
+                state.q,
+                joints.qd.tolist(),
+                state.qd,
+                strict=True,
             )
         ]
         return lambda control: bool(control.directTorque(torque))
@@ -266,17 +309,14 @@ def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
     if options.mode == "speedl":
         return SpeedL(options, period_s)
     from haptether.slave.ur_calibration import read_calibration  # noqa: PLC0415  # with CasADi
-    from haptether.slave.ur_inverse import UrInverse  # noqa: PLC0415
     from haptether.slave.ur_kinematics import UrKinematics  # noqa: PLC0415
     from haptether.slave.ur_models import ur_model  # noqa: PLC0415
     from haptether.slave.ur_pose import transform_from_pose  # noqa: PLC0415
 
     model = ur_model(options.model)
-    calibration = read_calibration(options.calibration) if options.calibration is not None else None
+    calibration = read_calibration(options.calibration, model) if options.calibration is not None else None
     flange_from_tool = transform_from_pose(tool)
-    joints = Joints(
-        model, UrKinematics(model, calibration, flange_from_tool), UrInverse(model, calibration, flange_from_tool)
-    )
+    joints = Joints(UrKinematics(model, calibration, flange_from_tool), options, period_s)
     if options.mode == "servoj":
         return ServoJ(options, joints, period_s)
     return DirectTorque(options, joints, model)

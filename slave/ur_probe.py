@@ -97,7 +97,7 @@ class _Wire:
         while True:
             size, got = FRAME.unpack(self._bytes(FRAME.size))
             if size < FRAME.size:
-                raise OSError(f"a frame of {size} bytes: no RTDE")  # told by `probe`
+                raise OSError(f"a frame of {size} bytes: no RTDE")
             payload = self._bytes(size - FRAME.size)
             # Packages and messages may come between.
             if got == kind:
@@ -113,7 +113,7 @@ class _Wire:
             self._socket.settimeout(self._left_s())
             part = self._socket.recv(4096)
             if not part:
-                raise OSError("the connection was closed")  # told by `probe`
+                raise OSError("the connection was closed")
             self._came += part
         taken, self._came = self._came[:count], self._came[count:]
         return taken
@@ -121,22 +121,22 @@ class _Wire:
     def _left_s(self) -> float:
         left = self._end_s - time.monotonic()
         if left <= 0.0:
-            raise OSError("no answer in time")  # told by `probe`
+            raise OSError("no answer in time")
         return left
 
 
 def _ask(wire: _Wire) -> Probe:
     wire.open()
     if wire.request("protocol version 2", REQUEST_VERSION, struct.pack(">H", 2)) != b"\x01":
-        raise OSError("is refused")  # told by `probe`
+        raise OSError("is refused")
     major, minor, bugfix, build = struct.unpack(">4I", wire.request("version", CONTROLLER_VERSION))
     rate_hz = 125.0 if major <= 3 else 500.0
     answer = wire.request("outputs", OUTPUTS, struct.pack(">d", rate_hz) + ",".join(NAMES).encode())
     kinds = answer[1:].decode("ascii", "replace").split(",")
     if len(kinds) != len(NAMES) or not all(kind in FORMATS for kind in kinds):
-        raise OSError(f"{dict(zip(NAMES, kinds, strict=False))}")  # told by `probe`
+        raise OSError(f"{dict(zip(NAMES, kinds, strict=False))}")
     if wire.request("start", START) != b"\x01":
-        raise OSError("is refused")  # told by `probe`
+        raise OSError("is refused")
     wire.doing = "packages"
     layout = struct.Struct(">B" + "".join(FORMATS[kind] for kind in kinds))
     times: list[float] = []
@@ -146,7 +146,7 @@ def _ask(wire: _Wire) -> Probe:
         times.append(values[0])
     elapsed_s = times[-1] - times[0]
     if elapsed_s <= 0.0:
-        raise OSError("its time stands still")  # told by `probe`
+        raise OSError("its time stands still")
     return Probe(
         version=(major, minor, bugfix, build),
         robot_mode=int(values[1]),

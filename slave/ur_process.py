@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, Final
 
 PARENT_EVERY_S: Final = 0.05
@@ -109,9 +110,7 @@ def main() -> None:
         def answer(error: str | None, result: object = None) -> None:
             asked.sendall(json.dumps((error, result)).encode() + b"\n")
 
-        import rtde_control  # noqa: PLC0415  # only in this process
-
-        interface = rtde_control.RTDEControlInterface
+        interface = import_module("rtde_control").RTDEControlInterface
         try:
             # An external force sensor through RTDE does not work in this library, and another client may have one.
             control = interface(host, float(rate), interface.FLAG_UPLOAD_SCRIPT | interface.FLAG_NO_EXT_FT)

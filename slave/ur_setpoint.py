@@ -53,10 +53,8 @@ class SetPoint:
         error = _less(_less(target, _scaled(target_velocity, elapsed_s)), self.position)
         distance = math.hypot(*error)
         near = most * settle * settle
-        if distance <= near:
-            closing = distance / settle
-        else:
-            closing = math.sqrt(2.0 * most * (distance - 0.5 * near))
+        braking = math.sqrt(2.0 * most * max(0.0, distance - 0.5 * near))
+        closing = distance / settle if distance <= near else braking
         towards = _scaled(error, closing / distance) if distance > 0.0 else (0.0, 0.0, 0.0)
         wanted = _shortened(_plus(target_velocity, towards), self._max_speed)
         change = _shortened(_less(wanted, self.velocity), most * elapsed_s)

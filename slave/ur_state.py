@@ -44,6 +44,15 @@ SAFEGUARD_BIT: Final = 1 << 4
 BROKEN_BITS: Final = 1 << 8 | 1 << 9
 OTHER_BITS: Final = 1 << 3 | 1 << 10
 
+EMERGENCY: Final = (
+    "emergency stop: find its cause, release the button, power the arm on and release its brakes on the pendant, then"
+    " acknowledge"
+)
+PROTECTIVE: Final = (
+    "protective stop (seen: {seen}): find its cause (the pendant's log names it), clear the tool, wait 5 s, then"
+    " acknowledge: that unlocks it"
+)
+
 Numbers = tuple[float, ...]
 
 VARIABLES: Final = (
@@ -107,67 +116,42 @@ def read_state(receive: Any, *, raw_wrench: bool) -> UrState:  # noqa: ANN401  #
     )
 
 
-class Safety(NamedTuple):
-    """What the safety system or the program says against motion."""
-
-    kind: str
-    """"emergency", "protective", "safeguard", "broken", "mode" or "program"."""
-    text: str
-    """What it is and what to do about it."""
-
-
-def safety_stop(state: UrState, before: UrState | None = None) -> Safety | None:
-    """What forbids motion in a state, the gravest first; none if nothing does.
+def safety_stop(state: UrState, before: UrState | None = None) -> str | None:
+    """What forbids motion in a state, the gravest first, and what to do about it; none if nothing does.
 
     Args:
         state: The newest.
         before: The last one in which the arm was allowed to move.
     """
-    bits = state.safety_bits
-    if bits & EMERGENCY_BITS:
-        return Safety(
-            "emergency",
-            "emergency stop: find its cause, release the button, power the arm on and release its brakes on the pendant,"
-            " then acknowledge",
-        )
-    if bits & BROKEN_BITS:
-        return Safety(
-            "broken",
-            f"safety system: {SAFETY_MODES.get(state.safety_mode, state.safety_mode)}: see the pendant, restart the"
-            " safety system there, then acknowledge",
-        )
-    if bits & PROTECTIVE_BIT:
-        return Safety(
-            "protective",
-            f"protective stop{_last_seen(before)}: find its cause (the pendant's log names it), clear the tool, wait"
-            " 5 s, then acknowledge: that unlocks it",
-        )
-    if bits & SAFEGUARD_BIT:
-        return Safety("safeguard", "safeguard stop: close the safeguard and reset it, then acknowledge")
-    if bits & OTHER_BITS:
-        mode = SAFETY_MODES.get(state.safety_mode, str(state.safety_mode))
-        return Safety("safeguard", f"stopped by the safety system ({mode}): see the pendant, then acknowledge")
+    bits, mode = state.safety_bits, SAFETY_MODES.get(state.safety_mode, str(state.safety_mode))
+    for mask, text in (
+        (EMERGENCY_BITS, EMERGENCY),
+        (BROKEN_BITS, f"safety system: {mode}: see the pendant, restart the safety system there, then acknowledge"),
+        (PROTECTIVE_BIT, PROTECTIVE),
+        (SAFEGUARD_BIT, "safeguard stop: close the safeguard and reset it, then acknowledge"),
+        (OTHER_BITS, f"stopped by the safety system ({mode}): see the pendant, then acknowledge"),
+    ):
+        if bits & mask:
+            return text.format(seen=_last_seen([state] if before is None else [before, state]))
     if state.robot_mode != RUNNING:
-        mode = ROBOT_MODES.get(state.robot_mode, str(state.robot_mode))
-        return Safety(
-            "mode", f"robot mode {mode}: power the arm on and release its brakes on the pendant, then acknowledge"
-        )
+        robot_mode = ROBOT_MODES.get(state.robot_mode, str(state.robot_mode))
+        return f"robot mode {robot_mode}: power the arm on and release its brakes on the pendant, then acknowledge"
     if state.runtime_state != PLAYING:
-        return Safety(
-            "program",
-            f"the control script is {RUNTIME_STATES.get(state.runtime_state, state.runtime_state)} (stopped at the"
-            " pendant, by an error, or by its watchdog): see the pendant's log, then acknowledge",
+        does = RUNTIME_STATES.get(state.runtime_state, str(state.runtime_state))
+        return (
+            f"the control script is {does} (at the pendant, by an error, or by its watchdog): see the pendant's log,"
+            " then acknowledge"
         )
     return None
 
 
-def _last_seen(before: UrState | None) -> str:
-    """What stood out in the last state before a stop: RTDE has no word for its cause."""
-    if before is None:
-        return ""
-    deviation = [abs(target - actual) for target, actual in zip(before.target_q, before.q, strict=True)]
-    worst = max(range(len(deviation)), key=deviation.__getitem__)
-    return (
-        f" (last seen before: {math.hypot(*before.wrench[:3]):.1f} N, {math.hypot(*before.speed[:3]):.3f} m/s, joint"
-        f" {worst + 1} {deviation[worst]:.4f} rad from its target)"
+def _last_seen(states: list[UrState]) -> str:
+    """What stood out around a stop: RTDE has no word for its cause."""
+    deviation, joint = max(
+        (abs(target - actual), joint)
+        for state in states
+        for joint, (target, actual) in enumerate(zip(state.target_q, state.q, strict=True))
     )
+    force = max(math.hypot(*state.wrench[:3]) for state in states)
+    speed = max(math.hypot(*state.speed[:3]) for state in states)
+    return f"{force:.1f} N, {speed:.3f} m/s, joint {joint + 1} {deviation:.4f} rad from its target"

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
@@ -69,8 +70,13 @@ def test_of_what_is_streamed_only_the_newest_counts(gate: threading.Event) -> No
     worker = Bounded("worker")
     seen: list[int] = []
     worker.start("first", lambda: gate.wait(LONG_S), LONG_S)
+
+    def order(number: int) -> bool:
+        seen.append(number)
+        return False
+
     for number in range(5):
-        worker.stream("order", lambda number=number: seen.append(number) or False, LONG_S)  # type: ignore[misc]
+        worker.stream("order", partial(order, number), LONG_S)
     gate.set()
     assert until(lambda: worker.streamed is not None)
     assert seen == [4]

@@ -29,7 +29,7 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Iterator[Arm]:
 class Driven:
     """A driver turned as the loop turns it."""
 
-    def __init__(self, arm: Arm, **options: Any) -> None:
+    def __init__(self, arm: Arm, **options: Any) -> None:  # noqa: ANN401
         self.arm = arm
         self.driver = UrSlave(host="fake", **({"mode": "speedl"} | options))
         self.driver.open()
@@ -115,8 +115,10 @@ def test_what_is_not_ready_is_refused_before_anything_is_sent(arm: Arm, change: 
 def test_the_checklist_says_all_lines(arm: Arm, capsys: pytest.CaptureFixture[str]) -> None:
     Driven(arm, payload_kg=1.5).driver.close()
     said = capsys.readouterr().err
-    for line in ("reachable", "software: 5.11.0", "remote control: on", "robot mode: running", "safety mode: normal",
-                 "program: stopped", "payload: 1.5 kg", "tool: ", "force sensor: zeroed", "watchdog: 10 Hz, tried"):  # fmt: skip
+    for line in (
+        "reachable", "software: 5.11.0", "remote control: on", "robot mode: running", "safety mode: normal",
+        "program: stopped", "payload: 1.5 kg", "tool: ", "force sensor: zeroed", "watchdog: 10 Hz, tried",
+    ):  # fmt: skip
         assert f"ur fake: ok       {line}" in said, said
 
 
@@ -281,7 +283,7 @@ def powered_off(arm: Arm) -> None:
 
 
 FAULTS: list[tuple[Callable[[Arm], None], str]] = [
-    (Arm.stop_by_protection, "protective stop (last seen before: 0.0 N, 0.000 m/s, joint 1 0.0000 rad"),
+    (Arm.stop_by_protection, "protective stop (seen: 0.0 N, 0.000 m/s, joint 6 0.0000 rad"),
     (emergency, "emergency stop: find its cause, release the button, power the arm on"),
     (safeguard, "safeguard stop: close the safeguard"),
     (violation, "safety system: violation"),
@@ -329,9 +331,7 @@ def test_an_acknowledgement_makes_it_ready_and_leaves_it_disengaged(arm: Arm) ->
     driven.driver.close()
 
 
-def test_a_protective_stop_is_unlocked_by_a_person_and_not_at_once(
-    arm: Arm, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_protective_stop_is_unlocked_by_a_person_and_not_at_once(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
     driven = Driven(arm)
     driven.moves()
     arm.stop_by_protection()

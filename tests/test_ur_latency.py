@@ -26,7 +26,7 @@ def wave(t: float) -> float:
 
 
 def test_a_second_order_lag_is_its_delay_for_slow_motion() -> None:
-    """servoj as `q'' = gain (q_set - q - lookahead q')`: its lag on a ramp is the lookahead."""
+    """The servoj model `q'' = gain (q_set - q - lookahead q')`: its lag on a ramp is the lookahead."""
     gain, lookahead_s = 1000.0, 0.05
     times = np.arange(0.0, 8.0, PERIOD_S)
     told = 0.05 * np.sin(1.0 * times)

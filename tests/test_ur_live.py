@@ -22,13 +22,12 @@ SHARED_S = 0.35
 
 def engaged(watching: Watching, since_s: float = 0.0) -> float:
     """When both were coupled."""
-    return max(
-        float(watching.wait_for(side, "engaged", since_s=since_s, patience_s=15.0)["at_s"]) for side in ("slave", "master")
-    )
+    events = [watching.wait_for(side, "engaged", since_s=since_s, patience_s=15.0) for side in ("slave", "master")]
+    return max(float(event["at_s"]) for event in events)
 
 
 class ModeRow(NamedTuple):
-    """A way to move, and the latency that it may have: servoj's ramp lag and transport, with room for a busy machine."""
+    """A way to move, and the latency that it may have: ramp lag and transport, with room for a busy machine."""
 
     mode: str
     version: str
@@ -98,6 +97,10 @@ def powered(emulated: Emulated) -> None:
     emulated.wait_for("robot_mode", "RUNNING")
 
 
+def remote(emulated: Emulated) -> None:
+    emulated.do("remote-control on")
+
+
 # What RTDE tells is known within a package; silence after 100 ms; remote control is asked for once a second.
 FAULTS = [
     FaultRow("emergency stop", "emergency-stop", "emergency stop: find its cause", 0.05, released),
@@ -105,7 +108,7 @@ FAULTS = [
     FaultRow("program paused", "pause-program", "the control script is paused", 0.05, nothing),
     FaultRow("power off", "power off", "robot mode power off", 0.05, powered),
     FaultRow("remote control off", "remote-control off", "remote control was switched off", 2.2,
-             lambda emulated: emulated.do("remote-control on") and None),
+             remote),
     FaultRow("network gone for 0.4 s", "freeze 0.4", "nothing has come from the controller for 1", 0.125, nothing),
     FaultRow("connections closed", "drop all", "the controller closed the connection", 0.05, nothing),
 ]  # fmt: skip
@@ -144,6 +147,13 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
     print("\n".join(seen))
 
 
+def until_said(watching: Watching, said: str, since_s: float, key: str = "fault") -> None:
+    """Waits for a text."""
+    event = watching.wait_for(key, since_s=since_s, patience_s=15.0)
+    while said not in str(event[key]):
+        event = watching.wait_for(key, since_s=event["at_s"] + 1e-6, patience_s=15.0)
+
+
 def recover(watching: Watching) -> float:
     """Acknowledges until the arm is ready; when that was asked for."""
     end_s = time.monotonic() + MEND_S
@@ -171,11 +181,9 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
         event = watching.wait_for("slave", "fault", since_s=at_s)
         assert event["at_s"] - at_s < 0.1 + SHARED_S
         said = watching.wait_for("fault", since_s=at_s)["fault"]
-        assert said.startswith("protective stop (last seen before: ")
+        assert said.startswith("protective stop (seen: ")
         watching.act("ack")
-        again = watching.wait_for("fault", since_s=watching.events[-1]["at_s"] + 1e-6)
-        while not str(again["fault"]).startswith("protective stop: can be unlocked in"):
-            again = watching.wait_for("fault", since_s=again["at_s"] + 1e-6)
+        until_said(watching, "protective stop: can be unlocked in", at_s)
         assert emulated.status()["safety_mode"] == "PROTECTIVE_STOP"
         # Fully 5 s after the stop, and the emulator refuses before as a real one does.
         time.sleep(max(0.0, at_s + 5.3 - time.monotonic()))
@@ -197,9 +205,7 @@ def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> 
         assert event["at_s"] - at_s < 0.125 + SHARED_S
         watching.act("ack")
         # It looks before it meets the library again: 5 s at most, and an error of the network at once.
-        said = watching.wait_for("fault", since_s=event["at_s"] + 0.01, patience_s=15.0)
-        while f"{host}:30004: connect: " not in str(said["fault"]):
-            said = watching.wait_for("fault", since_s=said["at_s"] + 1e-6, patience_s=15.0)
+        until_said(watching, f"{host}:30004: connect: ", event["at_s"])
         assert watching.end()["end_s"] < 5.0
 
 
@@ -208,8 +214,12 @@ def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
     with emulator(host=host) as emulated, driven({"host": host, "mode": "speedl", "watchdog_hz": 10}) as watching:
         engaged(watching)
         end_s = time.monotonic() + 10.0
-        while math.hypot(*emulated.status()["tcp_speed"][:3]) < 0.02:
-            assert time.monotonic() < end_s
+        while math.hypot(*emulated.status()["tcp_speed"][:3]) < 0.005:
+            # A machine that stalls has made it hold before the hand moved.
+            watching.look(0.01)
+            if [event["slave"] for event in watching.events if "slave" in event][-1] == "hold":
+                watching.act("press")
+            assert time.monotonic() < end_s, watching.events
         at_s = time.monotonic()
         watching.process.kill()
         emulated.wait_for("runtime_state", "STOPPED", patience_s=5.0)
@@ -225,7 +235,5 @@ def test_a_controller_that_says_nothing_does_not_hold_the_interpreter() -> None:
     with emulator(host=host) as emulated:
         emulated.do("freeze 30")
         with driven({"host": host}) as watching:
-            said = watching.wait_for("error", patience_s=15.0)
-            while "UrRefusedError: reachable: " not in said["error"]:
-                said = watching.wait_for("error", since_s=said["at_s"] + 1e-6, patience_s=15.0)
+            until_said(watching, "UrRefusedError: reachable: ", 0.0, "error")
             assert watching.end()["end_s"] < 5.0

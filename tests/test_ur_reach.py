@@ -1,5 +1,6 @@
 """Reaching a controller: whoever accepts a connection and says nothing must not hold the driver."""
 
+import contextlib
 import socket
 import struct
 import threading
@@ -31,12 +32,10 @@ class Peer:
                 connection, _ = self._listening.accept()
                 with connection:
                     connection.settimeout(5.0)
-                    try:
+                    with contextlib.suppress(OSError):
                         self._handle(connection)
-                    except OSError:
-                        pass
         except OSError:
-            pass
+            return
 
     def close(self) -> None:
         self._listening.shutdown(socket.SHUT_RDWR)

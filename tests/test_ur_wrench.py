@@ -31,9 +31,9 @@ def test_the_raw_force_is_turned_from_the_flange_to_the_base() -> None:
 def test_the_filter_is_the_discrete_one_of_its_corner() -> None:
     """Against SciPy's zero-order hold of 1/(1 + s/2 pi f)."""
     corner, period_s = 2 * math.pi * 30.0, 0.002
-    b, a, _ = signal.cont2discrete(([corner], [1.0, corner]), period_s)
+    b, a, _ = signal.cont2discrete((np.array([corner]), np.array([1.0, corner])), period_s)
     x = np.random.default_rng(1).normal(size=200)
-    wrench = UrWrench(raw=False, tool=(0.0,) * 6, filter_hz=30.0, deadband_n=0.0)  # type: ignore[arg-type]
+    wrench = UrWrench(raw=False, tool=(0.0,) * 6, filter_hz=30.0, deadband_n=0.0)
     y = [wrench.force((value, 0.0, 0.0, 0.0, 0.0, 0.0), POSE, period_s)[0] for value in x]
     # SciPy's output is due one sample later than an input that counts at once; both begin at the first.
     want = signal.lfilter(b.ravel()[1:], a, x, zi=[x[0] * (1 - b.ravel()[1])])[0]
@@ -41,7 +41,7 @@ def test_the_filter_is_the_discrete_one_of_its_corner() -> None:
 
 
 def test_the_deadband_takes_the_same_of_every_direction_and_leaves_no_step() -> None:
-    wrench = UrWrench(raw=False, tool=(0.0,) * 6, filter_hz=None, deadband_n=2.0)  # type: ignore[arg-type]
+    wrench = UrWrench(raw=False, tool=(0.0,) * 6, filter_hz=None, deadband_n=2.0)
     assert wrench.force((1.2, 1.6, 0.0, 0.0, 0.0, 0.0), POSE, 0.002) == (0.0, 0.0, 0.0)
     assert wrench.force((3.0, 4.0, 0.0, 0.0, 0.0, 0.0), POSE, 0.002) == pytest.approx((1.8, 2.4, 0.0))
     assert wrench.force((0.0,) * 6, POSE, 0.002) == (0.0, 0.0, 0.0)

@@ -9,12 +9,14 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from haptether.bridge import LiveMaster, SlaveLoop, SlaveRun, load_scene, load_slave, scene_json
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 LOOK_S = 0.001
 LONGEST_S = 60.0
@@ -68,9 +70,9 @@ class Watched:
             "skipped": report.skipped,
             "holds": report.holds,
             "travel_m": float(np.ptp(engaged)) if len(engaged) else 0.0,
-            "arm_travel_m": float(np.ptp(trace.position.ravel())),
-            "environment_force_n": float(np.abs(trace.environment_force).max()),
-            "device_force_n": float(np.abs(near.device_force).max()),
+            "arm_travel_m": float(np.ptp(trace.position.ravel())) if len(trace) else 0.0,
+            "environment_force_n": float(np.abs(trace.environment_force).max(initial=0.0)),
+            "device_force_n": float(np.abs(near.device_force).max(initial=0.0)),
         }
 
 

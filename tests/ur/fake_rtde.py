@@ -1,5 +1,6 @@
-"""A controller and ur_rtde as far as the driver uses them, as plain objects: what the real ones do when something is
-wrong is asked for, and what was called is kept.
+"""A controller and ur_rtde as far as the driver uses them, as plain objects.
+
+What the real ones do when something is wrong is asked for, and what was called is kept.
 """
 
 import threading
@@ -45,7 +46,7 @@ class Arm:
     released: threading.Event = field(default_factory=threading.Event)
     kicked_s: float = 0.0
 
-    def call(self, name: str, *arguments: Any) -> bool:
+    def call(self, name: str, *arguments: Any) -> bool:  # noqa: ANN401
         """Any call of the control interface."""
         self.said.append((name, *arguments))
         self.kicked_s = time.monotonic()
@@ -111,7 +112,7 @@ class Control:
         arm.said.append(("connect",))
         arm.runtime_state, arm.watchdog_hz = PLAYING, None
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return lambda *arguments: self._arm.call(name, *arguments)
 
     def kill(self) -> None:
@@ -157,7 +158,7 @@ class Receive:
     def disconnect(self) -> None:
         return None
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         arm = self._arm
         shown: dict[str, Any] = {
             "getTargetQ": arm.q, "getActualQ": arm.q, "getActualQd": [0.0] * 6, "getActualTCPPose": arm.pose,

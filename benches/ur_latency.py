@@ -1,0 +1,139 @@
+"""How late a UR arm follows under each command, and what servoj's lookahead and gain cost.
+
+The driver leads the emulated controller along a slow wave over the real ur_rtde; the delay is that of the tool's position
+behind what was written. It includes the set-point's bounds, the process of the library, RTDE, the control script, servoj
+or the position loop, and the model of the joints behind it: a real arm adds its own. Expected for servoj and servol: the
+lookahead and 4 to 12 ms of transport; the overshoot of a step is that of `q'' = gain (q_set - q - lookahead q')`.
+"""
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from haptether.slave import UrSlave
+
+HOST = "127.0.3.90"
+SERVO = ((0.03, 2000.0), (0.03, 1000.0), (0.05, 1000.0), (0.05, 500.0), (0.1, 300.0), (0.2, 100.0))
+WAVE_HZ = 0.3
+AMPLITUDE_M = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What was measured with some options."""
+
+    mode: str
+    version: str
+    options: dict[str, float]
+    latency_s: float | None
+    period_p50_s: float
+    period_p99_s: float
+    overshoot: float | None
+    """Of a step of the model of servoj."""
+
+
+def overshoot(lookahead_s: float, gain: float) -> float:
+    """Of a step: `exp(-pi z / sqrt(1 - z^2))`, z = lookahead sqrt(gain) / 2; any text on second-order systems."""
+    damping = 0.5 * lookahead_s * math.sqrt(gain)
+    return 0.0 if damping >= 1.0 else math.exp(-math.pi * damping / math.sqrt(1.0 - damping * damping))
+
+
+def measure(mode: str, version: str, options: dict[str, float], seconds: float) -> Row:
+    """Leads an emulated arm for a time in s."""
+    command = [sys.executable, "-m", "haptether", "ur-emulator", "--host", HOST, "--version", version, "--control", "-"]
+    emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert emulator.stdout is not None
+        emulator.stdout.readline()
+        # Until its first cycles are behind it.
+        time.sleep(1.0)
+        arm = UrSlave(host=HOST, mode=mode, **options)
+        arm.open()
+        try:
+            return Row(
+                mode=mode, version=version, options=options, **_led(arm, seconds), overshoot=_model(mode, options)
+            )
+        finally:
+            arm.close()
+    finally:
+        emulator.kill()
+        emulator.communicate()
+
+
+def _model(mode: str, options: dict[str, float]) -> float | None:
+    return overshoot(options["lookahead_time"], options["gain"]) if mode in {"servoj", "servol"} else None
+
+
+def _led(arm: UrSlave, seconds: float) -> dict[str, Any]:
+    home = arm.read().position
+    assert isinstance(home, float)
+    for _ in range(50):
+        arm.read()
+    rate = 2.0 * math.pi * WAVE_HZ
+    begun_s = before_s = time.monotonic()
+    periods = []
+    while (t := time.monotonic() - begun_s) < seconds:
+        sample = arm.read()
+        if sample.fault is not None:
+            raise RuntimeError(sample.fault)
+        now_s = time.monotonic()
+        periods.append(now_s - before_s)
+        before_s, t = now_s, now_s - begun_s
+        away = AMPLITUDE_M * (1.0 - math.cos(rate * t))
+        arm.write((home + away,), (AMPLITUDE_M * rate * math.sin(rate * t),))
+    latency_s = arm.latency_s
+    arm.stop()
+    for _ in range(50):
+        arm.read()
+    periods.sort()
+    return {
+        "latency_s": latency_s,
+        "period_p50_s": periods[len(periods) // 2],
+        "period_p99_s": periods[int(0.99 * len(periods))],
+    }
+
+
+def main() -> int:
+    """Measures all rows."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=5.0, help="of motion for each row")
+    parser.add_argument("--json", default=None, help="also write the rows there, - for standard output")
+    given = parser.parse_args()
+    rows = [
+        measure("servoj", "5.11", {"lookahead_time": lookahead_s, "gain": gain}, given.seconds)
+        for lookahead_s, gain in SERVO
+    ]
+    rows.append(measure("servol", "5.11", {"lookahead_time": 0.05, "gain": 1000.0}, given.seconds))
+    rows.append(measure("speedl", "5.11", {"position_gain": 10.0}, given.seconds))
+    rows.append(measure("direct-torque", "5.26", {}, given.seconds))
+    table = Table("mode", "options", "latency", "overshoot of a step", "period p50", "p99")
+    for row in rows:
+        table.add_row(
+            row.mode,
+            ", ".join(f"{key} {value:g}" for key, value in row.options.items()),
+            "-" if row.latency_s is None else f"{1e3 * row.latency_s:.0f} ms",
+            "-" if row.overshoot is None else f"{100 * row.overshoot:.0f} %",
+            f"{1e3 * row.period_p50_s:.2f} ms",
+            f"{1e3 * row.period_p99_s:.2f} ms",
+        )
+    Console(stderr=given.json == "-").print(table)
+    if given.json is not None:
+        text = json.dumps([asdict(row) for row in rows], indent=2)
+        if given.json == "-":
+            print(text)
+        else:
+            with open(given.json, "w", encoding="utf-8") as file:  # noqa: PTH123  # one file
+                file.write(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
