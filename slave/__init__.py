@@ -6,24 +6,40 @@ from typing import TYPE_CHECKING, Final
 from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 
 if TYPE_CHECKING:
+    from haptether.slave.quadratic_solver import QuadraticProgram
+    from haptether.slave.streaming_limits import (
+        SelfKeepOut,
+        StreamingCost,
+        StreamingLimits,
+        WorkspacePlane,
+        model_limits,
+    )
     from haptether.slave.ur_calibration import UrCalibration, read_calibration
     from haptether.slave.ur_inverse import UrInverse
     from haptether.slave.ur_kinematics import Rates, UrKinematics
     from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
+    from haptether.slave.ur_streaming import UrStreaming
 
 __all__ = [
     "UR_MODELS",
     "Arm",
     "ForceSensor",
     "Pusher",
+    "QuadraticProgram",
     "Rates",
     "SceneTouch",
+    "SelfKeepOut",
+    "StreamingCost",
+    "StreamingLimits",
     "UrCalibration",
     "UrInverse",
     "UrKinematics",
     "UrModel",
+    "UrStreaming",
     "Wall",
+    "WorkspacePlane",
     "WrenchSensor",
+    "model_limits",
     "read_calibration",
     "ur_model",
 ]
@@ -31,12 +47,19 @@ __all__ = [
 # Whoever has no UR arm does not wait for NumPy.
 WHERE: Final = {
     "UR_MODELS": "ur_models",
+    "QuadraticProgram": "quadratic_solver",
     "Rates": "ur_kinematics",
+    "SelfKeepOut": "streaming_limits",
+    "StreamingCost": "streaming_limits",
+    "StreamingLimits": "streaming_limits",
     "UrCalibration": "ur_calibration",
     "UrInverse": "ur_inverse",
     "UrKinematics": "ur_kinematics",
     "UrModel": "ur_models",
+    "UrStreaming": "ur_streaming",
+    "WorkspacePlane": "streaming_limits",
     "WrenchSensor": "ur_models",
+    "model_limits": "streaming_limits",
     "read_calibration": "ur_calibration",
     "ur_model": "ur_models",
 }

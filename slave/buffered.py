@@ -27,7 +27,7 @@ class Buffered:
         ValueError: From the calls: an argument has another length, or a number that is not finite.
     """
 
-    __slots__ = ("_arguments", "_kept", "_probe", "_run", "numbers", "results")
+    __slots__ = ("_arguments", "_kept", "_probe", "_run", "memory", "numbers", "results")
 
     def __init__(self, name: str, arguments: Sequence[Symbol], results: Sequence[Symbol]) -> None:
         casadi = casadi_module()
@@ -47,10 +47,12 @@ class Buffered:
         self._kept = (function, buffer, given, found)
         self._arguments: tuple[Any, ...] = tuple(memoryview(array) for array in given)
         self._probe: Any = memoryview(found[-1])
+        self.memory: tuple[Array, ...] = found[:-1]
+        """The results, column after column."""
         self.numbers: tuple[Any, ...] = tuple(memoryview(array) for array in found[:-1])
-        """The results, column after column, to take single floats from."""
+        """The same memory, to take single floats from."""
         self.results = tuple(_view(array, result.shape) for array, result in zip(found, dense, strict=True))[:-1]
-        """The same memory as arrays that cannot be written to."""
+        """The same memory as matrices that cannot be written to."""
 
     def one(self, vector: Numbers) -> None:
         """Fills the results of a function of one vector. An array of float64 is the fast way."""

@@ -123,7 +123,8 @@ class UrKinematics:
         return Buffered("forward_and_jacobian", [chain.q], [chain.transform, chain.jacobian])
 
     @cached_property
-    def _determinant(self) -> Symbol:
+    def determinant(self) -> Symbol:
+        """Of the Jacobian, as an expression."""
         casadi = casadi_module()
         # The determinant is the same for every point of the last link. On the last axis, where the two wrist axes
         # meet, most terms of its expansion are zero.
@@ -135,12 +136,12 @@ class UrKinematics:
     @cached_property
     def _manipulability(self) -> Buffered:
         casadi = casadi_module()
-        return Buffered("manipulability", [self.chain.q], [casadi.fabs(self._determinant)])
+        return Buffered("manipulability", [self.chain.q], [casadi.fabs(self.determinant)])
 
     @cached_property
     def _rates(self) -> Buffered:
         casadi = casadi_module()
-        chain, determinant = self.chain, self._determinant
+        chain, determinant = self.chain, self.determinant
         qd = casadi.SX.sym("qd", 6)
         jacobian_dot = casadi.jtimes(chain.jacobian, chain.q, qd)
         rate = casadi.sign(determinant) * casadi.jtimes(determinant, chain.q, qd)

@@ -146,7 +146,8 @@ SENSORS: Final[dict[str, WrenchSensor]] = {
 }
 
 # Raised payload on the arm of another: the vendor's ROS description has the same masses for both of a pair, and for the
-# UR12e the same joint speeds and torques. That the sensor is the same too is taken from there, not from a data sheet.
+# UR12e the same joint speeds and torques; ur-analytic-ik 0.1.0 has the same geometry for both. That speeds and torques
+# of the UR7e and the sensors of both are the same too is concluded, and not from a data sheet.
 SAME_ARM: Final = {"ur7e": "ur5e", "ur12e": "ur10e"}
 
 ENDLESS_WRIST: Final = frozenset({"ur3", "ur3e"})

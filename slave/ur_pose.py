@@ -160,6 +160,19 @@ def pose_from_transform(transform: Array) -> Array:
     return np.array((x, y, z, *rotvec_from_matrix(transform[:3, :3])))
 
 
+def pose_difference(base_from_goal: Array, base_from_tool: Array) -> Array:
+    """What takes one frame to the other, in the base: translation in m over rotation vector in rad, (6,).
+
+    `(p* - p, log(R* R'))`. Times a rate, it is the twist that leads there.
+
+    Raises:
+        ValueError: Not a rotation, or not finite.
+    """
+    turn = base_from_goal[:3, :3] @ base_from_tool[:3, :3].T
+    x, y, z = _finite("translation", base_from_goal[:3, 3] - base_from_tool[:3, 3], 3)
+    return np.array((x, y, z, *rotvec_from_matrix(turn)))
+
+
 def pose_trans(a_from_b: Numbers, b_from_c: Numbers) -> Array:
     """Pose of c in a, shape (6,): what URScript's `pose_trans` gives.
 

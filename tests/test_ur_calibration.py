@@ -4,8 +4,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.ur_arms import CALIBRATIONS
 
+from _ur_arms import CALIBRATIONS
 from haptether.slave import UrCalibration, UrKinematics, UrModel, read_calibration, ur_model
 from haptether.slave.ur_chain import deviation, dh_rows
 

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.ur_arms import CALIBRATIONS, TOOL, PinocchioArm
 
+from _ur_arms import CALIBRATIONS, TOOL, PinocchioArm
 from haptether.slave import UR_MODELS, UrCalibration, UrKinematics, UrModel, ur_model
 from haptether.slave.ur_chain import chain_transform, dh_rows
 from haptether.slave.ur_pose import pose_from_transform

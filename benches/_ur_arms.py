@@ -1,4 +1,4 @@
-"""What the tests of UR kinematics share: real calibrations, and the same arms in pinocchio."""
+"""What tests and the bench of UR kinematics share: real calibrations, and the same arms in pinocchio."""
 
 from typing import Any
 

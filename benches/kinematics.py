@@ -1,0 +1,363 @@
+"""Run time against error of the kinematics of UR arms, beside pinocchio, ur-analytic-ik and other solvers.
+
+Forward kinematics with Jacobian: error is the largest of any entry against the same chain in 80 bits. Inverse
+kinematics: each posture that comes back is led through that chain; the errors are the largest over all poses of random
+postures. Streamed steps: error is the largest of any joint's velocity against the minimum, which is refined in 80 bits
+and held to its conditions; a program that a solver gives up is counted.
+
+All that stands in one table is timed in turns, one round after the other. Required: forward kinematics and Jacobian in
+one call in 3 us, inverse kinematics in 20 us, both within 1e-12 of the chain, the round trip of postures within 1e-10,
+and every streamed step within 1e-9 of its conditions.
+"""
+
+import argparse
+import importlib
+import importlib.util
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from _ur_arms import CALIBRATIONS, PinocchioArm
+from _ur_quadratic import solvers
+from _ur_references import apart, extended_chain, minimum, residual
+from haptether.slave import (
+    QuadraticProgram,
+    SelfKeepOut,
+    StreamingLimits,
+    UrCalibration,
+    UrInverse,
+    UrKinematics,
+    UrModel,
+    UrStreaming,
+    WorkspacePlane,
+    model_limits,
+    ur_model,
+)
+from haptether.slave.ur_chain import dh_rows
+
+Array = npt.NDArray[np.float64]
+Work = Callable[[int], object]
+"""Does the n-th of a list of tasks, round and round."""
+
+EXAMPLE = "example: python benches/kinematics.py --json -"
+MODEL = "ur5e"
+UNIT = "ur10 far"
+FORWARD_US, INVERSE_US = 3.0, 20.0
+TIGHT, ROUND_TRIP, CONDITIONS = 1e-12, 1e-10, 1e-9
+PERIOD_S = 0.002
+CALLS = 200
+"""In a block that is timed at once."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One line of a table."""
+
+    table: str
+    name: str
+    us: float
+    """Least over the rounds, per call."""
+    us_median: float
+    errors: dict[str, float]
+    """By column."""
+
+
+def timed(works: dict[str, Work], rounds: int) -> dict[str, tuple[float, float]]:
+    """Least and median time of a call in us; the works take turns in every round."""
+    blocks: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(rounds):
+        for name, work in works.items():
+            begun = time.perf_counter_ns()
+            for index in range(CALLS):
+                work(index)
+            blocks[name].append((time.perf_counter_ns() - begun) / CALLS / 1e3)
+    return {name: (min(times), float(np.median(times))) for name, times in blocks.items()}
+
+
+def over(call: Callable[..., object], *arguments: Sequence[Any] | Array) -> Work:
+    """Calls with the n-th of each."""
+    if len(arguments) == 1:
+        (only,) = arguments
+        return lambda index: call(only[index])
+    if len(arguments) == 2:
+        first, second = arguments
+        return lambda index: call(first[index], second[index])
+    one, two, three = arguments
+    return lambda index: call(one[index], two[index], three[index])
+
+
+def postures(count: int, seed: int) -> Array:
+    """Random joint angles over both turns."""
+    return np.random.default_rng(seed).uniform(-2 * np.pi, 2 * np.pi, (count, 6))
+
+
+# Forward kinematics and Jacobian
+
+
+def plain_casadi(model: UrModel, calibration: UrCalibration | None) -> Callable[[Array], tuple[Array, Array]]:
+    """The same expressions, called the usual way."""
+    chain = UrKinematics(model, calibration).chain
+    function: Any = casadi.Function("plain", [chain.q], [chain.transform, chain.jacobian])
+
+    def call(q: Array) -> tuple[Array, Array]:
+        transform, jacobian = function(q)
+        return np.asarray(transform), np.asarray(jacobian)
+
+    return call
+
+
+def forward_rows(rounds: int) -> list[Row]:
+    """Ours, plain CasADi and pinocchio, for a model and for a unit with its calibration."""
+    q = np.ascontiguousarray(postures(CALLS, 1))
+    found = []
+    for arm, (model, calibration) in {MODEL: (ur_model(MODEL), None), UNIT: CALIBRATIONS[UNIT]}.items():
+        peer = PinocchioArm(model, calibration, np.eye(4))
+        calls: dict[str, Callable[[Array], tuple[Array, Array]]] = {
+            "ours": UrKinematics(model, calibration).forward_and_jacobian,
+            "plain CasADi call": plain_casadi(model, calibration),
+            "pinocchio": peer.forward_and_jacobian,
+        }
+        poses, jacobians = extended_chain(dh_rows(model, calibration), q)
+        errors = dict.fromkeys(calls, 0.0)
+        for name, call in calls.items():
+            for index in range(CALLS):
+                transform, jacobian = call(q[index])
+                off = np.abs(transform - poses[index]).max(), np.abs(jacobian - jacobians[index]).max()
+                errors[name] = max(errors[name], float(max(off)))
+        works = {name: over(call, q) for name, call in calls.items()}
+        for name, (least, median) in timed(works, rounds).items():
+            table = f"forward kinematics and Jacobian, {arm}"
+            found.append(Row(table=table, name=name, us=least, us_median=median, errors={"error": errors[name]}))
+    return found
+
+
+# Inverse kinematics
+
+
+def closest_of(package: Any) -> Callable[[Array, Array], Array | None]:  # noqa: ANN401  # it has no types
+    """The peer's posture nearest to where the arm was."""
+
+    def call(pose: Array, near: Array) -> Array | None:
+        found = package.inverse_kinematics_closest(pose, *near.tolist())
+        return np.asarray(found[0]).ravel() if found else None
+
+    return call
+
+
+def inverse_rows(rounds: int, poses: int) -> list[Row]:
+    """Ours and ur-analytic-ik, for a model; ours for a unit with its calibration."""
+    found = []
+    for arm, (model, calibration) in {MODEL: (ur_model(MODEL), None), UNIT: CALIBRATIONS[UNIT]}.items():
+        inverse, rows = UrInverse(model, calibration), dh_rows(model, calibration)
+        nearest: dict[str, Callable[[Array, Array], Array | None]] = {"ours, nearest": inverse.nearest}
+        every: dict[str, Callable[[Array], Any]] = {"ours, all": inverse.all}
+        if calibration is None and importlib.util.find_spec("ur_analytic_ik") is not None:
+            package: Any = getattr(importlib.import_module("ur_analytic_ik"), arm)
+            nearest["ur-analytic-ik, nearest"] = closest_of(package)
+            every["ur-analytic-ik, all"] = package.inverse_kinematics
+        # It takes angles within half a turn only; ours gets the same.
+        q = np.ascontiguousarray(postures(poses, 2) / 2)
+        exact, _ = extended_chain(rows, q)
+        targets = np.ascontiguousarray(exact.astype(np.float64))
+        errors: dict[str, dict[str, float]] = {}
+        for name, call in nearest.items():
+            back, missed = np.full_like(q, np.nan), 0
+            for index in range(poses):
+                posture = call(targets[index], q[index])
+                if posture is None:
+                    missed += 1
+                else:
+                    back[index] = posture
+            there = ~np.isnan(back[:, 0])
+            metres, radians = apart(extended_chain(rows, back[there])[0], exact[there])
+            joints = np.abs(np.remainder(back[there] - q[there] + np.pi, 2 * np.pi) - np.pi)
+            errors[name] = {
+                "m": float(metres.max()),
+                "rad": float(radians.max()),
+                "joints rad": float(joints.max()),
+                "missed": missed,
+            }
+        for name, branches in every.items():
+            few = min(poses, 2000)
+            postures_of = [np.atleast_2d(np.asarray(branches(targets[index]))) for index in range(few)]
+            counts = [len(some) for some in postures_of]
+            back = np.concatenate([some.reshape(-1, 6) for some in postures_of])
+            metres, radians = apart(extended_chain(rows, back)[0], np.repeat(exact[:few], counts, axis=0))
+            errors[name] = {"m": float(metres.max()), "rad": float(radians.max())}
+        works = {name: over(call, targets, q) for name, call in nearest.items()}
+        works |= {name: over(call, targets) for name, call in every.items()}
+        for name, (least, median) in timed(works, rounds).items():
+            table = f"inverse kinematics, {arm}"
+            found.append(Row(table=table, name=name, us=least, us_median=median, errors=errors[name]))
+    return found
+
+
+# Streamed steps
+
+
+LIMITS = {
+    "speed": StreamingLimits(max_speed=(1.0,) * 6),
+    "speed, table and wall": StreamingLimits(
+        max_speed=(1.0,) * 6,
+        planes=(
+            WorkspacePlane(normal=(0.0, 0.0, 1.0), offset_m=0.0, whole_arm=True),
+            WorkspacePlane(normal=(-1.0, 0.0, 0.0), offset_m=-0.6),
+        ),
+    ),
+}
+
+
+def streaming_rows(rounds: int) -> list[Row]:
+    """The programs of random steps, by every solver that is installed."""
+    found = []
+    draws = np.random.default_rng(3)
+    middle = np.array((-0.6, -1.6, 1.7, -1.5, -1.4, 0.3))
+    steps = [
+        (middle + draws.normal(0, 0.5, 6), draws.normal(0, 0.05, 6), draws.normal(0, 1.0, 6)) for _ in range(8 * CALLS)
+    ]
+    for name, limits in LIMITS.items():
+        streaming = UrStreaming(UrKinematics(ur_model(MODEL)), limits, period_s=PERIOD_S)
+        programs: list[QuadraticProgram] = []
+        minima: list[Array] = []
+        worst = 0.0
+        for q, qd, twist in steps:
+            velocity = streaming.velocity(q, qd, twist)
+            if streaming.reason or len(programs) == CALLS:
+                continue
+            programs.append(streaming.program)
+            worst = max(worst, residual(programs[-1], velocity, streaming.multipliers))
+            minima.append(minimum(programs[-1], streaming.multipliers))
+        works: dict[str, Work] = {}
+        errors: dict[str, dict[str, float]] = {}
+        for solver, prepare in solvers().items():
+            solve = prepare(programs)
+            solutions = [solve(program) for program in programs]
+            off = [float(np.abs(x - best).max()) for x, best in zip(solutions, minima, strict=True) if x is not None]
+            errors[solver] = {"error rad/s": max(off), "missed": len(programs) - len(off)}
+            works[solver] = over(solve, programs)
+        errors["ours (daqp, warm)"]["conditions"] = worst
+        for solver, (least, median) in timed(works, rounds).items():
+            table = f"streamed step, {name}: {len(programs)} programs of {len(programs[0].rows)} rows"
+            found.append(Row(table=table, name=solver, us=least, us_median=median, errors=errors[solver]))
+    return found
+
+
+def whole_steps(rounds: int) -> list[Row]:
+    """A period of `UrStreaming.velocity` from numbers to numbers, by what is named, over and over along a run."""
+    joints = model_limits(ur_model(MODEL))
+    planes, keep_out = LIMITS["speed, table and wall"].planes, SelfKeepOut()
+    named = {
+        "nothing": StreamingLimits(),
+        "joints": joints,
+        "joints, tool speed": msgspec.structs.replace(joints, max_tool_speed=0.2),
+        "joints, planes, self": msgspec.structs.replace(joints, planes=planes, self_keep_out=keep_out),
+        "all": msgspec.structs.replace(joints, max_tool_speed=0.2, planes=planes, self_keep_out=keep_out),
+    }
+    works: dict[str, Work] = {}
+    errors: dict[str, dict[str, float]] = {}
+    for name, limits in named.items():
+        streaming = UrStreaming(UrKinematics(ur_model(MODEL)), limits, period_s=PERIOD_S)
+        q, qd, twist = np.zeros((CALLS, 6)), np.zeros((CALLS, 6)), np.zeros((CALLS, 6))
+        q[0] = (-0.6, -1.6, 1.7, -1.5, -1.4, 0.3)
+        # To and fro across, with a turn, at twice the limit: after its acceleration the tool is at its limit of speed.
+        twist[:, 1] = 0.4 * np.sign(np.sin(np.arange(CALLS) * 2 * np.pi / CALLS))
+        twist[:, 5] = 0.3
+        slow = braked = 0
+        for index in range(CALLS - 1):
+            qd[index + 1] = streaming.velocity(q[index], qd[index], twist[index])
+            q[index + 1] = q[index] + qd[index + 1] * PERIOD_S
+            slow += streaming.speed_multiplier > 0
+            braked += streaming.reason != ""
+        errors[name] = {"at tool speed": slow, "braked": braked}
+        works[name] = over(streaming.velocity, q, qd, twist)
+    return [
+        Row(
+            table=f"a period of UrStreaming over {CALLS} along a run, with limits of",
+            name=name,
+            us=least,
+            us_median=median,
+            errors=errors[name],
+        )
+        for name, (least, median) in timed(works, rounds).items()
+    ]
+
+
+# What is said
+
+
+def missed(rows: list[Row]) -> list[str]:
+    """What was required and is not so."""
+    found = []
+    for row in rows:
+        where = f"{row.table}: {row.name}"
+        if not row.name.startswith("ours"):
+            continue
+        if row.table.startswith("forward") and (row.us > FORWARD_US or row.errors["error"] > TIGHT):
+            found.append(f"{where}: {row.us:.2f} us, {row.errors['error']:.1e}")
+        if row.table.startswith("inverse"):
+            if row.us > INVERSE_US or max(row.errors["m"], row.errors["rad"]) > TIGHT:
+                found.append(f"{where}: {row.us:.2f} us, {row.errors['m']:.1e} m")
+            if row.errors.get("missed", 0):
+                found.append(f"{where}: {row.errors['missed']} missed")
+            # Of a unit's postures, 5e-13 m and rad are as close as its iteration goes.
+            if MODEL in row.table and row.errors.get("joints rad", 0.0) > ROUND_TRIP:
+                found.append(f"{where}: {row.errors['joints rad']:.1e} rad")
+        if row.table.startswith("streamed") and (
+            row.errors["conditions"] > CONDITIONS or row.errors["error rad/s"] > CONDITIONS or row.errors["missed"]
+        ):
+            found.append(f"{where}: {row.errors}")
+    return found
+
+
+def show(rows: list[Row]) -> str:
+    """The tables."""
+    lines: list[str] = []
+    before = ""
+    for row in rows:
+        if row.table != before:
+            lines += ["", row.table, f"{'':<28}{'us':>8}{'median':>8}"]
+            before = row.table
+        told = "  ".join(f"{key} {value:.1e}" if value % 1 else f"{key} {value:g}" for key, value in row.errors.items())
+        lines.append(f"{row.name:<28}{row.us:>8.2f}{row.us_median:>8.2f}  {told}")
+    return "\n".join(lines[1:])
+
+
+def main() -> int:
+    """Measures, prints, and checks what is required."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
+    parser.add_argument("--rounds", type=int, default=60, help="rounds in which all take turns (default 60)")
+    parser.add_argument("--poses", type=int, default=100_000, help="of the round trip (default 100000)")
+    arguments = parser.parse_args()
+    if arguments.rounds < 1 or arguments.poses < CALLS:
+        parser.error(f"--rounds must be at least 1 and --poses at least {CALLS}")
+
+    rounds = arguments.rounds
+    rows = forward_rows(rounds) + inverse_rows(rounds, arguments.poses) + streaming_rows(rounds) + whole_steps(rounds)
+    out = sys.stderr if arguments.json == "-" else sys.stdout
+    print(show(rows), file=out)
+    wrong = missed(rows)
+    print(f"\nrequired: {'; '.join(wrong) + ': MISSED' if wrong else 'met'}", file=out)
+    if arguments.json is not None:
+        told = {"rounds": rounds, "poses": arguments.poses, "rows": [asdict(row) for row in rows], "missed": wrong}
+        text = json.dumps(told, indent=2)
+        if arguments.json == "-":
+            print(text)
+        else:
+            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,191 @@
+"""Streamed joint velocities keep within every limit that is named, period after period."""
+
+import math
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy.optimize
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, WALL, steps
+
+from _ur_arms import CALIBRATIONS, TOOL
+from haptether.slave import StreamingLimits, UrKinematics, UrStreaming
+from haptether.slave.ur_body import Ball, Capsule, arm_body
+from haptether.slave.ur_chain import DhRows, cos_sin, dh_rows
+
+Array = npt.NDArray[np.float64]
+
+
+@given(
+    distance=st.floats(0, 1),
+    speed=st.floats(0.3, math.pi),
+    acceleration=st.floats(0.5, 40),
+    period_s=st.sampled_from([0.002, 0.008]),
+)
+def test_a_joint_that_is_pushed_at_its_end_stops_there(
+    distance: float, speed: float, acceleration: float, period_s: float
+) -> None:
+    limits = StreamingLimits(
+        position_min=(-3.0,) * 6,
+        position_max=(3.0,) * 6,
+        max_speed=(speed,) * 6,
+        max_acceleration=(acceleration,) * 6,
+        approach_rate_hz=1.0,
+    )
+    streaming = UrStreaming(UrKinematics(MODEL), limits, period_s=period_s)
+    q, qd = np.full(6, 3.0 - distance), np.zeros(6)
+    # Through the buffer of the bounds alone: what the task wants does not matter here, the upper bound is taken.
+    for _ in range(round((distance / speed + speed / acceleration) / period_s) + 10):
+        streaming.velocity(q, qd, np.zeros(6))
+        after = streaming.program.upper[:6]
+        assert (after - qd >= -acceleration * period_s - 1e-9).all()
+        assert (after <= speed).all()
+        q, qd = q + after * period_s, after
+        assert (q <= 3.0 + 1e-12).all()
+    # What is left is less than a step of braking over a period.
+    assert (3.0 - q <= acceleration * period_s**2 + 1e-9).all()
+
+
+def test_past_its_end_a_joint_may_only_go_back() -> None:
+    streaming = UrStreaming(UrKinematics(MODEL), JOINTS, period_s=PERIOD_S)
+    q = np.array((0.3, -1.2, 1.4, 0.2, 0.9, 6.5))
+    for twist in np.vstack((np.eye(6), -np.eye(6))):
+        velocity = streaming.velocity(q, np.zeros(6), twist)
+        assert streaming.reason == ""
+        assert velocity[5] <= 1e-12
+    assert streaming.program.lower[5] == pytest.approx(-8.0 * PERIOD_S)
+
+
+def frames(rows: DhRows, q: Array) -> list[Array]:
+    """base_from_link of every link, in plain NumPy."""
+    found = [np.eye(4)]
+    for angle, theta, a, d, alpha in zip(q, rows.theta, rows.a, rows.d, rows.alpha, strict=True):
+        (c, s), (ca, sa) = cos_sin(angle + theta), cos_sin(alpha)
+        link = np.array(((c, -s * ca, s * sa, a * c), (s, c * ca, -c * sa, a * s), (0, sa, ca, d), (0, 0, 0, 1.0)))
+        found.append(found[-1] @ link)
+    return found
+
+
+def at(found: list[Array], link: int, place: tuple[float, float, float]) -> Array:
+    point: Array = (found[link] @ np.array((*place, 1.0)))[:3]
+    return point
+
+
+def apart(found: list[Array], ball: Ball, capsule: Capsule) -> float:
+    """Distance by a search along the capsule's axis: nothing shared with the closed form."""
+    centre = at(found, ball.link, ball.place)
+    start, end = at(found, capsule.link, capsule.start), at(found, capsule.link, capsule.end)
+
+    def away(t: float) -> float:
+        return float(np.linalg.norm(centre - start - t * (end - start)))
+
+    t = float(scipy.optimize.minimize_scalar(away, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-12}).x)
+    return min(away(t), away(0.0), away(1.0)) - ball.radius_m - capsule.radius_m
+
+
+def distances(limits: StreamingLimits, q: Array, tool: Array) -> Array:
+    found = frames(dh_rows(MODEL), q)
+    body = arm_body(MODEL)
+    values = []
+    for plane in limits.planes:
+        points = [((found[6] @ tool)[:3, 3], 0.0)]
+        if plane.whole_arm:
+            points += [(at(found, ball.link, ball.place), ball.radius_m) for ball in body.balls]
+        values += [float(np.dot(plane.normal, point)) - radius - plane.offset_m for point, radius in points]
+    if limits.self_keep_out is not None:
+        margin = limits.self_keep_out.margin_m
+        values += [apart(found, body.balls[b], body.capsules[c]) - margin for b, c in body.pairs]
+    return np.array(values)
+
+
+def test_rows_are_the_distances_and_their_gradients() -> None:
+    limits = LIMITS["all"]
+    streaming = UrStreaming(UrKinematics(MODEL, tool=TOOL), limits, period_s=PERIOD_S)
+    h = 1e-5
+    for step in steps(20, seed=7):
+        streaming.velocity(step.q, step.qd, step.twist)
+        program, here = streaming.program, distances(limits, step.q, TOOL)
+        count = len(here)
+        assert count == len(streaming.rows)
+        expected = np.minimum(-10.0 * here, 1e-3)
+        # The search is right to 1e-9 m, ten times that as a rate.
+        np.testing.assert_allclose(program.lower[6 : 6 + count], expected, rtol=0, atol=2e-8)
+        for joint in range(6):
+            after, before = (distances(limits, step.q + sign * h * np.eye(6)[joint], TOOL) for sign in (1, -1))
+            # Central differences of distances that are right to 1e-12 m or so, with curvatures up to 1/0.05 m.
+            np.testing.assert_allclose(
+                program.rows[:count, joint], (after - before) / (2 * h), rtol=0, atol=2e-6, err_msg=str(streaming.rows)
+            )
+
+
+def test_names_of_rows_say_what_they_are() -> None:
+    rows = UrStreaming(UrKinematics(MODEL), LIMITS["all"], period_s=PERIOD_S).rows
+    assert rows[:3] == ("planes[0], tool", "planes[0], elbow", "planes[0], forearm")
+    assert rows[7] == "planes[1], tool"
+    assert rows[8] == "forearm to base"
+    assert rows[-1] == "flange to upper arm"
+
+
+def drive(streaming: UrStreaming, q: Array, twists: Array) -> tuple[Array, Array, set[str]]:
+    """Joint angles and velocities of a run, and why it braked."""
+    places, speeds, reasons = [q], [np.zeros(6)], set()
+    for twist in twists:
+        velocity = streaming.velocity(places[-1], speeds[-1], twist)
+        if streaming.reason:
+            reasons.add(streaming.reason)
+        places.append(places[-1] + velocity * streaming.period_s)
+        speeds.append(velocity.copy())
+    return np.array(places), np.array(speeds), reasons
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_long_run_keeps_within_every_limit(seed: int) -> None:
+    kinematics, limits = UrKinematics(MODEL, tool=TOOL), LIMITS["all"]
+    streaming = UrStreaming(kinematics, limits, period_s=PERIOD_S)
+    draws = np.random.default_rng(seed)
+    # Each wish holds for 0.4 s: into the table, the wall, the arm itself, and beyond every speed.
+    twists = np.repeat(draws.normal(0, 1.0, (15, 6)), 200, axis=0)
+    q = np.array((-0.6, -1.6, 1.7, -1.5, -1.4, 0.3))
+    places, speeds, _ = drive(streaming, q, twists)
+    assert np.abs(np.diff(speeds, axis=0)).max() <= 8.0 * PERIOD_S + 1e-9
+    assert np.abs(speeds).max() <= math.pi + 1e-9
+    assert np.abs(places).max() <= 2 * math.pi
+    for q_now, qd_now in zip(places[:-1:15], speeds[1::15], strict=True):
+        # While it brakes, the tool may be as fast as it was; the joints' acceleration bounds by how much that can be.
+        assert np.linalg.norm((kinematics.forward_and_jacobian(q_now)[1] @ qd_now)[:3]) <= 0.4 + 0.03
+        # A ball goes 0.5 mm a period, on a path that bends by 1/0.05 m: 6e-6 m beyond, and back at 1 mm/s.
+        assert distances(limits, q_now, TOOL).min() >= -1e-3
+
+
+def test_a_plane_is_approached_and_kept() -> None:
+    limits = msgspec.structs.replace(JOINTS, planes=(WALL,))
+    kinematics = UrKinematics(MODEL)
+    streaming = UrStreaming(kinematics, limits, period_s=PERIOD_S)
+    q = np.array((-0.2, -1.5, 1.9, -2.0, -1.57, 0.0))
+    # The tool is in front of the base, with the wall at 0.6 m.
+    q[0] += math.pi
+    assert 0.2 < float(kinematics.forward(q)[0, 3]) < 0.6
+    twist = np.array((0.3, 0.1, 0.0, 0.0, 0.0, 0.0))
+    places, _, reasons = drive(streaming, q, np.repeat(twist[None], 1500, axis=0))
+    x = np.array([kinematics.forward(place)[0, 3] for place in places])
+    assert not reasons
+    assert x.max() <= 0.6 + 1e-5
+    assert x[-1] == pytest.approx(0.6, abs=1e-3)
+
+
+@pytest.mark.parametrize("calibration", ["ur5", None])
+def test_joints_stay_slow_through_the_wrists_singularity(calibration: str | None) -> None:
+    model, deltas = CALIBRATIONS[calibration] if calibration else (MODEL, None)
+    kinematics = UrKinematics(model, deltas)
+    streaming = UrStreaming(kinematics, StreamingLimits(), period_s=PERIOD_S)
+    q = np.array((0.4, -1.3, 1.1, 0.6, 0.3, -2.0))
+    # Turns the wrist through q5 = 0, with a part of the turn that no joint can do there.
+    twists = np.repeat(np.array((0.0, 0.0, 0.0, 0.0, 0.3, 0.2))[None], 1000, axis=0)
+    _, speeds, reasons = drive(streaming, q, twists)
+    assert not reasons
+    # Damped least squares passes on at most 1/(2 sqrt(damping)) of the weighted twist, sqrt(0.1) |twist|: full damping
+    # sets in at the singularity only, so twice that.
+    assert np.abs(speeds).max() < 2 * math.sqrt(0.1) * 0.36 / (2 * math.sqrt(0.01))
