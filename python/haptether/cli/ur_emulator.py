@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -57,6 +57,8 @@ class UrEmulator:
     """How long after a protective stop it cannot be unlocked, in s."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
     """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    realtime: Literal["auto", "off", "require"] = "auto"
+    """Ask for SCHED_FIFO and go on without (auto), do not ask (off), or fail without (require)."""
     duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """End after this time in s; without it, run until Ctrl-C."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -69,7 +71,7 @@ class UrEmulator:
         from haptether.cli.live import Stopped
         from haptether.cli.options import check_duration
         from haptether.cli.output import check_target, write_json
-        from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server
+        from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server, ask_realtime
 
         check_duration("duration_s", self.duration_s)
         check_target(self.json)
@@ -84,7 +86,8 @@ class UrEmulator:
             try:
                 if self.control is not None:
                     channel = server.channel = ControlChannel(self.control, line)
-                print(self._headline(channel), flush=True)
+                granted = ask_realtime(self.realtime)
+                print(f"{self._headline(channel)}, real time: {granted}", flush=True)
                 server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
             finally:
                 server.close()
