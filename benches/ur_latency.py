@@ -1,9 +1,10 @@
 """How late a UR arm follows under each command, and what servoj's lookahead and gain cost.
 
-The driver leads the emulated controller along a slow wave over the real ur_rtde; the delay is that of the tool's position
-behind what was written. It includes the set-point's bounds, the process of the library, RTDE, the control script, servoj
-or the position loop, and the model of the joints behind it: a real arm adds its own. Expected for servoj and servol: the
-lookahead and 4 to 12 ms of transport; the overshoot of a step is that of `q'' = gain (q_set - q - lookahead q')`.
+The driver leads the emulated controller along a slow wave over the real ur_rtde; the delay is that of the tool's
+position behind what was written. It includes the set-point's bounds, the process of the library, RTDE, the control
+script, servoj or the position loop, and the model of the joints behind it: a real arm adds its own. Expected for servoj
+and servol: the lookahead and 4 to 12 ms of transport. The overshoot of a step is that of
+`q'' = gain (q_set - q - lookahead q')`.
 """
 
 import argparse

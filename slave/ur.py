@@ -14,14 +14,15 @@ from haptether.slave.ur_checks import (
     check_before,
     check_model,
 )
-from haptether.slave.ur_dashboard import DashboardError, is_in_remote_control, stop_program
+from haptether.slave.ur_dashboard import is_in_remote_control
+from haptether.slave.ur_halting import STOP_S, Halting
 from haptether.slave.ur_latency import Latency
 from haptether.slave.ur_link import STREAM_S, UrLink, vendor_module
 from haptether.slave.ur_modes import Mode, UnreachableError, check_mode, model_distance, ur_mode
 from haptether.slave.ur_options import Three, UrOptions, ur_options
 from haptether.slave.ur_recovery import recover
 from haptether.slave.ur_setpoint import SetPoint
-from haptether.slave.ur_state import PLAYING, UrState, safety_stop
+from haptether.slave.ur_state import UrState, safety_stop
 from haptether.slave.ur_wrench import UrWrench
 
 READ_S: Final = 0.025
@@ -35,10 +36,7 @@ REFUSED_S: Final = 0.05
 """For how long commands may fail before that is a fault: a stop of the controller's has its own reason by then."""
 SILENCE_S: Final = 0.02
 """After which an arm is stopped that would go on by itself and is not led."""
-STOP_S: Final = 1.0
-"""For a soft stop: 0.25 m/s and the least deceleration allowed take longer, and then the program is ended."""
 ARMED_S: Final = 1.0
-LAST_WAY_S: Final = 1.0
 REMOTE_EVERY_S: Final = 1.0
 KICKS: Final = 5.0
 """Signs of life in each period of the watchdog, while nothing is commanded."""
@@ -60,11 +58,12 @@ class UrSlave:
 
     paces = True
     spins = True
-    """ur_rtde waits for the controller without sleeping."""
+    """ur_rtde waits for the controller without sleeping, and its process has the priority of whoever starts it."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)
         self._link: UrLink
+        self._halting: Halting
         self._mode: Mode
         self._point: SetPoint
         self._wrench: UrWrench
@@ -81,9 +80,6 @@ class UrSlave:
         self._fault_s = 0.0
         self._guard: Call | None = None
         """Arming the watchdog."""
-        self._halt: Call | None = None
-        self._last_way: Call | None = None
-        """Ending the program through the dashboard."""
         self._recovery: Call | None = None
         self._remote: Call | None = None
         self._watches_remote = False
@@ -100,7 +96,8 @@ class UrSlave:
         self._watches_remote = REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE
         self._link = UrLink(options, seen.version)
         self._period_s = 1.0 / self._link.rate_hz
-        self._aside, self._stopper = Bounded("ur-aside"), Bounded("ur-stopper")
+        self._aside = Bounded("ur-aside")
+        self._halting = Halting(self._link, options.host, self._tell)
         self._opened = True
         self._link.connect()
         x, y, z, rx, ry, rz = options.tool or (self._link.setting("tool", self._link.control.getTCPOffset))
@@ -132,14 +129,17 @@ class UrSlave:
             now_s = time.monotonic()
             self._look_for_faults(now_s)
             self._keep_alive(now_s)
-        self._look_at_halt()
+        if self._halting.failed(self._state, stale=time.monotonic() - self._arrived_s > STALE_S):
+            self._latch("a soft stop was not acknowledged: the program is ended; see the arm, then acknowledge")
+            self._cut()
         return self._sample()
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
         """Sends the tool on, within its bounds; nothing where there is a fault or the watchdog is not armed."""
         if self._recovery is not None:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
-        if self._fault is not None or self._guard is None or not self._guard.over:
+        guard = self._guard
+        if self._fault is not None or guard is None or not guard.over or guard.failed is not None:
             return
         state, now_s = self._state, time.monotonic()
         target = self._placed(position, self._point.position if self._moving else state.pose[:3])
@@ -165,17 +165,17 @@ class UrSlave:
 
     def stop(self) -> None:
         """Has the arm come to rest; returns at once, `read` sees to it that it does."""
-        if self._opened and self._moving and self._link.control is not None:
+        if self._moving:
             self._moving = False
-            mode, control = self._mode, self._link.control
-            self._halt = self._link.worker.start("stop", lambda: mode.stop(control), STOP_S)
+            self._halting.stop(self._mode)
 
     def acknowledge(self) -> None:
         """A person has seen to the fault: unlocks, connects and uploads again, and says when the arm is ready."""
         if self._fault is None or self._recovery is not None:
             return
         self._fault = None
-        self._halt = self._guard = self._remote = None
+        self._guard = self._remote = None
+        self._halting.clear()
         if self._aside.stuck is not None:
             self._aside.end()
             self._aside = Bounded("ur-aside")
@@ -189,14 +189,11 @@ class UrSlave:
             return
         self._opened = False
         self.stop()
-        if self._halt is not None:
-            self._halt.wait(STOP_S)
+        self._halting.end()
         for failed in self._link.end():
             self._tell(f"at the end: {failed}")
         self._aside.end()
-        if self._last_way is not None:
-            self._last_way.wait(LAST_WAY_S)
-        self._stopper.end()
+        self._halting.close()
         if (latency_s := self.latency_s) is not None:
             self._tell(f"the arm followed {1e3 * latency_s:.0f} ms late")
 
@@ -223,7 +220,11 @@ class UrSlave:
         self._arrived_s = time.monotonic()
 
     def _look_for_faults(self, now_s: float) -> None:
+        lost = not self._link.receive.isConnected() or now_s - self._arrived_s > STALE_S
         if self._fault is not None:
+            if lost and self._link.control is not None:
+                # The library would connect again by itself, and upload a script without a watchdog.
+                self._cut()
             return
         state = self._state
         stop = safety_stop(state, self._before)
@@ -275,7 +276,7 @@ class UrSlave:
         elif (
             not self._moving
             and self._guard.over
-            and (self._halt is None or self._halt.over)
+            and not self._halting.busy
             and now_s - self._kicked_s > 1.0 / (KICKS * self.options.watchdog_hz)
         ):
             self._link.kick()
@@ -285,38 +286,6 @@ class UrSlave:
             if self._remote is None or self._remote.over:
                 host = self.options.host
                 self._remote = self._aside.start("remote control", lambda: is_in_remote_control(host), 2.0)
-
-    def _look_at_halt(self) -> None:
-        """Where a soft stop did not succeed and the program may still play, ends the program."""
-        halt = self._halt or self._link.worker.idled
-        if halt is None or self._link.control is None:
-            return
-        overdue = not halt.over and halt.begun_s is not None and time.monotonic() - halt.begun_s > STOP_S
-        if not (overdue or halt.failed is not None):
-            return
-        self._halt = self._link.worker.idled = None
-        if self._state.runtime_state == PLAYING or time.monotonic() - self._arrived_s > STALE_S:
-            text = "a soft stop was not acknowledged: the program is ended; see the arm, then acknowledge"
-            self._fault_text(text)
-            self._cut()
-
-    def _cut(self) -> None:
-        """Nothing leads the arm any more: the connection is cut, and the dashboard asked to end the program.
-
-        Where that does not come through either, the watchdog ends it.
-        """
-        self._moving = False
-        self._halt = None
-        self._link.cut()
-        host = self.options.host
-
-        def end_program() -> None:
-            try:
-                stop_program(host)
-            except DashboardError as error:
-                self._tell(f"{error}: its watchdog ends the program; if the arm moves, press its emergency stop")
-
-        self._last_way = self._stopper.start("dashboard stop", end_program, LAST_WAY_S)
 
     def _look_at_recovery(self, recovery: Call) -> None:
         if not recovery.over:
@@ -382,16 +351,16 @@ class UrSlave:
     def _latch(self, text: str, *, lost: bool = False) -> None:
         """A fault stays until a person acknowledges it; the arm is stopped, or the connection cut where it is lost."""
         if self._fault is None:
-            self._fault_text(text)
+            self._fault, self._fault_s = text, time.monotonic()
+            self._tell(f"fault: {text}")
             if lost:
                 self._cut()
             else:
                 self.stop()
 
-    def _fault_text(self, text: str) -> None:
-        if self._fault is None:
-            self._fault, self._fault_s = text, time.monotonic()
-            self._tell(f"fault: {text}")
+    def _cut(self) -> None:
+        self._moving = False
+        self._halting.cut()
 
     def _tell(self, text: str) -> None:
         print(f"ur {self.options.host}: {text}", file=sys.stderr, flush=True)

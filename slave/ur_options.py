@@ -59,7 +59,7 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     force_source: Literal["tcp", "raw"] = "tcp"
     """The controller's own force at the tool, or what the sensor in the flange shows (e-Series from 5.9 on)."""
     force_filter_hz: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = 50.0
-    """Corner of the low-pass on the force, or null for none."""
+    """Corner of the low-pass on the force; None for none."""
     force_deadband_n: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
     """What of the force is taken away, as noise."""
     max_speed: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.25

@@ -183,7 +183,7 @@ def test_a_stop_returns_at_once_and_is_done_once(arm: Arm) -> None:
     driven.driver.stop()
     assert time.monotonic() - begun_s < BLOCKED_S
     arm.released.set()
-    driven.until(lambda _: driven.driver._halt is not None and driven.driver._halt.over)
+    driven.until(lambda _: not driven.driver._halting.busy)
     assert arm.names.count("speedStop") == 1
     assert driven.turn().fault is None
     driven.driver.close()

@@ -119,6 +119,15 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
     seen: list[str] = []
     with emulator(host=host) as emulated, driven({"host": host, "verify_watchdog": False}) as watching:
         begun_s = engaged(watching)
+        # Packages that are once late by 60 ms: older than 20 ms is a hold, only older than 100 ms a fault.
+        at_s = time.monotonic()
+        emulated.do("freeze 0.06")
+        watching.wait_for("slave", "hold", "stop", since_s=at_s)
+        time.sleep(0.1)
+        press_s = time.monotonic()
+        watching.act("press")
+        engaged(watching, since_s=press_s)
+        assert not [event for event in watching.events if event.get("fault")]
         for row in FAULTS:
             time.sleep(0.2)
             at_s = time.monotonic()
@@ -169,6 +178,17 @@ def recover(watching: Watching) -> float:
             return ack_s
         assert time.monotonic() < end_s, faults
         time.sleep(0.3)
+
+
+def test_a_controller_that_somebody_else_leads_is_refused() -> None:
+    host = HOST.format(26)
+    with emulator(host=host) as emulated:
+        emulated.do("in-use on")
+        with driven({"host": host, "mode": "speedl"}) as watching:
+            until_said(watching, "LinkError: connect (control): ", 0.0, "error")
+            said = watching.wait_for("error", since_s=1e-9)
+            watching.end()
+    assert said is not None
 
 
 def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
