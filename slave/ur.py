@@ -57,8 +57,6 @@ class UrSlave:
     """
 
     paces = True
-    spins = True
-    """ur_rtde waits for the controller without sleeping, and its process has the priority of whoever starts it."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)

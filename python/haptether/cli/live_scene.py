@@ -52,9 +52,6 @@ def start_master(scene: "Scene", **how: Any) -> "LiveMaster | MasterRun":  # noq
     if scene.master.driver is None:
         return LiveMaster(spec, **how)
     device = load_master(scene.master.driver, scene.master.options)
-    if getattr(device, "spins", False) and how.get("realtime") == "auto":
-        # A library that waits without sleeping would keep a processor to itself under SCHED_FIFO.
-        how["realtime"] = "off"
     return _opened(MasterRun(device, MasterLoop(spec, **how)), scene.master.driver)
 
 
@@ -72,9 +69,6 @@ def start_slave(scene: "Scene", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: 
     if scene.slave.device == "simulated":
         return LiveSlave(spec, **how)
     device = load_slave(scene.slave.device, scene.slave.options)
-    if getattr(device, "spins", False) and how.get("realtime") == "auto":
-        # A library that waits without sleeping would keep a processor to itself under SCHED_FIFO.
-        how["realtime"] = "off"
     return _opened(SlaveRun(device, SlaveLoop(spec, **how)), scene.slave.device)
 
 
