@@ -112,6 +112,9 @@ class UrSlave:
         distance_m = model_distance(self._mode, self._state)
         if distance_m is not None:
             check_model(distance_m, options, checklist)
+        # An order that is thrown away: what is imported and compiled at the first takes longer than the watchdog waits.
+        self._at_rest(self._state)
+        self._mode.order(self._point, self._state, self._period_s)
         if options.force_source == "raw" and options.zero_ft_sensor:
             self._wrench.zero(self._state.wrench, self._state.pose)
         self._arrived_s = self._read_s = time.monotonic()
@@ -325,12 +328,16 @@ class UrSlave:
         if (beyond := self._point.outside((x, y, z))) > self.options.max_jump:
             self._latch(f"the tool is {1e3 * beyond:.1f} mm outside its workspace: move it inside, then acknowledge")
             return False
-        self._point.begin((x, y, z))
-        self._mode.begin(state)
+        self._at_rest(state)
         self._latency.clear()
         self._written_s = time.monotonic() - self._period_s
         self._moving = True
         return True
+
+    def _at_rest(self, state: UrState) -> None:
+        x, y, z = state.pose[:3]
+        self._point.begin((x, y, z))
+        self._mode.begin(state)
 
     def _placed(self, along: tuple[float, ...], at: tuple[float, ...]) -> Three:
         """A vector of the scene in the frame of the base; one axis leaves the other two as they are in `at`."""

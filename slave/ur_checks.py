@@ -210,7 +210,7 @@ def _watchdog(options: UrOptions, link: UrLink) -> str:
         message = f"does not bite: {error}"
         raise LinkError(message) from None
     # The driver arms it again with its first sample, from when on it is heard.
-    link.connect()
+    link.upload()
     return f"{options.watchdog_hz:g} Hz, tried: it ends the program"
 
 

@@ -1,6 +1,7 @@
 """The connections to a UR controller: the vendor's library, each of its calls within a time limit."""
 
 import contextlib
+import ctypes
 import time
 from collections.abc import Callable
 from importlib import import_module
@@ -49,6 +50,12 @@ def vendor_module() -> Any:  # noqa: ANN401  # it has no types
     return module
 
 
+def _immortal(interface: Any) -> Any:  # noqa: ANN401  # rtde_receive.RTDEReceiveInterface
+    """One more reference than anybody lets go of: its destructor disconnects, and where that fails ends the process."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(interface))
+    return interface
+
+
 class UrLink:
     """Control and receive interface of one controller. What moves the arm goes through `worker` alone.
 
@@ -84,16 +91,25 @@ class UrLink:
             LinkError: No connection, inputs that another client has, or a script that does not start.
         """
         host, rate = self._options.host, self.rate_hz
-        if self.receive is None:
+        if self.receive is None or not self.receive.isConnected() or not self._goes_on():
+            # Never the old one again: to reconnect it may hang, to disconnect it may end this process.
+            if self._second.stuck is not None:
+                self._second = Bounded("ur-receive")
             names = [*VARIABLES, *([RAW_WRENCH] if self._raw_wrench else [])]
             self.receive = self._done(
                 self._second, "connect (receive)",
-                lambda: self._module.RTDEReceiveInterface(host, rate, names), RECEIVE_S,
+                lambda: _immortal(self._module.RTDEReceiveInterface(host, rate, names)), RECEIVE_S,
             )  # fmt: skip
-        elif not self.receive.isConnected() or not self._goes_on():
-            self._done(self._second, "reconnect (receive)", self.receive.reconnect, RECEIVE_S)
         if self.control is None:
             self.control = self._done(self.worker, "connect (control)", lambda: ControlProcess(host, rate), CONNECT_S)
+        self.upload()
+
+    def upload(self) -> None:
+        """Has the control script play, anew where it does not.
+
+        Raises:
+            LinkError: It does not start.
+        """
         if self.state().runtime_state != PLAYING:
             self.setting("upload of the control script", self.control.reuploadScript, UPLOAD_S)
         self.await_state("the control script plays", lambda state: state.runtime_state == PLAYING, STARTED_S)
@@ -169,7 +185,7 @@ class UrLink:
                 failed.clear()
             except DashboardError as error:
                 failed.append(str(error))
-        if receive is not None:
+        if receive is not None and receive.isConnected():
             with contextlib.suppress(Exception):
                 self._second.run("disconnect (receive)", receive.disconnect, END_S)
         self.worker.end()

@@ -141,6 +141,7 @@ class Receive:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
+        arm.connected, arm.frozen_at = True, None
 
     def getTimestamp(self) -> float:  # noqa: N802
         self._arm.look()
@@ -150,10 +151,6 @@ class Receive:
 
     def isConnected(self) -> bool:  # noqa: N802
         return self._arm.connected
-
-    def reconnect(self) -> bool:
-        self._arm.connected, self._arm.frozen_at = True, None
-        return True
 
     def disconnect(self) -> None:
         return None
