@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from haptether.slave.ur_priority import ask_little_realtime
+
 ABANDONED: list[object] = []
 """What a call still holds that never returned: to let go of it could block whoever does."""
 
@@ -153,6 +155,7 @@ class Bounded:
             self._changed.notify()
 
     def _run(self) -> None:
+        ask_little_realtime()
         while True:
             with self._changed:
                 while not (self._ended or self._calls or self._newest):

@@ -18,10 +18,10 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final
 
+from haptether.slave.ur_priority import ask_little_realtime
+
 PARENT_EVERY_S: Final = 0.05
 LONGEST_LINE: Final = 1 << 16
-PRIORITY: Final = 1
-"""Under SCHED_FIFO, where that is allowed."""
 
 
 class ControlProcessError(RuntimeError):
@@ -104,9 +104,7 @@ class ControlProcess:
 def main() -> None:
     """What the process does: one call after another, until nobody asks any more."""
     descriptor, host, rate = sys.argv[1:]
-    # The library waits without sleeping: above what does not care for time, below the loops of bridge and emulator.
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    ask_little_realtime()
     parent = os.getppid()
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     with socket.socket(fileno=int(descriptor)) as asked:

@@ -31,12 +31,11 @@ class Watched:
         scene = load_scene("remote_push", [*overrides, period, "environment.pushers=[]", "operator.clutch=once"])
         spec, key = scene_json(scene), os.urandom(32)
         self.device: Any = load_slave("ur", options)
-        # As `haptether slave` does it for a driver that spins.
-        loop = SlaveLoop(spec, listen="127.0.0.1:0", session=1, key=key, realtime="off")
+        loop = SlaveLoop(spec, listen="127.0.0.1:0", session=1, key=key)
         self.slave = SlaveRun(self.device, loop)
         while not self.slave.ready():
             time.sleep(LOOK_S)
-        self.master = LiveMaster(spec, peer=loop.address, session=2, key=key, realtime="off")
+        self.master = LiveMaster(spec, peer=loop.address, session=2, key=key)
         self._seen: dict[str, object] = {}
 
     def look(self) -> None:
