@@ -4,7 +4,7 @@ import functools
 import threading
 import time
 from collections.abc import Callable
-from typing import ParamSpec
+from typing import ParamSpec, Self
 
 P = ParamSpec("P")
 SLEEP_S = 0.002
@@ -21,7 +21,7 @@ class Stalls:
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
-    def __enter__(self) -> "Stalls":
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 
