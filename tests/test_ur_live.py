@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 
 import pytest
 from tests.ur.emulated import Emulated, emulator
+from tests.ur.stalls import anew_after_stalls
 from tests.ur.watching import Watching, driven
 
 pytest.importorskip("rtde_control")
+pytestmark = pytest.mark.timeout(300)
 
 HOST = "127.0.3.{}"
 MEND_S = 10.0
@@ -47,6 +49,7 @@ MODES = [
 
 
 @pytest.mark.parametrize("row", MODES, ids=lambda row: row.mode)
+@anew_after_stalls
 def test_a_hand_leads_the_arm_into_a_wall_and_feels_it(row: ModeRow) -> None:
     host = HOST.format(11 + MODES.index(row))
     with emulator("--scene", "remote_push", "--version", row.version, host=host) as emulated:
@@ -116,6 +119,7 @@ FAULTS = [
 ]  # fmt: skip
 
 
+@anew_after_stalls
 def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
     host = HOST.format(21)
     seen: list[str] = []
@@ -182,6 +186,7 @@ def recover(watching: Watching) -> float:
         time.sleep(0.3)
 
 
+@anew_after_stalls
 def test_a_controller_that_somebody_else_leads_is_refused() -> None:
     host = HOST.format(26)
     with emulator(host=host) as emulated:
@@ -193,6 +198,7 @@ def test_a_controller_that_somebody_else_leads_is_refused() -> None:
     assert said is not None
 
 
+@anew_after_stalls
 def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
     host = HOST.format(22)
     with emulator(host=host) as emulated, driven({**CALM, "host": host, "verify_watchdog": False}) as watching:
@@ -217,6 +223,7 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
 
 
 @pytest.mark.parametrize("mode", ["servoj", "speedl"])
+@anew_after_stalls
 def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> None:
     host = HOST.format(23)
     with (
@@ -234,6 +241,7 @@ def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> 
         assert watching.end()["end_s"] < 5.0
 
 
+@anew_after_stalls
 def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
     host = HOST.format(24)
     with emulator(host=host) as emulated, driven({"host": host, "mode": "speedl", "watchdog_hz": 10}) as watching:
@@ -255,6 +263,7 @@ def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
             assert time.monotonic() < end_s
 
 
+@anew_after_stalls
 def test_a_controller_that_says_nothing_does_not_hold_the_interpreter() -> None:
     host = HOST.format(25)
     with emulator(host=host) as emulated:
