@@ -21,20 +21,21 @@ from tests.ur.emulated import Emulated, client, emulator, free_host, result_of
 from tests.ur.plain_rtde import Client
 from tests.ur.virtual import START
 
+from haptether.cli import main
+from haptether.slave.ur_emulator.joint_tracking import transition
+
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 
-TRANSPORT_S = 0.02
-"""What a command needs beyond the law: a cycle at most until it is read, one for the servo thread, half a one of
-holding, the age of the state, and what a shared machine adds."""
-SETTLED_S = 0.5
-"""When a sine of servoj has settled: gain 300 and lookahead 0.1 s let what was before decay by exp(-15 t)."""
+TRANSPORT_S = 0.008
+"""What a command needs until the law has it: a cycle at most until it is read, one for the servo thread, and one for
+the age of the freshest state, with what a client is held up between a call and the look at its clock."""
 LATE_S = 0.1
 """More than any stall that a shared machine was seen to have while these ran."""
 
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Emulated]:
-    with emulator("--unlock-after-s", "0.5") as running:
+    with emulator("--unlock-after-s", "0.5", "--scene", "three_axis_box") as running:
         yield running
 
 
@@ -56,21 +57,29 @@ def accepted(result: dict[str, Any]) -> None:
     assert 1.0 in cycles.round()
 
 
-def wave(values: np.ndarray, wall_s: list[float], frequency_hz: float) -> tuple[float, float]:
-    """Amplitude and delay in s of a sampled `1 - cos(2 pi f t)` by least squares, once it has settled."""
-    t = np.array(wall_s)
-    settled = t > SETTLED_S
-    w = 2 * np.pi * frequency_hz
-    columns = np.column_stack((np.ones_like(t), np.cos(w * t), np.sin(w * t)))[settled]
-    _, c, s = np.linalg.lstsq(columns, values[settled], rcond=None)[0]
-    return float(np.hypot(c, s)), float((np.arctan2(-s, -c) / w) % (1.0 / frequency_hz))
+def followed(result: dict[str, Any], values: np.ndarray) -> tuple[float, float]:
+    """How late in s the law of servoj took the commands that were given, and how far in RMS the values are off it.
 
+    `q'' = gain (u - q - lookahead q')` is driven by the commands at the times at which they were given, so a client
+    that stalls bends nothing; the lateness is the one that fits best.
+    """
+    stamps, wall, commands = (np.array(result[name]) for name in ("time_s", "wall_s", "command"))
+    # What the two clocks differ by, seen from the freshest state.
+    given_s = wall - (wall - stamps).min()
+    a, b, c, d = transition(300.0, 30.0, 0.002)
+    cycles = np.arange(round((stamps[-1] - stamps[0]) / 0.002) + 1)
+    at = np.rint((stamps - stamps[0]) / 0.002).astype(int)
 
-def law(frequency_hz: float, lookahead_s: float, gain: float) -> tuple[float, float]:
-    """Amplitude ratio and delay in s of `q'' = gain (u - q - lookahead q')` for a sine."""
-    w = 2 * np.pi * frequency_hz
-    response = gain / (gain - w * w + 1j * w * gain * lookahead_s)
-    return abs(response), -np.angle(response) / w
+    def rms(late_s: float) -> float:
+        held = np.searchsorted(given_s, stamps[0] + 0.002 * cycles - late_s) - 1
+        q, v, path = values[0], 0.0, []
+        for goal in np.where(held >= 0, commands[np.maximum(held, 0)], values[0]):
+            path.append(q)
+            q, v = goal + a * (q - goal) + b * v, c * (q - goal) + d * v
+        return float(np.sqrt(np.mean((np.array(path)[at] - values) ** 2)))
+
+    off, late_s = min((rms(late_s), late_s) for late_s in np.arange(-0.004, 0.012, 0.0005))
+    return late_s, off
 
 
 # ----------------------------------------------------------------------------------------------------- streaming
@@ -81,63 +90,65 @@ def streams(shared: Emulated) -> dict[str, Any]:
     """Every mode at 500 Hz, one after another."""
     shared.do("reset")
     runs = [
-        ["servoj", 1.5, 0.05, 2.0],
-        ["servol", 1.5, 0.01, 2.0],
+        ["servoj", 1.2, 0.05, 2.0],
+        ["servol", 1.2, 0.01, 2.0],
         ["speedl", 0.8, [0.0, 0.0, 0.05, 0.0, 0.0, 0.0], 0.0],
         ["speedj", 0.6, [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]],
+        ["force", 1.2, [-50.0, 0.0, 0.0, 0.0, 0.0, 0.0]],
     ]
     return client("streams", shared.host, [500.0, *runs])
 
 
-@pytest.mark.parametrize("mode", ["servoj", "servol", "speedl", "speedj"])
+@pytest.mark.parametrize("mode", ["servoj", "servol", "speedl", "speedj", "force"])
 def test_every_call_at_500_hz_is_accepted(streams: dict[str, Any], mode: str) -> None:
     accepted(streams[mode])
 
 
 def test_servoj_tracks_as_its_law_says(streams: dict[str, Any]) -> None:
     q = np.array(streams["servoj"]["q"])
-    amplitude, delay_s = wave(q[:, 0], streams["servoj"]["wall_s"], 2.0)
-    ratio, lag_s = law(2.0, 0.1, 300.0)
-    assert amplitude == pytest.approx(0.05 * ratio, rel=0.02)
-    assert lag_s + 0.002 < delay_s < lag_s + TRANSPORT_S
+    late_s, off = followed(streams["servoj"], q[:, 0])
+    assert 0.0 <= late_s <= TRANSPORT_S
+    # At 0.6 rad/s the rhythm of two clocks is worth 1.2 mrad a cycle.
+    assert off < 1.2e-3
+    assert np.ptp(q[:, 0]) > 0.06
     assert np.abs(q[:, 1:] - START[1:]).max() < 1e-9
 
 
 def test_servol_tracks_as_the_law_of_servoj_says(streams: dict[str, Any]) -> None:
     pose = np.array(streams["servol"]["pose"])
-    amplitude, delay_s = wave(pose[:, 2], streams["servol"]["wall_s"], 2.0)
-    ratio, lag_s = law(2.0, 0.1, 300.0)
-    assert amplitude == pytest.approx(0.01 * ratio, rel=0.02)
-    assert lag_s + 0.002 < delay_s < lag_s + TRANSPORT_S
+    late_s, off = followed(streams["servol"], pose[:, 2])
+    assert 0.0 <= late_s <= TRANSPORT_S
+    # At 0.13 m/s, 0.25 mm a cycle.
+    assert off < 0.25e-3
+    assert np.ptp(pose[:, 2]) > 0.012
     # The law acts on joints: off its line the tool is by what is curved between.
     assert np.ptp(pose[:, :2], axis=0).max() < 1e-4
 
 
 def test_speedl_and_speedj_reach_their_velocities(streams: dict[str, Any]) -> None:
     assert streams["speedl"]["speed"] == pytest.approx([0.0, 0.0, 0.05, 0.0, 0.0, 0.0], abs=1e-4)
-    z = np.array(streams["speedl"]["pose"])[:, 2]
-    # 50 mm/s for 0.8 s, less half of the 0.2 s in which it speeds up.
-    assert z[-1] - z[0] == pytest.approx(0.05 * 0.7, abs=0.05 * LATE_S)
-    q = np.array(streams["speedj"]["q"])[:, 0]
-    assert q[-1] - q[0] == pytest.approx(0.1 * 0.5, abs=0.1 * LATE_S)
+    rows = [
+        ("speedl", np.array(streams["speedl"]["pose"])[:, 2], 0.05),
+        ("speedj", np.array(streams["speedj"]["q"])[:, 0], 0.1),
+    ]
+    for mode, values, speed in rows:
+        stamps = streams[mode]["time_s"]
+        # Half of the 0.2 s in which it speeds up are missing, and some cycles before it begins.
+        assert values[-1] - values[0] == pytest.approx(speed * (stamps[-1] - stamps[0] - 0.1), abs=0.02 * speed)
 
 
-def test_force_mode_presses_a_box() -> None:
-    bias = ("--bias", "1", "0", "0", "0", "0", "0")
-    with emulator("--scene", "three_axis_box", "--noise", "0.2", *bias) as boxed:
-        result = client("streams", boxed.host, [500.0, ["force", 2.0, [-25.0, 0.0, 0.0, 0.0, 0.0, 0.0]]])["force"]
-    accepted(result)
-    force, x = np.array(result["force"])[:, 0], np.array(result["pose"])[:, 0]
-    assert force[:100].mean() == pytest.approx(1.0, abs=0.1)
-    assert force[:100].std() == pytest.approx(0.2, rel=0.3)
+def test_force_mode_presses_a_box(streams: dict[str, Any]) -> None:
+    force, x = (np.array(streams["force"][name])[:, 0] for name in ("force", "pose"))
     # Free for 20 mm, then into 150 N/m.
+    assert np.abs(force[:100]).max() == 0.0
     depth = x[0] - x[-1] - 0.02
     assert 0.005 < depth < 0.04
-    assert force[-20:].mean() == pytest.approx(1.0 + 150.0 * depth, abs=1.0)
+    # The box has 1 N s/m, and the tool comes at 40 mm/s.
+    assert force[-1] == pytest.approx(150.0 * depth, abs=0.05)
 
 
 def test_a_command_shows_in_the_state_within_cycles(arm: Emulated) -> None:
-    result = client("latency", arm.host, [8])
+    result = client("latency", arm.host, [6])
     # Two whole cycles at least, three at most, and the client's polling.
     assert 0.0035 < result["min_s"] < 0.02
     assert result["p50_s"] < 0.02
@@ -207,7 +218,7 @@ def test_the_dashboard_and_a_protective_stop(arm: Emulated) -> None:
     assert result["resumed"] is True
     assert result["ended"] == 1
     assert result["off"] == ["Robotmode: POWER_OFF", 3]
-    assert result["on"] == "Robotmode: RUNNING"
+    assert result["on"] == "Robotmode: POWER_ON"
 
 
 def test_inputs_and_outputs(arm: Emulated) -> None:
@@ -221,9 +232,8 @@ def test_inputs_and_outputs(arm: Emulated) -> None:
 
 def test_two_clients_of_control_and_reconnection(arm: Emulated) -> None:
     result = client("two_controls", arm.host)
-    assert "already in use" in result["refused"].lower() or "in use" in result["refused"].lower()
-    assert result["moved"] is True
-    assert all(client("reconnects", arm.host)["states"])
+    assert "in use" in result["refused"].lower()
+    assert result["states"] == [True] * 3
 
 
 def test_the_upper_range_of_registers(arm: Emulated) -> None:
@@ -255,7 +265,7 @@ def while_streaming(arm: Emulated, *lines: tuple[float, str]) -> dict[str, Any] 
 
     None where ur_rtde crashed: two of its threads connect again at once, and sometimes into each other.
     """
-    command = [sys.executable, "-m", "tests.ur.clients", "lost", arm.host, "[2.5]"]
+    command = [sys.executable, "-m", "tests.ur.clients", "lost", arm.host, "[1.6]"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdout is not None
     killer = threading.Timer(25.0, process.kill)
@@ -278,15 +288,15 @@ def while_streaming(arm: Emulated, *lines: tuple[float, str]) -> dict[str, Any] 
 
 
 def test_a_freeze_is_not_seen_by_the_client_but_the_state_stands_still(arm: Emulated) -> None:
-    result = while_streaming(arm, (0.5, "freeze 1.0"))
+    result = while_streaming(arm, (0.3, "freeze 0.7"))
     assert result is not None
     assert [outcome for _, outcome in result["outcomes"]] == ["True"]
-    assert 0.9 < result["longest_silence_s"] < 1.0 + 3 * LATE_S
-    assert result["last_state_s"] > 2.0
+    assert 0.6 < result["longest_silence_s"] < 0.7 + 3 * LATE_S
+    assert result["last_state_s"] > 1.3
 
 
 def test_dropped_connections_are_met_again(arm: Emulated) -> None:
-    result = while_streaming(arm, (0.5, "drop rtde"))
+    result = while_streaming(arm, (0.3, "drop rtde"))
     # The client connects again by itself, from two threads at once: usually that works, sometimes it gives up, and
     # sometimes it crashes. Its receiver never comes back. The controller has room for the next in any case.
     if result is not None:
@@ -470,13 +480,11 @@ def test_many_clients_at_once(arm: Emulated) -> None:
 # --------------------------------------------------------------------------------------------------- the process
 
 
-@pytest.mark.parametrize("way", ["line", "SIGINT", "SIGTERM", "end of input"])
+@pytest.mark.parametrize("way", ["SIGINT", "SIGTERM", "end of input"])
 def test_it_ends_cleanly(way: str) -> None:
     with emulator() as running:
         assert running.process.stdin is not None
-        if way == "line":
-            assert running.ask("quit") == "ok"
-        elif way == "end of input":
+        if way == "end of input":
             running.process.stdin.close()
         else:
             running.process.send_signal(signal.Signals[way])
@@ -497,30 +505,19 @@ def test_it_ends_cleanly(way: str) -> None:
         (["--control", "192.0.2.1:9000"], 2, "control = "),
     ],
 )
-def test_bad_requests_are_refused(arguments: list[str], status: int, said: str) -> None:
+def test_bad_requests_are_refused(
+    arguments: list[str], status: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     host = ["--host", free_host()] if "--host" not in arguments else []
-    ended = subprocess.run(
-        [sys.executable, "-m", "haptether", "ur-emulator", "--duration-s", "1", *host, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert ended.returncode == status, ended.stderr
-    assert said in ended.stderr
-    assert ended.stderr.count("\n") == 1
+    assert main(["ur-emulator", "--duration-s", "1", *host, *arguments]) == status
+    complaint = capsys.readouterr().err
+    assert said in complaint
+    assert complaint.count("\n") == 1
 
 
-def test_a_port_in_use_is_a_failed_run(arm: Emulated) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "haptether", "ur-emulator", "--host", arm.host],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert ended.returncode == 1
-    assert f"{arm.host}:30004" in ended.stderr
+def test_a_port_in_use_is_a_failed_run(arm: Emulated, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ur-emulator", "--host", arm.host]) == 1
+    assert f"{arm.host}:30004" in capsys.readouterr().err
 
 
 def test_the_control_line_on_a_socket(arm: Emulated, tmp_path: Any) -> None:  # noqa: ANN401
