@@ -20,7 +20,7 @@ from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_scene, scen
 from haptether.master import MasterSample
 
 EXAMPLE = "example: python benches/device_loop.py --rounds 4 --json -"
-TURNS = 20_000
+TURNS = 5_000
 
 
 class Still:
@@ -67,6 +67,8 @@ def turn_us(peer: str) -> tuple[float, float]:
     turn, nothing = loop.turn, loop.press_clutch
     took = np.empty((2, TURNS))
     for number in range(TURNS):
+        # Samples that come faster than the period are held back.
+        loop.wait()
         begun = time.perf_counter_ns()
         turn(0.0)
         between = time.perf_counter_ns()

@@ -1,5 +1,6 @@
 """The loop of a side whose driver is in Python: `read -> tick -> write -> wait`, one extension call a tick."""
 
+import atexit
 import contextlib
 import gc
 import sys
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 SWITCH_S = 2e-4
 """How long another thread may keep the interpreter while the loop waits for it; Python's own 5 ms are five ticks."""
-JOIN_S = 5.0
+JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
 
 
@@ -66,11 +67,14 @@ def drive_master(device: "MasterDevice", loop: MasterLoop, notes: DeviceNotes | 
                     wait()
             if rest:
                 device.write(rest)
-        except Exception as error:
+        except BaseException as error:
+            # Also where somebody presses Ctrl-C: first the device, then the peer.
             with contextlib.suppress(Exception):
                 if rest:
                     device.write(rest)
             loop.fail()
+            if not isinstance(error, Exception):
+                raise
             raise _failed(device, error) from error
 
 
@@ -107,10 +111,13 @@ def drive_slave(device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | Non
                 if wait is not None:
                     wait()
             device.stop()
-        except Exception as error:
+        except BaseException as error:
+            # Also where somebody presses Ctrl-C: first the arm, then the peer.
             with contextlib.suppress(Exception):
                 device.stop()
             loop.fail()
+            if not isinstance(error, Exception):
+                raise
             raise _failed(device, error) from error
 
 
@@ -134,7 +141,9 @@ def _acknowledge(device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveL
     notes.acknowledged, notes.fault = False, None
     if (mend := getattr(device, "acknowledge", None)) is not None:
         mend()
-    loop.acknowledge()
+    # A loop that has ended meanwhile has nothing to acknowledge.
+    with contextlib.suppress(RuntimeError):
+        loop.acknowledge()
 
 
 def _failed(device: "MasterDevice | SlaveDevice", error: Exception) -> DeviceError:
@@ -157,7 +166,13 @@ class DeviceRun:
         gc.disable()
         self._switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
+        # Whatever ends this process, the device is left at rest before its thread is.
+        atexit.register(self._leave)
         self._thread.start()
+
+    def _leave(self) -> None:
+        self._loop.stop()
+        self._thread.join(JOIN_S)
 
     def _run(self) -> None:
         try:
@@ -223,8 +238,8 @@ class DeviceRun:
         self.notes.acknowledged = True
 
     def _end(self) -> None:
-        self._loop.stop()
-        self._thread.join(JOIN_S)
+        self._leave()
+        atexit.unregister(self._leave)
         sys.setswitchinterval(self._switch_s)
         gc.enable()
         gc.unfreeze()

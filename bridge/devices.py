@@ -52,7 +52,11 @@ def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: AN
         message = f"device = {name}: several packages have it: {', '.join(sorted(map(_origin, found)))}"
         raise ValueError(message)
     (point,) = tuple(found)[:1]
-    make = point.load()
+    try:
+        make = point.load()
+    except (ImportError, AttributeError) as error:
+        message = f"device = {name}: {point.value} of {_origin(point)} cannot be loaded: {error}"
+        raise ValueError(message) from None
     try:
         inspect.signature(make).bind(**options)
     except TypeError as error:

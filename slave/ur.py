@@ -58,6 +58,16 @@ class UrSlave:
 
     paces = True
 
+    @property
+    def axes(self) -> int:
+        """Number of axes of a sample."""
+        return self.options.axes
+
+    @property
+    def max_speed(self) -> float:
+        """Largest speed of the tool in m/s; behind a faster command the arm would go on after it was let go."""
+        return self.options.max_speed
+
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)
         self._link: UrLink
@@ -137,15 +147,21 @@ class UrSlave:
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
         """Sends the tool on, within its bounds; nothing where there is a fault or the watchdog is not armed."""
-        if self._recovery is not None:
-            self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         guard = self._guard
-        if self._fault is not None or guard is None or not guard.over or guard.failed is not None:
+        # Engaged before it is ready, it begins once it is, if it is still led from where it stands.
+        if (
+            self._recovery is not None
+            or self._fault is not None
+            or guard is None
+            or not guard.over
+            or guard.failed is not None
+        ):
             return
         state, now_s = self._state, time.monotonic()
         target = self._placed(position, self._point.position if self._moving else state.pose[:3])
         target_velocity = self._placed(velocity, ORIGIN)
-        if not self._moving and not self._begin(state, target):
+        if not self._moving and (self._halting.busy or not self._begin(state, target)):
+            # It still comes to rest from what it did before.
             return
         if self._link.worker.idled is not None:
             # It was stopped meanwhile: on from where it is, as fast as it may.
@@ -217,8 +233,14 @@ class UrSlave:
             if time.monotonic() - begun_s > (READ_S if self._fault is None else self._period_s):
                 return
             time.sleep(POLL_S)
-        self._state = self._link.state()
+        state = self._link.state()
         self._arrived_s = time.monotonic()
+        if state.finite:
+            self._state = state
+        else:
+            # None of it is used: a filter would keep a number that is none for ever.
+            self._state = self._state._replace(timestamp=state.timestamp)
+            self._latch("the controller has sent a number that is none: see its log, then acknowledge")
 
     def _look_for_faults(self, now_s: float) -> None:
         lost = not self._link.receive.isConnected() or now_s - self._arrived_s > STALE_S
@@ -294,7 +316,8 @@ class UrSlave:
         self._recovery = None
         if recovery.error is not None:
             stopped_s = self._fault_s
-            self._latch(" ".join(str(recovery.error).split()))
+            # The next acknowledgement connects anew: what failed may be a connection that nothing else shows to be gone.
+            self._latch(" ".join(str(recovery.error).split()), lost=True)
             # Still the same stop.
             self._fault_s = stopped_s
             return
@@ -357,11 +380,12 @@ class UrSlave:
         """A fault stays until a person acknowledges it; the arm is stopped, or the connection cut where it is lost."""
         if self._fault is None:
             self._fault, self._fault_s = text, time.monotonic()
-            self._tell(f"fault: {text}")
+            # First the arm: who reads what is told may be slow, or stopped.
             if lost:
                 self._cut()
             else:
                 self.stop()
+            self._tell(f"fault: {text}")
 
     def _cut(self) -> None:
         self._moving = False

@@ -15,7 +15,7 @@ from haptether.slave.ur_dashboard import unlock_protective_stop
 from haptether.slave.ur_link import LinkError, UrLink
 from haptether.slave.ur_options import UrOptions
 from haptether.slave.ur_probe import Probe, probe
-from haptether.slave.ur_state import PROTECTIVE_BIT, UrState
+from haptether.slave.ur_state import PLAYING, PROTECTIVE_BIT, UrState
 
 UNLOCK_AFTER_S: Final = 5.0
 """The controller refuses before."""
@@ -42,6 +42,10 @@ def recover(options: UrOptions, link: UrLink, stopped_at_s: float) -> UrState:
     if REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE:
         check_remote(options.host, checklist)
     checklist.finish()
+    if link.control is None and seen.runtime_state == PLAYING:
+        # Ours has ended with its interface: to connect would stop what somebody has started meanwhile.
+        message = "a program plays that is not ours: stop it on the pendant, then acknowledge again"
+        raise LinkError(message)
     link.connect()
     return check_after(options, link, checklist, sensor=False)
 

@@ -61,11 +61,13 @@ class SetPoint:
         velocity = _plus(self.velocity, change)
         # The mean of the old and the new velocity: exact for an even acceleration.
         moved = _plus(self.position, _scaled(_plus(self.velocity, velocity), 0.5 * elapsed_s))
-        self.position, self.velocity = self._inside(moved, velocity)
+        self.position, self.velocity = self._inside(moved, velocity, self.position)
 
-    def _inside(self, position: Three, velocity: Three) -> tuple[Three, Three]:
+    def _inside(self, position: Three, velocity: Three, before: Three | None = None) -> tuple[Three, Three]:
+        """What lies beyond a plane is put onto it; a point that was beyond `before` goes no further, without a jump."""
         for normal, d in self._planes:
-            beyond = d - _dot(normal, position)
+            already = 0.0 if before is None else max(0.0, d - _dot(normal, before))
+            beyond = d - _dot(normal, position) - already
             if beyond > 0.0:
                 position = _plus(position, _scaled(normal, beyond))
                 inward = _dot(normal, velocity)

@@ -111,7 +111,7 @@ def run_demo(
         master.headline(stopped)
         _follow(scene, controller, master, show, stopped)
         if master.process.returncode != 0 or not result.exists():
-            message = f"the master ended with status {master.process.returncode}: {master.said()}"
+            message = f"the master ended with status {master.process.returncode}: {master.last()}; {slave.last()}"
             raise RuntimeError(message)
         return msgspec.json.decode(result.read_bytes(), type=PushResult)
 
@@ -208,6 +208,12 @@ class _Process:
                 return line
         message = f"{self.name} did not start: {self.said() or 'it said nothing'}"
         raise RuntimeError(message)
+
+    def last(self) -> str:
+        """What it has said last of what went wrong, or at all."""
+        lines = [line for line in self._all if line]
+        wrong = [line for line in lines if "fault:" in line or line.startswith(("haptether:", "hold", "stop"))]
+        return next(reversed(wrong or lines), f"{self.name} said nothing")
 
     def said(self) -> str:
         """All that it has said so far, in one line."""

@@ -23,6 +23,8 @@ from haptether.bridge import (
     MasterRun,
     SlaveLoop,
     SlaveRun,
+    drive_master,
+    ladder_reason,
     load_master,
     load_scene,
     load_slave,
@@ -161,6 +163,46 @@ def test_a_turn_refuses_what_is_no_sample_and_stays_alive() -> None:
     assert len(trace) == report.ticks == 3
     with pytest.raises(RuntimeError, match="finished before"):
         loop.finish()
+
+
+def test_a_burst_of_samples_is_held_back_to_the_period() -> None:
+    loop = MasterLoop(ONE, peer="127.0.0.1:9", **how())
+    loop.begin()
+    begun_s = time.monotonic()
+    for _ in range(401):
+        assert loop.turn(0.0) is not None
+    took_s = time.monotonic() - begun_s
+    # 400 gaps of at least 7 / 8 ms, by the same clock.
+    assert took_s >= 400 * 0.875e-3
+    _, report = loop.finish()
+    assert report.ticks == 401
+
+
+def test_ctrl_c_in_a_driver_leaves_no_force_and_tells_the_peer() -> None:
+    class Interrupted(Hand):
+        reads = 0
+
+        def read(self) -> MasterSample:
+            self.reads += 1
+            if self.reads > 1500:
+                raise KeyboardInterrupt
+            return super().read()
+
+        def write(self, force: tuple[float, ...]) -> None:
+            self.strongest = max(getattr(self, "strongest", 0.0), abs(force[0]))
+            super().write(force)
+
+    slave = LiveSlave(ONE, listen="127.0.0.1:0", **how())
+    hand = Interrupted(1)
+    loop = MasterLoop(ONE, peer=slave.address, **how())
+    with pytest.raises(KeyboardInterrupt):
+        drive_master(hand, loop)
+    assert hand.force == (0.0,)
+    assert hand.strongest > 0.1
+    far, _ = slave.finish()
+    loop.finish()
+    reasons = {ladder_reason(int(code)) for code in set(far.reason.tolist()) if code}
+    assert "peer has a fault" in reasons
 
 
 def test_a_loop_that_did_not_begin_turns_not() -> None:

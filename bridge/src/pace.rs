@@ -79,17 +79,23 @@ fn shown_ns(clock: &EndpointClock, true_ns: u64) -> u64 {
 /// 0.1 periods late instead of ever later.
 const PACE_SHARE: u64 = 1024;
 
+/// Least time between two ticks at a device's samples, in eighths of the period: force grows by so much a tick, so a
+/// device that gives its samples in a burst, or at twice the rate, must not make it grow faster.
+const LEAST_EIGHTHS: u64 = 7;
+
 /// When a loop ticks that a device paces: at its samples, each of which may come late, but none before its time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DevicePace {
     period_ns: u64,
     /// When the next sample is due.
     next_ns: u64,
+    /// Before which no sample is taken.
+    least_ns: u64,
 }
 
 impl DevicePace {
     pub(crate) fn new(period_ns: u64) -> Self {
-        Self { period_ns, next_ns: 0 }
+        Self { period_ns, next_ns: 0, least_ns: 0 }
     }
 
     /// The first sample is due.
@@ -102,10 +108,16 @@ impl DevicePace {
         self.next_ns
     }
 
+    /// Before which there is no tick: a sample that is earlier is kept until then.
+    pub(crate) fn least_ns(&self) -> u64 {
+        self.least_ns
+    }
+
     /// A tick that this side's clock was waited for.
     pub(crate) fn waited(&mut self, now_ns: u64) -> Wake {
         let wake = Wake::new(self.next_ns, now_ns, self.period_ns);
         self.next_ns = wake.deadline_ns + self.period_ns;
+        self.least_ns = 0;
         wake
     }
 
@@ -116,6 +128,7 @@ impl DevicePace {
         let wake = Wake::new(self.next_ns.min(now_ns), now_ns, self.period_ns);
         let late_ns = now_ns - wake.deadline_ns;
         self.next_ns = wake.deadline_ns + late_ns / PACE_SHARE + self.period_ns;
+        self.least_ns = now_ns + self.period_ns * LEAST_EIGHTHS / 8;
         Wake { deadline_ns: now_ns, ..wake }
     }
 }

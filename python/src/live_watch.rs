@@ -251,8 +251,10 @@ macro_rules! watch_methods {
     ($class:ident) => {
         #[pymethods]
         impl $class {
-            fn poll(&self) -> usize {
-                self.watch().poll()
+            fn poll(&self, py: Python<'_>) -> usize {
+                // Millions of records may move: a driver that turns a loop must not wait for that. Nothing is locked
+                // when the interpreter is taken again.
+                py.detach(|| self.watch().poll())
             }
 
             #[getter]

@@ -98,11 +98,13 @@ impl<S: Side> PacedLoop<S> {
         if self.shared.stop.load(Ordering::Relaxed) {
             return None;
         }
-        let woken_ns = clock::now_ns();
         let wake = if std::mem::take(&mut self.waited) {
-            self.pace.waited(woken_ns)
+            self.pace.waited(clock::now_ns())
         } else {
-            self.pace.sampled(woken_ns)
+            if clock::now_ns() < self.pace.least_ns() {
+                clock::sleep_until(self.pace.least_ns());
+            }
+            self.pace.sampled(clock::now_ns())
         };
         before(turning.side(), wake.deadline_ns);
         match turning.turn(wake, &self.shared) {

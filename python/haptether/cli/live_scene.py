@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from haptether.bridge import DeviceRun, LiveMaster, LiveSlave, MasterRun, Scene, SlaveRun
+    from haptether.slave import SlaveDevice
 
 READY_S = 60.0
 """How long a driver may take to open its device."""
@@ -65,11 +66,29 @@ def start_slave(scene: "Scene", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: 
     from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_slave, scene_json
 
     assert scene.slave is not None
-    spec = scene_json(scene)
     if scene.slave.device == "simulated":
-        return LiveSlave(spec, **how)
+        return LiveSlave(scene_json(scene), **how)
     device = load_slave(scene.slave.device, scene.slave.options)
+    spec = scene_json(_within(scene, device))
     return _opened(SlaveRun(device, SlaveLoop(spec, **how)), scene.slave.device)
+
+
+def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
+    """The scene, whose commands are no faster than the arm may follow: else it would go on after it was let go."""
+    from haptether.bridge import override_scene
+
+    axes = getattr(device, "axes", None)
+    if axes is not None and axes != scene.master.axes:
+        message = f"slave.options: the arm has {axes} axes, the scene {scene.master.axes}: must be as many"
+        raise ValueError(message)
+    most = getattr(device, "max_speed", None)
+    if most is None or (scene.coupling is not None and _speed(scene.coupling.command_speed) <= most):
+        return scene
+    return override_scene(scene, [f"coupling.command_speed={most}"])
+
+
+def _speed(bound: object) -> float:
+    return float(bound) if isinstance(bound, int | float) else float("inf")
 
 
 Run = TypeVar("Run", bound="DeviceRun")
@@ -83,6 +102,9 @@ def _opened(run: Run, name: str) -> Run:
     with Console(stderr=True).status(f"opening {name}"):
         while not run.ready() and time.monotonic() < end:
             time.sleep(0.01)
+    if run.finished and run.error is not None:
+        # It was never open: there is nothing to say of a run.
+        raise run.error
     return run
 
 

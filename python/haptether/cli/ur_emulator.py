@@ -85,7 +85,11 @@ class UrEmulator:
             channel = None
             try:
                 if self.control is not None:
-                    channel = server.channel = ControlChannel(self.control, line)
+                    try:
+                        channel = server.channel = ControlChannel(self.control, line)
+                    except OverflowError:
+                        message = f"control = {self.control}: the port must be 0 to 65535"
+                        raise ValueError(message) from None
                 granted = ask_realtime(self.realtime)
                 print(f"{self._headline(channel)}, real time: {granted}", flush=True)
                 server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
