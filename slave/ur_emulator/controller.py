@@ -96,7 +96,6 @@ class Controller:
         self.claimed_version: ControllerVersion | None = None
         """Another version to tell clients, whatever it is."""
         self._program: Program | None = None
-        self._secondary: list[Program] = []
         self._starts: tuple[int, Submitted] | None = None
         self._stop_wanted = ""
         self._watched = (0, 0)
@@ -158,9 +157,7 @@ class Controller:
         try:
             upload = recognised(submitted.text)
             if upload is None:
-                registers = Registers(self.inputs.values, self.outputs)
-                lines = ScriptLines(functions, registers, self.setup, self.digital, self.tell)
-                steps = lines.steps(submitted.text)
+                steps = self._lines(functions).steps(submitted.text)
             else:
                 steps = self._control_program(upload, functions)
         except ScriptError as error:
@@ -170,6 +167,23 @@ class Controller:
         self._program = program
         self.program_name = program.name
         self.runtime = RuntimeState.PLAYING
+
+    def _run_secondary(self, submitted: Submitted) -> None:
+        """Runs a program beside the one that runs; it may take no time."""
+        program = Program(submitted.name)
+        functions = ScriptFunctions(self.robot, program, self.settings.limits.jump, self.protective_stop)
+        try:
+            program.main = Thread(self._lines(functions).steps(submitted.text))
+            if program.cycle():
+                program.kill()
+                message = "a secondary program must not take time"
+                raise ScriptError(message)
+        except ScriptError as error:
+            self.tell(f"{program.name}: {error}")
+
+    def _lines(self, functions: ScriptFunctions) -> ScriptLines:
+        registers = Registers(self.inputs.values, self.outputs)
+        return ScriptLines(functions, registers, self.setup, self.digital, self.tell)
 
     def _control_program(self, upload: Upload, functions: ScriptFunctions) -> Steps:
         registers = Registers(self.inputs.values, self.outputs, upload.offset)
@@ -224,6 +238,9 @@ class Controller:
         if not self.may_run:
             self.tell(f"script {submitted.name or submitted.text!r} refused: {self._why_not()}")
             return False
+        if submitted.secondary:
+            self._run_secondary(submitted)
+            return True
         self.stop_program()
         self._starts = (self.cycles + max(1, round(START_UP_S / self.period_s)), submitted)
         return True

@@ -25,7 +25,6 @@ class Dashboard:
 
     def answer(self, line: str) -> tuple[str, bool]:
         """The answer to a line, and whether the connection stays open."""
-        command, _, argument = line.strip().partition(" ")
         words = line.strip().lower()
         if words in {"quit", "shutdown"}:
             return ("Disconnected" if words == "quit" else "Shutting down"), False
@@ -34,7 +33,6 @@ class Dashboard:
                 if self._is_local and name in NEEDS_REMOTE:
                     return "Command is not allowed due to safety reasons", True
                 return answer(line.strip()[len(name) :].strip()), True
-        del command, argument
         return f"could not understand: '{line.strip()}'", True
 
     @property

@@ -5,6 +5,8 @@ from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
 GROUPS = (("standard_digital_output", 0), ("configurable_digital_output", 8), ("tool_digital_output", 16))
 """Inputs of RTDE, and the bit of the controller's outputs where theirs begin."""
 
+OUTPUTS = 18
+
 
 class DigitalOutputs:
     """The bits that are set, and two analog shares."""
@@ -37,5 +39,12 @@ class DigitalOutputs:
         self.analog = [0.0, 0.0]
 
     def set(self, output: int, *, on: bool) -> None:
-        """Sets one bit: set_digital_out."""
+        """Sets one bit: set_digital_out.
+
+        Raises:
+            ValueError: No such output.
+        """
+        if not 0 <= output < OUTPUTS:
+            message = f"digital output {output}: must be between 0 and {OUTPUTS - 1}"
+            raise ValueError(message)
         self.bits = self.bits & ~(1 << output) | on << output

@@ -3,6 +3,8 @@
 from collections.abc import Generator
 from dataclasses import dataclass, field
 
+from haptether.slave.ur_emulator.script_error import ScriptError
+
 Steps = Generator[None, None, None]
 """Runs until the end of the control cycle at each `yield`."""
 
@@ -55,7 +57,11 @@ class Program:
         """
         for thread in (*self.others, *((self.main,) if self.main else ())):
             self.running = thread
-            thread.run()
+            try:
+                thread.run()
+            except (ValueError, ArithmeticError, TypeError) as error:
+                # Numbers that a function cannot do with, a pose of 1e300 m say.
+                raise ScriptError(str(error)) from None
         self.others = [thread for thread in self.others if thread.alive]
         return self.main is not None and self.main.alive
 

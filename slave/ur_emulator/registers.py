@@ -1,8 +1,10 @@
 """The registers of a program: what clients wrote, and what it writes for them."""
 
+import math
 from collections.abc import Mapping, MutableMapping
 
 from haptether.slave.ur_emulator.rtde_types import Value
+from haptether.slave.ur_emulator.script_error import ScriptError
 
 Six = tuple[float, ...]
 
@@ -43,12 +45,32 @@ class Registers:
         return tuple([inputs[name] for name in self._doubles[first : first + 6]])  # type: ignore[misc]
 
     def write_integer(self, number: int, value: int) -> None:
-        """Writes an output register."""
-        self._outputs[f"output_int_register_{number + self._offset}"] = value
+        """Writes an output register.
+
+        Raises:
+            ScriptError: No such register, or a number that it does not hold.
+        """
+        if not -(2**31) <= value < 2**31:
+            message = f"output integer register {number} = {value}: must have 32 bits"
+            raise ScriptError(message)
+        self._write(f"output_int_register_{number + self._offset}", value)
 
     def write_double(self, number: int, value: float) -> None:
-        """Writes an output register."""
-        self._outputs[f"output_double_register_{number + self._offset}"] = value
+        """Writes an output register.
+
+        Raises:
+            ScriptError: No such register, or a number that is not finite.
+        """
+        if not math.isfinite(value):
+            message = f"output double register {number} = {value}: must be finite"
+            raise ScriptError(message)
+        self._write(f"output_double_register_{number + self._offset}", value)
+
+    def _write(self, name: str, value: float) -> None:
+        if name not in self._outputs:
+            message = f"{name}: there is no such register"
+            raise ScriptError(message)
+        self._outputs[name] = value
 
     def write_six(self, first: int, values: Six) -> None:
         """Writes six output registers."""

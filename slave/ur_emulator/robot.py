@@ -30,6 +30,9 @@ FREEDRIVE_LIMITS: Final = (0.25, 0.25, 0.25, 0.5, 0.5, 0.5)
 FRICTION_SHARE: Final = 0.05
 """Of its largest torque, what friction takes of a joint at its largest speed."""
 NO_TORQUE: Final = (0.0,) * 6
+LONGEST_TOOL_M: Final = 10.0
+ABSURD: Final = 3.0
+"""Of the largest speed of a joint, what no target gets to: what is between is for the safety system."""
 HISTORY: Final = 2000
 """Control cycles that the joint positions are remembered for."""
 
@@ -128,7 +131,14 @@ class Robot:
             self.motion, self._commander = None, None
 
     def set_tcp(self, offset: Six) -> None:
-        """Sets the tool in the frame of the flange; what it touches now is touched there."""
+        """Sets the tool in the frame of the flange; what it touches now is touched there.
+
+        Raises:
+            ScriptError: A tool of more than 10 m.
+        """
+        if not max(map(abs, offset[:3])) <= LONGEST_TOOL_M:
+            message = f"set_tcp: {list(offset)}: must be within {LONGEST_TOOL_M:g} m of the flange"
+            raise ScriptError(message)
         self.arm.set_tcp(offset)
         self.measured = self._measure(self._time_s)
 
@@ -175,10 +185,10 @@ class Robot:
         """
         try:
             self.target = self._next_target()
-        except ScriptError:
+        except (ScriptError, ValueError, ArithmeticError) as error:
             self.brake(IDLE_DECELERATION)
             self.target = self._next_target()
-            raise
+            raise ScriptError(str(error)) from None
         finally:
             self._time_s = time_s
             # Under direct torque the external torque moves the target itself.
@@ -198,11 +208,20 @@ class Robot:
             motion.external = self.measured.torque
         plan = Target(now.q) if motion is None else motion.step(now, self.period_s, self.share)
         if not self.force_mode.active:
+            self._check(plan)
             self._plan = plan
             return plan
         new = self._compliant(self.target, plan)
+        self._check(new)
         self._plan = Target(new.q, plan.qd, plan.qdd)
         return new
+
+    def _check(self, target: Target) -> None:
+        for joint, (rate, most) in enumerate(zip(target.qd, self.model.max_speed, strict=True), start=1):
+            # Written such that what is not a number fails too.
+            if not abs(rate) <= ABSURD * most:
+                message = f"the target of joint {joint} would move at {rate:.3g} rad/s"
+                raise ScriptError(message)
 
     def _compliant(self, now: Target, new: Target) -> Target:
         _, jacobian = self.arm.transform_and_jacobian(now.q)

@@ -186,7 +186,7 @@ class ScriptFunctions:
 
 
 def _positive(name: str, argument: str, value: float) -> float:
-    if not value > 0.0:
-        message = f"{name}: {argument} = {value:g}: must be positive"
+    if not 0.0 < value < math.inf:
+        message = f"{name}: {argument} = {value:g}: must be positive and finite"
         raise ScriptError(message)
     return value

@@ -1,6 +1,7 @@
 """Programs that are no control script: calls with literal arguments, one line after another, without control flow."""
 
 import ast
+import math
 import operator
 import re
 from collections.abc import Callable, Iterator
@@ -162,7 +163,7 @@ def _literal(node: ast.expr, line: str) -> object:
 
 def _six(name: str, values: object) -> Six:
     numbers = tuple(values) if isinstance(values, list | tuple | Pose) else ()
-    if len(numbers) != 6 or not all(isinstance(n, int | float) for n in numbers):
+    if len(numbers) != 6 or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers):
         message = f"{name}: {values!r}: must be six numbers"
         raise ScriptError(message)
     return tuple(map(float, numbers))

@@ -165,7 +165,7 @@ def streams(host: str, rate_hz: float, *runs: list[Any]) -> Result:
     results = {}
     for mode, *arguments in runs:
         results[mode] = getattr(stream, mode)(*arguments)
-        stream.control.moveJ(list(START), 1.0, 3.0)
+        stream.control.moveJ(list(START), 3.0, 20.0)
     stream.control.stopScript()
     return results
 

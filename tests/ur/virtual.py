@@ -18,7 +18,19 @@ from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT
 from haptether.slave.ur_emulator.script_port import Submitted
 
 START = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
+UP = (0.0, 0.0, 0.05, 0.0, 0.0, 0.0)
+"""A velocity of the tool along z."""
 READY, DONE = 1, 2
+
+
+def shifted(joint: int, by: float) -> tuple[float, ...]:
+    """The start with one joint, from 0, elsewhere."""
+    return tuple(q + by * (n == joint) for n, q in enumerate(START))
+
+
+def lifted(pose: tuple[float, ...], by: float) -> tuple[float, ...]:
+    """A pose further up by so many m."""
+    return (*pose[:2], pose[2] + by, *pose[3:])
 
 
 class World:

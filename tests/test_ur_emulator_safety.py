@@ -1,0 +1,282 @@
+"""Stops of the emulated controller, scripts of other kinds, the dashboard and the control line, in virtual time."""
+
+import pytest
+from tests.ur.virtual import START, UP, World, lifted, shifted
+
+from haptether.slave.ur_emulator import SafetyLimits
+from haptether.slave.ur_emulator.dashboard import Dashboard
+from haptether.slave.ur_emulator.script_port import ScriptReader, Submitted
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+# ------------------------------------------------------------------------------------------------------- the safety
+
+
+def test_a_protective_stop_of_the_program(world: World) -> None:
+    world.realtime(10, [*UP, 0.25, 0.0])
+    world.seconds(0.5)
+    world.write(31)
+    world.cycles(1)
+    assert not world.playing
+    assert world.of.safety.mode.name == "PROTECTIVE_STOP"
+    assert world.number("safety_status_bits") == 1 << 2 | 1 << 10
+    world.seconds(0.2)
+    assert world.vector("target_qd") == (0.0,) * 6
+    # Nothing starts until it is unlocked, and that takes its time.
+    assert not world.of.submit(Submitted("x", "def x():\nend"))
+    assert "Cannot unlock" in world.line.answer("unlock", 0.0)
+    world.seconds(5.0)
+    assert world.line.answer("unlock", 0.0) == "ok Protective stop releasing"
+    world.upload()
+    assert world.number("safety_mode") == 1
+
+
+@pytest.mark.parametrize(
+    ("push", "reason"),
+    [((160.0, 0.0, 0.0), "tool force 160.0 N"), ((0.0, -100.0, 120.0), "tool force 156.2 N")],
+)
+def test_a_forceful_push_is_a_protective_stop(world: World, push: tuple[float, float, float], reason: str) -> None:
+    world.environment.push(push, 0.1)
+    world.cycles(2)
+    assert world.of.safety.mode.name == "PROTECTIVE_STOP"
+    assert world.of.safety.reason.startswith(reason)
+
+
+def test_a_target_that_jumps_is_a_protective_stop(world: World) -> None:
+    world.servo(START)
+    world.cycles(5)
+    world.servo(shifted(2, 0.31))
+    world.cycles(3)
+    assert not world.playing
+    assert world.of.safety.reason == "C204 path sanity check: sudden change in target position"
+    assert max(abs(a - b) for a, b in zip(world.vector("actual_q"), START, strict=True)) < 1e-3
+
+
+def test_too_fast_a_tool_is_a_protective_stop() -> None:
+    world = World(limits=SafetyLimits(tool_speed=0.1))
+    world.realtime(10, [0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 1.0, 0.0])
+    world.seconds(0.5)
+    assert world.of.safety.reason.startswith("tool speed 0.1")
+    assert world.vector("target_qd") == (0.0,) * 6
+
+
+def test_a_push_beyond_the_motors_is_a_deviation_from_the_path() -> None:
+    world = World(limits=SafetyLimits(tool_force_n=1e4, tool_speed=10.0))
+    world.environment.push((0.0, 0.0, -600.0), 1.0)
+    world.seconds(0.5)
+    assert "away from its path" in world.of.safety.reason
+
+
+def test_the_end_of_a_joint_is_a_protective_stop(world: World) -> None:
+    world.call(1, [*shifted(5, 6.2), 3.0, 3.0], [0])
+    world.realtime(9, [0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 5.0, 0.0])
+    world.seconds(1.0)
+    assert world.of.safety.reason.startswith("position of joint 6")
+
+
+def test_the_same_seed_gives_the_same_noise() -> None:
+    one, other = World(noise_n=1.0), World(noise_n=1.0)
+    for world in (one, other):
+        world.seconds(0.5)
+    assert one.vector("actual_TCP_force") == other.vector("actual_TCP_force")
+    assert any(one.vector("actual_TCP_force"))
+
+
+def test_the_end_of_force_mode_lets_nothing_jump() -> None:
+    # A servo target 50 mm away along the compliant axis: meanwhile the law has wound up nothing.
+    world = World()
+    goal = lifted(world.vector("actual_TCP_pose"), 0.05)
+    selection = [2, 0, 0, 1, 0, 0, 0]
+    world.realtime(6, [*(0.0,) * 12, *(0.1,) * 6], selection)
+    # Nothing of this class is acknowledged: what is written in the same cycle takes its place.
+    world.cycles(2)
+    world.realtime(24, [*goal, 0.0, 0.0, 0.002, 0.1, 300.0])
+    world.seconds(1.0)
+    assert world.vector("actual_TCP_pose")[2] == pytest.approx(goal[2] - 0.05, abs=1e-3)
+    world.of.robot.end_force_mode()
+    world.write(0)
+    world.cycles(3)
+    assert abs(world.vector("actual_TCP_speed")[2]) < 0.1
+
+
+# ----------------------------------------------------------------------------------- the dashboard and the control line
+
+
+@pytest.mark.parametrize(
+    ("said", "answer"),
+    [
+        ("PolyscopeVersion", "URSoftware 5.11.0.0 (Jan 01 2024)"),
+        ("robotmode", "Robotmode: RUNNING"),
+        ("ROBOTMODE\r", "Robotmode: RUNNING"),
+        ("safetystatus", "Safetystatus: NORMAL"),
+        ("programState", "PLAYING rtde_control"),
+        ("running", "Program running: true"),
+        ("is in remote control", "true"),
+        ("get serial number", "20240000001"),
+        ("get robot model", "UR5"),
+        ("stop", "Stopped"),
+        ("pause", "Pausing program"),
+        ("play", "Failed to execute: play"),
+        ("load nothing.urp", "File not found: nothing.urp"),
+        ("load rtde_control.urp", "Loading program: rtde_control.urp"),
+        ("popup careful", "showing popup"),
+        ("unlock protective stop", "Protective stop releasing"),
+        ("fly away", "could not understand: 'fly away'"),
+        ("", "could not understand: ''"),
+    ],
+)
+def test_the_dashboard_answers(world: World, said: str, answer: str) -> None:
+    assert Dashboard(world.of).answer(said) == (answer, True)
+
+
+def test_the_dashboard_in_local_control_and_of_a_cb3() -> None:
+    world = World(upload=False)
+    world.of.remote_control = False
+    for line in ("play", "power off", "load rtde_control.urp", "unlock protective stop"):
+        assert Dashboard(world.of).answer(line)[0] == "Command is not allowed due to safety reasons"
+    assert Dashboard(world.of).answer("is in remote control")[0] == "false"
+    assert Dashboard(world.of).answer("quit") == ("Disconnected", False)
+    cb3 = World("3.15", upload=False)
+    assert Dashboard(cb3.of).answer("is in remote control")[0].startswith("could not understand")
+
+
+def test_a_program_on_the_disk_can_be_played() -> None:
+    world = World(upload=False)
+    dashboard = Dashboard(world.of)
+    dashboard.answer("load rtde_control.urp")
+    assert dashboard.answer("play")[0] == "Starting program"
+    world.seconds(0.1)
+    assert world.playing
+    assert world.call(40) >= 1
+
+
+def test_power_comes_and_goes(world: World) -> None:
+    dashboard = Dashboard(world.of)
+    dashboard.answer("power off")
+    assert not world.playing
+    assert world.of.submit(Submitted("", "stopj(2)")) is False
+    for line, seconds, mode in [("power on", 0.5, "POWER_ON"), ("", 0.6, "IDLE"), ("brake release", 1.1, "RUNNING")]:
+        dashboard.answer(line)
+        world.seconds(seconds)
+        assert dashboard.answer("robotmode")[0] == f"Robotmode: {mode}"
+    assert world.vector("joint_mode") == (253,) * 6
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("push", "must be FX or FX,FY,FZ"),
+        ("push x", "must be 1 finite number"),
+        ("push 1,2", "must be one or three numbers"),
+        ("push nan", "must be 1 finite number"),
+        ("push 1e9", "must be one or three numbers of at most"),
+        ("push 1 -1", "must be positive"),
+        ("freeze 0", "must be positive"),
+        ("late", "must be 2 finite numbers"),
+        ("late -1", "must be between 0 and 60 s"),
+        ("drop all rtde", "must be all or some of"),
+        ("refuse maybe", "must be on or off"),
+        ("version five", "must be real, or like 5.8"),
+        ("power", "must be on"),
+        ("release-emergency-stop", "is not pressed"),
+        ("log x", "must be 1 finite number"),
+        ("nonsense", "must be one of"),
+        ("", "must be one of"),
+    ],
+)
+def test_lines_that_are_refused_say_why(world: World, line: str, said: str) -> None:
+    before = world.of.runtime
+    answer = world.line.answer(line, 0.0)
+    assert answer.startswith("error: ")
+    assert said in answer
+    assert world.of.runtime == before
+
+
+def test_reset_brings_everything_back(world: World) -> None:
+    world.call(29, [0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    world.call(17, [3.0, 0.0, 0.0, 0.1])
+    world.call(1, [*shifted(0, 0.2), 2.0, 4.0], [0])
+    world.environment.push((0.0, 0.0, 20.0), 100.0)
+    world.cycles(2)
+    world.call(8)
+    for line in ("protective-stop", "remote-control off", "version 1.2", "in-use on", "late 0.5"):
+        assert world.line.answer(line, 0.0) == "ok"
+    assert world.line.answer("reset", 0.0) == "ok"
+    world.cycles(1)
+    assert world.vector("actual_q") == START
+    assert world.vector("actual_TCP_force") == (0.0,) * 6
+    assert world.vector("tcp_offset") == (0.0,) * 6
+    assert world.number("payload") == 0.0
+    assert world.number("safety_mode") == 1
+    world.upload()
+    assert world.playing
+
+
+# --------------------------------------------------------------------------------------------------------- scripts
+
+
+@pytest.mark.parametrize(
+    ("line", "holds"),
+    [
+        ("stopj(2)", lambda w: not w.of.log),
+        ("movej([-1.5, -1.7, -2.2, -0.8, 1.6, 0.0], a=1.4, v=1.05)", lambda w: w.vector("actual_q")[0] == -1.5),
+        ("set_tcp(p[0, 0, 0.1, 0, 0, 0])", lambda w: w.vector("tcp_offset")[2] == 0.1),
+        ("set_standard_digital_out(2, True)", lambda w: w.number("actual_digital_output_bits") == 4),
+        ("write_output_integer_register(0 + 12, 3*4)", lambda w: w.integer(12) == 12),
+        ('textmsg("hello ", 5)', lambda w: w.of.log[-1].endswith("hello 5")),
+        ("protective_stop()", lambda w: w.of.safety.mode.name == "PROTECTIVE_STOP"),
+        ("__import__('os')", lambda w: "knows only calls" in w.of.log[-1]),
+        ("movej(", lambda w: "knows only calls" in w.of.log[-1]),
+        ("movej([1, 2])", lambda w: "must be six numbers" in w.of.log[-1]),
+        ("movej([9, 9, 9, 9, 9, 9])", lambda w: "beyond the limits" in w.of.log[-1]),
+        ("movej()", lambda w: "missing" in w.of.log[-1]),
+    ],
+)
+def test_single_lines_are_run_at_once(line: str, holds: object) -> None:
+    world = World(upload=False)
+    (submitted,) = ScriptReader().receive(f"{line}\n".encode())
+    assert world.of.submit(submitted)
+    world.seconds(1.0)
+    assert callable(holds)
+    assert holds(world), world.of.log
+    assert not world.playing
+
+
+def test_a_program_ends_at_the_only_end_in_the_first_column() -> None:
+    text = "# a comment\n\ndef one():\n  if True:\n    sync()\n  end\n end\nend\nstopj(2)\nsec two():\n  sync()\nend \n"
+    whole = list(ScriptReader().receive(text.encode()))
+    assert [(s.name, s.secondary) for s in whole] == [("one", False), ("", False), ("two", True)]
+    assert whole[0].text.endswith(" end\nend")
+    reader = ScriptReader()
+    assert [s for n in range(len(text)) for s in reader.receive(text[n : n + 1].encode())] == whole
+
+
+def test_a_program_without_an_end_is_refused() -> None:
+    reader = ScriptReader()
+    assert list(reader.receive(b"def endless():\n" + b"  sync()\n" * 300_000)) == []
+    with pytest.raises(ValueError, match="without an end"):
+        list(reader.receive(b"  sync()\n"))
+
+
+def test_scripts_are_refused_in_local_control() -> None:
+    world = World(upload=False)
+    world.of.remote_control = False
+    assert not world.of.submit(Submitted("", "stopj(2)"))
+    assert "not in remote control" in world.of.log[-1]
+    cb3 = World("3.15", upload=False)
+    cb3.of.remote_control = False
+    assert cb3.of.submit(Submitted("", "stopj(2)"))
+
+
+def test_a_secondary_program_runs_beside_the_one_that_runs(world: World) -> None:
+    assert world.of.submit(Submitted("beside", "sec beside():\n  set_digital_out(1, True)\nend", secondary=True))
+    world.cycles(1)
+    assert world.playing
+    assert world.number("actual_digital_output_bits") == 2
+    assert world.of.submit(Submitted("slow", "sec slow():\n  sleep(1)\nend", secondary=True))
+    assert "must not take time" in world.of.log[-1]
+    assert world.playing
