@@ -147,15 +147,10 @@ class UrSlave:
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
         """Sends the tool on, within its bounds; nothing where there is a fault or the watchdog is not armed."""
+        if self._recovery is not None:
+            self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         guard = self._guard
-        # Engaged before it is ready, it begins once it is, if it is still led from where it stands.
-        if (
-            self._recovery is not None
-            or self._fault is not None
-            or guard is None
-            or not guard.over
-            or guard.failed is not None
-        ):
+        if self._fault is not None or guard is None or not guard.over or guard.failed is not None:
             return
         state, now_s = self._state, time.monotonic()
         target = self._placed(position, self._point.position if self._moving else state.pose[:3])
@@ -315,9 +310,12 @@ class UrSlave:
             return
         self._recovery = None
         if recovery.error is not None:
-            stopped_s = self._fault_s
-            # The next acknowledgement connects anew: what failed may be a connection that nothing else shows to be gone.
-            self._latch(" ".join(str(recovery.error).split()), lost=True)
+            stopped_s, text = self._fault_s, " ".join(str(recovery.error).split())
+            if self._fault is not None:
+                # Somebody has engaged too early; the cause is told all the same.
+                self._tell(f"not ready: {text}")
+            # The next acknowledgement connects anew: what failed may be a connection that nothing else shows is gone.
+            self._latch(text, lost=True)
             # Still the same stop.
             self._fault_s = stopped_s
             return
