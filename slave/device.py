@@ -27,8 +27,8 @@ class SlaveDevice(Protocol):
     called with the options of the command line as keywords.
 
     A driver may have `acknowledge()`, called when a person at this side says that a fault is mended; `axes`, held
-    against those of the scene; and `max_speed` in m/s: `haptether slave` then lets no command be faster, for an arm that
-    lags behind a faster one would go on after it was let go.
+    against those of the scene; and `max_speed` in m/s: `haptether slave` then lets no command be faster, for an arm
+    that lags behind a faster one would go on after it was let go.
     """
 
     paces: bool
