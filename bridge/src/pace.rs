@@ -85,6 +85,7 @@ const LEAST_EIGHTHS: u64 = 7;
 
 /// When a loop ticks that a device paces: at its samples, each of which may come late, but none before its time.
 #[derive(Clone, Copy, Debug)]
+#[allow(clippy::struct_field_names)] // times carry their unit
 pub(crate) struct DevicePace {
     period_ns: u64,
     /// When the next sample is due.

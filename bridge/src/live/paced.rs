@@ -43,7 +43,7 @@ pub struct PacedLoop<S: Side> {
     /// The last tick was waited for here, and not by the device.
     waited: bool,
     realtime: RealtimeReport,
-    _kept: Option<Kept>,
+    kept: Option<Kept>,
 }
 
 /// Prepares the loop of one side; `recorder` gets every record, too.
@@ -62,7 +62,7 @@ pub fn paced_by_device<S: Side>(
         pace: DevicePace::new(settings.period_ns),
         waited: false,
         realtime: RealtimeReport::default(),
-        _kept: None,
+        kept: None,
     };
     Ok((paced, watch))
 }
@@ -76,7 +76,7 @@ impl<S: Side> PacedLoop<S> {
             Stage::Ready(parts) => {
                 let (realtime, kept) = realtime::prepare(self.settings.realtime);
                 realtime.check(self.settings.realtime.demand)?;
-                (self.realtime, self._kept) = (realtime, Some(kept));
+                (self.realtime, self.kept) = (realtime, Some(kept));
                 let (side, socket, channel, ways) = *parts;
                 let now_ns = clock::now_ns();
                 self.pace.begin(now_ns);
@@ -166,5 +166,7 @@ impl<S: Side> PacedLoop<S> {
 impl<S: Side> Drop for PacedLoop<S> {
     fn drop(&mut self) {
         self.end();
+        // Real time is given back last.
+        self.kept = None;
     }
 }

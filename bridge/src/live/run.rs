@@ -99,12 +99,15 @@ const MOST_FLIGHTS: usize = 2;
 const MOST_ACTS: usize = 16;
 
 /// What a loop is made of before its time begins, and the other ends of its rings.
+pub(super) type Assembled<R> = (LiveChannel, Ways<R>, LiveWatch<R>);
+
+/// Makes the rings, and a session without keys yet.
 pub(super) fn assemble<S: Side>(
     socket: &PeerSocket,
     settings: &LiveSettings,
     security: Security,
     recorder: Option<Recorder<S::Record>>,
-) -> Result<(LiveChannel, Ways<S::Record>, LiveWatch<S::Record>), StartError> {
+) -> Result<Assembled<S::Record>, StartError> {
     let (producer, records) = rtrb::RingBuffer::new(settings.ring);
     let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
     let (flown, flights) = rtrb::RingBuffer::new(MOST_FLIGHTS);
@@ -150,7 +153,7 @@ pub fn run_live<S: Side + Send + 'static>(
         let _ = say.send(realtime);
         if realtime.check(settings.realtime.demand).is_err() {
             let recording = ways.records.end();
-            return (LoopReport { recording, realtime, ..LoopReport::default() }, None);
+            return (LoopReport { realtime, recording, ..LoopReport::default() }, None);
         }
         let mut deadline_ns = clock::now_ns();
         let mut turning = Turning::begin(side, socket, channel, settings, ways, deadline_ns);
