@@ -120,9 +120,9 @@ mod tests {
 
     #[test]
     fn codes_are_distinct_and_reversible() {
-        for code in 1..=10 {
+        for code in 1..=11 {
             assert_eq!(Fault::from_code(code).map(Fault::code), Some(code));
         }
-        assert_eq!((Fault::from_code(0), Fault::from_code(11)), (None, None));
+        assert_eq!((Fault::from_code(0), Fault::from_code(12)), (None, None));
     }
 }
