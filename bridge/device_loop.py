@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import gc
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -130,9 +131,13 @@ def _opened(device: "MasterDevice | SlaveDevice") -> Iterator[None]:
         with contextlib.suppress(Exception):
             device.close()
         raise _failed(device, error) from error
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         yield
     finally:
+        # The loop has asked for real time for this thread, which is the caller's.
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, *before)
         with contextlib.suppress(Exception):
             device.close()
 

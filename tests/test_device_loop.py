@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import secrets
 import subprocess
 import sys
@@ -146,7 +147,7 @@ def test_a_driven_device_is_led_and_left_without_force(axes: int, spec: bytes) -
 
 
 def test_a_turn_refuses_what_is_no_sample_and_stays_alive() -> None:
-    loop = MasterLoop(THREE, peer="127.0.0.1:9", **how())
+    loop = MasterLoop(THREE, peer="127.0.0.1:9", **how(realtime="off"))
     loop.begin()
     for bad in ("a", [1.0, 2.0], [[1.0], [2.0], [3.0]], None, [1.0, "b", 2.0], 4.0):
         with pytest.raises(TypeError, match=r"position = .*: must be a sequence of 3 numbers"):
@@ -166,7 +167,7 @@ def test_a_turn_refuses_what_is_no_sample_and_stays_alive() -> None:
 
 
 def test_a_burst_of_samples_is_held_back_to_the_period() -> None:
-    loop = MasterLoop(ONE, peer="127.0.0.1:9", **how())
+    loop = MasterLoop(ONE, peer="127.0.0.1:9", **how(realtime="off"))
     loop.begin()
     begun_s = time.monotonic()
     for _ in range(401):
@@ -194,9 +195,10 @@ def test_ctrl_c_in_a_driver_leaves_no_force_and_tells_the_peer() -> None:
 
     slave = LiveSlave(ONE, listen="127.0.0.1:0", **how())
     hand = Interrupted(1)
-    loop = MasterLoop(ONE, peer=slave.address, **how())
+    loop, before = MasterLoop(ONE, peer=slave.address, **how()), os.sched_getscheduler(0)
     with pytest.raises(KeyboardInterrupt):
         drive_master(hand, loop)
+    assert os.sched_getscheduler(0) == before
     assert hand.force == (0.0,)
     assert hand.strongest > 0.1
     far, _ = slave.finish()
