@@ -101,7 +101,13 @@ class UrLink:
                 lambda: _immortal(self._module.RTDEReceiveInterface(host, rate, names)), RECEIVE_S,
             )  # fmt: skip
         if self.control is None:
-            self.control = self._done(self.worker, "connect (control)", lambda: ControlProcess(host, rate), CONNECT_S)
+            self.control = ControlProcess(host, rate)
+            try:
+                self._done(self.worker, "connect (control)", self.control.connect, CONNECT_S)
+            except LinkError:
+                # It would go on, and upload its script whenever that comes through.
+                self.cut()
+                raise
         self.upload()
 
     def upload(self) -> None:

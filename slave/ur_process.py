@@ -35,15 +35,22 @@ class ControlProcess:
         host: The controller.
         rate_hz: Of the packages that the library takes.
 
-    Raises:
-        ControlProcessError: The library could not connect, or upload and start its script.
+    It is there at once, so that it can be killed while it connects.
     """
 
     def __init__(self, host: str, rate_hz: float) -> None:
         self._socket, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "haptether.slave.ur_process", str(theirs.fileno()), host, repr(rate_hz)],
+                [
+                    sys.executable,
+                    "-m",
+                    "haptether.slave.ur_process",
+                    str(theirs.fileno()),
+                    host,
+                    repr(rate_hz),
+                    str(os.getpid()),
+                ],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 stdout=2,
@@ -51,11 +58,14 @@ class ControlProcess:
                 start_new_session=True,
             )
         self._lines = self._socket.makefile("rb")
-        try:
-            self._answer("connect")
-        except ControlProcessError:
-            self.kill()
-            raise
+
+    def connect(self) -> None:
+        """Waits until the library has connected, and its script plays.
+
+        Raises:
+            ControlProcessError: It could not.
+        """
+        self._answer("connect")
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """A call of the library."""
@@ -103,10 +113,10 @@ class ControlProcess:
 
 def main() -> None:
     """What the process does: one call after another, until nobody asks any more."""
-    descriptor, host, rate = sys.argv[1:]
+    descriptor, host, rate, parent = sys.argv[1:]
     ask_little_realtime()
-    parent = os.getppid()
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    # Given, and not asked for: whoever began this process may have ended by now.
+    threading.Thread(target=_end_with, args=(int(parent),), daemon=True).start()
     with socket.socket(fileno=int(descriptor)) as asked:
         lines = asked.makefile("rb")
 

@@ -300,17 +300,30 @@ FAULTS: list[tuple[Callable[[Arm], None], str]] = [
 def test_each_fault_is_latched_with_its_reason(arm: Arm, cause: Callable[[Arm], None], said: str) -> None:
     driven = Driven(arm)
     driven.moves()
+    before = len(arm.names)
     cause(arm)
     fault = driven.fault(moving=True)
     assert fault.startswith(said), fault
+    # The arm is stopped, or its connection cut where nothing else is left, without anybody asking for it.
+    driven.until(lambda _: not {"speedStop", "kill"}.isdisjoint(arm.names[before:]))
     # Gone by itself: it stays until somebody says so.
     sent = len([name for name in arm.names if name == "speedL"])
     arm.runtime_state, arm.safety_mode, arm.safety_bits, arm.robot_mode = 2, 1, 1, 7
     arm.connected, arm.frozen_at, arm.remote = True, None, True
     for _ in range(20):
-        assert driven.turn(moving=True).fault == fault
+        assert driven.turn().fault == fault
+        driven.driver.write((driven.home,), (0.0,))
     assert len([name for name in arm.names if name == "speedL"]) == sent
     driven.driver.close()
+
+
+def test_a_process_that_does_not_connect_in_time_is_ended(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("haptether.slave.ur_link.CONNECT_S", 0.2)
+    arm.blocks.add("connect")
+    with pytest.raises(LinkError, match=r"connect \(control\): has not returned within 0.2 s"):
+        Driven(arm)
+    # Else it would upload its script once it comes through, with nobody to arm the watchdog.
+    assert arm.names[-1] == "kill"
 
 
 def test_an_acknowledgement_makes_it_ready_and_leaves_it_disengaged(arm: Arm) -> None:

@@ -109,8 +109,10 @@ class Control:
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self.alive = True
-        arm.said.append(("connect",))
-        arm.runtime_state, arm.watchdog_hz = PLAYING, None
+
+    def connect(self) -> None:
+        self._arm.call("connect")
+        self._arm.runtime_state, self._arm.watchdog_hz = PLAYING, None
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return lambda *arguments: self._arm.call(name, *arguments)
