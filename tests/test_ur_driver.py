@@ -317,6 +317,16 @@ def test_each_fault_is_latched_with_its_reason(arm: Arm, cause: Callable[[Arm], 
     driven.driver.close()
 
 
+def test_a_fault_stops_an_arm_that_nothing_else_would_stop(arm: Arm) -> None:
+    # A servo holds its last target by itself, so that no silence of the commands ends it.
+    driven = Driven(arm, mode="servoj")
+    driven.until(lambda _: arm.names[-1] == "servoJ", moving=True)
+    local(arm)
+    driven.fault(moving=True)
+    driven.until(lambda _: "servoStop" in arm.names)
+    driven.driver.close()
+
+
 def test_a_process_that_does_not_connect_in_time_is_ended(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("haptether.slave.ur_link.CONNECT_S", 0.2)
     arm.blocks.add("connect")
