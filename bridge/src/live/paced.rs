@@ -144,6 +144,8 @@ impl<S: Side> PacedLoop<S> {
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Turning(turning) => {
                 let (report, flight) = turning.end();
+                // Locked memory is the process's: it is given back with the run, not with the last who holds the loop.
+                self.kept = None;
                 Some((LoopReport { realtime, ..report }, Some(flight)))
             }
             Stage::Ready(parts) => {
@@ -156,17 +158,10 @@ impl<S: Side> PacedLoop<S> {
             Stage::Over => None,
         }
     }
-
-    /// Whether it will turn no more.
-    pub fn is_over(&self) -> bool {
-        matches!(self.stage, Stage::Over) || self.shared.stop.load(Ordering::Relaxed)
-    }
 }
 
 impl<S: Side> Drop for PacedLoop<S> {
     fn drop(&mut self) {
         self.end();
-        // Real time is given back last.
-        self.kept = None;
     }
 }
