@@ -8,8 +8,9 @@ from typing import Final
 from haptether.slave.ur_dashboard import DashboardError, is_in_remote_control
 from haptether.slave.ur_link import LinkError, UrLink
 from haptether.slave.ur_options import UrOptions
-from haptether.slave.ur_probe import Probe, ProbeError, probe
+from haptether.slave.ur_probe import Probe, ProbeError, probe, resolved
 from haptether.slave.ur_state import (
+    FULL_SPEED,
     NORMAL,
     PLAYING,
     PROTECTIVE_STOP,
@@ -17,6 +18,7 @@ from haptether.slave.ur_state import (
     RUNNING,
     RUNTIME_STATES,
     SAFETY_MODES,
+    SLIDER,
     UrState,
 )
 
@@ -75,6 +77,25 @@ class Checklist:
             raise UrRefusedError("; ".join(self.refused))
 
 
+REACHABLE: Final = "is it on, in this network, and RTDE not disabled in its security settings?"
+
+
+def check_address(host: str, checklist: Checklist) -> str:
+    """The controller's address, which is not looked up again.
+
+    Raises:
+        UrRefusedError: It has none.
+    """
+    try:
+        address = resolved(host)
+    except ProbeError as error:
+        checklist.refuse("address", str(error), "is the name right, and is there a name server? take its IPv4 address")
+        raise UrRefusedError("; ".join(checklist.refused)) from None
+    if address != host:
+        checklist.ok("address", address)
+    return address
+
+
 def check_before(options: UrOptions, checklist: Checklist) -> Probe:
     """What can be seen before anything is sent: controller, version, modes, stops, program, remote control.
 
@@ -85,8 +106,7 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
     try:
         seen = probe(host)
     except ProbeError as error:
-        remedy = "is it on, in this network, and RTDE not disabled in its security settings?"
-        checklist.refuse("reachable", str(error), remedy)
+        checklist.refuse("reachable", str(error), REACHABLE)
         raise UrRefusedError("; ".join(checklist.refused)) from None
     checklist.ok("reachable", f"{seen.rate_hz:.0f} packages/s")
     version = seen.version[:2]
@@ -97,7 +117,7 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
     )  # fmt: skip
     if REMOTE_SINCE <= version < NO_DASHBOARD_SINCE:
         check_remote(host, checklist)
-    check_state(seen.robot_mode, seen.safety_mode, seen.safety_bits, checklist)
+    check_state(seen, checklist)
     checklist.check(
         "program", RUNTIME_STATES.get(seen.runtime_state, str(seen.runtime_state)), good=seen.runtime_state != PLAYING,
         remedy="somebody else's program plays: stop it on the pendant",
@@ -117,20 +137,24 @@ def check_remote(host: str, checklist: Checklist) -> None:
     checklist.check("remote control", "on" if remote else "off", good=remote, remedy=remedy)
 
 
-def check_state(robot_mode: int, safety_mode: int, safety_bits: int, checklist: Checklist) -> None:
-    """Robot mode and safety mode."""
+def check_state(seen: Probe, checklist: Checklist) -> None:
+    """Robot mode, safety mode and speed slider."""
+    robot_mode, safety_mode = seen.robot_mode, seen.safety_mode
     checklist.check(
         "robot mode", ROBOT_MODES.get(robot_mode, str(robot_mode)), good=robot_mode == RUNNING,
         remedy="power the arm on and release its brakes on the pendant",
     )  # fmt: skip
     # Reduced is normal with the lower limits of a zone: those are the controller's to keep.
-    good = safety_mode == NORMAL and not safety_bits & ~0b11
+    good = safety_mode == NORMAL and not seen.safety_bits & ~0b11
     stopped = safety_mode == PROTECTIVE_STOP
     checklist.check(
         "safety mode", SAFETY_MODES.get(safety_mode, str(safety_mode)), good=good,
         remedy="find the cause, clear the tool, unlock it on the pendant" if stopped
         else "bring it to normal on the pendant, at full speed limits",
     )  # fmt: skip
+    checklist.check(
+        "speed slider", f"{100.0 * seen.speed_fraction:.0f} %", good=seen.speed_fraction >= FULL_SPEED, remedy=SLIDER
+    )
 
 
 def check_after(options: UrOptions, link: UrLink, checklist: Checklist, *, sensor: bool = True) -> UrState:
@@ -176,6 +200,23 @@ def check_model(distance_m: float, options: UrOptions, checklist: Checklist) -> 
     checklist.check(
         "model", f"{options.model}, its tool {1e3 * distance_m:.1f} mm from where the controller has it",
         good=distance_m <= MODEL_M, remedy="model or tool is that of another arm",
+    )  # fmt: skip
+    checklist.finish()
+
+
+def check_workspace(beyond_m: float, options: UrOptions, checklist: Checklist) -> None:
+    """Whether the tool is inside the planes that the options name.
+
+    Raises:
+        UrRefusedError: It is outside by more than a first command may be away.
+    """
+    if not options.workspace:
+        checklist.ok("workspace", "no planes in the options: the controller's own safety planes alone")
+        return
+    planes = f"{len(options.workspace)} plane{'s' if len(options.workspace) > 1 else ''}"
+    checklist.check(
+        "workspace", f"{planes}, the tool " + (f"{1e3 * beyond_m:.1f} mm outside" if beyond_m > 0.0 else "inside"),
+        good=beyond_m <= options.max_jump, remedy="move the tool inside, or mend the planes",
     )  # fmt: skip
     checklist.finish()
 

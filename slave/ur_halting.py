@@ -13,7 +13,11 @@ if TYPE_CHECKING:
     from haptether.slave.ur_modes import Mode
 
 STOP_S: Final = 1.0
-"""For a soft stop: 0.25 m/s and the least deceleration allowed take longer, and then the program is ended."""
+"""For a soft stop: the watchdog's longest period is a fifth of it."""
+REST_S: Final = 1.2
+"""After which the joints must rest, whatever the controller has said."""
+RESTING: Final = 0.05
+"""rad/s; what sensors show of joints at rest is a tenth of it."""
 LAST_WAY_S: Final = 1.0
 
 
@@ -32,6 +36,8 @@ class Halting:
         self._tell = tell
         self._aside = Bounded("ur-stopper")
         self._halt: Call | None = None
+        self._rested: Call | None = None
+        """The stop after which the arm was seen at rest: what moves it later is somebody else."""
         self._last_way: Call | None = None
 
     @property
@@ -39,22 +45,33 @@ class Halting:
         """Whether a soft stop is on its way."""
         return self._halt is not None and not self._halt.over
 
-    def stop(self, mode: "Mode") -> None:
+    def stop(self, mode: "Mode", state: UrState) -> None:
         """Begins a soft stop."""
-        control = self._link.control
+        control, brake = self._link.control, mode.brake(state)
         if control is not None:
-            self._halt = self._link.worker.start("stop", lambda: mode.stop(control), STOP_S)
+            self._halt = self._link.worker.start("stop", lambda: brake(control), STOP_S)
 
-    def failed(self, state: UrState, *, stale: bool) -> bool:
-        """Whether a soft stop did not succeed and the program may still play."""
+    def failed(self, state: UrState, *, stale: bool) -> str | None:
+        """Why a soft stop did not succeed, where the program may still play."""
         halt = self._halt or self._link.worker.idled
-        if halt is None or self._link.control is None:
-            return False
-        overdue = not halt.over and halt.begun_s is not None and time.monotonic() - halt.begun_s > STOP_S
-        if not (overdue or halt.failed is not None):
-            return False
+        if halt is None or halt is self._rested or self._link.control is None:
+            return None
+        since_s = 0.0 if halt.begun_s is None else time.monotonic() - halt.begun_s
+        if halt.failed is not None or (not halt.over and since_s > STOP_S):
+            why = "was not acknowledged"
+        elif halt.over and max(map(abs, state.qd)) <= RESTING:
+            self._rested = halt
+            return None
+        elif since_s > REST_S:
+            why = "was acknowledged, and the arm still moves"
+        else:
+            return None
         self._halt = self._link.worker.idled = None
-        return state.runtime_state == PLAYING or stale
+        return why if state.runtime_state == PLAYING or stale else None
+
+    def go_on(self) -> None:
+        """Motion begins again: the stop before it is over."""
+        self._halt = self._link.worker.idled = None
 
     def cut(self) -> None:
         """Nothing leads the arm any more: the connection is cut, and the dashboard asked to end the program.
@@ -68,6 +85,9 @@ class Halting:
     def clear(self) -> None:
         """A person has seen to it."""
         self._halt = None
+        if self._aside.stuck is not None:
+            self._aside.end()
+            self._aside = Bounded("ur-stopper")
 
     def end(self) -> None:
         """Waits for what is on its way, within its limits."""

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from haptether.slave.ur_options import Three, UrOptions
+from haptether.slave.ur_braking import of_joints, of_tool
+from haptether.slave.ur_joints import Joints
+from haptether.slave.ur_options import UrOptions
 from haptether.slave.ur_pose import matrix_from_rotvec, rotvec_from_matrix
 from haptether.slave.ur_setpoint import SetPoint
 from haptether.slave.ur_state import Numbers, UrState
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_kinematics import UrKinematics
     from haptether.slave.ur_models import UrModel
 
 Control = Any
@@ -20,22 +21,10 @@ Control = Any
 Order = Callable[[Control], bool]
 
 DIRECT_TORQUE_SINCE: Final = (5, 26)
-CLOSING_PERIODS: Final = 4.0
-"""Periods in which the joints close in on the set-point."""
-MOST_BEHIND_M: Final = 0.02
-"""How far the joints may stay behind it: what more there is would be made up for at once, somewhere else."""
-JOINT_ACCELERATION: Final = 25.0
-"""rad/s² at most: what the bounds of the tool ask for over the shortest lever, not what makes it smooth."""
-JOINT_SPEED_SHARE: Final = 0.9
-"""Of the largest speed of a joint: what is commanded stays this far below."""
 TURN_SPEED: Final = 0.5
 """rad/s at most, to keep the orientation under speedl."""
 WRIST_SHARE: Final = 0.2
 """Stiffness and damping of the three wrists, of those of the large joints."""
-
-
-class UnreachableError(ValueError):
-    """The arm cannot go on to where it is sent."""
 
 
 class Mode(Protocol):
@@ -56,79 +45,8 @@ class Mode(Protocol):
             UnreachableError: It cannot get there.
         """
 
-    def stop(self, control: Control) -> bool:
-        """Comes to rest softly; returns once it is done."""
-
-
-class Joints:
-    """From a set-point of the tool to joint angles, orientation kept, within the limits of the joints.
-
-    Each period the joint velocities are those that follow `v_set + (x_set - x)/T` best within the limits
-    (`UrStreaming`): near a singularity, or at the end of a joint, the tool stays behind instead of a joint
-    going faster than it may.
-
-    The unit's chain is only nearly that of its model, so motion is counted from where both have the tool at the begin:
-    what they differ by stays where it was, and the first command is exactly where the joints are.
-
-    Args:
-        kinematics: The arm with its tool.
-        options: Of the driver.
-        period_s: Between two commands, in s.
-    """
-
-    def __init__(self, kinematics: "UrKinematics", options: UrOptions, period_s: float) -> None:
-        from haptether.slave.streaming_limits import StreamingLimits  # noqa: PLC0415  # with CasADi
-        from haptether.slave.ur_streaming import UrStreaming  # noqa: PLC0415
-
-        model = kinematics.model
-        speeds = [JOINT_SPEED_SHARE * most for most in model.max_speed]
-        limits = StreamingLimits(
-            position_min=model.position_min,
-            position_max=model.position_max,
-            max_speed=(speeds[0], speeds[1], speeds[2], speeds[3], speeds[4], speeds[5]),
-            max_acceleration=(JOINT_ACCELERATION,) * 6,
-        )
-        self._kinematics = kinematics
-        self._streaming = UrStreaming(kinematics, limits, period_s=period_s)
-        self._period_s = period_s
-        self._rate_hz = 1.0 / (CLOSING_PERIODS * period_s)
-        self._longest_m = max(options.max_jump, MOST_BEHIND_M)
-        self._turn = np.eye(3)
-        self._twist = np.zeros(6)
-        self.offset = np.zeros(3)
-        """From the controller's tool to that of the model, in m."""
-        self.q = np.zeros(6)
-        self.qd = np.zeros(6)
-
-    def begin(self, state: UrState) -> None:
-        """Motion begins where the arm is."""
-        transform = self._kinematics.forward(state.q)
-        self._turn = np.array(transform[:3, :3])
-        self.offset = transform[:3, 3] - np.array(state.pose[:3])
-        self.q, self.qd = np.array(state.q), np.zeros(6)
-
-    def follow(self, point: SetPoint, elapsed_s: float) -> None:
-        """Goes on for a time in s, in whole periods.
-
-        Raises:
-            UnreachableError: The tool stays far behind.
-        """
-        target = np.array(point.position) + self.offset
-        velocity = np.array(point.velocity)
-        for _ in range(max(1, round(elapsed_s / self._period_s))):
-            transform = self._kinematics.forward(self.q)
-            behind = target - transform[:3, 3]
-            # As in `SetPoint`: from where the target was a period ago.
-            self._twist[:3] = velocity + (behind - velocity * self._period_s) * self._rate_hz
-            self._twist[3:] = rotvec_from_matrix(self._turn @ transform[:3, :3].T)
-            self._twist[3:] *= self._rate_hz
-            self.qd = np.array(self._streaming.velocity(self.q, self.qd, self._twist))
-            self.q = self.q + self.qd * self._period_s
-        away = float(np.linalg.norm(behind))
-        if away > self._longest_m:
-            why = self._streaming.reason or "its joints are at their limits, or the arm is near a singularity"
-            message = f"the tool cannot follow: {1e3 * away:.0f} mm behind {_text(point.position)} m: {why}"
-            raise UnreachableError(message)
+    def brake(self, state: UrState) -> Order:
+        """What has the arm come to rest softly; returns once it is done."""
 
 
 class ServoJ:
@@ -139,7 +57,7 @@ class ServoJ:
 
     def __init__(self, options: UrOptions, joints: Joints, period_s: float) -> None:
         self._rest = (0.0, 0.0, period_s, options.lookahead_time, options.gain)
-        self._deceleration = options.stop_deceleration
+        self._options = options
         self.joints = joints
 
     def begin(self, state: UrState) -> None:
@@ -152,9 +70,10 @@ class ServoJ:
         q, rest = self.joints.q.tolist(), self._rest
         return lambda control: bool(control.servoJ(q, *rest))
 
-    def stop(self, control: Control) -> bool:
+    def brake(self, state: UrState) -> Order:
         """See `Mode`."""
-        return bool(control.servoStop(self._deceleration))
+        deceleration = of_joints(self._options, state)
+        return lambda control: bool(control.servoStop(deceleration))
 
 
 class ServoL:
@@ -168,7 +87,7 @@ class ServoL:
 
     def __init__(self, options: UrOptions, period_s: float) -> None:
         self._rest = (0.0, 0.0, period_s, options.lookahead_time, options.gain)
-        self._deceleration = options.stop_deceleration
+        self._options = options
         self._turn: Numbers = (0.0, 0.0, 0.0)
 
     def begin(self, state: UrState) -> None:
@@ -180,9 +99,10 @@ class ServoL:
         pose, rest = [*point.position, *self._turn], self._rest
         return lambda control: bool(control.servoL(pose, *rest))
 
-    def stop(self, control: Control) -> bool:
+    def brake(self, state: UrState) -> Order:
         """See `Mode`."""
-        return bool(control.servoStop(self._deceleration))
+        deceleration = of_joints(self._options, state)
+        return lambda control: bool(control.servoStop(deceleration))
 
 
 class SpeedL:
@@ -199,7 +119,7 @@ class SpeedL:
         self._gain = options.position_gain
         self._max_speed = options.max_speed
         self._acceleration = options.max_acceleration
-        self._deceleration = options.stop_deceleration
+        self._options = options
         self._period_s = period_s
         self._turn = np.eye(3)
 
@@ -221,9 +141,10 @@ class SpeedL:
         acceleration, time_s = self._acceleration, self._period_s
         return lambda control: bool(control.speedL(xd, acceleration, time_s))
 
-    def stop(self, control: Control) -> bool:
+    def brake(self, state: UrState) -> Order:
         """See `Mode`."""
-        return bool(control.speedStop(self._deceleration))
+        deceleration = of_tool(self._options, state)
+        return lambda control: bool(control.speedStop(deceleration))
 
 
 class DirectTorque:
@@ -240,7 +161,7 @@ class DirectTorque:
         self._stiffness = [options.joint_stiffness * share for share in shares]
         self._damping = [options.joint_damping * share for share in shares]
         self._most = [options.torque_share * torque for torque in model.max_torque]
-        self._deceleration = options.stop_deceleration
+        self._options = options
         self.joints = joints
 
     def begin(self, state: UrState) -> None:
@@ -266,11 +187,16 @@ class DirectTorque:
         ]
         return lambda control: bool(control.directTorque(torque))
 
-    def stop(self, control: Control) -> bool:
+    def brake(self, state: UrState) -> Order:
         """See `Mode`."""
-        # It has no stop of its own; this one returns nothing.
-        control.stopJ(self._deceleration, False)
-        return True
+        deceleration = of_joints(self._options, state)
+
+        def order(control: Control) -> bool:
+            # It has no stop of its own; this one returns nothing. Whether the arm rests is seen in what it does.
+            control.stopJ(deceleration, False)
+            return True
+
+        return order
 
 
 def check_mode(options: UrOptions, version: tuple[int, ...]) -> None:
@@ -325,7 +251,3 @@ def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
 def _at_most(vector: list[float], most: float) -> list[float]:
     length = math.hypot(*vector)
     return [part * most / length for part in vector] if length > most else vector
-
-
-def _text(position: Three) -> str:
-    return ", ".join(f"{part:.4f}" for part in position)

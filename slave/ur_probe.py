@@ -7,13 +7,17 @@ is found out here, with time limits, and what it says about itself with it.
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2.
 """
 
+import ipaddress
 import socket
 import struct
 import time
 from dataclasses import dataclass
 from typing import Final
 
+from haptether.slave.ur_bounded import Bounded
+
 PORT: Final = 30004
+RESOLVE_S: Final = 3.0
 REQUEST_VERSION, CONTROLLER_VERSION, TEXT, PACKAGE, OUTPUTS, START = b"VvMUOS"
 FRAME: Final = struct.Struct(">HB")
 NAMES: Final = (
@@ -24,6 +28,7 @@ NAMES: Final = (
     "runtime_state",
     "actual_q",
     "actual_TCP_pose",
+    "target_speed_fraction",
 )
 FORMATS: Final = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", "VECTOR6D": "6d"}
 PACKAGES: Final = 5
@@ -52,11 +57,36 @@ class Probe:
     """Of the tool, x y z rx ry rz in m and rad."""
     rate_hz: float
     """Of its packages, by its own clock."""
+    speed_fraction: float = 1.0
+    """Where its speed slider stands, 0 to 1."""
 
     @property
     def version_text(self) -> str:
         """As it is written."""
         return ".".join(map(str, self.version[:3]))
+
+
+def resolved(host: str, limit_s: float = RESOLVE_S) -> str:
+    """The IPv4 address of a host, looked up once: a name server may be slow when the arm is to be stopped.
+
+    Raises:
+        ProbeError: There is none, or none within a time in s.
+    """
+    try:
+        return str(ipaddress.IPv4Address(host))
+    except ValueError:
+        pass
+    resolver = Bounded("ur-resolver")
+    try:
+        found = resolver.run(
+            "look-up", lambda: socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM), limit_s
+        )
+    except Exception as error:  # of the system's resolver, or too late
+        message = f"{host}: {getattr(error, 'strerror', None) or error}"
+        raise ProbeError(message) from None
+    finally:
+        resolver.end()
+    return str(found[0][4][0])
 
 
 def probe(host: str, limit_s: float = 5.0) -> Probe:
@@ -156,4 +186,5 @@ def _ask(wire: _Wire) -> Probe:
         q=tuple(values[5:11]),
         pose=tuple(values[11:17]),
         rate_hz=(PACKAGES - 1) / elapsed_s,
+        speed_fraction=values[17],
     )

@@ -20,6 +20,8 @@ from haptether.slave.ur_state import PLAYING, PROTECTIVE_BIT, UrState
 UNLOCK_AFTER_S: Final = 5.0
 """The controller refuses before."""
 UNLOCKED_WITHIN_S: Final = 3.0
+ENDED_WITHIN_S: Final = 0.5
+"""More than the watchdog's longest period."""
 
 
 def recover(options: UrOptions, link: UrLink, stopped_at_s: float) -> UrState:
@@ -38,10 +40,14 @@ def recover(options: UrOptions, link: UrLink, stopped_at_s: float) -> UrState:
     """
     seen = _unlocked(options.host, probe(options.host), stopped_at_s)
     checklist = Checklist(options.host)
-    check_state(seen.robot_mode, seen.safety_mode, seen.safety_bits, checklist)
+    check_state(seen, checklist)
     if REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE:
         check_remote(options.host, checklist)
     checklist.finish()
+    end_s = time.monotonic() + ENDED_WITHIN_S
+    while link.control is None and seen.runtime_state == PLAYING and time.monotonic() < end_s:
+        # Ours may just be ending.
+        seen = probe(options.host)
     if link.control is None and seen.runtime_state == PLAYING:
         # Ours has ended with its interface: to connect would stop what somebody has started meanwhile.
         message = "a program plays that is not ours: stop it on the pendant, then acknowledge again"

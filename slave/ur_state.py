@@ -37,6 +37,9 @@ SAFETY_MODES: Final = {
     13: "three position enabling stop",
 }
 NORMAL, REDUCED, PROTECTIVE_STOP = 1, 2, 3
+FULL_SPEED: Final = 0.99
+"""Of the speed slider. Below it a command that is to take 2 ms takes longer, and of those that follow some are lost."""
+SLIDER: Final = "set it to 100 % on the pendant, max_speed bounds the tool"
 
 EMERGENCY_BITS: Final = 1 << 5 | 1 << 6 | 1 << 7
 PROTECTIVE_BIT: Final = 1 << 2
@@ -67,6 +70,7 @@ VARIABLES: Final = (
     "safety_mode",
     "safety_status_bits",
     "runtime_state",
+    "target_speed_fraction",
 )
 RAW_WRENCH: Final = "ft_raw_wrench"
 
@@ -92,11 +96,14 @@ class UrState(NamedTuple):
     safety_mode: int
     safety_bits: int
     runtime_state: int
+    speed_fraction: float = 1.0
+    """Where the speed slider stands, 0 to 1."""
 
     @property
     def finite(self) -> bool:
         """Whether all its numbers are."""
-        return all(map(math.isfinite, (*self.q, *self.qd, *self.pose, *self.speed, *self.wrench)))
+        numbers = (*self.q, *self.qd, *self.pose, *self.speed, *self.wrench, self.speed_fraction)
+        return all(map(math.isfinite, numbers))
 
 
 def read_state(receive: Any, *, raw_wrench: bool) -> UrState:  # noqa: ANN401  # rtde_receive.RTDEReceiveInterface
@@ -113,6 +120,7 @@ def read_state(receive: Any, *, raw_wrench: bool) -> UrState:  # noqa: ANN401  #
         receive.getSafetyMode(),
         receive.getSafetyStatusBits(),
         receive.getRuntimeState(),
+        receive.getTargetSpeedFraction(),
     )
 
 
@@ -142,6 +150,8 @@ def safety_stop(state: UrState, before: UrState | None = None) -> str | None:
             f"the control script is {does} (at the pendant, by an error, or by its watchdog): see the pendant's log,"
             " then acknowledge"
         )
+    if state.speed_fraction < FULL_SPEED:
+        return f"speed slider at {100.0 * state.speed_fraction:.0f} %: {SLIDER}, then acknowledge"
     return None
 
 

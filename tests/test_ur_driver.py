@@ -10,6 +10,7 @@ from tests.ur.fake_rtde import START_POSE, STOPPED, Arm, install
 
 from haptether.slave import SlaveSample, UrSlave
 from haptether.slave.ur_checks import UrRefusedError
+from haptether.slave.ur_halting import REST_S, STOP_S
 from haptether.slave.ur_link import LinkError
 from haptether.slave.ur_recovery import UNLOCK_AFTER_S
 
@@ -101,6 +102,7 @@ def test_it_is_heard_while_it_waits(arm: Arm) -> None:
         ({"runtime_state": 2, "version": (5, 11, 0, 0)}, "program: playing: somebody else's program"),
         ({"version": (5, 3, 0, 0), "runtime_state": 1}, "software: 5.3.0: needs"),
         ({"remote": False, "runtime_state": 1}, "remote control: off: switch the pendant"),
+        ({"slider": 0.5, "runtime_state": 1}, "speed slider: 50 %: set it to 100 % on the pendant"),
     ],
 )
 def test_what_is_not_ready_is_refused_before_anything_is_sent(arm: Arm, change: dict[str, Any], said: str) -> None:
@@ -117,7 +119,8 @@ def test_the_checklist_says_all_lines(arm: Arm, capsys: pytest.CaptureFixture[st
     said = capsys.readouterr().err
     for line in (
         "reachable", "software: 5.11.0", "remote control: on", "robot mode: running", "safety mode: normal",
-        "program: stopped", "payload: 1.5 kg", "tool: ", "force sensor: zeroed", "watchdog: 10 Hz, tried",
+        "speed slider: 100 %", "program: stopped", "workspace: no planes", "payload: 1.5 kg", "tool: ",
+        "force sensor: zeroed", "watchdog: 10 Hz, tried",
     ):  # fmt: skip
         assert f"ur fake: ok       {line}" in said, said
 
@@ -136,7 +139,7 @@ def test_without_the_library_the_error_names_the_remedy(monkeypatch: pytest.Monk
 
 def test_a_first_command_elsewhere_is_refused(arm: Arm) -> None:
     driven = Driven(arm)
-    driven.until(lambda _: driven.driver._guard is not None and driven.driver._guard.over)
+    driven.until(lambda _: driven.driver._alive.armed)
     driven.turn(moving=True, at=0.012)
     assert "12.0 mm away from where the tool is" in driven.fault()
     assert "speedL" not in arm.names
@@ -174,6 +177,24 @@ def test_an_arm_that_would_go_on_is_stopped_in_silence(arm: Arm) -> None:
     driven.driver.close()
 
 
+def test_torques_begin_anew_after_silence(arm: Arm) -> None:
+    arm.version = (5, 26, 0, 0)
+    driven = Driven(arm, mode="direct-torque")
+    driven.until(lambda _: arm.names[-1] == "directTorque", moving=True)
+    end_s = time.monotonic() + LONG_S
+    while "stopJ" not in arm.names:
+        assert time.monotonic() < end_s
+        time.sleep(0.001)
+    # A person has moved the arm meanwhile: springs from where it was would throw it back with 30 N m.
+    arm.q[1] += 0.1
+    arm.kicked_s, arm.runtime_state = time.monotonic(), 2
+    sent = len(arm.said)
+    driven.until(lambda _: "directTorque" in arm.names[sent:], moving=True)
+    (torque,) = next(call[1:] for call in arm.said[sent:] if call[0] == "directTorque")
+    assert max(map(abs, torque)) < 1.0
+    driven.driver.close()
+
+
 def test_a_stop_returns_at_once_and_is_done_once(arm: Arm) -> None:
     driven = Driven(arm)
     driven.moves()
@@ -201,6 +222,79 @@ def test_a_stop_that_is_not_heard_ends_the_program(arm: Arm) -> None:
     assert arm.runtime_state == STOPPED
     assert "kill" in arm.names
     driven.driver.close()
+
+
+def test_an_arm_that_moves_on_after_its_stop_ends_the_program(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    arm.qd[2] = 0.3
+    driven.driver.stop()
+    begun_s = time.monotonic()
+    assert driven.fault().startswith("a soft stop was acknowledged, and the arm still moves")
+    # Not before it has had the time that a soft stop may take.
+    assert time.monotonic() - begun_s > STOP_S
+    driven.until(lambda _: "stop" in arm.dashboard)
+    assert "kill" in arm.names
+    driven.driver.close()
+
+
+def test_an_arm_that_rested_may_be_moved_by_somebody_else(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    driven.driver.stop()
+    driven.until(lambda _: not driven.driver._halting.busy)
+    driven.turn()
+    arm.qd[2] = 0.3
+    end_s = time.monotonic() + REST_S + 0.3
+    while time.monotonic() < end_s:
+        assert driven.turn().fault is None
+    driven.driver.close()
+
+
+@pytest.mark.parametrize(
+    ("mode", "qd", "asked", "want"),
+    [
+        # 0.1 s of the watchdog, 70 ms of them for braking.
+        ("servoj", 0.7, 5.0, 10.0),
+        ("servoj", 0.2, 5.0, 5.0),
+        ("servoj", 3.0, 5.0, 20.0),
+        ("speedl", 0.0, 0.5, 0.2 / 0.07),
+    ],
+)
+def test_a_stop_ends_before_the_watchdog_would(arm: Arm, mode: str, qd: float, asked: float, want: float) -> None:
+    driven = Driven(arm, mode=mode, stop_deceleration=asked)
+    order, call = {"servoj": ("servoJ", "servoStop"), "speedl": ("speedL", "speedStop")}[mode]
+    driven.until(lambda _: arm.names[-1] == order, moving=True)
+    arm.qd[1], arm.speed[0] = -qd, 0.2
+    driven.turn(moving=True)
+    driven.driver.stop()
+    arm.qd[1] = 0.0
+    driven.until(lambda _: call in arm.names)
+    assert arm.said[arm.names.index(call)][1] == pytest.approx(want)
+    driven.driver.close()
+
+
+@pytest.mark.parametrize("mode", ["servoj", "servol", "speedl"])
+def test_an_arm_that_does_not_follow_is_a_fault(arm: Arm, mode: str) -> None:
+    driven = Driven(arm, mode=mode, max_speed=0.1)
+    driven.until(lambda _: driven.driver._alive.armed)
+    # It accepts every command and stands still. 20 mm, and 0.3 s and the lookahead at 0.1 m/s.
+    begun_s = time.monotonic()
+    fault, at = None, 0.0
+    while fault is None:
+        at = min(at + 0.0002, 0.5)
+        fault = driven.turn(moving=True, at=at).fault
+        assert time.monotonic() - begun_s < LONG_S
+    assert "the arm does not follow: 5" in fault
+    assert "(allowed 55 mm)" in fault
+    driven.driver.close()
+
+
+def test_a_tool_outside_its_workspace_is_refused_before_it_moves(arm: Arm) -> None:
+    with pytest.raises(UrRefusedError, match=r"workspace: 1 plane, the tool 84\.1 mm outside: move the tool inside"):
+        Driven(arm, workspace=[[0.0, 0.0, 2.0, 0.6]])
+    assert "zeroFtSensor" not in arm.names
+    assert "speedL" not in arm.names
 
 
 @pytest.mark.parametrize("name", ["speedL", "kickWatchdog"])
@@ -278,6 +372,10 @@ def local(arm: Arm) -> None:
     arm.remote = False
 
 
+def slowed(arm: Arm) -> None:
+    arm.slider = 0.7
+
+
 def powered_off(arm: Arm) -> None:
     arm.robot_mode, arm.runtime_state = 3, STOPPED
 
@@ -293,6 +391,7 @@ FAULTS: list[tuple[Callable[[Arm], None], str]] = [
     (frozen, "nothing has come from the controller for 1"),
     (closed, "the controller closed the connection"),
     (local, "remote control was switched off"),
+    (slowed, "speed slider at 70 %: set it to 100 % on the pendant"),
 ]
 
 
@@ -309,7 +408,7 @@ def test_each_fault_is_latched_with_its_reason(arm: Arm, cause: Callable[[Arm], 
     # Gone by itself: it stays until somebody says so.
     sent = len([name for name in arm.names if name == "speedL"])
     arm.runtime_state, arm.safety_mode, arm.safety_bits, arm.robot_mode = 2, 1, 1, 7
-    arm.connected, arm.frozen_at, arm.remote = True, None, True
+    arm.connected, arm.frozen_at, arm.remote, arm.slider = True, None, True, 1.0
     for _ in range(20):
         assert driven.turn().fault == fault
         driven.driver.write((driven.home,), (0.0,))

@@ -160,6 +160,23 @@ def test_zero_ftsensor_takes_away_what_is_there(world: World) -> None:
     assert world.vector("ft_raw_wrench")[:3] == pytest.approx(turn.T @ (3.0, -4.0, 12.0))
 
 
+def test_the_sensor_carries_the_payload_and_the_force_at_the_tool_does_not(world: World) -> None:
+    cog = (0.01, -0.02, 0.05)
+    world.of.setup.set_payload(1.5, cog)
+    world.cycles(2)
+    turn = world.of.robot.measured.tool[:3, :3]
+    weight = turn.T @ (0.0, 0.0, -1.5 * 9.82)
+    assert world.vector("ft_raw_wrench") == pytest.approx([*weight, *np.cross(cog, weight)])
+    assert world.vector("actual_TCP_force")[:3] == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("line", "answer"), [("slider 0.5", "ok"), ("slider 1.2", "error: slider: 1.2: must be")])
+def test_the_speed_slider_is_told(world: World, line: str, answer: str) -> None:
+    assert world.line.answer(line, 0.0).startswith(answer)
+    world.cycles(2)
+    assert world.number("target_speed_fraction") == (0.5 if answer == "ok" else 1.0)
+
+
 def test_force_mode_presses_with_the_force_that_was_asked_for() -> None:
     world = World(scene="three_axis_box", overrides=["environment.objects.0.contact.stiffness=2000"])
     world.environment.engage()

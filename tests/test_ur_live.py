@@ -106,6 +106,10 @@ def remote(emulated: Emulated) -> None:
     emulated.do("remote-control on")
 
 
+def full_speed(emulated: Emulated) -> None:
+    emulated.do("slider 1")
+
+
 # What RTDE tells is known within a package; silence after 100 ms; remote control is asked for once a second.
 FAULTS = [
     FaultRow("emergency stop", "emergency-stop", "emergency stop: find its cause", 0.05, released),
@@ -114,6 +118,7 @@ FAULTS = [
     FaultRow("power off", "power off", "robot mode power off", 0.05, powered),
     FaultRow("remote control off", "remote-control off", "remote control was switched off", 2.2,
              remote),
+    FaultRow("speed slider down", "slider 0.5", "speed slider at 50 %", 0.05, full_speed),
     FaultRow("network gone for 0.4 s", "freeze 0.4", "nothing has come from the controller for 1", 0.125, nothing),
     FaultRow("connections closed", "drop all", "the controller closed the connection", 0.05, nothing),
 ]  # fmt: skip

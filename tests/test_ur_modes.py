@@ -8,7 +8,8 @@ import pytest
 from tests.ur.fake_rtde import START_Q
 
 from haptether.slave import UrKinematics, ur_model
-from haptether.slave.ur_modes import JOINT_SPEED_SHARE, Joints, UnreachableError, check_mode, ur_mode
+from haptether.slave.ur_joints import JOINT_SPEED_SHARE, Joints, UnreachableError
+from haptether.slave.ur_modes import check_mode, ur_mode
 from haptether.slave.ur_options import UrOptions, ur_options
 from haptether.slave.ur_pose import matrix_from_rotvec, pose_from_transform
 from haptether.slave.ur_setpoint import SetPoint

@@ -28,6 +28,23 @@ def test_the_raw_force_is_turned_from_the_flange_to_the_base() -> None:
     assert wrench.force((*shown, 0.0, 0.0, 0.0), POSE, 0.002) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
+def test_the_payload_is_taken_away_in_every_orientation() -> None:
+    """A sensor with a bias of its own and 1.5 kg on it, zeroed once and then turned: SciPy has the rotations."""
+    flange_from_tool = Rotation.from_rotvec(TOOL[3:])
+    bias, weight = np.array((2.0, -3.0, 0.5)), np.array((0.0, 0.0, -1.5 * 9.80665))
+
+    def shown(rotvec: tuple[float, ...], pushed: tuple[float, ...]) -> tuple[float, ...]:
+        base_from_flange = Rotation.from_rotvec(rotvec) * flange_from_tool.inv()
+        return (*(bias + base_from_flange.inv().apply(np.array(pushed) + weight)), 0.0, 0.0, 0.0)
+
+    wrench = UrWrench(raw=True, tool=TOOL, filter_hz=None, deadband_n=0.0, payload_kg=1.5)
+    wrench.zero(shown(POSE[3:], (0.0, 0.0, 0.0)), POSE)
+    for turned in ((0.0, 0.0, 0.0), (1.2, 0.0, 0.0), (0.3, -2.0, 0.9)):
+        pose = (*POSE[:3], *turned)
+        for pushed in ((0.0, 0.0, 0.0), (5.0, -1.0, 2.0)):
+            assert wrench.base_force(shown(turned, pushed), pose) == pytest.approx(pushed, abs=1e-12)
+
+
 def test_the_filter_is_the_discrete_one_of_its_corner() -> None:
     """Against SciPy's zero-order hold of 1/(1 + s/2 pi f)."""
     corner, period_s = 2 * math.pi * 30.0, 0.002

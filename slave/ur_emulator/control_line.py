@@ -71,6 +71,7 @@ class ControlLine:
             "play": lambda _w, _t: None if self._of.play() else _refuse("no program is paused or loaded"),
             "power": self._power,
             "remote-control": self._remote_control,
+            "slider": self._slider,
             "freeze": self._freeze,
             "thaw": lambda _w, _t: self._faults.thaw(),
             "late": self._late,
@@ -175,6 +176,12 @@ class ControlLine:
 
     def _remote_control(self, words: list[str], _now_s: float) -> None:
         self._of.remote_control = _switch(words)
+
+    def _slider(self, words: list[str], _now_s: float) -> None:
+        (fraction,) = _numbers(words, 1)
+        if not 0.0 <= fraction <= 1.0:
+            _refuse(f"{words[0]}: must be between 0 and 1")
+        self._of.slider = fraction
 
     # ------------------------------------------------------------------------------------------------- network
 

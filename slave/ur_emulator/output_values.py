@@ -51,7 +51,13 @@ class OutputValues:
             "target_TCP_pose": six(pose_from_transform(tool)),
             "target_TCP_speed": target_velocity,
             "tcp_offset": robot.arm.tcp_offset,
-            "ft_raw_wrench": robot.sensing.raw(robot.arm.flange_turn(measured.tool), robot.arm.lever(measured.tool)),
+            "ft_raw_wrench": robot.sensing.raw(
+                robot.arm.flange_turn(measured.tool),
+                robot.arm.lever(measured.tool),
+                # `set_gravity` takes what pushes the base up.
+                np.array(of.setup.gravity) * -of.setup.payload_kg,
+                of.setup.payload_cog,
+            ),
             "payload": of.setup.payload_kg,
             "payload_cog": of.setup.payload_cog,
             "payload_inertia": of.setup.payload_inertia,

@@ -7,6 +7,7 @@ from haptether._core import ForceSensor
 
 Array = npt.NDArray[np.float64]
 Six = tuple[float, ...]
+Three = tuple[float, ...]
 TORQUE_SHARE = 0.1
 """Noise of a torque in N m, of that of a force in N."""
 
@@ -42,18 +43,26 @@ class WrenchSensing:
             self._last = self.external
         return tuple([w - o for w, o in zip(self._last, self.offset, strict=True)])
 
-    def raw(self, flange_turn: Array, lever: Array) -> Six:
-        """The last sample at the flange and in its frame, without the offset: ft_raw_wrench.
+    def raw(self, flange_turn: Array, lever: Array, weight: Array, cog: Three) -> Six:
+        """The last sample at the flange and in its frame, with the payload and without the offset: ft_raw_wrench.
 
         Args:
             flange_turn: Rotation base_from_flange, (3, 3).
             lever: From the flange to the tool in m, in the frame of the base, (3,).
+            weight: Of the payload in N, in the frame of the base, (3,).
+            cog: The payload's centre of gravity in m, in the frame of the flange.
         """
         force, torque = self._last[:3], self._last[3:]
-        (x, y, z), (fx, fy, fz), (tx, ty, tz) = lever.tolist(), force, torque
-        about_flange = (tx + y * fz - z * fy, ty + z * fx - x * fz, tz + x * fy - y * fx)
-        return (*(np.array(force) @ flange_turn).tolist(), *(np.array(about_flange) @ flange_turn).tolist())
+        hangs = weight @ flange_turn
+        # Not numpy's product, which takes longer than all the rest.
+        about_flange = np.array(_cross(lever.tolist(), force)) + torque
+        about_cog = _cross(cog, hangs.tolist())
+        return (*(force @ flange_turn + hangs).tolist(), *(about_flange @ flange_turn + about_cog).tolist())
 
     def zero(self) -> None:
         """zero_ftsensor: what it shows now becomes zero."""
         self.offset = self._last
+
+
+def _cross(a: Three, b: Three) -> Three:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -26,7 +26,9 @@ class Arm:
     pose: list[float] = field(default_factory=lambda: list(START_POSE))
     speed: list[float] = field(default_factory=lambda: [0.0] * 6)
     q: list[float] = field(default_factory=lambda: list(START_Q))
+    qd: list[float] = field(default_factory=lambda: [0.0] * 6)
     force: list[float] = field(default_factory=lambda: [0.0] * 6)
+    slider: float = 1.0
     runtime_state: int = STOPPED
     robot_mode: int = 7
     safety_mode: int = 1
@@ -73,7 +75,7 @@ class Arm:
         return Probe(
             version=self.version, robot_mode=self.robot_mode, safety_mode=self.safety_mode,
             safety_bits=self.safety_bits, runtime_state=self.runtime_state, q=tuple(self.q), pose=tuple(self.pose),
-            rate_hz=500.0,
+            rate_hz=500.0, speed_fraction=self.slider,
         )  # fmt: skip
 
     def stop_by_protection(self) -> None:
@@ -160,10 +162,11 @@ class Receive:
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         arm = self._arm
         shown: dict[str, Any] = {
-            "getTargetQ": arm.q, "getActualQ": arm.q, "getActualQd": [0.0] * 6, "getActualTCPPose": arm.pose,
+            "getTargetQ": arm.q, "getActualQ": arm.q, "getActualQd": arm.qd, "getActualTCPPose": arm.pose,
             "getActualTCPSpeed": arm.speed, "getActualTCPForce": arm.force, "getFtRawWrench": arm.force,
             "getRobotMode": arm.robot_mode, "getSafetyMode": arm.safety_mode,
             "getSafetyStatusBits": arm.safety_bits, "getRuntimeState": arm.runtime_state,
+            "getTargetSpeedFraction": arm.slider,
         }  # fmt: skip
         return lambda: shown[name]
 
@@ -176,4 +179,5 @@ def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
     monkeypatch.setattr("haptether.slave.ur_link.ControlProcess", lambda *_: Control(arm))
     for place in ("ur_checks", "ur_recovery"):
         monkeypatch.setattr(f"haptether.slave.{place}.probe", arm.probe)
+    monkeypatch.setattr("haptether.slave.ur_checks.resolved", lambda host: host)
     monkeypatch.setattr("haptether.slave.ur_dashboard.ask", arm.ask)
