@@ -6,12 +6,13 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import NoReturn
 
 import pytest
 
 from haptether.slave import ur_dashboard, ur_probe
 from haptether.slave.ur_dashboard import DashboardError
-from haptether.slave.ur_probe import ProbeError, probe
+from haptether.slave.ur_probe import ProbeError, probe, resolved
 
 HOST = "127.0.3.98"
 LIMIT_S = 0.3
@@ -129,3 +130,26 @@ def test_what_the_dashboard_says(serve: Serve) -> None:
     ur_dashboard.stop_program(HOST)
     with pytest.raises(DashboardError, match="unlock protective stop: Cannot unlock protective stop until 5s"):
         ur_dashboard.unlock_protective_stop(HOST)
+
+
+@pytest.mark.parametrize(("host", "address"), [("127.0.3.77", "127.0.3.77"), ("localhost", "127.0.0.1")])
+def test_a_name_becomes_an_address(host: str, address: str) -> None:
+    assert resolved(host) == address
+
+
+def test_a_name_without_an_address_is_an_error_and_a_slow_name_server_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unknown(*_: object) -> NoReturn:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(ProbeError, match=r"arm\.invalid: Name or service not known"):
+        resolved("arm.invalid")
+    answers = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_: answers.wait(30.0))
+    begun_s = time.monotonic()
+    with pytest.raises(ProbeError, match=r"look-up: has not returned within 0\.3 s"):
+        resolved("arm.invalid", limit_s=0.3)
+    assert 0.3 <= time.monotonic() - begun_s < 5.0
+    answers.set()
