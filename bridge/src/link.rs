@@ -96,7 +96,10 @@ const WINDOW: u32 = 2048;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Newest<const N: usize> {
     frame: Frame<N>,
+    /// The tick that took it: silence and age count from then.
     arrived_ns: u64,
+    /// When it had arrived for sure.
+    by_ns: u64,
 }
 
 /// One end: numbers what it sends, keeps the newest of what it receives.
@@ -111,6 +114,8 @@ pub struct FrameLink<const N: usize> {
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     path: PeerPath,
+    /// How late after a tick's time its frames may have arrived.
+    late_ns: u64,
     /// A silent peer may be followed by another session after this time.
     lease_ns: u64,
 }
@@ -128,6 +133,7 @@ impl<const N: usize> FrameLink<N> {
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
             path: PeerPath::new(PathSettings::default()),
+            late_ns: 0,
             lease_ns,
         }
     }
@@ -139,7 +145,13 @@ impl<const N: usize> FrameLink<N> {
         }
     }
 
-    /// Takes a datagram that arrived at `now_ns`; strictly newer frames replace the newest.
+    /// Until the next call frames are received up to `late_ns` after the time that they are given: of a loop that woke
+    /// late, and else would have seen them before they were sent.
+    pub fn arriving_late(&mut self, late_ns: u64) {
+        self.late_ns = late_ns;
+    }
+
+    /// Takes a datagram that arrived by the tick of `now_ns`; strictly newer frames replace the newest.
     ///
     /// Says whether the frame began a session. A refused datagram changes nothing but its counter.
     pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
@@ -166,12 +178,13 @@ impl<const N: usize> FrameLink<N> {
         };
         self.arrived += 1;
         self.statistics.fresh += 1;
-        self.newest = Some(Newest { frame, arrived_ns: now_ns });
+        let by_ns = now_ns.saturating_add(self.late_ns);
+        self.newest = Some(Newest { frame, arrived_ns: now_ns, by_ns });
         self.count_missing();
         let echo = frame.echo.filter(|echo| echo.session == self.session);
-        self.path.news(frame.sent_ns, echo.as_ref(), now_ns);
+        self.path.news(frame.sent_ns, echo.as_ref(), now_ns, by_ns);
         if let Some(echo) = echo {
-            let round_trip = now_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
+            let round_trip = by_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
             self.statistics.round_trip_ns = round_trip;
             let least = self.statistics.least_round_trip_ns;
             self.statistics.least_round_trip_ns = if least == 0 { round_trip } else { least.min(round_trip) };
@@ -219,7 +232,7 @@ impl<const N: usize> FrameLink<N> {
             session: newest.frame.session,
             sequence: newest.frame.sequence,
             sent_ns: newest.frame.sent_ns,
-            held_ns: now_ns.saturating_sub(newest.arrived_ns),
+            held_ns: now_ns.saturating_sub(newest.by_ns),
         });
         let frame = Frame {
             role: self.role,

@@ -60,6 +60,11 @@ impl Pace {
         }
     }
 
+    /// How far beyond the tick's time the loop woke.
+    pub(crate) fn late_ns(&self, wake: &Wake) -> u64 {
+        wake.overshoot_ns - wake.missed * self.period_ns
+    }
+
     /// Waits for the next tick after one.
     pub(crate) fn wait_after(&mut self, wake: &Wake) {
         self.deadline_ns = wake.deadline_ns + self.period_ns;

@@ -76,8 +76,9 @@ impl PeerPath {
 
     /// Takes a frame newer than all before that the peer sent at `sent_ns` on its clock; `echo` is of our session.
     ///
-    /// When ours left we know ourselves; of the echo only the counter and the time held are used.
-    pub fn news(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64) {
+    /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we know
+    /// ourselves; of the echo only the counter and the time held are used.
+    pub fn news(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
         let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
         let told = match exchanged {
             Some((own_sent_ns, held_ns)) => self
@@ -86,12 +87,12 @@ impl PeerPath {
                     sent_ns: own_sent_ns,
                     peer_received_ns: sent_ns.saturating_sub(held_ns),
                     peer_sent_ns: sent_ns,
-                    received_ns: now_ns,
+                    received_ns: by_ns,
                 })
                 .map(|_| ()),
-            None => self.clock.backward_delay(sent_ns, now_ns).map(|_| ()),
+            None => self.clock.backward_delay(sent_ns, by_ns).map(|_| ()),
         };
-        let aged = self.age.received(now_ns, echo.map(|echo| (echo.sequence, echo.held_ns)));
+        let aged = self.age.received(by_ns, echo.map(|echo| (echo.sequence, echo.held_ns)));
         if let Some(age_ns) = self.age.age(now_ns).and_then(|age| age.at_most_ns) {
             self.usual.take(now_ns, age_ns);
         }

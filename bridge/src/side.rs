@@ -56,6 +56,9 @@ pub trait Side {
     /// True time begins at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
 
+    /// Until the next call datagrams are received up to `late_ns` after the time that they are given: the loop woke late.
+    fn arriving_late(&mut self, late_ns: u64);
+
     /// Takes a datagram that arrived by `now_ns`; a refused one is counted and otherwise forgotten.
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal>;
 
@@ -124,6 +127,10 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);
         self.person.begin(now_ns);
+    }
+
+    fn arriving_late(&mut self, late_ns: u64) {
+        self.endpoint.arriving_late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
@@ -219,6 +226,10 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);
+    }
+
+    fn arriving_late(&mut self, late_ns: u64) {
+        self.endpoint.arriving_late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {

@@ -50,6 +50,10 @@ impl Side for Measuring {
 
     fn begin(&mut self, _: u64) {}
 
+    fn arriving_late(&mut self, late_ns: u64) {
+        self.link.arriving_late(late_ns);
+    }
+
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
         let before = self.link.path_report(now_ns).clock_faults;
         self.link.receive(now_ns, datagram)?;

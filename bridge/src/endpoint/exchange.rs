@@ -57,6 +57,11 @@ impl<const N: usize> Exchange<N> {
         })
     }
 
+    /// See [`FrameLink::arriving_late`].
+    pub(super) fn arriving_late(&mut self, late_ns: u64) {
+        self.link.arriving_late(late_ns);
+    }
+
     /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
     pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
         let before = self.newest().map(|frame| (frame.sequence, frame.sent_ns));

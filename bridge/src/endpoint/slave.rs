@@ -77,6 +77,11 @@ impl<const N: usize> SlaveEndpoint<N> {
         })
     }
 
+    /// Until the next call datagrams are received up to `late_ns` after the time that they are given.
+    pub fn arriving_late(&mut self, late_ns: u64) {
+        self.exchange.arriving_late(late_ns);
+    }
+
     /// Takes a datagram that arrived by `now_ns`.
     pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
         if self.exchange.receive(now_ns, datagram)? {

@@ -288,6 +288,10 @@ impl<P: MasterPlant<N>, const N: usize> Side for Near<P, N> {
         self.side.begin(now_ns);
     }
 
+    fn arriving_late(&mut self, late_ns: u64) {
+        self.side.arriving_late(late_ns);
+    }
+
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
         let taken = self.side.receive(now_ns, datagram);
         self.watch.accepted::<N>(now_ns, datagram, taken.is_ok());
@@ -336,6 +340,10 @@ impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
 
     fn begin(&mut self, now_ns: u64) {
         self.side.begin(now_ns);
+    }
+
+    fn arriving_late(&mut self, late_ns: u64) {
+        self.side.arriving_late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {

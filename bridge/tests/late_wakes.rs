@@ -1,0 +1,73 @@
+//! Loops that wake late on one and the same clock: a tick's time is its deadline, and what it takes may have been sent
+//! after that. Nothing of it is a fault of a clock.
+
+use haptether_bridge::{FrameLink, MAX_FRAME, PortState, Role, Status};
+
+const US: u64 = 1_000;
+const MS: u64 = 1_000 * US;
+const TICKS: u64 = 20_000;
+/// What a frame takes.
+const WAY_NS: u64 = 30 * US;
+
+/// One loop: its end of the link, its next deadline, and what is on the way to it with the time of its arrival.
+struct Loop {
+    link: FrameLink<1>,
+    deadline_ns: u64,
+    woken_ns: u64,
+    inward: Vec<(u64, Vec<u8>)>,
+}
+
+impl Loop {
+    fn new(role: Role, session: u64, first_ns: u64) -> Self {
+        Self {
+            link: FrameLink::new(role, session, 1_000 * MS),
+            deadline_ns: first_ns,
+            woken_ns: first_ns,
+            inward: Vec::new(),
+        }
+    }
+
+    /// Takes what has arrived, and gives what it sends with the time at which it leaves.
+    fn turn(&mut self, tells: bool) -> (u64, Vec<u8>) {
+        let (now_ns, woken_ns) = (self.deadline_ns, self.woken_ns);
+        for (_, datagram) in self.inward.extract_if(.., |(arrives_ns, _)| *arrives_ns <= woken_ns) {
+            self.link.arriving_late(if tells { woken_ns - now_ns } else { 0 });
+            self.link.receive(now_ns, &datagram).unwrap();
+        }
+        let status = Status { hears_peer: true, ..Status::default() };
+        let mut buffer = [0; MAX_FRAME];
+        (woken_ns, self.link.send(now_ns, status, PortState::default(), &mut buffer).to_vec())
+    }
+}
+
+/// Faults of a clock that each side counts, and the least round trip of the first in ns.
+fn run(tells: bool) -> ([u64; 2], u64) {
+    let mut loops = [Loop::new(Role::Master, 1, 10 * MS), Loop::new(Role::Slave, 2, 10 * MS + 500 * US)];
+    let mut draw = 1_u64;
+    for _ in 0..2 * TICKS {
+        let turns = usize::from(loops[1].woken_ns < loops[0].woken_ns);
+        let (leaves_ns, datagram) = loops[turns].turn(tells);
+        loops[1 - turns].inward.push((leaves_ns + WAY_NS, datagram));
+        // Mostly 20 us late, one wake in sixteen by up to 0.95 ms.
+        draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let late_ns = if draw >> 60 == 0 { (draw >> 20) % (950 * US) } else { 20 * US };
+        loops[turns].deadline_ns += MS;
+        loops[turns].woken_ns = loops[turns].deadline_ns + late_ns;
+    }
+    let faults = [0, 1].map(|side: usize| loops[side].link.path_report(loops[side].deadline_ns).clock_faults);
+    (faults, loops[0].link.statistics().least_round_trip_ns)
+}
+
+#[test]
+fn late_wakes_are_no_fault_of_a_clock() {
+    let (faults, least_ns) = run(true);
+    assert_eq!(faults, [0, 0]);
+    // Never below what the way takes there and back.
+    assert!(least_ns >= 2 * WAY_NS, "{least_ns}");
+}
+
+#[test]
+fn and_would_be_if_their_lateness_were_not_told() {
+    let (faults, _) = run(false);
+    assert!(faults[0] > 0 && faults[1] > 0, "{faults:?}");
+}
