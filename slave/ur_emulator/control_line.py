@@ -92,7 +92,8 @@ class ControlLine:
         name, *words = line.split() or [""]
         command = self._commands.get(name)
         if command is None:
-            return f"error: {repr(name) if name else 'an empty line'}: must be one of {' '.join(sorted(self._commands))}"
+            seen = repr(name) if name else "an empty line"
+            return f"error: {seen}: must be one of {' '.join(sorted(self._commands))}"
         try:
             said = command(words, now_s)
         except ValueError as error:
