@@ -26,6 +26,9 @@ class SlaveDevice(Protocol):
     more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.slaves`, which is
     called with the options of the command line as keywords. A driver may have `acknowledge()`, called when a person at
     this side says that a fault is mended.
+
+    A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
+    whose `[slave] period_s` is off by more than 1 % is refused then, before anything moves.
     """
 
     paces: bool
@@ -44,4 +47,7 @@ class SlaveDevice(Protocol):
         """Comes to rest softly and stays until the next `write`; never an emergency stop. May be called again."""
 
     def close(self) -> None:
-        """Disconnects; called once, also after an exception, when the arm was told to stop."""
+        """Disconnects; called once, also after an exception, when the arm was told to stop.
+
+        Where the command is ended while `open` blocks, it is called on another thread, after 1 s.
+        """

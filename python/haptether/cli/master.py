@@ -103,7 +103,7 @@ class Master(LiveOptions):
         with Stopped() as stopped:
             master: LiveMaster | MasterRun
             if scene is not None:
-                master = start_master(scene, **how)
+                master = start_master(scene, stopped, **how)
             else:
                 settings = master_settings(
                     self.controller,

@@ -90,7 +90,7 @@ class Slave(LiveOptions):
         with Stopped() as stopped:
             slave: LiveSlave | SlaveRun
             if scene is not None:
-                slave = start_slave(scene, **how)
+                slave = start_slave(scene, stopped, **how)
             else:
                 settings = slave_settings(
                     wall_stiffness=self.wall_stiffness,
