@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, EntryPoints
@@ -262,6 +263,34 @@ def test_a_device_that_paces_by_another_period_than_the_scene_has_is_refused() -
     until(lambda: run.ticks > 3)
     run.finish()
     assert run.error is None
+
+
+def test_a_device_that_is_given_up_is_closed_once_and_neither_read_nor_moved() -> None:
+    class Blocked(Arm):
+        def __init__(self) -> None:
+            super().__init__(1)
+            self.let, self.calls = threading.Event(), list[str]()
+
+        def open(self) -> None:
+            self.let.wait(30.0)
+
+        def read(self) -> SlaveSample:
+            self.calls.append("read")
+            return super().read()
+
+        def close(self) -> None:
+            self.calls.append("close")
+
+    arm = Blocked()
+    run = SlaveRun(arm, SlaveLoop(ONE, listen="127.0.0.1:0", **how()))
+    assert not run.ready()
+    run.give_up()
+    assert arm.calls == ["close"]
+    assert gc.isenabled()
+    arm.let.set()
+    until(lambda: run.finished)
+    assert arm.calls == ["close"]
+    assert "nobody waited" in str(run.error)
 
 
 def test_of_two_loops_the_last_that_ends_brings_back_the_interpreter() -> None:
