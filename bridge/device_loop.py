@@ -4,22 +4,24 @@ import atexit
 import contextlib
 import gc
 import os
-import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from haptether._core import LoopReport, MasterLoop, MasterTrace, RecordingReport, SlaveLoop, SlaveTrace
+from haptether.bridge.interpreter import QUIET
 
 if TYPE_CHECKING:
     from haptether.master import MasterDevice
     from haptether.slave import SlaveDevice
 
-SWITCH_S = 2e-4
-"""How long another thread may keep the interpreter while the loop waits for it; Python's own 5 ms are five ticks."""
 JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
+GIVE_UP_S = 1.0
+"""How long a driver may still take to open its device once nobody waits for it any more."""
+PERIOD_SHARE = 0.01
+"""How far the period of a device may be from that of its loop; no clock of one is off by as much."""
 
 
 class DeviceError(RuntimeError):
@@ -36,20 +38,31 @@ class DeviceNotes:
     """A person says that it is mended; taken back once the device and the loop have heard it."""
     realtime: str = ""
     """What the loop's thread got of the system, once it has begun."""
+    closing: threading.Lock = field(default_factory=threading.Lock)
+    """Whoever gets it closes the device, and nobody else does."""
 
 
-def drive_master(device: "MasterDevice", loop: MasterLoop, notes: DeviceNotes | None = None) -> None:
+def drive_master(
+    device: "MasterDevice", loop: MasterLoop, notes: DeviceNotes | None = None, *, period_s: float | None = None
+) -> None:
     """Turns the loop of a master with its device until the run is over.
 
     The device is opened here, exerts no force at the end, and is closed.
 
+    Args:
+        device: What is driven.
+        loop: What leads it.
+        notes: What the device and a person beside it say to each other.
+        period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
+
     Raises:
-        DeviceError: The driver raised an exception: no force, and the slave has been told.
+        DeviceError: The device has another period, or the driver raised an exception: no force, and the slave has been
+            told.
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
     rest: tuple[float, ...] = ()
-    with _opened(device):
+    with _opened(device, notes, "[run] period_s", period_s):
         notes.realtime = loop.begin()
         wait = None if device.paces else loop.wait
         try:
@@ -79,18 +92,27 @@ def drive_master(device: "MasterDevice", loop: MasterLoop, notes: DeviceNotes | 
             raise _failed(device, error) from error
 
 
-def drive_slave(device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | None = None) -> None:
+def drive_slave(
+    device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | None = None, *, period_s: float | None = None
+) -> None:
     """Turns the loop of a slave with its arm until the run is over.
 
     The arm is opened here, is stopped at the end, and closed.
 
+    Args:
+        device: What is driven.
+        loop: What leads it.
+        notes: What the device and a person beside it say to each other.
+        period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
+
     Raises:
-        DeviceError: The driver raised an exception: the arm was told to stop, and the master has been told.
+        DeviceError: The device has another period, or the driver raised an exception: the arm was told to stop, and the
+            master has been told.
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
     before = "wait"
-    with _opened(device):
+    with _opened(device, notes, "[slave] period_s", period_s):
         notes.realtime = loop.begin()
         wait = None if device.paces else loop.wait
         try:
@@ -123,14 +145,19 @@ def drive_slave(device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | Non
 
 
 @contextlib.contextmanager
-def _opened(device: "MasterDevice | SlaveDevice") -> Iterator[None]:
+def _opened(
+    device: "MasterDevice | SlaveDevice", notes: DeviceNotes, key: str, period_s: float | None
+) -> Iterator[None]:
     try:
         device.open()
+        if notes.closing.locked():
+            message = "opened when nobody waited for it any more"
+            raise TimeoutError(message)
+        _check_period(device, key, period_s)
     except Exception as error:
         # What it had opened by then, nobody else closes.
-        with contextlib.suppress(Exception):
-            device.close()
-        raise _failed(device, error) from error
+        _close(device, notes)
+        raise error if isinstance(error, DeviceError) else _failed(device, error) from error
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         yield
@@ -138,6 +165,28 @@ def _opened(device: "MasterDevice | SlaveDevice") -> Iterator[None]:
         # The loop has asked for real time for this thread, which is the caller's.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, *before)
+        _close(device, notes)
+
+
+def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
+    """Refuses a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
+
+    Raises:
+        DeviceError: With both periods and the remedy.
+    """
+    seen_s: float | None = getattr(device, "period_s", None)
+    if period_s is None or seen_s is None or not device.paces:
+        return
+    if not abs(seen_s - period_s) <= PERIOD_SHARE * period_s:
+        message = (
+            f"{key} = {period_s:g}: {type(device).__name__} gives a sample each {seen_s:g} s and paces the loop: "
+            f"set {key} = {seen_s:g}"
+        )
+        raise DeviceError(message)
+
+
+def _close(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
+    if notes.closing.acquire(blocking=False):
         with contextlib.suppress(Exception):
             device.close()
 
@@ -158,19 +207,22 @@ def _failed(device: "MasterDevice | SlaveDevice", error: Exception) -> DeviceErr
 class DeviceRun:
     """A loop and its device on a thread of their own; what is seen of it is as with `LiveMaster` and `LiveSlave`."""
 
-    def __init__(self, loop: MasterLoop | SlaveLoop, drive: Callable[[DeviceNotes], None]) -> None:
+    def __init__(
+        self,
+        device: "MasterDevice | SlaveDevice",
+        loop: MasterLoop | SlaveLoop,
+        drive: Callable[[DeviceNotes], None],
+    ) -> None:
         self.notes = DeviceNotes()
         self.error: Exception | None = None
         """What ended the loop, if anything did."""
+        self._device = device
         self._loop = loop
         self._drive = drive
         self._thread = threading.Thread(target=self._run, name="haptether-loop", daemon=True)
         # The collector strikes wherever memory is asked for, the loop included: `poll` collects what is young instead.
-        gc.collect()
-        gc.freeze()
-        gc.disable()
-        self._switch_s = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_S)
+        QUIET.begin()
+        self._quiet = True
         # Whatever ends this process, the device is left at rest before its thread is.
         atexit.register(self._leave)
         self._thread.start()
@@ -242,22 +294,34 @@ class DeviceRun:
         """Says that the fault of this side is mended: the clutch must then be released and pressed."""
         self.notes.acknowledged = True
 
+    def give_up(self) -> None:
+        """Ends a run whose device does not open; where `open` does not return within 1 s, the device is closed here."""
+        self._loop.stop()
+        self._thread.join(GIVE_UP_S)
+        atexit.unregister(self._leave)
+        if self._thread.is_alive():
+            _close(self._device, self.notes)
+        self._unquiet()
+
+    def _unquiet(self) -> None:
+        if self._quiet:
+            self._quiet = False
+            QUIET.end()
+
     def _end(self) -> None:
         self._leave()
         atexit.unregister(self._leave)
-        sys.setswitchinterval(self._switch_s)
-        gc.enable()
-        gc.unfreeze()
+        self._unquiet()
         if self._thread.is_alive():
             message = f"the driver has blocked for {JOIN_S:g} s: its device keeps what it was told last"
             raise RuntimeError(message)
 
 
 class MasterRun(DeviceRun):
-    """A master with its device on a thread of its own."""
+    """A master with its device on a thread of its own; `period_s` as with `drive_master`."""
 
-    def __init__(self, device: "MasterDevice", loop: MasterLoop) -> None:
-        super().__init__(loop, lambda notes: drive_master(device, loop, notes))
+    def __init__(self, device: "MasterDevice", loop: MasterLoop, *, period_s: float | None = None) -> None:
+        super().__init__(device, loop, lambda notes: drive_master(device, loop, notes, period_s=period_s))
         self._master = loop
 
     def press_clutch(self) -> None:
@@ -275,10 +339,10 @@ class MasterRun(DeviceRun):
 
 
 class SlaveRun(DeviceRun):
-    """A slave with its arm on a thread of its own."""
+    """A slave with its arm on a thread of its own; `period_s` as with `drive_slave`."""
 
-    def __init__(self, device: "SlaveDevice", loop: SlaveLoop) -> None:
-        super().__init__(loop, lambda notes: drive_slave(device, loop, notes))
+    def __init__(self, device: "SlaveDevice", loop: SlaveLoop, *, period_s: float | None = None) -> None:
+        super().__init__(device, loop, lambda notes: drive_slave(device, loop, notes, period_s=period_s))
         self._slave = loop
 
     def allow_takeover(self) -> None:

@@ -30,6 +30,7 @@ from haptether.bridge.scene_tables import (
     Scene,
 )
 
+SIMULATED = "simulated"
 SLAVE_PERIOD_S = (1e-5, 2e-2)
 KALMAN_BANDWIDTH = (1e-3, 10.0)
 """Bounds on omega dT of the Kalman filter."""
@@ -52,6 +53,7 @@ def checked_spec(scene: Scene) -> Spec:
 def contradictions(scene: Scene) -> Iterator[SceneError]:
     """Everything in a scene that does not go together, as far as its tables alone show it."""
     yield from _run(scene.run)
+    yield from _driver_options(scene)
     if scene.operator is not None:
         yield from _operator(scene.operator)
         if scene.slave is None and scene.operator.clutch != "auto":
@@ -128,6 +130,16 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
     for key in ("stiffness", "damping"):
         if table.control != "pd" and getattr(table, key) is not None:
             yield contradiction(("slave", key), f'control = "{table.control}" has none, only "pd"')
+
+
+def _driver_options(scene: Scene) -> Iterator[SceneError]:
+    """Options that nobody would be called with."""
+    if scene.master.options and scene.master.driver is None:
+        allowed = "left out where a model is held by the operator, or [master] driver must name who takes them"
+        yield wrong(("master", "options"), scene.master.options, allowed)
+    if scene.slave is not None and scene.slave.options and scene.slave.device == SIMULATED:
+        allowed = f'left out where device = "{SIMULATED}", or [slave] device must name the driver that takes them'
+        yield wrong(("slave", "options"), scene.slave.options, allowed)
 
 
 UNIT_QUATERNION = 1e-6

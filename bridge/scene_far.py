@@ -61,7 +61,7 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Live only: drives a real arm, by the name of an entry point of `haptether.slaves`, such as "ur"; by default, and
     in virtual time, the arm is the model that the rest of this table describes."""
     options: Options = {}
-    """Live only: what the driver is called with."""
+    """Live only: what the driver is called with; nothing without one."""
 
     def __hash__(self) -> int:
         # Options are a table of any keys, which has no hash of its own.

@@ -70,7 +70,7 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Live only: drives a real device, by the name of an entry point of `haptether.masters`; this table then says what
     the safety layer takes the device for. By default a model of this table is held by the operator."""
     options: Options = {}
-    """Live only: what the driver is called with."""
+    """Live only: what the driver is called with; nothing without one."""
 
     def __hash__(self) -> int:
         # Options are a table of any keys, which has no hash of its own.

@@ -26,6 +26,9 @@ class MasterDevice(Protocol):
     for more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.masters`, which
     is called with the options of the command line as keywords. A driver may have `acknowledge()`, called when a person
     at this side says that a fault is mended.
+
+    A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
+    whose `[run] period_s` is off by more than 1 % is refused then, before any force.
     """
 
     paces: bool
@@ -41,4 +44,7 @@ class MasterDevice(Protocol):
         """Exerts F_device in N, shape `(axes,)`, until the next call."""
 
     def close(self) -> None:
-        """Disconnects; called once, also after an exception, when the last force was zero."""
+        """Disconnects; called once, also after an exception, when the last force was zero.
+
+        Where the command is ended while `open` blocks, it is called on another thread, after 1 s.
+        """

@@ -28,7 +28,9 @@ class SlaveDevice(Protocol):
 
     A driver may have `acknowledge()`, called when a person at this side says that a fault is mended; `axes`, held
     against those of the scene; and `max_speed` in m/s: `haptether slave` then lets no command be faster, for an arm
-    that lags behind a faster one would go on after it was let go.
+    that lags behind a faster one would go on after it was let go. One that paces the loop may have `period_s`, the
+    seconds between two samples, known once it is open: a scene whose `[slave] period_s` is off by more than 1 % is
+    refused then, before anything moves.
     """
 
     paces: bool
@@ -47,4 +49,7 @@ class SlaveDevice(Protocol):
         """Comes to rest softly and stays until the next `write`; never an emergency stop. May be called again."""
 
     def close(self) -> None:
-        """Disconnects; called once, also after an exception, when the arm was told to stop."""
+        """Disconnects; called once, also after an exception, when the arm was told to stop.
+
+        Where the command is ended while `open` blocks, it is called on another thread, after 1 s.
+        """

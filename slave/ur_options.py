@@ -7,7 +7,8 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from haptether.slave.ur_models import ur_model
+from haptether.slave.allowed import allowed
+from haptether.slave.ur_models import UR_MODELS, ur_model
 
 Three: TypeAlias = tuple[float, float, float]
 Six: TypeAlias = tuple[float, float, float, float, float, float]
@@ -30,25 +31,25 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """File with the deltas of this unit; without it the arm is as its data sheet has it."""
     mode: Mode = "servoj"
     """Which command of the controller moves the arm."""
-    frequency: Literal[125, 500] | None = None
+    frequency: Annotated[Literal[125, 500], Meta(extra={"unit": "Hz"})] | None = None
     """Packages a second; by default the rate of the controller, 500 Hz or 125 Hz (CB3)."""
-    axes: Annotated[int, Meta(ge=1, le=3)] = 1
-    """1 for motion along `axis`, 3 for x, y and z of the base; 2 there is not."""
+    axes: Literal[1, 3] = 1
+    """1 for motion along `axis`, 3 for x, y and z of the base."""
     axis: Three = (1.0, 0.0, 0.0)
     """Direction of the one axis, of any length."""
-    lookahead_time: Annotated[float, Meta(ge=0.03, le=0.2)] = 0.05
+    lookahead_time: Annotated[float, Meta(ge=0.03, le=0.2, extra={"unit": "s"})] = 0.05
     """servoj and servol: by which the arm trails a target that moves, in s."""
-    gain: Annotated[float, Meta(ge=100.0, le=2000.0)] = 1000.0
+    gain: Annotated[float, Meta(ge=100.0, le=2000.0, extra={"unit": "1/s²"})] = 1000.0
     """servoj and servol: pull towards the target, in 1/s²."""
-    position_gain: Annotated[float, Meta(ge=0.5, le=30.0)] = 10.0
+    position_gain: Annotated[float, Meta(ge=0.5, le=30.0, extra={"unit": "1/s"})] = 10.0
     """speedl: speed for a distance from the target, in 1/s; what the delay of the loop bears."""
-    joint_stiffness: Annotated[float, Meta(ge=10.0, le=2000.0)] = 300.0
+    joint_stiffness: Annotated[float, Meta(ge=10.0, le=2000.0, extra={"unit": "N m/rad"})] = 300.0
     """direct-torque: of the three large joints in N m/rad; the wrists have a fifth."""
-    joint_damping: Annotated[float, Meta(ge=0.0, le=200.0)] = 30.0
+    joint_damping: Annotated[float, Meta(ge=0.0, le=200.0, extra={"unit": "N m s/rad"})] = 30.0
     """direct-torque: of the three large joints in N m s/rad; the wrists have a fifth."""
     torque_share: Annotated[float, Meta(gt=0.0, le=0.8)] = 0.3
     """direct-torque: of the largest torque of each joint, the most that is commanded."""
-    payload_kg: Annotated[float, Meta(ge=0.0, le=50.0)] | None = None
+    payload_kg: Annotated[float, Meta(ge=0.0, le=50.0, extra={"unit": "kg"})] | None = None
     """Mass of all that the flange carries; by default what is set on the pendant."""
     payload_cog: Three | None = None
     """Its centre of gravity in the frame of the flange, in m; needs `payload_kg`."""
@@ -58,21 +59,21 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Zero the force sensor before the first motion: the tool must touch nothing then."""
     force_source: Literal["tcp", "raw"] = "tcp"
     """The controller's own force at the tool, or what the sensor in the flange shows (e-Series from 5.9 on)."""
-    force_filter_hz: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = 50.0
+    force_filter_hz: Annotated[float, Meta(gt=0.0, le=1000.0, extra={"unit": "Hz"})] | None = 50.0
     """Corner of the low-pass on the force; None for none."""
-    force_deadband_n: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+    force_deadband_n: Annotated[float, Meta(ge=0.0, le=100.0, extra={"unit": "N"})] = 0.0
     """What of the force is taken away, as noise."""
-    max_speed: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.25
+    max_speed: Annotated[float, Meta(gt=0.0, le=3.0, extra={"unit": "m/s"})] = 0.25
     """Fastest that the tool is sent, in m/s."""
-    max_acceleration: Annotated[float, Meta(gt=0.0, le=20.0)] = 5.0
+    max_acceleration: Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "m/s²"})] = 5.0
     """Largest acceleration that it is sent with, in m/s²."""
-    stop_deceleration: Annotated[float, Meta(ge=0.1, le=20.0)] = 5.0
+    stop_deceleration: Annotated[float, Meta(ge=0.1, le=20.0, extra={"unit": "m/s² or rad/s²"})] = 5.0
     """Of a soft stop: m/s² of the tool (speedl), rad/s² of the joints (the others)."""
-    max_jump: Annotated[float, Meta(gt=0.0, le=0.1)] = 0.005
+    max_jump: Annotated[float, Meta(gt=0.0, le=0.1, extra={"unit": "m"})] = 0.005
     """How far from the tool a first command may be, in m."""
     workspace: tuple[Plane, ...] = ()
     """Planes nx, ny, nz, d: the tool's point is sent to where n . p >= d, n of any length."""
-    watchdog_hz: Annotated[float, Meta(ge=5.0, le=100.0)] = 10.0
+    watchdog_hz: Annotated[float, Meta(ge=5.0, le=100.0, extra={"unit": "Hz"})] = 10.0
     """The controller ends the program where it hears less often than this."""
     verify_watchdog: bool = True
     """Let the watchdog bite once before the first motion."""
@@ -104,9 +105,9 @@ def ur_options(given: Mapping[str, Any]) -> UrOptions:
     try:
         options = msgspec.convert(dict(given), UrOptions, strict=False)
     except msgspec.ValidationError as error:
-        text, _, place = str(error).partition(" - at `$.")
+        _, _, place = str(error).partition(" - at `$.")
         key = place.split("[")[0].split(".")[0].rstrip("`")
-        raise _wrong(key, given.get(key), text.lower().replace("`", "")) from None
+        raise _wrong(key, given.get(key), f"must be {allowed(UrOptions, key)}") from None
     _check(options)
     return options
 
@@ -115,18 +116,17 @@ def _check(options: UrOptions) -> None:
     host = options.host
     if not host or any(sign.isspace() or sign in ":/" for sign in host):
         raise _wrong("host", host, "must be an IPv4 address or a name, without a port")
-    try:
-        model = ur_model(options.model)
-    except ValueError as error:
-        raise _wrong("model", options.model, str(error)) from None
-    if options.axes == 2:
-        raise _wrong("axes", 2, "must be 1 (along axis) or 3 (x, y and z of the base)")
+    if options.model.lower() not in UR_MODELS:
+        raise _wrong("model", options.model, f"must be one of {', '.join(UR_MODELS)}")
+    model = ur_model(options.model)
     if math.hypot(*options.axis) < LEAST_NORM:
         raise _wrong("axis", options.axis, "must have a length")
     if options.payload_cog is not None and options.payload_kg is None:
         raise _wrong("payload_cog", options.payload_cog, "needs payload_kg")
-    if any(abs(part) > FARTHEST_M for part in (*(options.tool or ())[:3], *(options.payload_cog or ()))):
-        raise _wrong("tool or payload_cog", (options.tool, options.payload_cog), "must be in m")
+    for key in ("tool", "payload_cog"):
+        place = getattr(options, key)
+        if place is not None and any(abs(part) > FARTHEST_M for part in place[:3]):
+            raise _wrong(key, place, f"must be in m, within {FARTHEST_M:g} m of the flange")
     for plane in options.workspace:
         if math.hypot(*plane[:3]) < LEAST_NORM:
             raise _wrong("workspace", plane, "must have a normal of some length")

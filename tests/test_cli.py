@@ -62,6 +62,32 @@ def test_a_bad_request_is_one_line_and_status_2(arguments: list[str], said: str)
     assert ended.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "command", [["master", "--peer", "127.0.0.1:9"], ["check-link", "--peer", "127.0.0.1:9"], ["slave", *LISTEN]]
+)
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        ("missing.key", "No such file or directory"),
+        ("locked/arm.key", "Permission denied"),
+        ("file/arm.key", "Not a directory"),
+    ],
+)
+def test_a_key_that_cannot_be_read_is_a_bad_request_and_the_remedy_is_named(
+    tmp_path: Path, command: list[str], path: str, why: str
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "locked").mkdir(mode=0)
+    if why == "Permission denied" and os.access(tmp_path / "locked", os.X_OK):
+        pytest.skip("this user may read everything")
+    ended = run(*command, "--key", str(tmp_path / path))
+    assert ended.returncode == 2
+    assert ended.stderr == (
+        f"haptether: --key {tmp_path / path}: cannot be read: {why}: must be a key file, the same at both sides; "
+        "`haptether keygen PATH` makes one\n"
+    )
+
+
 def test_an_unknown_flag_is_status_2() -> None:
     assert run("paper", "--no-such-flag").returncode == 2
 

@@ -1,12 +1,15 @@
 """Loops that a driver turns, and how drivers are found."""
 
+import gc
 import json
 import math
 import os
 import secrets
+import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, EntryPoints
@@ -241,6 +244,131 @@ def test_a_device_that_does_not_open_ends_the_run_and_is_closed() -> None:
     assert hand.closed == 1
 
 
+@pytest.mark.parametrize(
+    ("device_s", "scene_s", "fits"),
+    [(0.002, 0.002, True), (0.002, 0.00201, True), (0.002, 0.00199, True), (0.002, None, True),
+     (0.002, 0.001, False), (0.001, 0.002, False), (0.002, 0.00203, False), (0.002, 0.00197, False),
+     (math.nan, 0.001, False)],
+)  # fmt: skip
+def test_an_arm_that_paces_by_another_period_than_the_scene_has_is_refused(
+    device_s: float, scene_s: float | None, fits: bool
+) -> None:
+    class Paced(Arm):
+        closed = 0
+
+        def __init__(self) -> None:
+            super().__init__(1, device_s if fits else 0.001)
+            # Known once it is open, as that of an arm whose controller says it.
+            self.period_s: float | None = None  # type: ignore[assignment]
+
+        def open(self) -> None:
+            super().open()
+            self.period_s = device_s
+
+        def read(self) -> SlaveSample:
+            self.reads = getattr(self, "reads", 0) + 1
+            return super().read()
+
+        def close(self) -> None:
+            self.closed += 1
+
+    arm = Paced()
+    run = SlaveRun(arm, SlaveLoop(ONE, listen="127.0.0.1:0", **how()), period_s=scene_s)
+    until(run.ready)
+    if fits:
+        until(lambda: run.ticks > 3)
+    run.finish()
+    assert arm.closed == 1
+    assert hasattr(arm, "reads") == fits
+    if fits:
+        assert run.error is None
+    else:
+        assert str(run.error) == (
+            f"[slave] period_s = {scene_s:g}: Paced gives a sample each {device_s:g} s and paces the loop: "
+            f"set [slave] period_s = {device_s:g}"
+        )
+
+
+def test_a_device_that_paces_by_another_period_than_the_scene_has_is_refused() -> None:
+    class Paced(Hand):
+        paces = True
+        period_s = 0.002
+
+    hand = Paced(1)
+    run = MasterRun(hand, MasterLoop(ONE, peer="127.0.0.1:9", **how()), period_s=0.001)
+    until(lambda: run.finished)
+    run.finish()
+    assert "[run] period_s = 0.001: Paced gives a sample each 0.002 s" in str(run.error)
+    assert "set [run] period_s = 0.002" in str(run.error)
+    # Whoever does not pace turns by the clock of the loop, whatever it says of itself.
+    Paced.paces = False
+    run = MasterRun(hand, MasterLoop(ONE, peer="127.0.0.1:9", **how()), period_s=0.001)
+    until(lambda: run.ticks > 3)
+    run.finish()
+    assert run.error is None
+
+
+def test_a_device_that_is_given_up_is_closed_once_and_neither_read_nor_moved() -> None:
+    class Blocked(Arm):
+        def __init__(self) -> None:
+            super().__init__(1)
+            self.let, self.calls = threading.Event(), list[str]()
+
+        def open(self) -> None:
+            self.let.wait(30.0)
+
+        def read(self) -> SlaveSample:
+            self.calls.append("read")
+            return super().read()
+
+        def close(self) -> None:
+            self.calls.append("close")
+
+    arm = Blocked()
+    run = SlaveRun(arm, SlaveLoop(ONE, listen="127.0.0.1:0", **how()))
+    assert not run.ready()
+    run.give_up()
+    assert arm.calls == ["close"]
+    assert gc.isenabled()
+    arm.let.set()
+    until(lambda: run.finished)
+    assert arm.calls == ["close"]
+    assert "nobody waited" in str(run.error)
+
+
+def test_of_two_loops_the_last_that_ends_brings_back_the_interpreter() -> None:
+    before_s = sys.getswitchinterval()
+    assert gc.isenabled()
+
+    def quiet() -> bool:
+        return not gc.isenabled() and sys.getswitchinterval() < 0.1 * before_s
+
+    runs = [SlaveRun(Arm(1), SlaveLoop(ONE, listen="127.0.0.1:0", **how())) for _ in range(2)]
+    try:
+        until(lambda: all(run.ready() for run in runs))
+        assert quiet()
+        runs[0].finish()
+        assert quiet()
+        # An end that is asked for again is none of another loop.
+        with pytest.raises(RuntimeError, match="finished before"):
+            runs[0].finish()
+        assert quiet()
+    finally:
+        runs[1].finish()
+    assert gc.isenabled()
+    assert sys.getswitchinterval() == pytest.approx(before_s)
+    assert gc.get_freeze_count() == 0
+
+
+def test_a_collector_that_was_off_stays_off() -> None:
+    gc.disable()
+    try:
+        SlaveRun(Arm(1), SlaveLoop(ONE, listen="127.0.0.1:0", **how())).finish()
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
 # ------------------------------------------------------------------------------------------- entry points
 
 
@@ -290,14 +418,20 @@ class Arm:
 """
 
 
-def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_told(tmp_path: Path) -> None:
-    (tmp_path / "bench_arm.py").write_text(textwrap.dedent(DRIVER))
-    package = tmp_path / "bench_arm-1.0.dist-info"
+def packaged(folder: Path, driver: str) -> dict[str, str]:
+    """The environment of a process that finds a driver `bench` of another package."""
+    (folder / "bench_arm.py").write_text(textwrap.dedent(driver))
+    package = folder / "bench_arm-1.0.dist-info"
     package.mkdir()
     (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-arm\nVersion: 1.0\n")
     (package / "entry_points.txt").write_text("[haptether.slaves]\nbench = bench_arm:Arm\n")
+    before = os.environ.get("PYTHONPATH")
+    return {"PYTHONPATH": os.pathsep.join([str(folder), *([before] if before else [])]), "PATH": "/usr/bin:/bin"}
+
+
+def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_told(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "haptether"]
-    environment = {"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    environment = packaged(tmp_path, DRIVER)
     slave = subprocess.Popen(
         [*command, "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push", "--set",
          "slave.device=bench", "--set", "slave.options.stiffness=100.0", "--patience-s", "20", "--json",
@@ -324,3 +458,48 @@ def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_
     assert master.returncode == 1
     assert "the run ended in" in master.stderr
     assert json.loads((tmp_path / "slave.json").read_text())["final_state"] == "fault"
+
+
+SLOW = """
+import sys, time
+
+class Arm:
+    paces = False
+    def open(self):
+        print("opening", file=sys.stderr, flush=True)
+        time.sleep(SECONDS)
+    def read(self): return 0.02, 0.0, 0.0, None
+    def write(self, position, velocity): print("moved", file=sys.stderr, flush=True)
+    def stop(self): pass
+    def close(self): print("closed", file=sys.stderr, flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("opens_s", [0.6, 120.0])
+def test_ctrl_c_ends_a_command_whose_device_opens(tmp_path: Path, opens_s: float, number: signal.Signals) -> None:
+    slave = subprocess.Popen(
+        [sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
+         "--set", "slave.device=bench"],
+        env=packaged(tmp_path, SLOW.replace("SECONDS", str(opens_s))), stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert slave.stderr is not None
+        while "opening" not in (line := slave.stderr.readline()):
+            assert line, "it ended"
+        begun_s = time.monotonic()
+        slave.send_signal(number)
+        shown, said = slave.communicate(timeout=30)
+        took_s = time.monotonic() - begun_s
+    finally:
+        slave.kill()
+        slave.wait()
+    assert slave.returncode == 130
+    assert said.count("closed") == 1
+    assert "moved" not in said
+    assert "listens on" not in said
+    assert "Traceback" not in said
+    assert shown == ""
+    # 1 s of patience with a device that may still open, and a machine that does much else.
+    assert took_s < 10.0

@@ -393,13 +393,16 @@ def test_the_control_line_on_a_socket(arm: Emulated, tmp_path: Any) -> None:  # 
         with socket.socket(socket.AF_UNIX) as control:
             control.settimeout(5.0)
             control.connect(str(path))
-            control.sendall(b"status\nnonsense\nquit\n")
+            control.sendall(b"status\nnonsense\n\n \r\nquit\n")
             answers = b""
-            while answers.count(b"\n") < 3:
-                answers += control.recv(1 << 16)
-        status, error, end = answers.decode().splitlines()
+            while came := control.recv(1 << 16):
+                answers += came
+        status, error, empty, blank, end = answers.decode().splitlines()
         assert json.loads(status.removeprefix("ok "))["model"] == "ur5e"
         assert error.startswith("error: 'nonsense': must be one of")
+        # Whoever waits for an answer to each line must get one.
+        assert empty == blank
+        assert empty.startswith("error: an empty line: must be one of")
         assert end == "ok"
         assert process.wait(5.0) == 0
         assert not path.exists()

@@ -1,5 +1,7 @@
 """Stops of the emulated controller, scripts of other kinds, the dashboard and the control line, in virtual time."""
 
+import json
+
 import pytest
 from tests.ur.virtual import START, UP, World, lifted, shifted
 
@@ -184,8 +186,12 @@ def test_power_comes_and_goes(world: World) -> None:
         ("power", "must be on"),
         ("release-emergency-stop", "is not pressed"),
         ("log x", "must be 1 finite number"),
+        ("log 0", "log: 0: must be a whole number of lines, 1 or more"),
+        ("log -1", "log: -1: must be a whole number"),
+        ("log 2.5", "log: 2.5: must be a whole number"),
+        ("log 1 2", "must be 1 finite number"),
         ("nonsense", "must be one of"),
-        ("", "must be one of"),
+        ("", "error: an empty line: must be one of anchor "),
     ],
 )
 def test_lines_that_are_refused_say_why(world: World, line: str, said: str) -> None:
@@ -194,6 +200,14 @@ def test_lines_that_are_refused_say_why(world: World, line: str, said: str) -> N
     assert answer.startswith("error: ")
     assert said in answer
     assert world.of.runtime == before
+
+
+def test_the_log_shows_the_lines_that_are_asked_for(world: World) -> None:
+    for number in range(30):
+        world.of.tell(f"line {number}")
+    for line, count in (("log", 20), ("log 1", 1), ("log 3", 3), ("log 1e3", len(world.of.log))):
+        shown = json.loads(world.line.answer(line, 0.0).removeprefix("ok "))
+        assert shown == list(world.of.log)[-count:], line
 
 
 def test_reset_brings_everything_back(world: World) -> None:

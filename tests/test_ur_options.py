@@ -15,26 +15,31 @@ HOST = {"host": "192.168.1.10"}
     [
         ({}, "host is missing"),
         (HOST | {"gian": 300}, "gian = 300: is no option: must be one of host, "),
-        (HOST | {"gain": 99.9}, "gain = 99.9: expected float >= 100.0"),
-        (HOST | {"gain": 2001}, "gain = 2001: expected float <= 2000.0"),
-        (HOST | {"lookahead_time": 0.02}, "lookahead_time = 0.02: expected float >= 0.03"),
-        (HOST | {"frequency": 250}, "frequency = 250: "),
-        (HOST | {"mode": "movej"}, "mode = 'movej': invalid enum value"),
-        (HOST | {"model": "ur6"}, "model = 'ur6': "),
+        (HOST | {"gain": 99.9}, "gain = 99.9: must be 100 to 2000 1/s²"),
+        (HOST | {"gain": 2001}, "gain = 2001: must be 100 to 2000 1/s²"),
+        (HOST | {"lookahead_time": 0.02}, "lookahead_time = 0.02: must be 0.03 to 0.2 s"),
+        (HOST | {"payload_kg": 500}, "payload_kg = 500: must be 0 to 50 kg"),
+        (HOST | {"max_jump": 0}, "max_jump = 0: must be above 0 and at most 0.1 m"),
+        (HOST | {"torque_share": 1}, "torque_share = 1: must be above 0 and at most 0.8"),
+        (HOST | {"frequency": 300}, "frequency = 300: must be 125 or 500 Hz"),
+        (HOST | {"mode": "movej"}, "mode = 'movej': must be one of servoj, servol, speedl, direct-torque"),
+        (HOST | {"zero_ft_sensor": "maybe"}, "zero_ft_sensor = 'maybe': must be true or false"),
+        (HOST | {"model": "ur6"}, "ur: model = 'ur6': must be one of ur3, ur5, ur10, ur3e, "),
         (HOST | {"max_speed": math.nan}, "max_speed = nan: must be finite"),
         (HOST | {"max_speed": "nan"}, "max_speed = 'nan': must be finite"),
         (HOST | {"axis": [1, 0, math.inf]}, "axis = [1, 0, inf]: must be finite"),
         (HOST | {"axis": [0, 0, 0]}, "axis = (0.0, 0.0, 0.0): must have a length"),
-        (HOST | {"axis": [1, 0]}, "axis = [1, 0]: "),
-        (HOST | {"axes": 2}, "axes = 2: must be 1 (along axis) or 3"),
-        (HOST | {"axes": "one"}, "axes = 'one': "),
-        (HOST | {"tool": [0, 0, 150, 0, 0, 0]}, "must be in m"),
+        (HOST | {"axis": [1, 0]}, "axis = [1, 0]: must be 3 numbers"),
+        (HOST | {"axes": 2}, "axes = 2: must be 1 or 3"),
+        (HOST | {"axes": "one"}, "axes = 'one': must be 1 or 3"),
+        (HOST | {"tool": [0, 0, 150, 0, 0, 0]}, "tool = (0.0, 0.0, 150.0, 0.0, 0.0, 0.0): must be in m"),
         (HOST | {"payload_cog": [0, 0, 0.05]}, "payload_cog = (0.0, 0.0, 0.05): needs payload_kg"),
+        (HOST | {"workspace": [[0, 0, 1]]}, "workspace = [[0, 0, 1]]: must be a list of 4 numbers each"),
         (HOST | {"workspace": [[0, 0, 0, 1]]}, "workspace = (0.0, 0.0, 0.0, 1.0): must have a normal"),
         (HOST | {"model": "ur5", "force_source": "raw"}, "a ur5 has no sensor in its flange: must be tcp"),
         ({"host": "192.168.1.10:30004"}, "host = '192.168.1.10:30004': must be an IPv4 address or a name"),
         ({"host": ""}, "host = '': must be"),
-        ({"host": 5}, "host = 5: "),
+        ({"host": 5}, "host = 5: must be a string"),
     ],
 )
 def test_wrong_options_are_refused_by_name(given: dict[str, object], said: str) -> None:
@@ -42,6 +47,15 @@ def test_wrong_options_are_refused_by_name(given: dict[str, object], said: str) 
         load_slave("ur", given)
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("key", UrOptions.__struct_fields__)
+def test_each_option_says_what_it_may_be(key: str) -> None:
+    # Of no option's type, not even as text.
+    wrong = "" if key in {"host", "model"} else {"no": "such"}
+    with pytest.raises(ValueError, match=rf"device = ur: {key} = .*: must be \w") as refused:
+        ur_options(HOST | {key: wrong})
+    assert "expected" not in str(refused.value).lower()
 
 
 def test_numbers_come_as_a_scene_or_a_command_line_has_them() -> None:

@@ -1,7 +1,11 @@
 //! Loops that wake late on one and the same clock: a tick's time is its deadline, and what it takes may have been sent
 //! after that. Nothing of it is a fault of a clock.
+#![allow(clippy::unwrap_used)] // a test may
 
-use haptether_bridge::{FrameLink, MAX_FRAME, PortState, Role, Status};
+use haptether_bridge::{
+    FrameLink, PortState, Status,
+    wire::{MAX_FRAME, Role},
+};
 
 const US: u64 = 1_000;
 const MS: u64 = 1_000 * US;

@@ -91,11 +91,7 @@ class ControlChannel:
         *lines, rest = (self._waiting.get(key, b"") + came).split(b"\n")
         # What has no end is no line.
         self._waiting[key] = rest if len(rest) <= LONGEST_LINE else b""
-        return [
-            self._line.answer(line.decode("utf-8", "replace").strip(), time.monotonic())
-            for line in lines
-            if line.strip()
-        ]
+        return [self._line.answer(line.decode("utf-8", "replace").strip(), time.monotonic()) for line in lines]
 
     def _listen(self, place: str) -> socket.socket:
         host, colon, port = place.rpartition(":")

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.faults import Faults
 
 MOST_FORCE_N = 10_000.0
+SHOWN_LINES = 20
+"""Lines of the log where no number is given."""
 
 
 class Process(Protocol):
@@ -91,7 +93,8 @@ class ControlLine:
         name, *words = line.split() or [""]
         command = self._commands.get(name)
         if command is None:
-            return f"error: {name!r}: must be one of {' '.join(sorted(self._commands))}"
+            seen = repr(name) if name else "an empty line"
+            return f"error: {seen}: must be one of {' '.join(sorted(self._commands))}"
         try:
             said = command(words, now_s)
         except ValueError as error:
@@ -131,8 +134,10 @@ class ControlLine:
         }
 
     def _log(self, words: list[str], _now_s: float) -> str:
-        (count,) = _numbers(words or ["20"], 1)
-        return json.dumps(list(self._of.log)[-max(1, int(count)) :])
+        (count,) = _numbers(words or [str(SHOWN_LINES)], 1)
+        if count < 1.0 or count != int(count):
+            _refuse(f"{count:g}: must be a whole number of lines, 1 or more")
+        return json.dumps(list(self._of.log)[-int(count) :])
 
     def _quit(self, _words: list[str], _now_s: float) -> None:
         self.quit = True

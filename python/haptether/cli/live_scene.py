@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from haptether.bridge import DeviceRun, LiveMaster, LiveSlave, MasterRun, Scene, SlaveRun
+    from haptether.cli.live import Stopped
     from haptether.slave import SlaveDevice
 
 READY_S = 60.0
@@ -40,12 +41,14 @@ def live_scene(options: Any, name: str | None, overrides: Iterable[str], instead
     return scene
 
 
-def start_master(scene: "Scene", **how: Any) -> "LiveMaster | MasterRun":  # noqa: ANN401  # of LiveMaster
+def start_master(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveMaster | MasterRun":  # noqa: ANN401  # of LiveMaster
     """The master of a scene, begun.
 
     Raises:
         ValueError: A driver or an option that there is not.
         OSError: An address that cannot be used.
+        KeyboardInterrupt: Ctrl-C while the device opened; it is closed.
+        RuntimeError: The device did not open in time; it is closed.
     """
     from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_master, scene_json
 
@@ -53,15 +56,18 @@ def start_master(scene: "Scene", **how: Any) -> "LiveMaster | MasterRun":  # noq
     if scene.master.driver is None:
         return LiveMaster(spec, **how)
     device = load_master(scene.master.driver, scene.master.options)
-    return _opened(MasterRun(device, MasterLoop(spec, **how)), scene.master.driver)
+    run = MasterRun(device, MasterLoop(spec, **how), period_s=scene.run.period_s)
+    return _opened(run, scene.master.driver, stopped)
 
 
-def start_slave(scene: "Scene", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: ANN401  # of LiveSlave
+def start_slave(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: ANN401  # of LiveSlave
     """The slave of a scene, begun.
 
     Raises:
         ValueError: A driver or an option that there is not.
         OSError: An address that cannot be used.
+        KeyboardInterrupt: Ctrl-C while the device opened; it is closed.
+        RuntimeError: The device did not open in time; it is closed.
     """
     from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_slave, scene_json
 
@@ -70,7 +76,8 @@ def start_slave(scene: "Scene", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: 
         return LiveSlave(scene_json(scene), **how)
     device = load_slave(scene.slave.device, scene.slave.options)
     spec = scene_json(_within(scene, device))
-    return _opened(SlaveRun(device, SlaveLoop(spec, **how)), scene.slave.device)
+    period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
+    return _opened(SlaveRun(device, SlaveLoop(spec, **how), period_s=period_s), scene.slave.device, stopped)
 
 
 def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
@@ -94,18 +101,25 @@ def _speed(bound: object) -> float:
 Run = TypeVar("Run", bound="DeviceRun")
 
 
-def _opened(run: Run, name: str) -> Run:
+def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     """Waits until the device is open."""
     from rich.console import Console
 
     end = time.monotonic() + READY_S
-    with Console(stderr=True).status(f"opening {name}"):
-        while not run.ready() and time.monotonic() < end:
+    with Console(stderr=True).status(f"opening {name}   (Ctrl-C ends)"):
+        while not run.ready() and not stopped and time.monotonic() < end:
             time.sleep(0.01)
-    if run.finished and run.error is not None:
+        opened = run.ready()
+        if opened and not (run.finished and run.error is not None):
+            return run
+        run.give_up()
+    if opened and run.error is not None:
         # It was never open: there is nothing to say of a run.
         raise run.error
-    return run
+    if stopped:
+        raise KeyboardInterrupt
+    message = f"device = {name}: did not open within {READY_S:g} s"
+    raise RuntimeError(message)
 
 
 def fault_text(run: "LiveMaster | LiveSlave | DeviceRun") -> str:

@@ -23,6 +23,9 @@ class Master(LiveOptions):
     and pressed again: `kill -USR1` does that, and so does --clutch auto. After a fault `kill -USR2` says first that it
     is mended. Figures and trace hold the last --keep-s.
 
+    Exit status 1 says that no slave answered, that the run ended in fault or, without Ctrl-C, in hold or stop, or that
+    a driver failed. A slave that ends first, in good order or not, leaves the master in stop: end the master first.
+
     Examples:
 
     haptether master --peer 127.0.0.1:9000 --key arm.key --controller wsc
@@ -103,7 +106,7 @@ class Master(LiveOptions):
         with Stopped() as stopped:
             master: LiveMaster | MasterRun
             if scene is not None:
-                master = start_master(scene, **how)
+                master = start_master(scene, stopped, **how)
             else:
                 settings = master_settings(
                     self.controller,

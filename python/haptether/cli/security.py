@@ -10,8 +10,7 @@ def session_key(key: Path | None, *, insecure: bool) -> bytes | None:
     """The key of a secure session, or none for a run in the clear.
 
     Raises:
-        ValueError: Both or neither were asked for, or the file holds no key.
-        OSError: The file cannot be read.
+        ValueError: Both or neither were asked for, or the file cannot be read or holds no key.
     """
     from haptether.bridge import read_key
 
@@ -26,7 +25,14 @@ def session_key(key: Path | None, *, insecure: bool) -> bytes | None:
             "--insecure goes without, in the clear"
         )
         raise ValueError(message)
-    return read_key(key)
+    try:
+        return read_key(key)
+    except OSError as error:
+        message = (
+            f"--key {key}: cannot be read: {error.strerror}: must be a key file, the same at both sides; "
+            "`haptether keygen PATH` makes one"
+        )
+        raise ValueError(message) from None
 
 
 def marked(headline: str, *, insecure: bool) -> str:

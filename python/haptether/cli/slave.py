@@ -22,6 +22,9 @@ class Slave(LiveOptions):
     ends; when it has vanished without an end, `kill -USR1` lets another begin after 2 s of silence. After a fault of
     this side `kill -USR2` says that it is mended.
 
+    Exit status 1 says that no master came in time, that this side ended in a fault, or that its driver failed; how the
+    master ended does not count.
+
     Examples:
 
     haptether slave --listen 127.0.0.1:9000 --key arm.key
@@ -90,7 +93,7 @@ class Slave(LiveOptions):
         with Stopped() as stopped:
             slave: LiveSlave | SlaveRun
             if scene is not None:
-                slave = start_slave(scene, **how)
+                slave = start_slave(scene, stopped, **how)
             else:
                 settings = slave_settings(
                     wall_stiffness=self.wall_stiffness,
