@@ -9,6 +9,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -21,9 +22,13 @@ from tests.ur.virtual import START
 
 from haptether.cli import main
 from haptether.slave.ur_emulator.joint_tracking import transition
+from haptether.slave.ur_emulator.outbox import PATIENCE_S
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 
+CYCLE_S = 0.002
+GRID_S = 0.0005
+"""Of the search for how late a law was fed."""
 TRANSPORT_S = 0.008
 """What a command needs until the law has it: a cycle at most until it is read, one for the servo thread, and one for
 the age of the freshest state, with what a client is held up between a call and the look at its clock."""
@@ -61,9 +66,9 @@ def followed(result: dict[str, Any], values: np.ndarray) -> tuple[float, float]:
     `q'' = gain (u - q - lookahead q')` is driven by the commands at the times at which they were given, so a client
     that stalls bends nothing; the lateness is the one that fits best.
     """
-    stamps, wall, commands = (np.array(result[name]) for name in ("time_s", "wall_s", "command"))
-    # What the two clocks differ by, seen from the freshest state.
-    given_s = wall - (wall - stamps).min()
+    stamps, seen, wall, commands = (np.array(result[name]) for name in ("time_s", "seen_s", "wall_s", "command"))
+    # What the two clocks differ by, and how old the freshest state was.
+    given_s = wall - (seen - stamps).min()
     a, b, c, d = transition(300.0, 30.0, 0.002)
     cycles = np.arange(round((stamps[-1] - stamps[0]) / 0.002) + 1)
     at = np.rint((stamps - stamps[0]) / 0.002).astype(int)
@@ -76,7 +81,7 @@ def followed(result: dict[str, Any], values: np.ndarray) -> tuple[float, float]:
             q, v = goal + a * (q - goal) + b * v, c * (q - goal) + d * v
         return float(np.sqrt(np.mean((np.array(path)[at] - values) ** 2)))
 
-    off, late_s = min((rms(late_s), late_s) for late_s in np.arange(-0.004, 0.012, 0.0005))
+    off, late_s = min((rms(late_s), late_s) for late_s in np.arange(-0.004, 0.012, GRID_S))
     return late_s, off
 
 
@@ -105,7 +110,8 @@ def test_every_call_at_500_hz_is_accepted(streams: dict[str, Any], mode: str) ->
 def test_servoj_tracks_as_its_law_says(streams: dict[str, Any]) -> None:
     q = np.array(streams["servoj"]["q"])
     late_s, off = followed(streams["servoj"], q[:, 0])
-    assert 0.0 <= late_s <= TRANSPORT_S
+    # A command passes the servo thread, which takes a cycle, before the law has it.
+    assert CYCLE_S - GRID_S <= late_s <= TRANSPORT_S
     # At 0.6 rad/s the rhythm of two clocks is worth 1.2 mrad a cycle.
     assert off < 1.2e-3
     assert np.ptp(q[:, 0]) > 0.06
@@ -115,7 +121,7 @@ def test_servoj_tracks_as_its_law_says(streams: dict[str, Any]) -> None:
 def test_servol_tracks_as_the_law_of_servoj_says(streams: dict[str, Any]) -> None:
     pose = np.array(streams["servol"]["pose"])
     late_s, off = followed(streams["servol"], pose[:, 2])
-    assert 0.0 <= late_s <= TRANSPORT_S
+    assert CYCLE_S - GRID_S <= late_s <= TRANSPORT_S
     # At 0.13 m/s, 0.25 mm a cycle.
     assert off < 0.25e-3
     assert np.ptp(pose[:, 2]) > 0.012
@@ -193,7 +199,8 @@ def test_the_watchdog(arm: Emulated) -> None:
     result = client("watchdog", arm.host)
     assert result["armed"] is True
     assert result["streaming"] is True
-    assert 0.05 < result["stopped_after_s"] < 0.1 + LATE_S
+    # It bites in the first cycle that begins more than 0.1 s after the one that heard the last command.
+    assert 0.1 - CYCLE_S < result["stopped_after_s"] < 0.1 + LATE_S
     assert result["speed"] == pytest.approx([0.0] * 6, abs=1e-6)
     assert result["refused"] is False
     assert result["again"] is True
@@ -303,12 +310,15 @@ def test_a_client_that_reads_nothing_is_dropped_and_others_are_not(arm: Emulated
     with Client(arm.host) as deaf, Client(arm.host) as other:
         deaf.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.outputs(names, 500.0)
+        begun_s = time.monotonic()
         deaf.start()
         other.outputs(["timestamp"], 500.0)
         other.start()
         begin = other.package()["timestamp"]
         while arm.status()["connections"].count("rtde") == 2:
             assert other.package()["timestamp"] - begin < 10.0
+        # Nobody is dropped before the end of patience.
+        assert time.monotonic() - begun_s > PATIENCE_S
         # What else is missing, a machine that stalls takes.
         gaps = np.diff([other.package()["timestamp"] for _ in range(100)])
         assert np.median(gaps) == pytest.approx(0.002, abs=1e-6)
@@ -326,15 +336,19 @@ def test_noise_harms_nobody(arm: Emulated, noise: bytes) -> None:
 
 
 def test_many_clients_at_once(arm: Emulated) -> None:
-    def one(_: int) -> float:
+    def one(_: int) -> tuple[float, float]:
         with Client(arm.host) as plain:
             plain.outputs(["timestamp"], 125.0)
             plain.start()
             stamps = [plain.package()["timestamp"] for _ in range(40)]
-            return float(np.diff(stamps).max())
+            gaps = np.diff(stamps)
+            return float(np.median(gaps)), float(gaps.max())
 
     with ThreadPoolExecutor(8) as pool:
-        assert max(pool.map(one, range(24))) < 0.008 + LATE_S
+        medians, longest = zip(*pool.map(one, range(24)), strict=True)
+    # Whoever asked for 125 Hz gets that and no more, but for what a stall takes.
+    assert medians == pytest.approx([0.008] * 24, abs=1e-6)
+    assert max(longest) < 0.008 + LATE_S
 
 
 # --------------------------------------------------------------------------------------------------- the process

@@ -80,11 +80,13 @@ class Stream:
             returned, wanted = command(begin - first)
             accepted += bool(returned)
             calls_s.append(time.perf_counter() - begin)
+            stamp = receive.getTimestamp()
             rows.append(
                 (
                     begin - first,
                     wanted,
-                    receive.getTimestamp(),
+                    stamp,
+                    time.perf_counter() - first,
                     *receive.getActualQ(),
                     *receive.getActualTCPPose(),
                     *receive.getActualTCPForce(),
@@ -108,9 +110,10 @@ class Stream:
             "wall_s": values[:, 0].tolist(),
             "command": values[:, 1].tolist(),
             "time_s": values[:, 2].tolist(),
-            "q": values[:, 3:9].tolist(),
-            "pose": values[:, 9:15].tolist(),
-            "force": values[:, 15:21].tolist(),
+            "seen_s": values[:, 3].tolist(),
+            "q": values[:, 4:10].tolist(),
+            "pose": values[:, 10:16].tolist(),
+            "force": values[:, 16:22].tolist(),
             "speed": speed,
             "runtime_state": receive.getRuntimeState(),
             "safety_mode": receive.getSafetyMode(),
@@ -280,11 +283,13 @@ def watchdog(host: str) -> Result:
     receive = rtde_receive.RTDEReceiveInterface(host)
     result: Result = {"armed": control.setWatchdog(10.0)}
     pace = Pace(PERIOD_S)
+    begin = 0.0
     for _ in range(250):
+        # Before the last command: the watchdog cannot have heard it earlier, however long this process is held up.
+        begin = time.perf_counter()
         control.speedL([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], 0.5)
         pace.wait()
     result["streaming"] = control.isProgramRunning()
-    begin = time.perf_counter()
     while control.isProgramRunning() and time.perf_counter() - begin < 2.0:
         time.sleep(0.001)
     result["stopped_after_s"] = time.perf_counter() - begin
