@@ -26,8 +26,8 @@ PERIOD_S = 0.002
 LATE_S = 0.02
 """How late a loop may be that is engaged: later, and it holds."""
 FASTEST_S = 2 * 7 / 8 * PERIOD_S
-"""A command is heard in the controller's next cycle and has moved the arm in the one after: two ticks of the loop, which
-come no closer than 7/8 of a period."""
+"""A command is heard in the controller's next cycle and has moved the arm in the one after: two ticks of the loop,
+which come no closer than 7/8 of a period."""
 SLOWEST_S = 0.03 + SHARED_S / 5
 """20 ms of transport, and the begin of the slowest ramp."""
 
