@@ -9,6 +9,11 @@ import rtde_receive  # type: ignore[import-not-found]
 from tests.ur.clients.scenario import START, Result, scenario
 
 
+def seen() -> None:
+    """Waits until a state that came after an answer is there: the two have connections of their own."""
+    time.sleep(0.02)
+
+
 @scenario
 def moves(host: str) -> Result:
     """Moves, synchronous and asynchronous, along paths; and what ends them."""
@@ -17,11 +22,14 @@ def moves(host: str) -> Result:
     result: Result = {}
     away = [*START[:5], 0.3]
     result["movej"] = control.moveJ(away, 2.0, 8.0)
+    seen()
     result["q"] = receive.getActualQ()
     result["movej_back"] = control.moveJ(list(START), 2.0, 8.0)
+    seen()
     pose = receive.getActualTCPPose()
     up = [*pose[:2], pose[2] + 0.05, *pose[3:]]
     result["movel"] = control.moveL(up, 0.5, 4.0)
+    seen()
     result["off_m"] = float(np.abs(np.subtract(receive.getActualTCPPose(), up)).max())
     result["movej_ik"] = control.moveJ_IK(pose, 2.0, 8.0)
     result["movel_fk"] = control.moveL_FK(list(START), 0.5, 4.0)
@@ -32,9 +40,10 @@ def moves(host: str) -> Result:
     result["stopped_at"] = receive.getActualQ()[5]
     result["ended"] = control.getAsyncOperationProgress()
     result["path"] = control.moveJ([[*START, 2.0, 8.0, 0.02], [*away, 2.0, 8.0, 0.0]])
+    seen()
     result["path_end"] = receive.getActualQ()
     result["custom"] = control.sendCustomScriptFunction("custom", "  set_standard_digital_out(3, True)\n")
-    time.sleep(0.02)
+    seen()
     result["digital"] = receive.getActualDigitalOutputBits()
     control.stopScript()
     result["runtime_state"] = receive.getRuntimeState()
@@ -54,13 +63,13 @@ def questions(host: str) -> Result:
     result["no_solution"] = control.getInverseKinematicsHasSolution([2.0, 2.0, 2.0, 0.0, 0.0, 0.0])
     result["set_tcp"] = control.setTcp([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
     result["tcp"] = control.getTCPOffset()
-    time.sleep(0.02)
+    seen()
     result["tool_pose"] = receive.getActualTCPPose()
     result["payload"] = control.setPayload(1.5, [0.0, 0.0, 0.05])
-    time.sleep(0.02)
+    seen()
     result["payload_kg"] = receive.getPayload()
     result["zero"] = control.zeroFtSensor()
-    time.sleep(0.02)
+    seen()
     result["force"] = receive.getActualTCPForce()
     control.getStepTime()
     # The client reads the answer before the controller has given it: the second time it is there.
