@@ -8,12 +8,13 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from tests.ur.emulated import free_host
 
 from haptether.slave import ur_dashboard, ur_probe
 from haptether.slave.ur_dashboard import DashboardError
 from haptether.slave.ur_probe import ProbeError, probe
 
-HOST = "127.0.3.98"
+HOST = free_host()
 LIMIT_S = 0.3
 
 
