@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator
 from typing import NoReturn
 
 import pytest
+from tests.ur.emulated import free_host
 
 from haptether.slave import ur_dashboard, ur_probe
 from haptether.slave.ur_dashboard import DashboardError
 from haptether.slave.ur_probe import ProbeError, probe, resolved
 
-HOST = "127.0.3.98"
+HOST = free_host()
 LIMIT_S = 0.3
 
 

@@ -1,7 +1,7 @@
 """The real ur_rtde at 500 Hz for a minute a mode: `python -m tests.ur_endurance --seconds 60 --json out/ur.json`.
 
 Every call must be accepted, no state may go back, the arm may meet no stop, and the emulator must lose no time. Run
-nothing else meanwhile.
+nothing else meanwhile. A mode that the host of a virtual machine disturbed is measured anew.
 """
 
 import argparse
@@ -9,6 +9,8 @@ import contextlib
 import json
 import os
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,8 @@ from tests.ur.emulated import client, emulator
 
 STALE_S = 0.02
 """Age of a state that a bridge takes for a silent peer."""
+STOLEN_SHARE = 0.01
+"""Of the time of all processors: what a host that takes more may have done to a run."""
 
 
 def runs(seconds: float) -> dict[str, list[Any]]:
@@ -52,6 +56,19 @@ def endured(mode: str, seconds: float, version: str) -> dict[str, Any]:
     return figures
 
 
+def is_disturbed(figures: dict[str, Any], seconds: float, processors: int) -> bool:
+    """Whether a run that is not good says nothing: the host stole more than a share of its time."""
+    return not figures["good"] and figures["stolen_s"] > STOLEN_SHARE * seconds * processors
+
+
+def attempted(measure: Callable[[], dict[str, Any]], attempts: int, seconds: float, processors: int) -> dict[str, Any]:
+    """Figures of the last attempt, and under `attempts` those of all; a run that was not disturbed is the last."""
+    made: list[dict[str, Any]] = []
+    while not made or (len(made) < attempts and is_disturbed(made[-1], seconds, processors)):
+        made.append(measure())
+    return {**made[-1], "attempts": made}
+
+
 def steal_s() -> float:
     """Time in s that the host of a virtual machine has taken from it so far; 0 on a real one."""
     with contextlib.suppress(OSError):
@@ -66,16 +83,23 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--version", default="5.11")
     parser.add_argument("--json", type=Path)
+    parser.add_argument(
+        "--attempts", type=int, default=3, metavar="N",
+        help="how often at most a mode is measured that was not good while the host stole more than 1 %% (default: 3)",
+    )  # fmt: skip
     asked = parser.parse_args()
+    if asked.attempts < 1:
+        parser.error(f"--attempts = {asked.attempts}: must be 1 or more")
     results = {}
     for mode in runs(0.0):
-        results[mode] = figures = endured(mode, asked.seconds, asked.version)
+        measure = partial(endured, mode, asked.seconds, asked.version)
+        results[mode] = figures = attempted(measure, asked.attempts, asked.seconds, os.cpu_count() or 1)
         shown = {name: f"{1e3 * figures[name]:.2f} ms" for name in figures if name.endswith("_s")}
         print(
             f"{mode:7} {'good' if figures['good'] else 'NOT GOOD'}: {figures['accepted']} of {figures['calls']} calls, "
             f"client late p99 {shown['late_p99_s']}, longest call {shown['call_max_s']}, longest gap of states "
             f"{shown['state_gap_max_s']}, {figures['late_cycles']} cycles late, the worst {shown['worst_late_s']}, "
-            f"{shown['stolen_s']} stolen by the host",
+            f"{shown['stolen_s']} stolen by the host, attempt {len(figures['attempts'])} of at most {asked.attempts}",
             flush=True,
         )
     if asked.json is not None:

@@ -114,7 +114,7 @@ pub struct FrameLink<const N: usize> {
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     path: PeerPath,
-    /// How late after a tick's time its frames may have arrived.
+    /// How long after the tick's time it is.
     late_ns: u64,
     /// A silent peer may be followed by another session after this time.
     lease_ns: u64,
@@ -145,9 +145,9 @@ impl<const N: usize> FrameLink<N> {
         }
     }
 
-    /// Until the next call frames are received up to `late_ns` after the time that they are given: of a loop that woke
-    /// late, and else would have seen them before they were sent.
-    pub fn arriving_late(&mut self, late_ns: u64) {
+    /// Until the next call it is `late_ns` later than the tick's time when frames are received and sent. Frames and what
+    /// is known of clocks need the true time: a loop that woke late would else take frames before they were sent.
+    pub fn late(&mut self, late_ns: u64) {
         self.late_ns = late_ns;
     }
 
@@ -156,9 +156,10 @@ impl<const N: usize> FrameLink<N> {
     /// Says whether the frame began a session. A refused datagram changes nothing but its counter.
     pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
         let frame = Frame::decode(datagram, self.peer()).inspect_err(|_| self.statistics.refused += 1)?;
+        let by_ns = now_ns.saturating_add(self.late_ns);
         let begins = match &self.newest {
             Some(newest) if newest.frame.session == frame.session => {
-                self.path.arrived(frame.sequence, frame.sent_ns, now_ns);
+                self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 self.place(frame.sequence)?;
                 false
             }
@@ -172,13 +173,12 @@ impl<const N: usize> FrameLink<N> {
                 self.arrivals.clear();
                 self.arrivals.mark(frame.sequence);
                 self.path.begin();
-                self.path.arrived(frame.sequence, frame.sent_ns, now_ns);
+                self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 true
             }
         };
         self.arrived += 1;
         self.statistics.fresh += 1;
-        let by_ns = now_ns.saturating_add(self.late_ns);
         self.newest = Some(Newest { frame, arrived_ns: now_ns, by_ns });
         self.count_missing();
         let echo = frame.echo.filter(|echo| echo.session == self.session);
@@ -220,7 +220,7 @@ impl<const N: usize> FrameLink<N> {
         }
     }
 
-    /// Writes the next frame, sent at `now_ns`.
+    /// Writes the next frame of the tick of `now_ns`.
     pub fn send<'a>(
         &mut self,
         now_ns: u64,
@@ -228,11 +228,12 @@ impl<const N: usize> FrameLink<N> {
         PortState { position, velocity, force, energy }: PortState<N>,
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
+        let sent_ns = now_ns.saturating_add(self.late_ns);
         let echo = self.newest.as_ref().map(|newest| Echo {
             session: newest.frame.session,
             sequence: newest.frame.sequence,
             sent_ns: newest.frame.sent_ns,
-            held_ns: now_ns.saturating_sub(newest.by_ns),
+            held_ns: sent_ns.saturating_sub(newest.by_ns),
         });
         let frame = Frame {
             role: self.role,
@@ -241,14 +242,14 @@ impl<const N: usize> FrameLink<N> {
             clutch: status.clutch,
             session: self.session,
             sequence: self.next_sequence,
-            sent_ns: now_ns,
+            sent_ns,
             echo,
             position,
             velocity,
             force,
             energy,
         };
-        self.path.sent(self.next_sequence, now_ns);
+        self.path.sent(self.next_sequence, sent_ns);
         self.next_sequence += 1;
         self.statistics.sent += 1;
         frame.encode(buffer)

@@ -56,8 +56,9 @@ pub trait Side {
     /// True time begins at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
 
-    /// Until the next call datagrams are received up to `late_ns` after the time that they are given: the loop woke late.
-    fn arriving_late(&mut self, late_ns: u64);
+    /// Until the next call it is `late_ns` later than the tick's time when datagrams are received and sent: the loop
+    /// woke late.
+    fn late(&mut self, late_ns: u64);
 
     /// Takes a datagram that arrived by `now_ns`; a refused one is counted and otherwise forgotten.
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal>;
@@ -129,8 +130,8 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.person.begin(now_ns);
     }
 
-    fn arriving_late(&mut self, late_ns: u64) {
-        self.endpoint.arriving_late(late_ns);
+    fn late(&mut self, late_ns: u64) {
+        self.endpoint.late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
@@ -228,8 +229,8 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         self.plant.begin(now_ns);
     }
 
-    fn arriving_late(&mut self, late_ns: u64) {
-        self.endpoint.arriving_late(late_ns);
+    fn late(&mut self, late_ns: u64) {
+        self.endpoint.late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {

@@ -119,7 +119,7 @@ impl<S: Side> Loop<'_, S> {
             while inward.in_flight.pop_due(now_ns).is_some() {}
             self.side.stalled(clock_ns);
         }
-        self.side.arriving_late(self.pace.late_ns(&wake));
+        self.side.late(self.pace.late_ns(&wake));
         inward.deliver(now_ns, clock_ns, self, outward);
         let record = self.side.tick(TickTime {
             now_ns,

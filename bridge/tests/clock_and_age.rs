@@ -50,8 +50,8 @@ impl Side for Measuring {
 
     fn begin(&mut self, _: u64) {}
 
-    fn arriving_late(&mut self, late_ns: u64) {
-        self.link.arriving_late(late_ns);
+    fn late(&mut self, late_ns: u64) {
+        self.link.late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {

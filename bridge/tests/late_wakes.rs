@@ -34,8 +34,8 @@ impl Loop {
     /// Takes what has arrived, and gives what it sends with the time at which it leaves.
     fn turn(&mut self, tells: bool) -> (u64, Vec<u8>) {
         let (now_ns, woken_ns) = (self.deadline_ns, self.woken_ns);
+        self.link.late(if tells { woken_ns - now_ns } else { 0 });
         for (_, datagram) in self.inward.extract_if(.., |(arrives_ns, _)| *arrives_ns <= woken_ns) {
-            self.link.arriving_late(if tells { woken_ns - now_ns } else { 0 });
             self.link.receive(now_ns, &datagram).unwrap();
         }
         let status = Status { hears_peer: true, ..Status::default() };

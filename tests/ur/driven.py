@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.001
 LONGEST_S = 60.0
+LEAST_M = 1e-7
+"""Above the rounding of an arm that rests."""
 
 
 class Watched:
@@ -66,6 +68,7 @@ class Watched:
         return {
             "end_s": ended_s,
             "latency_s": self.device.latency_s,
+            "reaction_s": reaction_s(trace),
             "ticks": report.ticks,
             "skipped": report.skipped,
             "holds": report.holds,
@@ -74,6 +77,12 @@ class Watched:
             "environment_force_n": float(np.abs(trace.environment_force).max(initial=0.0)),
             "device_force_n": float(np.abs(near.device_force).max(initial=0.0)),
         }
+
+
+def reaction_s(trace: Any) -> float | None:  # noqa: ANN401  # SlaveTrace of one axis
+    """From the first command off the place to the first state off it, in s; none where either stays."""
+    told, moved = (np.flatnonzero(np.abs(x - x[:1]) > LEAST_M) for x in (trace.command.ravel(), trace.position.ravel()))
+    return float(trace.time_s[moved[0]] - trace.time_s[told[0]]) if len(told) and len(moved) else None
 
 
 def tell(event: dict[str, Any]) -> None:

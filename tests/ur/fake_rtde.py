@@ -37,7 +37,7 @@ class Arm:
     connected: bool = True
     frozen_at: float | None = None
     blocks: set[str] = field(default_factory=set)
-    """Calls that do not return until `release`."""
+    """Calls of either interface that do not return until `released`."""
     refuses: set[str] = field(default_factory=set)
     raises: set[str] = field(default_factory=set)
     said: list[tuple[Any, ...]] = field(default_factory=list)
@@ -50,13 +50,17 @@ class Arm:
 
     def call(self, name: str, *arguments: Any) -> bool:  # noqa: ANN401
         """Any call of the control interface."""
-        self.said.append((name, *arguments))
         self.kicked_s = time.monotonic()
+        self.enter(name, *arguments)
+        return name not in self.refuses and (self.runtime_state == PLAYING or name == "reuploadScript")
+
+    def enter(self, name: str, *arguments: Any) -> None:  # noqa: ANN401
+        """Keeps a call of either interface, which then hangs or raises where it is to."""
+        self.said.append((name, *arguments))
         if name in self.blocks:
             self.released.wait(30.0)
         if name in self.raises:
             raise RuntimeError(f"{name}: write: Broken pipe")
-        return name not in self.refuses and (self.runtime_state == PLAYING or name == "reuploadScript")
 
     def look(self) -> None:
         """Lets its watchdog look at the time."""
@@ -157,7 +161,7 @@ class Receive:
         return self._arm.connected
 
     def disconnect(self) -> None:
-        return None
+        self._arm.enter("disconnect")
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         arm = self._arm

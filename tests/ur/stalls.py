@@ -8,8 +8,8 @@ from typing import ParamSpec, Self
 
 P = ParamSpec("P")
 SLEEP_S = 0.002
-STALL_S = 0.03
-"""Longer than the 20 ms after which a loop holds: nothing that a test then sees is of the driver."""
+STALL_S = 0.015
+"""Less than the 20 ms after which a loop holds: a sleeper beside a loop need not be held up for as long as that."""
 MOST_TRIES = 3
 
 

@@ -20,8 +20,10 @@ pub struct Exchange<const N: usize> {
     link: FrameLink<N>,
     /// What the next frame says of the plant.
     pub(super) outgoing: PortState<N>,
-    /// Least time in ns between two frames of the peer, as it sends them.
+    /// Least time in ns between two frames of the peer, as it sends them, over [`COUNTED`] of them.
     interval_ns: Option<u64>,
+    /// Sequence and sending time of the frame that the next count begins with.
+    counted: (u64, u64),
     /// Its own, which stands for the peer's until that is known.
     period_ns: u64,
     /// The clutch as of the last tick.
@@ -33,6 +35,8 @@ pub struct Exchange<const N: usize> {
 
 /// Longest period of a loop in ns: a peer cannot ask for more patience.
 const LONGEST_INTERVAL_NS: u64 = 20_000_000;
+/// Frames whose mean interval is taken: one loop that wakes late shortens the next interval by its lateness.
+const COUNTED: u64 = 16;
 
 impl<const N: usize> Exchange<N> {
     pub(super) fn new(
@@ -47,6 +51,7 @@ impl<const N: usize> Exchange<N> {
             link: FrameLink::new(role, session, settings.stop_after_ns),
             outgoing: PortState::default(),
             interval_ns: None,
+            counted: (0, 0),
             period_ns,
             clutch: false,
             told: (0, 0),
@@ -57,25 +62,28 @@ impl<const N: usize> Exchange<N> {
         })
     }
 
-    /// See [`FrameLink::arriving_late`].
-    pub(super) fn arriving_late(&mut self, late_ns: u64) {
-        self.link.arriving_late(late_ns);
+    /// See [`FrameLink::late`].
+    pub(super) fn late(&mut self, late_ns: u64) {
+        self.link.late(late_ns);
     }
 
     /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
     pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
-        let before = self.newest().map(|frame| (frame.sequence, frame.sent_ns));
         let begins = self.link.receive(now_ns, datagram)?;
+        let Some((sequence, sent_ns)) = self.newest().map(|frame| (frame.sequence, frame.sent_ns)) else {
+            return Ok(begins);
+        };
         if begins {
-            self.interval_ns = None;
+            (self.interval_ns, self.counted) = (None, (sequence, sent_ns));
             // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled again
             // by what arrives from the network.
             self.ladder.new_session(now_ns, self.role == Role::Slave);
-        } else if let (Some((sequence, sent_ns)), Some(frame)) = (before, self.newest()) {
+        } else if sequence.saturating_sub(self.counted.0) >= COUNTED {
             // By the peer's own clock and count: neither jitter nor loss is in it.
-            let frames = frame.sequence.saturating_sub(sequence).max(1);
-            let interval_ns = (frame.sent_ns.saturating_sub(sent_ns) / frames).min(LONGEST_INTERVAL_NS);
+            let frames = sequence - self.counted.0;
+            let interval_ns = (sent_ns.saturating_sub(self.counted.1) / frames).min(LONGEST_INTERVAL_NS);
             self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |least| least.min(interval_ns)));
+            self.counted = (sequence, sent_ns);
         }
         Ok(begins)
     }

@@ -84,9 +84,9 @@ impl<const N: usize> MasterEndpoint<N> {
         })
     }
 
-    /// Until the next call datagrams are received up to `late_ns` after the time that they are given.
-    pub fn arriving_late(&mut self, late_ns: u64) {
-        self.exchange.arriving_late(late_ns);
+    /// Until the next call it is `late_ns` later than the tick's time when datagrams are received and sent.
+    pub fn late(&mut self, late_ns: u64) {
+        self.exchange.late(late_ns);
     }
 
     /// Takes a datagram that arrived by `now_ns`.

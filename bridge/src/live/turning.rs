@@ -118,12 +118,13 @@ impl<S: Side> Turning<S> {
         let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
         socket.drain(now_ns, until_ns, |from, datagram| {
             // It may have come while this loop was still asleep beyond its time.
-            side.arriving_late(clock::now_ns().saturating_sub(now_ns));
+            side.late(clock::now_ns().saturating_sub(now_ns));
             channel.receive(now_ns, from, datagram, side) == Came::Used
         });
         channel.advance(now_ns, |to, datagram| socket.send(to, datagram), &mut tell);
         let start_ns = self.start_ns;
         let record = side.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
+        side.late(clock::now_ns().saturating_sub(now_ns));
         if let Some(datagram) = channel.send(now_ns, side, &mut self.buffer) {
             socket.send(None, datagram);
         }

@@ -29,8 +29,8 @@ impl<S: Side> Side for Timed<S> {
         self.side.begin(now_ns);
     }
 
-    fn arriving_late(&mut self, late_ns: u64) {
-        self.side.arriving_late(late_ns);
+    fn late(&mut self, late_ns: u64) {
+        self.side.late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {

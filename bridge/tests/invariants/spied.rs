@@ -288,8 +288,8 @@ impl<P: MasterPlant<N>, const N: usize> Side for Near<P, N> {
         self.side.begin(now_ns);
     }
 
-    fn arriving_late(&mut self, late_ns: u64) {
-        self.side.arriving_late(late_ns);
+    fn late(&mut self, late_ns: u64) {
+        self.side.late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
@@ -342,8 +342,8 @@ impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
         self.side.begin(now_ns);
     }
 
-    fn arriving_late(&mut self, late_ns: u64) {
-        self.side.arriving_late(late_ns);
+    fn late(&mut self, late_ns: u64) {
+        self.side.late(late_ns);
     }
 
     fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {

@@ -1,0 +1,117 @@
+"""Calls that are made once: moves, questions, inputs and outputs."""
+
+import time
+
+import numpy as np
+import rtde_control  # type: ignore[import-not-found]  # they have no stubs
+import rtde_io  # type: ignore[import-not-found]
+import rtde_receive  # type: ignore[import-not-found]
+from tests.ur.clients.scenario import START, Result, scenario
+
+
+def seen() -> None:
+    """Waits until a state that came after an answer is there: the two have connections of their own."""
+    time.sleep(0.02)
+
+
+@scenario
+def moves(host: str) -> Result:
+    """Moves, synchronous and asynchronous, along paths; and what ends them."""
+    control = rtde_control.RTDEControlInterface(host)
+    receive = rtde_receive.RTDEReceiveInterface(host)
+    result: Result = {}
+    away = [*START[:5], 0.3]
+    result["movej"] = control.moveJ(away, 2.0, 8.0)
+    seen()
+    result["q"] = receive.getActualQ()
+    result["movej_back"] = control.moveJ(list(START), 2.0, 8.0)
+    seen()
+    pose = receive.getActualTCPPose()
+    up = [*pose[:2], pose[2] + 0.05, *pose[3:]]
+    result["movel"] = control.moveL(up, 0.5, 4.0)
+    seen()
+    result["off_m"] = float(np.abs(np.subtract(receive.getActualTCPPose(), up)).max())
+    result["movej_ik"] = control.moveJ_IK(pose, 2.0, 8.0)
+    result["movel_fk"] = control.moveL_FK(list(START), 0.5, 4.0)
+    result["async"] = control.moveJ(away, 2.0, 8.0, True)
+    time.sleep(0.1)
+    result["running"] = control.getAsyncOperationProgress()
+    control.stopJ(2.0)
+    result["stopped_at"] = receive.getActualQ()[5]
+    result["ended"] = control.getAsyncOperationProgress()
+    result["path"] = control.moveJ([[*START, 2.0, 8.0, 0.02], [*away, 2.0, 8.0, 0.0]])
+    seen()
+    result["path_end"] = receive.getActualQ()
+    result["custom"] = control.sendCustomScriptFunction("custom", "  set_standard_digital_out(3, True)\n")
+    seen()
+    result["digital"] = receive.getActualDigitalOutputBits()
+    control.stopScript()
+    result["runtime_state"] = receive.getRuntimeState()
+    return result
+
+
+@scenario
+def questions(host: str) -> Result:
+    """What is set up and asked for."""
+    control = rtde_control.RTDEControlInterface(host)
+    receive = rtde_receive.RTDEReceiveInterface(host)
+    pose = receive.getActualTCPPose()
+    result: Result = {"pose": pose}
+    result["inverse"] = control.getInverseKinematics(pose)
+    result["inverse_near"] = control.getInverseKinematics(pose, list(START), 1e-10, 1e-10)
+    result["solution"] = control.getInverseKinematicsHasSolution(pose)
+    result["no_solution"] = control.getInverseKinematicsHasSolution([2.0, 2.0, 2.0, 0.0, 0.0, 0.0])
+    result["set_tcp"] = control.setTcp([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    result["tcp"] = control.getTCPOffset()
+    seen()
+    result["tool_pose"] = receive.getActualTCPPose()
+    result["payload"] = control.setPayload(1.5, [0.0, 0.0, 0.05])
+    seen()
+    result["payload_kg"] = receive.getPayload()
+    result["zero"] = control.zeroFtSensor()
+    seen()
+    result["force"] = receive.getActualTCPForce()
+    control.getStepTime()
+    # The client reads the answer before the controller has given it: the second time it is there.
+    time.sleep(0.02)
+    result["step_time"] = control.getStepTime()
+    result["steady"] = control.isSteady()
+    result["within"] = [control.isJointsWithinSafetyLimits(list(START)), control.isPoseWithinSafetyLimits(pose)]
+    result["forward"] = control.getForwardKinematics()
+    result["jog"] = control.jogStart([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], 0, 0.5)
+    time.sleep(0.3)
+    result["jog_speed"] = receive.getActualTCPSpeed()
+    result["jog_stop"] = control.jogStop()
+    result["contact"] = [
+        control.startContactDetection(),
+        control.readContactDetection(),
+        control.stopContactDetection(),
+    ]
+    control.stopScript()
+    return result
+
+
+@scenario
+def io(host: str) -> Result:
+    """Digital and analog outputs, the speed slider, a second client beside it."""
+    inputs_outputs = rtde_io.RTDEIOInterface(host)
+    receive = rtde_receive.RTDEReceiveInterface(host)
+    result: Result = {
+        "set": [
+            inputs_outputs.setStandardDigitalOut(3, True),
+            inputs_outputs.setConfigurableDigitalOut(1, True),
+            inputs_outputs.setToolDigitalOut(0, True),
+            inputs_outputs.setSpeedSlider(0.5),
+            inputs_outputs.setAnalogOutputVoltage(0, 0.25),
+            inputs_outputs.setInputIntRegister(20, 5),
+            inputs_outputs.setInputDoubleRegister(20, 0.5),
+        ]
+    }
+    time.sleep(0.05)
+    result["bits"] = receive.getActualDigitalOutputBits()
+    result["slider"] = receive.getTargetSpeedFraction()
+    result["analog"] = receive.getStandardAnalogOutput0()
+    inputs_outputs.setStandardDigitalOut(3, False)
+    time.sleep(0.05)
+    result["cleared"] = receive.getActualDigitalOutputBits()
+    return result
