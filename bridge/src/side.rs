@@ -68,8 +68,8 @@ pub trait Side {
     /// The loop was late by more than the ladder allows, until `now_ns`.
     fn stalled(&mut self, now_ns: u64);
 
-    /// The plant has failed, or says so, at `now_ns`; a model does not.
-    fn device_failed(&mut self, _now_ns: u64) {}
+    /// The plant has failed, or says so, since the last tick; a model does not. The next tick counts it, after all acts.
+    fn device_failed(&mut self) {}
 
     /// Leaves the plant without force or motion.
     fn rest(&mut self);
@@ -155,8 +155,8 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.endpoint.stalled(now_ns);
     }
 
-    fn device_failed(&mut self, now_ns: u64) {
-        self.endpoint.device_failed(now_ns);
+    fn device_failed(&mut self) {
+        self.endpoint.device_failed();
     }
 
     fn rest(&mut self) {
@@ -259,8 +259,8 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         self.endpoint.stalled(now_ns);
     }
 
-    fn device_failed(&mut self, now_ns: u64) {
-        self.endpoint.device_failed(now_ns);
+    fn device_failed(&mut self) {
+        self.endpoint.device_failed();
     }
 
     fn rest(&mut self) {

@@ -124,9 +124,9 @@ where
         let velocity = read.velocity.map(|velocity| read_axes("velocity", velocity)).transpose()?;
         let force = PacedLoop::turn(
             self,
-            |side, now_ns| {
+            |side| {
                 if read.failed {
-                    side.device_failed(now_ns);
+                    side.device_failed();
                 }
                 let plant = &mut side.side.plant;
                 (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
@@ -153,9 +153,9 @@ where
         ];
         let order = PacedLoop::turn(
             self,
-            |side, now_ns| {
+            |side| {
                 if read.failed {
-                    side.device_failed(now_ns);
+                    side.device_failed();
                 }
                 side.side.plant.sample = sample;
             },

@@ -57,6 +57,8 @@ pub struct MasterEndpoint<const N: usize> {
     period_s: f64,
     /// The fault of the safety layer is mended, as a person says.
     acknowledged: bool,
+    /// The device has failed since the last tick.
+    has_failed: bool,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -78,6 +80,7 @@ impl<const N: usize> MasterEndpoint<N> {
             has_stalled: false,
             period_s: period_s(settings.period_ns),
             acknowledged: false,
+            has_failed: false,
         })
     }
 
@@ -96,6 +99,10 @@ impl<const N: usize> MasterEndpoint<N> {
         velocity: Option<&Axes<N>>,
         clutch: bool,
     ) -> MasterTick<N> {
+        let has_failed = std::mem::take(&mut self.has_failed);
+        if has_failed {
+            self.exchange.ladder.fault(now_ns);
+        }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
         let asked =
             self.exchange.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
@@ -110,6 +117,10 @@ impl<const N: usize> MasterEndpoint<N> {
             self.has_stalled = false;
         } else {
             self.carry_over(missed, position, velocity);
+        }
+        if has_failed {
+            // After the reset above: nobody can have acknowledged what shows at this tick only.
+            self.layer.fail(Fault::Device);
         }
         self.last = Some((*position, velocity.copied()));
         let safety = self.layer.tick_with_authority(position, velocity, &(asked * gain), gain);
@@ -147,10 +158,11 @@ impl<const N: usize> MasterEndpoint<N> {
         self.has_stalled = true;
     }
 
-    /// The device has failed, or says so: no force, and the peer is told.
-    pub fn device_failed(&mut self, now_ns: u64) {
-        self.layer.fail(Fault::Device);
-        self.exchange.ladder.fault(now_ns);
+    /// The device has failed, or says so: no force from the next tick on, and the peer is told.
+    ///
+    /// It counts as a bad number in that tick's sample does, so that no act before the tick undoes it.
+    pub fn device_failed(&mut self) {
+        self.has_failed = true;
     }
 
     /// A person at this side says that its fault is mended; the clutch must then be released and pressed.

@@ -55,6 +55,8 @@ pub struct SlaveEndpoint<const N: usize> {
     commanded_ns: u64,
     limited_ticks: u64,
     fault: Option<Fault>,
+    /// The arm has failed since the last tick.
+    has_failed: bool,
 }
 
 impl<const N: usize> SlaveEndpoint<N> {
@@ -71,6 +73,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             commanded_ns: 0,
             limited_ticks: 0,
             fault: None,
+            has_failed: false,
         })
     }
 
@@ -90,8 +93,9 @@ impl<const N: usize> SlaveEndpoint<N> {
         velocity: &Axes<N>,
         environment_force: &Axes<N>,
     ) -> SlaveTick<N> {
-        let door = Signal::Position
-            .check(position)
+        let has_failed = std::mem::take(&mut self.has_failed);
+        let door = if has_failed { Err(Fault::Device) } else { Ok(()) }
+            .and_then(|()| Signal::Position.check(position))
             .and_then(|()| Signal::Velocity.check(velocity))
             .and_then(|()| Signal::EnvironmentForce.check(environment_force));
         if let Err(fault) = door {
@@ -147,10 +151,11 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.exchange.stalled(now_ns);
     }
 
-    /// The arm has failed, or says so: no motion, and the peer is told.
-    pub fn device_failed(&mut self, now_ns: u64) {
-        self.fault.get_or_insert(Fault::Device);
-        self.exchange.ladder.fault(now_ns);
+    /// The arm has failed, or says so: no motion from the next tick on, and the peer is told.
+    ///
+    /// It counts as a bad number in that tick's sample does, so that no act before the tick undoes it.
+    pub fn device_failed(&mut self) {
+        self.has_failed = true;
     }
 
     /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there.

@@ -89,11 +89,7 @@ impl<S: Side> PacedLoop<S> {
     }
 
     /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
-    pub fn turn<T>(
-        &mut self,
-        before: impl FnOnce(&mut S, u64),
-        after: impl FnOnce(&mut S) -> T,
-    ) -> Option<T> {
+    pub fn turn<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
         let Stage::Turning(turning) = &mut self.stage else { return None };
         if self.shared.stop.load(Ordering::Relaxed) {
             return None;
@@ -106,7 +102,7 @@ impl<S: Side> PacedLoop<S> {
             }
             self.pace.sampled(clock::now_ns())
         };
-        before(turning.side(), wake.deadline_ns);
+        before(turning.side());
         match turning.turn(wake, &self.shared) {
             ControlFlow::Continue(()) => Some(after(turning.side())),
             ControlFlow::Break(()) => {
@@ -125,8 +121,9 @@ impl<S: Side> PacedLoop<S> {
     /// The device is gone: zero force and no motion, and the peer is told.
     pub fn fail(&mut self) {
         let Stage::Turning(turning) = &mut self.stage else { return };
-        turning.side().device_failed(clock::now_ns());
         for _ in 0..FAILED_TICKS {
+            // Anew at each: nobody can mend what is gone.
+            turning.side().device_failed();
             let wake = self.pace.waited(clock::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
             if turning.turn(wake, &self.shared).is_break() {

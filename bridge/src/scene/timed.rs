@@ -52,8 +52,8 @@ impl<S: Side> Side for Timed<S> {
         self.side.stalled(now_ns);
     }
 
-    fn device_failed(&mut self, now_ns: u64) {
-        self.side.device_failed(now_ns);
+    fn device_failed(&mut self) {
+        self.side.device_failed();
     }
 
     fn rest(&mut self) {
