@@ -1,0 +1,203 @@
+//! The layer as a whole: a hand that holds, lets go and is back, a loop that is late, numbers that cannot be.
+
+use super::*;
+use crate::{
+    Observation,
+    controller::{SafetySettings, Tripped},
+    estimator::{Estimator, EstimatorKind},
+};
+
+const PERIOD: f64 = 1e-3;
+const MASS: f64 = 0.157;
+
+fn settings(safety: SafetySettings) -> LayerSettings<1> {
+    LayerSettings {
+        device: DeviceModel::uniform(MASS, 0.0, 0.0).unwrap(),
+        period_s: PERIOD,
+        estimator: EstimatorKind::default(),
+        safety,
+        limiter: LimiterSettings { ramp_in_s: 0.0, ..LimiterSettings::default() },
+    }
+}
+
+/// A free mass under the layer's force, with an encoder; `F_v` = 5 N from the start, nobody holds.
+fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
+    let safety = SafetySettings { hsc: true, ..SafetySettings::default() };
+    let settings = settings(safety);
+    let mut controller = SafetyController::<1>::new(&settings.device, PERIOD, &safety).unwrap();
+    let mut estimator = settings.estimator.build::<1>(PERIOD).unwrap();
+    let mut kernel_of_rendered = estimator.clone();
+    let (mut x, mut v) = (0.0_f64, 0.0);
+    let (mut told, rendered) = (None, Axes::<1>::new(5.0));
+    let mut trips = Vec::new();
+    for _ in 0..200 {
+        let encoded = Axes::<1>::new((x / 2.3e-5).round() * 2.3e-5);
+        // The same chain, with another idea of which force Eq. 4 subtracts.
+        let motion = estimator.step(&encoded);
+        kernel_of_rendered.step(&encoded);
+        let of_eq_4 = told.map_or(0.0, &force_seen_by_eq_4);
+        let aligned = estimator.align(&Axes::<1>::new(of_eq_4));
+        let grasp_force = settings.device.grasp_force(&motion, &aligned);
+        let mut seen = Observation::exact(motion.velocity, rendered, grasp_force);
+        seen.aligned_rendered_force = kernel_of_rendered.align(&told.map_or(Axes::zeros(), |_| rendered));
+        let step = controller.step(&seen).unwrap();
+        trips.push(step.tripped.any());
+        let force = 5.0 + step.safety_force[0];
+        told = Some(force);
+        x += v * PERIOD + force / MASS * PERIOD * PERIOD / 2.0;
+        v += force / MASS * PERIOD;
+    }
+    trips
+}
+
+#[test]
+fn with_f_v_alone_hsc_switches_itself_off() {
+    let all_told = ejected_trips(|told| told);
+    let rendered_only = ejected_trips(|_| 5.0);
+    let on = |trips: &[bool]| trips[50..].iter().filter(|&&on| on).count();
+    assert_eq!(on(&all_told), 150, "once nobody holds, HSC stays on");
+    // Its own damping cancels F_v; with F_v alone, that looks like a hand that pushes back with 5 N.
+    assert!(on(&rendered_only) < 100, "{}", on(&rendered_only));
+}
+
+/// Ticks on which HSC trips while a braced hand (1500 N/m, 20 N s/m) meets a wall of 200 N/m and holds on.
+fn trips_at_contact(measures_velocity: bool) -> usize {
+    let safety = SafetySettings { hsc: true, hsc_force_threshold_n: 0.5, ..SafetySettings::default() };
+    let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
+    let (speed, mut x) = (0.15, 0.01_f64);
+    let (mut v, mut force, mut trips) = (-speed, 0.0, 0);
+    for n in 0..1500 {
+        let seen = if measures_velocity { x } else { (x / 2.3e-5).round() * 2.3e-5 };
+        let rendered = Axes::<1>::new((-200.0 * seen).max(0.0));
+        let velocity = Axes::<1>::new(v);
+        let tick = layer.tick(&Axes::<1>::new(seen), measures_velocity.then_some(&velocity), &rendered);
+        trips += usize::from(tick.intervention.tripped.any());
+        force = tick.device_force[0];
+        // Ten steps a tick: the hand is no part of the servo loop.
+        for step in 0..10 {
+            let target = 0.01 - speed * (f64::from(n) + f64::from(step) / 10.0) * PERIOD;
+            let hand = 1500.0 * (target.max(-0.03) - x) - 20.0 * v;
+            v += (force + hand) / MASS * PERIOD / 10.0;
+            x += v * PERIOD / 10.0;
+        }
+    }
+    assert!(force > 2.0, "the wall was met");
+    trips
+}
+
+#[test]
+fn a_late_estimate_is_no_release() {
+    // Exact signals show a hand all the time; so must estimated ones, although they lag by 8 ms.
+    assert_eq!((trips_at_contact(true), trips_at_contact(false)), (0, 0));
+}
+
+/// Nothing may trip while a hand holds on: a step of the remote force, beyond the cap, during the ramp-in.
+#[test]
+fn a_bounded_force_is_no_release() {
+    let safety = SafetySettings { hsc: true, ..SafetySettings::default() };
+    let limiter = LimiterSettings { max_force_n: 4.0, ramp_in_s: 0.05, ..LimiterSettings::default() };
+    let mut layer = SafetyLayer::new(&LayerSettings { limiter, ..settings(safety) }).unwrap();
+    let still = Axes::<1>::zeros();
+    for n in 0..300 {
+        let asked = Axes::<1>::new(if n < 100 { 1.0 } else { 30.0 });
+        let tick = layer.tick(&still, Some(&still), &asked);
+        assert!(!tick.intervention.tripped.any(), "tick {n}: S_h = {}", tick.intervention.grasp);
+        assert!(n < 105 || (tick.device_force[0] - 4.0).abs() < 1e-12);
+    }
+}
+
+/// 4 N are rendered all the time; a hand holds, lets go for 50 ms, and is back for good.
+#[test]
+fn a_hand_that_is_back_gets_its_force_back_over_the_ramp() {
+    let safety = SafetySettings {
+        hsc: true,
+        hsc_force_threshold_n: 0.5,
+        hold_off_s: 0.1,
+        release_ramp_s: 0.2,
+        ..SafetySettings::default()
+    };
+    let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
+    let rendered = Axes::<1>::new(4.0);
+    let (mut x, mut v, mut largest_step, mut last) = (0.0, 0.0, 0.0_f64, 0.0);
+    let mut states = Vec::new();
+    for n in 0..1500 {
+        let (at, moving) = (Axes::<1>::new(x), Axes::<1>::new(v));
+        let tick = layer.tick(&at, Some(&moving), &rendered);
+        let force = tick.device_force[0];
+        if n > 10 {
+            largest_step = largest_step.max(force - last);
+        }
+        last = force;
+        states.push((tick.intervention.tripped, force));
+        for _ in 0..10 {
+            let hand = if (500..550).contains(&n) { 0.0 } else { -400.0 * x - 15.0 * v };
+            v += (force + hand) / MASS * PERIOD / 10.0;
+            x += v * PERIOD / 10.0;
+        }
+    }
+    assert!(!states[499].0.any() && (states[499].1 - 4.0).abs() < 1e-9, "held: all is rendered");
+    assert!(states[500..550].iter().any(|(tripped, _)| tripped.contains(Tripped::HSC)), "let go: it trips");
+    assert!(!states[1499].0.any() && (states[1499].1 - 4.0).abs() < 1e-9, "back: all is rendered again");
+    assert!(largest_step < 0.3, "over the ramp, not as a step: {largest_step} N");
+}
+
+#[test]
+fn a_late_loop_does_not_read_several_ticks_as_one() {
+    // 0.3 m/s under no force; ticks 100 to 107 are missed.
+    let safety = SafetySettings { wsc: true, ..SafetySettings::default() };
+    let sample = |n: i32| Axes::<1>::new((3e-4 * f64::from(n) / 2.3e-5).round() * 2.3e-5);
+    let mut carried = SafetyLayer::new(&settings(safety)).unwrap();
+    let mut blind = carried.clone();
+    let none = Axes::zeros();
+    for n in 0..100 {
+        carried.tick(&sample(n), None, &none);
+        blind.tick(&sample(n), None, &none);
+    }
+    for n in 100..108 {
+        carried.missed(&sample(n), None);
+    }
+    let worst = |layer: &mut SafetyLayer<1>| {
+        (108..130).map(|n| layer.tick(&sample(n), None, &none).grasp_force[0].abs()).fold(0.0, f64::max)
+    };
+    assert!(worst(&mut carried) < 0.5);
+    assert!(worst(&mut blind) > 5.0, "else the test shows nothing");
+}
+
+#[test]
+fn bad_numbers_stop_at_the_door_in_the_same_tick_and_stay_stopped() {
+    let good = Axes::<1>::new(0.0);
+    for (x, v, f, name) in [
+        (f64::NAN, 0.0, 0.0, "position is not a finite number"),
+        (2e3, 0.0, 0.0, "position exceeds 1000 m"),
+        (0.0, f64::INFINITY, 0.0, "velocity is not a finite number"),
+        (0.0, 0.0, f64::NAN, "rendered force is not a finite number"),
+        (0.0, 0.0, -2e4, "rendered force exceeds 10000 N"),
+    ] {
+        let mut layer = SafetyLayer::new(&settings(SafetySettings::default())).unwrap();
+        let push = Axes::<1>::new(1.0);
+        for _ in 0..5 {
+            layer.tick(&good, Some(&good), &push);
+        }
+        assert!(layer.tick(&good, Some(&good), &push).device_force[0] > 0.9);
+        let (x, v, f) = (Axes::<1>::new(x), Axes::<1>::new(v), Axes::<1>::new(f));
+        for _ in 0..3 {
+            let tick = layer.tick(&x, Some(&v), &f);
+            assert_eq!(tick.device_force[0], 0.0);
+            assert_eq!(tick.fault.unwrap().to_string(), name);
+        }
+        assert!(layer.tick(&good, Some(&good), &push).fault.is_some(), "latched");
+        layer.reset(&good).unwrap();
+        assert!(layer.tick(&good, Some(&good), &push).fault.is_none());
+    }
+}
+
+#[test]
+fn without_a_controller_the_rendered_force_passes() {
+    let mut layer = SafetyLayer::new(&settings(SafetySettings::default())).unwrap();
+    let still = Axes::<1>::zeros();
+    for n in 0..10 {
+        let tick = layer.tick(&still, Some(&still), &Axes::<1>::new(0.3 * f64::from(n)));
+        assert!((tick.device_force[0] - 0.3 * f64::from(n)).abs() < 1e-12);
+        assert!(!tick.intervention.tripped.any());
+    }
+}
