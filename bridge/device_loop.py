@@ -192,8 +192,9 @@ def _close(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
 
 
 def _acknowledge(device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveLoop, notes: DeviceNotes) -> None:
-    notes.acknowledged, notes.fault = False, None
-    if (mend := getattr(device, "acknowledge", None)) is not None:
+    seen, notes.acknowledged, notes.fault = notes.fault, False, None
+    # What the device has met since it was read last, nobody has seen.
+    if seen is not None and (mend := getattr(device, "acknowledge", None)) is not None:
         mend()
     # A loop that has ended meanwhile has nothing to acknowledge.
     with contextlib.suppress(RuntimeError):

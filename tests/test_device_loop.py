@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from haptether.bridge import (
     load_slave,
     scene_json,
 )
+from haptether.bridge.device_loop import DeviceNotes, _acknowledge
 from haptether.master import MasterDevice, MasterSample
 from haptether.slave import SlaveDevice, SlaveSample
 
@@ -523,3 +525,15 @@ def test_ctrl_c_ends_a_command_whose_device_opens(tmp_path: Path, opens_s: float
     assert shown == ""
     # 1 s of patience with a device that may still open, and a machine that does much else.
     assert took_s < 10.0
+
+
+@pytest.mark.parametrize(("seen", "mended"), [("stopped", ["device", "loop"]), (None, ["loop"])])
+def test_a_device_hears_of_an_acknowledgement_only_where_its_fault_was_seen(
+    seen: str | None, mended: list[str]
+) -> None:
+    heard: list[str] = []
+    device, loop = (SimpleNamespace(acknowledge=lambda who=who: heard.append(who)) for who in ("device", "loop"))
+    notes = DeviceNotes(fault=seen, acknowledged=True)
+    _acknowledge(device, loop, notes)  # type: ignore[arg-type]  # of both only this is called
+    assert heard == mended
+    assert (notes.fault, notes.acknowledged) == (None, False)
