@@ -3,13 +3,12 @@
 import atexit
 import contextlib
 import gc
-import os
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from haptether._core import LoopReport, MasterLoop, MasterTrace, RecordingReport, SlaveLoop, SlaveTrace
+from haptether.bridge.device_opening import DeviceNotes, close_once, failure, opened
 from haptether.bridge.interpreter import QUIET
 
 if TYPE_CHECKING:
@@ -20,26 +19,6 @@ JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
 GIVE_UP_S = 1.0
 """How long a driver may still take to open its device once nobody waits for it any more."""
-PERIOD_SHARE = 0.01
-"""How far the period of a device may be from that of its loop; no clock of one is off by as much."""
-
-
-class DeviceError(RuntimeError):
-    """A driver raised an exception; its cause is that exception."""
-
-
-@dataclass
-class DeviceNotes:
-    """What the device and a person beside it say to each other."""
-
-    fault: str | None = None
-    """What the device said last that is wrong with it."""
-    acknowledged: bool = False
-    """A person says that it is mended; taken back once the device and the loop have heard it."""
-    realtime: str = ""
-    """What the loop's thread got of the system, once it has begun."""
-    closing: threading.Lock = field(default_factory=threading.Lock)
-    """Whoever gets it closes the device, and nobody else does."""
 
 
 def drive_master(
@@ -62,7 +41,7 @@ def drive_master(
     """
     notes = notes or DeviceNotes()
     rest: tuple[float, ...] = ()
-    with _opened(device, notes, "[run] period_s", period_s):
+    with opened(device, notes, "[run] period_s", period_s):
         notes.realtime = loop.begin()
         wait = None if device.paces else loop.wait
         try:
@@ -89,7 +68,7 @@ def drive_master(
             loop.fail()
             if not isinstance(error, Exception):
                 raise
-            raise _failed(device, error) from error
+            raise failure(device, error) from error
 
 
 def drive_slave(
@@ -112,7 +91,7 @@ def drive_slave(
     """
     notes = notes or DeviceNotes()
     before = "wait"
-    with _opened(device, notes, "[slave] period_s", period_s):
+    with opened(device, notes, "[slave] period_s", period_s):
         notes.realtime = loop.begin()
         wait = None if device.paces else loop.wait
         try:
@@ -141,68 +120,16 @@ def drive_slave(
             loop.fail()
             if not isinstance(error, Exception):
                 raise
-            raise _failed(device, error) from error
-
-
-@contextlib.contextmanager
-def _opened(
-    device: "MasterDevice | SlaveDevice", notes: DeviceNotes, key: str, period_s: float | None
-) -> Iterator[None]:
-    try:
-        device.open()
-        if notes.closing.locked():
-            message = "opened when nobody waited for it any more"
-            raise TimeoutError(message)
-        _check_period(device, key, period_s)
-    except Exception as error:
-        # What it had opened by then, nobody else closes.
-        _close(device, notes)
-        raise error if isinstance(error, DeviceError) else _failed(device, error) from error
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        yield
-    finally:
-        # The loop has asked for real time for this thread, which is the caller's.
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, *before)
-        _close(device, notes)
-
-
-def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
-    """Refuses a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
-
-    Raises:
-        DeviceError: With both periods and the remedy.
-    """
-    seen_s: float | None = getattr(device, "period_s", None)
-    if period_s is None or seen_s is None or not device.paces:
-        return
-    if not abs(seen_s - period_s) <= PERIOD_SHARE * period_s:
-        message = (
-            f"{key} = {period_s:g}: {type(device).__name__} gives a sample each {seen_s:g} s and paces the loop: "
-            f"set {key} = {seen_s:g}"
-        )
-        raise DeviceError(message)
-
-
-def _close(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
-    if notes.closing.acquire(blocking=False):
-        with contextlib.suppress(Exception):
-            device.close()
+            raise failure(device, error) from error
 
 
 def _acknowledge(device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveLoop, notes: DeviceNotes) -> None:
-    seen, notes.acknowledged, notes.fault = notes.fault, False, None
-    # What the device has met since it was read last, nobody has seen.
-    if seen is not None and (mend := getattr(device, "acknowledge", None)) is not None:
+    notes.acknowledged, notes.fault = False, None
+    if (mend := getattr(device, "acknowledge", None)) is not None:
         mend()
     # A loop that has ended meanwhile has nothing to acknowledge.
     with contextlib.suppress(RuntimeError):
         loop.acknowledge()
-
-
-def _failed(device: "MasterDevice | SlaveDevice", error: Exception) -> DeviceError:
-    return DeviceError(f"{type(device).__name__}: {type(error).__name__}: {error}")
 
 
 class DeviceRun:
@@ -223,7 +150,7 @@ class DeviceRun:
         self._thread = threading.Thread(target=self._run, name="haptether-loop", daemon=True)
         # The collector strikes wherever memory is asked for, the loop included: `poll` collects what is young instead.
         QUIET.begin()
-        self._quiet = True
+        self._quieted = threading.Lock()
         # Whatever ends this process, the device is left at rest before its thread is.
         atexit.register(self._leave)
         self._thread.start()
@@ -239,6 +166,7 @@ class DeviceRun:
             self.error = error
         finally:
             self._loop.stop()
+            self._unquiet()
 
     def ready(self) -> bool:
         """Whether the device is open and its loop turns, or it has ended."""
@@ -301,12 +229,12 @@ class DeviceRun:
         self._thread.join(GIVE_UP_S)
         atexit.unregister(self._leave)
         if self._thread.is_alive():
-            _close(self._device, self.notes)
+            close_once(self._device, self.notes)
         self._unquiet()
 
     def _unquiet(self) -> None:
-        if self._quiet:
-            self._quiet = False
+        # Once: by its own end, or by who waits for it no longer.
+        if self._quieted.acquire(blocking=False):
             QUIET.end()
 
     def _end(self) -> None:

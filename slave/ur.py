@@ -20,7 +20,7 @@ from haptether.slave.ur_checks import (
     check_workspace,
 )
 from haptether.slave.ur_halting import Halting
-from haptether.slave.ur_link import UrLink, vendor_module
+from haptether.slave.ur_link import LinkError, UrLink, vendor_module
 from haptether.slave.ur_modes import check_mode, model_distance, ur_mode
 from haptether.slave.ur_motion import Motion, MotionError, along
 from haptether.slave.ur_options import UrOptions, ur_options
@@ -76,9 +76,13 @@ class UrSlave:
         self._before: UrState | None = None
         """The last state in which the arm was allowed to move."""
         self._opened = False
+        self._unwanted = False
+        """Closed, maybe while it still opens."""
         self._period_s = 0.002
         self._arrived_s = self._read_s = 0.0
         self._fault: str | None = None
+        self._shown: str | None = None
+        """The fault of the last sample."""
         self._fault_s = 0.0
         self._recovery: Call | None = None
 
@@ -87,6 +91,7 @@ class UrSlave:
     def open(self) -> None:
         """Goes through the checklist and connects; the arm does not move."""
         vendor_module()
+        self._unwanted = False
         checklist = Checklist(self.options.host)
         options = self.options = replace(self.options, host=check_address(self.options.host, checklist))
         seen = check_before(options, checklist)
@@ -97,6 +102,9 @@ class UrSlave:
         self._period_s = 1.0 / self._link.rate_hz
         self._aside = Bounded("ur-aside")
         self._halting = Halting(self._link, options.host, self._tell)
+        if self._unwanted:
+            message = "closed before it was open"
+            raise LinkError(message)
         self._opened = True
         self._link.connect()
         x, y, z, rx, ry, rz = options.tool or (self._link.setting("tool", self._link.control.getTCPOffset))
@@ -108,8 +116,8 @@ class UrSlave:
             raw=options.force_source == "raw", tool=offset, filter_hz=options.force_filter_hz,
             deadband_n=options.force_deadband_n, payload_kg=options.payload_kg or 0.0,
         )  # fmt: skip
-        check_workspace(motion.outside(self._link.state()), options, checklist)
         self._state = check_after(options, self._link, checklist)
+        check_workspace(motion.outside(self._state), options, checklist)
         distance_m = model_distance(mode, self._state)
         if distance_m is not None:
             check_model(distance_m, options, checklist)
@@ -130,11 +138,16 @@ class UrSlave:
             now_s = time.monotonic()
             self._look_for_faults(now_s)
             if self._fault is None:
-                idle = self._motion is not None and not self._motion.moving and not self._halting.busy
-                self._alive.give(now_s, self._aside, idle=idle)
+                led = self._motion is not None and self._motion.moving and not self._halting.busy
+                self._alive.give(now_s, self._aside, idle=not led and not self._halting.calls)
         why = self._halting.failed(self._state, stale=time.monotonic() - self._arrived_s > STALE_S)
         if why is not None:
-            self._latch(f"a soft stop {why}: the program is ended; see the arm, then acknowledge")
+            text = f"a soft stop {why}: the program is ended; see the arm, then acknowledge"
+            if self._fault is None:
+                self._latch(text)
+            else:
+                # The fault that it was stopped for stands; this is graver.
+                self._tell(f"{text}; if it moves, press its emergency stop")
             self._cut()
         return self._sample()
 
@@ -156,26 +169,29 @@ class UrSlave:
 
     def acknowledge(self) -> None:
         """A person has seen to the fault: unlocks, connects and uploads again, and says when the arm is ready."""
-        if self._fault is None or self._recovery is not None:
+        if self._fault is None or self._fault is not self._shown or self._recovery is not None:
+            # What it has met since the last sample nobody has seen.
             return
         self._fault = None
         self._alive.forget()
-        self._halting.clear()
+        on_its_way = self._halting.clear()
         if self._aside.stuck is not None:
             self._aside.end()
             self._aside = Bounded("ur-aside")
         self._link.worker.streamed = self._link.worker.idled = None
-        options, link, halting, stopped_s = self.options, self._link, self._halting, self._fault_s
+        options, link, stopped_s = self.options, self._link, self._fault_s
 
         def recovered() -> UrState:
-            # What ends the program may still be on its way.
-            halting.end()
+            # What stops the arm, or ends the program.
+            for call in on_its_way:
+                call.wait(call.limit_s)
             return recover(options, link, stopped_s)
 
         self._recovery = self._aside.start("recovery", recovered, 60.0)
 
     def close(self) -> None:
         """Ends the control script and disconnects, within 5 s."""
+        self._unwanted = True
         if not self._opened:
             return
         self._opened = False
@@ -263,7 +279,7 @@ class UrSlave:
         self._tell("ready: it may be engaged")
 
     def _sample(self) -> SlaveSample:
-        state, now_s = self._state, time.monotonic()
+        state, now_s, self._shown = self._state, time.monotonic(), self._fault
         force = self._wrench.force(state.wrench, state.pose, now_s - self._read_s)
         self._read_s = now_s
         if self.options.axes == 1:

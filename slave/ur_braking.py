@@ -2,7 +2,7 @@
 
 While the controller brakes, the vendor's library waits and says nothing, and the watchdog would end the program in the
 middle of a stop that takes longer than its period. So a stop is as hard as the options ask, and harder where it would
-take longer: `a = max(a_option, |v| f / 0.7)` for the watchdog's f in Hz, up to `HARDEST`.
+take longer: `a = max(a_option, 2 |v| f)` for the watchdog's f in Hz, up to `HARDEST`.
 """
 
 import math
@@ -11,8 +11,8 @@ from typing import Final
 from haptether.slave.ur_options import UrOptions
 from haptether.slave.ur_state import UrState
 
-SHARE: Final = 0.7
-"""Of the watchdog's period that braking may take: there are a few cycles of words around it."""
+SHARE: Final = 0.5
+"""Of the watchdog's period that braking may take: there is silence before, and a few cycles of words around it."""
 HARDEST: Final = 20.0
 """m/s² or rad/s²; the most that the options may ask for, too. What is too fast for that the watchdog stops."""
 
@@ -23,8 +23,8 @@ def of_joints(options: UrOptions, state: UrState) -> float:
 
 
 def of_tool(options: UrOptions, state: UrState) -> float:
-    """Deceleration in m/s² of the tool's point."""
-    return _within(options, math.hypot(*state.speed[:3]))
+    """Deceleration of the tool, in m/s² of its point and rad/s² of its turning."""
+    return _within(options, max(math.hypot(*state.speed[:3]), math.hypot(*state.speed[3:])))
 
 
 def _within(options: UrOptions, speed: float) -> float:

@@ -64,13 +64,14 @@ class Motion:
         """
         now_s = time.monotonic()
         target = placed(self._options, position, self.point.position if self.moving else _three(state.pose))
+        if self._halting.busy:
+            return
         if not self.moving:
-            if self._halting.busy:
-                return
             self._begin(state, target)
         elif self._link.worker.idled is not None:
-            # It was stopped meanwhile: on from where it is, as fast as it may.
+            # It was stopped meanwhile: on from where it came to rest, as fast as it may.
             self.at_rest(state)
+            self._written_s = now_s - self._period_s
         elapsed_s = min(max(now_s - self._written_s, 0.25 * self._period_s), MOST_PERIODS * self._period_s)
         self._written_s = now_s
         self.point.step(target, placed(self._options, velocity, ORIGIN), elapsed_s)

@@ -57,7 +57,7 @@ class Probe:
     """Of the tool, x y z rx ry rz in m and rad."""
     rate_hz: float
     """Of its packages, by its own clock."""
-    speed_fraction: float = 1.0
+    speed_fraction: float
     """Where its speed slider stands, 0 to 1."""
 
     @property

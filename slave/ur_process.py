@@ -81,10 +81,15 @@ class ControlProcess:
     def kill(self) -> None:
         """Ends the process, in the middle of a call if need be, and with it its connections."""
         self._process.kill()
-        threading.Thread(target=self._process.wait, daemon=True).start()
         # Whoever waits for an answer wakes up.
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
+        threading.Thread(target=self._leave, daemon=True).start()
+
+    def _leave(self) -> None:
+        self._process.wait()
+        self._lines.close()
+        self._socket.close()
 
     def _call(self, name: str, arguments: tuple[Any, ...]) -> Any:  # noqa: ANN401  # what the library gives
         try:

@@ -96,7 +96,7 @@ class UrState(NamedTuple):
     safety_mode: int
     safety_bits: int
     runtime_state: int
-    speed_fraction: float = 1.0
+    speed_fraction: float
     """Where the speed slider stands, 0 to 1."""
 
     @property

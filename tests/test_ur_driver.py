@@ -12,6 +12,7 @@ from haptether.slave import SlaveSample, UrSlave
 from haptether.slave.ur_checks import UrRefusedError
 from haptether.slave.ur_halting import REST_S, STOP_S
 from haptether.slave.ur_link import END_S, LinkError
+from haptether.slave.ur_probe import Probe
 from haptether.slave.ur_recovery import UNLOCK_AFTER_S
 
 LONG_S = 20.0
@@ -238,12 +239,40 @@ def test_an_arm_that_moves_on_after_its_stop_ends_the_program(arm: Arm) -> None:
     driven.driver.close()
 
 
+def test_an_arm_that_rests_for_one_package_does_not_rest(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    driven.driver.stop()
+    driven.until(lambda _: not driven.driver._halting.calls)
+    # At a reversal.
+    driven.turn()
+    arm.qd[2] = 0.3
+    assert driven.fault().startswith("a soft stop was acknowledged, and the arm still moves")
+    driven.driver.close()
+
+
+def test_nothing_moves_an_arm_that_still_comes_to_rest(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    arm.qd[2] = 0.3
+    driven.driver.stop()
+    sent = len(arm.said)
+    end_s = time.monotonic() + 0.3
+    while time.monotonic() < end_s:
+        assert driven.turn(moving=True).fault is None
+    assert "speedL" not in arm.names[sent:]
+    # It is heard all the while: the watchdog waits for 0.1 s.
+    assert "kickWatchdog" in arm.names[sent:]
+    arm.qd[2] = 0.0
+    driven.until(lambda _: "speedL" in arm.names[sent:], moving=True)
+    driven.driver.close()
+
+
 def test_an_arm_that_rested_may_be_moved_by_somebody_else(arm: Arm) -> None:
     driven = Driven(arm)
     driven.moves()
     driven.driver.stop()
     driven.until(lambda _: not driven.driver._halting.busy)
-    driven.turn()
     arm.qd[2] = 0.3
     end_s = time.monotonic() + REST_S + 0.3
     while time.monotonic() < end_s:
@@ -251,19 +280,81 @@ def test_an_arm_that_rested_may_be_moved_by_somebody_else(arm: Arm) -> None:
     driven.driver.close()
 
 
+def test_a_stop_that_fails_is_told_beside_the_fault_that_it_was_for(
+    arm: Arm, capsys: pytest.CaptureFixture[str]
+) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    arm.refuses.add("speedStop")
+    slowed(arm)
+    fault = driven.fault(moving=True)
+    assert fault.startswith("speed slider at 70 %")
+    driven.until(lambda _: "kill" in arm.names)
+    assert "a soft stop was not acknowledged: the program is ended" in capsys.readouterr().err
+    driven.until(lambda _: "stop" in arm.dashboard)
+    assert driven.turn().fault == fault
+    driven.driver.close()
+
+
+def test_a_stop_behind_a_call_that_hangs_ends_the_program(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.moves()
+    arm.watchdog_bites = False
+    arm.blocks.add("speedL")
+    driven.turn(moving=True)
+    # Before the call is overdue something else stops the arm.
+    slowed(arm)
+    assert driven.fault().startswith("speed slider")
+    driven.until(lambda _: "stop" in arm.dashboard)
+    assert "kill" in arm.names
+    driven.driver.close()
+
+
+def test_an_acknowledgement_clears_no_fault_that_was_not_shown(arm: Arm) -> None:
+    driven = Driven(arm)
+    driven.until(lambda _: driven.driver._alive.armed)
+    driven.driver.write((driven.home + 0.012,), (0.0,))
+    driven.driver.acknowledge()
+    fault = driven.turn().fault
+    assert fault is not None
+    assert "12.0 mm away from where the tool is" in fault
+    driven.driver.acknowledge()
+    driven.until(lambda sample: sample.fault is None)
+    driven.driver.close()
+
+
+def test_an_arm_that_was_closed_while_it_opened_is_not_connected(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = UrSlave(host="fake")
+
+    def slow(host: str, limit_s: float = 5.0) -> Probe:
+        driver.close()
+        return arm.probe(host, limit_s)
+
+    monkeypatch.setattr("haptether.slave.ur_checks.probe", slow)
+    with pytest.raises(LinkError, match="closed before it was open"):
+        driver.open()
+    assert arm.said == []
+
+
 @pytest.mark.parametrize(
     ("mode", "qd", "asked", "want"),
     [
-        # 0.1 s of the watchdog, 70 ms of them for braking.
-        ("servoj", 0.7, 5.0, 10.0),
+        # 0.1 s of the watchdog, 50 ms of them for braking.
+        ("servoj", 0.7, 5.0, 14.0),
+        ("servol", 0.7, 5.0, 14.0),
         ("servoj", 0.2, 5.0, 5.0),
         ("servoj", 3.0, 5.0, 20.0),
-        ("speedl", 0.0, 0.5, 0.2 / 0.07),
+        ("speedl", 0.0, 0.5, 4.0),
+        ("direct-torque", 0.7, 5.0, 14.0),
     ],
 )
 def test_a_stop_ends_before_the_watchdog_would(arm: Arm, mode: str, qd: float, asked: float, want: float) -> None:
+    arm.version = (5, 26, 0, 0)
     driven = Driven(arm, mode=mode, stop_deceleration=asked)
-    order, call = {"servoj": ("servoJ", "servoStop"), "speedl": ("speedL", "speedStop")}[mode]
+    order, call = {
+        "servoj": ("servoJ", "servoStop"), "servol": ("servoL", "servoStop"), "speedl": ("speedL", "speedStop"),
+        "direct-torque": ("directTorque", "stopJ"),
+    }[mode]  # fmt: skip
     driven.until(lambda _: arm.names[-1] == order, moving=True)
     arm.qd[1], arm.speed[0] = -qd, 0.2
     driven.turn(moving=True)
@@ -293,8 +384,13 @@ def test_an_arm_that_does_not_follow_is_a_fault(arm: Arm, mode: str) -> None:
 def test_a_tool_outside_its_workspace_is_refused_before_it_moves(arm: Arm) -> None:
     with pytest.raises(UrRefusedError, match=r"workspace: 1 plane, the tool 84\.1 mm outside: move the tool inside"):
         Driven(arm, workspace=[[0.0, 0.0, 2.0, 0.6]])
-    assert "zeroFtSensor" not in arm.names
     assert "speedL" not in arm.names
+
+
+def test_the_workspace_is_for_the_tool_of_the_options(arm: Arm) -> None:
+    """On the pendant stands the flange, 84 mm outside; the tool of the options reaches inside."""
+    arm.tool_moves = True
+    Driven(arm, tool=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0], workspace=[[0.0, 0.0, 2.0, 0.6]]).driver.close()
 
 
 @pytest.mark.parametrize("name", ["speedL", "kickWatchdog"])

@@ -13,6 +13,8 @@ from tests.ur.emulated import Emulated, emulator
 from tests.ur.stalls import anew_after_stalls
 from tests.ur.watching import Watching, driven
 
+from haptether.slave import UrSlave
+
 pytest.importorskip("rtde_control")
 pytestmark = pytest.mark.timeout(300)
 
@@ -205,6 +207,37 @@ def recover(watching: Watching) -> float:
             return ack_s
         assert time.monotonic() < end_s, faults
         time.sleep(0.3)
+
+
+@pytest.mark.parametrize("mode", ["servoj", "servol", "speedl", "direct-torque"])
+@anew_after_stalls
+def test_a_soft_stop_from_full_speed_ends_before_the_watchdog(mode: str) -> None:
+    """0.2 m/s at 0.5 m/s² or rad/s² would take 0.4 s or longer; the watchdog waits for 0.1 s."""
+    host = HOST.format(27)
+    with emulator("--version", "5.26", host=host) as emulated:
+        arm = UrSlave(host=host, mode=mode, stop_deceleration=0.5, verify_watchdog=False)
+        arm.open()
+        try:
+            at_m = arm.read().position
+            assert isinstance(at_m, float)
+            armed_s = time.monotonic() + 0.3
+            while time.monotonic() < armed_s:
+                assert arm.read().fault is None
+            begun_s = time.monotonic()
+            while (t := time.monotonic() - begun_s) < 0.4:
+                assert arm.read().fault is None
+                # Half a second of even acceleration to 0.2 m/s, and on.
+                arm.write((at_m + 0.25 * t * t,), (0.5 * t,))
+            assert math.hypot(*emulated.status()["tcp_speed"][:3]) > 0.1
+            arm.stop()
+            stopped_s = time.monotonic()
+            while time.monotonic() < stopped_s + 0.4:
+                assert arm.read().fault is None
+            status = emulated.status()
+            assert status["runtime_state"] == "PLAYING"
+            assert math.hypot(*status["tcp_speed"][:3]) < 1e-3
+        finally:
+            arm.close()
 
 
 @anew_after_stalls

@@ -27,7 +27,7 @@ def state_at(q: tuple[float, ...], off: tuple[float, ...] = (0.0, 0.0, 0.0)) -> 
     """A state whose tool the controller has `off` away from where the model has it."""
     pose = pose_from_transform(np.array(UrKinematics(MODEL).forward(q)))
     pose[:3] += off
-    return UrState(1.0, q, q, (0.0,) * 6, tuple(pose), (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2)
+    return UrState(1.0, q, q, (0.0,) * 6, tuple(pose), (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2, 1.0)
 
 
 def test_the_tool_follows_and_keeps_its_orientation() -> None:

@@ -7,7 +7,7 @@ from haptether._core import ForceSensor
 
 Array = npt.NDArray[np.float64]
 Six = tuple[float, ...]
-Three = tuple[float, ...]
+Vector = tuple[float, ...]
 TORQUE_SHARE = 0.1
 """Noise of a torque in N m, of that of a force in N."""
 
@@ -17,7 +17,7 @@ class WrenchSensing:
 
     Args:
         noise_n: Standard deviation of the forces in N; torques have a tenth of it, in N m.
-        bias: Three offsets in N, three in N m.
+        bias: Vector offsets in N, three in N m.
         seed: Of the noise: the same seed gives the same.
 
     Raises:
@@ -43,7 +43,7 @@ class WrenchSensing:
             self._last = self.external
         return tuple([w - o for w, o in zip(self._last, self.offset, strict=True)])
 
-    def raw(self, flange_turn: Array, lever: Array, weight: Array, cog: Three) -> Six:
+    def raw(self, flange_turn: Array, lever: Array, weight: Array, cog: Vector) -> Six:
         """The last sample at the flange and in its frame, with the payload and without the offset: ft_raw_wrench.
 
         Args:
@@ -64,5 +64,5 @@ class WrenchSensing:
         self.offset = self._last
 
 
-def _cross(a: Three, b: Three) -> Three:
+def _cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

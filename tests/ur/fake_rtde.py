@@ -29,6 +29,9 @@ class Arm:
     qd: list[float] = field(default_factory=lambda: [0.0] * 6)
     force: list[float] = field(default_factory=lambda: [0.0] * 6)
     slider: float = 1.0
+    tool: list[float] = field(default_factory=lambda: [0.0] * 6)
+    tool_moves: bool = False
+    """Whether the pose shows what is set as tool, along z."""
     runtime_state: int = STOPPED
     robot_mode: int = 7
     safety_mode: int = 1
@@ -139,9 +142,15 @@ class Control:
         self._arm.runtime_state, self._arm.watchdog_hz = PLAYING, None
         return True
 
+    def setTcp(self, tool: list[float]) -> bool:  # noqa: N802
+        if self._arm.tool_moves:
+            self._arm.pose[2] += tool[2]
+        self._arm.tool = list(tool)
+        return self._arm.call("setTcp", tool)
+
     def getTCPOffset(self) -> list[float]:  # noqa: N802
         self._arm.call("getTCPOffset")
-        return [0.0] * 6
+        return list(self._arm.tool)
 
 
 class Receive:

@@ -22,6 +22,8 @@ pub struct Exchange<const N: usize> {
     pub(super) outgoing: PortState<N>,
     /// Least time in ns between two frames of the peer, as it sends them, over [`COUNTED`] of them.
     interval_ns: Option<u64>,
+    /// The same over those that came until there were as many.
+    first_interval_ns: Option<u64>,
     /// Sequence and sending time of the frame that the next count begins with.
     counted: (u64, u64),
     /// Its own, which stands for the peer's until that is known.
@@ -51,6 +53,7 @@ impl<const N: usize> Exchange<N> {
             link: FrameLink::new(role, session, settings.stop_after_ns),
             outgoing: PortState::default(),
             interval_ns: None,
+            first_interval_ns: None,
             counted: (0, 0),
             period_ns,
             clutch: false,
@@ -74,16 +77,21 @@ impl<const N: usize> Exchange<N> {
             return Ok(begins);
         };
         if begins {
-            (self.interval_ns, self.counted) = (None, (sequence, sent_ns));
+            (self.interval_ns, self.first_interval_ns) = (None, None);
+            self.counted = (sequence, sent_ns);
             // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled again
             // by what arrives from the network.
             self.ladder.new_session(now_ns, self.role == Role::Slave);
-        } else if sequence.saturating_sub(self.counted.0) >= COUNTED {
+        } else if sequence > self.counted.0 {
             // By the peer's own clock and count: neither jitter nor loss is in it.
             let frames = sequence - self.counted.0;
             let interval_ns = (sent_ns.saturating_sub(self.counted.1) / frames).min(LONGEST_INTERVAL_NS);
-            self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |least| least.min(interval_ns)));
-            self.counted = (sequence, sent_ns);
+            if frames >= COUNTED {
+                self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |least| least.min(interval_ns)));
+                self.counted = (sequence, sent_ns);
+            } else if self.interval_ns.is_none() {
+                self.first_interval_ns = Some(interval_ns);
+            }
         }
         Ok(begins)
     }
@@ -94,7 +102,7 @@ impl<const N: usize> Exchange<N> {
             self.told = (self.ladder.holds(), self.link.next_sequence());
         }
         let age_ns = self.link.age_ns(now_ns);
-        let expected_age_ns = self.interval_ns.unwrap_or(self.period_ns);
+        let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
         let newest = self.newest();
         let peer = newest.map(|frame| PeerReport {
             // A state that this version does not know is none to be coupled with.

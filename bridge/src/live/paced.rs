@@ -124,7 +124,8 @@ impl<S: Side> PacedLoop<S> {
         for _ in 0..FAILED_TICKS {
             // Anew at each: nobody can mend what is gone.
             turning.side().device_failed();
-            let wake = self.pace.waited(clock::now_ns());
+            // Now, and not when the next sample would have been due: what is told must not come from the future.
+            let wake = self.pace.sampled(clock::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
             if turning.turn(wake, &self.shared).is_break() {
                 break;

@@ -109,15 +109,15 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     with Console(stderr=True).status(f"opening {name}   (Ctrl-C ends)"):
         while not run.ready() and not stopped and time.monotonic() < end:
             time.sleep(0.01)
-        opened = run.ready()
-        if opened and not (run.finished and run.error is not None):
+        if run.ready() and not (run.finished and run.error is not None):
             return run
+        late = not run.ready()
         run.give_up()
-    if opened and run.error is not None:
+    if stopped and late:
+        raise KeyboardInterrupt
+    if run.finished and run.error is not None and not isinstance(run.error.__cause__, TimeoutError):
         # It was never open: there is nothing to say of a run.
         raise run.error
-    if stopped:
-        raise KeyboardInterrupt
     message = f"device = {name}: did not open within {READY_S:g} s"
     raise RuntimeError(message)
 

@@ -1,0 +1,100 @@
+"""How the device of a loop is opened, held against its loop, and closed once."""
+
+import contextlib
+import os
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from haptether.master import MasterDevice
+    from haptether.slave import SlaveDevice
+
+PERIOD_SHARE = 0.01
+"""How far the period of a device may be from that of its loop; no clock of one is off by as much."""
+
+
+class DeviceError(RuntimeError):
+    """A driver raised an exception; its cause is that exception."""
+
+
+@dataclass
+class DeviceNotes:
+    """What the device and a person beside it say to each other."""
+
+    fault: str | None = None
+    """What the device said last that is wrong with it."""
+    acknowledged: bool = False
+    """A person says that it is mended; taken back once the device and the loop have heard it."""
+    realtime: str = ""
+    """What the loop's thread got of the system, once it has begun."""
+    closing: threading.Lock = field(default_factory=threading.Lock)
+    """Whoever gets it closes the device, and nobody else does."""
+
+
+@contextlib.contextmanager
+def opened(
+    device: "MasterDevice | SlaveDevice", notes: DeviceNotes, key: str, period_s: float | None
+) -> Iterator[None]:
+    """Within it the device is open; its thread has the scheduling of before again after it.
+
+    Args:
+        device: What is driven.
+        notes: Of its loop.
+        key: Of the scene, that has the period.
+        period_s: Of the loop in s; none where nobody has said it.
+
+    Raises:
+        DeviceError: It could not be opened, or paces the loop by another period.
+    """
+    try:
+        device.open()
+        if notes.closing.locked():
+            # It was closed while it was not open yet.
+            with contextlib.suppress(Exception):
+                device.close()
+            message = "opened when nobody waited for it any more"
+            raise TimeoutError(message)
+        _check_period(device, key, period_s)
+    except Exception as error:
+        # What it had opened by then, nobody else closes.
+        close_once(device, notes)
+        raise error if isinstance(error, DeviceError) else failure(device, error) from error
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield
+    finally:
+        # The loop has asked for real time for this thread, which is the caller's.
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, *before)
+        close_once(device, notes)
+
+
+def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
+    """Refuses a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
+
+    Raises:
+        DeviceError: With both periods and the remedy.
+    """
+    seen_s: float | None = getattr(device, "period_s", None)
+    if period_s is None or seen_s is None or not device.paces:
+        return
+    if not abs(seen_s - period_s) <= PERIOD_SHARE * period_s:
+        message = (
+            f"{key} = {period_s:g}: {type(device).__name__} gives a sample each {seen_s:g} s and paces the loop: "
+            f"set {key} = {seen_s:g}"
+        )
+        raise DeviceError(message)
+
+
+def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
+    """Closes it, unless somebody does already."""
+    if notes.closing.acquire(blocking=False):
+        with contextlib.suppress(Exception):
+            device.close()
+
+
+def failure(device: "MasterDevice | SlaveDevice", error: Exception) -> DeviceError:
+    """An exception of a driver, with the driver's name."""
+    return DeviceError(f"{type(device).__name__}: {type(error).__name__}: {error}")
