@@ -164,7 +164,8 @@ class UrSlave:
 
     def stop(self) -> None:
         """Has the arm come to rest; returns at once, `read` sees to it that it does."""
-        if self._motion is not None:
+        # One that never opened has no state, and nothing to stop.
+        if self._motion is not None and self._motion.moving:
             self._motion.stop(self._state)
 
     def acknowledge(self) -> None:

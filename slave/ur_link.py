@@ -73,6 +73,7 @@ class UrLink:
         self._second = Bounded("ur-receive")
         self.control: Any = None
         self.receive: Any = None
+        self._ended = False
 
     @property
     def rate_hz(self) -> float:
@@ -90,6 +91,7 @@ class UrLink:
         Raises:
             LinkError: No connection, inputs that another client has, or a script that does not start.
         """
+        self._check_wanted()
         host, rate = self._options.host, self.rate_hz
         if self.receive is None or not self.receive.isConnected() or not self._goes_on():
             # Never the old one again: to reconnect it may hang, to disconnect it may end this process.
@@ -101,14 +103,22 @@ class UrLink:
                 lambda: _immortal(self._module.RTDEReceiveInterface(host, rate, names)), RECEIVE_S,
             )  # fmt: skip
         if self.control is None:
+            self._check_wanted()
             self.control = ControlProcess(host, rate)
             try:
+                # Ended just now, or from here on by whoever ends it.
+                self._check_wanted()
                 self._done(self.worker, "connect (control)", self.control.connect, CONNECT_S)
             except LinkError:
                 # It would go on, and upload its script whenever that comes through.
                 self.cut()
                 raise
         self.upload()
+
+    def _check_wanted(self) -> None:
+        if self._ended:
+            message = "closed meanwhile"
+            raise LinkError(message)
 
     def upload(self) -> None:
         """Has the control script play, anew where it does not.
@@ -177,6 +187,7 @@ class UrLink:
     def end(self) -> list[str]:
         """Ends the script and both connections, within a few seconds; what of that failed."""
         failed: list[str] = []
+        self._ended = True
         control, receive = self.control, self.receive
         if control is not None:
             try:

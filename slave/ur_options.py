@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from haptether.slave.allowed import allowed
-from haptether.slave.ur_models import UR_MODELS, ur_model
+from haptether.slave.ur_models import MOST_PAYLOAD_KG, UR_MODELS, ur_model
 
 Three: TypeAlias = tuple[float, float, float]
 Six: TypeAlias = tuple[float, float, float, float, float, float]
@@ -121,6 +121,9 @@ def _check(options: UrOptions) -> None:
     model = ur_model(options.model)
     if math.hypot(*options.axis) < LEAST_NORM:
         raise _wrong("axis", options.axis, "must have a length")
+    most_kg = MOST_PAYLOAD_KG[model.name]
+    if options.payload_kg is not None and options.payload_kg > most_kg:
+        raise _wrong("payload_kg", options.payload_kg, f"must be 0 to {most_kg:g} kg: a {model.name} carries no more")
     if options.payload_cog is not None and options.payload_kg is None:
         raise _wrong("payload_cog", options.payload_cog, "needs payload_kg")
     for key in ("tool", "payload_cog"):

@@ -90,7 +90,7 @@ def run_demo(
         show(f"{controller}: starting", 0.0)
         key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "demo.key"
         write_key(key)
-        arm = _ur_arm(scene, stack, stopped) if scene.slave == "ur" else _simulated_arm(scene)
+        arm = _ur_arm(scene, limit, stack, stopped) if scene.slave == "ur" else _simulated_arm(scene)
         slave = stack.enter_context(_process(
             "slave", "--listen", local, "--key", str(key), "--duration-s", limit, "--patience-s", limit, *arm,
         ))  # fmt: skip
@@ -124,8 +124,8 @@ def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _ur_arm(scene: DemoScene, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
-    """Starts an emulated controller, whose tool meets wall and push, and gives what the slave is told of it."""
+def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
+    """Starts an emulated controller for `limit` s, whose tool meets wall and push; what the slave is told of it."""
     # The ports of a controller are fixed: an address of its own, so that several demos get on.
     host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
     far = (
@@ -135,7 +135,9 @@ def _ur_arm(scene: DemoScene, stack: contextlib.ExitStack, stopped: StopRequest)
         "--set", f"environment.pushers.0.force_n={scene.push_force_n}",
         "--set", f"environment.pushers.0.duration_s={scene.push_duration_s}",
     )  # fmt: skip
-    emulator = stack.enter_context(_process("ur-emulator", "--host", host, *far, says="listening on"))
+    emulator = stack.enter_context(
+        _process("ur-emulator", "--host", host, "--duration-s", limit, *far, says="listening on")
+    )
     emulator.headline(stopped)
     return (
         *far, "--set", "slave.device=ur", "--set", f"slave.options.host={host}", "--set", "slave.period_s=0.002",

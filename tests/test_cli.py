@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from haptether.bridge import load_scene
+from haptether.cli.live_scene import with_clutch
+
 PROXY = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9"]
 COMMAND = [sys.executable, "-m", "haptether"]
 LISTEN = ["--listen", "127.0.0.1:0"]
@@ -112,3 +115,21 @@ def test_paper_draws_its_figures(tmp_path: Path) -> None:
     drawn = sorted(tmp_path.glob("*.png"))
     assert len(drawn) == 6
     assert all(picture.stat().st_size > 10_000 for picture in drawn)
+
+
+@pytest.mark.parametrize("asked", ["once", "auto"])
+def test_a_scene_presses_its_clutch_anew_only_where_the_command_says_so(asked: str) -> None:
+    scene = load_scene("ur_peg")
+    assert scene.operator is not None
+    # The default of a scene, for simulations.
+    assert scene.operator.clutch == "auto"
+    live = with_clutch(scene, asked)
+    assert live.operator is not None
+    assert live.operator.clutch == asked
+
+
+def test_times_of_a_clutch_are_kept() -> None:
+    scene = load_scene("ur_peg", ["operator.clutch=[[0.1, 2.0]]"])
+    assert with_clutch(scene, "once") == scene
+    with pytest.raises(ValueError, match="the scene has times for the clutch"):
+        with_clutch(scene, "auto")

@@ -85,6 +85,32 @@ def test_a_watchdog_that_does_not_bite_is_refused(arm: Arm) -> None:
     assert "speedL" not in arm.names
 
 
+def test_a_refusal_leaves_no_script_behind(arm: Arm) -> None:
+    driver = UrSlave(host="fake", mode="speedl")
+    arm.watchdog_bites = False
+    with pytest.raises(UrRefusedError):
+        driver.open()
+    # What the loop does with a device that could not be opened.
+    driver.close()
+    assert "stopScript" in arm.names
+    assert "kill" in arm.names
+
+
+def test_an_arm_that_is_closed_while_it_recovers_is_not_connected_again(arm: Arm) -> None:
+    driven = Driven(arm)
+    closed(arm)
+    driven.fault()
+    arm.blocks.add("probe")
+    driven.driver.acknowledge()
+    driven.driver.close()
+    sent = len(arm.said)
+    arm.released.set()
+    end_s = time.monotonic() + 0.5
+    while time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert "connect" not in arm.names[sent:]
+
+
 def test_it_is_heard_while_it_waits(arm: Arm) -> None:
     driven = Driven(arm)
     end_s = time.monotonic() + 0.5
@@ -318,8 +344,8 @@ def test_an_acknowledgement_clears_no_fault_that_was_not_shown(arm: Arm) -> None
     fault = driven.turn().fault
     assert fault is not None
     assert "12.0 mm away from where the tool is" in fault
-    driven.driver.acknowledge()
-    driven.until(lambda sample: sample.fault is None)
+    driven.ready()
+    assert driven.turn().fault is None
     driven.driver.close()
 
 

@@ -184,6 +184,7 @@ def test_power_comes_and_goes(world: World) -> None:
         ("refuse maybe", "must be on or off"),
         ("version five", "must be real, or like 5.8"),
         ("power", "must be on"),
+        ("unlock", "unlock: is in no protective stop but in NORMAL"),
         ("release-emergency-stop", "is not pressed"),
         ("log x", "must be 1 finite number"),
         ("log 0", "log: 0: must be a whole number of lines, 1 or more"),
@@ -200,6 +201,14 @@ def test_lines_that_are_refused_say_why(world: World, line: str, said: str) -> N
     assert answer.startswith("error: ")
     assert said in answer
     assert world.of.runtime == before
+
+
+def test_power_stays_off_in_an_emergency_stop(world: World) -> None:
+    assert world.line.answer("emergency-stop", 0.0) == "ok"
+    assert world.line.answer("power on", 0.0).startswith("error: power: is in ")
+    assert world.line.answer("unlock", 0.0).startswith("error: unlock: is in no protective stop")
+    assert world.line.answer("release-emergency-stop", 0.0) == "ok"
+    assert world.line.answer("power on", 0.0) == "ok"
 
 
 def test_the_log_shows_the_lines_that_are_asked_for(world: World) -> None:

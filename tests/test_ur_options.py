@@ -18,6 +18,7 @@ HOST = {"host": "192.168.1.10"}
         (HOST | {"gain": 99.9}, "gain = 99.9: must be 100 to 2000 1/s²"),
         (HOST | {"gain": 2001}, "gain = 2001: must be 100 to 2000 1/s²"),
         (HOST | {"lookahead_time": 0.02}, "lookahead_time = 0.02: must be 0.03 to 0.2 s"),
+        (HOST | {"payload_kg": 40}, "payload_kg = 40.0: must be 0 to 5 kg: a ur5e carries no more"),
         (HOST | {"payload_kg": 500}, "payload_kg = 500: must be 0 to 50 kg"),
         (HOST | {"max_jump": 0}, "max_jump = 0: must be above 0 and at most 0.1 m"),
         (HOST | {"torque_share": 1}, "torque_share = 1: must be above 0 and at most 0.8"),

@@ -22,7 +22,7 @@ pub struct LinkStatistics {
     pub duplicate: u64,
     /// Datagrams that were no frame of the peer.
     pub refused: u64,
-    /// Frames of the peer that have not arrived up to the newest one.
+    /// Frames of the peer that have not arrived up to the newest one, those of its sessions before this one included.
     pub missing: u64,
     /// Round trip of the newest echo in ns, without the time that the peer held it; 0 before the first.
     pub round_trip_ns: u64,
@@ -111,6 +111,8 @@ pub struct FrameLink<const N: usize> {
     newest: Option<Newest<N>>,
     first_sequence: u64,
     arrived: u64,
+    /// Of the sessions before this one.
+    missing_before: u64,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     path: PeerPath,
@@ -130,6 +132,7 @@ impl<const N: usize> FrameLink<N> {
             newest: None,
             first_sequence: 0,
             arrived: 0,
+            missing_before: 0,
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
             path: PeerPath::new(PathSettings::default()),
@@ -169,6 +172,7 @@ impl<const N: usize> FrameLink<N> {
             }
             _ => {
                 self.first_sequence = frame.sequence;
+                self.missing_before = self.statistics.missing;
                 self.arrived = 0;
                 self.arrivals.clear();
                 self.arrivals.mark(frame.sequence);
@@ -216,7 +220,7 @@ impl<const N: usize> FrameLink<N> {
     fn count_missing(&mut self) {
         if let Some(newest) = &self.newest {
             let expected = newest.frame.sequence.saturating_sub(self.first_sequence).saturating_add(1);
-            self.statistics.missing = expected.saturating_sub(self.arrived);
+            self.statistics.missing = self.missing_before + expected.saturating_sub(self.arrived);
         }
     }
 

@@ -5,6 +5,7 @@ import math
 from typing import TYPE_CHECKING, Any, Protocol
 
 from haptether.slave.ur_emulator.faults import KINDS
+from haptether.slave.ur_emulator.robot_state import MOVES, SafetyMode
 from haptether.slave.ur_emulator.rtde_variables import REGISTERS
 from haptether.slave.ur_emulator.version import ControllerVersion
 
@@ -164,7 +165,13 @@ class ControlLine:
         self._of.safety.protective_stop(" ".join(words) or "on command", self._of.now_s)
 
     def _unlock(self, _words: list[str], _now_s: float) -> str:
-        return self._of.safety.unlock(self._of.now_s)
+        safety = self._of.safety
+        if safety.mode != SafetyMode.PROTECTIVE_STOP:
+            _refuse(f"is in no protective stop but in {safety.mode.name}")
+        said = safety.unlock(self._of.now_s)
+        if safety.mode == SafetyMode.PROTECTIVE_STOP:
+            _refuse(said)
+        return said
 
     def _release(self, _words: list[str], _now_s: float) -> None:
         if not self._of.safety.release_emergency_stop():
@@ -175,6 +182,8 @@ class ControlLine:
         if words == ["off"]:
             safety.power_off()
         elif words == ["on"]:
+            if safety.mode not in MOVES:
+                _refuse(f"is in {safety.mode.name}: that must end first")
             safety.release_brakes(self._of.now_s)
         else:
             _refuse("must be on (with the brakes released) or off")

@@ -79,6 +79,8 @@ class Arm:
     def probe(self, _host: str, limit_s: float = 5.0) -> Probe:
         """Instead of `ur_probe.probe`."""
         del limit_s
+        if "probe" in self.blocks:
+            self.released.wait(30.0)
         return Probe(
             version=self.version, robot_mode=self.robot_mode, safety_mode=self.safety_mode,
             safety_bits=self.safety_bits, runtime_state=self.runtime_state, q=tuple(self.q), pose=tuple(self.pose),

@@ -8,7 +8,7 @@ use super::state::LadderState::{self, Aligning, Disengaged, Engaged, Fault, Hold
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Reason {
-    /// A number that is not finite or absurd was met.
+    /// A number that is not finite or absurd was met, or the device says that it has failed.
     BadNumber = 1,
     /// This side's own loop was late: what it knows is old.
     OwnDelay,
@@ -85,7 +85,7 @@ impl Reason {
     /// What a person is told.
     pub const fn text(self) -> &'static str {
         match self {
-            BadNumber => "a number that cannot be",
+            BadNumber => "a number that cannot be, or the device failed",
             OwnDelay => "own loop was late",
             PeerRestarted => "peer was restarted",
             PeerSilent => "peer is silent",

@@ -103,7 +103,10 @@ class CheckLink:
             # Of a part of what was asked for there is no verdict.
             raise KeyboardInterrupt
         if not np.isfinite(trace.age_s).any():
-            message = f"no slave answered at {self.peer} within {self.duration_s:g} s: is it running there, and free?"
+            message = (
+                f"no slave answered at {self.peer} within {self.duration_s:g} s: is it running there, free, and with"
+                " the same key?"
+            )
             raise RuntimeError(message)
         summary = summarise_link(trace, report, PERIOD_S)
         verdict = judge_link(summary, bearable_s, HOLD_S + PERIOD_S, PERIOD_S)

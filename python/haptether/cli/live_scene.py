@@ -1,5 +1,7 @@
 """Live sides as a scene says: whose device is a model, or real with a driver."""
 
+import os
+import sys
 import time
 from collections.abc import Iterable
 from dataclasses import fields
@@ -39,6 +41,24 @@ def live_scene(options: Any, name: str | None, overrides: Iterable[str], instead
         message = f"scene = {name}: has no [slave]: a live scene has two sides"
         raise ValueError(message)
     return scene
+
+
+def with_clutch(scene: "Scene", clutch: str) -> "Scene":
+    """The scene with the clutch of the command line: no default of a scene may move an arm again after a hold.
+
+    Raises:
+        ValueError: "auto", where the scene has times of its own.
+    """
+    from haptether.bridge import override_scene
+
+    if scene.operator is None or scene.operator.clutch == clutch:
+        return scene
+    if not isinstance(scene.operator.clutch, str):
+        if clutch == "auto":
+            message = "--clutch auto: the scene has times for the clutch: change them by --set operator.clutch=auto"
+            raise ValueError(message)
+        return scene
+    return override_scene(scene, [f"operator.clutch={clutch}"])
 
 
 def start_master(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveMaster | MasterRun":  # noqa: ANN401  # of LiveMaster
@@ -114,6 +134,10 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
         late = not run.ready()
         run.give_up()
     if stopped and late:
+        if not run.finished:
+            # Threads of a vendor's library that still connects would end an orderly exit with an abort.
+            sys.stderr.flush()
+            os._exit(130)
         raise KeyboardInterrupt
     if run.finished and run.error is not None and not isinstance(run.error.__cause__, TimeoutError):
         # It was never open: there is nothing to say of a run.

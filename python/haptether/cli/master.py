@@ -54,7 +54,8 @@ class Master(LiveOptions):
     encoder_quantum: float = 2.3e-5
     """Resolution of the device in m; 0 measures position and velocity exactly."""
     clutch: Literal["once", "auto"] = "once"
-    """Pressed at the start and held; or worked by a simulated person, who presses again 0.5 s after a hold."""
+    """Pressed at the start and held; or worked by a simulated person, who presses again 0.5 s after a hold. A scene's
+    "auto" counts only where it stands here as well."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     duration_s: float | None = None
@@ -74,7 +75,7 @@ class Master(LiveOptions):
 
         from haptether.bridge import LiveMaster
         from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
-        from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_master
+        from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_master, with_clutch
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_distinct, check_target
         from haptether.cli.security import marked, session_key
@@ -89,8 +90,10 @@ class Master(LiveOptions):
         live = self.live()
         scene = live_scene(
             self, self.scene, self.set,
-            ("controller", "depth", "release_at_s", "force_scale", "encoder_quantum", "clutch"),
+            ("controller", "depth", "release_at_s", "force_scale", "encoder_quantum"),
         )  # fmt: skip
+        if scene is not None:
+            scene = with_clutch(scene, self.clutch)
         how: dict[str, Any] = {
             "peer": self.peer,
             "listen": self.listen,
@@ -161,7 +164,10 @@ class Master(LiveOptions):
             message = f"no slave to steer at {self.peer}: {why}"
             raise RuntimeError(message)
         if result.engaged_s is None and not stopped:
-            message = f"no slave answered at {self.peer} within {self.patience_s:g} s: is it running there, and free?"
+            message = (
+                f"no slave answered at {self.peer} within {self.patience_s:g} s: is it running there, free, and with"
+                " the same key?"
+            )
             raise RuntimeError(message)
         if result.final_state == "stop" and not stopped:
             message = "the run ended in stop: the slave fell silent for 200 ms"

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator import ControlChannel, Controller, ToolEnvironment
 
 
+MOST_UNLOCK_S = 3600.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class UrEmulator:
     """Emulate the controller of a UR arm, for the real client libraries.
@@ -75,6 +78,12 @@ class UrEmulator:
         from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server, ask_realtime
 
         check_duration("duration_s", self.duration_s)
+        if not 0 <= self.seed < 2**64:
+            message = f"seed = {self.seed}: must be 0 to 2^64 - 1"
+            raise ValueError(message)
+        if not 0.0 <= self.unlock_after_s <= MOST_UNLOCK_S:
+            message = f"unlock_after_s = {self.unlock_after_s:g}: must be 0 to {MOST_UNLOCK_S:g} s"
+            raise ValueError(message)
         check_target(self.json)
         self._check_host()
         controller, environment = self._controller()
