@@ -16,7 +16,7 @@ PERIOD_SHARE = 0.01
 
 
 class DeviceError(RuntimeError):
-    """A driver raised an exception; its cause is that exception."""
+    """A driver raised an exception, which is its cause, or paces its loop by another period."""
 
 
 @dataclass

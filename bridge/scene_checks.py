@@ -6,6 +6,7 @@ from math import hypot
 
 from haptether.bridge.scene_error import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene_far import (
+    SIMULATED,
     ContactTable,
     EnvironmentTable,
     ObjectTable,
@@ -30,7 +31,6 @@ from haptether.bridge.scene_tables import (
     Scene,
 )
 
-SIMULATED = "simulated"
 SLAVE_PERIOD_S = (1e-5, 2e-2)
 KALMAN_BANDWIDTH = (1e-3, 10.0)
 """Bounds on omega dT of the Kalman filter."""

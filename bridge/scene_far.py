@@ -19,6 +19,9 @@ from haptether.bridge.scene_ranges import (
     Unbounded,
 )
 
+SIMULATED = "simulated"
+"""The arm that is a model."""
+
 
 class ForceSensorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[slave.force_sensor]`: what stands between the force on the tool and what is sent back."""
@@ -57,7 +60,7 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Where it starts, in m; by default where the master does."""
     force_sensor: ForceSensorTable | None = None
     """Its force sensor; by default the force is exact."""
-    device: str = "simulated"
+    device: str = SIMULATED
     """Live only: drives a real arm, by the name of an entry point of `haptether.slaves`, such as "ur"; by default, and
     in virtual time, the arm is the model that the rest of this table describes."""
     options: Options = {}

@@ -42,12 +42,12 @@ class SignsOfLife:
         return self._guard is not None and self._guard.over and self._guard.failed is None
 
     def give(self, now_s: float, aside: "Bounded", *, idle: bool) -> None:
-        """What is due at a time in s of the monotonic clock; `aside` makes calls that may take long.
+        """What is due.
 
         Args:
-            now_s: The time.
-            aside: Not the thread that commands.
-            idle: Whether nothing is commanded, and nothing comes to rest.
+            now_s: The time of the monotonic clock in s.
+            aside: Makes calls that may take long; not the thread that commands.
+            idle: Whether no command is due, and the library is not told to stop the arm: both are heard themselves.
         """
         hz = self._options.watchdog_hz
         if self._guard is None:

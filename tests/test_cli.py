@@ -5,11 +5,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from haptether.bridge import load_scene
-from haptether.cli.live_scene import with_clutch
+from haptether.bridge import DeviceError, load_scene
+from haptether.cli.live import Stopped
+from haptether.cli.live_scene import _opened, with_clutch
 
 PROXY = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9"]
 COMMAND = [sys.executable, "-m", "haptether"]
@@ -133,3 +135,13 @@ def test_times_of_a_clutch_are_kept() -> None:
     assert with_clutch(scene, "once") == scene
     with pytest.raises(ValueError, match="the scene has times for the clutch"):
         with_clutch(scene, "auto")
+
+
+def test_a_driver_that_times_out_by_itself_is_told_with_its_own_words() -> None:
+    error = DeviceError("Own: TimeoutError: no answer from the arm")
+    error.__cause__ = TimeoutError("no answer from the arm")
+    given_up: list[bool] = []
+    run = SimpleNamespace(ready=lambda: True, finished=True, error=error, give_up=lambda: given_up.append(True))
+    with pytest.raises(DeviceError, match="no answer from the arm"):
+        _opened(run, "own", Stopped())  # type: ignore[type-var]  # all that it looks at
+    assert given_up == [True]

@@ -111,7 +111,7 @@ pub struct FrameLink<const N: usize> {
     newest: Option<Newest<N>>,
     first_sequence: u64,
     arrived: u64,
-    /// Of the sessions before this one.
+    /// Missing frames of the sessions before this one.
     missing_before: u64,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
@@ -325,6 +325,21 @@ mod tests {
                     .to_vec()
             })
             .collect()
+    }
+
+    #[test]
+    fn losses_are_those_of_all_sessions() {
+        let (first, second) = (frames(5, 1), frames(4, 2));
+        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        for n in [0, 3] {
+            master.receive(n * MS, &first[n as usize]).unwrap();
+        }
+        assert_eq!(master.statistics().missing, 2);
+        for n in [1, 3] {
+            master.receive((300 + n) * MS, &second[n as usize]).unwrap();
+        }
+        // Of the second its first frame heard is 1: only 2 is missing.
+        assert_eq!(master.statistics().missing, 3);
     }
 
     #[test]

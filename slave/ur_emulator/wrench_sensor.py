@@ -17,7 +17,7 @@ class WrenchSensing:
 
     Args:
         noise_n: Standard deviation of the forces in N; torques have a tenth of it, in N m.
-        bias: Vector offsets in N, three in N m.
+        bias: Three offsets in N, three in N m.
         seed: Of the noise: the same seed gives the same.
 
     Raises:

@@ -133,15 +133,15 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
             return run
         late = not run.ready()
         run.give_up()
-    if stopped and late:
+    if not late and run.error is not None:
+        # It was never open: there is nothing to say of a run.
+        raise run.error
+    if stopped:
         if not run.finished:
             # Threads of a vendor's library that still connects would end an orderly exit with an abort.
             sys.stderr.flush()
             os._exit(130)
         raise KeyboardInterrupt
-    if run.finished and run.error is not None and not isinstance(run.error.__cause__, TimeoutError):
-        # It was never open: there is nothing to say of a run.
-        raise run.error
     message = f"device = {name}: did not open within {READY_S:g} s"
     raise RuntimeError(message)
 
