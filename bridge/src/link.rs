@@ -331,12 +331,12 @@ mod tests {
     fn losses_are_those_of_all_sessions() {
         let (first, second) = (frames(5, 1), frames(4, 2));
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
-        for n in [0, 3] {
-            master.receive(n * MS, &first[n as usize]).unwrap();
+        for (now_ns, frame) in [(0, &first[0]), (3 * MS, &first[3])] {
+            master.receive(now_ns, frame).unwrap();
         }
         assert_eq!(master.statistics().missing, 2);
-        for n in [1, 3] {
-            master.receive((300 + n) * MS, &second[n as usize]).unwrap();
+        for (now_ns, frame) in [(300 * MS, &second[1]), (302 * MS, &second[3])] {
+            master.receive(now_ns, frame).unwrap();
         }
         // Of the second its first frame heard is 1: only 2 is missing.
         assert_eq!(master.statistics().missing, 3);
