@@ -4,6 +4,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -35,31 +36,51 @@ def arm(shared: Emulated) -> Emulated:
 # -------------------------------------------------------------------------------------------------------- faults
 
 
-def while_streaming(arm: Emulated, *lines: tuple[float, str]) -> dict[str, Any] | None:
-    """What a stream of servoJ meets while control lines are said, each some time in s after the one before.
+CRASHES = {-signal.SIGSEGV, -signal.SIGBUS, -signal.SIGABRT}
+"""How native code ends a process: a bad address, or std::terminate. Python ends with a status and a traceback."""
+HANG_S = 25.0
+"""The scenario ends by itself after 1.6 s: what takes longer hangs in a call of ur_rtde."""
 
-    None where ur_rtde crashed: two of its threads connect again at once, and sometimes into each other.
+
+def while_streaming(arm: Emulated, *lines: tuple[float, str]) -> dict[str, Any] | None:
+    """What a stream of servoJ meets while control lines are given, each some time in s after the one before.
+
+    None where ur_rtde crashed or hung: two of its threads connect again at once, and sometimes into each other. A
+    client that ends in any other way without a result has failed by itself, and the test with it.
     """
     command = [sys.executable, "-m", "tests.ur.clients", "lost", arm.host, "[1.6]"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    assert process.stdout is not None
-    killer = threading.Timer(25.0, process.kill)
-    killer.start()
-    try:
-        for line in process.stdout:
-            if line.strip() == "streaming":
-                break
-        for after_s, line in lines:
-            time.sleep(after_s)
-            arm.do(line)
-        told = process.stdout.read()
-        process.wait()
-    finally:
-        killer.cancel()
-        process.kill()
-        process.wait()
-        process.stdout.close()
-    return result_of(told) if process.returncode != -signal.SIGSEGV else None
+    with tempfile.TemporaryFile("w+") as errors:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
+        assert process.stdout is not None
+        killer = threading.Timer(HANG_S, process.kill)
+        killer.start()
+        try:
+            for line in process.stdout:
+                if line.strip() == "streaming":
+                    break
+            for after_s, line in lines:
+                time.sleep(after_s)
+                arm.do(line)
+            output = process.stdout.read()
+            process.wait()
+        finally:
+            killer.cancel()
+            process.kill()
+            process.wait()
+            process.stdout.close()
+        if process.returncode in CRASHES or process.returncode == -signal.SIGKILL:
+            return None
+        errors.seek(0)
+        assert process.returncode == 0, f"the client ended with {process.returncode}: {errors.read()}"
+    return result_of(output)
+
+
+def test_a_client_that_fails_by_itself_is_no_crash_of_the_library(
+    arm: Emulated, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", "false")
+    with pytest.raises(AssertionError, match="ended with 1"):
+        while_streaming(arm)
 
 
 def test_a_freeze_is_not_seen_by_the_client_but_the_state_stands_still(arm: Emulated) -> None:
