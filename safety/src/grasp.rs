@@ -106,6 +106,21 @@ mod tests {
         assert!((force[0] - (-2.0)).abs() < 1e-15);
     }
 
+    /// By Eq. 4 of a motion that has one term at a time, against the figures of section 4.1.
+    #[test]
+    fn the_papers_device_has_the_papers_figures() {
+        let model = DeviceModel::<1>::phantom_desktop();
+        let force = |velocity, acceleration| {
+            let motion =
+                Motion { velocity: Axes::<1>::new(velocity), acceleration: Axes::<1>::new(acceleration) };
+            model.grasp_force(&motion, &Axes::zeros())[0]
+        };
+        assert_eq!(force(0.0, 1.0), 0.157);
+        // Powers of two: b V is exact, and c sign(V) changes its sign with V while the sum has one rounding.
+        assert!((force(2.0, 0.0) - (0.038 - 0.010)).abs() < 1e-16);
+        assert!((force(-4.0, 0.0) - (-0.038 + 0.020)).abs() < 1e-16);
+    }
+
     #[test]
     fn at_rest_there_is_no_dynamic_friction() {
         let model = DeviceModel::<3>::phantom_desktop();
