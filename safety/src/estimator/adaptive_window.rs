@@ -13,7 +13,8 @@ use crate::{Axes, Real};
 /// The window i = 1, 2, ... grows until for the slope `b_i` of that window some sample j = 1 ... i fails
 /// |x\[n\] - x\[n-j\] - j dT `b_i`| <= d, or until it has its greatest length. All samples up to j together allow
 /// the slopes of one interval, the intersection of \[(x\[n\] - x\[n-j\] ± d) / (j dT)\], so each i costs one
-/// comparison and a tick costs O(window), not its square.
+/// comparison and a tick costs O(window), not its square. A line that passes a sample at exactly d is within it,
+/// wherever the device stands: positions of an encoder do that at a third of all ticks.
 ///
 /// A is the slope of V found in the same way. There a sample is as uncertain as its own window leaves it: two
 /// positions, each wrong by d, give 2 d / (i dT); of the two samples compared the larger bound counts.
@@ -159,14 +160,16 @@ impl Axis {
         let Rule { fit, bound, max_window } = *rule;
         push(&mut self.positions, position, max_window);
         let positions = &self.positions[..=max_window];
-        let (window, velocity) = widest_line(fit, positions, |_| bound);
+        let (window, velocity) = widest_line(fit, positions, |_| bound, |lag| positions[lag].abs());
         self.velocity_window = window;
         push(&mut self.velocities, velocity, max_window);
         push(&mut self.velocity_bounds, 2.0 * bound / window as f64, max_window);
         let bounds = &self.velocity_bounds;
         let velocities = &self.velocities[..=max_window];
+        // A velocity carries the rounding of the positions that it is made of.
+        let size = |lag: usize| positions[lag].abs() + velocities[lag].abs();
         (self.acceleration_window, self.acceleration) =
-            widest_line(fit, velocities, |lag| bounds[0].max(bounds[lag]));
+            widest_line(fit, velocities, |lag| bounds[0].max(bounds[lag]), size);
     }
 
     fn align(&mut self, force: f64, rule: &Rule) -> f64 {
@@ -247,6 +250,108 @@ mod tests {
             estimator.step(&Axes::from([position]));
         }
         assert_eq!(window(&estimator), 1);
+    }
+
+    /// Windows, and V and A in quanta per tick, from whole numbers: every velocity is a fraction of `LCM`.
+    struct InCounts {
+        fit: Fit,
+        positions: Vec<i128>,
+        /// In 1 / LCM of a quantum per tick, with their windows.
+        velocities: Vec<(i128, i128)>,
+    }
+
+    const LONGEST: usize = 16;
+    /// A common multiple of what windows of up to 16 ticks divide by, end-fit and best-fit: i (i+1) (i+2) / 6.
+    const LCM: i128 = 12_252_240;
+
+    impl InCounts {
+        fn new(fit: Fit, start: i128) -> Self {
+            Self {
+                fit,
+                positions: vec![start; LONGEST + 1],
+                velocities: vec![(0, LONGEST as i128); LONGEST + 1],
+            }
+        }
+
+        /// Slope of a window as numerator and denominator.
+        fn slope(&self, series: &[i128], window: usize) -> (i128, i128) {
+            let i = window as i128;
+            match self.fit {
+                Fit::End => (series[0] - series[window], i),
+                Fit::Best => {
+                    let sum: i128 = (0..=window).map(|l| (2 * l as i128 - i) * (series[0] - series[l])).sum();
+                    (6 * sum, i * (i + 1) * (i + 2))
+                }
+            }
+        }
+
+        /// The longest line; `bound` as numerator and denominator in the unit of the series.
+        fn widest(&self, series: &[i128], bound: impl Fn(usize) -> (i128, i128)) -> (usize, (i128, i128)) {
+            let holds = |window: &usize| {
+                let (top, bottom) = self.slope(series, *window);
+                (1..=*window).all(|lag| {
+                    let (most, of) = bound(lag);
+                    ((series[0] - series[lag]) * bottom - lag as i128 * top).abs() * of <= most * bottom
+                })
+            };
+            let window = (1..=LONGEST).take_while(holds).last().unwrap();
+            (window, self.slope(series, window))
+        }
+
+        fn step(&mut self, position: i128) -> ([usize; 2], [f64; 2]) {
+            self.positions.insert(0, position);
+            let (window, (top, bottom)) = self.widest(&self.positions, |_| (1, 1));
+            assert_eq!(top * LCM % bottom, 0);
+            self.velocities.insert(0, (top * LCM / bottom, window as i128));
+            let velocities: Vec<_> = self.velocities[..=LONGEST].iter().map(|one| one.0).collect();
+            // 2 d / w, the larger of two.
+            let bound = |lag: usize| (2 * LCM, self.velocities[0].1.min(self.velocities[lag].1));
+            let (of_acceleration, (rise, ticks)) = self.widest(&velocities, bound);
+            let per_tick = |top: i128, bottom: i128| top as f64 / bottom as f64;
+            ([window, of_acceleration], [per_tick(top, bottom), per_tick(rise, ticks * LCM)])
+        }
+    }
+
+    /// A hand that draws, slows down, rests and turns, in quanta.
+    fn hand(n: i32) -> i128 {
+        let t = f64::from(n) * PERIOD_S;
+        let x = 0.02 * (4.4 * t).sin() + 0.002 * (18.85 * t).sin() + 2e-5 * (62.8 * t).sin();
+        (x / BOUND_M).round() as i128
+    }
+
+    /// Ties at d = quantum come out as exact numbers say, wherever the device stands: no tick differs in its windows,
+    /// and V and A are equal up to the rounding of the positions.
+    #[test]
+    fn windows_are_those_of_whole_numbers_wherever_the_device_stands() {
+        for fit in [Fit::End, Fit::Best] {
+            // Up to 10 m to both sides.
+            for offset in [0_i128, 1, 4_348, 43_478, -217_391, 434_782, -434_782] {
+                let mut exact = InCounts::new(fit, hand(0) + offset);
+                let mut estimator = AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, LONGEST, fit).unwrap();
+                estimator.reset(&Axes::from([(hand(0) + offset) as f64 * BOUND_M]));
+                let mut short = 0;
+                for n in 0..3000 {
+                    let counts = hand(n) + offset;
+                    let motion = estimator.step(&Axes::from([counts as f64 * BOUND_M]));
+                    let (windows, [velocity, acceleration]) = exact.step(counts);
+                    let axis = &estimator.axes[0];
+                    let found = [axis.velocity_window, axis.acceleration_window];
+                    assert_eq!(found, windows, "{fit:?} {offset} tick {n}");
+                    short += u32::from(windows[0] < LONGEST);
+                    // Positions up to 10.1 m, each wrong by eps/2 of that; no slope weighs them more than twice.
+                    let rounding = 4.0 * f64::EPSILON * 10.1;
+                    let apart = [
+                        motion.velocity[0] * PERIOD_S - velocity * BOUND_M,
+                        motion.acceleration[0] * PERIOD_S * PERIOD_S - acceleration * BOUND_M,
+                    ];
+                    assert!(apart[0].abs() <= rounding && apart[1].abs() <= 4.0 * rounding, "{apart:?}");
+                }
+                assert!(
+                    (300..2700).contains(&short),
+                    "the motion should need long and short windows: {short}"
+                );
+            }
+        }
     }
 
     #[test]

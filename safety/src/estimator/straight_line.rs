@@ -19,8 +19,19 @@ pub enum Fit {
 ///
 /// A sample allows the slopes of one interval; all samples of a window together allow the intersection, which is
 /// carried along as the window grows. `series` holds at least two samples, newest first.
-pub(super) fn widest_line(fit: Fit, series: &[f64], bound: impl Fn(usize) -> f64) -> (usize, f64) {
+///
+/// Samples of an encoder meet their bound exactly, and often: each is a whole number of quanta, and so is the bound.
+/// There rounding must not decide, which goes by how far from zero a device stands. So the bound is widened by what
+/// rounding may add: a sample is wrong by eps/2 of `size(lag)`, and line and difference add a few times that.
+/// What is truly beyond the bound is so by at least a quantum / window, far above it.
+pub(super) fn widest_line(
+    fit: Fit,
+    series: &[f64],
+    bound: impl Fn(usize) -> f64,
+    size: impl Fn(usize) -> f64,
+) -> (usize, f64) {
     let newest = series[0];
+    let newest_size = size(0);
     let mut sums = Sums::default();
     let (mut lowest, mut highest) = (f64::NEG_INFINITY, f64::INFINITY);
     let mut widest = (1, newest - series[1]);
@@ -33,8 +44,16 @@ pub(super) fn widest_line(fit: Fit, series: &[f64], bound: impl Fn(usize) -> f64
             Fit::End => rise * per_tick,
             Fit::Best => sums.add(ticks, rise).least_squares_slope(ticks),
         };
-        lowest = lowest.max((rise - bound(lag)) * per_tick);
-        highest = highest.min((rise + bound(lag)) * per_tick);
+        let roundings = match fit {
+            // Both samples, their difference, the interval and the slope: less than 4 each.
+            Fit::End => 8.0,
+            // Sums of so many terms add 12 eps to the slope (Higham 2002, section 4.2), per tick of lag.
+            Fit::Best => 8.0 + 12.0 * ticks,
+        };
+        let bound = bound(lag);
+        let room = bound + roundings * f64::EPSILON * (newest_size + size(lag) + bound);
+        lowest = lowest.max((rise - room) * per_tick);
+        highest = highest.min((rise + room) * per_tick);
         if !(lowest..=highest).contains(&slope) {
             break;
         }
@@ -96,7 +115,7 @@ mod tests {
                     let slope = slope(fit, &series, *window);
                     (1..=*window).all(|lag| (series[0] - series[lag] - lag as f64 * slope).abs() <= bound)
                 });
-                let (found, rate) = widest_line(fit, &series, |_| bound);
+                let (found, rate) = widest_line(fit, &series, |_| bound, |lag| series[lag].abs());
                 assert_eq!(direct.last(), Some(found), "{fit:?} {bound}");
                 assert!((rate - slope(fit, &series, found)).abs() < 1e-12);
             }
