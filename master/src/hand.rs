@@ -90,7 +90,11 @@ impl<const N: usize> Hand<N> {
                 require("grip strength", strength_n, true, "finite, for a release of the strength")?;
             }
         }
-        let release = release.map(|one| Release { duration_s: or_at_once(one.duration_s), ..one });
+        let release = release.map(|one| Release {
+            at_s: whole_ns(one.at_s),
+            duration_s: or_at_once(one.duration_s),
+            ..one
+        });
         Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, tremor: None })
     }
 
@@ -139,6 +143,11 @@ impl<const N: usize> Hand<N> {
         self.regrasp
     }
 
+    /// When the release has ended, the hand grips again and has its full strength again, in s; none without a release.
+    pub(crate) fn schedule(&self) -> Option<[f64; 3]> {
+        self.release.map(|release| self.grip_times(release.at_s, release.duration_s))
+    }
+
     pub(crate) fn tremor(&self) -> Option<Tremor> {
         self.tremor
     }
@@ -180,7 +189,7 @@ impl<const N: usize> Hand<N> {
     /// The share of its grip that the hand has at time t, from 1 before the release to 0 after it and to 1 again.
     pub fn grip_at(&self, t: f64) -> f64 {
         let Some(Release { at_s, duration_s, .. }) = self.release else { return 1.0 };
-        let ends = at_s + duration_s;
+        let [ends, begins, full] = self.grip_times(at_s, duration_s);
         let held = if t < at_s {
             1.0
         } else if t >= ends {
@@ -188,11 +197,10 @@ impl<const N: usize> Hand<N> {
         } else {
             1.0 - (t - at_s) / duration_s
         };
-        let regained = self.regrasp.map_or(0.0, |Regrasp { reaction_s, rise_s }| {
-            let begins = ends + reaction_s;
+        let regained = self.regrasp.map_or(0.0, |Regrasp { rise_s, .. }| {
             if t < begins {
                 0.0
-            } else if t >= begins + rise_s {
+            } else if t >= full {
                 1.0
             } else {
                 (t - begins) / rise_s
@@ -212,14 +220,21 @@ impl<const N: usize> Hand<N> {
     /// How fast the grip changes just after time t, in 1/s.
     fn grip_rate(&self, t: f64) -> f64 {
         let Some(Release { at_s, duration_s, .. }) = self.release else { return 0.0 };
-        let ends = at_s + duration_s;
+        let [ends, begins, full] = self.grip_times(at_s, duration_s);
         if t >= at_s && t < ends {
             return -duration_s.recip();
         }
-        self.regrasp.map_or(0.0, |Regrasp { reaction_s, rise_s }| {
-            let begins = ends + reaction_s;
-            if t >= begins && t < begins + rise_s { rise_s.recip() } else { 0.0 }
-        })
+        self.regrasp
+            .map_or(0.0, |Regrasp { rise_s, .. }| if t >= begins && t < full { rise_s.recip() } else { 0.0 })
+    }
+
+    /// When a release that begins at `at_s` has ended, the hand grips again, and has its full strength again, in s:
+    /// whole ns, so that a sudden grip falls on the tick that it is meant for.
+    fn grip_times(&self, at_s: f64, duration_s: f64) -> [f64; 3] {
+        let Regrasp { reaction_s, rise_s } = self.regrasp.unwrap_or(Regrasp { reaction_s: 0.0, rise_s: 0.0 });
+        let ends = whole_ns(at_s + duration_s);
+        let begins = whole_ns(ends + reaction_s);
+        [ends, begins, whole_ns(begins + rise_s)]
     }
 
     /// Gain and grip strength in N from t to the next kink, each as value and rate.
@@ -246,9 +261,9 @@ impl<const N: usize> Hand<N> {
 
     fn kinks(&self) -> [Option<f64>; 4] {
         let Some(Release { at_s, duration_s, .. }) = self.release else { return [None; 4] };
-        let begins = self.regrasp.map(|regrasp| at_s + duration_s + regrasp.reaction_s);
-        let full = self.regrasp.map(|regrasp| at_s + duration_s + regrasp.reaction_s + regrasp.rise_s);
-        [Some(at_s), Some(at_s + duration_s), begins, full]
+        let [ends, begins, full] = self.grip_times(at_s, duration_s);
+        let again = |time: f64| self.regrasp.map(|_| time);
+        [Some(at_s), Some(ends), again(begins), again(full)]
     }
 
     /// The next time after t at which path or grip cease to be smooth.
@@ -261,6 +276,11 @@ impl<const N: usize> Hand<N> {
 /// A time in s in which a grip changes, or 0 where it is too short for a rate: powers of it would overflow.
 fn or_at_once(duration_s: f64) -> f64 {
     if duration_s < LEAST_LEG_S { 0.0 } else { duration_s }
+}
+
+/// The number of s nearest to whole ns: a sum of decimal seconds lies a rounding beside the tick that it means.
+pub(crate) fn whole_ns(time_s: f64) -> f64 {
+    (time_s * 1e9).round() / 1e9
 }
 
 /// A line as a series.

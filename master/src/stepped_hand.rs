@@ -8,6 +8,9 @@ use crate::{
     path::DEGREE,
 };
 
+/// In s.
+const HALF_NS: f64 = 0.5e-9;
+
 /// The force of a hand, without branches between scenarios: `F_h = g (K_h (target - x) - B_h V)`, bounded by the grip.
 #[derive(Clone, Debug)]
 pub struct SteppedHand<const N: usize, S = f64> {
@@ -69,14 +72,13 @@ impl<const N: usize> SteppedHand<N> {
         });
         let pace = |time: f64| if time > 0.0 { time.recip() } else { 0.0 };
         let release = hand.release().map(|release| {
-            let ends = release.at_s + release.duration_s;
-            let regrips = hand.regrasp().map_or(f64::MAX, |regrasp| ends + regrasp.reaction_s);
+            let [ends, begins, full] = hand.schedule().unwrap_or([release.at_s; 3]);
             SteppedRelease {
                 at: release.at_s,
                 ends,
                 falls: pace(release.duration_s),
-                regrips,
-                full: hand.regrasp().map_or(f64::MAX, |regrasp| regrips + regrasp.rise_s),
+                regrips: hand.regrasp().map_or(f64::MAX, |_| begins),
+                full: hand.regrasp().map_or(f64::MAX, |_| full),
                 rises: hand.regrasp().map_or(0.0, |regrasp| pace(regrasp.rise_s)),
                 has_regrasp: hand.regrasp().is_some(),
             }
@@ -206,14 +208,18 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
     #[inline(always)]
     fn grip(&self, t: f64) -> Option<S> {
         let release = self.release.as_ref()?;
-        let (zero, one, t) = (S::splat(0.0), S::splat(1.0), S::splat(t));
-        let falling = one - (t - release.at) * release.falls;
-        let held = one.select(t.simd_lt(release.at), zero.select(t.simd_ge(release.ends), falling));
+        let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
+        // Steps are products of seconds: what is within half a ns of a time is at that time.
+        let now = S::splat(t + HALF_NS);
+        let falling = one - (time - release.at) * release.falls;
+        let held = one
+            .select(now.simd_lt(release.at), zero.select(now.simd_ge(release.ends), falling.simd_min(one)));
         if !release.has_regrasp {
             return Some(held);
         }
-        let rising = (t - release.regrips) * release.rises;
-        let regained = zero.select(t.simd_lt(release.regrips), one.select(t.simd_ge(release.full), rising));
+        let rising = (time - release.regrips) * release.rises;
+        let regained =
+            zero.select(now.simd_lt(release.regrips), one.select(now.simd_ge(release.full), rising));
         Some(held.simd_max(regained))
     }
 }

@@ -33,6 +33,7 @@ mod ur_nearest;
 mod ur_refine;
 mod ur_rows;
 mod wall;
+mod window;
 
 pub use arm::{ArmControl, ArmModel, ArmParameters};
 pub use axes::Axes;

@@ -1,6 +1,6 @@
 //! How an object moves on its own.
 
-use crate::{Axes, ModelError, axes::require_axes, require};
+use crate::{Axes, ModelError, axes::require_axes, require, window::Window};
 
 /// Constant velocity for a while, and a sine on top.
 ///
@@ -8,8 +8,7 @@ use crate::{Axes, ModelError, axes::require_axes, require};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectMotion<const N: usize> {
     velocity: Axes<N>,
-    from_s: f64,
-    until_s: f64,
+    window: Window,
     amplitude: Axes<N>,
     /// 2 pi f in rad/s.
     rate: f64,
@@ -29,7 +28,8 @@ impl<const N: usize> ObjectMotion<N> {
         require("motion end", until_s, until_s >= from_s, "finite and not before its begin")?;
         require_axes("motion amplitude", &amplitude, |_| true, "finite")?;
         require("motion frequency", frequency_hz, frequency_hz >= 0.0, "finite and 0 or more")?;
-        Ok(Self { velocity, from_s, until_s, amplitude, rate: std::f64::consts::TAU * frequency_hz })
+        let window = Window::between(from_s, until_s);
+        Ok(Self { velocity, window, amplitude, rate: std::f64::consts::TAU * frequency_hz })
     }
 
     /// Displacement in m and velocity in m/s at t in s.
@@ -39,12 +39,13 @@ impl<const N: usize> ObjectMotion<N> {
 
     /// The same, on the smooth piece that holds at time `piece`.
     pub(crate) fn on(&self, piece: f64, t: f64) -> (Axes<N>, Axes<N>) {
-        let (mut displacement, mut velocity) = if piece < self.from_s {
+        let (from_s, until_s) = (self.window.from_s(), self.window.until_s());
+        let (mut displacement, mut velocity) = if self.window.contains(piece) {
+            (self.velocity * (t - from_s), self.velocity)
+        } else if self.window.begins_after(piece) {
             (Axes::zeros(), Axes::zeros())
-        } else if piece < self.until_s {
-            (self.velocity * (t - self.from_s), self.velocity)
         } else {
-            (self.velocity * (self.until_s - self.from_s), Axes::zeros())
+            (self.velocity * (until_s - from_s), Axes::zeros())
         };
         if self.rate > 0.0 {
             let (sin, cos) = (self.rate * t).sin_cos();
@@ -56,13 +57,7 @@ impl<const N: usize> ObjectMotion<N> {
 
     /// First time after t at which the velocity jumps.
     pub(crate) fn next_kink(&self, t: f64) -> f64 {
-        if t < self.from_s {
-            self.from_s
-        } else if t < self.until_s {
-            self.until_s
-        } else {
-            f64::INFINITY
-        }
+        self.window.next_bound(t)
     }
 
     /// No point of it is ever faster, in m/s.

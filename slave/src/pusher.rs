@@ -1,6 +1,11 @@
 //! Something that shoves the tool.
 
-use crate::{Axes, ModelError, axes::require_axes, require};
+use crate::{
+    Axes, ModelError,
+    axes::require_axes,
+    require,
+    window::{Window, whole_ns},
+};
 
 /// Values over time: linear between its points, constant outside.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,10 +78,13 @@ enum Course<const N: usize> {
 }
 
 /// Something that shoves the tool: a force that begins, takes its course and ends.
+///
+/// It acts from its begin on until its end, which is excluded; both are whole ns, as ticks are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pusher<const N: usize = 1> {
     at_s: f64,
     duration_s: f64,
+    window: Window,
     course: Course<N>,
 }
 
@@ -117,7 +125,7 @@ impl<const N: usize> Pusher<N> {
     fn during(at_s: f64, duration_s: f64, course: Course<N>) -> Result<Self, ModelError> {
         require("push time", at_s, true, "finite")?;
         require("push duration", duration_s, duration_s >= 0.0, "finite and 0 or more")?;
-        Ok(Self { at_s, duration_s, course })
+        Ok(Self { at_s, duration_s, window: Window::lasting(at_s, duration_s), course })
     }
 
     /// Force on the tool in N at time t in s.
@@ -127,12 +135,14 @@ impl<const N: usize> Pusher<N> {
 
     /// The same, on the smooth piece that holds at time `piece`.
     pub(crate) fn on(&self, piece: f64, t: f64) -> Axes<N> {
-        let (piece, since) = (piece - self.at_s, t - self.at_s);
-        if piece < 0.0 || piece >= self.duration_s {
+        if !self.window.contains(piece) {
             return Axes::zeros();
         }
+        let (piece, since) = (piece - self.at_s, t - self.at_s);
         match &self.course {
-            Course::Shaped(PushShape::Ramp { rise_s }, force) if piece < *rise_s => force * since / *rise_s,
+            Course::Shaped(PushShape::Ramp { rise_s }, force) if whole_ns(piece) < whole_ns(*rise_s) => {
+                force * (since / rise_s).clamp(0.0, 1.0)
+            }
             Course::Shaped(PushShape::Step | PushShape::Ramp { .. }, force) => *force,
             Course::Shaped(PushShape::HalfSine, force) => {
                 force * (std::f64::consts::PI * since / self.duration_s).sin()
@@ -146,17 +156,14 @@ impl<const N: usize> Pusher<N> {
 
     /// First time after t at which the force or its slope jumps.
     pub(crate) fn next_kink(&self, t: f64) -> f64 {
-        let end = self.at_s + self.duration_s;
-        if t < self.at_s {
-            return self.at_s;
-        }
+        let bound = self.window.next_bound(t);
         let within = match &self.course {
-            Course::Shaped(PushShape::Ramp { rise_s }, _) => self.at_s + rise_s,
-            Course::Recorded(series) => self.at_s + series.next_kink(t - self.at_s),
-            Course::Shaped(..) => end,
+            Course::Shaped(PushShape::Ramp { rise_s }, _) => (self.window.from_ns + whole_ns(*rise_s)) / 1e9,
+            // A time within rounding of a point is at that point.
+            Course::Recorded(series) => self.at_s + series.next_kink(t - self.at_s + 0.5e-9),
+            Course::Shaped(..) => bound,
         };
-        let next = if within > t { within.min(end) } else { end };
-        if next > t { next } else { f64::INFINITY }
+        if self.window.contains(t) && within > t { within.min(bound) } else { bound }
     }
 
     /// Whether the force is linear in time between kinks.
@@ -180,6 +187,16 @@ mod tests {
             kinks.push(pusher.next_kink(*kinks.last().unwrap()));
         }
         assert_eq!(kinks, [1.0, 2.0, 2.1, 3.0, f64::INFINITY]);
+    }
+
+    #[test]
+    fn a_rise_too_short_for_a_clock_is_a_step() {
+        for rise_s in [0.0, 1e-300, 4e-10] {
+            let pusher = Pusher::new(0.1, rise_s, 0.2, 3.0).unwrap();
+            let forces = [0.1 - 1e-6, 0.1, 0.2, 0.1 + 0.2, 0.3].map(|t| pusher.force(t)[0]);
+            assert_eq!(forces, [0.0, 3.0, 3.0, 0.0, 0.0], "{rise_s}");
+            assert_eq!(pusher.next_kink(0.1), 0.3);
+        }
     }
 
     #[test]

@@ -5,7 +5,10 @@ use std::f64::consts::{PI, TAU};
 use nalgebra::{ClosedAddAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPartialOrd, SimdValue};
 use num_traits::{One, Zero};
 
-use crate::{ModelError, PushShape, require};
+use crate::{
+    ModelError, PushShape, require,
+    window::{Window, whole_ns},
+};
 
 type Axes<const N: usize, S = f64> = nalgebra::SVector<S, N>;
 
@@ -94,7 +97,9 @@ struct Plane<const N: usize, S> {
 #[derive(Clone, Debug, PartialEq)]
 struct Push<const N: usize, S> {
     course: Course,
+    /// In whole ns.
     at: S,
+    /// In whole ns, excluded.
     ends: S,
     /// Share per second of a ramp, or radians per second of a sine.
     rate: S,
@@ -131,7 +136,7 @@ impl<const N: usize> RenderedWalls<N> {
                 PushShape::Step => (Course::Step, 0.0),
                 PushShape::Ramp { rise_s } => {
                     require("push rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
-                    if rise_s == 0.0 { (Course::Step, 0.0) } else { (Course::Ramp, rise_s.recip()) }
+                    if whole_ns(rise_s) == 0.0 { (Course::Step, 0.0) } else { (Course::Ramp, rise_s.recip()) }
                 }
                 PushShape::HalfSine => (Course::Sine, PI / push.duration_s),
                 PushShape::Sine { frequency_hz } => {
@@ -139,7 +144,8 @@ impl<const N: usize> RenderedWalls<N> {
                     (Course::Sine, TAU * frequency_hz)
                 }
             };
-            Ok(Push { course, at: push.at_s, ends: push.at_s + push.duration_s, rate, force: push.force_n })
+            let Window { from_ns, until_ns } = Window::lasting(push.at_s, push.duration_s);
+            Ok(Push { course, at: from_ns, ends: until_ns, rate, force: push.force_n })
         });
         Ok(Self { walls: walls.collect::<Result<_, _>>()?, pushes: pushes.collect::<Result<_, _>>()? })
     }
@@ -215,15 +221,18 @@ impl<const N: usize, S: Real> RenderedWalls<N, S> {
             }
             force += wall.normal * push;
         }
-        let t = S::splat(t);
+        if self.pushes.is_empty() {
+            return force;
+        }
+        let now = S::splat(whole_ns(t));
         for push in &self.pushes {
-            let since = t - push.at;
+            let since = (now - push.at) * S::splat(1e-9);
             let share = match push.course {
                 Course::Step => one,
                 Course::Ramp => (since * push.rate).simd_min(one),
                 Course::Sine => (since * push.rate).map_lanes(f64::sin),
             };
-            force += push.force * share.select(since.simd_ge(zero) & t.simd_lt(push.ends), zero);
+            force += push.force * share.select(now.simd_ge(push.at) & now.simd_lt(push.ends), zero);
         }
         force
     }

@@ -75,7 +75,8 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
     /// Time of the next tick in s.
     #[inline(always)]
     pub fn time_s(&self) -> f64 {
-        self.tick as f64 * self.period_s
+        // The number nearest to the time: a product of seconds lies a rounding beside the times that a scene names.
+        (self.tick * self.period_ns) as f64 / 1e9
     }
 
     /// One tick.

@@ -196,7 +196,9 @@ impl<const N: usize> Watched<N> {
     /// The hand's schedule begins when the two engage, and so do the measures that hang on it.
     fn engage(&mut self, time_s: f64, start: &Axes<N>) {
         self.engaged_s = Some(time_s);
-        self.judged.release_s = self.judged.release_s.map(|release| release + time_s);
+        // Whole ns, as the ticks that are held against it.
+        let since = |release: f64| ((release + time_s) * 1e9).round() / 1e9;
+        self.judged.release_s = self.judged.release_s.map(since);
         self.judged.quiet_after_s = self.judged.quiet_after_s.map(|quiet| quiet + time_s);
         self.measures = Measures::new(&self.judged, start);
     }
@@ -228,7 +230,7 @@ impl<const N: usize> Watched<N> {
     }
 
     fn near(&mut self, record: &MasterRecord<N>) -> ControlFlow<()> {
-        let time_s = record.time_ns as f64 * 1e-9;
+        let time_s = record.time_ns as f64 / 1e9;
         self.ladder(0, time_s, record.state, record.reason);
         self.faults("master", time_s, record.fault)?;
         if record.state.is_coupled() && self.engaged_s.is_none() {
@@ -279,7 +281,7 @@ impl<const N: usize> Watched<N> {
     }
 
     fn far(&mut self, record: &SlaveRecord<N>, touches: bool) -> ControlFlow<()> {
-        let time_s = record.time_ns as f64 * 1e-9;
+        let time_s = record.time_ns as f64 / 1e9;
         self.ladder(1, time_s, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
         let distance = record.position.norm();
@@ -317,7 +319,7 @@ impl<const N: usize> Watched<N> {
         outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
         // A clock that is not right does not tick once in each period of true time.
         let newest_ns = self.newest.map_or(0, |newest| newest.time_ns);
-        let end_s = newest_ns as f64 * 1e-9 + scene.run.period_s;
+        let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;
         let mut shifted = scene.clone();
         if let Some(release) = shifted.operator.as_mut().and_then(|operator| operator.release.as_mut()) {
             release.at_s += self.engaged_s.unwrap_or(f64::INFINITY);

@@ -1,0 +1,85 @@
+//! A stretch of time, its end excluded, in whole nanoseconds.
+
+/// A time in s as whole ns: exact below 2^53 ns (104 days), where sums of decimal seconds differ by rounding.
+pub(crate) fn whole_ns(time_s: f64) -> f64 {
+    (time_s * 1e9).round()
+}
+
+/// From a time on until another, in whole ns; the end is excluded, and a tick on a bound is on that bound exactly.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Window {
+    pub(crate) from_ns: f64,
+    pub(crate) until_ns: f64,
+}
+
+impl Window {
+    /// From `at_s` on for `duration_s`.
+    pub(crate) fn lasting(at_s: f64, duration_s: f64) -> Self {
+        let from_ns = whole_ns(at_s);
+        Self { from_ns, until_ns: from_ns + whole_ns(duration_s) }
+    }
+
+    /// From `from_s` until `until_s`.
+    pub(crate) fn between(from_s: f64, until_s: f64) -> Self {
+        Self { from_ns: whole_ns(from_s), until_ns: whole_ns(until_s) }
+    }
+
+    pub(crate) fn begins_after(&self, time_s: f64) -> bool {
+        whole_ns(time_s) < self.from_ns
+    }
+
+    pub(crate) fn contains(&self, time_s: f64) -> bool {
+        (self.from_ns..self.until_ns).contains(&whole_ns(time_s))
+    }
+
+    pub(crate) fn from_s(&self) -> f64 {
+        self.from_ns / 1e9
+    }
+
+    pub(crate) fn until_s(&self) -> f64 {
+        self.until_ns / 1e9
+    }
+
+    /// The first of its bounds after a time, in s; infinity after the last.
+    pub(crate) fn next_bound(&self, time_s: f64) -> f64 {
+        let now_ns = whole_ns(time_s);
+        if now_ns < self.from_ns {
+            self.from_s()
+        } else if now_ns < self.until_ns {
+            self.until_s()
+        } else {
+            f64::INFINITY
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 0.1 + 0.2 is above 0.3 in binary, and 3 x 0.1 too; 0.1 + 0.7 is below 0.8.
+    #[test]
+    fn a_window_has_as_many_ticks_as_its_length_in_ns_says() {
+        for period_ns in [1_000_000_u64, 500_000, 700_000, 125_000, 8_000_000] {
+            let period_s = period_ns as f64 * 1e-9;
+            for (begin, lasts) in [(100_u64, 200_u64), (100, 700), (7, 13), (1000, 1), (3, 999)] {
+                let window =
+                    Window::lasting((begin * period_ns) as f64 / 1e9, (lasts * period_ns) as f64 / 1e9);
+                let as_product = (0..3000_u64).filter(|&n| window.contains(n as f64 * period_s));
+                let as_quotient = (0..3000_u64).filter(|&n| window.contains((n * period_ns) as f64 / 1e9));
+                let expected: Vec<_> = (begin..begin + lasts).collect();
+                assert_eq!(as_product.collect::<Vec<_>>(), expected, "{period_ns} {begin} {lasts}");
+                assert_eq!(as_quotient.collect::<Vec<_>>(), expected, "{period_ns} {begin} {lasts}");
+            }
+        }
+    }
+
+    #[test]
+    fn its_bounds_follow_one_another_once() {
+        let window = Window::between(0.1, 0.3);
+        assert_eq!(window.next_bound(0.0), 0.1);
+        assert_eq!(window.next_bound(0.1), 0.3);
+        assert_eq!(window.next_bound(0.1 + 0.2), f64::INFINITY);
+        assert!(window.begins_after(0.0999) && !window.begins_after(0.1));
+    }
+}
