@@ -27,6 +27,9 @@ const MOST_STALLS: u32 = 8;
 /// Stretches of one advance; beyond them it moves on in steps of this share of it, so that a tick always ends.
 const MOST_STRETCHES: u32 = 4096;
 
+/// Share of the time wanted below which a series that reaches no further is that of a stiff motion.
+const STIFF_SHARE: f64 = 1.0 / 32.0;
+
 /// Speed in m/s below which a device that friction can hold is taken to have stopped. On several axes friction
 /// turns with the motion, and the last bit of the speed would take ever shorter stretches.
 const STOPPED: f64 = 1e-10;
@@ -253,6 +256,9 @@ impl<const N: usize> SimulatedMaster<N> {
             };
             (regime, setting_off) = self.regime(grip, &hand);
             stretch = law.follow(&regime, self.position, self.velocity);
+            if stretch.reach < STIFF_SHARE * wanted {
+                stretch = law.relaxed(&regime, self.position, self.velocity, wanted).unwrap_or(stretch);
+            }
             duration = wanted.min(stretch.reach);
             if setting_off {
                 duration = duration.min(SETTING_OFF);

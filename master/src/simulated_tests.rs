@@ -442,3 +442,108 @@ fn a_device_in_space_sets_off_gently() {
         }
     }
 }
+
+/// `m x'' = F - B x' - K x` over t in s in closed form, for two real roots far from each other.
+fn overdamped([mass, damping, stiffness]: [f64; 3], force: f64, [x, v]: [f64; 2], t: f64) -> [f64; 2] {
+    let half = 0.5 * damping / mass;
+    let fast = -(half + (half * half - stiffness / mass).sqrt());
+    let slow = stiffness / mass / fast;
+    let from_rest = x - force / stiffness;
+    // w = x' - slow x and y = x' - fast x decay by themselves.
+    let (w, y) = ((v - slow * from_rest) * (fast * t).exp(), (v - fast * from_rest) * (slow * t).exp());
+    [force / stiffness + (y - w) / (slow - fast), (slow * y - fast * w) / (slow - fast)]
+}
+
+/// B dT / m from 30 to 1e9: damping takes what moves, and the stiffer it is the less is left to diverge.
+#[test]
+fn stiff_damping_is_the_closed_form() {
+    let (stiffness, period_s) = (300.0, 1e-3);
+    for ratio in [30.0, 100.0, 1e4, 1e6, 1e9] {
+        let damping = ratio * MASS / period_s;
+        let path = Path::new(at(0.0), Vec::new()).unwrap();
+        let hand = Hand::new(stiffness, damping, f64::INFINITY, path, None).unwrap();
+        let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+        master.place(at(0.01), at(0.8)).unwrap();
+        let mut expected = [0.01, 0.8];
+        for tick in 1..=40_u32 {
+            let force = if tick % 3 == 0 { -4.0 } else { 2.0 * f64::from(tick % 5) };
+            master.write(&at(force));
+            master.read(u64::from(tick) * TICK_NS);
+            expected = overdamped([MASS, damping, stiffness], force, expected, period_s);
+            // Rounding of x, and of V as what K x and F leave over: some eps of each a tick.
+            let (off, fast) = (master.position()[0] - expected[0], master.velocity()[0] - expected[1]);
+            let pace = (stiffness * 0.02 + 8.0) / damping + if tick == 1 { 0.8 } else { 0.0 };
+            assert!(off.abs() < 1e-15 * f64::from(tick), "{ratio} {tick}: {off:e}");
+            assert!(fast.abs() < 1e-12 * pace, "{ratio} {tick}: {fast:e} of {pace:e}");
+        }
+    }
+}
+
+/// Behind a target that moves steadily a damped hand lags by B V / K, and a stiff one follows its path.
+#[test]
+fn a_stiffly_damped_hand_follows_its_path() {
+    let (stiffness, speed, lasts) = (5e4, 0.1, 0.4);
+    let damping = 1e4 * MASS / 1e-3;
+    let legs = vec![Leg { duration_s: lasts, end: at(speed * lasts), shape: LegShape::Linear }];
+    let hand = Hand::new(stiffness, damping, f64::INFINITY, Path::new(at(0.0), legs).unwrap(), None).unwrap();
+    let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
+    for tick in 1..=400 {
+        master.read(tick * TICK_NS);
+    }
+    // x = V (t - T) + A e^(r t) with T = B / K, from rest; the fast root adds m / B of it.
+    let lag = damping / stiffness;
+    let rest = overdamped([MASS, damping, stiffness], 0.0, [speed * lag, -speed], lasts);
+    assert!((master.position()[0] - (speed * (lasts - lag) + rest[0])).abs() < 1e-13);
+    assert!((master.velocity()[0] - (speed + rest[1])).abs() < 1e-12);
+}
+
+/// A grip that slips, friction, stops, walls and several axes: whatever acts beside it, stiff damping only takes.
+#[test]
+fn stiff_damping_takes_energy_whatever_acts_beside_it() {
+    let mut devices = Vec::new();
+    for friction in [Friction::Axis, Friction::Vector] {
+        devices.push(DeviceParameters::<3> { friction, ..DeviceParameters::ideal(MASS, 0.0, 0.05) });
+    }
+    for device in devices {
+        for (ratio, strength, kind) in [
+            (1e4, f64::INFINITY, ReleaseKind::Gain),
+            (1e4, 5.0, ReleaseKind::Strength),
+            (1e7, 5.0, ReleaseKind::Strength),
+        ] {
+            let start = Axes::<3>::new(0.02, -0.01, 0.0);
+            let path = Path::new(Axes::zeros(), Vec::new()).unwrap();
+            let release = Release { at_s: 0.02, duration_s: 0.01, kind };
+            let hand = Hand::new(300.0, ratio * MASS / 1e-3, strength, path, Some(release)).unwrap();
+            let wall = ContinuousWall::new(start, Axes::<3>::new(1.0, 1.0, 0.0), 500.0, 40.0, false).unwrap();
+            let mut master = SimulatedMaster::new(device, hand, 0).unwrap().among(vec![wall]).unwrap();
+            master.place(start, Axes::<3>::new(0.5, 0.2, -0.1)).unwrap();
+            // What spring and wall store, and the motion; a grip that slips stores nothing and gives at most its work.
+            let mut given = 0.0;
+            let energy = |master: &SimulatedMaster<3>| {
+                let depth = wall.depth(master.position()).max(0.0);
+                let spring =
+                    if strength.is_finite() { 0.0 } else { 300.0 * master.position().norm_squared() };
+                0.5 * (MASS * master.velocity().norm_squared() + 500.0 * depth * depth + spring)
+            };
+            let mut before = energy(&master);
+            let begun = before;
+            let mut at = *master.position();
+            for tick in 1..=60 {
+                master.read(tick * TICK_NS);
+                let now = energy(&master);
+                if strength.is_finite() {
+                    given += strength * (master.position() - at).norm();
+                    assert!(now <= begun + given, "{ratio} {kind:?} {tick}: {begun} {now} {given}");
+                } else {
+                    assert!(now <= before * (1.0 + 1e-9) + 1e-12, "{ratio} {kind:?} {tick}: {before} {now}");
+                }
+                (before, at) = (now, *master.position());
+            }
+            assert!(
+                master.velocity().norm() < 0.55 && master.position().norm() < 0.05,
+                "{:?}",
+                master.position()
+            );
+        }
+    }
+}

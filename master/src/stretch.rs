@@ -83,6 +83,9 @@ const INVERSE: [f64; TERMS] = {
     inverse
 };
 
+/// Shares of 1 / e, in the time wanted, by which a motion relaxes that is worth a series of its own.
+const STIFF: f64 = 16.0;
+
 /// A vector series divided by its length.
 struct Direction {
     square: Series,
@@ -122,7 +125,7 @@ impl Direction {
 
 impl<const N: usize> Law<'_, N> {
     /// Longest time in s for which the series of a linear motion holds full precision.
-    fn linear_reach(&self, pushing: u64) -> f64 {
+    pub(crate) fn linear_reach(&self, pushing: u64) -> f64 {
         let (mut damping, mut stiffness) = (self.hand.damping(), self.hand.stiffness());
         for (index, wall) in self.walls.iter().enumerate() {
             if pushing & (1 << index) != 0 {
@@ -210,19 +213,153 @@ impl<const N: usize> Law<'_, N> {
 }
 
 impl<const N: usize> Law<'_, N> {
-    /// Displacement in m and speed gained in m/s over a step of t in s under the forces at its beginning, with friction
-    /// along the motion as it is at its end: however fast the motion turns, friction then only brakes it.
+    /// Displacement in m and speed gained in m/s over a step of t in s whose end the forces are taken at: friction and
+    /// damping then only brake the motion, however stiff they are and however fast it turns.
+    ///
+    /// Linearly implicit Euler method, `(M + t B + t² K) dV = t (F + t F' )` with the forces F at the beginning and F'
+    /// of what moves on by itself. B and K stand for all directions, so they are no less than the true ones.
+    ///
+    /// Source: Hairer and Wanner 1996, section IV.7 (W-methods).
     pub(crate) fn coarse_step(&self, regime: &Regime<N>, stretch: &Stretch<N>, t: f64) -> (Axes<N>, Axes<N>) {
         let velocity = stretch.position[1];
-        let gained = match regime.rub {
-            Rub::Constant(_) => stretch.position[2] * (2.0 * t),
-            Rub::AlongMotion(coulomb) => {
-                let driven = masked(stretch.push[0].component_div(&self.device.mass_kg) * t, &regime.stuck);
-                let braking = self.device.mass_kg.map(|mass| coulomb * t / mass);
-                braked(&(velocity + driven), &braking) - velocity
+        let share = match regime.grip {
+            Grip::Holds => self.gain[0],
+            Grip::Slips if N == 1 => 0.0,
+            Grip::Slips => {
+                let wish = stretch.wish[0].norm();
+                if wish > 0.0 { self.gain[0] * (self.strength[0] / wish) } else { 0.0 }
             }
         };
-        ((velocity + gained * 0.5) * t, gained)
+        let (mut stiffness, mut damping) = (share * self.hand.stiffness(), share * self.hand.damping());
+        let mut ahead = (self.target[1] - velocity) * stiffness;
+        for wall in self.pushing(regime) {
+            ahead -= wall.normal * (wall.stiffness * wall.normal.dot(&velocity));
+            stiffness += wall.stiffness;
+            damping += wall.damping;
+        }
+        let inertia = self.device.mass_kg.zip_map(&self.device.viscous, |mass, viscous| {
+            mass + t * (damping + viscous.max(0.0) + t * stiffness)
+        });
+        let mut push = stretch.push[0] + ahead * t;
+        if let Rub::Constant(friction) = regime.rub {
+            push -= friction;
+        }
+        let free = velocity + masked(push.component_div(&inertia) * t, &regime.stuck);
+        let reached = match regime.rub {
+            Rub::Constant(_) => free,
+            Rub::AlongMotion(coulomb) => braked(&free, &inertia.map(|inertia| coulomb * t / inertia)),
+        };
+        (reached * t, reached - velocity)
+    }
+
+    fn pushing<'b>(&'b self, regime: &'b Regime<N>) -> impl Iterator<Item = &'b ContinuousWall<N>> {
+        let pushes = |index: &usize| regime.pushing & (1 << index) != 0;
+        self.walls.iter().enumerate().filter(move |(index, _)| pushes(index)).map(|(_, wall)| wall)
+    }
+
+    /// The motion under damping so strong that the series of [`Law::follow`] reach only a small part of `wanted` s, once
+    /// what the damping takes at once has been taken; none before that, or where the axes do not move each by itself
+    /// under a linear law.
+    ///
+    /// Along an axis `x'' = -c x' - k x + u(t) = (r_1 + r_2) x' - r_1 r_2 x + u` with `r_1 << r_2 <= 0`, so
+    /// `w = x' - r_2 x` obeys `w' = r_1 w + u` and is `A e^(r_1 t)` beside a slow solution, whose series follows from the
+    /// last term down: `w_n = ((n + 1) w_(n+1) - u_n) / r_1`. Where A is within rounding, `x' = r_2 x + w` gives the
+    /// series of x, which reaches as far as `r_2` lets it.
+    pub(crate) fn relaxed(
+        &self,
+        regime: &Regime<N>,
+        position: Axes<N>,
+        velocity: Axes<N>,
+        wanted: f64,
+    ) -> Option<Stretch<N>> {
+        let Rub::Constant(friction) = regime.rub else { return None };
+        let slips = regime.grip == Grip::Slips;
+        if (slips && N > 1 && self.strength != [0.0; 2]) || (!slips && self.gain[1] != 0.0) {
+            return None;
+        }
+        let across = |wall: &ContinuousWall<N>| wall.normal.iter().filter(|part| **part != 0.0).count() == 1;
+        if !self.pushing(regime).all(across) {
+            return None;
+        }
+        let impedance = if slips { 0.0 } else { self.gain[0] };
+        let (stiffness, damping) = (impedance * self.hand.stiffness(), impedance * self.hand.damping());
+        let wish_side = ((self.target[0] - position) * self.hand.stiffness()
+            - velocity * self.hand.damping())
+        .map(|wish| if wish < 0.0 { -1.0 } else { 1.0 });
+        let grip = line(self.strength);
+        let tremor = self.hand.tremor().map_or(0.0, |tremor| std::f64::consts::TAU * tremor.frequency_hz);
+        let mut reach = if tremor > 0.0 { 0.5 / tremor } else { f64::INFINITY };
+        let mut x = [Axes::zeros(); TERMS];
+        x[0] = position;
+        let mut is_slow = false;
+        for axis in (0..N).filter(|&axis| !regime.stuck[axis]) {
+            let mass = self.device.mass_kg[axis];
+            let (mut k, mut c) = (stiffness, damping + self.device.viscous[axis]);
+            let constant = self.held[axis] - friction[axis];
+            let (mut rest, mut size) = (constant, constant.abs());
+            for wall in self.pushing(regime).filter(|wall| wall.normal[axis] != 0.0) {
+                k += wall.stiffness;
+                c += wall.damping;
+                rest += wall.stiffness * wall.surface * wall.normal[axis];
+                size += wall.stiffness * wall.surface.abs();
+            }
+            let (k, c) = (k / mass, c / mass);
+            let u: Series = std::array::from_fn(|n| {
+                let pulled = stiffness * self.target[n][axis];
+                let slipping = if slips { wish_side[axis] * grip[n] } else { 0.0 };
+                (pulled + slipping + if n == 0 { rest } else { 0.0 }) / mass
+            });
+            size += stiffness * self.target[0][axis].abs() + if slips { grip[0] } else { 0.0 };
+            let root = (0.25 * c * c - k).sqrt();
+            let fast = -(0.5 * c + root);
+            let slow = k / fast;
+            // Without a number where the roots are no real ones.
+            let is_stiff = -fast * wanted > STIFF && fast < 4.0 * slow && -fast > 4.0 * tremor;
+            if is_stiff {
+                let mut w = [0.0; TERMS + 1];
+                for n in (0..TERMS).rev() {
+                    w[n] = ((n + 1) as f64 * w[n + 1] - u[n]) / fast;
+                }
+                let along = velocity[axis] - slow * position[axis];
+                let rounding = velocity[axis].abs() + (slow * position[axis]).abs() + size / mass / -fast;
+                if (along - w[0]).abs() > 64.0 * f64::EPSILON * rounding {
+                    return None;
+                }
+                for n in 0..TERMS - 1 {
+                    x[n + 1][axis] = (slow * x[n][axis] + w[n]) / (n + 1) as f64;
+                }
+                reach = reach.min(if slow < 0.0 { 0.5 / -slow } else { f64::INFINITY });
+                is_slow = true;
+            } else {
+                x[1][axis] = velocity[axis];
+                for n in 0..TERMS - 2 {
+                    let v = (n + 1) as f64 * x[n + 1][axis];
+                    x[n + 2][axis] = (u[n] - k * x[n][axis] - c * v) * INVERSE[n];
+                }
+                let rate = c.abs().max(k.sqrt());
+                reach = reach.min(if rate > 0.0 { 0.5 / rate } else { f64::INFINITY });
+            }
+        }
+        is_slow.then(|| {
+            let v = |n: usize| x.get(n + 1).map_or(Axes::zeros(), |x| x * (n + 1) as f64);
+            let wish = std::array::from_fn(|n| {
+                let impedance =
+                    |n: usize| (self.target[n] - x[n]) * self.hand.stiffness() - v(n) * self.hand.damping();
+                impedance(n) * self.gain[0]
+                    + if n > 0 { impedance(n - 1) * self.gain[1] } else { Axes::zeros() }
+            });
+            let push = std::array::from_fn(|n| {
+                let hand: Axes<N> = if slips { wish_side * grip[n] } else { wish[n] };
+                let mut push = hand - self.device.viscous.component_mul(&v(n));
+                for wall in self.pushing(regime) {
+                    let surface = if n == 0 { wall.surface } else { 0.0 };
+                    let depth = surface - wall.normal.dot(&x[n]);
+                    push += wall.normal * (wall.stiffness * depth - wall.damping * wall.normal.dot(&v(n)));
+                }
+                if n == 0 { push + self.held } else { push }
+            });
+            Stretch { position: x, wish, push, reach }
+        })
     }
 }
 
