@@ -129,6 +129,16 @@ impl<const N: usize> Environment<N> {
         }
     }
 
+    /// Whether the tool can touch none of the objects `apart` within `span` in s at up to twice its speed.
+    pub(crate) fn is_clear(&mut self, apart: &[bool], tool: &Tool<N>, time_s: f64, span: f64) -> bool {
+        let margin = 2.0 * span * tool.velocity.norm();
+        if !self.reach.covers(&tool.position, time_s + span, margin) {
+            self.look(&tool.position, &tool.velocity, time_s);
+        }
+        self.reach.covers(&tool.position, time_s + span, margin)
+            && !self.reach.near.iter().any(|&index| apart[index])
+    }
+
     pub(crate) fn push_time(&self, time_s: f64) -> f64 {
         if self.push_from.is_finite() { time_s - self.push_from } else { f64::NEG_INFINITY }
     }
@@ -138,8 +148,8 @@ impl<const N: usize> Environment<N> {
         self.pushers.iter().map(|pusher| pusher.on(piece, t)).sum()
     }
 
-    /// First time after `time_s` at which a force or a motion that depends on time alone has a kink.
-    pub(crate) fn next_kink(&self, time_s: f64) -> f64 {
+    /// First time after `time_s` at which a push has a kink.
+    pub(crate) fn next_push_kink(&self, time_s: f64) -> f64 {
         let mut next = f64::INFINITY;
         if self.push_from.is_finite() {
             let t = self.push_time(time_s);
@@ -147,6 +157,12 @@ impl<const N: usize> Environment<N> {
                 next = next.min(pusher.next_kink(t) + self.push_from);
             }
         }
+        next
+    }
+
+    /// First time after `time_s` at which a force or a motion that depends on time alone has a kink.
+    pub(crate) fn next_kink(&self, time_s: f64) -> f64 {
+        let mut next = self.next_push_kink(time_s);
         for &index in &self.movers {
             next = next.min(self.objects[index].next_kink(time_s));
         }

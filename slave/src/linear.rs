@@ -1,4 +1,5 @@
-//! An arm among planes across the axes and springs: linear between contacts, axis by axis, and advanced exactly.
+//! An arm among planes across the axes and springs: linear between contacts, axis by axis, and advanced exactly, as
+//! long as it stays clear of all other objects.
 
 use crate::{Environment, Object, arm_drive::ArmDrive, contact::Mode, solve::Tool, transition::Transition};
 
@@ -69,11 +70,15 @@ impl Course {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct LinearArm<const N: usize> {
     lines: [Line; N],
+    /// Of each object, whether it is on no line.
+    apart: Vec<bool>,
+    /// Whether every object is on one.
+    pub(crate) is_complete: bool,
     pub(crate) coarse_steps: u64,
 }
 
 impl<const N: usize> LinearArm<N> {
-    /// None, unless every axis is linear between contacts.
+    /// None, unless every axis is linear between contacts with some of the objects.
     pub(crate) fn new(drive: &ArmDrive<N>, environment: &Environment<N>) -> Option<Self> {
         use crate::ArmControl::Velocity;
         let arm = drive.model();
@@ -85,12 +90,35 @@ impl<const N: usize> LinearArm<N> {
         if !environment.pushers.iter().all(crate::Pusher::is_piecewise_linear) {
             return None;
         }
+        if environment.bodies > 0 {
+            // They move, near or not.
+            return None;
+        }
         let mut lines: [Line; N] = std::array::from_fn(|_| Line::default());
-        environment
-            .objects
-            .iter()
-            .all(|object| sort(&mut lines, object))
-            .then_some(Self { lines, coarse_steps: 0 })
+        let apart: Vec<_> = environment.objects.iter().map(|object| !sort(&mut lines, object)).collect();
+        let is_complete = !apart.contains(&true);
+        Some(Self { lines, apart, is_complete, coarse_steps: 0 })
+    }
+
+    /// As [`LinearArm::advance`], where no object that is on no line comes into reach; else nothing has moved.
+    pub(crate) fn advance_clear(
+        &mut self,
+        drive: &mut ArmDrive<N>,
+        environment: &mut Environment<N>,
+        tool: &mut Tool<N>,
+        from: f64,
+        span: f64,
+    ) -> bool {
+        if !environment.is_clear(&self.apart, tool, from, span) {
+            return false;
+        }
+        let (drive_before, tool_before, coarse_before) = (*drive, *tool, self.coarse_steps);
+        self.advance(drive, environment, tool, from, span);
+        let stays_clear = environment.reach.covers(&tool.position, from + span, 0.0);
+        if !stays_clear {
+            (*drive, *tool, self.coarse_steps) = (drive_before, tool_before, coarse_before);
+        }
+        stays_clear
     }
 
     /// Advances the tool by `span` in s from `from` in s on.
@@ -106,7 +134,8 @@ impl<const N: usize> LinearArm<N> {
         while done < span {
             let now = from + done;
             drive.plan();
-            let mut end = (done + LONGEST).min(environment.next_kink(now) - from).min(done + drive.phase());
+            let mut end =
+                (done + LONGEST).min(environment.next_push_kink(now) - from).min(done + drive.phase());
             end = end.max(done + SHORTEST);
             if span - end < SHORTEST {
                 end = span;

@@ -26,7 +26,8 @@ pub struct SlaveSample<const N: usize = 1> {
 ///
 /// Commands are held until the next. Where arm and environment are linear between contacts (control of position or
 /// pd, fixed Kelvin-Voigt planes across the axes without friction, springs, pushes that are linear in time), the
-/// motion is exact between located contacts; otherwise it follows an adaptive integrator between located contacts.
+/// motion is exact between located contacts, to the bit that of an arm without the other objects while none of these
+/// is in reach; otherwise it follows an adaptive integrator between located contacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedSlave<const N: usize = 1> {
     plant: Plant<N>,
@@ -52,16 +53,22 @@ struct Continuous<const N: usize> {
     drive: ArmDrive<N>,
     environment: Environment<N>,
     tool: Tool<N>,
-    /// The exact solution, if there is one.
+    /// The exact solution, if there is one, among the objects that it knows.
     linear: Option<LinearArm<N>>,
 }
 
 impl<const N: usize> Continuous<N> {
     fn advance(&mut self, from: f64, span: f64) {
         let Self { drive, environment, tool, linear } = self;
-        if let Some(linear) = linear {
-            linear.advance(drive, environment, tool, from, span);
-        } else {
+        let solved = match linear {
+            Some(linear) if linear.is_complete => {
+                linear.advance(drive, environment, tool, from, span);
+                true
+            }
+            Some(linear) => linear.advance_clear(drive, environment, tool, from, span),
+            None => false,
+        };
+        if !solved {
             environment.solve(&mut Drive::Arm(drive), tool, from, span);
         }
     }
@@ -235,7 +242,7 @@ impl<const N: usize> SimulatedSlave<N> {
     pub fn is_exact(&self) -> bool {
         match &self.plant {
             Plant::Held(_) => true,
-            Plant::Continuous(plant) => plant.linear.is_some(),
+            Plant::Continuous(plant) => plant.linear.as_ref().is_some_and(|linear| linear.is_complete),
         }
     }
 
@@ -244,10 +251,10 @@ impl<const N: usize> SimulatedSlave<N> {
     pub fn coarse_steps(&self) -> u64 {
         match &self.plant {
             Plant::Held(_) => 0,
-            Plant::Continuous(plant) => plant
-                .linear
-                .as_ref()
-                .map_or_else(|| plant.environment.coarse_steps(), |linear| linear.coarse_steps),
+            Plant::Continuous(plant) => {
+                let solved = plant.linear.as_ref().map_or(0, |linear| linear.coarse_steps);
+                solved + plant.environment.coarse_steps()
+            }
         }
     }
 }

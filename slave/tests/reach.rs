@@ -1,7 +1,10 @@
 //! Leaving out objects that are out of reach changes no bit.
 #![allow(clippy::unwrap_used)] // a test may
 
-use haptether_slave::{Axes, Contact, ContactLaw, Environment, FreeBody, Object, ObjectMotion, Shape};
+use haptether_slave::{
+    ArmControl, ArmModel, Axes, Contact, ContactLaw, Environment, FreeBody, Object, ObjectMotion, PushShape,
+    Pusher, Shape, SimulatedSlave, SlaveSample,
+};
 
 type V3 = Axes<3>;
 
@@ -80,4 +83,68 @@ fn sliding_bodies_are_not_forgotten() {
         x += v * 1e-3;
     }
     assert!(touched > 40, "{touched}");
+}
+
+/// Samples of an arm that draws a Lissajous figure of up to 6 cm above a floor, and at how many ticks it touched.
+fn drawn(extra: Vec<Object<3>>, pushers: Vec<Pusher<3>>, period_ns: u64) -> (Vec<SlaveSample<3>>, u32) {
+    let arm = ArmModel::new(ArmControl::Position { bandwidth_hz: 12.0 }, 3.0, Some(0.6), Some(20.0)).unwrap();
+    let law = ContactLaw::KelvinVoigt { stiffness: 900.0, damping: 3.0 };
+    let floor = Shape::plane(V3::new(0.0, -0.03, 0.0), V3::new(0.0, 1.0, 0.0)).unwrap();
+    let mut objects = vec![Object::fixed(floor, Contact::new(law, 0.0).unwrap()).unwrap()];
+    objects.extend(extra);
+    let environment = Environment::new(objects, pushers);
+    let mut slave = SimulatedSlave::in_environment(arm, environment, None, V3::zeros(), 0).unwrap();
+    slave.start(0);
+    let mut touched = 0;
+    let samples = (1..=2_000_000_000 / period_ns)
+        .map(|tick| {
+            let t = (tick * period_ns) as f64 * 1e-9;
+            slave.write(&V3::new(0.06 * (5.0 * t).sin(), 0.05 * (7.0 * t).sin(), 0.02 * t), &V3::zeros());
+            let sample = slave.read(tick * period_ns);
+            touched += u32::from(slave.touches());
+            sample
+        })
+        .collect();
+    (samples, touched)
+}
+
+fn ball(centre: V3, radius: f64) -> Object<3> {
+    let law = ContactLaw::HuntCrossley { stiffness: 2e4, exponent: 1.5, damping: 0.5 };
+    Object::fixed(Shape::sphere(centre, radius).unwrap(), Contact::new(law, 0.3).unwrap()).unwrap()
+}
+
+#[test]
+fn an_arm_moves_as_if_what_is_out_of_reach_were_not_there() {
+    for period_ns in [500_000, 1_000_000, 8_000_000] {
+        let (alone, touched) = drawn(Vec::new(), Vec::new(), period_ns);
+        assert!(touched > 20);
+        let mut draws = Draws(11);
+        let contact = Contact::new(ContactLaw::KelvinVoigt { stiffness: 500.0, damping: 2.0 }, 0.3).unwrap();
+        let mut far: Vec<_> = (0..1000).map(|n| ball(V3::new(0.5, 0.0, 0.01 * f64::from(n)), 0.05)).collect();
+        let cuboid = Shape::cuboid(V3::new(-0.4, 0.0, 0.0), V3::new(0.1, 0.2, 0.1)).unwrap();
+        let motion = ObjectMotion::new(draws.vector(0.03), 0.1, 0.9, draws.vector(0.02), 3.0).unwrap();
+        far.push(Object::moving(cuboid, contact, motion).unwrap());
+        let slope = Shape::plane(V3::new(0.0, 0.6, 0.0), V3::new(0.1, -1.0, 0.2)).unwrap();
+        far.push(Object::fixed(slope, contact).unwrap());
+        assert_eq!(drawn(far, Vec::new(), period_ns).0, alone);
+    }
+}
+
+#[test]
+fn an_arm_that_meets_a_ball_is_integrated_there() {
+    let met = || vec![ball(V3::new(0.05, 0.03, 0.01), 0.02), ball(V3::new(-0.06, -0.02, 0.01), 0.025)];
+    // A push of no force that is a sine makes all of the motion one for the integrator.
+    let no_push = Pusher::shaped(PushShape::Sine { frequency_hz: 1.0 }, 0.0, 1.0, V3::zeros()).unwrap();
+    let (alone, at_floor) = drawn(Vec::new(), Vec::new(), 1_000_000);
+    let (partly, touched) = drawn(met(), Vec::new(), 1_000_000);
+    let (integrated, touched_too) = drawn(met(), vec![no_push], 1_000_000);
+    assert!(touched > at_floor + 20 && touched == touched_too, "{touched} {touched_too} {at_floor}");
+    assert_ne!(partly, alone);
+    let mut exact = 0;
+    for ((a, b), free) in partly.iter().zip(&integrated).zip(&alone) {
+        // 2000 steps with an error of 1e-10 of some cm each.
+        assert!((a.position - b.position).norm() < 1e-9, "{:e}", (a.position - b.position).norm());
+        exact += u32::from(a == free);
+    }
+    assert!(exact > 20, "until the first contact it is solved: {exact}");
 }
