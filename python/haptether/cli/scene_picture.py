@@ -25,6 +25,8 @@ TRIPPED = {1: "VFC", 2: "HSC", 4: "WSC", 8: "PC", 16: "held"}
 EVENTS_NAMED = 12
 LEAST_GAP = 0.012
 """Share of the width that two names of events stand apart at least."""
+SLAVE_SIGNAL = "slave_"
+"""Prefix of the signals that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
 
 
 def draw_run(run: "Run", path: Path) -> None:
@@ -48,9 +50,11 @@ def draw_run(run: "Run", path: Path) -> None:
                 _draw_trips(panel, time_s, run.signals[name])
                 continue
             values = np.asarray(run.signals[name])
-            for axis, values_of_axis in enumerate(values.reshape(len(values), -1).T):
+            times = run.signals["slave_time_s"] if name.startswith(SLAVE_SIGNAL) else time_s
+            columns = values.reshape(len(values), -1) if values.size else values.reshape(0, 1)
+            for axis, values_of_axis in enumerate(columns.T):
                 along = f", {AXIS_NAMES[axis] if axis < 3 else axis}" if values.ndim > 1 else ""
-                panel.plot(time_s, values_of_axis, lw=1.2, label=f"{described}{along}")
+                panel.plot(times, values_of_axis, lw=1.2, label=f"{described}{along}")
             panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         for time_of_event, _ in told:
             panel.axvline(time_of_event, color="k", lw=0.6, ls=":")
