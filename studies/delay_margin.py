@@ -19,8 +19,8 @@ class Follower(msgspec.Struct, frozen=True, kw_only=True):
 class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
     """A hand and a device that press a remote environment through a position-force coupling.
 
-    `m x'' + b x' + k x = -K y(t - T)`, where y is what the slave makes of x and T the sum of both delays: y = x without
-    a `follower`, else the position of an arm on a spring K_e, and `K = lambda_f K_e`.
+    `m x'' + b x' + k x = -lambda_f (K_e y + B_e y')(t - T)`, where y is what the slave makes of `lambda_p x` and T the
+    sum of both delays: that itself without a `follower`, else the position of an arm on K_e and B_e.
     """
 
     mass_kg: float
@@ -31,8 +31,12 @@ class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
     """k in N/m: 0 where the hand only follows."""
     environment_stiffness: float
     """K_e in N/m."""
+    environment_damping: float = 0.0
+    """B_e in N s/m."""
     force_scale: float = 1.0
     """lambda_f."""
+    position_scale: float = 1.0
+    """lambda_p."""
     follower: Follower | None = None
 
 
@@ -40,17 +44,23 @@ def largest_delay_s(loop: ContactLoop) -> float:
     """The least sum of both delays in s at which contact begins to oscillate: infinite if at none, 0 if it does anyway.
 
     The delay margin `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, of
-    `L(s) = K G(s) / (m s² + b s + k)`. Linear: Coulomb friction is left out, and so are limiter and safety controllers.
+    `L(s) = lambda_f lambda_p (K_e + B_e s) G(s) / (m s² + b s + k)`.
+
+    Linear: Coulomb friction is left out, and so are limiter and safety controllers.
 
     Source: without a follower and a hand, `w tan(w T) = b/m` and `K = b w / sin(w T)`, the delayed spring; Hulin,
     Albu-Schäffer and Hirzinger 2014 give its sampled form.
     """
-    gain = loop.force_scale * loop.environment_stiffness
-    top, bottom = np.array([gain]), np.array([loop.mass_kg, loop.damping, loop.hand_stiffness])
+    gain = loop.force_scale * loop.position_scale
+    contact = [loop.environment_damping, loop.environment_stiffness]
+    top = np.trim_zeros(gain * np.array(contact), "f")
+    bottom = np.array([loop.mass_kg, loop.damping, loop.hand_stiffness])
     if (arm := loop.follower) is not None:
         command = [arm.damping, arm.stiffness] if arm.follows_velocity else [arm.stiffness]
-        top = gain * np.array(command)
-        bottom = np.polymul(bottom, [arm.mass_kg, arm.damping, arm.stiffness + loop.environment_stiffness])
+        top = np.polymul(top, command)
+        bottom = np.polymul(bottom, np.polyadd([arm.mass_kg, arm.damping, arm.stiffness], contact))
+    if top.size == 0:
+        return float("inf")
     if np.roots(np.polyadd(bottom, top)).real.max() >= 0.0:
         return 0.0
     # |top|² = |bottom|² is a polynomial in w².

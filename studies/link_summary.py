@@ -119,7 +119,7 @@ class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
     bearable_delay_s: float | None
     """Least sum of both delays at which contact begins to oscillate while a hand holds; none if at none."""
     delay_s: float | None
-    """What the link has: the p99 of the round trip, and one and a half periods in which both sides sample and hold."""
+    """What the loop has: the p99 of the round trip, and half a period at each side that holds what it was sent."""
     bearable_gap_s: float
     """Longest gap between arrivals without a hold."""
     gap_s: float | None
@@ -131,14 +131,23 @@ class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
 def judge_link(
     summary: LinkSummary, bearable_delay_s: float, bearable_gap_s: float, period_s: float = 1e-3
 ) -> LinkVerdict:
-    """Holds what a link has against what a coupling and the ladder bear."""
+    """Holds what a link has against what a coupling and the ladder bear.
+
+    Args:
+        summary: What the link has.
+        bearable_delay_s: Of `largest_delay_s`.
+        bearable_gap_s: Longest silence in s that the ladder bears.
+        period_s: dT, the longer of the two sides' periods in s.
+    """
     complaints = []
     delay_s = None
     if summary.round_trip_p99_s is None:
         complaints.append("no answer carried an echo")
     else:
-        # Sent as sampled at a tick, answered with what the slave sampled at its next, held for a period: T + T/2.
-        delay_s = summary.round_trip_p99_s + 1.5 * period_s
+        # The round trip runs from the tick that sampled x to the tick that takes the answer, waits for ticks included.
+        # At its tick the slave samples F_e and then commands x, so this answer shows the commands up to the one before:
+        # a command is held for dT, which is dT / 2 late, and the force on the device is held for dT likewise.
+        delay_s = summary.round_trip_p99_s + period_s
         if delay_s >= bearable_delay_s:
             complaints.append(
                 f"contact would oscillate: a delay of {delay_s * 1e3:.1f} ms, bearable is "

@@ -1,11 +1,15 @@
 """How much delay a coupling bears, against the closed forms and tables of docs and literature."""
 
 import math
+from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
-from haptether.bridge import run_bridge
-from haptether.studies import ContactLoop, Follower, largest_delay_s
+from haptether.bridge import Scene, load_scene, override_scene, run_bridge, simulate
+from haptether.cli.check_link import scene_loops, scene_times, simulated_loop
+from haptether.studies import ContactLoop, Follower, LinkSummary, judge_link, largest_delay_s
 
 DELAYS_S = (1e-3, 10e-3, 20e-3, 50e-3, 100e-3, 200e-3, 500e-3)
 # Critical stiffness of m x'' + b x' + K x(t - T) = 0 in N/m, four digits.
@@ -89,10 +93,7 @@ def test_the_arm_of_check_link_is_the_simulated_one() -> None:
 @pytest.mark.parametrize(("share", "grows"), [(0.7, False), (1.4, True)])
 def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bool) -> None:
     """The same loop, sampled, with a hand that holds: calm below what it bears, growing above."""
-    import numpy as np
-
     from haptether.bridge import MasterSettings, SlaveSettings
-    from haptether.cli.check_link import simulated_loop
     from haptether.cli.options import START_M
     from haptether.master import Hand, HapticDevice
     from haptether.netsim import LinkSettings
@@ -101,8 +102,8 @@ def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bo
 
     stiffness = 400.0
     bearable_s = largest_delay_s(simulated_loop(stiffness, 1.0))
-    # Both sides sample and hold for 2.5 ms in all, see `judge_link` for 1.5 of it; the rest waits for ticks.
-    link = LinkSettings(delay_s=(share * bearable_s - 2.5e-3) / 2.0)
+    # Both sides hold for half a period each, see `judge_link`, and wait for a tick for half a period on the mean.
+    link = LinkSettings(delay_s=(share * bearable_s - 2e-3) / 2.0)
     hand = Hand(stiffness=300.0, damping=8.0, strength_n=1e3, start=START_M, legs=[(1.2, -0.045, "minimum-jerk")])
     master = MasterSettings(
         HapticDevice.phantom_desktop(encoder_quantum=0.0), hand, limiter=LimiterSettings(max_force_n=1e3)
@@ -115,3 +116,164 @@ def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bo
         assert late > 0.1
     else:
         assert late < 1e-3 or late < 0.5 * early
+
+
+def linear_scene(**changed: Any) -> Scene:  # noqa: ANN401  # tables as TOML has them
+    """A loop without anything that is not linear: a hand nudges the device, whose arm hangs on a spring."""
+    plain: dict[str, Any] = {
+        "schema": 1,
+        "run": {"duration_s": 4.0, "diverged_position": 1e3, "diverged_speed": 1e3},
+        "master": {"mass_kg": 0.157, "viscous": 0.1, "encoder_quantum": 0.0},
+        "operator": {
+            "stiffness": 300.0,
+            "damping": 8.0,
+            "legs": [{"duration_s": 0.3, "end": 0.01}, {"duration_s": 0.1, "end": 0.0}],
+        },
+        "slave": {"max_speed": "unbounded"},
+        "environment": {"objects": [{"shape": {"kind": "spring"}, "contact": {"stiffness": 400.0}}]},
+        "coupling": {"command_speed": "unbounded"},
+        "safety": {"limiter": {"enabled": False}},
+        "record": {},
+    }
+    for table, fields in changed.items():
+        plain[table] = {**plain.get(table, {}), **fields}
+    return msgspec.convert(plain, Scene)
+
+
+def critical_scale(scene: Scene) -> float:
+    """lambda_f at which the simulated loop begins to swing up, by bisection in virtual time."""
+
+    def grows(force_scale: float) -> bool:
+        run = simulate(scene, overrides=[f"coupling.force_scale={force_scale}"])
+        time_s, speed = run.signals.time_s, np.abs(np.ravel(run.signals.velocity))
+        if run.metrics.diverged:
+            return True
+        early, late = (speed[(time_s > at) & (time_s < at + 0.6)].max() for at in (1.6, 3.3))
+        return bool(late > early)
+
+    low, high = 1e-2, 20.0
+    for _ in range(14):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if grows(middle) else (middle, high)
+    return math.sqrt(low * high)
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "period_s", "slave_period_s"),
+    [(1e-3, 1e-3, 1e-3), (5e-3, 1e-3, 1e-3), (2e-2, 1e-3, 1e-3), (8e-3, 4e-3, 4e-3), (8e-3, 1e-3, 4e-3)],
+)
+def test_the_sampled_loop_is_later_than_its_round_trip_by_one_period(
+    delay_s: float, period_s: float, slave_period_s: float
+) -> None:
+    """Half a period of hold at each side.
+
+    The delays are whole periods, so that nothing waits for a tick and the round trip is twice the delay. Two sides of
+    different periods exchange news at the slower one's.
+    """
+    link = {"delay_s": delay_s}
+    scene = linear_scene(
+        run={"period_s": period_s}, slave={"period_s": slave_period_s}, link={"forward": link, "backward": link}
+    )
+    (loop,) = scene_loops(override_scene(scene, [f"coupling.force_scale={critical_scale(scene)}"]))
+    longest_s = max(period_s, slave_period_s)
+    assert scene_times(scene) == (longest_s, 0.02)
+    # A hold is a delay of half a period up to terms of (w dT)²; at w of 50 rad/s and 4 ms that is some percent.
+    later_s = largest_delay_s(loop) - 2.0 * delay_s
+    assert later_s == pytest.approx(longest_s, rel=0.06)
+
+
+def summary_of(round_trip_s: float) -> LinkSummary:
+    fields: dict[str, Any] = dict.fromkeys(LinkSummary.__struct_fields__, 0)
+    return msgspec.structs.replace(
+        LinkSummary(**fields), round_trip_p99_s=round_trip_s, worst_gap_s=1e-3, silence_at_end_s=0.0
+    )
+
+
+def test_the_verdict_counts_the_delay_of_the_sampled_loop() -> None:
+    at_edge = judge_link(summary_of(0.0099), 0.011, 0.02, 1e-3)
+    assert at_edge.delay_s == pytest.approx(0.0109)
+    assert at_edge.good
+    assert not judge_link(summary_of(0.0101), 0.011, 0.02, 1e-3).good
+    assert judge_link(summary_of(0.01), 0.011, 0.02, 4e-3).delay_s == pytest.approx(0.014)
+
+
+AS_WITHOUT_A_SCENE = {
+    "schema": 1,
+    "master": {"device": "phantom-desktop"},
+    "operator": {"stiffness": 300.0, "damping": 8.0},
+    "slave": {},
+    "environment": {"objects": [{"contact": {"stiffness": 100.0}}]},
+}
+
+
+def test_a_scene_of_the_defaults_is_the_default_loop() -> None:
+    (loop,) = scene_loops(msgspec.convert(AS_WITHOUT_A_SCENE, Scene))
+    assert largest_delay_s(loop) == largest_delay_s(simulated_loop(100.0, 1.0))
+    assert loop == msgspec.structs.replace(simulated_loop(100.0, 1.0), follower=loop.follower)
+
+
+@pytest.mark.parametrize(
+    ("override", "field", "value"),
+    [
+        ("master.mass_kg=0.4", "mass_kg", 0.4),
+        ("master.viscous=0.5", "damping", 8.5),
+        ("operator.damping=2.0", "damping", 2.0 - 0.005),
+        ("operator.stiffness=50", "hand_stiffness", 50.0),
+        ("slave.mass_kg=9", "follower", Follower(mass_kg=9.0, damping=1696.46, stiffness=79943.8)),
+        ("environment.objects.0.contact.stiffness=700", "environment_stiffness", 700.0),
+        ("environment.objects.0.contact.damping=3", "environment_damping", 3.0),
+        ("coupling.force_scale=0.3", "force_scale", 0.3),
+        ("coupling.position_scale=2", "position_scale", 2.0),
+        ("coupling.changes=[{at_s=1.0, force_scale=1.7}]", "force_scale", 1.7),
+    ],
+)
+def test_the_loop_is_the_scenes(override: str, field: str, value: object) -> None:
+    scene = msgspec.convert(AS_WITHOUT_A_SCENE, Scene)
+    (loop,) = scene_loops(override_scene(scene, [override]))
+    found = getattr(loop, field)
+    if isinstance(value, Follower):
+        assert msgspec.to_builtins(found) == pytest.approx(msgspec.to_builtins(value), rel=1e-5)
+    else:
+        assert found == pytest.approx(value)
+
+
+def test_scenes_of_several_axes_count_each_that_is_felt() -> None:
+    scene = load_scene("ur_peg")
+    assert len(scene_loops(scene)) == 3
+    assert len(scene_loops(override_scene(scene, ["coupling.locked_axes=[1]"]))) == 2
+    unequal = override_scene(scene, ["master.mass_kg=[0.05, 0.2, 0.3]"])
+    assert [loop.mass_kg for loop in scene_loops(unequal)] == [0.05, 0.2, 0.3]
+    # Nothing is touched: nothing oscillates.
+    free = msgspec.structs.replace(scene, environment=None)
+    assert all(largest_delay_s(loop) == math.inf for loop in scene_loops(free))
+    assert all(loop.environment_stiffness == 250.0 for loop in scene_loops(free, 250.0))
+
+
+def test_a_law_that_is_not_linear_counts_with_its_slope_at_the_largest_force() -> None:
+    law = '{law="hunt-crossley", stiffness=2e4, exponent=1.5, damping=0.5}'
+    scene = override_scene(
+        msgspec.convert(AS_WITHOUT_A_SCENE, Scene),
+        [f"environment.objects.0.contact={law}", "safety.limiter.max_force_n=5.0"],
+    )
+    (loop,) = scene_loops(scene)
+    depth = (5.0 / 2e4) ** (1.0 / 1.5)
+    step = 1e-6 * depth
+    slope = (2e4 * (depth + step) ** 1.5 - 2e4 * (depth - step) ** 1.5) / (2.0 * step)
+    assert loop.environment_stiffness == pytest.approx(slope, rel=1e-6)
+    assert loop.environment_damping == pytest.approx(0.5 * 5.0)
+
+
+def test_a_damped_contact_bears_its_own_delay() -> None:
+    """`m x'' + b x' + (K + B d/dt) x(t - T)`: at the edge `|K + jwB| = |m w² - jwb|`, with the phases pi apart."""
+    mass_kg, damping, stiffness, contact = 0.2, 4.0, 900.0, 1.5
+    loop = ContactLoop(mass_kg=mass_kg, damping=damping, environment_stiffness=stiffness, environment_damping=contact)
+    delay_s = largest_delay_s(loop)
+    # w by bisection on the difference of the two sizes, which grows with w here.
+    low, high = 1.0, 1e4
+    for _ in range(200):
+        w = 0.5 * (low + high)
+        grown = abs(complex(-mass_kg * w * w, damping * w)) > abs(complex(stiffness, contact * w))
+        low, high = (low, w) if grown else (w, high)
+    loop_at = complex(stiffness, contact * w) / complex(-mass_kg * w * w, damping * w)
+    phase = (math.pi + math.atan2(loop_at.imag, loop_at.real)) % (2.0 * math.pi)
+    assert delay_s == pytest.approx(phase / w, rel=1e-6)

@@ -2,16 +2,18 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 if TYPE_CHECKING:
+    from haptether.bridge import Scene
     from haptether.studies import ContactLoop, Follower, LinkSummary, LinkVerdict
 
 HOLD_S = 0.02
 """Silence beyond the expected age after which the ladder holds."""
 PERIOD_S = 1e-3
+WALL_STIFFNESS = 100.0
 MOST_STIFFNESS = 1e7
 MOST_DURATION_S = 600.0
 """A live run keeps the records of ten minutes."""
@@ -25,13 +27,16 @@ class CheckLink:
     back within 0.2 s. Fails if the link is not good enough.
 
     What is bearable follows from what is touched: the least sum of both delays at which device, hand, arm and wall
-    begin to oscillate, and the longest silence at which the ladder does not hold.
+    begin to oscillate, and the longest silence at which the ladder does not hold. Device, hand, arm, wall, coupling and
+    ladder are those of `--scene`, without it those of `master` and `slave` without a scene.
 
     Examples:
 
     haptether check-link --peer 127.0.0.1:9000 --key arm.key
 
     haptether check-link --peer 192.0.2.7:9000 --key arm.key --duration-s 60 --wall-stiffness 500 --force-scale 0.5
+
+    haptether check-link --peer 127.0.0.1:9000 --key arm.key --scene ur_peg --set coupling.force_scale=0.3
     """
 
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
@@ -42,10 +47,14 @@ class CheckLink:
     """Go without a key, to a slave that goes without."""
     duration_s: float = 5.0
     """For how long in s, at most 600."""
-    wall_stiffness: float = 100.0
-    """Stiffness of what will be touched, in N/m."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
+    """Judge the coupling of a scene, a shipped one or a TOML file; it has a [slave], and as many axes as the slave."""
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
+    """Change a field of the scene; may be given often."""
+    wall_stiffness: float | None = None
+    """Stiffness of what will be touched, in N/m; by default 100, or with a scene what is stiffest in it."""
     force_scale: float = 1.0
-    """Rendered force over the force that the slave measures."""
+    """Rendered force over the force that the slave measures; a scene has its own."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and locked memory and go on without (auto), do not ask (off), or fail without (require)."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -60,8 +69,9 @@ class CheckLink:
         """
         import numpy as np
 
-        from haptether.bridge import LiveMaster
+        from haptether.bridge import LiveMaster, override_scene, scene_json
         from haptether.cli.live import Stopped, tell, wait
+        from haptether.cli.live_scene import live_scene
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_target
         from haptether.cli.security import marked, session_key
@@ -69,14 +79,25 @@ class CheckLink:
 
         check_target(self.json)
         key = session_key(self.key, insecure=self.insecure)
-        if not 0.0 < self.wall_stiffness <= MOST_STIFFNESS:
+        if self.wall_stiffness is not None and not 0.0 < self.wall_stiffness <= MOST_STIFFNESS:
             message = f"wall-stiffness = {self.wall_stiffness:g}: must be above 0, at most {MOST_STIFFNESS:g} N/m"
             raise ValueError(message)
         if not 0.1 <= self.duration_s <= MOST_DURATION_S:
             message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MOST_DURATION_S:g} s"
             raise ValueError(message)
-        settings = master_settings("none", depth=0.0, release_at_s=None, force_scale=self.force_scale, clutch="never")
-        bearable_s = largest_delay_s(simulated_loop(self.wall_stiffness, self.force_scale))
+        scene = live_scene(self, self.scene, self.set, ("force_scale",))
+        if scene is None:
+            stiffness = WALL_STIFFNESS if self.wall_stiffness is None else self.wall_stiffness
+            settings = master_settings(
+                "none", depth=0.0, release_at_s=None, force_scale=self.force_scale, clutch="never"
+            )
+            loops, period_s, hold_s = [simulated_loop(stiffness, self.force_scale)], PERIOD_S, HOLD_S
+        else:
+            # Nobody presses its clutch, and its device is a model: nothing is driven.
+            settings = scene_json(override_scene(scene, ["operator.clutch=[]"]))
+            loops, (period_s, hold_s) = scene_loops(scene, self.wall_stiffness), scene_times(scene)
+        worst = min(loops, key=largest_delay_s)
+        bearable_s = largest_delay_s(worst)
         with Stopped() as stopped:
             master = LiveMaster(
                 settings,
@@ -108,12 +129,12 @@ class CheckLink:
                 " the same key?"
             )
             raise RuntimeError(message)
-        summary = summarise_link(trace, report, PERIOD_S)
-        verdict = judge_link(summary, bearable_s, HOLD_S + PERIOD_S, PERIOD_S)
-        self._report(summary, verdict)
+        summary = summarise_link(trace, report, PERIOD_S if scene is None else scene.run.period_s)
+        verdict = judge_link(summary, bearable_s, hold_s + period_s, period_s)
+        self._report(summary, verdict, worst)
         return 0 if verdict.good else 1
 
-    def _report(self, summary: "LinkSummary", verdict: "LinkVerdict") -> None:
+    def _report(self, summary: "LinkSummary", verdict: "LinkVerdict", loop: "ContactLoop") -> None:
         import msgspec
         from rich.console import Console
 
@@ -122,8 +143,11 @@ class CheckLink:
 
         console = Console(stderr=table_goes_to_stderr(self.json))
         console.print(link_table(summary))
+        of_scene = "" if self.scene is None else f"{self.scene}: "
+        holds = loop.hand_stiffness > 0.0 or self.scene is None
         scene = (
-            f"position-force coupling, lambda_f = {self.force_scale:g}, {self.wall_stiffness:g} N/m, a hand that holds"
+            f"{of_scene}position-force coupling, lambda_f = {loop.force_scale:g}, {loop.environment_stiffness:g} N/m, "
+            f"{'a hand that holds' if holds else 'nobody holds'}"
         )
         bearable = "any delay" if verdict.bearable_delay_s is None else f"{verdict.bearable_delay_s * 1e3:.1f} ms"
         has = "-" if verdict.delay_s is None else f"{verdict.delay_s * 1e3:.1f} ms"
@@ -169,3 +193,98 @@ def simulated_loop(wall_stiffness: float, force_scale: float) -> "ContactLoop":
         force_scale=force_scale,
         follower=simulated_arm(),
     )
+
+
+def scene_loops(scene: "Scene", wall_stiffness: float | None = None) -> list["ContactLoop"]:
+    """The contact of a scene's device, hand and arm with what is stiffest in it, one loop for each axis that is felt.
+
+    A law that is not linear counts with its slope where it pushes with the largest force that is rendered.
+
+    Args:
+        scene: One with a [slave].
+        wall_stiffness: In N/m, of what is touched instead; where the scene touches nothing, nothing oscillates.
+    """
+    from haptether.studies import ContactLoop
+
+    spec = _numbers(scene)
+    master, operator, coupling = spec["master"], spec["operator"], spec["coupling"]
+    states = [coupling, *coupling["changes"]]
+    force_scale, position_scale = (
+        max(state[key] for state in states if state[key] is not None) for key in ("force_scale", "position_scale")
+    )
+    limiter = spec["safety"]["limiter"]
+    most_force_n = DEFAULT_FORCE_N if limiter is None else limiter["max_force_n"]
+    stiffness, damping = (
+        _contact(spec["environment"], most_force_n / force_scale) if wall_stiffness is None else (wall_stiffness, 0.0)
+    )
+    # What is locked from the first to the last change is never felt.
+    locked = set.intersection(*(set(state["locked_axes"]) for state in states if state["locked_axes"] is not None))
+    turned = any(state["quat_wxyz"] not in (None, [1.0, 0.0, 0.0, 0.0]) for state in states)
+    return [
+        ContactLoop(
+            mass_kg=mass_kg,
+            damping=viscous + (operator["damping"] if operator else 0.0),
+            hand_stiffness=operator["stiffness"] if operator else 0.0,
+            environment_stiffness=stiffness,
+            environment_damping=damping,
+            force_scale=force_scale,
+            position_scale=position_scale,
+            follower=_arm(spec["slave"]),
+        )
+        for axis, (mass_kg, viscous) in enumerate(zip(master["mass_kg"], master["viscous"], strict=True))
+        if turned or axis not in locked or len(locked) == master["axes"]
+    ]
+
+
+DEFAULT_FORCE_N = 7.9
+"""Where a scene bounds no force: what a PHANTOM Desktop exerts."""
+
+
+def _numbers(scene: "Scene") -> dict[str, Any]:
+    """All numbers of a scene, with presets and defaults filled in."""
+    import msgspec
+
+    from haptether.bridge import scene_json
+
+    spec: dict[str, Any] = msgspec.json.decode(scene_json(scene))
+    return spec
+
+
+def _arm(slave: dict[str, Any]) -> "Follower":
+    """K_s and B_s that a control amounts to, as `slave/src/arm.rs` has them."""
+    import math
+
+    from haptether.studies import Follower
+
+    mass_kg, pole = slave["mass_kg"], 2.0 * math.pi * slave["bandwidth_hz"]
+    stiffness, damping = {
+        "position": (mass_kg * pole**2, 2.0 * mass_kg * pole),
+        "velocity": (0.25 * mass_kg * pole**2, mass_kg * pole),
+        "pd": (slave["stiffness"], slave["damping"]),
+    }[slave["control"]]
+    return Follower(
+        mass_kg=mass_kg, damping=damping, stiffness=stiffness, follows_velocity=slave["control"] != "position"
+    )
+
+
+def _contact(environment: dict[str, Any] | None, force_n: float) -> tuple[float, float]:
+    """K in N/m and B in N s/m of what is stiffest, and of the springs that act all the time."""
+    springs, stiffest = [(0.0, 0.0)], (0.0, 0.0)
+    for part in environment["objects"] if environment else []:
+        contact = part["contact"]
+        stiffness, damping, exponent = contact["stiffness"], contact["damping"], contact["exponent"]
+        if part["shape"]["kind"] == "spring":
+            springs.append((stiffness, damping))
+            continue
+        if contact["law"] == "hunt-crossley" and stiffness > 0.0:
+            # F = K d^n: n F / d, and its damping chi F.
+            stiffness = exponent * force_n / (force_n / stiffness) ** (1.0 / exponent)
+            damping *= force_n
+        stiffest = max(stiffest, (stiffness, damping))
+    return sum(k for k, _ in springs) + stiffest[0], sum(b for _, b in springs) + stiffest[1]
+
+
+def scene_times(scene: "Scene") -> tuple[float, float]:
+    """The longer of the two sides' periods, and the silence in s after which the ladder holds."""
+    spec = _numbers(scene)
+    return max(spec["run"]["period_s"], spec["slave"]["period_s"]), spec["safety"]["ladder"]["hold_after_s"]
