@@ -1,12 +1,14 @@
 """What each shipped scene shows, held on both sides, and its events."""
 
 from collections import Counter
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 import pytest
 
-from haptether.bridge import Run, scene_names, simulate
+from haptether.bridge import Run, load_scene, scene_names, simulate
+from haptether.cli import main
 from haptether.studies import RAVEN_ATTACKS
 
 Bounds: TypeAlias = tuple[float, float]
@@ -178,3 +180,14 @@ def test_a_run_that_diverges_says_why() -> None:
     assert last.kind == "diverged"
     assert "beyond run.diverged_" in last.detail
     assert run.signals["time_s"][-1] < last.time_s < 6.7
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_shipped_scene_is_drawn(name: str, tmp_path: Path) -> None:
+    """Also where hand and arm have periods of their own, and so as many samples."""
+    record = [] if load_scene(name).record is not None else ["--set", "record.every=1"]
+    status = main(["simulate", name, "--plot", str(tmp_path), *record])
+    assert status in {0, 1}  # 1: it diverges, which is drawn too
+    (picture,) = tmp_path.iterdir()
+    assert picture.name == f"{name}.png"
+    assert picture.stat().st_size > 20_000
