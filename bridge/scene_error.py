@@ -9,6 +9,7 @@ from typing import TypeAlias, cast
 from msgspec import ValidationError, inspect
 
 from haptether.bridge.scene_tables import Scene
+from haptether.printable import printable
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | tuple[Plain, ...] | str | int | float | bool | None"
 """What TOML, or a scene turned into plain values, consists of."""
@@ -37,7 +38,7 @@ def _dotted(path: Path) -> str:
 def abridged(text: str) -> str:
     """What a file says as part of one line: what no screen shows is escaped, and a long text cut."""
     text = text if len(text) <= 80 else f"{text[:76]} ..."
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return printable(text)
 
 
 def wrong(path: Path, seen: object, allowed: str) -> SceneError:

@@ -64,7 +64,11 @@ class Event(Struct, frozen=True):
 
 
 class Metrics(Struct, frozen=True, kw_only=True):
-    """What a run comes to; none where it does not apply."""
+    """What a run comes to; none where it does not apply or was not measured, which is not 0."""
+
+    outcome: str = "complete"
+    """How it ended: complete, settled, diverged, not-released (before the release), never-engaged, or the state of the
+    ladder where master and slave were coupled no more."""
 
     max_ejection_velocity: float | None = None
     """MEV: largest speed in m/s after the release away from what was pressed."""

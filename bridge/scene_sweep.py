@@ -38,10 +38,20 @@ _ALONE = re.compile(
 )
 LARGEST_EXACT = 2**53
 """Values travel as float64: whole numbers beyond this are not exact."""
+_COUNTS = {"false_trips", "intervention_ticks"}
+"""Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
+_UNMEASURED = {"never-engaged", "refused"}
+"""Outcomes of rows in which nothing was measured."""
 
 
 class Sweep:
-    """Scenarios, one a row: the parameters that were varied, then the metrics, as columns."""
+    """Scenarios, one a row: the parameters that were varied, then how each ended and the metrics, as columns.
+
+    `outcome` is complete, settled, diverged, not-released (the run ended before the release), never-engaged, the state
+    of the ladder where the two were coupled no more at the end, or refused for a scenario that cannot be built. What
+    was not measured is NaN in a column and none in `rows()`, in files and in Polars: never 0. `reason` says why a row
+    was refused or diverged.
+    """
 
     def __init__(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         self.columns: Mapping[str, npt.NDArray[Any]] = MappingProxyType(dict(columns))
@@ -61,8 +71,22 @@ class Sweep:
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """The rows, each a value per column."""
-        for values in zip(*(column.tolist() for column in self.columns.values()), strict=True):
+        for values in zip(*map(self._values, self.columns), strict=True):
             yield dict(zip(self.columns, values, strict=True))
+
+    def _values(self, name: str) -> list[Any]:
+        """A column as plain values, none for what was not measured."""
+        column = self.columns[name]
+        values: list[Any] = column.tolist()
+        if column.dtype.kind == "f":
+            known = int if name in _COUNTS else float
+            return [None if math.isnan(value) else known(value) for value in values]
+        if name == "reason":
+            return [value or None for value in values]
+        if name == "diverged" and "outcome" in self.columns:
+            outcomes = self.columns["outcome"].tolist()
+            return [None if of in _UNMEASURED else value for of, value in zip(outcomes, values, strict=True)]
+        return values
 
     def save(self, path: str | PathLike[str]) -> None:
         """Writes all columns to a `.csv` or `.npz` file.
@@ -75,7 +99,7 @@ class Sweep:
             with path.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(self.columns)
-                writer.writerows(zip(*(column.tolist() for column in self.columns.values()), strict=True))
+                writer.writerows(zip(*map(self._values, self.columns), strict=True))
         elif path.suffix == ".npz":
             arrays: dict[str, Any] = dict(self.columns)
             with path.open("wb") as file:
@@ -93,7 +117,7 @@ class Sweep:
         if importlib.util.find_spec("polars") is None:
             message = "to_polars needs polars: install it beside haptether"
             raise ImportError(message)
-        return importlib.import_module("polars").DataFrame(dict(self.columns))
+        return importlib.import_module("polars").DataFrame({name: self._values(name) for name in self.columns})
 
 
 def sweep(
@@ -108,6 +132,8 @@ def sweep(
 ) -> Sweep:
     """Runs a scene for many values of some of its numbers. The same arguments give the same bytes.
 
+    A row that cannot be built is refused, with its reason, and the others are run.
+
     Args:
         scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
         grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest.
@@ -118,7 +144,7 @@ def sweep(
         progress: Told from time to time how many rows are done.
 
     Raises:
-        SceneError: A scene that cannot be built, a path that it does not have, or a value out of range, with its row.
+        SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.
         ValueError: Neither or both of `grid` and `samples`, or samples of different lengths.
     """
     _, base = named_scene(scene, overrides)
@@ -128,9 +154,31 @@ def sweep(
     if threads < 1:
         message = f"threads = {threads}: must be 1 or more"
         raise ValueError(message)
-    columns = sweep_columns(base, varied)
+    columns, refused = sweep_columns(base, varied)
+    rows = len(next(iter(varied.values())))
+    built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
+    columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
     metrics = _core.sweep_scenes(scene_json(base), columns, threads, lanes, progress)
-    return Sweep({**varied, **metrics})
+    of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in metrics.items()}
+    if "outcome" in of_rows and (of_rows["outcome"] == "refused").all():
+        message = f"row 0: {of_rows['reason'][0]}"
+        raise SceneError(message)
+    return Sweep({**varied, **of_rows})
+
+
+def _of_rows(
+    name: str, column: npt.NDArray[Any], built: "Array | slice", rows: int, refused: Mapping[int, str]
+) -> npt.NDArray[Any]:
+    """A column of the rows that were built as one of all rows."""
+    if not refused:
+        return column
+    if column.dtype.kind == "U":
+        texts = {"outcome": dict.fromkeys(refused, "refused"), "reason": refused}[name]
+        found = dict(zip(np.arange(rows)[built].tolist(), column.tolist(), strict=True))
+        return np.array([texts.get(row, found.get(row)) for row in range(rows)])
+    whole = np.full(rows, np.nan if column.dtype.kind == "f" else 0, column.dtype)
+    whole[built] = column
+    return whole
 
 
 MOST_ROWS = 2_000_000
@@ -182,37 +230,41 @@ def _numbers(path: str, values: Sequence[float] | Array) -> Array:
 # --------------------------------------------------------------------------------------------------- columns
 
 
-def sweep_columns(base: Scene, varied: Mapping[str, Array]) -> list[tuple[str, Array]]:
+def sweep_columns(base: Scene, varied: Mapping[str, Array]) -> tuple[list[tuple[str, Array]], dict[int, str]]:
     """The numbers of the specification that differ between rows, with their value in each row.
 
-    These are the varied ones, on every axis, and the defaults that follow from them.
+    These are the varied ones, on every axis, and the defaults that follow from them. With them, why rows cannot be
+    built, by their number; what stands in their columns counts for nothing.
 
     Raises:
-        SceneError: A path that the scene does not have, or a row that cannot be built.
+        SceneError: A path that the scene does not have, or no row that can be built.
     """
     expected = dict(_leaves(scene_spec(base)))
     plain = cast("dict[str, Plain]", msgspec.to_builtins(base))
     columns: dict[str, Array] = {}
     together: dict[Path, Array] = {}
+    refused: dict[int, str] = {}
     for text, values in varied.items():
         path = path_of(text)
         leaves = _of_parameter(path, expected)
         if _ALONE.fullmatch(".".join(map(str, path))):
-            _check_range(path, values)
+            refused = _out_of_range(path, values) | refused
             columns |= dict.fromkeys(leaves, values)
         else:
             together[path] = values
     if together:
-        columns |= _joint_columns(plain, expected, together)
-    return list(columns.items())
+        joint, wrong_rows = _joint_columns(plain, expected, together)
+        columns |= joint
+        refused = wrong_rows | refused
+    if refused and len(refused) == len(next(iter(varied.values()))):
+        row, why = min(refused.items())
+        message = f"row {row}: {why}"
+        raise SceneError(message)
+    return list(columns.items()), refused
 
 
-def _check_range(path: Path, values: Array) -> None:
-    """Holds values against the range of their type, all at once.
-
-    Raises:
-        SceneError: With the first that is outside, and its row.
-    """
+def _out_of_range(path: Path, values: Array) -> dict[int, str]:
+    """What is wrong with the values that are outside the range of their type, by their row."""
     kinds = [kind for kind in types_at(path) if isinstance(kind, inspect.FloatType | inspect.IntType)]
     good = np.zeros(len(values), dtype=bool)
     for kind in kinds:
@@ -225,27 +277,33 @@ def _check_range(path: Path, values: Array) -> None:
         if isinstance(kind, inspect.IntType):
             inside &= (values == np.rint(values)) & (np.abs(values) <= LARGEST_EXACT)
         good |= inside
-    if not good.all():
-        row = int(np.flatnonzero(~good)[0])
+    outside = {}
+    for row in np.flatnonzero(~good).tolist():
         seen = _as_typed(float(values[row]))
-        message = f"row {row}: {wrong(path, seen, allowed_at(path, seen))}"
-        raise SceneError(message)
+        outside[row] = str(wrong(path, seen, allowed_at(path, seen)))
+    return outside
 
 
 def _joint_columns(
     plain: dict[str, Plain], expected: dict[str, Leaf], varied: Mapping[Path, Array]
-) -> dict[str, Array]:
-    """Columns of parameters that are checked together, once per combination of their values."""
+) -> tuple[dict[str, Array], dict[int, str]]:
+    """Columns of parameters that are checked together, once per combination of their values; what is wrong by row."""
     rows = np.column_stack(list(varied.values()))
     combinations, first_rows, of_row = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     own = [leaf for path in varied for leaf in _of_parameter(path, expected)]
     columns = {leaf: np.full(len(combinations), _number(leaf, expected[leaf])) for leaf in own}
+    of_row = of_row.reshape(-1)
+    refused: dict[int, str] = {}  # by combination
     for number, combination in enumerate(combinations.tolist()):
         try:
             changed = plain
             for path, value in zip(varied, combination, strict=True):
                 changed = cast("dict[str, Plain]", with_value(changed, path, _as_typed(value)))
             leaves = dict(_leaves(checked_spec(typed_scene(changed))))
+        except SceneError as error:
+            refused[number] = str(error)
+            continue
+        try:
             for leaf in leaves.keys() ^ expected.keys():
                 message = f"{leaf}: a sweep changes numbers, not what the scene consists of"
                 raise SceneError(message)
@@ -257,7 +315,8 @@ def _joint_columns(
         except SceneError as error:
             message = f"row {int(first_rows[number])}: {error}"
             raise SceneError(message) from None
-    return {leaf: np.ascontiguousarray(column[of_row.reshape(-1)]) for leaf, column in columns.items()}
+    wrong_rows = {row: refused[number] for row, number in enumerate(of_row.tolist()) if number in refused}
+    return {leaf: np.ascontiguousarray(column[of_row]) for leaf, column in columns.items()}, wrong_rows
 
 
 def _as_typed(value: float) -> float | int:

@@ -350,7 +350,9 @@ def test_the_package_offers_both_without_loading_them() -> None:
 
 def columns(varied: dict[str, Any], name: str = "remote_push") -> dict[str, list[float]]:
     arrays = {path: np.asarray(values, dtype=np.float64) for path, values in varied.items()}
-    return {path: column.tolist() for path, column in sweep_columns(load_scene(name), arrays)}
+    found, refused = sweep_columns(load_scene(name), arrays)
+    assert not refused
+    return {path: column.tolist() for path, column in found}
 
 
 @pytest.mark.parametrize(
@@ -420,13 +422,10 @@ def test_the_columns_are_those_of_each_scene_by_itself() -> None:
     ("varied", "said"),
     [
         ({"safety.windw": [1]}, "[safety] has no key windw: did you mean window?"),
-        ({"safety.window": [10, 0]}, "row 1: [safety] window = 0: must be 1 to 3600000"),
+        ({"safety.window": [-1, 0]}, "row 0: [safety] window = -1: must be 1 to 3600000"),
         ({"safety.window": [1.5]}, "row 0: [safety] window = 1.5: must be a whole number, 1 to 3600000"),
-        ({"operator.damping": [1, 2, -1]}, "row 2: [operator] damping = -1: must be 0 to 1e9"),
-        ({"link.forward.delay_s": [0.05, 0.001]}, "row 1: [link.forward] jitter_s"),
-        ({"link.forward.delay_s": [0.05, -1]}, "row 1: [link.forward] delay_s = -1: must be 0 to 3600"),
+        ({"link.forward.delay_s": [0.001]}, "row 0: [link.forward] jitter_s"),
         ({"link.forward.queue_ms": [10]}, "link.forward.queue_ms: the scene leaves it out"),
-        ({"master.mass_kg": [0.1, 0.0]}, "row 1: [master] mass_kg = 0: must be above 0"),
         ({"operator.regrasp.rise_s": [1]}, "[operator.regrasp] rise_s: the scene has no such part"),
         ({"slave.max_acceleration": [1]}, "slave.max_acceleration: the scene leaves it out"),
         ({"operator.legs.3.end": [1]}, "[operator.legs.3] end: the scene has no such part"),
@@ -436,10 +435,75 @@ def test_the_columns_are_those_of_each_scene_by_itself() -> None:
         ({"master.encoder_quantum": [0, 1e-5]}, "row 0: master.measures_velocity = false: a sweep varies numbers"),
     ],
 )
-def test_a_value_that_does_not_fit_is_refused_with_its_row(varied: dict[str, list[float]], said: str) -> None:
+def test_a_sweep_without_a_row_that_can_be_is_refused(varied: dict[str, list[float]], said: str) -> None:
     with pytest.raises(SceneError) as refused:
         columns(varied)
     assert str(refused.value).startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("varied", "row", "said"),
+    [
+        ({"safety.window": [10, 0]}, 1, "[safety] window = 0: must be 1 to 3600000"),
+        ({"operator.damping": [1, 2, -1]}, 2, "[operator] damping = -1: must be 0 to 1e9"),
+        ({"link.forward.delay_s": [0.05, 0.001]}, 1, "[link.forward] jitter_s"),
+        ({"link.forward.delay_s": [-1, 0.05]}, 0, "[link.forward] delay_s = -1: must be 0 to 3600"),
+        ({"master.mass_kg": [0.1, 0.0]}, 1, "[master] mass_kg = 0: must be above 0"),
+    ],
+)
+def test_a_row_that_cannot_be_is_refused_and_the_others_are_run(
+    varied: dict[str, list[float]], row: int, said: str
+) -> None:
+    result = sweep("remote_push", varied, overrides=["run.duration_s=0.1"])
+    rows = list(result.rows())
+    refused = rows.pop(row)
+    assert refused["outcome"] == "refused"
+    assert refused["reason"].startswith(said)
+    measured = refused.keys() - varied.keys() - {"outcome", "reason", "ticks"}
+    assert {refused[name] for name in measured} == {None}
+    assert [other["outcome"] for other in rows] == ["not-released"] * len(rows)
+    assert all(other["peak_device_force"] is not None and other["reason"] is None for other in rows)
+    # The other rows are what they are without it.
+    ((path, values),) = varied.items()
+    alone = sweep("remote_push", {path: [value for index, value in enumerate(values) if index != row]},
+                  overrides=["run.duration_s=0.1"])  # fmt: skip
+    assert list(alone.rows()) == rows
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_row_that_never_engages_has_no_metrics(threads: int, tmp_path: Path) -> None:
+    delays = [0.05, 2.5, 20.0]
+    result = sweep("remote_push", {"link.forward.delay_s": delays}, threads=threads)
+    coupled, late, apart = result.rows()
+    assert coupled["outcome"] == "complete"
+    assert coupled["max_ejection_velocity"] > 0.1
+    # The run ended before the hand let go: what it would have done then is not known.
+    assert (late["outcome"], late["max_ejection_velocity"], late["time_to_trip_s"]) == ("not-released", None, None)
+    assert late["position_rmse_m"] > 0.0
+    assert apart["outcome"] == "never-engaged"
+    measured = apart.keys() - {"link.forward.delay_s", "outcome", "reason", "ticks"}
+    assert {apart[name] for name in measured} == {None}
+    assert np.isnan(result["max_ejection_velocity"]).tolist() == [False, True, True]
+    result.save(tmp_path / "rows.csv")
+    *_, last = (tmp_path / "rows.csv").read_text().splitlines()
+    assert last == "20.0,never-engaged,,,,,,,,,,,4000,"
+    alone = simulate("remote_push", overrides=["link.forward.delay_s=20"]).metrics
+    assert (alone.outcome, alone.max_ejection_velocity, alone.peak_device_force) == ("never-engaged", None, None)
+
+
+def test_rows_without_an_arm_say_whether_the_hand_let_go() -> None:
+    for lanes in (True, False):
+        result = sweep("paper_wall", {"operator.release.at_s": [0.5, 6.6999, 1e6]}, lanes=lanes)
+        assert result["outcome"].tolist() == ["complete", "not-released", "not-released"]
+        assert np.isnan(result["max_ejection_velocity"]).tolist() == [False, True, True]
+        assert (result["peak_device_force"] > 0.0).all()
+
+
+def test_a_sweep_goes_to_polars_with_nulls() -> None:
+    pytest.importorskip("polars")
+    frame = sweep("remote_push", {"link.forward.delay_s": [0.05, 20.0]}).to_polars()
+    assert frame["max_ejection_velocity"].null_count() == frame["false_trips"].null_count() == 1
+    assert frame["false_trips"].dtype.is_integer()
 
 
 @pytest.fixture

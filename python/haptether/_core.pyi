@@ -2703,8 +2703,8 @@ class SceneRun:
         """What happened, in the order of time: time in s, kind, detail."""
 
     @property
-    def metrics(self) -> dict[str, float | int | bool | None]:
-        """What the run comes to, by name; none where it does not apply."""
+    def metrics(self) -> dict[str, float | int | bool | str | None]:
+        """What the run comes to, by name; none where it does not apply or was not measured."""
 
 def simulate_scene(scene_json: bytes) -> SceneRun:
     """Runs a scene in virtual time, without the interpreter's lock.
@@ -2722,7 +2722,7 @@ def sweep_scenes(
     threads: int,
     lanes: bool,
     progress: Callable[[int], None] | None,
-) -> dict[str, npt.NDArray[Any]]:
+) -> dict[str, npt.NDArray[Any] | list[str]]:
     """Runs a scene once per row, without the interpreter's lock. Threads and lanes change no number.
 
     Args:
@@ -2734,8 +2734,9 @@ def sweep_scenes(
         progress: Told from time to time how many rows are done; what it raises ends the sweep.
 
     Returns:
-        The metrics by name, one value per row; NaN where one does not apply.
+        How each ended, the metrics, and why a row was refused or diverged, by name, one value per row; NaN where a
+        metric does not apply or was not measured.
 
     Raises:
-        ValueError: As `simulate_scene`, with the row; columns of different lengths, or a path that is not there.
+        ValueError: JSON that is no scene; columns of different lengths, or a path that is not there.
     """

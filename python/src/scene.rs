@@ -10,7 +10,7 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    Outcome, Progress, SceneRun, SceneSpec, Signal, SweepSettings, Variation, simulate, sweep,
+    Outcome, Progress, Refused, SceneRun, SceneSpec, Signal, SweepSettings, Variation, simulate, sweep,
 };
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
 use pyo3::{
@@ -70,11 +70,12 @@ fn signal_out(py: Python<'_>, signal: &Signal) -> PyResult<Py<PyAny>> {
 
 fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<PyDict>> {
     let metrics = PyDict::new(py);
+    metrics.set_item("outcome", outcome.ending.name())?;
     metrics.set_item("max_ejection_velocity", outcome.max_ejection_velocity)?;
     metrics.set_item("peak_device_force", outcome.peak_device_force)?;
     metrics.set_item("time_to_trip_s", outcome.time_to_trip_s)?;
     metrics.set_item("false_trips", outcome.false_trips)?;
-    metrics.set_item("intervention_s", outcome.intervention_ticks as f64 * period_s)?;
+    metrics.set_item("intervention_s", outcome.intervention_ticks.map(|ticks| ticks as f64 * period_s))?;
     metrics.set_item("position_rmse_m", outcome.position_rmse_m)?;
     metrics.set_item("force_rmse_n", outcome.force_rmse_n)?;
     metrics.set_item("passivity_min_j", outcome.passivity_min_j)?;
@@ -183,26 +184,39 @@ fn sweep_scenes(
     let swept = heeding_signals(py, progress.as_ref(), |progress| {
         sweep(scene_json, &variations, settings, progress)
     })?;
-    let outcomes = swept.map_err(refuse)?;
+    let rows = swept.map_err(refuse)?;
     let periods = columns.iter().find(|(path, _)| path == "run.period_s").map(|(_, values)| values);
     let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);
     let table = PyDict::new(py);
-    let numbers = |of: &dyn Fn(&Outcome) -> f64| column(py, outcomes.iter().map(of).collect::<Vec<f64>>());
-    let counts = |of: &dyn Fn(&Outcome) -> u64| column(py, outcomes.iter().map(of).collect::<Vec<u64>>());
-    let or_nan = |value: Option<f64>| value.unwrap_or(f64::NAN);
+    let names: Vec<_> =
+        rows.iter().map(|row| row.as_ref().map_or("refused", |outcome| outcome.ending.name())).collect();
+    table.set_item("outcome", names)?;
+    // NaN stands for what was not measured.
+    let numbers = |of: &dyn Fn(&Outcome) -> Option<f64>| {
+        let value = |row: &Result<Outcome, Refused>| row.as_ref().ok().and_then(of).unwrap_or(f64::NAN);
+        column(py, rows.iter().map(value).collect::<Vec<f64>>())
+    };
     table.set_item("max_ejection_velocity", numbers(&|one| one.max_ejection_velocity))?;
     table.set_item("peak_device_force", numbers(&|one| one.peak_device_force))?;
-    table.set_item("time_to_trip_s", numbers(&|one| or_nan(one.time_to_trip_s)))?;
-    table.set_item("false_trips", counts(&|one| one.false_trips))?;
-    let intervention =
-        outcomes.iter().enumerate().map(|(row, one)| one.intervention_ticks as f64 * period(row));
+    table.set_item("time_to_trip_s", numbers(&|one| one.time_to_trip_s))?;
+    table.set_item("false_trips", numbers(&|one| one.false_trips.map(|count| count as f64)))?;
+    let ticks = |row: &Result<Outcome, Refused>| {
+        row.as_ref().ok().and_then(|one| one.intervention_ticks).map_or(f64::NAN, |ticks| ticks as f64)
+    };
+    let intervention = rows.iter().enumerate().map(|(index, row)| ticks(row) * period(index));
     table.set_item("intervention_s", column(py, intervention.collect::<Vec<f64>>()))?;
-    table.set_item("intervention_ticks", counts(&|one| one.intervention_ticks))?;
-    table.set_item("position_rmse_m", numbers(&|one| or_nan(one.position_rmse_m)))?;
-    table.set_item("force_rmse_n", numbers(&|one| or_nan(one.force_rmse_n)))?;
+    table.set_item("intervention_ticks", column(py, rows.iter().map(ticks).collect::<Vec<f64>>()))?;
+    table.set_item("position_rmse_m", numbers(&|one| one.position_rmse_m))?;
+    table.set_item("force_rmse_n", numbers(&|one| one.force_rmse_n))?;
     table.set_item("passivity_min_j", numbers(&|one| one.passivity_min_j))?;
-    let diverged = outcomes.iter().map(|one| one.diverged.is_some()).collect::<Vec<bool>>();
-    table.set_item("diverged", column(py, diverged))?;
-    table.set_item("ticks", counts(&|one| one.ticks))?;
+    let diverged = |row: &Result<Outcome, Refused>| row.as_ref().is_ok_and(|one| one.diverged.is_some());
+    table.set_item("diverged", column(py, rows.iter().map(diverged).collect::<Vec<bool>>()))?;
+    let ticks = |row: &Result<Outcome, Refused>| row.as_ref().map_or(0, |one| one.ticks);
+    table.set_item("ticks", column(py, rows.iter().map(ticks).collect::<Vec<u64>>()))?;
+    let reason = |row: &Result<Outcome, Refused>| match row {
+        Ok(outcome) => outcome.diverged.map_or_else(String::new, |divergence| divergence.to_string()),
+        Err(refused) => refused.to_string(),
+    };
+    table.set_item("reason", rows.iter().map(reason).collect::<Vec<_>>())?;
     Ok(table.unbind())
 }

@@ -16,7 +16,7 @@ use super::{
     coupled::{Present, acts},
     events::EventLog,
     live::{coupled, master_endpoint, simulated_arm, slave_endpoint},
-    measures::{Divergence, DivergenceCause, MeasureSettings, Measures},
+    measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
     run::{SceneRun, tell_schedule},
     signals::{Recorder, Sample},
     spec::{CouplingSpec, SceneSpec, SignalsSpec},
@@ -309,14 +309,29 @@ impl<const N: usize> Watched<N> {
         ControlFlow::Continue(())
     }
 
+    fn ending(&self) -> Ending {
+        if self.diverged.is_some() {
+            Ending::Diverged
+        } else if let Some(apart) = self.states.iter().find(|state| !state.is_coupled()) {
+            Ending::Uncoupled(*apart)
+        } else if self.settled {
+            Ending::Settled
+        } else {
+            Ending::Complete
+        }
+    }
+
     fn finish(mut self, scene: &SceneSpec, coarse: u64, links: [crate::LinkStatistics; 2]) -> SceneRun {
-        let mut outcome = self.measures.outcome(0, self.ticks, self.diverged);
+        let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
         let mean = |which: usize| {
             (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
         };
         // What overflows says nothing beyond that it did.
         outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
         outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
+        if self.engaged_s.is_none() {
+            outcome = outcome.never_engaged();
+        }
         // A clock that is not right does not tick once in each period of true time.
         let newest_ns = self.newest.map_or(0, |newest| newest.time_ns);
         let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;

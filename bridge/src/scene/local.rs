@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use haptether_safety::Real;
 use nalgebra::SimdBool as _;
 
-use super::measures::{Divergence, Measures, Outcome};
+use super::measures::{Divergence, Ending, Measures, Outcome};
 use crate::local::{LocalLoop, LocalPlant, LocalTick, Rendering};
 
 /// A loop and what it is judged by.
@@ -15,21 +15,10 @@ pub(crate) struct LocalRun<P, R, const N: usize, S: Real = f64> {
     pub(crate) ticks: u64,
 }
 
-/// A scenario that ended before its last tick, or at it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Ending {
-    /// All ticks were run.
-    Complete,
-    /// Nothing more would have happened.
-    Settled,
-    /// It diverged.
-    Diverged(Divergence),
-}
-
 impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
     /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
     #[inline(always)]
-    pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<(Outcome, Ending)>]) {
+    pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<Outcome>]) {
         self.run_telling(stop, |_, _, _| {}, outcomes);
     }
 
@@ -42,7 +31,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
         &mut self,
         stop: &AtomicBool,
         mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
-        outcomes: &mut [Option<(Outcome, Ending)>],
+        outcomes: &mut [Option<Outcome>],
     ) {
         for tick in 0..self.ticks {
             if stop.load(Ordering::Relaxed) || self.turn(tick, &mut observe, outcomes) {
@@ -58,7 +47,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
         &mut self,
         tick: u64,
         observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
-        outcomes: &mut [Option<(Outcome, Ending)>],
+        outcomes: &mut [Option<Outcome>],
     ) -> bool {
         let time_s = self.looped.time_s();
         let step = self.looped.step();
@@ -86,16 +75,16 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
     }
 
     /// All ticks have been run.
-    pub(crate) fn complete(&self, outcomes: &mut [Option<(Outcome, Ending)>]) {
+    pub(crate) fn complete(&self, outcomes: &mut [Option<Outcome>]) {
         self.end(u64::MAX, self.ticks, Ending::Complete, outcomes);
     }
 
     /// Keeps the outcome of the lanes in `mask` that have none yet; says whether now all have one.
     #[cold]
-    fn end(&self, mask: u64, ticks: u64, ending: Ending, outcomes: &mut [Option<(Outcome, Ending)>]) -> bool {
+    fn end(&self, mask: u64, ticks: u64, ending: Ending, outcomes: &mut [Option<Outcome>]) -> bool {
         for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
             if mask >> lane & 1 == 1 && outcome.is_none() {
-                *outcome = Some((self.measures.outcome(lane, ticks, None), ending));
+                *outcome = Some(self.measures.outcome(lane, ticks, ending, None));
             }
         }
         outcomes.iter().all(Option::is_some)
@@ -107,15 +96,14 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
         tick: u64,
         time_s: f64,
         step: &LocalTick<N, S>,
-        outcomes: &mut [Option<(Outcome, Ending)>],
+        outcomes: &mut [Option<Outcome>],
     ) -> bool {
         let mask = self.measures.diverged(&step.position, &step.velocity, &step.device_force).bitmask();
         for (lane, outcome) in outcomes.iter_mut().enumerate().take(S::LANES) {
             if mask >> lane & 1 == 1 && outcome.is_none() {
                 let cause = self.measures.cause(lane, &step.position, &step.velocity);
                 let divergence = Divergence { time_s, cause };
-                let measured = self.measures.outcome(lane, tick, Some(divergence));
-                *outcome = Some((measured, Ending::Diverged(divergence)));
+                *outcome = Some(self.measures.outcome(lane, tick, Ending::Diverged, Some(divergence)));
             }
         }
         outcomes.iter().all(Option::is_some)

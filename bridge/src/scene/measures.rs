@@ -5,6 +5,8 @@ use std::cmp::Ordering;
 use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
 
+use crate::LadderState;
+
 /// What left its bounds when a loop diverged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DivergenceCause {
@@ -47,21 +49,54 @@ impl std::fmt::Display for Divergence {
     }
 }
 
-/// What is measured of a run.
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// All ticks were run.
+    Complete,
+    /// Nothing more would have happened.
+    Settled,
+    /// It diverged.
+    Diverged,
+    /// The release that the scene has still lay ahead.
+    NotReleased,
+    /// Master and slave never engaged: nothing was measured.
+    NeverEngaged,
+    /// The two had engaged and were no longer coupled; the state of the one that was not, the master before the slave.
+    Uncoupled(LadderState),
+}
+
+impl Ending {
+    /// Its name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Complete => "complete",
+            Self::Settled => "settled",
+            Self::Diverged => "diverged",
+            Self::NotReleased => "not-released",
+            Self::NeverEngaged => "never-engaged",
+            Self::Uncoupled(state) => state.name(),
+        }
+    }
+}
+
+/// What is measured of a run; none where it was not measured, which is not 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
+    /// How it ended.
+    pub ending: Ending,
     /// Largest speed in m/s along the rendered force after the release began; over the whole run without a release.
-    pub max_ejection_velocity: f64,
+    pub max_ejection_velocity: Option<f64>,
     /// Largest `|F_device|` in N.
-    pub peak_device_force: f64,
+    pub peak_device_force: Option<f64>,
     /// From the release to the first intervention after it began, in s; 0 if one was on.
     pub time_to_trip_s: Option<f64>,
     /// Interventions that began before the release; all of them without one.
-    pub false_trips: u64,
+    pub false_trips: Option<u64>,
     /// Ticks under intervention.
-    pub intervention_ticks: u64,
+    pub intervention_ticks: Option<u64>,
     /// Least energy in J that has flowed into what renders the force, `-sum F_device dx`.
-    pub passivity_min_j: f64,
+    pub passivity_min_j: Option<f64>,
     /// Root of the mean squared difference between the slave's motion and the master's, scaled; only with an arm.
     pub position_rmse_m: Option<f64>,
     /// The same of the device's force and the environment's, scaled; only with an arm.
@@ -121,6 +156,8 @@ pub(crate) struct Measures<const N: usize, S: Real = f64> {
     held: Axes<N, S>,
     last_position: Axes<N, S>,
     active: S,
+    /// Time in s of the newest tick.
+    newest_s: f64,
 }
 
 impl<const N: usize> Measures<N> {
@@ -148,6 +185,7 @@ impl<const N: usize> Measures<N> {
             held: Axes::zeros(),
             last_position: *position,
             active: 0.0,
+            newest_s: f64::NEG_INFINITY,
         }
     }
 
@@ -191,6 +229,7 @@ impl<const N: usize> Measures<N> {
             held: Axes::zeros(),
             last_position: Axes::from_fn(|axis, _| number(&|one| one.last_position[axis])),
             active: zero,
+            newest_s: f64::NEG_INFINITY,
         })
     }
 }
@@ -257,6 +296,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         is_on: S::SimdBool,
     ) -> Option<S::SimdBool> {
         let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
+        self.newest_s = t;
         // Work of the force that was held since the last tick.
         self.energy -= self.held.dot(&(position - self.last_position));
         self.least_energy = self.least_energy.simd_min(self.energy);
@@ -315,22 +355,53 @@ impl<const N: usize, S: Real> Measures<N, S> {
     }
 
     /// The outcome of one lane after `ticks` ticks.
-    pub(crate) fn outcome(&self, lane: usize, ticks: u64, diverged: Option<Divergence>) -> Outcome {
+    pub(crate) fn outcome(
+        &self,
+        lane: usize,
+        ticks: u64,
+        ending: Ending,
+        diverged: Option<Divergence>,
+    ) -> Outcome {
         let of = |value: S| value.extract(lane);
         let trip = of(self.trip);
+        let has_begun = self.newest_s >= of(self.release);
+        let ending = match ending {
+            Ending::Complete | Ending::Settled | Ending::Uncoupled(_) if !has_begun => Ending::NotReleased,
+            ending => ending,
+        };
+        let measured = |value: S| (self.newest_s >= 0.0).then(|| of(value));
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts
-        let count = |value: S| of(value) as u64;
+        let count = |value: S| measured(value).map(|value| value as u64);
         Outcome {
-            max_ejection_velocity: of(self.ejection),
-            peak_device_force: of(self.peak_squared_force).sqrt(),
+            ending,
+            max_ejection_velocity: measured(self.ejection).filter(|_| has_begun),
+            peak_device_force: measured(self.peak_squared_force).map(f64::sqrt),
             time_to_trip_s: (self.has_release && trip.is_finite()).then(|| trip - of(self.release)),
             false_trips: count(self.false_trips),
             intervention_ticks: count(self.on),
-            passivity_min_j: of(self.least_energy),
+            passivity_min_j: measured(self.least_energy),
             position_rmse_m: None,
             force_rmse_n: None,
             diverged,
             ticks,
+        }
+    }
+}
+
+impl Outcome {
+    /// The same without what needs two sides that have engaged.
+    pub(crate) fn never_engaged(self) -> Self {
+        Self {
+            ending: if self.diverged.is_some() { Ending::Diverged } else { Ending::NeverEngaged },
+            max_ejection_velocity: None,
+            peak_device_force: None,
+            time_to_trip_s: None,
+            false_trips: None,
+            intervention_ticks: None,
+            passivity_min_j: None,
+            position_rmse_m: None,
+            force_rmse_n: None,
+            ..self
         }
     }
 }

@@ -11,8 +11,8 @@ use super::{
         rendered_walls, stepped_master, stepping, ticks, watch,
     },
     events::{EventLog, SceneEvent},
-    local::{Ending, LocalRun},
-    measures::{Measures, Outcome},
+    local::LocalRun,
+    measures::{Ending, Measures, Outcome},
     signals::{Recorder, Sample, Signal},
     spec::SceneSpec,
 };
@@ -173,12 +173,12 @@ fn follow<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
         },
         &mut outcomes,
     );
-    let [Some((outcome, ending))] = outcomes else {
+    let [Some(outcome)] = outcomes else {
         return Err(SceneError::Stopped);
     };
     tell_schedule(scene, &outcome, &mut log);
     let end_s = outcome.ticks as f64 * scene.run.period_s;
-    if ending == Ending::Settled {
+    if outcome.ending == Ending::Settled {
         log.add(end_s, "settled", "nothing more happens");
     }
     log.coarse(end_s, run.looped.rendering().coarse_steps());

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::{
     build::{SceneError, is_continuous, is_plain, rendered_walls, stepped_master, stepping},
-    local::{Ending, LocalRun},
+    local::LocalRun,
     measures::Outcome,
     run::{check_local, local_run, simulate},
     spec::SceneSpec,
@@ -63,14 +63,6 @@ pub enum SweepError {
         /// The first column's.
         allowed: usize,
     },
-    /// A scenario that cannot be.
-    #[error("scenario {row}: {why}")]
-    Scenario {
-        /// Its number, from 0.
-        row: usize,
-        /// What is wrong with it.
-        why: String,
-    },
     /// It was told to stop.
     #[error("stopped")]
     Stopped,
@@ -78,6 +70,13 @@ pub enum SweepError {
     #[error("threads: {0}")]
     Threads(String),
 }
+
+/// A scenario that cannot be, and why; the others of its sweep are run.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Refused(pub String);
+
+type Row = Result<Outcome, Refused>;
 
 /// Scenarios that a thread takes at once: enough that most fill their lanes, few enough that all threads have some.
 const BLOCK: usize = 64;
@@ -90,7 +89,7 @@ pub fn sweep(
     variations: &[Variation],
     settings: SweepSettings,
     progress: &Progress,
-) -> Result<Vec<Outcome>, SweepError> {
+) -> Result<Vec<Row>, SweepError> {
     let base: Value = serde_json::from_slice(scene).map_err(|error| SweepError::Scene(error.to_string()))?;
     SceneSpec::deserialize(&base).map_err(|error| SweepError::Scene(error.to_string()))?;
     let rows = variations.first().map_or(1, |first| first.values.len());
@@ -133,12 +132,11 @@ fn set_row(
     scene: &mut Value,
     columns: &[(String, bool, &[f64])],
     row: usize,
-) -> Result<(), SweepError> {
+) -> Result<(), Refused> {
     for (pointer, is_whole, values) in columns {
         let value = values[row];
         if !value.is_finite() {
-            let why = format!("{pointer} = {value}: must be finite");
-            return Err(SweepError::Scenario { row, why });
+            return Err(Refused(format!("{pointer} = {value}: must be finite")));
         }
         if let Some(place) = scene.pointer_mut(pointer) {
             *place = if *is_whole && value >= 0.0 && value.fract() == 0.0 && value < 2f64.powi(53) {
@@ -154,8 +152,7 @@ fn set_row(
         let table = pointer[1..].split('/').next().unwrap_or_default();
         if !read.contains(&table) {
             read.push(table);
-            read_table(spec, scene, table)
-                .map_err(|error| SweepError::Scenario { row, why: format!("{table}: {error}") })?;
+            read_table(spec, scene, table).map_err(|error| Refused(format!("{table}: {error}")))?;
         }
     }
     Ok(())
@@ -183,7 +180,7 @@ fn run_block(
     block: std::ops::Range<usize>,
     lanes: bool,
     progress: &Progress,
-) -> Result<Vec<Outcome>, SweepError> {
+) -> Result<Vec<Row>, SweepError> {
     let Progress { done, stop } = progress;
     if stop.load(Ordering::Relaxed) {
         return Err(SweepError::Stopped);
@@ -192,77 +189,81 @@ fn run_block(
     // Outcomes need no recording.
     scene["record"] = Value::Null;
     let mut spec = SceneSpec::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
+    let mut rows: Vec<Option<Row>> = vec![None; block.len()];
     let mut specs = Vec::with_capacity(block.len());
-    for row in block.clone() {
-        set_row(&mut spec, &mut scene, columns, row)?;
-        specs.push(spec.clone());
+    for (index, row) in block.enumerate() {
+        match set_row(&mut spec, &mut scene, columns, row) {
+            Ok(()) => specs.push((index, spec.clone())),
+            Err(refused) => rows[index] = Some(Err(refused)),
+        }
     }
-    let first = block.start;
-    let refused = |(index, error): (usize, SceneError)| match error {
-        SceneError::Stopped => SweepError::Stopped,
-        error => SweepError::Scenario { row: first + index, why: error.to_string() },
+    done.fetch_add(rows.len() - specs.len(), Ordering::Relaxed);
+    let were_run = match specs.first().map(|(_, spec)| spec.master.axes) {
+        Some(1) => run_plain::<1>(&specs, lanes, progress, &mut rows),
+        Some(2) => run_plain::<2>(&specs, lanes, progress, &mut rows),
+        Some(3) => run_plain::<3>(&specs, lanes, progress, &mut rows),
+        _ => false,
     };
-    let shared = match specs.first().map(|spec| spec.master.axes) {
-        Some(1) => run_plain::<1>(&specs, lanes, progress),
-        Some(2) => run_plain::<2>(&specs, lanes, progress),
-        Some(3) => run_plain::<3>(&specs, lanes, progress),
-        _ => Ok(None),
-    };
-    if let Some(outcomes) = shared.map_err(refused)? {
-        return Ok(outcomes);
+    if !were_run {
+        for (index, spec) in &specs {
+            rows[*index] = Some(match simulate(spec, stop) {
+                Ok(run) => Ok(run.outcome),
+                Err(SceneError::Stopped) => return Err(SweepError::Stopped),
+                Err(error) => Err(Refused(error.to_string())),
+            });
+            done.fetch_add(1, Ordering::Relaxed);
+        }
     }
-    let run = |(index, spec): (usize, &SceneSpec)| {
-        let outcome = simulate(spec, stop).map_err(|error| refused((index, error)))?.outcome;
-        done.fetch_add(1, Ordering::Relaxed);
-        Ok(outcome)
-    };
-    specs.iter().enumerate().map(run).collect()
+    // Only a sweep that was stopped has rows that were not run.
+    rows.into_iter().collect::<Option<_>>().ok_or(SweepError::Stopped)
 }
 
 type PlainRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>;
 
-/// Runs plain scenarios, side by side if they may; none if one of them is not plain: an arm, located events, or an
-/// environment of more than resting walls.
+/// Runs plain scenarios, side by side if they may; says that it did not if one of them is not plain: an arm, located
+/// events, or an environment of more than resting walls.
 fn run_plain<const N: usize>(
-    specs: &[SceneSpec],
+    specs: &[(usize, SceneSpec)],
     lanes: bool,
     Progress { done, stop }: &Progress,
-) -> Result<Option<Vec<Outcome>>, (usize, SceneError)> {
-    let can_share = |spec: &SceneSpec| {
+    rows: &mut [Option<Row>],
+) -> bool {
+    let can_share = |(_, spec): &(usize, SceneSpec)| {
         spec.slave.is_none()
             && spec.master.axes == N
             && stepping(spec.run.integrator).is_some()
             && spec.environment.as_ref().is_none_or(is_plain)
     };
     if !specs.iter().all(can_share) {
-        return Ok(None);
+        return false;
     }
     let mut left: Vec<(usize, Box<PlainRun<N, f64>>)> = Vec::with_capacity(specs.len());
-    for (index, spec) in specs.iter().enumerate() {
-        left.push((index, Box::new(plain_run(spec).map_err(|error| (index, error))?)));
+    for (index, spec) in specs {
+        match plain_run(spec) {
+            Ok(run) => left.push((*index, Box::new(run))),
+            Err(error) => rows[*index] = Some(Err(Refused(error.to_string()))),
+        }
     }
-    let mut outcomes = vec![None; specs.len()];
+    done.fetch_add(specs.len() - left.len(), Ordering::Relaxed);
     while let Some(taken) = take_block(&mut left, lanes) {
         match taken {
-            Block::Lanes(rows, mut run) => {
-                let mut ended = vec![None; rows.len()];
+            Block::Lanes(taken, mut run) => {
+                let mut ended = vec![None; taken.len()];
                 vectorised(&mut run, stop, &mut ended);
-                done.fetch_add(rows.len(), Ordering::Relaxed);
-                for (row, outcome) in rows.into_iter().zip(ended) {
-                    outcomes[row] = outcome;
+                done.fetch_add(taken.len(), Ordering::Relaxed);
+                for (row, outcome) in taken.into_iter().zip(ended) {
+                    rows[row] = outcome.map(Ok);
                 }
             }
             Block::Single(row, mut run) => {
                 let mut ended = [None];
                 run.run(stop, &mut ended);
                 done.fetch_add(1, Ordering::Relaxed);
-                [outcomes[row]] = ended;
+                rows[row] = ended[0].map(Ok);
             }
         }
     }
-    let outcomes: Option<Vec<_>> =
-        outcomes.into_iter().map(|outcome| outcome.map(|(outcome, _): (Outcome, Ending)| outcome)).collect();
-    outcomes.map(Some).ok_or((0, SceneError::Stopped))
+    true
 }
 
 fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, SceneError> {
@@ -343,13 +344,9 @@ fn gathered<const N: usize>(
 fn vectorised<const N: usize>(
     run: &mut PlainRun<N, Lanes>,
     stop: &AtomicBool,
-    ended: &mut [Option<(Outcome, Ending)>],
+    ended: &mut [Option<Outcome>],
 ) {
-    struct Job<'a, const N: usize>(
-        &'a mut PlainRun<N, Lanes>,
-        &'a AtomicBool,
-        &'a mut [Option<(Outcome, Ending)>],
-    );
+    struct Job<'a, const N: usize>(&'a mut PlainRun<N, Lanes>, &'a AtomicBool, &'a mut [Option<Outcome>]);
 
     impl<const N: usize> pulp::WithSimd for Job<'_, N> {
         type Output = ();

@@ -54,12 +54,11 @@ class Simulate:
 
     def run(self) -> int:
         """Runs the scene; 0, or 1 if it diverged."""
-        from rich.console import Console
-
         from haptether.bridge import SceneError, load_scene, simulate
-        from haptether.cli.output import check_target, make_folder, require_matplotlib, table_goes_to_stderr
+        from haptether.cli.output import check_target, make_folder, require_matplotlib
+        from haptether.cli.screen import screen
 
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
         if self.list:
             self._list(console)
             return 0
@@ -89,8 +88,6 @@ class Simulate:
                 table = key.partition(".")[0]
                 console.print(
                     f"{key} = {name}: the model of [{table}] stands for it; `haptether {table} --scene` drives it live",
-                    highlight=False,
-                    markup=False,
                 )
         return self._report(console, run)
 
@@ -111,13 +108,13 @@ class Simulate:
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
         if self.out is not None:
             run.save(self.out)
-            console.print(f"signals: {self.out}", highlight=False)
+            console.print(f"signals: {self.out}")
         if self.plot is not None:
             from haptether.cli.scene_picture import draw_run
 
             picture = self.plot / f"{Path(run.scene).stem}.png"
             draw_run(run, picture)
-            console.print(f"picture: {picture}", highlight=False)
+            console.print(f"picture: {picture}")
         if run.metrics.diverged:
             last = next((event for event in run.events if event.kind == "diverged"), None)
             cause = f" at {last.time_s:g} s: {last.detail}" if last is not None else ""
@@ -130,16 +127,16 @@ class Simulate:
         from rich.table import Table
 
         table = Table(header_style="bold", pad_edge=False)
-        table.add_column(run.scene)
+        table.add_column(run.scene, overflow="fold")
         table.add_column(f"seed {run.seed}", justify="right")
         for name, value in msgspec.to_builtins(run.metrics).items():
-            table.add_row(METRICS.get(name, name).replace("[", "\\["), shown(value))
+            table.add_row(METRICS.get(name, name), shown(value))
         console.print(table)
         told = told_events(run.events)
         for time_s, text in told[:EVENTS_SHOWN]:
-            console.print(f"  {time_s:9.4f} s  {text}", highlight=False, markup=False)
+            console.print(f"  {time_s:9.4f} s  {text}")
         if len(told) > EVENTS_SHOWN:
-            console.print(f"  and {len(told) - EVENTS_SHOWN} more; --json has all events", highlight=False)
+            console.print(f"  and {len(told) - EVENTS_SHOWN} more; --json has all events")
 
     def _list(self, console: "Console") -> None:
         from rich.table import Table
@@ -178,6 +175,7 @@ def told_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
 
 
 METRICS = {
+    "outcome": "outcome",
     "max_ejection_velocity": "largest ejection velocity [m/s]",
     "peak_device_force": "largest device force [N]",
     "time_to_trip_s": "time to trip after the release [s]",
@@ -207,9 +205,9 @@ def spinner(text: str) -> Iterator[None]:
     """Says on standard error that something goes on, once it takes longer than two seconds."""
     import threading
 
-    from rich.console import Console
+    from haptether.cli.screen import Screen
 
-    status = Console(stderr=True).status(text)
+    status = Screen(stderr=True).status(text)
     timer = threading.Timer(SPINNER_AFTER_S, status.start)
     timer.daemon = True
     timer.start()

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from haptether.bridge import Sweep as SweepResult
+    from haptether.cli.screen import Screen
 
 ROWS_SHOWN = 20
 MOST_ROWS = 10_000_000
@@ -20,7 +19,11 @@ class Sweep:
     """Run a scene for many values of some of its numbers, every combination once.
 
     A range a:b:n is n values from a to b, both included; a list is v1,v2,... The last path varies fastest. Prints the
-    first rows; --out and --json have all. Exit status 2 says that the scene or a value cannot be.
+    first rows; --out and --json have all. Exit status 2 says that the scene cannot be, or no row of it.
+
+    The outcome of a row is complete, settled, diverged, not-released (it ended before the release), never-engaged,
+    refused (a scene that cannot be built: the reason is printed), or the state of the ladder where the two were coupled
+    no more at the end. What was not measured is - here, null in JSON, empty in CSV and NaN in .npz: never 0.
 
     Examples:
 
@@ -52,11 +55,11 @@ class Sweep:
         """Runs all rows."""
         from math import prod
 
-        from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
         from haptether.bridge import sweep
-        from haptether.cli.output import check_target, table_goes_to_stderr
+        from haptether.cli.output import check_target
+        from haptether.cli.screen import Screen, screen
 
         check_target(self.json)
         check_target(self.out)
@@ -71,7 +74,7 @@ class Sweep:
         if rows > MOST_ROWS:
             message = f"{rows} rows: must be at most {MOST_ROWS}"
             raise ValueError(message)
-        bar = Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+        bar = Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Screen(stderr=True))
         with bar:
             task = bar.add_task("", total=rows)
             result = sweep(
@@ -82,37 +85,48 @@ class Sweep:
                 progress=lambda done: bar.update(task, completed=done),
             )
             bar.update(task, completed=rows)
-        self._report(Console(stderr=table_goes_to_stderr(self.json)), result)
+        self._report(screen(self.json), result, len(grid) + 1)
         return 0
 
-    def _report(self, console: "Console", result: "SweepResult") -> None:
+    def _report(self, console: "Screen", result: "SweepResult", keys: int) -> None:
+        from collections import Counter
+
         import msgspec
-        import numpy as np
-        from rich.table import Table
 
         from haptether import __version__
         from haptether.cli.output import write_json
         from haptether.cli.simulate import shown
 
-        # A metric that applies to no row is no news.
-        names = [
-            name for name, column in result.columns.items() if not (column.dtype.kind == "f" and np.isnan(column).all())
-        ]
-        table = Table(header_style="bold", pad_edge=False)
-        for name in names:
-            table.add_column(name, justify="right")
-        for row, _ in zip(result.rows(), range(ROWS_SHOWN), strict=False):
-            table.add_row(*(shown(row[name]) for name in names))
-        console.print(table)
+        shows = self._columns(result)
+        rows = [row for row, _ in zip(result.rows(), range(ROWS_SHOWN), strict=False)]
+        columns = {
+            name: [f"{row[name]:.10g}" if place < keys - 1 else shown(row[name]) for row in rows]
+            for place, name in enumerate(shows)
+        }
+        console.print_columns(columns, keys)
+        console.print()
         if len(result) > ROWS_SHOWN:
-            console.print(f"and {len(result) - ROWS_SHOWN} more rows; --out and --json have all", highlight=False)
+            console.print(f"and {len(result) - ROWS_SHOWN} more rows; --out and --json have all")
+        for number, row in enumerate(rows):
+            if row.get("reason"):
+                console.print(f"row {number}: {row['outcome']}: {row['reason']}", soft_wrap=True)
+        outcomes = Counter(result.columns["outcome"].tolist())
+        counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
+        console.print(f"{len(result)} rows: {counts}")
         if self.json is not None:
-            # NaN, where a metric does not apply, is null in JSON.
             report = {"scene": self.scene, "version": __version__, "rows": list(result.rows())}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
         if self.out is not None:
             result.save(self.out)
-            console.print(f"rows: {self.out}", highlight=False)
+            console.print(f"rows: {self.out}")
+
+    def _columns(self, result: "SweepResult") -> list[str]:
+        """What the table has: a metric that no row has is no news, and ticks are shown as time."""
+        import numpy as np
+
+        floats = {name: column for name, column in result.columns.items() if column.dtype.kind == "f"}
+        absent = {name for name, column in floats.items() if np.isnan(column).all()}
+        return [name for name in result.columns if name not in absent | {"intervention_ticks", "reason"}]
 
 
 def values_of(text: str) -> tuple[str, list[float]]:
