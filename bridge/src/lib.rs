@@ -34,7 +34,7 @@ pub use endpoint::{
 };
 pub use ladder::{
     Clutch, ClutchError, FlightEntry, FlightRecorder, History, Ladder, LadderError, LadderInput,
-    LadderSettings, LadderState, PeerReport, Person, Reason, Transition,
+    LadderSettings, LadderState, Observed, PeerReport, Person, Reason, Transition,
 };
 pub use link::{FrameLink, LinkStatistics, PortState, Refusal, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};

@@ -5,7 +5,7 @@ use haptether_safety::Axes;
 use crate::{
     ladder::{
         FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInput, LadderSettings,
-        LadderState, PeerReport, Transition,
+        LadderState, Observed, PeerReport, Transition,
     },
     link::{FrameLink, LinkStatistics, PortState, Refusal, Status},
     path::PathReport,
@@ -133,8 +133,8 @@ impl<const N: usize> Exchange<N> {
         (state, age_ns)
     }
 
-    /// Keeps this tick in the flight recorder: measured position, command and force.
-    pub(super) fn keep(&mut self, now_ns: u64, values: [&Axes<N>; 3]) {
+    /// Keeps this tick in the flight recorder: measured position, command and force, and what controllers saw.
+    pub(super) fn keep(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: Observed) {
         let entry = FlightEntry {
             time_ns: now_ns,
             state: self.ladder.state(),
@@ -142,9 +142,15 @@ impl<const N: usize> Exchange<N> {
             age_ns: self.link.age_ns(now_ns),
             clutch: self.clutch,
             gain: self.ladder.gain(),
+            observed,
             values: FlightValues::new(values),
         };
         self.flight.take(entry, self.ladder.history());
+    }
+
+    /// What the observers of this side are held against.
+    pub(super) fn hold_against(&mut self, thresholds: [f64; 4]) {
+        self.flight.hold_against(thresholds);
     }
 
     /// The newest frame of the peer.

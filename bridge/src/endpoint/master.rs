@@ -8,7 +8,7 @@ use haptether_safety::{
 use super::{EndpointError, Exchange, check_period, period_s};
 use crate::{
     coupling::{CouplingError, FrameMap, PositionForce},
-    ladder::{LadderSettings, LadderState},
+    ladder::{LadderSettings, LadderState, Observed, thresholds},
     link::{PortState, Refusal},
     wire::Role,
 };
@@ -72,10 +72,13 @@ impl<const N: usize> MasterEndpoint<N> {
             safety: settings.safety,
             limiter: LimiterSettings { ramp_in_s: 0.0, ..settings.limiter },
         })?;
+        let mut exchange =
+            Exchange::new(Role::Master, settings.session, settings.period_ns, settings.ladder)?;
+        exchange.hold_against(thresholds(&settings.safety));
         Ok(Self {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
-            exchange: Exchange::new(Role::Master, settings.session, settings.period_ns, settings.ladder)?,
+            exchange,
             last: None,
             has_stalled: false,
             period_s: period_s(settings.period_ns),
@@ -139,7 +142,8 @@ impl<const N: usize> MasterEndpoint<N> {
             self.exchange.outgoing =
                 PortState { position: *position, velocity, force: safety.device_force, energy };
         }
-        self.exchange.keep(now_ns, [position, &safety.device_force, &safety.rendered_force]);
+        let observed = Observed::of(&safety.intervention);
+        self.exchange.keep(now_ns, [position, &safety.device_force, &safety.rendered_force], observed);
         MasterTick { safety, state: self.exchange.ladder.state(), age_ns }
     }
 

@@ -5,7 +5,7 @@ use haptether_safety::{Axes, Fault, Signal};
 use super::{EndpointError, Exchange, check_period};
 use crate::{
     coupling::{CommandBounds, CouplingError, FrameMap, Limited, PositionForce, bounded, decayed},
-    ladder::{LadderSettings, LadderState},
+    ladder::{LadderSettings, LadderState, Observed},
     link::{PortState, Refusal},
     wire::Role,
 };
@@ -147,7 +147,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             self.exchange.outgoing.force = Axes::zeros();
         }
         let command = self.command.unwrap_or(*position);
-        self.exchange.keep(now_ns, [position, &command, environment_force]);
+        self.exchange.keep(now_ns, [position, &command, environment_force], Observed::NOTHING);
         SlaveTick { command: self.command, command_velocity, state, age_ns, limited, fault: self.fault }
     }
 

@@ -2,7 +2,11 @@
 
 use serde::Serialize;
 
-use super::{history::History, state::LadderState};
+use super::{
+    history::History,
+    interventions::{Interventions, Observed, Row},
+    state::LadderState,
+};
 use crate::wire::MOST_AXES;
 
 /// How many ticks are kept.
@@ -23,6 +27,8 @@ pub struct FlightEntry {
     pub clutch: bool,
     /// Share of the force that may be rendered.
     pub gain: f64,
+    /// What the safety controllers saw.
+    pub observed: Observed,
     /// What was measured and commanded.
     pub values: FlightValues,
 }
@@ -56,6 +62,7 @@ impl FlightEntry {
         age_ns: None,
         clutch: false,
         gain: 0.0,
+        observed: Observed::NOTHING,
         values: FlightValues { axes: 0, rows: [[0.0; MOST_AXES]; 3] },
     };
 }
@@ -69,6 +76,7 @@ pub struct FlightRecorder {
     /// Up to the tick at which the side was last coupled no more by a hold or a fault.
     at_hold: Option<Ring>,
     history: History,
+    interventions: Interventions,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,7 +101,13 @@ impl FlightRecorder {
             latest: Ring { entries, count: 0 },
             at_hold: None,
             history: History::default(),
+            interventions: Interventions::NONE,
         }
+    }
+
+    /// What the observers of this side are held against, see [`super::thresholds`].
+    pub(crate) fn hold_against(&mut self, thresholds: [f64; 4]) {
+        self.interventions.hold_against(thresholds);
     }
 
     /// Keeps a tick, and what led to a hold or a fault when there is one.
@@ -102,6 +116,7 @@ impl FlightRecorder {
         let before = self.latest.count.checked_sub(1).map(|last| self.latest.entries[last % KEPT].state);
         self.latest.entries[self.latest.count % KEPT] = entry;
         self.latest.count += 1;
+        self.interventions.take(entry.time_ns, &entry.observed);
         if self.history.count() != history.count() {
             self.history = *history;
         }
@@ -128,6 +143,8 @@ impl FlightRecorder {
                     reason: one.reason.text(),
                 })
                 .collect(),
+            interventions: self.interventions.rows(seconds),
+            interventions_seen: self.interventions.count(),
             at_hold: self.at_hold.as_ref().map(ticks).unwrap_or_default(),
             latest: ticks(&self.latest),
         };
@@ -141,6 +158,9 @@ struct Log {
     schema: u32,
     side: &'static str,
     transitions: Vec<Step>,
+    /// The last ones, and how many there were.
+    interventions: Vec<Row>,
+    interventions_seen: usize,
     at_hold: Vec<Tick>,
     latest: Vec<Tick>,
 }
@@ -161,6 +181,7 @@ struct Tick {
     age_s: Option<f64>,
     clutch: bool,
     gain: f64,
+    tripped: Vec<&'static str>,
     position: Vec<Option<f64>>,
     command: Vec<Option<f64>>,
     force: Vec<Option<f64>>,
@@ -179,6 +200,7 @@ impl Tick {
             age_s: entry.age_ns.map(|age| age as f64 * 1e-9),
             clutch: entry.clutch,
             gain: entry.gain,
+            tripped: entry.observed.tripped.names().collect(),
             position,
             command,
             force,

@@ -6,6 +6,7 @@
 
 mod flight;
 mod history;
+mod interventions;
 mod machine;
 mod person;
 mod settings;
@@ -14,6 +15,7 @@ pub mod table;
 
 pub use flight::{FlightEntry, FlightRecorder, FlightValues};
 pub use history::{History, Transition};
+pub use interventions::{Observed, thresholds};
 pub use machine::{Ladder, LadderInput, PeerReport};
 pub use person::{Clutch, ClutchError, Person};
 pub use settings::{LadderError, LadderSettings};

@@ -54,15 +54,7 @@ impl EventLog {
         }
         self.tripped = now;
         if before == 0 {
-            let names = [
-                (Tripped::VFC, "vfc"),
-                (Tripped::HSC, "hsc"),
-                (Tripped::WSC, "wsc"),
-                (Tripped::PC, "pc"),
-                (Tripped::HELD, "held"),
-            ];
-            let who: Vec<_> =
-                names.iter().filter(|(bit, _)| tripped.contains(*bit)).map(|(_, name)| *name).collect();
+            let who: Vec<_> = tripped.names().collect();
             self.add(time_s, "trip", who.join(" "));
         } else if now == 0 {
             self.add(time_s, "recover", "");

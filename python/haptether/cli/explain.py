@@ -8,7 +8,7 @@ import msgspec
 import tyro
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from haptether.cli.screen import Screen
 
 
 class Transition(msgspec.Struct, frozen=True, kw_only=True):
@@ -20,6 +20,23 @@ class Transition(msgspec.Struct, frozen=True, kw_only=True):
     reason: str
 
 
+class Trip(msgspec.Struct, frozen=True, kw_only=True):
+    """A controller that intervened, and what its observer saw when it tripped."""
+
+    controller: str
+    observer: str
+    observed: float | None
+    threshold: float | None
+
+
+class Intervention(msgspec.Struct, frozen=True, kw_only=True):
+    """Ticks that lie together at which controllers acted."""
+
+    time_s: float
+    until_s: float
+    trips: list[Trip]
+
+
 class Tick(msgspec.Struct, frozen=True, kw_only=True):
     """A tick of a side; null stands for what is no finite number."""
 
@@ -29,6 +46,7 @@ class Tick(msgspec.Struct, frozen=True, kw_only=True):
     age_s: float | None
     clutch: bool
     gain: float
+    tripped: list[str] = []
     position: list[float | None]
     command: list[float | None]
     force: list[float | None]
@@ -40,6 +58,8 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     schema: int
     side: str
     transitions: list[Transition]
+    interventions: list[Intervention] = []
+    interventions_seen: int = 0
     at_hold: list[Tick]
     latest: list[Tick]
 
@@ -51,17 +71,20 @@ SCHEMA = 1
 class Explain:
     """Say why a side held or stopped: print what `--flight` of master or slave wrote.
 
+    Prints the last 32 steps of the ladder with their reasons, the last 16 interventions of the safety controllers with
+    what tripped them, and the last 10 of the 50 ticks that are kept until the last hold and until the end.
+
     Examples:
 
     haptether master --peer 127.0.0.1:9000 --key arm.key --flight master.flight
 
-    haptether explain master.flight
+    haptether explain master.flight --ticks 50
     """
 
     file: Annotated[Path, tyro.conf.Positional]
     """What `--flight` wrote."""
     ticks: int = 10
-    """How many ticks before the last hold, and before the end, are printed; at most 50 are there."""
+    """How many ticks until the last hold, and until the end, are printed; 50 of each are kept."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the same as JSON; - for standard output."""
 
@@ -71,60 +94,104 @@ class Explain:
         Raises:
             ValueError: The file is none of a flight recorder.
         """
-        from rich.console import Console
-
-        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, write_json
+        from haptether.cli.screen import screen
 
         check_target(self.json)
         if self.ticks < 0:
             message = f"ticks = {self.ticks}: must be 0 or more"
             raise ValueError(message)
         flight = load_flight(self.file)
-        console = Console(stderr=table_goes_to_stderr(self.json))
-        self._print(flight, console)
+        self._print(flight, screen(self.json))
         if self.json is not None:
             write_json(self.json, msgspec.json.format(msgspec.json.encode(flight), indent=2))
         return 0
 
-    def _print(self, flight: Flight, console: "Console") -> None:
+    def _print(self, flight: Flight, console: "Screen") -> None:
         from rich.table import Table
 
-        steps = Table("time [s]", "from", "to", "because", title=f"{flight.side}: steps of the ladder")
+        from haptether.cli.screen import tables
+
+        steps = Table(pad_edge=False, title=f"{flight.side}: steps of the ladder")
+        steps.add_column("time [s]", justify="right", no_wrap=True)
+        for name in ("from", "to", "because"):
+            steps.add_column(name, overflow="fold")
         for step in flight.transitions:
             steps.add_row(f"{step.time_s:.4f}", step.from_, step.to, step.reason)
         console.print(steps)
-        command = "device force [N]" if flight.side == "master" else "command [m]"
+        for line in _intervention_lines(flight):
+            console.print(line, soft_wrap=True)
         for title, ticks in (("until the last hold", flight.at_hold), ("until the end", flight.latest)):
             shown = ticks[len(ticks) - min(self.ticks, len(ticks)) :]
             if not shown:
                 continue
-            columns = (
-                "time [s]",
-                "state",
-                "peer",
-                "silent [ms]",
-                "clutch",
-                "gain",
-                "position [m]",
-                command,
-                "force [N]",
-            )
-            table = Table(*columns, title=f"{flight.side}: {title}")
-            for tick in shown:
-                table.add_row(
-                    f"{tick.time_s:.4f}",
-                    tick.state,
-                    tick.peer or "-",
-                    "-" if tick.age_s is None else f"{tick.age_s * 1e3:.1f}",
-                    "closed" if tick.clutch else "open",
-                    f"{tick.gain:.2f}",
-                    *(_numbers(values) for values in (tick.position, tick.command, tick.force)),
-                )
-            console.print(table)
+            rest = f", of {len(ticks)} that are kept" if len(shown) < len(ticks) else ""
+            console.print(f"\n{flight.side}: {len(shown)} ticks {title}{rest}", style="italic")
+            ladder, values = _ladder_columns(flight.side, shown), _value_columns(flight.side, shown)
+            if len(tables(ladder | values, 1, console.width)) == 1:
+                console.print_columns(ladder | values, 1)
+            else:
+                console.print_columns(ladder, 1)
+                console.print_columns({TIME: ladder[TIME]} | values, 1)
 
 
-def _numbers(values: list[float | None]) -> str:
-    return " ".join("none" if value is None else f"{value:.4g}" for value in values)
+def _intervention_lines(flight: Flight) -> list[str]:
+    """Who intervened when, and by what."""
+    if not flight.interventions:
+        # A slave has no controllers.
+        return ["no safety controller intervened"] if flight.side == "master" else []
+    lines = [f"interventions of safety controllers: {max(flight.interventions_seen, len(flight.interventions))}"]
+    if flight.interventions_seen > len(flight.interventions):
+        lines[0] += f", the last {len(flight.interventions)}:"
+    for one in flight.interventions:
+        what = "; ".join(map(_trip, one.trips)) or "held on"
+        lines.append(f"  {one.time_s:.4f} to {one.until_s:.4f} s  {what}")
+    return lines
+
+
+def _trip(trip: Trip) -> str:
+    if trip.observed is None or trip.threshold is None:
+        return trip.controller
+    side = "above" if trip.observed > trip.threshold else "not above"
+    return f"{trip.controller}: {trip.observer} = {trip.observed:.4g}, {side} {trip.threshold:g}"
+
+
+TIME = "time [s]"
+
+
+def _ladder_columns(side: str, ticks: list[Tick]) -> dict[str, list[str]]:
+    columns = {
+        TIME: [f"{tick.time_s:.4f}" for tick in ticks],
+        "state": [tick.state for tick in ticks],
+        "peer": [tick.peer or "-" for tick in ticks],
+        "silent [ms]": ["-" if tick.age_s is None else f"{tick.age_s * 1e3:.1f}" for tick in ticks],
+        "clutch": ["closed" if tick.clutch else "open" for tick in ticks],
+        "gain": [f"{tick.gain:.2f}" for tick in ticks],
+    }
+    if side == "master":
+        columns["trips"] = [" ".join(tick.tripped) or "-" for tick in ticks]
+    return columns
+
+
+def _value_columns(side: str, ticks: list[Tick]) -> dict[str, list[str]]:
+    """Position, command and force, one column for each axis."""
+    columns = {}
+    command = "device force [N]" if side == "master" else "command [m]"
+    of_axes = {
+        "position [m]": [tick.position for tick in ticks],
+        command: [tick.command for tick in ticks],
+        "force [N]": [tick.force for tick in ticks],
+    }
+    for name, rows in of_axes.items():
+        axes = max(map(len, rows))
+        for axis in range(axes):
+            label = name if axes == 1 else name.replace(" [", f" {axis + 1} [")
+            columns[label] = [_number(row[axis]) if axis < len(row) else "-" for row in rows]
+    return columns
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.4g}"
 
 
 def load_flight(path: Path) -> Flight:

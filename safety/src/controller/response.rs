@@ -37,6 +37,18 @@ impl Tripped {
         self.0 & other.0 == other.0
     }
 
+    /// Names of what is set, in the order of the bits.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        let names = [
+            (Self::VFC, "vfc"),
+            (Self::HSC, "hsc"),
+            (Self::WSC, "wsc"),
+            (Self::PC, "pc"),
+            (Self::HELD, "held"),
+        ];
+        names.into_iter().filter(move |(bit, _)| self.contains(*bit)).map(|(_, name)| name)
+    }
+
     /// The bits, for records: VFC 1, HSC 2, WSC 4, PC 8, held 16.
     pub fn bits(self) -> u8 {
         self.0

@@ -1,0 +1,183 @@
+//! The last interventions of the safety controllers, in a fixed room.
+
+use haptether_safety::controller::{Intervention, SafetySettings, Tripped};
+use serde::Serialize;
+
+/// The controllers, in the order in which [`Observed`] and the thresholds have their values.
+const CONTROLLERS: [(Tripped, &str); 4] =
+    [(Tripped::VFC, "S_vf"), (Tripped::HSC, "S_h"), (Tripped::WSC, "E_wso [J]"), (Tripped::PC, "E_so [J]")];
+
+/// What the safety controllers saw at a tick, and which of them tripped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observed {
+    /// Who tripped.
+    pub tripped: Tripped,
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where not observed.
+    pub values: [f64; 4],
+}
+
+impl Observed {
+    /// A side without controllers.
+    pub const NOTHING: Self = Self { tripped: Tripped::NONE, values: [f64::NAN; 4] };
+
+    /// What is kept of an intervention.
+    pub fn of<const N: usize>(seen: &Intervention<N>) -> Self {
+        let values = [seen.velocity_force, seen.grasp, seen.windowed_energy_j, seen.energy_j];
+        Self { tripped: seen.tripped, values }
+    }
+}
+
+/// What the observers are held against: 1 of Eq. 1, zeta of Eq. 8, delta of Eq. 10, 0 of Eq. 12.
+pub fn thresholds(settings: &SafetySettings) -> [f64; 4] {
+    [1.0, settings.grasp_threshold, settings.energy_threshold_j, 0.0]
+}
+
+/// How many interventions are kept.
+const KEPT: usize = 16;
+
+/// Ticks that lie together, from the first at which a controller acted to the last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Span {
+    begun_ns: u64,
+    ended_ns: u64,
+    tripped: Tripped,
+    /// Each observer at the tick at which its controller tripped first.
+    values: [f64; 4],
+}
+
+impl Span {
+    const EMPTY: Self = Self { begun_ns: 0, ended_ns: 0, tripped: Tripped::NONE, values: [f64::NAN; 4] };
+
+    fn take(&mut self, now_ns: u64, seen: &Observed) {
+        self.ended_ns = now_ns;
+        for ((bit, _), (kept, value)) in CONTROLLERS.iter().zip(self.values.iter_mut().zip(seen.values)) {
+            if seen.tripped.contains(*bit) && !self.tripped.contains(*bit) {
+                *kept = value;
+            }
+        }
+        self.tripped = Tripped::from_bits(self.tripped.bits() | seen.tripped.bits());
+    }
+}
+
+/// The last interventions; nothing in it is allocated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Interventions {
+    thresholds: [f64; 4],
+    spans: [Span; KEPT],
+    count: usize,
+    is_on: bool,
+}
+
+impl Interventions {
+    pub(super) const NONE: Self =
+        Self { thresholds: [f64::NAN; 4], spans: [Span::EMPTY; KEPT], count: 0, is_on: false };
+
+    pub(super) fn hold_against(&mut self, thresholds: [f64; 4]) {
+        self.thresholds = thresholds;
+    }
+
+    pub(super) fn take(&mut self, now_ns: u64, seen: &Observed) {
+        let was_on = std::mem::replace(&mut self.is_on, seen.tripped.any());
+        if !self.is_on {
+            return;
+        }
+        if !was_on {
+            self.spans[self.count % KEPT] = Span { begun_ns: now_ns, ..Span::EMPTY };
+            self.count += 1;
+        }
+        if let Some(newest) = self.count.checked_sub(1) {
+            self.spans[newest % KEPT].take(now_ns, seen);
+        }
+    }
+
+    /// How many there were.
+    pub(super) fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Those that are kept, the oldest first, as they are written.
+    pub(super) fn rows(&self, seconds: impl Fn(u64) -> f64) -> Vec<Row> {
+        let first = self.count.saturating_sub(KEPT);
+        (first..self.count)
+            .map(|index| {
+                let span = &self.spans[index % KEPT];
+                let of = |place: usize, &(bit, observer): &(Tripped, &'static str)| {
+                    span.tripped.contains(bit).then(|| Trip {
+                        controller: bit.names().next().unwrap_or_default(),
+                        observer,
+                        observed: finite(span.values[place]),
+                        threshold: finite(self.thresholds[place]),
+                    })
+                };
+                Row {
+                    time_s: seconds(span.begun_ns),
+                    until_s: seconds(span.ended_ns),
+                    trips: CONTROLLERS.iter().enumerate().filter_map(|(place, one)| of(place, one)).collect(),
+                }
+            })
+            .collect()
+    }
+}
+
+/// JSON has no word for a number that is none.
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+#[derive(Serialize)]
+pub(super) struct Row {
+    time_s: f64,
+    until_s: f64,
+    trips: Vec<Trip>,
+}
+
+#[derive(Serialize)]
+struct Trip {
+    controller: &'static str,
+    observer: &'static str,
+    observed: Option<f64>,
+    threshold: Option<f64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen(tripped: u8, grasp: f64, energy_j: f64) -> Observed {
+        Observed { tripped: Tripped::from_bits(tripped), values: [f64::NAN, grasp, energy_j, f64::NAN] }
+    }
+
+    #[test]
+    fn an_intervention_keeps_what_each_controller_saw_when_it_tripped() {
+        let mut kept = Interventions::NONE;
+        kept.hold_against([1.0, 1.5, -0.03, 0.0]);
+        // WSC trips, HSC joins, both are held, then all is well.
+        let ticks = [
+            seen(0, 1.0, 0.1),
+            seen(4, 1.2, -0.031),
+            seen(6, 1.7, -0.05),
+            seen(16, 1.0, 0.0),
+            seen(0, 1.0, 0.0),
+        ];
+        for (tick, seen) in ticks.iter().enumerate() {
+            kept.take(tick as u64, seen);
+        }
+        let rows = serde_json::to_value(kept.rows(|ns| ns as f64)).unwrap();
+        let expected = serde_json::json!([{"time_s": 1.0, "until_s": 3.0, "trips": [
+            {"controller": "hsc", "observer": "S_h", "observed": 1.7, "threshold": 1.5},
+            {"controller": "wsc", "observer": "E_wso [J]", "observed": -0.031, "threshold": -0.03},
+        ]}]);
+        assert_eq!(rows, expected);
+    }
+
+    #[test]
+    fn the_newest_are_kept_and_all_are_counted() {
+        let mut kept = Interventions::NONE;
+        for tick in 0..200_u64 {
+            kept.take(tick, &seen(if tick % 2 == 0 { 2 } else { 0 }, 2.0, f64::NAN));
+        }
+        let rows = serde_json::to_value(kept.rows(|ns| ns as f64)).unwrap();
+        assert_eq!((kept.count(), rows.as_array().unwrap().len()), (100, KEPT));
+        assert_eq!((&rows[0]["time_s"], &rows[15]["time_s"]), (&168.0.into(), &198.0.into()));
+    }
+}
