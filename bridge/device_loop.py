@@ -193,6 +193,11 @@ class DeviceRun:
         return self.notes.realtime
 
     @property
+    def is_answered(self) -> bool:
+        """Whether the peer has answered a frame of this side."""
+        return self._loop.is_answered
+
+    @property
     def state(self) -> str:
         """Where the ladder stands."""
         return self._loop.state

@@ -38,7 +38,7 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Longest time between two arrivals."""
     silence_at_end_s: float | None
     """From the newest arrival to the end of the run."""
-    interarrival_jitter_s: float
+    interarrival_jitter_s: float | None
     """Of the peer's frames (RFC 3550)."""
     loss_bursts: int
     longest_burst: int
@@ -97,7 +97,7 @@ def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s
         loss=link.missing / (arrived + link.missing) if arrived + link.missing else None,
         worst_gap_s=float(np.diff(arrivals).max()) if arrivals.size > 1 else None,
         silence_at_end_s=float(time_s[-1] - arrivals[-1]) if arrivals.size else None,
-        interarrival_jitter_s=path.jitter_s,
+        interarrival_jitter_s=path.jitter_s if arrived else None,
         loss_bursts=path.bursts,
         longest_burst=path.longest_burst,
         reordered=path.reordered,

@@ -32,7 +32,7 @@ TRACE_SIGNALS = (
 
 
 class PushResult(msgspec.Struct, frozen=True, kw_only=True):
-    """One run of a master. Times in s, forces in N, speeds in m/s; none where it does not apply."""
+    """One run of a master. Times in s, forces in N, speeds in m/s; none where it does not apply or was not measured."""
 
     controller: str
     security: str
@@ -41,15 +41,15 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     """When the two sides engaged, since the start."""
     release_s: float | None
     """When the hand let go, since the start; none if it never did."""
-    peak_hand_speed: float
-    """Largest speed away from the wall: after the release, or over the whole run if the hand never let go."""
-    peak_force_n: float
+    peak_hand_speed: float | None
+    """Largest speed away from the wall: after the release, or over the whole run if the hand is never to let go."""
+    peak_force_n: float | None
     """Largest force that the device exerted."""
     time_to_trip_s: float | None
     """From the release to the first intervention after it; 0 if one was on."""
-    trips_before_release: int
+    trips_before_release: int | None
     """Interventions that began while the hand held."""
-    intervention_s: float
+    intervention_s: float | None
     """Time under intervention."""
     sent: int
     lost: int
@@ -58,7 +58,7 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     """Frames of the slave that arrived after a newer one."""
     refused: int
     """Datagrams that were none of the slave's."""
-    round_trip_s: float
+    round_trip_s: float | None
     """Of the newest echo."""
     overshoot_p50_s: float
     overshoot_p99_s: float
@@ -95,21 +95,24 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
     begins = on & ~np.concatenate([[False], on[:-1]]) if len(trace) else on
     after = time_s >= (release_s if release_s is not None else 0.0)
     tripped_at = time_s[after & on]
+    engaged = engaged_s is not None and len(trace) > 0
+    trips = int(np.count_nonzero(begins & ~after)) if release_s is not None else 0
     return PushResult(
         controller=controller,
         security="secure" if report.secure else "insecure",
         engaged_s=engaged_s,
         release_s=release_s,
-        peak_hand_speed=float(velocity[after].max(initial=0.0)),
-        peak_force_n=float(np.abs(force).max(initial=0.0)),
+        peak_hand_speed=float(velocity[after].max()) if engaged and after.any() else None,
+        peak_force_n=float(np.abs(force).max()) if engaged else None,
         time_to_trip_s=(float(tripped_at[0]) - release_s if release_s is not None and tripped_at.size else None),
-        trips_before_release=int(np.count_nonzero(begins & ~after)) if release_s is not None else 0,
-        intervention_s=float(np.count_nonzero(on)) * period_s,
+        trips_before_release=trips if engaged else None,
+        intervention_s=float(np.count_nonzero(on)) * period_s if engaged else None,
         sent=report.link.sent,
         lost=report.link.missing,
         late=report.link.late,
         refused=report.link.refused,
-        round_trip_s=report.link.round_trip_s,
+        # 0 is what the link says before the first.
+        round_trip_s=report.link.round_trip_s or None,
         overshoot_p50_s=float(np.percentile(trace.overshoot_s, 50)) if len(trace) else 0.0,
         overshoot_p99_s=float(np.percentile(trace.overshoot_s, 99)) if len(trace) else 0.0,
         ticks=report.ticks,

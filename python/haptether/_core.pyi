@@ -2229,6 +2229,10 @@ class LiveMaster:
         """What the loop's thread got of the system, as read back from it."""
 
     @property
+    def is_answered(self) -> bool:
+        """Whether the peer has answered a frame of this side."""
+
+    @property
     def recording(self) -> RecordingReport | None:
         """How the recording stands; none without one."""
 
@@ -2331,6 +2335,10 @@ class LiveSlave:
     @property
     def realtime(self) -> str:
         """What the loop's thread got of the system, as read back from it."""
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the peer has answered a frame of this side."""
 
     @property
     def recording(self) -> RecordingReport | None:
@@ -2473,6 +2481,10 @@ class MasterLoop:
         """Whether the loop has ended."""
 
     @property
+    def is_answered(self) -> bool:
+        """Whether the peer has answered a frame of this side."""
+
+    @property
     def recording(self) -> RecordingReport | None:
         """How the recording stands; none without one."""
 
@@ -2612,6 +2624,10 @@ class SlaveLoop:
     @property
     def finished(self) -> bool:
         """Whether the loop has ended."""
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the peer has answered a frame of this side."""
 
     @property
     def recording(self) -> RecordingReport | None:

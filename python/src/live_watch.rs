@@ -143,6 +143,7 @@ pub(crate) trait Watching<Rows>: Send {
     fn address(&self) -> String;
     fn state(&self) -> &'static str;
     fn ticks(&self) -> u64;
+    fn is_answered(&self) -> bool;
     fn recording(&self) -> Option<RecordingReport>;
     fn stop(&self);
     fn events(&mut self) -> Vec<String>;
@@ -176,6 +177,10 @@ impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for 
 
     fn ticks(&self) -> u64 {
         self.run.ticks()
+    }
+
+    fn is_answered(&self) -> bool {
+        self.run.is_answered()
     }
 
     fn recording(&self) -> Option<RecordingReport> {
@@ -270,6 +275,11 @@ macro_rules! watch_methods {
             #[getter]
             fn ticks(&self) -> u64 {
                 self.watch().ticks()
+            }
+
+            #[getter]
+            fn is_answered(&self) -> bool {
+                self.watch().is_answered()
             }
 
             #[getter]

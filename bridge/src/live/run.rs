@@ -89,6 +89,8 @@ pub(super) struct Shared {
     pub(super) stop: AtomicBool,
     pub(super) state: AtomicU8,
     pub(super) ticks: AtomicU64,
+    /// The peer has answered a frame.
+    pub(super) answered: AtomicBool,
     pub(super) press: AtomicBool,
     pub(super) takeover: AtomicBool,
 }

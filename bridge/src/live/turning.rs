@@ -145,6 +145,8 @@ impl<S: Side> Turning<S> {
         }
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
+        // A round trip is known from the first answer on.
+        shared.answered.store(side.counts().link.round_trip_ns != 0, Ordering::Relaxed);
         let elapsed_ns = now_ns - start_ns;
         let limit_ns = match report.engaged_ns {
             u64::MAX => settings.patience_ns,

@@ -56,6 +56,11 @@ impl<R> LiveWatch<R> {
         LadderState::from_code(self.shared.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
     }
 
+    /// Whether the peer has answered a frame of this side.
+    pub fn is_answered(&self) -> bool {
+        self.shared.answered.load(Ordering::Relaxed)
+    }
+
     /// How the recording stands; none if there is none.
     pub fn recording(&self) -> Option<RecordingReport> {
         self.recording.as_ref().map(Recording::report)

@@ -48,12 +48,12 @@ class Demo:
 
     def run(self) -> int:
         """Runs all controllers; 0 if protection held, 1 if not, 130 on Ctrl-C."""
-        from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from haptether.cli.live import Stopped
         from haptether.cli.options import check_seed
-        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
+        from haptether.cli.output import check_target, require_matplotlib
+        from haptether.cli.screen import screen
         from haptether.netsim import LinkSettings, link_spec
         from haptether.studies import DEMO_CONTROLLERS, DemoScene, Interrupted, run_demo
 
@@ -66,7 +66,7 @@ class Demo:
             delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss, seed=self.seed, slave=self.slave
         )
         self.out.mkdir(parents=True, exist_ok=True)
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
         arm = "an emulated UR controller - ur-rtde - " if self.slave == "ur" else ""
         console.print(
             f"{arm}slave - network ({self.delay_s * 1e3:g} ms, sigma {self.jitter_s * 1e3:g} ms, each way, "
@@ -75,7 +75,7 @@ class Demo:
             f"at {scene.release_at_s:g} s the hand lets go",
             highlight=False,
         )
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
         results = []
         with Stopped() as stopped, Progress(*columns, console=console) as progress:
             bar = progress.add_task("", total=len(DEMO_CONTROLLERS) * scene.duration_s)
@@ -102,14 +102,21 @@ class Demo:
 
         console.print(push_table(results))
         peak = {result.controller: result.peak_hand_speed for result in results}
-        broken = [result.controller for result in results if result.final_state not in {"engaged", "stale"}]
-        protected = not broken and max(peak["wsc"], peak["hsc"]) < peak["none"]
-        for name in ("wsc", "hsc"):
-            console.print(
-                f"{name}: the hand is thrown at {peak[name]:.2f} m/s instead of {peak['none']:.2f} m/s "
-                f"({peak[name] / max(peak['none'], 1e-9):.0%})",
-                highlight=False,
-            )
+        broken = [
+            result.controller
+            for result in results
+            if result.final_state not in {"engaged", "stale"} or result.peak_hand_speed is None
+        ]
+        bare = peak["none"]
+        guarded = {name: speed for name in ("wsc", "hsc") if (speed := peak[name]) is not None}
+        protected = not broken and bare is not None and max(guarded.values()) < bare
+        for name, speed in guarded.items():
+            if bare is not None:
+                console.print(
+                    f"{name}: the hand is thrown at {speed:.2f} m/s instead of {bare:.2f} m/s "
+                    f"({speed / max(bare, 1e-9):.0%})",
+                    highlight=False,
+                )
         if broken:
             console.print(f"the link did not last in: {', '.join(broken)} (see holds and the final state)")
         picture = self.out / "demo.png"

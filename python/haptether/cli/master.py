@@ -73,6 +73,8 @@ class Master(LiveOptions):
         """Runs until told to stop; fails if the slave never answered."""
         import os
 
+        import numpy as np
+
         from haptether.bridge import LiveMaster
         from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
         from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_master, with_clutch
@@ -130,7 +132,8 @@ class Master(LiveOptions):
                 steps.show(master.state)
                 flight.write(master.flight())
                 said = fault_text(master) + recording_status(master.recording)
-                shown = f"master {master.state}, {master.ticks} ticks{said}"
+                answer = "" if master.is_answered else ", no answer yet"
+                shown = f"master {master.state}{answer}, {master.ticks} ticks{said}"
                 return marked(shown, insecure=self.insecure)
 
             with Acts(press=master.press_clutch, acknowledge=master.acknowledge):
@@ -146,7 +149,7 @@ class Master(LiveOptions):
             refused.append(tell(master.security_events()))
             flight.write(master.flight())
         result = measure_push(controller, trace, report, release_at_s)
-        self._report(result, summarise_link(trace, report))
+        self._report(result, summarise_link(trace, report), answered=bool(np.isfinite(trace.age_s).any()))
         if self.trace is not None:
             save_master_trace(trace, self.trace)
         raise_error(master)
@@ -176,17 +179,20 @@ class Master(LiveOptions):
             message = f"the run ended in hold: {ladder_reason(reason)}"
             raise RuntimeError(message)
 
-    def _report(self, result: "PushResult", link: "LinkSummary") -> None:
+    def _report(self, result: "PushResult", link: "LinkSummary", *, answered: bool) -> None:
         import msgspec
-        from rich.console import Console
 
         from haptether.cli.link_table import link_table
-        from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.cli.output import write_json
         from haptether.cli.push_table import push_table
+        from haptether.cli.screen import screen
 
-        console = Console(stderr=table_goes_to_stderr(self.json))
-        console.print(push_table([result]))
-        console.print(link_table(link))
+        console = screen(self.json)
+        # A table of what was not measured is no table.
+        if result.engaged_s is not None:
+            console.print(push_table([result]))
+        if answered:
+            console.print(link_table(link))
         if self.json is not None:
             report = {**msgspec.to_builtins(result), "link": link}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))

@@ -24,7 +24,13 @@ def statistics_report(statistics: "ProxyStatistics") -> dict[str, Any]:
     return {
         **{way: {**_counts(of), "dropped": _dropped(of)} for way, of in ways.items()},
         **{name: getattr(statistics, name) for name in OVERALL},
+        # An error of nothing is none.
+        **({} if _released(statistics) else {name: None for name in OVERALL if name.startswith("scheduling_error")}),
     }
+
+
+def _released(statistics: "ProxyStatistics") -> int:
+    return statistics.forward.released + statistics.backward.released
 
 
 def _counts(of: "DirectionStatistics") -> dict[str, int]:
@@ -38,22 +44,19 @@ def _dropped(of: "DirectionStatistics") -> dict[str, int]:
 def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None) -> int:
     """Prints what the proxy did and gives the exit status: a run that was not what was asked for has failed."""
     import msgspec
-    from rich.console import Console
 
-    from haptether.cli.output import table_goes_to_stderr, write_json
+    from haptether.cli.output import write_json
+    from haptether.cli.screen import screen
 
-    console = Console(stderr=table_goes_to_stderr(json))
+    console = screen(json)
     _print(console, statistics)
     if statistics.log_failed:
-        console.print(
-            "INVALID: the log could not be written to its end: is the disk full?", highlight=False, soft_wrap=True
-        )
+        console.print("INVALID: the log could not be written to its end: is the disk full?", soft_wrap=True)
     elif not statistics.valid:
         early = f", {statistics.early} left early" if statistics.early else ""
         console.print(
             f"INVALID: p99 of the scheduling error is {statistics.scheduling_error_p99_s * 1e3:.3f} ms, "
             f"must be at most {max_error_s * 1e3:g} ms{early}: the delays were not those that were asked for",
-            highlight=False,
             soft_wrap=True,
         )
     if json is not None:
@@ -75,7 +78,7 @@ def _print(console: "Console", statistics: "ProxyStatistics") -> None:
     console.print(table)
 
     def say(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True)
+        console.print(text, soft_wrap=True)
 
     for way, of in (("forward", statistics.forward), ("backward", statistics.backward)):
         if dropped := _dropped(of):
@@ -86,7 +89,8 @@ def _print(console: "Console", statistics: "ProxyStatistics") -> None:
         "p99.9": statistics.scheduling_error_p999_s,
         "max": statistics.scheduling_error_max_s,
     }
-    say(f"released late by {', '.join(f'{name} {error_s * 1e3:.3f} ms' for name, error_s in shown.items())}")
+    if _released(statistics):
+        say(f"released late by {', '.join(f'{name} {error_s * 1e3:.3f} ms' for name, error_s in shown.items())}")
     say(
         f"{statistics.flows} flows, {statistics.forward.refused + statistics.backward.refused} datagrams refused, "
         f"scheduling class {statistics.scheduling}, socket buffers {statistics.receive_buffer_bytes} bytes for "

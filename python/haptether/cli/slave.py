@@ -133,15 +133,16 @@ class Slave(LiveOptions):
     def _report(self, trace: "SlaveTrace", report: "LoopReport") -> str:
         import msgspec
         import numpy as np
-        from rich.console import Console
 
         from haptether.bridge import ladder_state_name
         from haptether.cli.link_table import link_table
-        from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.cli.output import write_json
+        from haptether.cli.screen import screen
         from haptether.studies import summarise_link
 
         state = ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged"
         link = summarise_link(trace, report)
+        engaged = len(trace) > 0 and bool(np.isfinite(report.engaged_s))
         result = {
             "security": "secure" if report.secure else "insecure",
             "final_state": state,
@@ -149,7 +150,7 @@ class Slave(LiveOptions):
             "skipped_ticks": report.skipped,
             "holds": report.holds,
             "limited_commands": report.limited,
-            "peak_environment_force_n": float(np.abs(trace.environment_force).max(initial=0.0)),
+            "peak_environment_force_n": float(np.abs(trace.environment_force).max()) if engaged else None,
             "sent": report.link.sent,
             "lost": report.link.missing,
             "late": report.link.late,
@@ -159,13 +160,14 @@ class Slave(LiveOptions):
             "overshoot_p99_s": link.overshoot_p99_s,
             "link": link,
         }
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
         console.print(
             f"slave {state}: {report.ticks} ticks, {report.holds} holds, {report.limited} commands clamped, "
             f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}",
             highlight=False,
         )
-        console.print(link_table(link))
+        if np.isfinite(trace.age_s).any():
+            console.print(link_table(link))
         if self.json is not None:
             write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))
         return state
