@@ -1,7 +1,7 @@
 """Requests to a proxy that runs, and what it answers."""
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 import msgspec
@@ -52,8 +52,9 @@ class Controlled:
     def answer(self, line: bytes) -> tuple[dict[str, Any], bool]:
         """Does what a request says and gives the answer, and whether whoever sent it may go on.
 
-        The answer has `ok`, with `error` where that is false. A line that is no JSON may come from a browser that was
-        sent here: what follows it is not to count.
+        The answer has `ok`, with `error` where that is false; `changed` has the old and the new value of each setting
+        that was named, by direction. A line that is no JSON may come from a browser that was sent here: what follows
+        it is not to count.
         """
         try:
             return {"ok": True, **self._done(line)}, True
@@ -66,11 +67,23 @@ class Controlled:
         # Only once all of it is known to be right.
         for way, settings in changed.items():
             self._proxy.change(way, settings)
+        before = dict(self._links)
         self._links |= changed
+        changes = {way: _change(before[way], link, request[way]) for way, link in changed.items()}
+        answer: dict[str, Any] = {"changed": changes} if changes else {}
         if not request.get("show", False):
-            return {}
+            return answer
         links: dict[str, Any] = {way: _told(msgspec.to_builtins(link)) for way, link in self._links.items()}
-        return {**links, "statistics": self._report(self._proxy.statistics())}
+        return {**answer, **links, "statistics": self._report(self._proxy.statistics())}
+
+
+def _change(before: LinkSettings, after: LinkSettings, keys: Iterable[str]) -> dict[str, Any]:
+    """What the settings that a request names were and are; none for one that nobody gives."""
+
+    def value(link: LinkSettings, key: str) -> Any:  # noqa: ANN401  # as different as the settings are
+        return _told(msgspec.to_builtins(getattr(link, key)))
+
+    return {key: {"old": value(before, key), "new": value(after, key)} for key in keys}
 
 
 def _read(line: bytes) -> dict[str, Any]:

@@ -37,18 +37,25 @@ def asked(request: object, *, forward: LinkSettings | None = None) -> tuple[dict
 
 def test_what_is_not_named_stays() -> None:
     answer, changes, _ = asked({"forward": {"delay_s": 0.1}, "backward": {"loss": 0.5, "mean_burst": 4}})
-    assert answer == {"ok": True}
+    assert answer == {
+        "ok": True,
+        "changed": {
+            "forward": {"delay_s": {"old": 0.05, "new": 0.1}},
+            "backward": {"loss": {"old": None, "new": 0.5}, "mean_burst": {"old": None, "new": 4.0}},
+        },
+    }
     assert changes.told == [
         ("forward", LinkSettings(delay_s=0.1, loss=0.01)),
         ("backward", LinkSettings(loss=0.5, mean_burst=4.0)),
     ]
     answer, changes, _ = asked({"forward": {"loss": None, "outages": [{"times": {"kind": "once", "at_s": 1.0,
                                                                                  "duration_s": 1.0}}]}})  # fmt: skip
-    assert answer == {"ok": True}
+    assert answer["changed"]["forward"]["loss"] == {"old": 0.01, "new": None}
+    assert answer["changed"]["forward"]["outages"]["old"] is None
     ((_, settings),) = changes.told
     assert settings.loss is None
     assert settings.outages is not None
-    assert asked({"forward": {}})[0] == {"ok": True}
+    assert asked({"forward": {}})[0] == {"ok": True, "changed": {"forward": {}}}
 
 
 @pytest.mark.parametrize(
@@ -118,8 +125,9 @@ def test_requests_may_come_in_pieces_and_together() -> None:
         line = b'{"forward": {"delay_s": 0.1}}\n'
         client.sendall(line[:7])
         client.sendall(line[7:] + line + b'{"forward": {"delay_s": -1}}\n{"show": true}\n')
-        assert json.loads(answers.readline()) == {"ok": True}
-        assert json.loads(answers.readline()) == {"ok": True}
+        assert json.loads(answers.readline())["ok"] is True
+        again = {"forward": {"delay_s": {"old": 0.1, "new": 0.1}}}
+        assert json.loads(answers.readline()) == {"ok": True, "changed": again}
         assert json.loads(answers.readline())["error"].startswith("forward.delay_s = -1: must be ")
         assert json.loads(answers.readline())["forward"] == {"delay_s": 0.1}
 

@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class Set:
-    """Change the link of a proxy that runs with --control, from its next packets on.
+    """Change the link of a proxy that runs with --control, from its next packets on, and say what each setting was.
 
     KEY=VALUE changes a setting in both directions, forward.KEY=VALUE and backward.KEY=VALUE in one. Values are TOML,
     bare words are strings; KEY= puts a setting back to what it is if nobody gives it. All is changed or, if something
@@ -48,25 +48,31 @@ class Set:
         if answer.pop("ok", None) is not True:
             message = f"the proxy changed nothing: {answer.get('error', 'it did not say why')}"
             raise ValueError(message)
-        if self.show:
-            self._print(answer)
+        self._print(answer)
         if self.json is not None:
             write_json(self.json, msgspec.json.format(msgspec.json.encode(answer), indent=2))
         return 0
 
     def _print(self, answer: dict[str, Any]) -> None:
-        from rich.console import Console
+        from haptether.cli.screen import screen
 
-        from haptether.cli.output import table_goes_to_stderr
-
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
+        for way, changes in answer.get("changed", {}).items():
+            for key, change in changes.items():
+                console.print(f"{way}.{key}: {_shown(change['old'])} -> {_shown(change['new'])}", soft_wrap=True)
+        if not self.show:
+            return
         for way in ("forward", "backward"):
             settings = ", ".join(f"{key} = {value}" for key, value in answer[way].items()) or "a perfect network"
-            console.print(f"{way}: {settings}", highlight=False, markup=False, soft_wrap=True)
+            console.print(f"{way}: {settings}", soft_wrap=True)
         for way in ("forward", "backward"):
             counts = answer["statistics"][way]
             told = ", ".join(f"{counts[name]} {name}" for name in ("received", "released", "lost"))
-            console.print(f"so far {way}: {told}", highlight=False, soft_wrap=True)
+            console.print(f"so far {way}: {told}", soft_wrap=True)
+
+
+def _shown(value: object) -> str:
+    return "not set" if value is None else str(value)
 
 
 def requested(settings: tuple[str, ...]) -> dict[str, dict[str, Any]]:
