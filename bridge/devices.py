@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 MASTERS = "haptether.masters"
 SLAVES = "haptether.slaves"
+_KEYS = {MASTERS: "[master] driver", SLAVES: "[slave] device"}
+"""What names a driver in a scene."""
 _METHODS = {MASTERS: ("open", "read", "write", "close"), SLAVES: ("open", "read", "write", "stop", "close")}
 
 
@@ -41,33 +43,36 @@ def load_slave(name: str, options: Mapping[str, Any]) -> "SlaveDevice":
 
 
 def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401  # of either group
+    named = _KEYS[group]
     found = entry_points(group=group, name=name)
     if not found:
-        names = device_names(group)
+        # A model of an arm has a name; that of a haptic device is what a scene without a driver has.
+        names = (*(("simulated",) if group == SLAVES else ()), *device_names(group))
         near = get_close_matches(name, names, 1)
-        hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(('simulated', *names))}"
-        message = f"device = {name}: no such driver ({group}): {hint}"
+        there = f"there is {', '.join(names)}" if names else "none is installed; without the key it is a model"
+        hint = f"did you mean {near[0]}? {there}" if near else there
+        message = f"{named} = {name}: no such driver ({group}): {hint}"
         raise ValueError(message)
     if len({point.value for point in found}) > 1:
-        message = f"device = {name}: several packages have it: {', '.join(sorted(map(_origin, found)))}"
+        message = f"{named} = {name}: several packages have it: {', '.join(sorted(map(_origin, found)))}"
         raise ValueError(message)
     (point,) = tuple(found)[:1]
     try:
         make = point.load()
     except (ImportError, AttributeError) as error:
-        message = f"device = {name}: {point.value} of {_origin(point)} cannot be loaded: {error}"
+        message = f"{named} = {name}: {point.value} of {_origin(point)} cannot be loaded: {error}"
         raise ValueError(message) from None
     try:
         inspect.signature(make).bind(**options)
     except TypeError as error:
-        message = f"device = {name}: options {dict(options)}: {error}: it takes {inspect.signature(make)}"
+        message = f"{named} = {name}: options {dict(options)}: {error}: it takes {inspect.signature(make)}"
         raise ValueError(message) from None
     device = make(**options)
     missing = [method for method in _METHODS[group] if not callable(getattr(device, method, None))]
     if not isinstance(getattr(device, "paces", None), bool):
         missing.append("paces")
     if missing:
-        message = f"device = {name}: {point.value} has no {', '.join(missing)}"
+        message = f"{named} = {name}: {point.value} has no {', '.join(missing)}"
         raise ValueError(message)
     return device
 

@@ -77,7 +77,7 @@ def start_master(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveMaster 
         return LiveMaster(spec, **how)
     device = load_master(scene.master.driver, scene.master.options)
     run = MasterRun(device, MasterLoop(spec, **how), period_s=scene.run.period_s)
-    return _opened(run, scene.master.driver, stopped)
+    return _opened(run, f"[master] driver = {scene.master.driver}", stopped)
 
 
 def start_slave(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: ANN401  # of LiveSlave
@@ -97,7 +97,8 @@ def start_slave(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveSlave | 
     device = load_slave(scene.slave.device, scene.slave.options)
     spec = scene_json(_within(scene, device))
     period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
-    return _opened(SlaveRun(device, SlaveLoop(spec, **how), period_s=period_s), scene.slave.device, stopped)
+    run = SlaveRun(device, SlaveLoop(spec, **how), period_s=period_s)
+    return _opened(run, f"[slave] device = {scene.slave.device}", stopped)
 
 
 def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
@@ -123,10 +124,10 @@ Run = TypeVar("Run", bound="DeviceRun")
 
 def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     """Waits until the device is open."""
-    from rich.console import Console
+    from haptether.cli.screen import Screen
 
     end = time.monotonic() + READY_S
-    with Console(stderr=True).status(f"opening {name}   (Ctrl-C ends)"):
+    with Screen(stderr=True).status(f"opening {name}   (Ctrl-C ends)"):
         while not run.ready() and not stopped and time.monotonic() < end:
             time.sleep(0.01)
         if run.ready() and not (run.finished and run.error is not None):
@@ -142,7 +143,7 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
             sys.stderr.flush()
             os._exit(130)
         raise KeyboardInterrupt
-    message = f"device = {name}: did not open within {READY_S:g} s"
+    message = f"{name}: did not open within {READY_S:g} s"
     raise RuntimeError(message)
 
 
