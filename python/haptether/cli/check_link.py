@@ -136,12 +136,12 @@ class CheckLink:
 
     def _report(self, summary: "LinkSummary", verdict: "LinkVerdict", loop: "ContactLoop") -> None:
         import msgspec
-        from rich.console import Console
 
         from haptether.cli.link_table import link_table
-        from haptether.cli.output import table_goes_to_stderr, write_json
+        from haptether.cli.output import write_json
+        from haptether.cli.screen import screen
 
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
         console.print(link_table(summary))
         of_scene = "" if self.scene is None else f"{self.scene}: "
         holds = loop.hand_stiffness > 0.0 or self.scene is None
@@ -162,7 +162,7 @@ class CheckLink:
         if verdict.good:
             lines.append("good enough")
         for line in lines:
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
+            console.print(line, soft_wrap=True)
         if self.json is not None:
             report = {"peer": self.peer, "verdict": verdict, "link": summary}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))

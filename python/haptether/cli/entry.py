@@ -3,10 +3,12 @@
 Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted.
 """
 
+import contextlib
 import inspect
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import make_dataclass
 from typing import Annotated, Any, Protocol, Union
 
 import tyro
@@ -19,12 +21,14 @@ from haptether.cli.keygen import Keygen
 from haptether.cli.list import List
 from haptether.cli.master import Master
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
+from haptether.cli.numbers import NUMBERS
 from haptether.cli.paper import Paper
 from haptether.cli.raven import Raven
 from haptether.cli.simulate import Simulate
 from haptether.cli.slave import Slave
 from haptether.cli.sweep import Sweep
 from haptether.cli.ur_emulator import UrEmulator
+from haptether.printable import printable
 
 
 class Command(Protocol):
@@ -57,7 +61,12 @@ DESCRIPTION = """Bilateral teleoperation bridge that keeps a hand safe when the 
 
 Start with `haptether demo`: it runs slave, network and master as processes on this machine, lets a simulated
 hand press a remote wall, shoves the remote arm, lets the hand go, and shows what each safety controller makes
-of it."""
+of it.
+
+Tab completion: `source <(haptether --completion bash)` in bash, the same with zsh in zsh, and
+`haptether --completion fish | source` in fish."""
+COMPLETION = "--completion"
+SHELLS = ("bash", "zsh", "fish")
 
 FAILED, BAD_REQUEST, INTERRUPTED = 1, 2, 130
 
@@ -65,10 +74,21 @@ FAILED, BAD_REQUEST, INTERRUPTED = 1, 2, 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and gives its exit status."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    # What a command writes is its user's alone: recordings say what a hand did.
+    before = os.umask(0o077)
+    try:
+        return _main(arguments)
+    finally:
+        os.umask(before)
+
+
+def _main(arguments: Sequence[str]) -> int:  # noqa: PLR0911  # one for each status
     if list(arguments) in (["--version"], ["-V"]):
         print(f"haptether {__version__}")
         return 0
     try:
+        if arguments and arguments[0] == COMPLETION:
+            return complete(arguments[1:])
         return parse(arguments).run()
     except ValueError as error:
         return complain(error, BAD_REQUEST)
@@ -87,8 +107,11 @@ def parse(arguments: Sequence[str]) -> Command:
 
     Raises:
         SystemExit: With 2 for arguments that do not fit, and with 0 once help was given.
+        ValueError: A command that there is not.
     """
+    check_command(arguments, COMMANDS)
     if arguments and arguments[0] in GROUPS:
+        check_command(arguments[1:], GROUPS[arguments[0]])
         group = COMMANDS[arguments[0]]
         return _parsed(GROUPS[arguments[0]], f"haptether {arguments[0]}", group, with_backward(arguments[1:]))
     return _parsed(COMMANDS, "haptether", None, with_overrides(arguments))
@@ -97,20 +120,14 @@ def parse(arguments: Sequence[str]) -> Command:
 def _parsed(
     commands: "dict[str, type[Command]]", prog: str, group: "type[object] | None", arguments: Sequence[str]
 ) -> Command:
-    # A union that is put together at run time has no static type.
-    union: Any = Union[  # noqa: UP007
-        tuple(
-            Annotated[command, tyro.conf.subcommand(name, description=summary(command))]
-            for name, command in commands.items()
-        )
-    ]
     try:
         command: Command = tyro.cli(
-            union,
+            union_of(commands),
             prog=prog,
             description=DESCRIPTION if group is None else summary(group),
             args=arguments,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            registry=NUMBERS,
         )
     except SystemExit as ended:
         told = commands[arguments[0]] if arguments and arguments[0] in commands else group
@@ -119,6 +136,51 @@ def _parsed(
             print(f"\n{(inspect.getdoc(told) or '').partition(chr(10))[2].strip()}")
         raise
     return command
+
+
+def union_of(commands: "dict[str, type[Any]]") -> Any:  # noqa: ANN401  # put together at run time, without a static type
+    """The commands as one type that the parser chooses from."""
+    return Union[  # noqa: UP007
+        tuple(
+            Annotated[command, tyro.conf.subcommand(name, description=summary(command))]
+            for name, command in commands.items()
+        )
+    ]
+
+
+def check_command(arguments: Sequence[str], commands: "dict[str, type[Any]]") -> None:
+    """Refuses a command that there is not.
+
+    Raises:
+        ValueError: With the nearest.
+    """
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
+        from haptether.bridge.scene_error import closest
+
+        message = f"{arguments[0][:80]}: no such command: {closest(arguments[0], commands)}"
+        raise ValueError(message)
+
+
+def complete(arguments: Sequence[str]) -> int:
+    """Prints the script by which a shell completes commands and flags.
+
+    Raises:
+        ValueError: Another shell.
+    """
+    if list(arguments) not in [[shell] for shell in SHELLS]:
+        message = f"{COMPLETION} {' '.join(arguments)}: must be one of {', '.join(SHELLS)}"
+        raise ValueError(message)
+    nested = {name: make_dataclass(name, [("command", union_of(of))]) for name, of in GROUPS.items()}
+    # The parser prints it and exits.
+    with contextlib.suppress(SystemExit):
+        tyro.cli(
+            union_of(COMMANDS | nested),
+            prog="haptether",
+            args=["--tyro-print-completion", *arguments],
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            registry=NUMBERS,
+        )
+    return 0
 
 
 def with_backward(arguments: Sequence[str]) -> list[str]:
@@ -176,5 +238,5 @@ def summary(command: type[object]) -> str:
 
 def complain(error: Exception, status: int) -> int:
     """Says what is wrong in one line."""
-    print(f"haptether: {' '.join(str(error).split())}", file=sys.stderr)
+    print(f"haptether: {printable(' '.join(str(error).split()))}", file=sys.stderr)
     return status

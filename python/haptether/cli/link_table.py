@@ -37,5 +37,5 @@ def link_table(of: "LinkSummary") -> Table:
         if of.recording_end is not None:
             rows["recording ended early"] = of.recording_end
     for name, value in rows.items():
-        table.add_row(name.replace("[", "\\["), value.replace("[", "\\["))
+        table.add_row(name, value)
     return table

@@ -25,13 +25,13 @@ class List:
     """Write the same as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Prints a row for each kind."""
+        """Prints the names of each kind."""
         import msgspec
-        from rich.console import Console
-        from rich.table import Table
+        from rich.padding import Padding
 
         from haptether.bridge import MASTERS, SLAVES, device_names, scene_names
-        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, write_json
+        from haptether.cli.screen import screen
         from haptether.master import DEVICE_PRESETS
         from haptether.netsim import PRESETS
 
@@ -43,13 +43,10 @@ class List:
             "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
         }
-        table = Table(header_style="bold", pad_edge=False, show_lines=True)
-        for name in ("key", "what", "names"):
-            table.add_column(name)
+        console = screen(self.json)
         for key, (what, names) in kinds.items():
-            # Brackets are markup to the table.
-            table.add_row(key.replace("[", r"\["), what, ", ".join(names) or "-")
-        Console(stderr=table_goes_to_stderr(self.json)).print(table, highlight=False)
+            console.print(f"{key}: {what}", style="bold")
+            console.print(Padding(", ".join(names) or "-", (0, 0, 0, 2)))
         if self.json is not None:
             report = {key: list(names) for key, (_, names) in kinds.items()}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))

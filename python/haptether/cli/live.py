@@ -10,6 +10,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from haptether.printable import printable
+
 if TYPE_CHECKING:
     from haptether.bridge import RecordingReport
 
@@ -73,15 +75,15 @@ def wait(
     duration_s: float | None,
 ) -> None:
     """Says `headline`, then shows `status` until the run has finished, is stopped, or `duration_s` is over."""
-    from rich.console import Console
+    from haptether.cli.screen import Screen, plain
 
-    console = Console(stderr=True)
+    console = Screen(stderr=True)
     # A person or a parent process reads this line to learn that the socket is open.
     print(headline, file=sys.stderr, flush=True)
     end = time.monotonic() + duration_s if duration_s is not None else float("inf")
     with console.status("starting") as shown:
         while not (finished() or stopped or time.monotonic() >= end):
-            shown.update(f"{status()}   (Ctrl-C ends)")
+            shown.update(plain(f"{status()}   (Ctrl-C ends)"))
             stopped.sleep(POLL_S)
 
 
@@ -96,7 +98,7 @@ def tell(events: list[str]) -> str | None:
     """Says on standard error what has happened; gives why the slave refused, if it did."""
     refused = None
     for event in events:
-        print(event, file=sys.stderr, flush=True)
+        print(printable(event), file=sys.stderr, flush=True)
         refused = event if event.startswith("refused") else refused
     return refused
 

@@ -37,26 +37,26 @@ class Compare:
     def run(self) -> int:
         """Sends the packets through both."""
         import msgspec
-        from rich.console import Console
 
         from haptether.cli.netsim_sample import check_traffic, figures_table, sending_times
         from haptether.cli.options import check_seed
-        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, write_json
+        from haptether.cli.screen import screen
         from haptether.netsim import compare_netem
 
         check_traffic(self.packets, self.rate, self.size)
         check_seed(self.seed)
         check_target(self.json)
         found = compare_netem(self.arguments, sending_times(self.packets, self.rate), seed=self.seed, size=self.size)
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
         columns = {"asked": found.asked, "netem": found.netem, "ours": found.ours}
         console.print(figures_table(f"{self.packets} packets, seed {self.seed}", columns))
         for quirk in found.quirks:
-            console.print(quirk, highlight=False, markup=False, soft_wrap=True)
+            console.print(quirk, soft_wrap=True)
         if found.refused is not None:
-            console.print(f"no link of ours can: {found.refused}", highlight=False, markup=False, soft_wrap=True)
+            console.print(f"no link of ours can: {found.refused}", soft_wrap=True)
         if not found.quirks:
-            console.print("no quirk of netem acted", highlight=False)
+            console.print("no quirk of netem acted")
         if self.json is not None:
             report = {
                 "arguments": self.arguments,

@@ -28,11 +28,11 @@ class Echo:
     def run(self) -> int:
         """Answers until told to stop."""
         import msgspec
-        from rich.console import Console
 
         from haptether.cli.live import Stopped, wait
         from haptether.cli.options import check_duration
-        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, write_json
+        from haptether.cli.screen import screen
         from haptether.netsim import Echo as LiveEcho
 
         check_duration("duration_s", self.duration_s)
@@ -43,9 +43,7 @@ class Echo:
                 f"echo listens on {echo.address}", lambda: "answering", lambda: echo.finished, stopped, self.duration_s
             )
             answered, ignored = echo.stop()
-        Console(stderr=table_goes_to_stderr(self.json)).print(
-            f"{answered} probes answered, {ignored} other datagrams ignored", highlight=False
-        )
+        screen(self.json).print(f"{answered} probes answered, {ignored} other datagrams ignored")
         if self.json is not None:
             write_json(self.json, msgspec.json.encode({"answered": answered, "ignored": ignored}))
         return 0

@@ -27,19 +27,21 @@ class List:
     def run(self) -> int:
         """Prints a row per preset."""
         import msgspec
-        from rich.console import Console
         from rich.table import Table
 
-        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, write_json
+        from haptether.cli.screen import screen
         from haptether.netsim import PRESETS
 
         check_target(self.json)
         table = Table(header_style="bold", pad_edge=False, show_lines=True)
-        for name in ("preset", "round trip", "loss", "source"):
-            table.add_column(name)
+        table.add_column("preset", max_width=20)
+        for name in ("round trip", "loss"):
+            table.add_column(name, no_wrap=True)
+        table.add_column("source", overflow="fold")
         for name, preset in PRESETS.items():
             table.add_row(f"{name}\n{preset.title}", *_figures(preset), preset.source)
-        Console(stderr=table_goes_to_stderr(self.json)).print(table, highlight=False)
+        screen(self.json).print(table)
         if self.json is not None:
             report: dict[str, Any] = {name: msgspec.to_builtins(preset) for name, preset in PRESETS.items()}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))

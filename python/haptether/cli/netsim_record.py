@@ -71,10 +71,9 @@ class Record:
         return 0
 
     def _print(self, figures: "dict[str, float | int | None]") -> None:
-        from rich.console import Console
         from rich.table import Table
 
-        from haptether.cli.output import table_goes_to_stderr
+        from haptether.cli.screen import screen
 
         def ms(name: str) -> str:
             value = figures[name]
@@ -84,7 +83,7 @@ class Record:
             count, sent = figures[f"lost_{way}"] or 0, figures[f"sent_{way}"] or 0
             return f"{count} of {sent}" + (f" ({count / sent:.2%})" if sent else "")
 
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
         table = Table(header_style="bold", pad_edge=False)
         table.add_column(f"{figures['probes']} probes")
         for name in ("round trip", "forward (estimated)", "backward (estimated)"):
@@ -105,7 +104,7 @@ class Record:
             lines.append(f"replay it: haptether netsim sample --trace {self.csv}, or in a scene's [link.forward] and "
                          f'[link.backward]: trace = {{ file = "{self.csv}" }}')  # fmt: skip
         for line in lines:
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
+            console.print(line, soft_wrap=True)
 
 
 def summarised(recording: "Recording") -> "dict[str, float | int | None]":
@@ -146,10 +145,12 @@ def _progress(peer: str, duration_s: float) -> Iterator[None]:
     if not UNTOLD_S < duration_s < float("inf"):
         yield
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=Console(stderr=True))
+    from haptether.cli.screen import Screen
+
+    text = TextColumn("{task.description}", markup=False)
+    bar = Progress(text, BarColumn(), TimeRemainingColumn(), console=Screen(stderr=True))
     ended = threading.Event()
     begun = time.monotonic()
 

@@ -56,9 +56,8 @@ class Sample(LinkOptions):
 
     def run(self) -> int:
         """Judges all packets."""
-        from rich.console import Console
-
         from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
+        from haptether.cli.screen import screen
         from haptether.netsim import asked, judge_all, realised
 
         self._check()
@@ -70,7 +69,7 @@ class Sample(LinkOptions):
         settings = getattr(links, self.direction)
         sent_ns = sending_times(self.packets, self.rate)
         verdicts = judge_all(settings, sent_ns, direction=self.direction, seed=links.seed, sizes=self.size)
-        console = Console(stderr=table_goes_to_stderr(self.json) or table_goes_to_stderr(self.csv))
+        console = screen(self.csv if table_goes_to_stderr(self.csv) else self.json)
         figures = {"asked": asked(settings, self.direction), "realised": realised(verdicts)}
         console.print(figures_table(f"{self.packets} packets {self.direction}, seed {links.seed}", figures))
         if self.csv is not None:
@@ -81,7 +80,7 @@ class Sample(LinkOptions):
             from haptether.cli.netsim_picture import draw_sample
 
             draw_sample(verdicts, self.plot)
-            console.print(f"picture: {self.plot}", highlight=False)
+            console.print(f"picture: {self.plot}")
         return 0
 
     def _check(self) -> None:

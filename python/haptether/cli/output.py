@@ -3,16 +3,25 @@
 import importlib.util
 import os
 import sys
+from json import dumps as _dumps
 from pathlib import Path
 
 
 def write_json(target: Path, text: bytes) -> None:
     """Writes JSON to a file, or to standard output for `-`."""
     if str(target) == "-":
-        sys.stdout.buffer.write(text + b"\n")
+        sys.stdout.buffer.write(_inert(text) + b"\n")
         sys.stdout.buffer.flush()
     else:
-        target.write_bytes(text + b"\n")
+        target.write_bytes(_inert(text) + b"\n")
+
+
+def _inert(json: bytes) -> bytes:
+    """The same JSON with what no screen shows escaped: it may go to a terminal."""
+    if json.isascii():
+        return json
+    shown = (c if c.isprintable() or c == "\n" else _dumps(c)[1:-1] for c in json.decode())
+    return "".join(shown).encode()
 
 
 def table_goes_to_stderr(json: Path | None) -> bool:

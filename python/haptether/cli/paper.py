@@ -37,49 +37,49 @@ class Paper:
 
     def run(self) -> int:
         """Runs the experiments (under a second) and prints them."""
-        from rich.console import Console
-
-        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, require_matplotlib, write_json
+        from haptether.cli.screen import screen
         from haptether.studies import draw_paper, reproduce_paper
 
         check_target(self.json)
         if self.plot is not None:
             require_matplotlib()
         report = reproduce_paper(encoder_quantum=self.encoder_quantum)
-        console = Console(stderr=table_goes_to_stderr(self.json))
+        console = screen(self.json)
         self._print(console, report)
         if self.json is not None:
             write_json(self.json, report.as_json())
         if self.plot is not None:
             for path in draw_paper(report, self.plot):
-                console.print(f"drawn: {path}", highlight=False)
+                console.print(f"drawn: {path}")
         return 0
 
     def _print(self, console: "Console", report: "PaperReport") -> None:
         from msgspec import to_builtins
+        from rich.box import SIMPLE_HEAD
         from rich.table import Table
+        from rich.text import Text
 
-        console.print("[bold]One operator for all rows[/bold] (haptether.studies.Operator):")
+        console.print("One operator for all rows (haptether.studies.Operator):", style="bold")
         values = to_builtins(report.operator) | report.device
         console.print("  " + ", ".join(f"{key} = {value:g}" for key, value in values.items()))
         console.print("  The force limits of the device stay on: 7.9 N, 1000 N/s when loading, 20 W.\n")
-        table = Table(header_style="bold", pad_edge=False)
+        table = Table(header_style="bold", box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
         for name in ("source", "quantity", "of"):
-            table.add_column(name)
+            table.add_column(name, overflow="fold")
         for name in ("paper", "ours"):
             table.add_column(name, justify="right", no_wrap=True)
-        table.add_column("unit")
-        table.add_column("verdict")
+        table.add_column("verdict", overflow="fold")
         for row in report.rows:
             sign = "" if row.relation == "=" else f"{row.relation} "
+            unit = "" if row.unit == "1" else f" [{row.unit}]"
             table.add_row(
                 row.source,
-                row.quantity.replace("_", " "),
+                f"{row.quantity.replace('_', ' ')}{unit}",
                 _conditions(row),
                 "" if row.paper is None else f"{sign}{row.paper:.3g}",
                 "not seen" if row.ours is None else f"{row.ours:.3g}",
-                row.unit,
-                f"[{_colour(row.verdict)}]{row.verdict}[/]",
+                Text(row.verdict, style=_colour(row.verdict)),
             )
         console.print(table)
         notes = {
@@ -88,7 +88,7 @@ class Paper:
             if row.note and row.verdict.startswith("differs")
         }
         for note in sorted(notes):
-            console.print(f"  {note}", highlight=False)
+            console.print(f"  {note}")
         console.print(
             f"K = {STIFFNESS:g} N/m and D = {DEPTH:g} m unless said; w in ticks of 1 ms; a in N. "
             "Rows without a verdict: the paper plots a curve and prints no number."
@@ -101,7 +101,7 @@ def _conditions(row: "PaperRow") -> str:
     parts = [row.controller or ""]
     for key, value in numbers.items():
         if value is not None and value != usual.get(key):
-            parts.append(f"{key} {value:.3g}")
+            parts.append(f"{key}={value:.5g}")
     return ", ".join(part for part in parts if part)
 
 

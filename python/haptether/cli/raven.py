@@ -8,6 +8,7 @@ import tyro
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
     from haptether.studies import RavenReport, RavenRow
 
@@ -35,14 +36,13 @@ class Raven:
 
     def run(self) -> int:
         """Runs every attack (a second or two) and prints what it did; 0, or 1 if that is not what is expected."""
-        from rich.console import Console
-
-        from haptether.cli.output import check_target, table_goes_to_stderr, write_json
+        from haptether.cli.output import check_target, write_json
+        from haptether.cli.screen import screen
         from haptether.studies import raven_suite
 
         check_target(self.json)
         report = raven_suite()
-        self._print(Console(stderr=table_goes_to_stderr(self.json)), report)
+        self._print(screen(self.json), report)
         if self.json is not None:
             write_json(self.json, report.as_json())
         return 0 if report.is_as_expected else 1
@@ -50,10 +50,12 @@ class Raven:
     def _print(self, console: "Console", report: "RavenReport") -> None:
         from rich.box import SIMPLE_HEAD
         from rich.table import Table
+        from rich.text import Text
 
         table = Table(header_style="bold", pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE_HEAD)
-        for name in ("attack", "key", "works", "effect"):
+        for name in ("attack", "key", "works"):
             table.add_column(name, no_wrap=True)
+        table.add_column("effect", overflow="fold")
         for name in ("astray\nmm", "off\nmm", "extra\nN", "refused\n"):
             table.add_column(name, justify="right", no_wrap=True)
         table.add_column("arm\nends in", no_wrap=True)
@@ -61,7 +63,7 @@ class Raven:
             table.add_row(
                 _name(row),
                 "yes" if row.security == "on" else "no",
-                f"[{COLOURS[row.works]}]{row.works}[/]",
+                Text(row.works, style=COLOURS[row.works]),
                 _effect(row),
                 f"{row.astray_mm:.1f}",
                 f"{row.lag_mm:.1f}",
@@ -72,7 +74,7 @@ class Raven:
         console.print(table)
         for because in dict.fromkeys(row.because for row in report.rows):
             names = dict.fromkeys(_name(row) for row in report.rows if row.because == because)
-            console.print(f"{', '.join(names)}: {because}", highlight=False)
+            console.print(f"{', '.join(names)}: {because}")
         console.print()
         console.print(
             "moved: the arm was led to where the hand was not. pushed: the hand felt what nobody measured. late: the "
@@ -80,7 +82,6 @@ class Raven:
             "arrive, so whoever sits on the path can always do that. astray: farthest that the arm was led from where "
             "the hand had been; off: from the run that nobody attacks; extra: force on the hand beyond that run's; "
             "refused: datagrams that changed nothing.",
-            highlight=False,
         )
 
 
@@ -88,8 +89,9 @@ def _name(row: "RavenRow") -> str:
     return row.scene.removeprefix("raven_").replace("_", " ")
 
 
-def _effect(row: "RavenRow") -> str:
-    effect: str = row.effect
-    if row.effect != row.expected:
-        effect = f"[red]{effect}, not {row.expected}[/]"
-    return effect if row.is_safe else f"[red]{effect}, and moved in hold[/]"
+def _effect(row: "RavenRow") -> "Text":
+    from rich.text import Text
+
+    unexpected = "" if row.effect == row.expected else f", not {row.expected}"
+    moved = "" if row.is_safe else ", and moved in hold"
+    return Text(f"{row.effect}{unexpected}{moved}", style="red" if unexpected or moved else "")
