@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from haptether.cli.screen import Screen
     from haptether.studies import DemoScene, PushResult
 
 
@@ -93,14 +92,14 @@ class Demo:
             progress.update(bar, completed=len(DEMO_CONTROLLERS) * scene.duration_s)
         return self._report(console, scene, results)
 
-    def _report(self, console: "Console", scene: "DemoScene", results: "list[PushResult]") -> int:
+    def _report(self, console: "Screen", scene: "DemoScene", results: "list[PushResult]") -> int:
         import msgspec
 
         from haptether.cli.output import write_json
-        from haptether.cli.push_table import push_table
+        from haptether.cli.push_table import print_push
         from haptether.studies import draw_demo
 
-        console.print(push_table(results))
+        print_push(console, results)
         peak = {result.controller: result.peak_hand_speed for result in results}
         broken = [
             result.controller

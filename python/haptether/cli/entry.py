@@ -168,7 +168,7 @@ def complete(arguments: Sequence[str]) -> int:
         ValueError: Another shell.
     """
     if list(arguments) not in [[shell] for shell in SHELLS]:
-        message = f"{COMPLETION} {' '.join(arguments)}: must be one of {', '.join(SHELLS)}"
+        message = f"{' '.join((COMPLETION, *arguments))}: must be one of {', '.join(SHELLS)}"
         raise ValueError(message)
     nested = {name: make_dataclass(name, [("command", union_of(of))]) for name, of in GROUPS.items()}
     # The parser prints it and exits.

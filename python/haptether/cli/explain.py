@@ -152,7 +152,7 @@ def _intervention_lines(flight: Flight) -> list[str]:
 def _trip(trip: Trip) -> str:
     if trip.observed is None or trip.threshold is None:
         return trip.controller
-    side = "above" if trip.observed > trip.threshold else "not above"
+    side = "above" if trip.observed > trip.threshold else "below"
     return f"{trip.controller}: {trip.observer} = {trip.observed:.4g}, {side} {trip.threshold:g}"
 
 

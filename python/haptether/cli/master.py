@@ -184,13 +184,13 @@ class Master(LiveOptions):
 
         from haptether.cli.link_table import link_table
         from haptether.cli.output import write_json
-        from haptether.cli.push_table import push_table
+        from haptether.cli.push_table import print_push
         from haptether.cli.screen import screen
 
         console = screen(self.json)
         # A table of what was not measured is no table.
         if result.engaged_s is not None:
-            console.print(push_table([result]))
+            print_push(console, [result])
         if answered:
             console.print(link_table(link))
         if self.json is not None:

@@ -27,6 +27,7 @@ class List:
     def run(self) -> int:
         """Prints a row per preset."""
         import msgspec
+        from rich.box import SIMPLE_HEAD
         from rich.table import Table
 
         from haptether.cli.output import check_target, write_json
@@ -34,7 +35,9 @@ class List:
         from haptether.netsim import PRESETS
 
         check_target(self.json)
-        table = Table(header_style="bold", pad_edge=False, show_lines=True)
+        table = Table(
+            box=SIMPLE_HEAD, header_style="bold", show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), leading=1
+        )
         table.add_column("preset", max_width=20)
         for name in ("round trip", "loss"):
             table.add_column(name, no_wrap=True)

@@ -7,6 +7,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from haptether.cli.screen import Screen
     from haptether.studies import PushResult
 
 
@@ -39,9 +40,15 @@ def push_table(results: "Sequence[PushResult]") -> Table:
     table = Table(header_style="bold", pad_edge=False)
     table.add_column("controller")
     for result in results:
-        table.add_column(result.controller, justify="right", overflow="fold")
+        table.add_column(result.controller, justify="right", no_wrap=True)
     for name, show in ROWS.items():
         table.add_row(name, *(show(result) for result in results))
-    if any(result.fault is not None for result in results):
-        table.add_row("fault", *(result.fault or "-" for result in results))
     return table
+
+
+def print_push(console: "Screen", results: "Sequence[PushResult]") -> None:
+    """The table, and below it faults in their words, which fit no column."""
+    console.print(push_table(results))
+    for result in results:
+        if result.fault is not None:
+            console.print(f"fault, {result.controller}: {result.fault}", soft_wrap=True)

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.cli.simulate import told_events
+from haptether.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,8 @@ def draw_run(run: "Run", path: Path) -> None:
     time_s = run.signals["time_s"]
     told = told_events(run.events)
     figure = Figure(figsize=(10.0, 9.0), layout="constrained")
-    figure.suptitle(f"{Path(run.scene).stem}, seed {run.seed}")
+    # Names of files and reasons are no formulas.
+    figure.suptitle(printable(f"{Path(run.scene).stem}, seed {run.seed}"), parse_math=False)
     panels = figure.subplots(len(PANELS), 1, sharex=True, height_ratios=[3, 3, 3, 1])
     for panel, (label, signals) in zip(panels, PANELS.items(), strict=True):
         for name, described in signals.items():
@@ -71,8 +73,8 @@ def _name_events(panel: "Axes", told: list[tuple[float, str]], width_s: float) -
     for time_s, text in told:
         place = max(time_s, place + LEAST_GAP * width_s)
         above = ("data", "axes fraction")
-        panel.annotate(text, (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,
-                       fontsize=7, ha="center", va="bottom", rotation=90)  # fmt: skip
+        panel.annotate(printable(text), (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,
+                       parse_math=False, fontsize=7, ha="center", va="bottom", rotation=90)  # fmt: skip
 
 
 def _draw_trips(panel: "Axes", time_s: npt.NDArray[np.float64], tripped: npt.NDArray[np.uint8]) -> None:

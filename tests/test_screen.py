@@ -1,0 +1,470 @@
+"""What the commands print: at 80 columns nothing is cut, and no text of others acts on the terminal."""
+
+import io
+import json
+import re
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, get_args, get_type_hints
+
+import msgspec
+import numpy as np
+import pytest
+from rich.cells import cell_len
+from rich.console import RenderableType
+from rich.table import Table
+
+from haptether.bridge import Metrics, Run, Sweep
+from haptether.bridge.scene_run import Signals
+from haptether.cli import main
+from haptether.cli.entry import COMMANDS
+from haptether.cli.explain import Explain
+from haptether.cli.link_table import link_table
+from haptether.cli.live import Stopped, tell, wait
+from haptether.cli.netsim_proxy_report import _print as print_proxy
+from haptether.cli.netsim_record import Record
+from haptether.cli.netsim_sample import figures_table
+from haptether.cli.push_table import print_push
+from haptether.cli.screen import Screen, folded, tables
+from haptether.cli.simulate import Simulate
+from haptether.cli.sweep import Sweep as SweepCommand
+from haptether.netsim import LinkFigures
+from haptether.printable import printable
+from haptether.studies import LinkSummary, PushResult
+
+WIDTH = 80
+HOSTILE = "[/nope] [red]x[/red] :smile: \x1b[31m\x1b]0;title\x07 \x9b2J \u202eabc \u2066 \x00 \ud800 $\\frac$"
+FORBIDDEN = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def shown(*of: RenderableType) -> str:
+    """What stands on a screen of 80 columns."""
+    file = io.StringIO()
+    screen = Screen(file=file, width=WIDTH, color_system=None)
+    for one in of:
+        screen.print(one)
+    return file.getvalue()
+
+
+def fits(text: str) -> None:
+    """No line is too long, nothing is cut, and no label of a table takes more than four lines."""
+    assert "…" not in text
+    lines = 0
+    for line in text.splitlines():
+        assert cell_len(line) <= WIDTH, line
+        cells = re.split("[│┃]", line)
+        if len(cells) < 4:
+            lines = 0
+            continue
+        # A row begins where its second cell does: values stand in its first line.
+        lines = 1 if cells[2].strip() else lines + 1
+        assert lines <= 4, text
+
+
+# -------------------------------------------------------------------------------------------------- 80 columns
+
+FAULT = "a device driver said: 'EtherCAT slave 3 lost its process data for 12.345 ms', mend it and start it anew"
+
+
+def push(controller: str, *, fault: str | None = None) -> PushResult:
+    return PushResult(
+        controller=controller, security="insecure", engaged_s=123.456, release_s=126.789, peak_hand_speed=12.345,
+        peak_force_n=12345.678, time_to_trip_s=12.345, trips_before_release=123456, intervention_s=12345.678,
+        sent=123_456_789, lost=123_456_789, late=123_456_789, refused=123_456_789, round_trip_s=12.3456,
+        overshoot_p50_s=0.123456, overshoot_p99_s=12.345678, ticks=123_456_789, skipped_ticks=1, holds=123_456,
+        dropped_records=0, unsent=0, force_at_release_n=-12345.678, final_state="disengaged", fault=fault,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("controllers", [["wsc"], ["none", "hsc", "wsc"], ["none", "vfc", "hsc", "wsc"]])
+@pytest.mark.parametrize("fault", [None, FAULT])
+def test_the_table_of_a_push_fits(controllers: list[str], fault: str | None) -> None:
+    file = io.StringIO()
+    print_push(Screen(file=file, width=WIDTH), [push(name, fault=fault) for name in controllers])
+    text = file.getvalue()
+    fits("\n".join(line for line in text.splitlines() if not line.startswith("fault, ")))
+    assert text.count(FAULT) == (0 if fault is None else len(controllers))
+    for number in ("12.345", "12345.68", "123456789", "12345.6", "123.456", "12345.678"):
+        assert len(re.findall(rf"(?<![\d.]){re.escape(number)}(?![\d.])", text)) >= len(controllers), number
+
+
+def test_the_table_of_a_link_fits() -> None:
+    summary = LinkSummary(
+        realtime="SCHED_FIFO 80, memory locked (12345 MiB), no deep sleep of processors; not granted: " + FAULT[:60],
+        rate_hz=12345.6, late_cycles=123_456_789, skipped_ticks=123_456_789, overshoot_p50_s=0.123456,
+        overshoot_p99_s=1.23456, overshoot_max_s=12.3456, round_trip_p50_s=12.34567, round_trip_p99_s=12.34567,
+        round_trip_max_s=12.34567, jitter_s=1.2, sent=1, arrived=123_456_789, lost=123_456, loss=0.01, worst_gap_s=1.0,
+        silence_at_end_s=None, interarrival_jitter_s=None, loss_bursts=123_456, longest_burst=123_456, reordered=0,
+        usual_age_s=None, offset_s=None, offset_bound_s=None, drift_ppm=None, clock_faults=123,
+        last_clock_fault="the peer's clock was set back by 12.345 s", recorded=123_456_789, unrecorded=123_456_789,
+        recording_end="no space left on the device",
+    )  # fmt: skip
+    text = shown(link_table(summary))
+    fits(text)
+    assert "12345.670 / 12345.670 / 12345.670" in text
+    assert "123456 of 123580245 (1.00%)" in text
+
+
+def test_the_figures_of_a_link_fit() -> None:
+    figures = LinkFigures(
+        mean_s=123.456789, sigma_s=123.456789, p50_s=123.456789, p99_s=123.456789, loss=0.123456, mean_burst=12345.678,
+        reordered=0.123456, duplicates=0.123456, damaged=0.123456,
+    )  # fmt: skip
+    title = f"50000000 packets backward, seed {2**64 - 1}"
+    text = shown(figures_table(title, {"asked": figures, "netem": figures, "ours": figures}))
+    fits(text)
+    assert text.count("123456.789 ms") == 12
+
+
+def test_the_counts_of_a_proxy_fit() -> None:
+    class Big(SimpleNamespace):
+        def __getattr__(self, name: str) -> object:
+            return {"dropped": {"loss": 10**12, "queue": 10**12}, "scheduling": "fifo"}.get(name, 0.123456)
+
+    way = SimpleNamespace(dropped={"loss": 10**12}, **dict.fromkeys(
+        ("received", "released", "lost", "queue_full", "damaged", "extras", "overtaking", "refused", "oversize",
+         "unsent"), 10**12))  # fmt: skip
+    file = io.StringIO()
+    print_proxy(Screen(file=file, width=WIDTH), Big(forward=way, backward=way))
+    table = "\n".join(line for line in file.getvalue().splitlines() if line[:1] in "┃│┏┡└")
+    fits(table)
+    assert table.count(str(10**12)) == 20
+
+
+def test_the_table_of_a_measurement_fits(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    figures: dict[str, float | int | None] = {
+        "probes": 600_000, "worst_gap_s": 12.345678, "shortest_s": 0.01, "latest_s": 0.001, "sent_forward": 600_000,
+        "lost_forward": 123_456, "sent_backward": 476_544, "lost_backward": 123_456,
+        **{f"{way}_{percent}_s": 12.345678 for way in ("round_trip", "forward", "backward") for percent in
+           ("p50", "p99")},
+    }  # fmt: skip
+    Record(peer="127.0.0.1:9")._print(figures)
+    text = capsys.readouterr().out
+    fits("\n".join(line for line in text.splitlines() if line[:1] in "┃│┏┡└"))
+    assert text.count("12345.678 ms") == 7
+
+
+@pytest.mark.parametrize("command", [["paper"], ["raven"], ["list"], ["netsim", "list"], ["simulate", "--list"],
+                                     ["simulate", "remote_push"], ["simulate", "three_axis_box"],
+                                     ["netsim", "sample", "--preset", "lte-driving"]])  # fmt: skip
+def test_what_a_command_prints_fits(
+    command: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    fits("\n".join(line for line in text.splitlines() if not re.match(r"\s+\d+\.\d{4} s  ", line)))
+    # Rows of tables without rules begin where their first cell does.
+    body = text.partition("─\n")[2].partition("\n\n")[0] if command[0] == "paper" else ""
+    body = body.partition("  Fig. 10, wsc")[0]
+    continued = 0
+    for line in body.splitlines():
+        continued = continued + 1 if line.startswith("  ") else 0
+        assert continued < 4, body
+
+
+def run_of(name: str) -> Run:
+    metrics = Metrics(max_ejection_velocity=1.2345e-12, peak_device_force=-1.2345e-12, ticks=10**9)
+    return Run(scene=name, seed=2**64 - 1, version="0", signals=Signals({}), events=(), metrics=metrics)
+
+
+def test_the_metrics_of_a_run_fit() -> None:
+    file = io.StringIO()
+    Simulate()._print(Screen(file=file, width=WIDTH), run_of("/a/very/long/path" * 6 + "/scene.toml"))
+    assert all(cell_len(line) <= WIDTH for line in file.getvalue().splitlines())
+    assert str(2**64 - 1) in file.getvalue()
+    assert "-1.235e-12" in file.getvalue()
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 3, 8])
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_the_table_of_a_sweep_is_cut_nowhere(parameters: int, width: int) -> None:
+    paths = [f"environment.objects.{number}.contact.static_friction_ratio" for number in range(parameters)]
+    metrics = ["max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "intervention_s",
+               "position_rmse_m", "force_rmse_n", "passivity_min_j"]  # fmt: skip
+    columns = {
+        **{path: np.array([-1.23456789e-05, 1234567.0]) for path in paths},
+        "outcome": np.array(["never-engaged", "complete"]),
+        **{name: np.array([np.nan, -1.2345e-12]) for name in metrics},
+        "diverged": np.array([False, False]),
+        "ticks": np.array([10**9, 10**9]),
+        "reason": np.array(["", ""]),
+    }
+    file = io.StringIO()
+    command = SweepCommand(scene="s")
+    command._report(Screen(file=file, width=width), Sweep(columns), parameters + 1)
+    text = file.getvalue()
+    assert "…" not in text
+    assert all(cell_len(line) <= width for line in text.splitlines())
+    assert text.count("-1.235e-12") == len(metrics) - 1  # counts are whole numbers
+    assert len(re.findall(r"(?<!\d)1234567(?!\d)", text)) >= parameters
+    assert text.count("-1.23456789e-05") >= parameters
+    assert "never-engaged" in text
+    assert "2 rows: 1 never-engaged, 1 complete" in text
+
+
+@pytest.mark.parametrize(
+    ("label", "lines"),
+    [
+        ("environment.objects.0.contact.stiffness", 4),
+        ("link.forward.delay_s", 3),
+        ("max_ejection_velocity", 3),
+        ("a.b.c.d.e.f.g.h.i.j.k.l.m.n.o.p.q.r.s.t.u.v.w.x.y.z", 4),
+        ("silent [ms]", 2),
+        ("", 1),
+    ],
+)
+def test_a_label_is_folded_on_four_lines_at_most(label: str, lines: int) -> None:
+    found = folded(label).split("\n")
+    assert len(found) <= min(lines, 4)
+    assert "".join(found).replace(" ", "") == label.replace(" ", "")
+
+
+def test_columns_that_fit_are_one_table() -> None:
+    columns = {"a": ["1"], "b": ["2"], "c": ["3"]}
+    (one,) = tables(columns, 1, 80)
+    assert isinstance(one, Table)
+    assert len(tables(columns, 1, 8)) == 2
+
+
+# -------------------------------------------------------------------------------------------------- text of others
+
+
+def flight(text: str, *, axes: int = 1, ticks: int = 3) -> bytes:
+    tick = {
+        "time_s": 12345.6789, "state": "engaged", "peer": "disengaged", "age_s": 0.123456, "clutch": True, "gain": 1.0,
+        "tripped": ["hsc", "wsc", "held"], "position": [-0.12345678] * axes, "command": [1.2345e-12] * axes,
+        "force": [None] * axes,
+    }  # fmt: skip
+    return msgspec.json.encode({
+        "schema": 1, "side": "master",
+        "transitions": [{"time_s": 1.0, "from": "engaged", "to": "hold", "reason": text}],
+        "interventions": [
+            {"time_s": 1.0, "until_s": 2.0, "trips": [
+                {"controller": "wsc", "observer": "E_wso [J]", "observed": -0.0312, "threshold": -0.03}]},
+            {"time_s": 3.0, "until_s": 4.0, "trips": [
+                {"controller": "hsc", "observer": "S_h", "observed": 1.75, "threshold": 1.5}]},
+        ],
+        "interventions_seen": 40,
+        "at_hold": [], "latest": [tick] * ticks,
+    })  # fmt: skip
+
+
+def explained(tmp_path: Path, capsys: pytest.CaptureFixture[str], body: bytes, *arguments: str) -> str:
+    path = tmp_path / "master.flight"
+    path.write_bytes(body)
+    assert main(["explain", str(path), *arguments]) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3, 6, 7])
+def test_explain_names_trips_and_cuts_no_number(
+    axes: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    text = explained(tmp_path, capsys, flight("peer is silent " * 12, axes=axes))
+    fits(text)
+    assert "interventions of safety controllers: 40, the last 2:" in text
+    assert "1.0000 to 2.0000 s  wsc: E_wso [J] = -0.0312, below -0.03" in text
+    assert "3.0000 to 4.0000 s  hsc: S_h = 1.75, above 1.5" in text
+    assert "hsc wsc held" in text
+    assert text.count("-0.1235") == text.count("1.235e-12") == text.count("none") == 3 * axes
+    assert "12345.6789" in text
+
+
+def test_explain_says_how_many_ticks_there_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    body = flight("peer is silent", ticks=50)
+    assert "10 ticks until the end, of 50 that are kept" in explained(tmp_path, capsys, body)
+    assert explained(tmp_path, capsys, body).count("closed") == 10
+    assert explained(tmp_path, capsys, body, "--ticks", "50").count("closed") == 50
+
+
+def test_explain_reads_what_an_older_version_wrote(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    body = json.loads(flight("peer is silent"))
+    del body["interventions"], body["interventions_seen"]
+    for tick in body["latest"]:
+        del tick["tripped"]
+    assert "no safety controller intervened" in explained(tmp_path, capsys, json.dumps(body).encode())
+
+
+def test_a_reason_acts_on_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hostile = HOSTILE.replace("\ud800", "")
+    text = explained(tmp_path, capsys, flight(hostile), "--json", "-")
+    assert not FORBIDDEN.search(text)
+    text = explained(tmp_path, capsys, flight(hostile))
+    assert not FORBIDDEN.search(text)
+    assert "[/nope] [red]x[/red] :smile:" in text
+
+
+def test_json_on_a_terminal_is_the_same_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hostile = HOSTILE.replace("\ud800", "") + "é \U0001f600 \U000e0041"
+    report = json.loads(explained(tmp_path, capsys, flight(hostile), "--json", "-"))
+    assert report["transitions"][0]["reason"] == hostile
+
+
+@pytest.mark.parametrize("text", [HOSTILE, "a\nb", "é ü 漢", "\U000e0041", "a\u2028b"])
+def test_what_is_printable_is_one_line_that_shows(text: str) -> None:
+    safe = printable(text)
+    assert safe.isprintable()
+    assert printable(safe) == safe
+    assert printable("é ü 漢 [x] $") == "é ü 漢 [x] $"
+
+
+def test_a_screen_takes_every_string_for_text() -> None:
+    table = Table(HOSTILE, title=HOSTILE, caption=HOSTILE)
+    table.add_row(HOSTILE)
+    table.add_row(HOSTILE, style="red")
+    for one in (HOSTILE, table):
+        text = shown(one)
+        assert not FORBIDDEN.search(text)
+        assert "/nope" in text
+    file = io.StringIO()
+    screen = Screen(file=file, width=WIDTH, force_terminal=True, color_system=None)
+    with screen.status(HOSTILE):
+        pass
+    # The escapes are rich's own.
+    assert "]0;title\x07" not in file.getvalue()
+
+
+def test_a_line_of_a_run_and_its_events_act_on_no_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def once() -> Iterator[bool]:
+        yield False
+        yield True
+
+    ends = once()
+    finished: Callable[[], bool] = lambda: next(ends)  # noqa: E731
+    monkeypatch.setattr(Stopped, "sleep", lambda _self, _seconds: None)
+    wait("master", lambda: HOSTILE, finished, Stopped(), None)
+    tell([HOSTILE])
+    assert not FORBIDDEN.search(capsys.readouterr().err.replace("\x1b", ""))
+
+
+def test_an_error_is_one_line_that_acts_on_no_terminal(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    hostile = json.dumps("\x1b[31m\u202e[/nope]\n\x9b")
+    scene.write_text(f"schema = 1\nmaster = {{ device = {hostile} }}\n", encoding="utf-8")
+    links = tmp_path / "links.toml"
+    links.write_text(f"schema = 1\n{hostile} = 1\n", encoding="utf-8")
+    for command in (["simulate", str(scene)], ["netsim", "sample", str(links)], ["explain", "\x1b[31m\n.flight"]):
+        assert main(command) in {1, 2}
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert not FORBIDDEN.search(said)
+
+
+def test_only_the_screen_makes_a_console() -> None:
+    folder = Path(sys.modules["haptether.cli"].__file__ or "").parent
+    for path in folder.glob("*.py"):
+        if path.name != "screen.py":
+            assert not re.search(r"\bConsole\(|from_markup|import print\b", path.read_text()), path
+
+
+# -------------------------------------------------------------------------------------------------- requests
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["simulat"], "simulat: no such command: did you mean simulate?"),
+        (["netsim", "smaple"], "smaple: no such command: did you mean sample?"),
+        (["xyzzy"], f"xyzzy: no such command: there is {', '.join(sorted(COMMANDS))}"),
+        (["--completion", "nu"], "--completion nu: must be one of bash, zsh, fish"),
+        (["--completion"], "--completion: must be one of bash, zsh, fish"),
+        (
+            ["master", "--insecure", "--peer", "127.0.0.1:9", "--scene", "remote_push", "--set", "master.driver=tuch"],
+            (
+                "[master] driver = tuch: no such driver (haptether.masters): none is installed; "
+                "without the key it is a model"
+            ),
+        ),
+        (
+            ["slave", "--insecure", "--listen", "127.0.0.1:0", "--scene", "remote_push", "--set", "slave.device=urr"],
+            "[slave] device = urr: no such driver (haptether.slaves): did you mean ur? there is simulated, ur",
+        ),
+    ],
+)
+def test_a_name_that_is_none_is_answered_by_the_nearest(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == f"haptether: {said}\n"
+
+
+def numbers_of(command: type[Any]) -> list[str]:
+    """Options that take a number, also where they may be left out or take several."""
+    hints = get_type_hints(command)
+    plain = {name: set(get_args(hint)) - {type(None)} or {hint} for name, hint in hints.items()}
+    return [name for name, types in plain.items() if types <= {int, float}]
+
+
+NUMBERS = [(name, option) for name, command in COMMANDS.items() for option in numbers_of(command)]
+
+
+@pytest.mark.parametrize(("command", "option"), NUMBERS)
+def test_a_word_for_a_number_is_refused_in_plain_words(
+    command: str, option: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    words = ["xyz"] * (6 if option in {"start", "tcp", "bias"} else 1)
+    with pytest.raises(SystemExit) as ended:
+        main([command, f"--{option.replace('_', '-')}", *words])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "'xyz': must be a" in said
+    assert "NoneType" not in said
+    assert "{None}" not in said
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_gets_a_script_that_knows_commands_and_flags(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--completion", shell]) == 0
+    script = capsys.readouterr().out
+    for word in ("check-link", "ur-emulator", "compare", "--encoder-quantum", "--mean-burst"):
+        assert word in script or (shell == "fish" and word.removeprefix("--") in script), word
+    if shell == "bash":
+        subprocess.run(["bash", "-n"], input=script, text=True, check=True, timeout=30)
+
+
+def test_completion_is_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "haptether --completion bash" in capsys.readouterr().out
+
+
+def test_files_of_commands_are_their_users_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    commands = [
+        ["simulate", "remote_push", "--json", "a.json", "--out", "a.npz", "--plot", "pictures", "--run.duration-s=0.2"],
+        ["sweep", "paper_wall", "--vary", "safety.window=10,20", "--out", "b.csv", "--json", "b.json"],
+        ["sweep", "paper_wall", "--vary", "safety.window=10,20", "--out", "b.npz"],
+        ["netsim", "sample", "--delay-s", "0.01", "--packets", "10", "--csv", "c.csv", "--json", "c.json"],
+        ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--duration-s", "0.1", "--log",
+         "d.csv", "--json", "d.json"],
+    ]  # fmt: skip
+    flags = {"--json", "--out", "--plot", "--csv", "--log"}
+    for command in commands:
+        placed = [
+            str(out / word) if before in flags else word for before, word in zip(["", *command], command, strict=False)
+        ]
+        assert main(placed) in {0, 1}, capsys.readouterr().err
+    written = [path for path in out.rglob("*") if path.is_file()]
+    assert len(written) == 10
+    assert {stat.S_IMODE(path.stat().st_mode) for path in written} == {0o600}
+    # Of the process it is only while a command runs.
+    (tmp_path / "mine").touch()
+    assert stat.S_IMODE((tmp_path / "mine").stat().st_mode) != 0o600
+
+
+def test_explain_has_its_figures_in_its_help() -> None:
+    assert "the last 10 of the 50 ticks" in " ".join((Explain.__doc__ or "").split())
