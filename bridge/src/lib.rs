@@ -20,6 +20,7 @@ mod plant;
 pub mod playout;
 mod record;
 pub mod recorder;
+mod ring;
 pub mod scene;
 pub mod session;
 mod side;

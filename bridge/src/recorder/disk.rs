@@ -1,8 +1,9 @@
 //! What is left of a disk, and what it has refused.
 
 use std::{
-    fs::File,
+    fs::{File, OpenOptions, Permissions},
     io::{self, Write},
+    os::unix::fs::{OpenOptionsExt, PermissionsExt},
     path::Path,
     sync::{
         Arc,
@@ -10,7 +11,10 @@ use std::{
     },
 };
 
-use rustix::fs::fstatvfs;
+use rustix::{
+    fs::{OFlags, fstatvfs},
+    io::Errno,
+};
 
 /// The disk that a file lies on.
 #[derive(Debug)]
@@ -27,6 +31,28 @@ impl FreeSpace {
     pub(super) fn bytes(&self) -> u64 {
         fstatvfs(&self.0).map_or(u64::MAX, |disk| disk.f_bavail.saturating_mul(disk.f_frsize))
     }
+}
+
+/// Opens a file for its owner alone, from its begin.
+///
+/// A link is not followed: in a folder that others may write to, it would have this process write where they say.
+pub(super) fn create(path: &Path) -> io::Result<File> {
+    let nofollow = i32::try_from(OFlags::NOFOLLOW.bits()).unwrap_or(0);
+    let mut options = OpenOptions::new();
+    let opened =
+        options.write(true).create(true).truncate(true).mode(0o600).custom_flags(nofollow).open(path);
+    let file = opened.map_err(|error| match error.raw_os_error().map(Errno::from_raw_os_error) {
+        Some(Errno::LOOP) => io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "is a symbolic link, must be a file: a recording follows none",
+        ),
+        _ => error,
+    })?;
+    // One that was there has the rights that it had; a pipe or a device is somebody else's.
+    if file.metadata()?.is_file() {
+        file.set_permissions(Permissions::from_mode(0o600))?;
+    }
+    Ok(file)
 }
 
 /// A sink whose first error ends it: what comes after is thrown away, and the error is kept.

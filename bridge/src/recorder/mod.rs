@@ -21,6 +21,8 @@ use std::{
 
 pub use fields::{Field, Recorded, Value};
 
+use crate::ring::ring;
+
 use mcap_file::McapFile;
 
 /// Whether frames are sealed; a recording of an unsealed run says so in every record.
@@ -45,7 +47,7 @@ impl SecurityMark {
 /// How a recording is made.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecorderSettings {
-    /// Its file; an existing one is replaced.
+    /// Its file, for its owner alone; an existing one is replaced, and a symbolic link is refused.
     pub path: PathBuf,
     /// Ends when fewer bytes than this are free on the disk; rosbag stops at 1e9, too.
     pub min_free_bytes: u64,
@@ -162,7 +164,7 @@ impl<R: Recorded> Recorder<R> {
                 format!("{free} bytes are free on the disk, must be at least {least}"),
             ));
         }
-        let file = std::fs::File::create(&settings.path)?;
+        let file = disk::create(&settings.path)?;
         Self::write_to(file, move || free.bytes(), settings)
     }
 
@@ -171,7 +173,7 @@ impl<R: Recorded> Recorder<R> {
         free_bytes: impl Fn() -> u64 + Send + 'static,
         settings: &RecorderSettings,
     ) -> io::Result<Self> {
-        let (records, waiting) = rtrb::RingBuffer::new(RING);
+        let (records, waiting) = ring(RING);
         let progress = Arc::new(Progress::default());
         let (tell, ended) = mpsc::sync_channel(1);
         let (seen, security, min_free_bytes) =

@@ -195,3 +195,45 @@ fn a_recording_that_cannot_begin_touches_no_file() {
     let nowhere = RecorderSettings { path: path.join("beneath"), ..settings };
     assert_eq!(Recorder::<MasterRecord<2>>::begin(&nowhere).unwrap_err().kind(), io::ErrorKind::NotFound);
 }
+
+/// The index of a file waits in memory for its end: it grows by chunks, and chunks are whole however slowly records come.
+#[test]
+fn chunks_are_whole_and_the_index_of_a_file_is_small() {
+    let (disk, paper) = disk(usize::MAX);
+    let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
+    for tick in 0..600 {
+        recorder.take(record(tick));
+        if tick % 50 == 0 {
+            std::thread::sleep(Duration::from_millis(25));
+        }
+    }
+    assert_eq!(recorder.end(), RecordingReport { written: 600, dropped: 0, end: None });
+    let summary = mcap::Summary::read(&paper.read()).unwrap().unwrap();
+    assert_eq!(summary.chunk_indexes.len(), 3);
+}
+
+#[test]
+fn a_recording_is_for_its_owner_alone_and_follows_no_link() {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    let folder = std::env::temp_dir().join(format!("haptether-recordings-{}", std::process::id()));
+    std::fs::create_dir(&folder).unwrap();
+    let settings = |name| RecorderSettings { path: folder.join(name), ..SETTINGS };
+    let mode = |name| std::fs::metadata(folder.join(name)).unwrap().permissions().mode() & 0o777;
+    std::fs::write(folder.join("old"), "before").unwrap();
+    std::fs::set_permissions(folder.join("old"), std::fs::Permissions::from_mode(0o644)).unwrap();
+    for name in ["new", "old"] {
+        Recorder::<MasterRecord<2>>::begin(&settings(name)).unwrap().end();
+        assert_eq!(mode(name), 0o600, "{name}");
+        assert!(mcap::Summary::read(&std::fs::read(folder.join(name)).unwrap()).unwrap().is_some());
+    }
+    std::fs::write(folder.join("victim"), "before").unwrap();
+    for (name, to) in [("planted", "victim"), ("dangling", "nowhere")] {
+        symlink(folder.join(to), folder.join(name)).unwrap();
+        let error = Recorder::<MasterRecord<2>>::begin(&settings(name)).unwrap_err();
+        assert!(error.to_string().contains("is a symbolic link, must be a file"), "{error}");
+    }
+    assert_eq!(std::fs::read(folder.join("victim")).unwrap(), b"before");
+    assert!(!folder.join("nowhere").exists());
+    std::fs::remove_dir_all(&folder).unwrap();
+}
