@@ -2059,6 +2059,51 @@ class LoopReport:
     def recording(self) -> RecordingReport | None:
         """What became of the recording; none without one."""
 
+    @property
+    def out_of_memory(self) -> bool:
+        """Whether the loop was ended because no memory was left."""
+
+@final
+class SignalRelay:
+    """What signals ask of live loops, done by a thread that waits neither for Python nor for whoever reads its output.
+
+    `signal.set_wakeup_fd(relay.fileno())` has Python write the numbers of its signals to it, for those that have a
+    handler. SIGINT, SIGTERM and SIGHUP end the attached loops; SIGUSR1 presses the clutch of a master and allows
+    another master at a slave, unless a stop was asked for; a second SIGINT ends the process with status 130, once the
+    loops are at rest, or after 0.3 s. Memory that the system no longer gives ends the loops, too.
+
+    Raises:
+        MemoryError: What is set aside for the end of a run is not there.
+        OSError: No thread or socket can be made.
+    """
+
+    def __new__(cls) -> SignalRelay: ...
+    def fileno(self) -> int:
+        """Takes the numbers of signals, a byte each; never blocks."""
+
+    def attach(self, loop: LiveMaster | LiveSlave | MasterLoop | SlaveLoop) -> None:
+        """Has signals reach a loop; one that has come before ends it."""
+
+    def stop(self) -> None:
+        """Ends the attached loops, as SIGTERM does."""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop was asked for."""
+
+    @property
+    def out_of_memory(self) -> bool:
+        """Whether the loops of this process were ended because no memory was left."""
+
+    def spend_reserve(self) -> None:
+        """Ends the loops of this process, and gives the memory that was set aside for that."""
+
+    def take_acknowledgement(self) -> bool:
+        """Whether SIGUSR2 has come within the last 0.5 s, and was not taken before."""
+
+    def close(self) -> None:
+        """Ends its thread."""
+
 @final
 class LadderSettings:
     """Times of the ladder. Ages count from the one that the link has when nothing is wrong.
@@ -2176,7 +2221,7 @@ class LiveMaster:
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
         realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.
@@ -2285,7 +2330,7 @@ class LiveSlave:
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
         realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.
@@ -2393,7 +2438,7 @@ class MasterLoop:
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
         realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.
@@ -2537,7 +2582,7 @@ class SlaveLoop:
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        keep_s: How much of the end of the run the trace holds at least, in s; at most twice that.
+        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
         realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.

@@ -8,7 +8,7 @@ use std::{
 
 use haptether_bridge::{
     Act, Side,
-    live::run_live,
+    live::{LiveHandle, run_live},
     scene::{SceneSpec, simulated_master, simulated_slave},
 };
 use pyo3::{exceptions::PyTypeError, prelude::*};
@@ -38,9 +38,10 @@ fn start<S>(side: S, place: Place) -> PyResult<Run<<S::Record as Rowed>::Rows>>
 where
     S: Side<Record: Rowed> + Send + 'static,
 {
-    let (recorder, kept) = (place.recorder()?, place.kept());
+    // Before the loop: it locks what memory there is.
+    let (newest, recorder) = (place.newest()?, place.recorder()?);
     let run = run_live(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
-    Ok(Box::new(Live::new(run, kept)))
+    Ok(Box::new(Live::new(run, newest)))
 }
 
 /// How long between two looks at whether a loop has ended.
@@ -72,6 +73,10 @@ pub(crate) struct LiveMaster {
 impl LiveMaster {
     fn watch(&self) -> MutexGuard<'_, Run<MasterRows>> {
         locked(&self.run)
+    }
+
+    pub(crate) fn handle(&self) -> LiveHandle {
+        self.watch().handle()
     }
 
     fn act(&self, act: Act) -> PyResult<()> {
@@ -154,6 +159,10 @@ pub(crate) struct LiveSlave {
 impl LiveSlave {
     fn watch(&self) -> MutexGuard<'_, Run<SlaveRows>> {
         locked(&self.run)
+    }
+
+    pub(crate) fn handle(&self) -> LiveHandle {
+        self.watch().handle()
     }
 
     fn act(&self, act: Act) -> PyResult<()> {

@@ -270,6 +270,7 @@ pub(crate) struct PyLoopReport {
     realtime: String,
     is_realtime: bool,
     recording: Option<PyRecordingReport>,
+    out_of_memory: bool,
 }
 
 impl From<LoopReport> for PyLoopReport {
@@ -294,6 +295,7 @@ impl From<LoopReport> for PyLoopReport {
             realtime: of.realtime.to_string(),
             is_realtime: matches!(of.realtime.fifo, Granted::Yes(_)),
             recording: of.recording.map(Into::into),
+            out_of_memory: of.out_of_memory,
         }
     }
 }

@@ -7,7 +7,7 @@ use std::{
 
 use haptether_bridge::{
     Act, DrivenMaster, DrivenSlave, FlightRecorder, MasterSide, Side, SlaveOrder, SlaveSide,
-    live::{LiveWatch, LoopReport, PacedLoop, paced_by_device},
+    live::{LiveHandle, LiveWatch, LoopReport, PacedLoop, paced_by_device},
     scene::{Timed, driven_master, driven_slave},
 };
 use haptether_safety::Axes;
@@ -204,6 +204,10 @@ macro_rules! loop_methods {
                 locked(&self.watch)
             }
 
+            pub(crate) fn handle(&self) -> LiveHandle {
+                self.watch().handle()
+            }
+
             fn act(&self, act: Act) -> PyResult<()> {
                 let mut watch = self.watch();
                 if watch.is_stopped() { Err(ended()) } else { watch.act(act) }
@@ -385,10 +389,10 @@ fn prepare<S>(side: S, place: Place) -> PyResult<Prepared<S>>
 where
     S: Side<Record: Rowed>,
 {
-    let (recorder, kept) = (place.recorder()?, place.kept());
+    let (newest, recorder) = (place.newest()?, place.recorder()?);
     let (turns, watch): (_, LiveWatch<S::Record>) =
         paced_by_device(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
-    Ok((turns, Box::new(Live::new(Box::new(watch), kept))))
+    Ok((turns, Box::new(Live::new(Box::new(watch), newest))))
 }
 
 loop_methods!(MasterLoop, MasterRows);

@@ -17,8 +17,10 @@ mod local;
 mod netsim;
 mod netsim_live;
 mod netsim_probe;
+mod reserve;
 mod safety;
 mod scene;
+mod signals;
 mod ur;
 mod ur_environment;
 
@@ -37,5 +39,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     bridge_trace::register(module)?;
     bridge::register(module)?;
     bridge_live::register(module)?;
-    device_loop::register(module)
+    device_loop::register(module)?;
+    signals::register(module)
 }

@@ -1,23 +1,23 @@
 //! What the live classes share: where a side is, and what is seen of its loop.
 
-use std::ops::DerefMut;
+use std::{mem::MaybeUninit, ops::DerefMut};
 
 use haptether_bridge::{
     Act, FlightRecorder,
     live::{
-        LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket, Security, SecurityEvent,
-        StartError,
+        LiveHandle, LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket, Security,
+        SecurityEvent, StartError,
     },
     recorder::{Recorded, Recorder, RecorderSettings, RecordingReport},
     session::PreSharedKey,
     wire::Role,
 };
 use pyo3::{
-    exceptions::{PyOSError, PyRuntimeError, PyValueError},
+    exceptions::{PyMemoryError, PyOSError, PyRuntimeError, PyValueError},
     prelude::*,
 };
 
-use crate::{axes::refuse, bridge::nanoseconds, bridge_trace::Rowed, netsim::address};
+use crate::{axes::refuse, bridge::nanoseconds, bridge_trace::Rowed, netsim::address, reserve};
 
 /// How much of a live run is kept at most, in s: an hour.
 const MOST_KEPT_S: f64 = 3600.0;
@@ -87,6 +87,16 @@ impl Place {
         let socket = PeerSocket::bind(local, peer).map_err(cannot)?;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // in range, as checked
         let kept = (keep_s * 1e9 / period_ns as f64).ceil() as usize;
+        // Not more than there will be.
+        let longest_ns = match (settings.duration_ns, settings.patience_ns) {
+            (Some(duration_ns), Some(patience_ns)) => duration_ns.saturating_add(patience_ns),
+            _ => u64::MAX,
+        };
+        let longest = usize::try_from(longest_ns / period_ns).unwrap_or(usize::MAX).saturating_add(2);
+        let kept = kept.min(longest);
+        if !reserve::fill() {
+            return Err(PyMemoryError::new_err("no memory can be set aside for the end of a run"));
+        }
         Ok(Self { socket, settings, security, kept, record })
     }
 
@@ -99,9 +109,14 @@ impl Place {
         self.record.as_ref().map(begin).transpose()
     }
 
-    /// So many of the newest records stay, up to twice as many are held.
-    pub(crate) fn kept(&self) -> usize {
-        self.kept
+    /// Room for the newest records.
+    pub(crate) fn newest<R>(&self) -> PyResult<Newest<R>> {
+        Newest::of(self.kept.max(1)).ok_or_else(|| {
+            let mebibytes = self.kept.saturating_mul(size_of::<R>()) >> 20;
+            PyMemoryError::new_err(format!(
+                "keep_s: there is no memory for it: needs {mebibytes} MiB, keep less"
+            ))
+        })
     }
 }
 
@@ -124,22 +139,54 @@ pub(crate) fn not_begun(error: StartError) -> PyErr {
     }
 }
 
-/// A loop, or its watch, and its newest records.
-pub(crate) struct Live<R, T> {
-    pub(crate) run: T,
+/// The newest records of a run, in memory that is there from the start.
+pub(crate) struct Newest<R> {
     records: Vec<R>,
+    /// Of the oldest, once there is no room for more.
+    oldest: usize,
     kept: usize,
 }
 
+impl<R> Newest<R> {
+    fn of(kept: usize) -> Option<Self> {
+        let mut records = Vec::new();
+        records.try_reserve_exact(kept).ok()?;
+        // Every page is touched: the memory of a run does not grow.
+        records.spare_capacity_mut().fill_with(MaybeUninit::zeroed);
+        Some(Self { records, oldest: 0, kept })
+    }
+
+    fn push(&mut self, record: R) {
+        if self.records.len() < self.kept {
+            self.records.push(record);
+        } else {
+            self.records[self.oldest] = record;
+            self.oldest = (self.oldest + 1) % self.kept;
+        }
+    }
+
+    fn take(&mut self) -> Vec<R> {
+        self.records.rotate_left(std::mem::take(&mut self.oldest));
+        std::mem::take(&mut self.records)
+    }
+}
+
+/// A loop, or its watch, and its newest records.
+pub(crate) struct Live<R, T> {
+    pub(crate) run: T,
+    newest: Newest<R>,
+}
+
 impl<R, T> Live<R, T> {
-    pub(crate) fn new(run: T, kept: usize) -> Self {
-        Self { run, records: Vec::new(), kept }
+    pub(crate) fn new(run: T, newest: Newest<R>) -> Self {
+        Self { run, newest }
     }
 }
 
 /// What is seen of a loop of any number of axes, and done to it.
 pub(crate) trait Watching<Rows>: Send {
     fn poll(&mut self) -> usize;
+    fn handle(&self) -> LiveHandle;
     fn address(&self) -> String;
     fn state(&self) -> &'static str;
     fn ticks(&self) -> u64;
@@ -158,13 +205,13 @@ pub(crate) trait Watching<Rows>: Send {
 
 impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for Live<R, T> {
     fn poll(&mut self) -> usize {
-        let Self { run, records, kept } = self;
-        run.drain(|record| records.push(record));
-        // A run without an end must not fill the memory: the older half goes.
-        if records.len() > 2 * *kept {
-            records.drain(..records.len() - *kept);
-        }
-        records.len()
+        let Self { run, newest } = self;
+        run.drain(|record| newest.push(record));
+        newest.records.len()
+    }
+
+    fn handle(&self) -> LiveHandle {
+        self.run.handle()
     }
 
     fn address(&self) -> String {
@@ -218,7 +265,7 @@ impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for 
 
     fn rows(&mut self) -> R::Rows {
         self.poll();
-        R::rows(std::mem::take(&mut self.records))
+        R::rows(self.newest.take())
     }
 
     fn is_stopped(&self) -> bool {

@@ -3,6 +3,7 @@
 mod channel;
 mod clock;
 mod handshakes;
+mod memory;
 mod outlets;
 mod paced;
 mod realtime;
@@ -13,8 +14,9 @@ mod watch;
 
 pub use channel::Security;
 pub use handshakes::{SecurityEvent, StartError};
+pub use memory::{end_for_lack_of_memory, is_exhausted, memory_is_back};
 pub use paced::{PacedLoop, paced_by_device};
 pub use realtime::{Granted, RealtimeDemand, RealtimeReport, RealtimeSettings};
 pub use run::{LiveRun, LiveSettings, LoopReport, run_live};
 pub use socket::{PeerAddress, PeerSocket};
-pub use watch::LiveWatch;
+pub use watch::{LiveHandle, LiveWatch};

@@ -91,7 +91,8 @@ impl<S: Side> PacedLoop<S> {
     /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
     pub fn turn<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
         let Stage::Turning(turning) = &mut self.stage else { return None };
-        if self.shared.stop.load(Ordering::Relaxed) {
+        if self.shared.must_end() {
+            self.shared.stop.store(true, Ordering::Relaxed);
             return None;
         }
         let wake = if std::mem::take(&mut self.waited) {
@@ -141,7 +142,7 @@ impl<S: Side> PacedLoop<S> {
         let realtime = self.realtime;
         match std::mem::replace(&mut self.stage, Stage::Over) {
             Stage::Turning(turning) => {
-                let (report, flight) = turning.end();
+                let (report, flight) = turning.end(&self.shared);
                 // Locked memory is the process's: it is given back with the run, not with the last who holds the loop.
                 self.kept = None;
                 Some((LoopReport { realtime, ..report }, Some(flight)))

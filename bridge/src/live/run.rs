@@ -15,6 +15,7 @@ use super::{
     channel::{LiveChannel, Security},
     clock,
     handshakes::StartError,
+    memory,
     outlets::Outlets,
     realtime::{self, RealtimeReport, RealtimeSettings},
     socket::PeerSocket,
@@ -27,6 +28,7 @@ use crate::{
     pace::Wake,
     path::PathReport,
     recorder::{Recorder, RecordingReport},
+    ring::ring,
     session::Rejections,
     side::Side,
     wire::Role,
@@ -78,6 +80,8 @@ pub struct LoopReport {
     pub realtime: RealtimeReport,
     /// What became of the recording; none if there was none.
     pub recording: Option<RecordingReport>,
+    /// Whether the loop was ended because no memory was left.
+    pub out_of_memory: bool,
 }
 
 /// Events that wait for a reader; further ones are dropped.
@@ -93,6 +97,15 @@ pub(super) struct Shared {
     pub(super) answered: AtomicBool,
     pub(super) press: AtomicBool,
     pub(super) takeover: AtomicBool,
+    /// No force, no motion, and the peer has been sent the end.
+    pub(super) at_rest: AtomicBool,
+}
+
+impl Shared {
+    /// Whether the loop must end: it was asked to, or the process has no memory left.
+    pub(super) fn must_end(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || memory::is_exhausted()
+    }
 }
 
 /// States and commands as of a STOP or FAULT that wait for a reader.
@@ -110,9 +123,9 @@ pub(super) fn assemble<S: Side>(
     security: Security,
     recorder: Option<Recorder<S::Record>>,
 ) -> Result<Assembled<S::Record>, StartError> {
-    let (producer, records) = rtrb::RingBuffer::new(settings.ring);
+    let (producer, records) = ring(settings.ring);
     let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
-    let (flown, flights) = rtrb::RingBuffer::new(MOST_FLIGHTS);
+    let (flown, flights) = ring(MOST_FLIGHTS);
     let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
     let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
     let watch = LiveWatch {
@@ -159,7 +172,7 @@ pub fn run_live<S: Side + Send + 'static>(
         }
         let mut deadline_ns = clock::now_ns();
         let mut turning = Turning::begin(side, socket, channel, settings, ways, deadline_ns);
-        while !shared.stop.load(Ordering::Relaxed) {
+        while !shared.must_end() {
             clock::sleep_until(deadline_ns);
             let wake = Wake::new(deadline_ns, clock::now_ns(), settings.period_ns);
             if turning.turn(wake, &shared).is_break() {
@@ -167,7 +180,7 @@ pub fn run_live<S: Side + Send + 'static>(
             }
             deadline_ns = wake.deadline_ns + settings.period_ns;
         }
-        let (report, flight) = turning.end();
+        let (report, flight) = turning.end(&shared);
         (LoopReport { realtime, ..report }, Some(flight))
     })?;
     let realtime = heard.recv().map_err(io::Error::other)?;

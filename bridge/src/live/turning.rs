@@ -6,6 +6,7 @@ use super::{
     channel::{Came, LiveChannel, RELEASES},
     clock,
     handshakes::SecurityEvent,
+    memory,
     outlets::Outlets,
     run::{LiveSettings, LoopReport, Shared},
     socket::PeerSocket,
@@ -22,6 +23,9 @@ use crate::{
 const MOST_TAKING: u64 = 4;
 /// Between two releases at the end of a run, in ns.
 const RELEASE_NS: u64 = 1_000_000;
+/// After a loop has slept, acts that were asked for meanwhile may still be on their way: for this long, in ns, a press
+/// counts for nothing.
+const MAX_PRESS_DELAY_NS: u64 = 200_000_000;
 
 /// A side that is left without force or motion however its loop ends.
 struct Resting<S: Side>(S);
@@ -51,6 +55,8 @@ pub(super) struct Turning<S: Side> {
     start_ns: u64,
     /// Of the last tick.
     now_ns: u64,
+    /// A press before this time was asked for while the loop slept.
+    presses_from_ns: u64,
     shown: LadderState,
     buffer: [u8; MAX_DATAGRAM],
 }
@@ -77,6 +83,7 @@ impl<S: Side> Turning<S> {
             report,
             start_ns,
             now_ns: start_ns,
+            presses_from_ns: start_ns,
             shown: LadderState::Disengaged,
             buffer: [0; MAX_DATAGRAM],
         }
@@ -100,12 +107,13 @@ impl<S: Side> Turning<S> {
             side.stalled(deadline_ns);
             // Late already: another period for this is not much.
             socket.discard(clock::now_ns() + settings.period_ns);
+            self.presses_from_ns = deadline_ns + MAX_PRESS_DELAY_NS;
         }
         // The tick's time is its deadline, or that of the device's sample: the pure part sees a steady clock, as in
         // virtual time.
         let now_ns = deadline_ns;
         self.now_ns = now_ns;
-        if shared.press.swap(false, Ordering::Relaxed) {
+        if shared.press.swap(false, Ordering::Relaxed) && now_ns >= self.presses_from_ns {
             side.press_again();
         }
         if shared.takeover.swap(false, Ordering::Relaxed) {
@@ -160,11 +168,11 @@ impl<S: Side> Turning<S> {
     }
 
     /// Leaves the plant at rest, tells the peer, and closes what is open.
-    pub(super) fn end(self) -> (LoopReport, Box<FlightRecorder>) {
+    pub(super) fn end(self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
         let Self { side, mut socket, mut channel, ways, mut report, now_ns, mut buffer, .. } = self;
-        let (counts, flight) = (side.0.counts(), Box::new(*side.0.flight()));
+        let (counts, last) = (side.0.counts(), *side.0.flight());
         report.path = side.0.path(now_ns);
-        // First of all: what follows takes its time.
+        // First of all: what follows takes its time, and memory.
         drop(side);
         for release in 0..RELEASES {
             let now_ns = clock::now_ns();
@@ -174,6 +182,9 @@ impl<S: Side> Turning<S> {
                 clock::sleep_until(now_ns + RELEASE_NS);
             }
         }
+        shared.at_rest.store(true, Ordering::Relaxed);
+        let flight = Box::new(last);
+        report.out_of_memory = memory::is_exhausted();
         report.rejections = channel.end();
         report.link = counts.link.with(&report.rejections);
         (report.holds, report.limited) = (counts.holds, counts.limited);

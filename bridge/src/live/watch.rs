@@ -12,6 +12,32 @@ use crate::{
     recorder::{Recording, RecordingReport},
 };
 
+/// What ends a loop or acts on it from any thread, without a lock.
+#[derive(Clone, Debug)]
+pub struct LiveHandle(Arc<Shared>);
+
+impl LiveHandle {
+    /// Asks the loop to end after its current tick.
+    pub fn stop(&self) {
+        self.0.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// [`LiveWatch::press_clutch`].
+    pub fn press_clutch(&self) {
+        self.0.press.store(true, Ordering::Relaxed);
+    }
+
+    /// [`LiveWatch::allow_takeover`].
+    pub fn allow_takeover(&self) {
+        self.0.takeover.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the loop has ended: no force, no motion, and the peer has been sent the end.
+    pub fn is_at_rest(&self) -> bool {
+        self.0.at_rest.load(Ordering::Relaxed)
+    }
+}
+
 /// The outer ends of a loop's rings; the loop never waits for them.
 #[derive(Debug)]
 pub struct LiveWatch<R> {
@@ -44,6 +70,11 @@ impl<R> LiveWatch<R> {
     /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave.
     pub fn allow_takeover(&self) {
         self.shared.takeover.store(true, Ordering::Relaxed);
+    }
+
+    /// For threads that must not wait for whoever reads the rings.
+    pub fn handle(&self) -> LiveHandle {
+        LiveHandle(Arc::clone(&self.shared))
     }
 
     /// Where the socket listens.

@@ -1,0 +1,197 @@
+//! SignalRelay of a command that runs loops: they reach the loops on a thread that waits for nothing else.
+//!
+//! Python runs a handler only between two of its own steps, and a thread that writes to a terminal nobody reads takes
+//! none. But its handler in C writes the number of each signal to the descriptor of `signal.set_wakeup_fd` at once.
+
+use std::{
+    io::{self, Read},
+    os::{
+        fd::{AsRawFd, RawFd},
+        unix::net::UnixStream,
+    },
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use haptether_bridge::live::{LiveHandle, is_exhausted};
+use pyo3::{
+    exceptions::{PyMemoryError, PyTypeError},
+    prelude::*,
+};
+
+use crate::{
+    bridge_live::{LiveMaster, LiveSlave},
+    device_loop::{MasterLoop, SlaveLoop},
+    reserve,
+};
+
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<SignalRelay>()
+}
+
+/// Between two looks at the memory that is left.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// How long a second Ctrl-C waits for the loops to have come to rest.
+const MAX_REST: Duration = Duration::from_millis(300);
+/// Of a shell's command that Ctrl-C has ended.
+const INTERRUPTED: i32 = 130;
+/// How old an acknowledgement may be when somebody asks for it: it belongs to what was seen then.
+const MAX_ACKNOWLEDGEMENT: Duration = Duration::from_millis(500);
+
+/// What SIGUSR1 does at a side.
+#[derive(Clone, Copy)]
+enum Button {
+    Clutch,
+    Takeover,
+}
+
+#[derive(Default)]
+struct Asked {
+    stop: AtomicBool,
+    loops: Mutex<Vec<(LiveHandle, Button)>>,
+    acknowledged: Mutex<Option<Instant>>,
+}
+
+impl Asked {
+    fn each(&self, act: impl Fn(&LiveHandle, Button)) {
+        for (handle, button) in self.loops.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+            act(handle, *button);
+        }
+    }
+
+    fn ask_to_stop(&self) {
+        self.stop.store(true, Ordering::SeqCst);
+        self.each(|handle, _| handle.stop());
+    }
+
+    /// Does what the signals ask for, the stops first: whoever presses and stops wants to stop.
+    fn take(&self, signals: &[u8]) {
+        let count = |number: i32| signals.iter().filter(|signal| i32::from(**signal) == number).count();
+        let interrupts = count(libc::SIGINT);
+        let was_asked = self.stop.load(Ordering::SeqCst);
+        if interrupts + count(libc::SIGTERM) + count(libc::SIGHUP) > 0 {
+            self.ask_to_stop();
+        }
+        if interrupts > usize::from(!was_asked) {
+            self.exit();
+        }
+        if self.stop.load(Ordering::SeqCst) {
+            return;
+        }
+        if count(libc::SIGUSR1) > 0 {
+            self.each(|handle, button| match button {
+                Button::Clutch => handle.press_clutch(),
+                Button::Takeover => handle.allow_takeover(),
+            });
+        }
+        if count(libc::SIGUSR2) > 0 {
+            *self.acknowledged.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+        }
+    }
+
+    /// Ends the process, whatever its other threads wait for; its loops have a moment to come to rest.
+    #[allow(unsafe_code)] // a call that cannot fail
+    fn exit(&self) -> ! {
+        let end = Instant::now() + MAX_REST;
+        let at_rest = || {
+            let loops = self.loops.lock().unwrap_or_else(PoisonError::into_inner);
+            loops.iter().all(|(handle, _)| handle.is_at_rest())
+        };
+        while !at_rest() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        // SAFETY: always.
+        unsafe { libc::_exit(INTERRUPTED) }
+    }
+}
+
+/// Takes signals until the other end is closed.
+fn relay(mut from: UnixStream, asked: &Asked) {
+    let mut signals = [0; 64];
+    loop {
+        match from.read(&mut signals) {
+            Ok(0) => return,
+            Ok(count) => asked.take(&signals[..count]),
+            // That nothing has come is said by an error, too.
+            Err(_) => (),
+        }
+        reserve::probe();
+    }
+}
+
+#[pyclass(module = "haptether.bridge", frozen)]
+pub(crate) struct SignalRelay {
+    to: UnixStream,
+    asked: Arc<Asked>,
+}
+
+#[pymethods]
+impl SignalRelay {
+    #[new]
+    fn new() -> PyResult<Self> {
+        if !reserve::fill() {
+            return Err(PyMemoryError::new_err("no memory can be set aside for the end of a run"));
+        }
+        let (to, from) = UnixStream::pair()?;
+        to.set_nonblocking(true)?;
+        from.set_read_timeout(Some(LOOK_EVERY))?;
+        let asked = Arc::new(Asked::default());
+        let theirs = Arc::clone(&asked);
+        std::thread::Builder::new().name("haptether-signals".into()).spawn(move || relay(from, &theirs))?;
+        Ok(Self { to, asked })
+    }
+
+    fn fileno(&self) -> RawFd {
+        self.to.as_raw_fd()
+    }
+
+    fn attach(&self, of: &Bound<'_, PyAny>) -> PyResult<()> {
+        let attached = if let Ok(of) = of.cast::<LiveMaster>() {
+            (of.get().handle(), Button::Clutch)
+        } else if let Ok(of) = of.cast::<MasterLoop>() {
+            (of.get().handle(), Button::Clutch)
+        } else if let Ok(of) = of.cast::<LiveSlave>() {
+            (of.get().handle(), Button::Takeover)
+        } else if let Ok(of) = of.cast::<SlaveLoop>() {
+            (of.get().handle(), Button::Takeover)
+        } else {
+            return Err(PyTypeError::new_err(format!("{}: is no live loop", of.get_type())));
+        };
+        self.asked.loops.lock().unwrap_or_else(PoisonError::into_inner).push(attached);
+        if self.stopped() {
+            self.asked.ask_to_stop();
+        }
+        Ok(())
+    }
+
+    fn stop(&self) {
+        self.asked.ask_to_stop();
+    }
+
+    #[getter]
+    fn stopped(&self) -> bool {
+        self.asked.stop.load(Ordering::SeqCst)
+    }
+
+    #[getter]
+    fn out_of_memory(&self) -> bool {
+        is_exhausted()
+    }
+
+    #[allow(clippy::unused_self)] // of the process, whose loops these are
+    fn spend_reserve(&self) {
+        reserve::spend();
+    }
+
+    fn take_acknowledgement(&self) -> bool {
+        let taken = self.asked.acknowledged.lock().unwrap_or_else(PoisonError::into_inner).take();
+        taken.is_some_and(|at| at.elapsed() < MAX_ACKNOWLEDGEMENT)
+    }
+
+    fn close(&self) -> io::Result<()> {
+        self.to.shutdown(std::net::Shutdown::Both)
+    }
+}
