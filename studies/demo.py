@@ -110,6 +110,9 @@ def run_demo(
         ))  # fmt: skip
         master.headline(stopped)
         _follow(scene, controller, master, show, stopped)
+        if stopped:
+            # Ctrl-C of a terminal reaches all of them.
+            raise Interrupted
         if master.process.returncode != 0 or not result.exists():
             message = f"the master ended with status {master.process.returncode}: {master.last()}; {slave.last()}"
             raise RuntimeError(message)
@@ -208,6 +211,8 @@ class _Process:
                 continue
             if line.startswith(self._says):
                 return line
+        if stopped:
+            raise Interrupted
         message = f"{self.name} did not start: {self.said() or 'it said nothing'}"
         raise RuntimeError(message)
 

@@ -5,11 +5,10 @@
 radians throughout; a positive force pushes along +x.
 """
 
-from typing import TYPE_CHECKING
-
-from haptether._core import __version__
-
+# Without imports: a command that is only being loaded takes Ctrl-C as soon as this is done.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from haptether._core import __version__
     from haptether.bridge import simulate, sweep
 
 __all__ = ["__version__", "simulate", "sweep"]
@@ -17,6 +16,10 @@ __all__ = ["__version__", "simulate", "sweep"]
 
 def __getattr__(name: str) -> object:
     # Whoever only asks for the version, or for one room, does not wait for the bridge and NumPy.
+    if name == "__version__":
+        from haptether import _core  # noqa: PLC0415
+
+        return _core.__version__
     if name in {"simulate", "sweep"}:
         from haptether import bridge  # noqa: PLC0415
 

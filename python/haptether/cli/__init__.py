@@ -1,5 +1,20 @@
 """The command line: `haptether demo | paper | simulate | sweep | master | slave | netsim`, one file a command."""
 
-from haptether.cli.entry import main
+from haptether.cli.interrupts import INTERRUPTS, open_standard_streams
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 __all__ = ["main"]
+
+
+def main(arguments: "Sequence[str] | None" = None) -> int:
+    """Runs one command and gives its exit status."""
+    if arguments is None:
+        # A process of its own: in somebody else's, signals and streams are theirs.
+        INTERRUPTS.begin()
+        open_standard_streams()
+    from haptether.cli.entry import main as run
+
+    return run(arguments)

@@ -1,0 +1,72 @@
+"""Ctrl-C of a command, from its first line on: status 130, and no traceback."""
+
+# What is imported here is there already: while a module loads, Python itself answers Ctrl-C, by a traceback.
+import _signal  # type: ignore[import-not-found]  # the part of `signal` in C
+import os
+import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from types import FrameType
+
+INTERRUPTED = 130
+
+
+class Interrupts:
+    """Ends the process at Ctrl-C while it loads; raises KeyboardInterrupt once while a command runs, then ends it."""
+
+    def __init__(self) -> None:
+        self.raising = False
+        """A command runs, which may have something to clear up."""
+        self.seen = False
+        """Ctrl-C has come."""
+
+    def begin(self) -> None:
+        """Takes over, where this thread may and nobody has Ctrl-C ignored."""
+        if _signal.getsignal(_signal.SIGINT) is not _signal.default_int_handler:
+            return
+        try:
+            _signal.signal(_signal.SIGINT, self._handle)
+        except ValueError:
+            # Of another thread than the main one.
+            return
+        for button in (_signal.SIGUSR1, _signal.SIGUSR2):
+            # Before a side has begun and after it has ended, they must not end the process.
+            if _signal.getsignal(button) == _signal.SIG_DFL:
+                _signal.signal(button, _signal.SIG_IGN)
+        # Where nobody can take an exception, Python prints it and goes on.
+        sys.unraisablehook = self._unraisable
+
+    def _handle(self, _number: int, _frame: "FrameType | None") -> None:
+        if self.seen or not self.raising:
+            os._exit(INTERRUPTED)
+        self.seen = True
+        raise KeyboardInterrupt
+
+    def _unraisable(self, unraisable: "sys.UnraisableHookArgs") -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            os._exit(INTERRUPTED)
+        sys.__unraisablehook__(unraisable)
+
+
+INTERRUPTS = Interrupts()
+"""Of this process."""
+
+
+def open_standard_streams() -> None:
+    """Opens what is closed of standard input, output and error: the next file or socket would take its place."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != descriptor:
+                os.dup2(opened, descriptor)
+                os.close(opened)
+            else:
+                os.set_inheritable(descriptor, True)
+    # What Python found closed at its start it does not have.
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(2, "w", closefd=False)
