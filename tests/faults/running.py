@@ -31,21 +31,21 @@ APART_S = 0.2
 
 
 class Process:
-    """A command, and the line that says that its socket is open."""
+    """A command, and the line that says that its socket is open; what goes to a `sink` is not read here."""
 
     def __init__(
         self, *arguments: str, record: Path | None = None, within: Sequence[str] = (),
-        environment: Mapping[str, str] | None = None,
+        environment: Mapping[str, str] | None = None, sink: int | None = None,
     ) -> None:  # fmt: skip
         recorded = () if record is None else ("--record", str(record), "--min-free-bytes", "0")
         self.record = record
         self.begun_s = time.monotonic()
         self.process = subprocess.Popen(
-            [*within, *HAPTETHER, *arguments, *recorded], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE, text=True, env=None if environment is None else dict(environment),
+            [*within, *HAPTETHER, *arguments, *recorded], stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL if sink is None else sink, stderr=subprocess.PIPE if sink is None else sink,
+            text=True, env=None if environment is None else dict(environment),
         )  # fmt: skip
-        assert self.process.stderr is not None
-        self.headline = self.process.stderr.readline()
+        self.headline = "" if self.process.stderr is None else self.process.stderr.readline()
         self.said = ""
 
     @property

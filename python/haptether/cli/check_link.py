@@ -99,15 +99,17 @@ class CheckLink:
         worst = min(loops, key=largest_delay_s)
         bearable_s = largest_delay_s(worst)
         with Stopped() as stopped:
-            master = LiveMaster(
-                settings,
-                peer=self.peer,
-                session=new_session(),
-                key=key,
-                insecure=self.insecure,
-                # Never engages, so this is when it ends.
-                patience_s=self.duration_s,
-                realtime=self.realtime,
+            master = stopped.attached(
+                LiveMaster(
+                    settings,
+                    peer=self.peer,
+                    session=new_session(),
+                    key=key,
+                    insecure=self.insecure,
+                    # Never engages, so this is when it ends.
+                    patience_s=self.duration_s,
+                    realtime=self.realtime,
+                )
             )
 
             def status() -> str:

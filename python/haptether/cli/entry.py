@@ -6,6 +6,7 @@ Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted.
 import contextlib
 import inspect
 import os
+import select
 import sys
 from collections.abc import Sequence
 from dataclasses import make_dataclass
@@ -17,12 +18,17 @@ from haptether import __version__
 from haptether.cli.check_link import CheckLink
 from haptether.cli.demo import Demo
 from haptether.cli.explain import Explain
+from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
 from haptether.cli.list import List
 from haptether.cli.master import Master
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
+from haptether.cli.netsim_echo import Echo
+from haptether.cli.netsim_proxy import Proxy
+from haptether.cli.netsim_record import Record
 from haptether.cli.numbers import NUMBERS
 from haptether.cli.paper import Paper
+from haptether.cli.queued_output import QueuedOutput, queued_output
 from haptether.cli.raven import Raven
 from haptether.cli.simulate import Simulate
 from haptether.cli.slave import Slave
@@ -68,7 +74,10 @@ Tab completion: `source <(haptether --completion bash)` in bash, the same with z
 COMPLETION = "--completion"
 SHELLS = ("bash", "zsh", "fish")
 
-FAILED, BAD_REQUEST, INTERRUPTED = 1, 2, 130
+FAILED, BAD_REQUEST = 1, 2
+
+NEVER_WAITS = (Master, Slave, Demo, UrEmulator, CheckLink, Proxy, Echo, Record)
+"""Commands that go on, and end, whether anybody reads what they print or not."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -86,20 +95,59 @@ def _main(arguments: Sequence[str]) -> int:  # noqa: PLR0911  # one for each sta
     if list(arguments) in (["--version"], ["-V"]):
         print(f"haptether {__version__}")
         return 0
-    try:
-        if arguments and arguments[0] == COMPLETION:
+    if arguments and arguments[0] == COMPLETION:
+        try:
             return complete(arguments[1:])
-        return parse(arguments).run()
-    except ValueError as error:
-        return complain(error, BAD_REQUEST)
+        except ValueError as error:
+            return complain(error, BAD_REQUEST)
+    command = parse(arguments)
+    try:
+        INTERRUPTS.raising = True
+        if not isinstance(command, NEVER_WAITS):
+            status = _status(command)
+        else:
+            with queued_output() as output:
+                status = _status(command)
+            status = _delivered(command, output, status)
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    finally:
+        INTERRUPTS.raising = False
+    if status == INTERRUPTED:
+        _let_go_of_output()
+    return status
+
+
+def _status(command: Command) -> int:
+    try:
+        return command.run()
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
         # The reader of our output is gone: nothing is left to say, and Python must not try at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return INTERRUPTED if INTERRUPTS.seen else FAILED
+    except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
+        if INTERRUPTS.seen:
+            # What Ctrl-C has cut short may say so in its own way.
+            return INTERRUPTED
+        return complain(error, BAD_REQUEST if isinstance(error, ValueError) else FAILED)
+
+
+def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
+    """The status of a command whose result may not have been taken."""
+    is_result = str(getattr(command, "json", None)) == "-"
+    if status == 0 and (output.error is not None or (is_result and not output.delivered)):
         return FAILED
-    except (OSError, RuntimeError, ImportError) as error:
-        return complain(error, FAILED)
+    return status
+
+
+def _let_go_of_output() -> None:
+    """Keeps Python from waiting at its exit for somebody who reads what is still held back."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            if not select.select([], [stream], [], 0.0)[1]:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def parse(arguments: Sequence[str]) -> Command:

@@ -2,18 +2,30 @@
 
 import contextlib
 import os
+import secrets
 import signal
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
 
 from haptether.printable import printable
 
 if TYPE_CHECKING:
-    from haptether.bridge import RecordingReport
+    from haptether.bridge import (
+        DeviceRun,
+        LiveMaster,
+        LiveSlave,
+        LoopReport,
+        MasterLoop,
+        RecordingReport,
+        SignalRelay,
+        SlaveLoop,
+    )
+
+Loop = TypeVar("Loop", "LiveMaster", "LiveSlave", "MasterLoop", "SlaveLoop")
 
 POLL_S = 0.05
 
@@ -39,32 +51,76 @@ class Handlers:
 
 
 class Stopped(Handlers):
-    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once."""
+    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once.
+
+    Its loops end by themselves, whatever this thread waits for; so are they pressed by SIGUSR1. A second Ctrl-C ends
+    the process.
+    """
 
     def __init__(self) -> None:
-        # A plain flag: an Event has a lock, and a handler that runs while this thread holds it would wait for ever.
         super().__init__()
-        self._is_set = False
+        self._signals: SignalRelay | None = None
+        self._wakeup = -1
 
     def __enter__(self) -> Self:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self.handle(number, self._set)
-        # Buttons of a side, before it has begun and after it has ended: they must not end the process.
-        for number in (signal.SIGUSR1, signal.SIGUSR2):
-            self.handle(number, signal.SIG_IGN)
+        from haptether.bridge import SignalRelay
+
+        self._signals = SignalRelay()
+        # Python's handler in C writes to it, whatever Python itself does; the one in Python has nothing to add.
+        self._wakeup = signal.set_wakeup_fd(self._signals.fileno(), warn_on_full_buffer=False)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+            self.handle(number, _nothing)
+        # Of nohup, which outlives its terminal.
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            self.handle(signal.SIGHUP, _nothing)
         return self
 
-    def _set(self, _number: int, _frame: FrameType | None) -> None:
-        self._is_set = True
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._signals is not None:
+            if kind is not None:
+                # Whatever became of this thread: no loop goes on without it.
+                self._signals.stop()
+            super().__exit__(kind, error, traceback)
+            signal.set_wakeup_fd(self._wakeup)
+            self._signals.close()
+
+    def attached(self, loop: Loop) -> Loop:
+        """A loop that signals reach: to stop it, and as the button of its side."""
+        if self._signals is not None:
+            self._signals.attach(loop)
+        return loop
+
+    def take_acknowledgement(self) -> bool:
+        """Whether SIGUSR2 has come within the last 0.5 s, and was not taken before."""
+        return self._signals is not None and self._signals.take_acknowledgement()
+
+    def spend_reserve(self) -> None:
+        """No memory is left: the loops end, with what was set aside for that."""
+        if self._signals is not None:
+            self._signals.spend_reserve()
+
+    @property
+    def out_of_memory(self) -> bool:
+        """Whether the loops were ended because no memory was left."""
+        return self._signals is not None and self._signals.out_of_memory
 
     def __bool__(self) -> bool:
-        return self._is_set
+        return self._signals is not None and self._signals.stopped
 
     def sleep(self, seconds: float) -> None:
         """Waits, but not beyond a stop."""
         end = time.monotonic() + seconds
-        while not self._is_set and (left := end - time.monotonic()) > 0.0:
+        while not self and (left := end - time.monotonic()) > 0.0:
             time.sleep(min(left, POLL_S))
+
+
+def _nothing(_number: int, _frame: FrameType | None) -> None:
+    """`SignalRelay` has it."""
 
 
 def wait(
@@ -81,9 +137,12 @@ def wait(
     # A person or a parent process reads this line to learn that the socket is open.
     print(headline, file=sys.stderr, flush=True)
     end = time.monotonic() + duration_s if duration_s is not None else float("inf")
-    with console.status("starting") as shown:
-        while not (finished() or stopped or time.monotonic() >= end):
-            shown.update(plain(f"{status()}   (Ctrl-C ends)"))
+    with contextlib.suppress(MemoryError), console.status("starting") as shown:
+        while not (finished() or stopped or stopped.out_of_memory or time.monotonic() >= end):
+            try:
+                shown.update(plain(f"{status()}   (Ctrl-C ends)"))
+            except MemoryError:
+                stopped.spend_reserve()
             stopped.sleep(POLL_S)
 
 
@@ -101,6 +160,24 @@ def tell(events: list[str]) -> str | None:
         print(printable(event), file=sys.stderr, flush=True)
         refused = event if event.startswith("refused") else refused
     return refused
+
+
+def acknowledge(side: "LiveMaster | LiveSlave | DeviceRun", stopped: Stopped) -> None:
+    """Hands SIGUSR2 to a side; to one that has ended meanwhile it says nothing."""
+    if stopped.take_acknowledgement():
+        with contextlib.suppress(RuntimeError):
+            side.acknowledge()
+
+
+def check_memory(report: "LoopReport") -> None:
+    """Refuses to go on with what needs much of it.
+
+    Raises:
+        MemoryError: The loop was ended because none was left.
+    """
+    if report.out_of_memory:
+        message = "no memory was left: the run was ended, without force, and the other side was sent the end"
+        raise MemoryError(message)
 
 
 class Steps:
@@ -124,32 +201,17 @@ class Steps:
             print(f"{state}: {self.REMEDIES[state]}{acknowledge}{self._press}", file=sys.stderr, flush=True)
 
 
-class Acts(Handlers):
-    """Signals as what a person does: SIGUSR1 is the button of this side, SIGUSR2 acknowledges."""
-
-    def __init__(self, *, acknowledge: Callable[[], None], press: Callable[[], None]) -> None:
-        super().__init__()
-        self._acts = {signal.SIGUSR1: press, signal.SIGUSR2: acknowledge}
-
-    def __enter__(self) -> Self:
-        for number, act in self._acts.items():
-            self.handle(number, _told(act))
-        return self
-
-
-def _told(act: Callable[[], None]) -> Callable[[int, FrameType | None], None]:
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        # A loop that has ended meanwhile has nothing left to do.
-        with contextlib.suppress(RuntimeError):
-            act()
-
-    return handle
-
-
 class FlightFile:
-    """A file with the last states and commands, written anew whenever there are others."""
+    """A file with the last states and commands, written anew whenever there are others.
+
+    Raises:
+        ValueError: A symbolic link: whoever may make one would choose what is overwritten.
+    """
 
     def __init__(self, path: Path | None) -> None:
+        if path is not None and path.is_symlink() and (path.is_file() or not path.exists()):
+            message = f"--flight {path}: is a symbolic link, must be a file"
+            raise ValueError(message)
         self._path = path
         self._written: str | None = None
 
@@ -161,12 +223,29 @@ class FlightFile:
         self._written = flight
         try:
             if self._path.exists() and not self._path.is_file():
-                # A pipe or a device stays what it is.
-                self._path.write_text(flight, encoding="utf-8")
+                # A pipe or a device stays what it is; a pipe that nobody reads is not waited for.
+                descriptor = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+                with os.fdopen(descriptor, "wb", buffering=0) as file:
+                    file.write(flight.encode())
                 return
-            path = self._path.resolve()
-            beside = path.with_name(f".{path.name}.part")
-            beside.write_text(flight, encoding="utf-8")
-            beside.replace(path)
+            write_private(self._path, flight.encode())
         except OSError as error:
             print(f"{self._path}: not written: {error.strerror or error}", file=sys.stderr, flush=True)
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Replaces a file by one that only its owner may read; a link in its place is replaced, not followed.
+
+    Raises:
+        OSError: It cannot be made, or not put into its place.
+    """
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+    # Nobody knows its name before, and what is there already is not opened.
+    descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise

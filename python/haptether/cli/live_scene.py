@@ -74,9 +74,10 @@ def start_master(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveMaster 
 
     spec = scene_json(scene)
     if scene.master.driver is None:
-        return LiveMaster(spec, **how)
+        return stopped.attached(LiveMaster(spec, **how))
     device = load_master(scene.master.driver, scene.master.options)
-    run = MasterRun(device, MasterLoop(spec, **how), period_s=scene.run.period_s)
+    loop = stopped.attached(MasterLoop(spec, **how))
+    run = MasterRun(device, loop, period_s=scene.run.period_s)
     return _opened(run, f"[master] driver = {scene.master.driver}", stopped)
 
 
@@ -93,12 +94,12 @@ def start_slave(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveSlave | 
 
     assert scene.slave is not None
     if scene.slave.device == "simulated":
-        return LiveSlave(scene_json(scene), **how)
+        return stopped.attached(LiveSlave(scene_json(scene), **how))
     device = load_slave(scene.slave.device, scene.slave.options)
     spec = scene_json(_within(scene, device))
     period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
-    run = SlaveRun(device, SlaveLoop(spec, **how), period_s=period_s)
-    return _opened(run, f"[slave] device = {scene.slave.device}", stopped)
+    loop = stopped.attached(SlaveLoop(spec, **how))
+    return _opened(SlaveRun(device, loop, period_s=period_s), f"[slave] device = {scene.slave.device}", stopped)
 
 
 def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":

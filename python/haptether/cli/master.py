@@ -63,7 +63,7 @@ class Master(LiveOptions):
     patience_s: float = 10.0
     """Give up if the slave has not answered after this time in s."""
     keep_s: float = 600.0
-    """How much of the end of the run the figures and the trace hold at least, in s; what is older takes no memory."""
+    """How much of the end of the run the figures and the trace hold, in s; its memory is taken at the start."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
     trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -76,7 +76,16 @@ class Master(LiveOptions):
         import numpy as np
 
         from haptether.bridge import LiveMaster
-        from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
+        from haptether.cli.live import (
+            FlightFile,
+            Steps,
+            Stopped,
+            acknowledge,
+            check_memory,
+            recording_status,
+            tell,
+            wait,
+        )
         from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_master, with_clutch
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_distinct, check_target
@@ -121,14 +130,16 @@ class Master(LiveOptions):
                     encoder_quantum=self.encoder_quantum,
                     clutch=self.clutch,
                 )
-                master = LiveMaster(settings, **how)
+                master = stopped.attached(LiveMaster(settings, **how))
 
             steps = Steps(f": kill -USR1 {os.getpid()}")
-            refused: list[str | None] = []
+            refused: str | None = None
 
             def status() -> str:
+                nonlocal refused
                 master.poll()
-                refused.append(tell(master.security_events()))
+                acknowledge(master, stopped)
+                refused = refused or tell(master.security_events())
                 steps.show(master.state)
                 flight.write(master.flight())
                 said = fault_text(master) + recording_status(master.recording)
@@ -136,17 +147,17 @@ class Master(LiveOptions):
                 shown = f"master {master.state}{answer}, {master.ticks} ticks{said}"
                 return marked(shown, insecure=self.insecure)
 
-            with Acts(press=master.press_clutch, acknowledge=master.acknowledge):
-                wait(
-                    marked(f"master on {master.address} talks to {self.peer}", insecure=self.insecure)
-                    + f"\nreal time: {master.realtime}",
-                    status,
-                    lambda: master.finished,
-                    stopped,
-                    None,
-                )
+            wait(
+                marked(f"master on {master.address} talks to {self.peer}", insecure=self.insecure)
+                + f"\nreal time: {master.realtime}",
+                status,
+                lambda: master.finished,
+                stopped,
+                None,
+            )
             trace, report = master.finish()
-            refused.append(tell(master.security_events()))
+            check_memory(report)
+            refused = refused or tell(master.security_events())
             flight.write(master.flight())
         result = measure_push(controller, trace, report, release_at_s)
         self._report(result, summarise_link(trace, report), answered=bool(np.isfinite(trace.age_s).any()))
@@ -156,15 +167,15 @@ class Master(LiveOptions):
         self._judge(result, stopped=bool(stopped), refused=refused, reason=int(trace.reason[-1]) if len(trace) else 0)
         return 0
 
-    def _judge(self, result: "PushResult", *, stopped: bool, refused: list[str | None], reason: int) -> None:
+    def _judge(self, result: "PushResult", *, stopped: bool, refused: str | None, reason: int) -> None:
         """Raises what a run that did not end well ended by."""
         from haptether.bridge import ladder_reason
 
         if result.final_state == "fault":
             message = f"the run ended in fault: {result.fault}"
             raise RuntimeError(message)
-        if result.engaged_s is None and not stopped and (why := next(filter(None, refused), None)):
-            message = f"no slave to steer at {self.peer}: {why}"
+        if result.engaged_s is None and not stopped and refused is not None:
+            message = f"no slave to steer at {self.peer}: {refused}"
             raise RuntimeError(message)
         if result.engaged_s is None and not stopped:
             message = (

@@ -55,7 +55,7 @@ class Slave(LiveOptions):
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     keep_s: float = 600.0
-    """How much of the end of the run the figures hold at least, in s; what is older takes no memory."""
+    """How much of the end of the run the figures hold, in s; its memory is taken at the start."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
 
@@ -64,7 +64,16 @@ class Slave(LiveOptions):
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import Acts, FlightFile, Steps, Stopped, recording_status, tell, wait
+        from haptether.cli.live import (
+            FlightFile,
+            Steps,
+            Stopped,
+            acknowledge,
+            check_memory,
+            recording_status,
+            tell,
+            wait,
+        )
         from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_slave
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_distinct, check_target
@@ -101,12 +110,13 @@ class Slave(LiveOptions):
                     push_force_n=self.push_force_n,
                     push_duration_s=self.push_duration_s,
                 )
-                slave = LiveSlave(settings, **how)
+                slave = stopped.attached(LiveSlave(settings, **how))
 
             steps = Steps(" at the master")
 
             def status() -> str:
                 slave.poll()
+                acknowledge(slave, stopped)
                 tell(slave.security_events())
                 steps.show(slave.state)
                 flight.write(slave.flight())
@@ -117,9 +127,9 @@ class Slave(LiveOptions):
 
             headline = marked(f"slave listens on {slave.address}", insecure=self.insecure)
             headline += f"\nreal time: {slave.realtime}"
-            with Acts(press=slave.allow_takeover, acknowledge=slave.acknowledge):
-                wait(headline, status, lambda: slave.finished, stopped, None)
+            wait(headline, status, lambda: slave.finished, stopped, None)
             trace, report = slave.finish()
+            check_memory(report)
             tell(slave.security_events())
             flight.write(slave.flight())
         state = self._report(trace, report)

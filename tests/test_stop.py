@@ -1,0 +1,213 @@
+"""Stop works: whoever reads the output, whatever a driver does, and with no memory left."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.faults import stopping
+from tests.faults.processes import Limits
+from tests.faults.rows import Row
+from tests.faults.running import HAPTETHER
+from tests.soak.memory import anonymous_bytes
+
+from haptether.bridge import LiveSlave, SlaveSettings, read_recording
+from haptether.cli.live import FlightFile
+from haptether.slave import Arm, Wall
+
+BESIDE_OTHERS = {
+    stopping.stop_name("master", "pipe", signal.SIGTERM),
+    stopping.stop_name("master", "pty", signal.SIGHUP),
+    stopping.stop_name("slave", "pipe", signal.SIGHUP),
+    stopping.stop_name("slave", "pty", signal.SIGTERM),
+}
+"""Rows that `make faults` has, and that differ from others by the signal alone."""
+ROWS = {
+    name: measure
+    for name, measure in stopping.rows(Limits(hold_s=0.15, fade_s=0.2)).items()
+    if name not in BESIDE_OTHERS
+}
+
+
+@pytest.mark.parametrize("measure", ROWS.values(), ids=list(ROWS))
+def test_stop(measure: Callable[[], Row]) -> None:
+    row = measure()
+    assert row.verdict == "ok", f"{row.fault}: {'; '.join(row.complaints)}"
+
+
+LIVE = (
+    ("slave", "--insecure", "--listen", "127.0.0.1:0"),
+    ("master", "--insecure", "--peer", "127.0.0.1:9"),
+    ("check-link", "--insecure", "--peer", "127.0.0.1:9"),
+    ("netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9"),
+    ("netsim", "echo", "--listen", "127.0.0.1:0"),
+    ("ur-emulator", "--host", "127.77.3.9"),
+    ("demo",),
+)
+
+
+@pytest.mark.parametrize("arguments", LIVE, ids=lambda arguments: " ".join(arguments[:2]))
+@pytest.mark.parametrize("kind", ["pipe", "pty"])
+def test_commands_end_that_nobody_reads(arguments: tuple[str, ...], kind: str, tmp_path: Path) -> None:
+    with stopping.blocked_sink(kind) as sink:
+        process = subprocess.Popen(
+            [*HAPTETHER, *arguments], stdin=subprocess.DEVNULL, stdout=sink, stderr=sink, cwd=tmp_path
+        )
+        try:
+            time.sleep(2.5)
+            assert process.poll() is None
+            process.send_signal(signal.SIGINT)
+            assert process.wait(8.0) in {0, 130}
+        finally:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_taken_by_nothing_else(closed: str, tmp_path: Path) -> None:
+    record = tmp_path / "run.mcap"
+    command = " ".join([*HAPTETHER, "slave", "--insecure", "--listen", "127.0.0.1:0", "--patience-s", "0.5",
+                        "--record", str(record), "--min-free-bytes", "0"])  # fmt: skip
+    ended = subprocess.run(["sh", "-c", f"exec {command} {closed}"], timeout=30, check=False)
+    assert ended.returncode == 1, "no master came"
+    assert read_recording(record).whole
+
+
+OWN_TERMINAL = (
+    "import fcntl, os, sys, termios; fcntl.ioctl(1, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+def test_a_hung_up_terminal_ends_a_side_in_good_order(tmp_path: Path) -> None:
+    record = tmp_path / "run.mcap"
+    reader, writer = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", OWN_TERMINAL, *HAPTETHER, "slave", "--insecure", "--listen", "127.0.0.1:0", "--record",
+         str(record), "--min-free-bytes", "0"],
+        stdin=writer, stdout=writer, stderr=writer, start_new_session=True,
+    )  # fmt: skip
+    os.close(writer)
+    try:
+        while b"real time" not in os.read(reader, 4096):
+            pass
+        os.close(reader)
+        assert process.wait(8.0) in {0, 1}
+        assert read_recording(record).whole
+    finally:
+        process.kill()
+        process.wait()
+
+
+# ------------------------------------------------------------------------------------------- Ctrl-C while it loads
+
+COMMANDS = (
+    *LIVE, ("--help",), ("simulate", "remote_push"), ("paper",), ("raven",), ("list",), ("netsim", "list"),
+    ("sweep", "remote_push", "--vary", "link.forward.delay_s=0.01:0.1:10"), ("explain", "none"),
+    ("demo", "--slave", "ur"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("arguments", COMMANDS, ids=lambda arguments: " ".join(arguments[:2]))
+@pytest.mark.parametrize("delay_s", [0.005, 0.05, 0.1, 0.2, 0.35])
+def test_ctrl_c_while_a_command_loads(arguments: tuple[str, ...], delay_s: float, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", "haptether", *arguments], stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=tmp_path, bufsize=0,
+    )  # fmt: skip
+    try:
+        stderr = process.stderr
+        assert stderr is not None
+        # What comes before is Python's own start, which answers Ctrl-C by itself.
+        for line in stderr:
+            if line.rstrip().endswith("haptether.cli.interrupts"):
+                break
+        reading = threading.Thread(target=lambda: said.append(stderr.read()))
+        said: list[str] = []
+        reading.start()
+        time.sleep(delay_s)
+        had_ended = process.poll() is not None
+        process.send_signal(signal.SIGINT)
+        status = process.wait(30.0)
+        reading.join()
+    finally:
+        process.kill()
+        process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
+    assert "Traceback" not in said[0]
+    assert "KeyboardInterrupt" not in said[0]
+    # A side that runs already ends in good order.
+    assert had_ended or status == 130 or (status == 0 and arguments in LIVE and arguments[0] != "demo")
+
+
+# ------------------------------------------------------------------------------------------------------- memory
+
+
+def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [*HAPTETHER, "slave", "--insecure", "--listen", "127.0.0.1:0", "--record", str(tmp_path / "run.mcap"),
+         "--min-free-bytes", "0"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        time.sleep(8.0)
+        before = anonymous_bytes(process.pid)
+        time.sleep(20.0)
+        grown = anonymous_bytes(process.pid) - before
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10.0) == 0
+    finally:
+        process.kill()
+        process.wait()
+    # What was kept of each tick grew by 150 KB a second before; a day of this bound is 900 MB less.
+    assert grown < 20 * 5_000, f"{grown / 20.0:.0f} bytes a second"
+
+
+def test_what_is_kept_of_a_run_is_bounded_and_in_order() -> None:
+    slave = LiveSlave(
+        SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02), listen="127.0.0.1:0", session=1, insecure=True,
+        keep_s=0.25, patience_s=1.0,
+    )  # fmt: skip
+    while not slave.finished:
+        assert slave.poll() <= 250
+        time.sleep(0.01)
+    trace, report = slave.finish()
+    assert report.ticks > 500
+    assert len(trace) == 250
+    assert (np.diff(trace.time_s) > 0.0).all()
+    assert trace.time_s[-1] > 0.9
+
+
+# -------------------------------------------------------------------------------------------------------- files
+
+
+def test_a_flight_file_is_for_its_owner_alone_and_follows_no_link(tmp_path: Path) -> None:
+    path, victim = tmp_path / "a.flight", tmp_path / "victim"
+    victim.write_text("before")
+    (tmp_path / ".a.flight.part").symlink_to(victim)
+    flight = FlightFile(path)
+    flight.write("one")
+    assert path.read_text() == "one"
+    assert path.stat().st_mode & 0o777 == 0o600
+    # Planted later: it is replaced.
+    path.unlink()
+    path.symlink_to(victim)
+    flight.write("two")
+    assert (path.read_text(), path.is_symlink(), victim.read_text()) == ("two", False, "before")
+    assert sorted(each.name for each in tmp_path.iterdir()) == [".a.flight.part", "a.flight", "victim"]
+    for name, to in (("planted", victim), ("dangling", tmp_path / "nowhere")):
+        (tmp_path / name).symlink_to(to)
+        with pytest.raises(ValueError, match="is a symbolic link"):
+            FlightFile(tmp_path / name)
+
+
+def test_a_flight_file_that_nobody_reads_is_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    FlightFile(tmp_path / "pipe").write("one")
+    assert "not written" in capsys.readouterr().err
