@@ -59,6 +59,7 @@ __all__ = [
     "SafetyTicks",
     "SceneRun",
     "SceneTouch",
+    "SignalRelay",
     "Sinusoid",
     "SlaveLoop",
     "SlaveSettings",
@@ -2081,7 +2082,7 @@ class SignalRelay:
     def fileno(self) -> int:
         """Takes the numbers of signals, a byte each; never blocks."""
 
-    def attach(self, loop: LiveMaster | LiveSlave | MasterLoop | SlaveLoop) -> None:
+    def attach(self, of: LiveMaster | LiveSlave | MasterLoop | SlaveLoop) -> None:
         """Has signals reach a loop; one that has come before ends it."""
 
     def stop(self) -> None:

@@ -190,21 +190,28 @@ class Arm:
 HANGS = {"waits": "time.sleep(1000)", "keeps the interpreter": "ctypes.PyDLL(None).sleep(1000)"}
 
 
+def pair_with_driver(stage: Stage, hang: Path, hangs: str) -> tuple[Process, Process]:
+    """A master and a slave with a driver in Python, coupled; the driver does `hangs` once `hang` is there."""
+    (stage.folder / "bench_arm.py").write_text(textwrap.dedent(HANGING).replace("HANG\n", f"{hangs}\n"))
+    package = stage.folder / "bench_arm-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-arm\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text("[haptether.slaves]\nbench = bench_arm:Arm\n")
+    found = os.pathsep.join(filter(None, (str(stage.folder), os.environ.get("PYTHONPATH"))))
+    environment = {**os.environ, "PYTHONPATH": found, "HANG": str(hang)}
+    scene = ("--scene", "remote_push")
+    slave = stage.slave("slave", *scene, "--set", "slave.device=bench", environment=environment)
+    master = stage.master(slave.address, "master", *scene)
+    until_coupled(stage.path("slave.mcap"))
+    until_coupled(stage.path("master.mcap"))
+    return master, slave
+
+
 def second_interrupt(how: str, _limits: Limits) -> Row:
     """A driver that never comes back from `read`: the first Ctrl-C cannot end its run in good order."""
     with Stage.set() as stage:
-        (stage.folder / "bench_arm.py").write_text(textwrap.dedent(HANGING).replace("HANG\n", f"{HANGS[how]}\n"))
-        package = stage.folder / "bench_arm-1.0.dist-info"
-        package.mkdir()
-        (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-arm\nVersion: 1.0\n")
-        (package / "entry_points.txt").write_text("[haptether.slaves]\nbench = bench_arm:Arm\n")
         hang = stage.path("hang")
-        found = os.pathsep.join(filter(None, (str(stage.folder), os.environ.get("PYTHONPATH"))))
-        environment = {**os.environ, "PYTHONPATH": found, "HANG": str(hang)}
-        scene = ("--scene", "remote_push")
-        slave = stage.slave("slave", *scene, "--set", "slave.device=bench", environment=environment)
-        master = stage.master(slave.address, "master", *scene)
-        until_coupled(stage.path("master.mcap"))
+        master, slave = pair_with_driver(stage, hang, HANGS[how])
         hang.touch()
         time.sleep(0.5)
         held = list(read_recording(stage.path("master.mcap")).signals["state"])[-1]
@@ -230,17 +237,22 @@ def second_name(how: str) -> str:
     return f"slave: two SIGINT while its driver {how} for ever"
 
 
-def without_memory(side: str, _limits: Limits) -> Row:
-    """The address space of a coupled side is limited to what it has: each further mapping is refused."""
+def without_memory(side: str, given: str, _limits: Limits) -> Row:
+    """The address space of a coupled side is limited to what it has, or to less: each further mapping is refused."""
     other = "slave" if side == "master" else "master"
     with Stage.set() as stage:
-        slave = stage.slave()
-        master = stage.master(slave.address)
-        until_coupled(stage.path("slave.mcap"))
-        until_coupled(stage.path("master.mcap"))
+        if given == "a driver":
+            master, slave = pair_with_driver(stage, stage.path("hang"), "pass")
+        else:
+            slave = stage.slave()
+            master = stage.master(slave.address)
+            until_coupled(stage.path("slave.mcap"))
+            until_coupled(stage.path("master.mcap"))
         process, beside = (slave, master) if side == "slave" else (master, slave)
         status_line = Path(f"/proc/{process.process.pid}/status").read_text()
         (size,) = [int(line.split()[1]) * 1024 for line in status_line.splitlines() if line.startswith("VmSize:")]
+        if given == "less than it has":
+            size //= 2
         signal_s = time.monotonic()
         resource.prlimit(process.process.pid, resource.RLIMIT_AS, (size, size))
         took_s = ended(process, ENDS_S)
@@ -258,12 +270,17 @@ def without_memory(side: str, _limits: Limits) -> Row:
     judged.wrong.check(sent, f"the {other} was sent no end")
     judged.wrong.check(after_s < 0.5, f"the {other} was coupled for {after_s:.2f} s")
     judged.say(f"ended after {took_s or 0.0:.1f} s; the {other} left after {after_s * 1e3:.0f} ms, sent the end")
-    return judged.row(memory_name(side), "ends in good order: no force, the other side is sent the end")
+    return judged.row(memory_name(side, given), "ends in good order: no force, the other side is sent the end")
 
 
-def memory_name(side: str) -> str:
+WITHOUT_MEMORY = (
+    ("master", "what it has"), ("master", "less than it has"), ("slave", "what it has"), ("slave", "a driver"),
+)  # fmt: skip
+
+
+def memory_name(side: str, given: str) -> str:
     """Name of the row."""
-    return f"{side}: no memory left while engaged"
+    return f"{side}: no memory left while engaged, {given}"
 
 
 def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
@@ -277,6 +294,6 @@ def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
     measures[PRESSED] = pressed_while_blocked
     for how in HANGS:
         measures[second_name(how)] = partial(second_interrupt, how)
-    for side in ("master", "slave"):
-        measures[memory_name(side)] = partial(without_memory, side)
+    for side, given in WITHOUT_MEMORY:
+        measures[memory_name(side, given)] = partial(without_memory, side, given)
     return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}

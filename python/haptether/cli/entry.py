@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.umask(before)
 
 
-def _main(arguments: Sequence[str]) -> int:  # noqa: PLR0911  # one for each status
+def _main(arguments: Sequence[str]) -> int:
     if list(arguments) in (["--version"], ["-V"]):
         print(f"haptether {__version__}")
         return 0
@@ -286,5 +286,6 @@ def summary(command: type[object]) -> str:
 
 def complain(error: Exception, status: int) -> int:
     """Says what is wrong in one line."""
-    print(f"haptether: {printable(' '.join(str(error).split()))}", file=sys.stderr)
+    text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
+    print(f"haptether: {printable(' '.join(text.split()))}", file=sys.stderr)
     return status
