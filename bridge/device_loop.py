@@ -42,7 +42,9 @@ def drive_master(
     notes = notes or DeviceNotes()
     rest: tuple[float, ...] = ()
     with opened(device, notes, "[run] period_s", period_s):
-        notes.realtime = loop.begin()
+        realtime = loop.begin()
+        QUIET.prioritise()
+        notes.realtime = realtime
         wait = None if device.paces else loop.wait
         try:
             while True:
@@ -92,7 +94,9 @@ def drive_slave(
     notes = notes or DeviceNotes()
     before = "wait"
     with opened(device, notes, "[slave] period_s", period_s):
-        notes.realtime = loop.begin()
+        realtime = loop.begin()
+        QUIET.prioritise()
+        notes.realtime = realtime
         wait = None if device.paces else loop.wait
         try:
             while True:

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from haptether.bridge.interpreter import QUIET
+
 if TYPE_CHECKING:
     from haptether.master import MasterDevice
     from haptether.slave import SlaveDevice
@@ -57,6 +59,7 @@ def opened(
             message = "opened when nobody waited for it any more"
             raise TimeoutError(message)
         _check_period(device, key, period_s)
+        QUIET.settle()
     except Exception as error:
         # What it had opened by then, nobody else closes.
         close_once(device, notes)

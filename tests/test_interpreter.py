@@ -1,0 +1,99 @@
+"""Python's interpreter beside a loop: what a device made while it opened, and whose turn it is."""
+
+import gc
+import os
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from haptether.bridge.device_opening import DeviceNotes, opened
+from haptether.bridge.interpreter import HOLDER_PRIORITY, QUIET
+
+YOUNG = 100_000
+
+
+class Heavy:
+    """A device that makes many objects while it opens, as an import of CasADi does."""
+
+    paces = False
+
+    def __init__(self) -> None:
+        self.kept: list[list[int]] = []
+
+    def open(self) -> None:
+        self.kept = [[n] for n in range(YOUNG)]
+
+    def close(self) -> None:
+        self.kept = []
+
+
+@pytest.fixture
+def quiet() -> Iterator[None]:
+    QUIET.begin()
+    try:
+        yield
+    finally:
+        QUIET.end()
+
+
+def test_what_a_device_made_while_it_opened_is_not_collected_in_its_loop(quiet: None) -> None:  # noqa: ARG001
+    device: Any = Heavy()
+    with opened(device, DeviceNotes(), "period_s", None):
+        # What the first `poll` of a run looks at while the loop waits for the interpreter.
+        assert len(gc.get_objects(generation=0)) < YOUNG / 100
+
+
+def test_without_a_loop_the_collector_is_left_alone() -> None:
+    frozen = gc.get_freeze_count()
+    with opened(Heavy(), DeviceNotes(), "period_s", None):  # type: ignore[arg-type]  # as much of a device as it takes
+        assert gc.get_freeze_count() == frozen
+
+
+def in_realtime(act: Any) -> bool:  # noqa: ANN401  # a function
+    """Calls it on a thread with SCHED_FIFO, if that is granted; whether it was."""
+    granted: list[bool] = []
+
+    def run() -> None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(2))
+        except OSError:
+            return
+        granted.append(True)
+        act()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    return bool(granted)
+
+
+def test_who_may_hold_the_interpreter_goes_before_ordinary_processes(quiet: None) -> None:  # noqa: ARG001
+    before = os.sched_getscheduler(0)
+    seen: list[tuple[int, int]] = []
+    me = threading.get_native_id()
+
+    def raised() -> None:
+        QUIET.prioritise()
+        seen.append((os.sched_getscheduler(me), os.sched_getparam(me).sched_priority))
+
+    QUIET.begin()
+    try:
+        if not in_realtime(raised):
+            pytest.skip("this system grants no SCHED_FIFO")
+        assert seen == [(os.SCHED_FIFO, HOLDER_PRIORITY)]
+        # One of two loops ends: the other still needs it.
+        QUIET.end()
+        assert os.sched_getscheduler(0) == os.SCHED_FIFO
+        QUIET.end()
+        assert os.sched_getscheduler(0) == before
+    finally:
+        while QUIET.loops < 1:
+            QUIET.begin()
+
+
+def test_a_loop_without_real_time_raises_nobody(quiet: None) -> None:  # noqa: ARG001
+    before = os.sched_getscheduler(0)
+    QUIET.prioritise()
+    assert os.sched_getscheduler(0) == before
