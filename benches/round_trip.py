@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 EXAMPLE = "example: python benches/round_trip.py --json -"
 ROOT = Path(__file__).resolve().parents[1]
-BYTES = 148
+BYTES = 164
 """Of a sealed frame of one axis."""
 REQUIRED = 1.3
 WARM_UP = 500

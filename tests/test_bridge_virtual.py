@@ -442,7 +442,7 @@ def counts(forward: LinkSettings) -> tuple[LinkStatistics, LinkStatistics]:
 def expected(forward: LinkSettings, cause: str) -> int:
     """How often something happens that has an effect within the second."""
     sent = np.arange(1000, dtype=np.int64) * TICK_NS
-    verdicts = judge_all(forward, sent, seed=2, sizes=108)
+    verdicts = judge_all(forward, sent, seed=2, sizes=124)
     return int(np.count_nonzero(verdicts.causes_of(cause) & (verdicts.t_out_ns <= 999 * TICK_NS)))
 
 

@@ -9,6 +9,7 @@ pub mod clock;
 pub mod coupling;
 mod driven;
 mod endpoint;
+mod fault_text;
 pub mod ladder;
 mod lanes;
 mod link;
@@ -33,9 +34,11 @@ pub use endpoint::{
     EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings,
     SlaveTick,
 };
+pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
 pub use ladder::{
-    Clutch, ClutchError, FlightEntry, FlightRecorder, History, Ladder, LadderError, LadderInput,
-    LadderSettings, LadderState, Observed, PeerReport, Person, Reason, Transition,
+    Clutch, ClutchError, Diagnosis, Explanation, FlightEntry, FlightRecorder, History, Ladder, LadderError,
+    LadderInput, LadderSettings, LadderState, Observed, PeerCause, PeerReport, Person, Reason, Remedy, Step,
+    Transition,
 };
 pub use link::{FrameLink, LinkStatistics, PortState, Refusal, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};

@@ -4,6 +4,7 @@ use haptether_safety::Axes;
 
 use crate::{
     coupling::PortEnergy,
+    fault_text::TextPiece,
     path::{PathReport, PathSettings, PeerPath},
     session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, MAX_FRAME, Role, WireError},
@@ -71,6 +72,14 @@ pub struct Status {
     pub hears_peer: bool,
     /// Whether its clutch is closed.
     pub clutch: bool,
+    /// Whether it ends.
+    pub ending: bool,
+    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    pub reason: u8,
+    /// Its fault, [`haptether_safety::Fault::code`]; 0 without.
+    pub fault: u8,
+    /// A piece of its own words on that.
+    pub text: TextPiece,
 }
 
 /// Why a frame of the right form is not used.
@@ -141,13 +150,6 @@ impl<const N: usize> FrameLink<N> {
         }
     }
 
-    fn peer(&self) -> Role {
-        match self.role {
-            Role::Master => Role::Slave,
-            Role::Slave => Role::Master,
-        }
-    }
-
     /// Until the next call it is `late_ns` later than the tick's time when frames are received and sent. Frames and what
     /// is known of clocks need the true time: a loop that woke late would else take frames before they were sent.
     pub fn late(&mut self, late_ns: u64) {
@@ -158,7 +160,8 @@ impl<const N: usize> FrameLink<N> {
     ///
     /// Says whether the frame began a session. A refused datagram changes nothing but its counter.
     pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
-        let frame = Frame::decode(datagram, self.peer()).inspect_err(|_| self.statistics.refused += 1)?;
+        let frame =
+            Frame::decode(datagram, self.role.peer()).inspect_err(|_| self.statistics.refused += 1)?;
         let by_ns = now_ns.saturating_add(self.late_ns);
         let begins = match &self.newest {
             Some(newest) if newest.frame.session == frame.session => {
@@ -252,6 +255,10 @@ impl<const N: usize> FrameLink<N> {
             velocity,
             force,
             energy,
+            ending: status.ending,
+            reason: status.reason,
+            fault: status.fault,
+            text: status.text,
         };
         self.path.sent(self.next_sequence, sent_ns);
         self.next_sequence += 1;
@@ -308,7 +315,15 @@ mod tests {
     use proptest::prelude::*;
 
     const MS: u64 = 1_000_000;
-    const HEARD: Status = Status { state: 0, hears_peer: true, clutch: false };
+    const HEARD: Status = Status {
+        state: 0,
+        hears_peer: true,
+        clutch: false,
+        ending: false,
+        reason: 0,
+        fault: 0,
+        text: TextPiece { number: 0, index: 0, bytes: [0; 12] },
+    };
 
     fn frames(count: usize, session: u64) -> Vec<Vec<u8>> {
         let mut slave = FrameLink::<1>::new(Role::Slave, session, 200 * MS);

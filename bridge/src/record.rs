@@ -13,9 +13,13 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Told {
     reason: u8,
+    peer: [u8; 3],
     clutch: bool,
     round_trip_ns: u64,
 }
+
+/// What stands for the codes of a peer that has not been heard.
+const NO_PEER: [u8; 3] = [u8::MAX, 0, 0];
 
 impl Told {
     pub(crate) fn of<const N: usize>(exchange: &Exchange<N>) -> Self {
@@ -25,7 +29,8 @@ impl Told {
             0 => u64::MAX,
             round_trip_ns => round_trip_ns,
         };
-        Self { reason, clutch: exchange.clutch(), round_trip_ns }
+        let peer = exchange.peer_codes().unwrap_or(NO_PEER);
+        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns }
     }
 }
 
@@ -60,6 +65,8 @@ pub struct MasterRecord<const N: usize> {
     pub state: LadderState,
     /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
     pub reason: u8,
+    /// What the peer's newest frame says: state, reason and fault by their codes; 255, 0 and 0 before the first.
+    pub peer: [u8; 3],
     /// Whether the clutch is closed, as far as this side knows.
     pub clutch: bool,
     /// Silence of the peer in ns, `u64::MAX` before its first frame.
@@ -91,6 +98,7 @@ impl<const N: usize> MasterRecord<N> {
             acted: 0,
             state: LadderState::Disengaged,
             reason: 0,
+            peer: NO_PEER,
             clutch: false,
             age_ns: u64::MAX,
             round_trip_ns: u64::MAX,
@@ -127,6 +135,7 @@ impl<const N: usize> MasterRecord<N> {
             acted: tick.safety.acted.bits(),
             state: tick.state,
             reason: told.reason,
+            peer: told.peer,
             clutch: told.clutch,
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
             round_trip_ns: told.round_trip_ns,
@@ -151,6 +160,8 @@ pub struct SlaveRecord<const N: usize> {
     pub state: LadderState,
     /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
     pub reason: u8,
+    /// What the peer's newest frame says: state, reason and fault by their codes; 255, 0 and 0 before the first.
+    pub peer: [u8; 3],
     /// Whether the clutch is closed, as far as this side knows.
     pub clutch: bool,
     /// Which bounds acted on the command, [`crate::coupling::Limited::bits`].
@@ -176,6 +187,7 @@ impl<const N: usize> SlaveRecord<N> {
             environment_force: zeros,
             state: LadderState::Disengaged,
             reason: 0,
+            peer: NO_PEER,
             clutch: false,
             limited: 0,
             age_ns: u64::MAX,
@@ -198,6 +210,7 @@ impl<const N: usize> SlaveRecord<N> {
             environment_force: *environment_force,
             state: tick.state,
             reason: told.reason,
+            peer: told.peer,
             clutch: told.clutch,
             limited: tick.limited.bits(),
             age_ns: tick.age_ns.unwrap_or(u64::MAX),

@@ -4,6 +4,7 @@ use crate::{
     act::Act,
     coupling::{CouplingError, FrameMap},
     endpoint::{MasterEndpoint, SlaveEndpoint},
+    fault_text::FaultText,
     ladder::{Clutch, ClutchError, FlightRecorder, LadderState, Person},
     link::{LinkStatistics, Refusal},
     path::PathReport,
@@ -74,6 +75,15 @@ pub trait Side {
 
     /// The plant has failed, or says so, since the last tick; a model does not. The next tick counts it, after all acts.
     fn device_failed(&mut self) {}
+
+    /// The driver's words on a failure that the next tick counts.
+    fn describe_failure(&mut self, _text: &FaultText) {}
+
+    /// This side ends: from here on its frames say so.
+    fn end(&mut self) {}
+
+    /// The peer has ended its session.
+    fn peer_ended(&mut self) {}
 
     /// Leaves the plant without force or motion.
     fn rest(&mut self);
@@ -165,6 +175,18 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn device_failed(&mut self) {
         self.endpoint.device_failed();
+    }
+
+    fn describe_failure(&mut self, text: &FaultText) {
+        self.endpoint.describe_failure(text);
+    }
+
+    fn end(&mut self) {
+        self.endpoint.end();
+    }
+
+    fn peer_ended(&mut self) {
+        self.endpoint.peer_ended();
     }
 
     fn rest(&mut self) {
@@ -273,6 +295,18 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
 
     fn device_failed(&mut self) {
         self.endpoint.device_failed();
+    }
+
+    fn describe_failure(&mut self, text: &FaultText) {
+        self.endpoint.describe_failure(text);
+    }
+
+    fn end(&mut self) {
+        self.endpoint.end();
+    }
+
+    fn peer_ended(&mut self) {
+        self.endpoint.peer_ended();
     }
 
     fn rest(&mut self) {

@@ -1,16 +1,16 @@
 //! The frame that master and slave exchange, byte for byte.
 //!
-//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 20` bytes, the same for every frame of a
+//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 36` bytes, the same for every frame of a
 //! session:
 //!
 //! | offset | type | field |
 //! |---|---|---|
 //! | 0 | `[u8; 2]` | magic, `HT` |
-//! | 2 | `u8` | version, 2 |
+//! | 2 | `u8` | version, 3 |
 //! | 3 | `u8` | role of the sender: 1 master, 2 slave |
 //! | 4 | `u8` | axes N |
 //! | 5 | `u8` | state of the sender's ladder |
-//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed |
+//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends |
 //! | 8 | `u64` | session: drawn by the sender when it starts |
 //! | 16 | `u64` | sequence, from 0, one more with each frame |
 //! | 24 | `u64` | echo: newest sequence received from the peer |
@@ -23,9 +23,16 @@
 //! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
 //! | 64 + 24 N | `f64` | energy in J that this side's plant has put into the link since its start; it never falls |
 //! | 72 + 24 N | `f64` | energy in J that this side's plant has had out of the link; it never falls |
-//! | 80 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
+//! | 80 + 24 N | `u8` | why the sender stands in its state, [`crate::Reason::code`]; 0 where it began |
+//! | 81 + 24 N | `u8` | its fault, [`haptether_safety::Fault::code`]; 0 without |
+//! | 82 + 24 N | `u8` | number of its fault's text, 1 to 255; 0 without |
+//! | 83 + 24 N | `u8` | which piece of that text follows, 0 to 19 |
+//! | 84 + 24 N | `[u8; 12]` | that piece, UTF-8; zeros behind the end of the text |
+//! | 96 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
-//! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid.
+//! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid, those
+//! of a text that there is not, and what lies behind the end of a text. Codes of reasons and faults steer nothing: one
+//! that this version does not know is passed on and shown as a number.
 //!
 //! Positions are absolute, never increments: a lost frame costs its own news and nothing else.
 
@@ -35,16 +42,21 @@ use zerocopy::{
     little_endian::{U16, U64},
 };
 
-use crate::coupling::{MOST_ENERGY_J, PortEnergy};
+use crate::{
+    coupling::{MOST_ENERGY_J, PortEnergy},
+    fault_text::{PIECE, TextPiece},
+};
 
 /// Magic bytes at the start of a frame.
 pub const MAGIC: [u8; 2] = *b"HT";
 /// Version of the frame.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// Bytes before the first axis.
 pub const HEADER: usize = 64;
 /// Bytes of the two energies.
 const ENERGIES: usize = 16;
+/// Bytes of what a sender says of its cause.
+const CAUSE: usize = 4 + PIECE;
 /// Bytes of the checksum.
 const CHECKSUM: usize = 4;
 /// Most axes of a device or an arm.
@@ -54,7 +66,7 @@ pub const MAX_FRAME: usize = frame_length(MOST_AXES);
 
 /// Bytes of a frame of `axes` axes.
 pub const fn frame_length(axes: usize) -> usize {
-    HEADER + 24 * axes + ENERGIES + CHECKSUM
+    HEADER + 24 * axes + ENERGIES + CAUSE + CHECKSUM
 }
 
 /// Who sent a frame.
@@ -67,6 +79,23 @@ pub enum Role {
 }
 
 impl Role {
+    /// Its name: "master" or "slave".
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Master => "master",
+            Self::Slave => "slave",
+        }
+    }
+
+    /// The other one.
+    #[must_use]
+    pub const fn peer(self) -> Self {
+        match self {
+            Self::Master => Self::Slave,
+            Self::Slave => Self::Master,
+        }
+    }
+
     pub(crate) const fn byte(self) -> u8 {
         match self {
             Self::Master => 1,
@@ -115,6 +144,14 @@ pub struct Frame<const N: usize> {
     pub force: Axes<N>,
     /// What went in and out of the link at the sender's port.
     pub energy: PortEnergy,
+    /// Whether this is one of the sender's last frames: it ends, in good order.
+    pub ending: bool,
+    /// Why the sender stands in its state, [`crate::Reason::code`]; 0 where it began.
+    pub reason: u8,
+    /// Its fault, [`haptether_safety::Fault::code`]; 0 without.
+    pub fault: u8,
+    /// What this frame carries of the sender's own words on its fault.
+    pub text: TextPiece,
 }
 
 /// Why a datagram is no frame. It changes no state and is only counted.
@@ -146,7 +183,7 @@ pub enum WireError {
         allowed: usize,
     },
     /// With flags that have no meaning, or with an echo that its flag denies.
-    #[error("flags {0:#06x}: must be a sum of 1, 2 and 4, and without 1 the fields of the echo zero")]
+    #[error("flags {0:#06x}: must be a sum of 1, 2, 4 and 8, and without 1 the fields of the echo zero")]
     Flags(u16),
     /// Damaged on the way.
     #[error("checksum {seen:#010x}: must be {computed:#010x}")]
@@ -166,6 +203,18 @@ pub enum WireError {
         sequence: u64,
         /// As received.
         energy: PortEnergy,
+    },
+    /// A piece of a text with more than one way to write it.
+    #[error(
+        "frame {sequence}: piece {index} of text {number}: must be 0 to 19 of 1 to 255 with zeros behind its end, or all zeros"
+    )]
+    Text {
+        /// Of the frame.
+        sequence: u64,
+        /// Of the text.
+        number: u8,
+        /// Of the piece.
+        index: u8,
     },
 }
 
@@ -190,6 +239,7 @@ struct Header {
 const ECHO_VALID: u16 = 1;
 const HEARS_PEER: u16 = 2;
 const CLUTCH: u16 = 4;
+const ENDING: u16 = 8;
 /// What stands in a frame without an echo.
 const NO_ECHO: Echo = Echo { session: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 
@@ -210,7 +260,8 @@ impl<const N: usize> Frame<N> {
             flags: U16::new(
                 if self.echo.is_some() { ECHO_VALID } else { 0 }
                     | if self.hears_peer { HEARS_PEER } else { 0 }
-                    | if self.clutch { CLUTCH } else { 0 },
+                    | if self.clutch { CLUTCH } else { 0 }
+                    | if self.ending { ENDING } else { 0 },
             ),
             session: U64::new(self.session),
             sequence: U64::new(self.sequence),
@@ -227,6 +278,10 @@ impl<const N: usize> Frame<N> {
             slot.copy_from_slice(&value.to_le_bytes());
         }
         let end = Self::LENGTH - CHECKSUM;
+        let TextPiece { number, index, bytes } = self.text;
+        let cause = &mut buffer[end - CAUSE..end];
+        cause[..4].copy_from_slice(&[self.reason, self.fault, number, index]);
+        cause[4..].copy_from_slice(&bytes);
         let checksum = crc32fast::hash(&buffer[..end]);
         buffer[end..Self::LENGTH].copy_from_slice(&checksum.to_le_bytes());
         &buffer[..Self::LENGTH]
@@ -266,11 +321,12 @@ impl<const N: usize> Frame<N> {
             held_ns: header.echo_held_ns.get(),
         };
         let is_valid = flags & ECHO_VALID != 0;
-        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH) != 0 || !(is_valid || echo == NO_ECHO) {
+        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING) != 0 || !(is_valid || echo == NO_ECHO) {
             return Err(WireError::Flags(flags));
         }
+        let (numbers, cause) = body.split_at(body.len() - CAUSE);
         let numbers = |first: usize| {
-            body[HEADER + 8 * first..].chunks_exact(8).map(|bytes| {
+            numbers[HEADER + 8 * first..].chunks_exact(8).map(|bytes| {
                 let mut value = [0; 8];
                 value.copy_from_slice(bytes);
                 f64::from_le_bytes(value)
@@ -287,6 +343,11 @@ impl<const N: usize> Frame<N> {
         };
         if !energy.is_possible() {
             return Err(WireError::Energy { sequence, energy });
+        }
+        let mut text = TextPiece { number: cause[2], index: cause[3], bytes: [0; PIECE] };
+        text.bytes.copy_from_slice(&cause[4..]);
+        if !text.is_canonical() {
+            return Err(WireError::Text { sequence, number: text.number, index: text.index });
         }
         Ok(Self {
             role: from,
@@ -307,6 +368,10 @@ impl<const N: usize> Frame<N> {
                 },
             )?,
             energy,
+            ending: flags & ENDING != 0,
+            reason: cause[0],
+            fault: cause[1],
+            text,
         })
     }
 }
@@ -330,6 +395,10 @@ mod tests {
             velocity: Axes::<1>::new(0.25),
             force: Axes::<1>::new(2.0),
             energy: PortEnergy { in_j: 1.5, out_j: 0.25 },
+            ending: true,
+            reason: 4,
+            fault: 11,
+            text: TextPiece { number: 3, index: 1, bytes: *b"bus is down\0" },
         }
     }
 
@@ -339,7 +408,7 @@ mod tests {
         let mut buffer = [0; MAX_FRAME];
         let bytes = frame().encode(&mut buffer);
         let mut expected = Vec::new();
-        expected.extend_from_slice(b"HT\x02\x02\x01\x02\x07\x00");
+        expected.extend_from_slice(b"HT\x03\x02\x01\x02\x0F\x00");
         expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
         for number in [5_u64, 3, 1_000_000, 7, 9, 11] {
             expected.extend_from_slice(&number.to_le_bytes());
@@ -349,6 +418,7 @@ mod tests {
         expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0x00, 0x40]); // 2.0
         expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xF8, 0x3F]); // 1.5
         expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xD0, 0x3F]); // 0.25
+        expected.extend_from_slice(b"\x04\x0B\x03\x01bus is down\x00");
         expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
         assert_eq!(bytes, expected);
         assert_eq!(Frame::decode(bytes, Role::Slave), Ok(frame()));
@@ -368,7 +438,7 @@ mod tests {
             change(&mut bytes);
             Frame::<1>::decode(&bytes, Role::Slave).unwrap_err()
         };
-        assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 108 });
+        assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 124 });
         assert_eq!(refuse(&|b| b[0] = b'X'), WireError::Magic(*b"XT"));
         assert_eq!(refuse(&|b| b[2] = 9), WireError::Version(9));
         assert_eq!(refuse(&|b| b[3] = 1), WireError::Role(1));
@@ -380,15 +450,25 @@ mod tests {
             bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
             Frame::<1>::decode(&bytes, Role::Slave)
         };
-        assert_eq!(resealed(&|b| b[6] = 0x0F), Err(WireError::Flags(15)));
-        assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x107)));
+        assert_eq!(resealed(&|b| b[6] = 0x1F), Err(WireError::Flags(0x1F)));
+        assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x10F)));
         assert_eq!(resealed(&|b| b[6] = 2), Err(WireError::Flags(2)));
         let silent = resealed(&|b| {
-            b[6] = 6;
+            b[6] = 14;
             b[24..32].fill(0);
             b[40..64].fill(0);
         });
         assert_eq!(silent, Ok(Frame { echo: None, ..frame() }));
+        // Codes that this version does not know are passed on: they steer nothing.
+        let unknown = resealed(&|b| (b[104], b[105]) = (255, 254));
+        assert_eq!(unknown, Ok(Frame { reason: 255, fault: 254, ..frame() }));
+        let text = |number, index| Err(WireError::Text { sequence: 5, number, index });
+        assert_eq!(resealed(&|b| b[106] = 0), text(0, 1));
+        assert_eq!(resealed(&|b| b[107] = 20), text(3, 20));
+        assert_eq!(resealed(&|b| b[110] = 0), text(3, 1));
+        // The last piece has the end in it.
+        assert_eq!(resealed(&|b| (b[107], b[119]) = (19, b'!')), text(3, 19));
+        assert_eq!(resealed(&|b| b[106..120].fill(0)), Ok(Frame { text: TextPiece::default(), ..frame() }));
         let mut bad = frame();
         bad.force[0] = f64::NAN;
         let error = Frame::<1>::decode(bad.encode(&mut buffer), Role::Slave).unwrap_err();
@@ -402,6 +482,7 @@ mod tests {
             (session, sequence, sent_ns) in any::<(u64, u64, u64)>(),
             echo in prop::option::of(any::<(u64, u64, u64, u64)>()),
             (state, hears_peer, clutch) in any::<(u8, bool, bool)>(),
+            (ending, reason, fault, number, index) in any::<(bool, u8, u8, u8, u8)>(),
         ) {
             let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
             let frame = Frame {
@@ -409,6 +490,11 @@ mod tests {
                 echo: echo.map(|(session, sequence, sent_ns, held_ns)| Echo { session, sequence, sent_ns, held_ns }),
                 position: part(0), velocity: part(3), force: part(6),
                 energy: PortEnergy { in_j: numbers[0].abs(), out_j: numbers[1].abs() },
+                ending, reason, fault,
+                text: match number {
+                    0 => TextPiece::default(),
+                    _ => TextPiece { number, index: index % 19, bytes: [index | 1; PIECE] },
+                },
             };
             let mut buffer = [0; MAX_FRAME];
             prop_assert_eq!(Frame::decode(frame.encode(&mut buffer), Role::Master), Ok(frame));
@@ -422,7 +508,7 @@ mod tests {
         /// Random bodies under a right header and checksum: what is decoded is in range, the rest is refused.
         #[test]
         fn garbage_that_is_well_sealed_is_refused_or_in_range(
-            body in prop::collection::vec(any::<u8>(), 108 - 8 - 4),
+            body in prop::collection::vec(any::<u8>(), 124 - 8 - 4),
             values in prop::array::uniform5(prop::num::f64::ANY),
         ) {
             let mut bytes = vec![b'H', b'T', VERSION, 2, 1];
@@ -441,12 +527,14 @@ mod tests {
                     prop_assert!(seen.iter().zip(bounds).all(|(x, most)| x.abs() <= most));
                     prop_assert_eq!(seen, values);
                 }
-                Err(error) => prop_assert!(matches!(error, WireError::Value(..) | WireError::Energy { .. }), "{error}"),
+                Err(error) => prop_assert!(matches!(
+                    error, WireError::Value(..) | WireError::Energy { .. } | WireError::Text { .. }
+                ), "{error}"),
             }
         }
 
         #[test]
-        fn one_flipped_bit_is_refused(bit in 0usize..108 * 8) {
+        fn one_flipped_bit_is_refused(bit in 0usize..124 * 8) {
             let mut buffer = [0; MAX_FRAME];
             let mut bytes = frame().encode(&mut buffer).to_vec();
             bytes[bit / 8] ^= 1 << (bit % 8);

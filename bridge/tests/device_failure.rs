@@ -4,8 +4,8 @@
 use std::{net::SocketAddr, time::Duration};
 
 use haptether_bridge::{
-    Act, Clutch, DrivenMaster, DrivenSlave, LadderSettings, LadderState, MasterEndpoint, MasterSettings,
-    MasterSide, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
+    Act, Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, MasterEndpoint,
+    MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
     coupling::CommandBounds,
     live::{
         LiveSettings, LiveWatch, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
@@ -178,7 +178,7 @@ fn a_live_loop_keeps_a_failure_that_an_act_had_come_before() {
 fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) {
     let (mut paced, mut watch) = paced(side, role);
     paced.begin().unwrap();
-    let failing = std::thread::spawn(move || paced.fail());
+    let failing = std::thread::spawn(move || paced.fail(&FaultText::new("the bus is down")));
     while !failing.is_finished() {
         // Full where the loop has not taken them yet.
         let _ = watch.act(Act::Acknowledge);

@@ -286,7 +286,7 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
     for tick in 0..1000_u64 {
         let now_ns = tick * MS;
         let aligning = if tick < 2 { LadderState::Aligning } else { LadderState::Engaged };
-        let status = Status { state: aligning.code(), hears_peer: true, clutch: true };
+        let status = Status { state: aligning.code(), hears_peer: true, clutch: true, ..Status::default() };
         // At 100 ms a pose that jumps by 500 m, and a velocity beyond all reason; back at 110 ms.
         let wild = (100..110).contains(&tick);
         let pose = Axes::<1>::new(if wild { 500.0 } else { 0.0 });
@@ -477,7 +477,7 @@ fn frames_tell_the_energy_that_went_through_each_port() {
 #[test]
 fn a_frame_from_a_stranger_changes_nothing() {
     let (mut master, _) = sides();
-    let noise = [7_u8; 108];
+    let noise = [7_u8; 124];
     for tick in 0..50 {
         assert!(master.receive(tick * MS, &noise).is_err());
         assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Aligning);

@@ -108,7 +108,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
             let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
             slave.tick(TickTime::at(now_ns));
             let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
-            let _ = master.receive(now_ns, &[0; 108]);
+            let _ = master.receive(now_ns, &[0; 124]);
         }
         let allocated = allocations() - before;
 

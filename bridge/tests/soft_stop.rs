@@ -54,7 +54,7 @@ impl Bench {
         let state = if clutch { LadderState::Aligning } else { LadderState::Disengaged };
         // A master is engaged once its slave is.
         let state = if clutch && self.slave.state().is_coupled() { LadderState::Engaged } else { state };
-        let status = Status { state: state.code(), hears_peer: true, clutch };
+        let status = Status { state: state.code(), hears_peer: true, clutch, ..Status::default() };
         let [position, velocity] = [self.hand, speed].map(Axes::<1>::new);
         let sent = PortState { position, velocity, ..PortState::default() };
         let frame = self.master.send(now_ns, status, sent, &mut buffer).to_vec();

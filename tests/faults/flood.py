@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 
 HEADER = struct.Struct("<2sBBIQQ")
 """Magic, version, kind, epoch, session, counter: docs/protocol.md."""
-SEALED_BYTES, HELLO_BYTES = 148, 88
+SEALED_BYTES, HELLO_BYTES = 164, 88
 """Of a sealed frame of one axis, of the first message of a handshake."""
 BATCH = 100
 """Datagrams a system call."""

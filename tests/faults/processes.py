@@ -261,7 +261,8 @@ def restarted_master(limits: Limits) -> Row:
         at_slave, at_other = stage.ticks("slave"), stage.ticks("other")
     undisturbed(at_slave)
     judged = Judged(limits)
-    judged.silence(at_slave)
+    judged.wrong.check(at_slave.ticks.first(HOLD) is None, "an orderly end was met by a hold")
+    judged.wrong.check(_left(at_slave) == "peer has ended", f"the slave left because {_left(at_slave)!r}")
     judged.slave(at_slave)
     coupled = at_slave.ticks.coupled
     begun = np.flatnonzero(coupled[1:] & ~coupled[:-1]) + 1
@@ -271,7 +272,7 @@ def restarted_master(limits: Limits) -> Row:
     judged.wrong.check(np.ptp(between) == 0.0, f"the command travelled {np.ptp(between):g} m between the two")
     judged.ended(at_other)
     judged.say(f"slave left because {_left(at_slave)!r}")
-    return judged.row(RESTARTED_MASTER, "lease released; begins disengaged, engages by its press")
+    return judged.row(RESTARTED_MASTER, "an end, and no hold; lease released; engages by the press of the next")
 
 
 def _left(recorded: Recorded) -> str:

@@ -1,11 +1,12 @@
 //! What both endpoints have: a link, a ladder, and what goes out next.
 
-use haptether_safety::Axes;
+use haptether_safety::{Axes, Fault};
 
 use crate::{
+    fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
-        FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInput, LadderSettings,
-        LadderState, Observed, PeerReport, Transition,
+        Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInput,
+        LadderSettings, LadderState, Observed, PeerCause, PeerReport, Reason, Transition,
     },
     link::{FrameLink, LinkStatistics, PortState, Refusal, Status},
     path::PathReport,
@@ -33,6 +34,21 @@ pub struct Exchange<const N: usize> {
     /// Holds that were seen, and the sequence of a frame of this side that tells of the last one.
     told: (u64, u64),
     flight: Box<FlightRecorder>,
+    /// Code of this side's fault, 0 without, and the driver's words on it.
+    fault: u8,
+    spoken: SpokenText,
+    /// Words on a failure that the next tick meets.
+    failing: Option<FaultText>,
+    /// What the peer says of its fault.
+    heard: HeardText,
+    /// Why the peer last held.
+    peer_held: u8,
+    /// Sequence of the first frame that tells of the last alignment.
+    aligned: u64,
+    /// This side ends: its frames say so.
+    ending: bool,
+    /// The peer has ended, by its last frames or by releasing its session.
+    peer_ended: bool,
 }
 
 /// Longest period of a loop in ns: a peer cannot ask for more patience.
@@ -58,10 +74,15 @@ impl<const N: usize> Exchange<N> {
             period_ns,
             clutch: false,
             told: (0, 0),
-            flight: Box::new(FlightRecorder::new(match role {
-                Role::Master => "master",
-                Role::Slave => "slave",
-            })),
+            flight: Box::new(FlightRecorder::new(role.name())),
+            fault: 0,
+            spoken: SpokenText::default(),
+            failing: None,
+            heard: HeardText::default(),
+            peer_held: 0,
+            aligned: 0,
+            ending: false,
+            peer_ended: false,
         })
     }
 
@@ -73,9 +94,16 @@ impl<const N: usize> Exchange<N> {
     /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
     pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
         let begins = self.link.receive(now_ns, datagram)?;
-        let Some((sequence, sent_ns)) = self.newest().map(|frame| (frame.sequence, frame.sent_ns)) else {
-            return Ok(begins);
-        };
+        let Some(&frame) = self.link.newest() else { return Ok(begins) };
+        let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);
+        if begins {
+            (self.heard, self.peer_held) = (HeardText::default(), 0);
+        }
+        self.heard.take(&frame.text);
+        if LadderState::from_code(frame.state).is_some_and(LadderState::is_held) {
+            self.peer_held = frame.reason;
+        }
+        self.peer_ended = frame.ending;
         if begins {
             (self.interval_ns, self.first_interval_ns) = (None, None);
             self.counted = (sequence, sent_ns);
@@ -103,7 +131,7 @@ impl<const N: usize> Exchange<N> {
         }
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
-        let newest = self.newest();
+        let newest = self.link.newest();
         let peer = newest.map(|frame| PeerReport {
             // A state that this version does not know is none to be coupled with.
             state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
@@ -124,9 +152,22 @@ impl<const N: usize> Exchange<N> {
         // On arrival an age is what the link is used to; until the next frame it grows by what silence may.
         let over = self.link.path().over_usual_ns(now_ns);
         let over_usual_ns = over.map(|over| over.saturating_sub(expected_age_ns));
-        let input = LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, asks };
-        let before = self.ladder.state();
+        let (before, ended) = (self.ladder.state(), self.peer_ended);
+        let left = clutch
+            && before.is_coupled()
+            && newest.is_some_and(|frame| {
+                let has_seen = frame.echo.is_some_and(|echo| echo.sequence >= self.aligned);
+                frame.state == LadderState::Disengaged.code() && self.link.is_heard() && has_seen
+            });
+        if left {
+            self.peer_held = newest.map_or(0, |frame| frame.reason);
+        }
+        let input = LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, asks, ended, left };
         let state = self.ladder.step(now_ns, &input);
+        let aligns = |state: LadderState| state.is_coupled() || state == LadderState::Aligning;
+        if aligns(state) && !aligns(before) {
+            self.aligned = self.link.next_sequence();
+        }
         if state.is_coupled() && !before.is_coupled() {
             self.link.anchor();
         }
@@ -145,7 +186,59 @@ impl<const N: usize> Exchange<N> {
             observed,
             values: FlightValues::new(values),
         };
-        self.flight.take(entry, self.ladder.history());
+        self.flight.take(entry, self.ladder.history(), self.diagnosis());
+    }
+
+    /// Why the two sides are not coupled; none where nothing is wrong.
+    fn diagnosis(&self) -> Option<Diagnosis> {
+        let (state, newest) = (self.ladder.state(), self.newest());
+        let stands = |frame: &Frame<N>| LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
+        let peer_failed = newest.is_some_and(|frame| stands(frame) == LadderState::Fault);
+        if !(state.is_held() || peer_failed || self.peer_ended) {
+            return None;
+        }
+        Some(Diagnosis {
+            role: self.role,
+            state,
+            reason: self.ladder.history().cause(),
+            fault: self.fault,
+            text: *self.spoken.text(),
+            peer: newest.map(|frame| PeerCause {
+                state: stands(frame),
+                reason: self.peer_held,
+                fault: frame.fault,
+                text: *self.heard.text(),
+            }),
+            ended: self.peer_ended,
+            silent: !self.ladder.hears_peer(),
+        })
+    }
+
+    /// A number that cannot be was met, or the device has failed.
+    pub(super) fn fault(&mut self, now_ns: u64, fault: Fault) {
+        // What it met first led here.
+        if self.fault == 0 {
+            self.fault = fault.code();
+        }
+        if let Some(text) = self.failing.take() {
+            self.spoken.set(&text);
+        }
+        self.ladder.fault(now_ns);
+    }
+
+    /// The driver's words on a failure that the next tick meets.
+    pub(super) fn describe_failure(&mut self, text: &FaultText) {
+        self.failing = Some(*text);
+    }
+
+    /// This side ends: from here on its frames say so, and ask for nothing.
+    pub(super) fn end(&mut self) {
+        self.ending = true;
+    }
+
+    /// The peer has ended the session that its newest frame is of.
+    pub(super) fn peer_ended(&mut self) {
+        self.peer_ended = self.newest().is_some();
     }
 
     /// What the observers of this side are held against.
@@ -160,10 +253,19 @@ impl<const N: usize> Exchange<N> {
 
     /// Writes the frame of this tick.
     pub fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        // Who ends follows and leads no more, whatever its ladder says.
+        let state = match self.ladder.state() {
+            state if self.ending && !state.is_held() => LadderState::Disengaged,
+            state => state,
+        };
         let status = Status {
-            state: self.ladder.state().code(),
+            state: state.code(),
             hears_peer: self.ladder.hears_peer(),
-            clutch: self.clutch && self.role == Role::Master,
+            clutch: self.clutch && self.role == Role::Master && !self.ending,
+            ending: self.ending,
+            reason: self.ladder.history().cause().map_or(0, Reason::code),
+            fault: self.fault,
+            text: self.spoken.next_piece(),
         };
         self.link.send(now_ns, status, self.outgoing, buffer)
     }
@@ -175,6 +277,8 @@ impl<const N: usize> Exchange<N> {
 
     /// A person at this side says that its fault is mended.
     pub(super) fn acknowledge(&mut self, now_ns: u64) {
+        self.fault = 0;
+        self.spoken.set(&FaultText::EMPTY);
         self.ladder.acknowledge(now_ns);
     }
 
@@ -201,6 +305,12 @@ impl<const N: usize> Exchange<N> {
     /// The last step of the ladder.
     pub fn last_transition(&self) -> Option<Transition> {
         self.ladder.history().last()
+    }
+
+    /// Where the peer stands and why, [`LadderState::code`], [`Reason::code`] and [`Fault::code`]; none before its first
+    /// frame.
+    pub fn peer_codes(&self) -> Option<[u8; 3]> {
+        self.newest().map(|frame| [frame.state, frame.reason, frame.fault])
     }
 
     /// Counts of the link, and how often the ladder went to HOLD.

@@ -8,6 +8,7 @@ use haptether_safety::{
 use super::{EndpointError, Exchange, check_period, period_s};
 use crate::{
     coupling::{CouplingError, FrameMap, PositionForce},
+    fault_text::FaultText,
     ladder::{LadderSettings, LadderState, Observed, thresholds},
     link::{PortState, Refusal},
     wire::Role,
@@ -109,7 +110,7 @@ impl<const N: usize> MasterEndpoint<N> {
     ) -> MasterTick<N> {
         let has_failed = std::mem::take(&mut self.has_failed);
         if has_failed {
-            self.exchange.ladder.fault(now_ns);
+            self.exchange.fault(now_ns, Fault::Device);
         }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
         let asked =
@@ -132,8 +133,8 @@ impl<const N: usize> MasterEndpoint<N> {
         }
         self.last = Some((*position, velocity.copied()));
         let safety = self.layer.tick_with_authority(position, velocity, &(asked * gain), gain);
-        if safety.fault.is_some() {
-            self.exchange.ladder.fault(now_ns);
+        if let Some(fault) = safety.fault {
+            self.exchange.fault(now_ns, fault);
         } else {
             let velocity = safety.motion.velocity;
             let energy = &mut self.exchange.outgoing.energy;
@@ -172,6 +173,21 @@ impl<const N: usize> MasterEndpoint<N> {
     /// It counts as a bad number in that tick's sample does, so that no act before the tick undoes it.
     pub fn device_failed(&mut self) {
         self.has_failed = true;
+    }
+
+    /// The driver's words on its failure, of the next tick; see [`Self::device_failed`].
+    pub fn describe_failure(&mut self, text: &FaultText) {
+        self.exchange.describe_failure(text);
+    }
+
+    /// This side ends: from here on its frames say so.
+    pub fn end(&mut self) {
+        self.exchange.end();
+    }
+
+    /// The peer has ended its session.
+    pub fn peer_ended(&mut self) {
+        self.exchange.peer_ended();
     }
 
     /// A person at this side says that its fault is mended; the clutch must then be released and pressed.

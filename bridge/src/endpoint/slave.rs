@@ -5,6 +5,7 @@ use haptether_safety::{Axes, Fault, Signal};
 use super::{EndpointError, Exchange, check_period};
 use crate::{
     coupling::{CommandBounds, CouplingError, FrameMap, Limited, PositionForce, bounded, decayed},
+    fault_text::FaultText,
     ladder::{LadderSettings, LadderState, Observed},
     link::{PortState, Refusal},
     wire::Role,
@@ -105,7 +106,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             .and_then(|()| Signal::EnvironmentForce.check(environment_force));
         if let Err(fault) = door {
             self.fault.get_or_insert(fault);
-            self.exchange.ladder.fault(now_ns);
+            self.exchange.fault(now_ns, fault);
         }
         let (state, age_ns) = self.exchange.advance(now_ns, false);
         let home = *self.home.get_or_insert(*position);
@@ -167,6 +168,21 @@ impl<const N: usize> SlaveEndpoint<N> {
     pub fn rests(&mut self, rest: &Axes<N>) {
         // Where it does not know where it is, nothing is commanded until the two engage anew.
         self.command = self.command.and(Signal::Position.check(rest).is_ok().then_some(*rest));
+    }
+
+    /// The driver's words on its failure, of the next tick; see [`Self::device_failed`].
+    pub fn describe_failure(&mut self, text: &FaultText) {
+        self.exchange.describe_failure(text);
+    }
+
+    /// This side ends: from here on its frames say so.
+    pub fn end(&mut self) {
+        self.exchange.end();
+    }
+
+    /// The peer has ended its session.
+    pub fn peer_ended(&mut self) {
+        self.exchange.peer_ended();
     }
 
     /// A person at this side says that its fault is mended; the master's clutch must then be released and pressed.

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::{
+    diagnosis::{Diagnosis, Explanation},
     history::History,
     interventions::{Interventions, Observed, Row},
     state::LadderState,
@@ -11,6 +12,9 @@ use crate::wire::MOST_AXES;
 
 /// How many ticks are kept.
 const KEPT: usize = 50;
+
+/// How many diagnoses are kept.
+const KEPT_DIAGNOSES: usize = 8;
 
 /// One tick of a side.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,6 +81,11 @@ pub struct FlightRecorder {
     at_hold: Option<Ring>,
     history: History,
     interventions: Interventions,
+    /// Why the two were not coupled, and since when in ns.
+    diagnoses: [Option<(u64, Diagnosis)>; KEPT_DIAGNOSES],
+    diagnosed: usize,
+    /// As of the last tick.
+    diagnosis: Option<Diagnosis>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,6 +111,9 @@ impl FlightRecorder {
             at_hold: None,
             history: History::default(),
             interventions: Interventions::NONE,
+            diagnoses: [None; KEPT_DIAGNOSES],
+            diagnosed: 0,
+            diagnosis: None,
         }
     }
 
@@ -111,8 +123,22 @@ impl FlightRecorder {
     }
 
     /// Keeps a tick, and what led to a hold or a fault when there is one.
-    pub(crate) fn take(&mut self, entry: FlightEntry, history: &History) {
+    pub(crate) fn take(&mut self, entry: FlightEntry, history: &History, diagnosis: Option<Diagnosis>) {
         self.start_ns.get_or_insert(entry.time_ns);
+        if self.diagnosis != diagnosis {
+            if let Some(diagnosis) = diagnosis {
+                let mut since_ns = entry.time_ns;
+                // More words on the same, or the link that comes and goes: no place of its own.
+                if let Some(before) = self.diagnosis.filter(|before| before.is_same_case(&diagnosis)) {
+                    self.diagnosed -= 1;
+                    let slot = self.diagnoses[self.diagnosed % KEPT_DIAGNOSES];
+                    since_ns = slot.filter(|slot| slot.1 == before).map_or(since_ns, |slot| slot.0);
+                }
+                self.diagnoses[self.diagnosed % KEPT_DIAGNOSES] = Some((since_ns, diagnosis));
+                self.diagnosed += 1;
+            }
+            self.diagnosis = diagnosis;
+        }
         let before = self.latest.count.checked_sub(1).map(|last| self.latest.entries[last % KEPT].state);
         self.latest.entries[self.latest.count % KEPT] = entry;
         self.latest.count += 1;
@@ -123,6 +149,24 @@ impl FlightRecorder {
         if entry.state.is_held() && before.is_none_or(|before| !before.is_held()) {
             self.at_hold = Some(self.latest);
         }
+    }
+
+    /// Why the two sides were not coupled at the last tick; none where nothing is wrong.
+    pub fn diagnosis(&self) -> Option<&Diagnosis> {
+        self.diagnosis.as_ref()
+    }
+
+    /// Each cause in words, the oldest first; what changes no word is not said again.
+    fn causes(&self, seconds: impl Fn(u64) -> f64) -> Vec<Cause> {
+        let kept = self.diagnosed.saturating_sub(KEPT_DIAGNOSES)..self.diagnosed;
+        let mut causes: Vec<Cause> = Vec::new();
+        for (time_ns, diagnosis) in kept.filter_map(|index| self.diagnoses[index % KEPT_DIAGNOSES]) {
+            let explanation = diagnosis.explain();
+            if causes.last().is_none_or(|last| last.explanation != explanation) {
+                causes.push(Cause { time_s: seconds(time_ns), explanation });
+            }
+        }
+        causes
     }
 
     /// What is kept, as JSON: times in s since the first tick, transitions with their reasons, ticks with their values.
@@ -145,6 +189,7 @@ impl FlightRecorder {
                 .collect(),
             interventions: self.interventions.rows(seconds),
             interventions_seen: self.interventions.count(),
+            causes: self.causes(seconds),
             at_hold: self.at_hold.as_ref().map(ticks).unwrap_or_default(),
             latest: ticks(&self.latest),
         };
@@ -161,8 +206,16 @@ struct Log {
     /// The last ones, and how many there were.
     interventions: Vec<Row>,
     interventions_seen: usize,
+    causes: Vec<Cause>,
     at_hold: Vec<Tick>,
     latest: Vec<Tick>,
+}
+
+#[derive(Serialize)]
+struct Cause {
+    time_s: f64,
+    #[serde(flatten)]
+    explanation: Explanation,
 }
 
 #[derive(Serialize)]
@@ -221,7 +274,7 @@ mod tests {
             let value = Axes::<2>::new(tick as f64, if tick == 299 { f64::NAN } else { 0.5 });
             let values = FlightValues::new([&value; 3]);
             let entry = FlightEntry { time_ns: 5 + tick * 1_000_000, state, values, ..FlightEntry::EMPTY };
-            recorder.take(entry, &History::default());
+            recorder.take(entry, &History::default(), None);
         }
         let log: serde_json::Value = serde_json::from_str(&recorder.to_json()).unwrap();
         let first = |key: &str| log[key][0]["position"][0].as_f64();

@@ -48,6 +48,17 @@ impl History {
         self.ring[self.count.checked_sub(1)? % KEPT]
     }
 
+    /// Why it stands where it does: of a hold that became a stop, why it first held.
+    pub fn cause(&self) -> Option<Reason> {
+        let last = self.last()?;
+        if !matches!(last.to, LadderState::Hold | LadderState::Stop) {
+            return Some(last.reason);
+        }
+        let kept = self.count.saturating_sub(KEPT)..self.count;
+        let newest_first = kept.rev().filter_map(|index| self.ring[index % KEPT]);
+        newest_first.into_iter().find(|step| !step.from.is_held()).or(Some(last)).map(|step| step.reason)
+    }
+
     /// Those that are kept, the oldest first.
     pub fn iter(&self) -> impl Iterator<Item = Transition> + '_ {
         (self.count.saturating_sub(KEPT)..self.count).filter_map(|index| self.ring[index % KEPT])
@@ -57,6 +68,24 @@ impl History {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stop_is_caused_by_what_led_to_its_hold() {
+        use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stop};
+        let mut history = History::default();
+        assert_eq!(history.cause(), None);
+        for (from, to, reason, cause) in [
+            (Disengaged, Aligning, Reason::ClutchPressed, Reason::ClutchPressed),
+            (Engaged, Hold, Reason::PeerFaulted, Reason::PeerFaulted),
+            (Hold, Stop, Reason::SilentTooLong, Reason::PeerFaulted),
+            (Stop, Aligning, Reason::ClutchPressed, Reason::ClutchPressed),
+            (Engaged, Hold, Reason::OwnDelay, Reason::OwnDelay),
+            (Hold, Fault, Reason::BadNumber, Reason::BadNumber),
+        ] {
+            history.push(Transition { time_ns: 0, from, to, reason });
+            assert_eq!(history.cause(), Some(cause));
+        }
+    }
 
     #[test]
     fn the_last_ones_are_kept_in_order() {

@@ -34,6 +34,11 @@ pub struct LadderInput {
     pub clutch: bool,
     /// Whether that is an act at this tick: at the master the edge of the button, at the slave a master that aligns.
     pub asks: bool,
+    /// Whether the peer has ended in good order.
+    pub ended: bool,
+    /// Whether the peer follows no more, though it has seen this side align and no release since: it took this side for
+    /// ended.
+    pub left: bool,
 }
 
 /// The ladder of one endpoint: a pure function of what it is told and when.
@@ -116,9 +121,10 @@ impl Ladder {
         Facts::default()
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard)
-            .with(Reason::PeerHolds, stands(LadderState::Hold))
+            .with(Reason::PeerHolds, stands(LadderState::Hold) || input.left)
             .with(Reason::PeerStopped, stands(LadderState::Stop))
             .with(Reason::PeerFaulted, stands(LadderState::Fault))
+            .with(Reason::PeerEnded, input.ended)
             // What it is used to is that of an engagement.
             .with(Reason::NewsOld, self.state.is_coupled() && old)
             .with(Reason::ClutchReleased, !input.clutch)
@@ -140,6 +146,10 @@ impl Ladder {
                 self.opened = false;
                 // A press at the very tick at which a hold begins is none that answers it.
                 facts = facts.without(Reason::ClutchPressed);
+            }
+            if row.reason == Reason::PeerEnded {
+                // Another one must not be coupled with by a clutch that waits, pressed.
+                self.opened = false;
             }
             if row.from == LadderState::Fault {
                 // Whoever says that a fault is mended must not be surprised by a clutch that waits, pressed.

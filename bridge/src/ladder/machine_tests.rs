@@ -13,6 +13,8 @@ fn sound(age: u64) -> LadderInput {
         peer: Some(PeerReport { state: Engaged, hears: true, answers: true }),
         clutch: true,
         asks: false,
+        ended: false,
+        left: false,
     }
 }
 
@@ -243,6 +245,30 @@ fn a_stall_holds_without_force() {
     assert_eq!(ladder.state(), Hold);
 }
 
+#[test]
+fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
+    let end = LadderInput { ended: true, peer: None, ..sound(1) };
+    let mut ladder = engaged();
+    assert_eq!(ladder.step(301 * MS, &end), Disengaged);
+    for now in 302..1000 {
+        let silent = LadderInput { age_ns: Some((now - 301) * MS), ..end };
+        assert_eq!(ladder.step(now * MS, &silent), Disengaged);
+    }
+    let reasons: Vec<_> = ladder.history().iter().map(|step| step.reason).collect();
+    assert_eq!(reasons[2..], [Reason::PeerEnded]);
+    assert!(ladder.gain() == 0.0 && ladder.holds() == 0);
+    // The next peer is not coupled with by a clutch that waits, pressed, and not by the network.
+    ladder.new_session(1000 * MS, false);
+    assert_eq!(ladder.step(1001 * MS, &press()), Disengaged);
+    ladder.step(1002 * MS, &LadderInput { clutch: false, ..sound(1) });
+    assert_eq!(ladder.step(1003 * MS, &press()), Engaged);
+    // A hold stays one, and what has a fault says more than its end.
+    let failed = Some(PeerReport { state: Fault, hears: true, answers: true });
+    assert_eq!(ladder.step(1004 * MS, &LadderInput { peer: failed, ..end }), Hold);
+    assert_eq!(ladder.step(1005 * MS, &end), Hold);
+    assert_eq!(ladder.history().last().map(|step| step.reason), Some(Reason::PeerFaulted));
+}
+
 /// Anything that can be told at a tick.
 fn any_input() -> impl Strategy<Value = LadderInput> {
     let peer = (0_u8..7, any::<bool>(), prop::bool::weighted(0.8)).prop_map(|(code, hears, answers)| {
@@ -255,14 +281,17 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
         prop_oneof![6 => Just(Some(good)), 3 => peer.prop_map(Some), 1 => Just(None)],
         prop::bool::weighted(0.7),
         prop_oneof![6 => Just(Some(0_u64)), 1 => (0..60_u64).prop_map(Some), 1 => Just(None)],
+        prop::bool::weighted(0.03),
     )
-        .prop_map(|(age, peer, clutch, over)| LadderInput {
+        .prop_map(|(age, peer, clutch, over, ended)| LadderInput {
             age_ns: age.map(|age| age * MS),
             expected_age_ns: MS,
             over_usual_ns: over.map(|over| over * MS),
             peer,
             clutch,
             asks: false,
+            ended,
+            left: false,
         })
 }
 
@@ -311,6 +340,11 @@ proptest! {
             if before.0 == Fault && state != Fault { prop_assert_eq!(act, 2); }
             if before.0 == Stop && !matches!(state, Stop | Fault) {
                 prop_assert!(pressed || act == 3 && !master);
+            }
+            let last = ladder.history().last();
+            if ladder.history().count() > count && last.is_some_and(|last| last.reason == Reason::PeerEnded) {
+                prop_assert_eq!(state, Disengaged);
+                (opened, pressed) = (false, false);
             }
             let gain = ladder.gain();
             prop_assert!((0.0..=1.0).contains(&gain));

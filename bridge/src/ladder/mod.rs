@@ -4,6 +4,7 @@
 //! [`Ladder`] finds out what is the case at a tick and asks the table. [`Person`] is a hand at the clutch for runs
 //! without a button, [`FlightRecorder`] what is left when something went wrong.
 
+mod diagnosis;
 mod flight;
 mod history;
 mod interventions;
@@ -13,6 +14,7 @@ mod settings;
 mod state;
 pub mod table;
 
+pub use diagnosis::{Diagnosis, Explanation, PeerCause, Remedy, Step};
 pub use flight::{FlightEntry, FlightRecorder, FlightValues};
 pub use history::{History, Transition};
 pub use interventions::{Observed, thresholds};

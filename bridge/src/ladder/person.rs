@@ -47,6 +47,8 @@ pub struct Person {
     /// Since when both sides have been ready, in ns.
     ready_ns: Option<u64>,
     has_held: bool,
+    /// Since it last pressed, the side has had a fault.
+    has_faulted: bool,
     asked: bool,
 }
 
@@ -75,6 +77,7 @@ impl Person {
             since_ns: 0,
             ready_ns: None,
             has_held: false,
+            has_faulted: false,
             asked: false,
         })
     }
@@ -100,12 +103,16 @@ impl Person {
             Clutch::Once => None,
         };
         self.has_held |= state.is_held();
+        self.has_faulted |= state == LadderState::Fault;
         self.ready_ns = if ready { self.ready_ns.or(Some(now_ns)) } else { None };
         let spent_ns = now_ns.saturating_sub(self.since_ns);
         if self.pressed {
-            let gives_up = reaction_ns.is_some()
-                && (matches!(state, LadderState::Hold | LadderState::Stop)
-                    || self.has_held && state == LadderState::Aligning && spent_ns > PATIENCE_NS);
+            // The other side has ended: whoever comes next is met by a new press.
+            let is_alone = state == LadderState::Disengaged && !self.has_faulted;
+            let gives_up = reaction_ns.is_some_and(|reaction| is_alone && spent_ns > reaction)
+                || reaction_ns.is_some()
+                    && (matches!(state, LadderState::Hold | LadderState::Stop)
+                        || self.has_held && state == LadderState::Aligning && spent_ns > PATIENCE_NS);
             if gives_up || self.asked {
                 (self.pressed, self.since_ns, self.ready_ns) = (false, now_ns, None);
             }
@@ -118,6 +125,7 @@ impl Person {
             };
             if presses {
                 (self.pressed, self.since_ns, self.asked) = (true, now_ns, false);
+                self.has_faulted = false;
             }
         }
         self.pressed
@@ -130,6 +138,30 @@ mod tests {
     use LadderState::{Aligning, Engaged, Hold};
 
     const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_simulated_person_presses_anew_for_whoever_comes_after_an_end_but_not_after_a_fault() {
+        use LadderState::{Disengaged, Fault};
+        for faulted in [false, true] {
+            let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+            person.begin(0);
+            assert!(person.at(0, Disengaged, false));
+            for now in 1..1000 {
+                assert!(person.at(now * MS, Engaged, true));
+            }
+            if faulted {
+                assert!(person.at(1000 * MS, Fault, false));
+            }
+            // The other side is there again after a second.
+            let pressed: Vec<u64> =
+                (1001..3000).filter(|now| person.at(now * MS, Disengaged, *now >= 2000)).collect();
+            if faulted {
+                assert_eq!(pressed.len(), 1999, "a fault that was mended couples nothing");
+            } else {
+                assert_eq!(pressed[0], 2500);
+            }
+        }
+    }
 
     #[test]
     fn a_schedule_is_followed() {

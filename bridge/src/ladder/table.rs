@@ -42,17 +42,19 @@ pub enum Reason {
     Acknowledged,
     /// The newest of the peer may be older than the link is used to by more than `hold_after`.
     NewsOld,
+    /// The peer has ended in good order.
+    PeerEnded,
 }
 
 use Reason::{
     Acknowledged, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack, FramesLate,
-    MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerFaulted, PeerHolds, PeerRestarted, PeerSilent,
-    PeerStopped, SilentTooLong,
+    MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerEnded, PeerFaulted, PeerHolds, PeerRestarted,
+    PeerSilent, PeerStopped, SilentTooLong,
 };
 
 impl Reason {
     /// All reasons in the order of their codes.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         BadNumber,
         OwnDelay,
         PeerRestarted,
@@ -70,6 +72,7 @@ impl Reason {
         MasterStartedAnew,
         Acknowledged,
         NewsOld,
+        PeerEnded,
     ];
 
     /// Its number in records, from 1; 0 stands for none.
@@ -102,6 +105,7 @@ impl Reason {
             MasterStartedAnew => "master was started anew",
             Acknowledged => "fault acknowledged at this side",
             NewsOld => "peer's news is old",
+            PeerEnded => "peer has ended",
         }
     }
 }
@@ -125,18 +129,23 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 ///
 /// A press counts in HOLD and STOP only while both sides hear one another and the peer knows of the hold: a press
 /// into a dead link must not couple whenever the link comes back. In DISENGAGED it waits, visibly, as ALIGNING.
+///
+/// An end of the peer leads to less force only, so that nobody gains by a false one. A fault of a peer that ends says more
+/// than its end, and its end more than the silence after it.
 pub const TABLE: &[Row] = &[
     row(Disengaged, BadNumber, Fault),
     row(Disengaged, ClutchPressed, Aligning),
     row(Aligning, BadNumber, Fault),
     row(Aligning, ClutchReleased, Disengaged),
     row(Aligning, MasterStartedAnew, Disengaged),
+    row(Aligning, PeerEnded, Disengaged),
     row(Aligning, BothAligned, Engaged),
     row(Engaged, BadNumber, Fault),
     row(Engaged, OwnDelay, Hold),
     row(Engaged, PeerRestarted, Hold),
-    row(Engaged, PeerSilent, Hold),
     row(Engaged, PeerFaulted, Hold),
+    row(Engaged, PeerEnded, Disengaged),
+    row(Engaged, PeerSilent, Hold),
     row(Engaged, PeerStopped, Hold),
     row(Engaged, PeerHolds, Hold),
     row(Engaged, PeerDeaf, Hold),
@@ -146,8 +155,9 @@ pub const TABLE: &[Row] = &[
     row(Stale, BadNumber, Fault),
     row(Stale, OwnDelay, Hold),
     row(Stale, PeerRestarted, Hold),
-    row(Stale, PeerSilent, Hold),
     row(Stale, PeerFaulted, Hold),
+    row(Stale, PeerEnded, Disengaged),
+    row(Stale, PeerSilent, Hold),
     row(Stale, PeerStopped, Hold),
     row(Stale, PeerHolds, Hold),
     row(Stale, PeerDeaf, Hold),
@@ -213,10 +223,10 @@ mod tests {
     use super::*;
 
     fn all_facts() -> impl Iterator<Item = Facts> {
-        (0..1_u32 << 17).map(|bits| Facts(bits << 1))
+        (0..1_u32 << 18).map(|bits| Facts(bits << 1))
     }
 
-    /// Every state under every set of reasons: 7 times 131072 cases.
+    /// Every state under every set of reasons: 7 times 262144 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
         for state in LadderState::ALL {
@@ -246,7 +256,7 @@ mod tests {
                     Disengaged => match row.from {
                         Fault => assert_eq!(row.reason, Acknowledged),
                         Hold | Stop => assert_eq!(row.reason, MasterStartedAnew),
-                        _ => assert!(matches!(row.reason, ClutchReleased | MasterStartedAnew)),
+                        _ => assert!(matches!(row.reason, ClutchReleased | MasterStartedAnew | PeerEnded)),
                     },
                 }
             }
@@ -267,6 +277,7 @@ mod tests {
             (PeerStopped, Hold),
             (PeerFaulted, Hold),
             (ClutchReleased, Disengaged),
+            (PeerEnded, Disengaged),
         ];
         let mut engaged = coupled.to_vec();
         engaged.push((FramesLate, Stale));
@@ -281,6 +292,7 @@ mod tests {
                     (ClutchReleased, Disengaged),
                     (BothAligned, Engaged),
                     (MasterStartedAnew, Disengaged),
+                    (PeerEnded, Disengaged),
                 ],
             ),
             (Engaged, engaged),
@@ -312,7 +324,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(18)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(19)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.

@@ -25,8 +25,8 @@ const PEER_PERIOD_NS: u64 = 100_000;
 const TELL_EVERY: u64 = 4;
 /// Answers of the handshakes that one tick takes.
 const MOST_ANSWERS: usize = 4;
-/// How often a release is sent: datagrams get lost.
-pub(super) const RELEASES: u32 = 5;
+/// How often a release is sent after the last frames: datagrams get lost.
+pub(super) const RELEASES: usize = 5;
 
 /// What came of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,8 +85,9 @@ impl LiveChannel {
                     handshakes.hand_over(standing, from, message);
                 }
             }
-            // A rejection is counted by the session, a release told by its event.
-            Ok(Incoming::Release) | Err(_) => {}
+            Ok(Incoming::Release) => side.peer_ended(),
+            // A rejection is counted by the session.
+            Err(_) => {}
         }
         Came::Nothing
     }

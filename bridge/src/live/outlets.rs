@@ -1,6 +1,9 @@
 //! Where the records of a loop go: to whoever polls, and to the recorder.
 
-use crate::recorder::{Recorder, RecordingReport};
+use crate::{
+    ladder::Diagnosis,
+    recorder::{Recorder, RecordingReport},
+};
 
 /// Both ways out of the loop; neither is ever waited for.
 #[derive(Debug)]
@@ -20,6 +23,13 @@ impl<R: Copy> Outlets<R> {
             recorder.take(record);
         }
         self.polled.push(record)
+    }
+
+    /// Hands the recording why the two sides are not coupled, since `time_ns` after the start or shortly before.
+    pub(super) fn note(&mut self, time_ns: u64, diagnosis: Diagnosis) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.note(time_ns, diagnosis);
+        }
     }
 
     /// Ends the recording.

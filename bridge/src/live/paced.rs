@@ -16,14 +16,15 @@ use super::{
     watch::LiveWatch,
 };
 use crate::{
+    fault_text::{FaultText, PIECES},
     ladder::FlightRecorder,
     pace::{DevicePace, Wake},
     recorder::Recorder,
     side::Side,
 };
 
-/// Ticks after a device has failed in which the peer is told so: frames get lost.
-const FAILED_TICKS: u32 = 20;
+/// Ticks after a device has failed in which the peer is told so: frames get lost, and the driver's words come in pieces.
+const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
 /// How far the loop is.
 enum Stage<S: Side> {
@@ -119,12 +120,13 @@ impl<S: Side> PacedLoop<S> {
         self.waited = true;
     }
 
-    /// The device is gone: zero force and no motion, and the peer is told.
-    pub fn fail(&mut self) {
+    /// The device is gone: zero force and no motion, and the peer is told, in the driver's words where there are any.
+    pub fn fail(&mut self, text: &FaultText) {
         let Stage::Turning(turning) = &mut self.stage else { return };
         for _ in 0..FAILED_TICKS {
             // Anew at each: nobody can mend what is gone.
             turning.side().device_failed();
+            turning.side().describe_failure(text);
             // Now, and not when the next sample would have been due: what is told must not come from the future.
             let wake = self.pace.sampled(clock::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
@@ -134,6 +136,15 @@ impl<S: Side> PacedLoop<S> {
             clock::sleep_until(self.pace.next_ns());
         }
         self.shared.stop.store(true, Ordering::Relaxed);
+        turning.say_end();
+    }
+
+    /// The device is at rest: tells the peer that this side ends, before whoever waits for the report does.
+    pub fn say_end(&mut self) {
+        if let Stage::Turning(turning) = &mut self.stage {
+            self.shared.stop.store(true, Ordering::Relaxed);
+            turning.say_end();
+        }
     }
 
     /// Ends the loop and gives its report, for [`LiveWatch::ended`]; none if it was given before.

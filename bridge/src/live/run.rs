@@ -96,6 +96,8 @@ pub(super) struct Shared {
     /// The peer has answered a frame.
     pub(super) answered: AtomicBool,
     pub(super) press: AtomicBool,
+    /// Presses before which something else must be done.
+    pub(super) vain_presses: AtomicU64,
     pub(super) takeover: AtomicBool,
     /// No force, no motion, and the peer has been sent the end.
     pub(super) at_rest: AtomicBool,
@@ -110,6 +112,8 @@ impl Shared {
 
 /// States and commands as of a STOP or FAULT that wait for a reader.
 const MOST_FLIGHTS: usize = 2;
+/// Diagnoses that wait for a reader; the loop keeps the newest until there is room.
+const MOST_DIAGNOSES: usize = 16;
 /// Acts that may wait for the loop: it takes all of them at its next tick.
 const MOST_ACTS: usize = 16;
 
@@ -126,6 +130,7 @@ pub(super) fn assemble<S: Side>(
     let (producer, records) = ring(settings.ring);
     let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
     let (flown, flights) = ring(MOST_FLIGHTS);
+    let (diagnosed, diagnoses) = ring(MOST_DIAGNOSES);
     let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
     let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
     let watch = LiveWatch {
@@ -133,12 +138,20 @@ pub(super) fn assemble<S: Side>(
         events,
         flights,
         flight: None,
+        diagnoses,
+        diagnosis: None,
         acts,
         shared: Arc::default(),
         address: socket.local_address()?,
         recording: recorder.as_ref().map(Recorder::recording),
     };
-    let ways = Ways { records: Outlets::new(producer, recorder), events: told, flights: flown, acts: done };
+    let ways = Ways {
+        records: Outlets::new(producer, recorder),
+        events: told,
+        flights: flown,
+        diagnoses: diagnosed,
+        acts: done,
+    };
     Ok((channel, ways, watch))
 }
 

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     act::Act,
-    ladder::{FlightRecorder, LadderState},
+    ladder::{Diagnosis, FlightRecorder, LadderState},
     pace::Wake,
     session::MAX_DATAGRAM,
     side::{Side, TickTime},
@@ -21,18 +21,68 @@ use crate::{
 
 /// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
 const MOST_TAKING: u64 = 4;
-/// Between two releases at the end of a run, in ns.
-const RELEASE_NS: u64 = 1_000_000;
+/// After each of the last frames and releases, the time in ns to the next: 20 ms in all, since losses come in bursts.
+const END_NS: [u64; 9] =
+    [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
+/// A diagnosis is told once it has stood for this long in ns: the words of a peer come in pieces.
+const SETTLED_NS: u64 = 50_000_000;
 /// After a loop has slept, acts that were asked for meanwhile may still be on their way: for this long, in ns, a press
 /// counts for nothing.
 const MAX_PRESS_DELAY_NS: u64 = 200_000_000;
 
 /// A side that is left without force or motion however its loop ends.
-struct Resting<S: Side>(S);
+struct Resting<S: Side>(S, bool);
+
+impl<S: Side> Resting<S> {
+    /// Once: an arm that is stopped again and again lets go of what it leans on.
+    fn rest(&mut self) {
+        if !std::mem::replace(&mut self.1, true) {
+            self.0.rest();
+        }
+    }
+}
 
 impl<S: Side> Drop for Resting<S> {
     fn drop(&mut self) {
-        self.0.rest();
+        self.rest();
+    }
+}
+
+/// Why the two are not coupled, and whether that was told.
+struct Diagnosed {
+    now: Option<Diagnosis>,
+    since_ns: u64,
+    is_told: bool,
+}
+
+impl Diagnosed {
+    /// Whether `newest` was not told yet.
+    fn is_told_not(&mut self, newest: Option<&Diagnosis>) -> bool {
+        if self.now.as_ref() != newest {
+            (self.now, self.is_told) = (newest.copied(), false);
+        }
+        !self.is_told
+    }
+
+    /// Whether it has stood for long enough, and was not told yet.
+    fn is_due(&mut self, now_ns: u64, newest: Option<&Diagnosis>) -> bool {
+        if self.now.as_ref() != newest {
+            self.since_ns = now_ns;
+        }
+        self.is_told_not(newest) && now_ns.saturating_sub(self.since_ns) >= SETTLED_NS
+    }
+
+    /// Tells it, `time_ns` after the start; again at the next tick where nobody has taken those before.
+    fn tell<R: Copy>(
+        &mut self,
+        time_ns: u64,
+        records: &mut Outlets<R>,
+        diagnoses: &mut rtrb::Producer<Option<Diagnosis>>,
+    ) {
+        self.is_told = diagnoses.push(self.now).is_ok();
+        if let Some(diagnosis) = self.now.filter(|_| self.is_told) {
+            records.note(time_ns, diagnosis);
+        }
     }
 }
 
@@ -41,6 +91,7 @@ pub(super) struct Ways<R> {
     pub(super) records: Outlets<R>,
     pub(super) events: rtrb::Producer<SecurityEvent>,
     pub(super) flights: rtrb::Producer<FlightRecorder>,
+    pub(super) diagnoses: rtrb::Producer<Option<Diagnosis>>,
     pub(super) acts: rtrb::Consumer<Act>,
 }
 
@@ -58,6 +109,8 @@ pub(super) struct Turning<S: Side> {
     /// A press before this time was asked for while the loop slept.
     presses_from_ns: u64,
     shown: LadderState,
+    diagnosed: Diagnosed,
+    has_said_end: bool,
     buffer: [u8; MAX_DATAGRAM],
 }
 
@@ -75,7 +128,7 @@ impl<S: Side> Turning<S> {
             LoopReport { engaged_ns: u64::MAX, secure: channel.is_secure(), ..LoopReport::default() };
         side.begin(start_ns);
         Self {
-            side: Resting(side),
+            side: Resting(side, false),
             socket,
             channel,
             settings,
@@ -85,6 +138,8 @@ impl<S: Side> Turning<S> {
             now_ns: start_ns,
             presses_from_ns: start_ns,
             shown: LadderState::Disengaged,
+            diagnosed: Diagnosed { now: None, since_ns: start_ns, is_told: true },
+            has_said_end: false,
             buffer: [0; MAX_DATAGRAM],
         }
     }
@@ -96,8 +151,8 @@ impl<S: Side> Turning<S> {
 
     /// One tick; breaks where the run is over.
     pub(super) fn turn(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
-        let Self { side: Resting(side), socket, channel, settings, ways, report, .. } = self;
-        let Ways { records, events, flights, acts } = ways;
+        let Self { side: Resting(side, _), socket, channel, settings, ways, report, .. } = self;
+        let Ways { records, events, flights, diagnoses, acts } = ways;
         let mut tell = |event| {
             let _ = events.push(event);
         };
@@ -115,6 +170,9 @@ impl<S: Side> Turning<S> {
         self.now_ns = now_ns;
         if shared.press.swap(false, Ordering::Relaxed) && now_ns >= self.presses_from_ns {
             side.press_again();
+            if side.flight().diagnosis().is_some_and(Diagnosis::is_before_press) {
+                shared.vain_presses.fetch_add(1, Ordering::Relaxed);
+            }
         }
         if shared.takeover.swap(false, Ordering::Relaxed) {
             channel.allow_takeover(now_ns, &mut tell);
@@ -151,6 +209,9 @@ impl<S: Side> Turning<S> {
         {
             self.shown = state;
         }
+        if self.diagnosed.is_due(now_ns, side.flight().diagnosis()) {
+            self.diagnosed.tell(now_ns - start_ns, records, diagnoses);
+        }
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
         // A round trip is known from the first answer on.
@@ -167,23 +228,43 @@ impl<S: Side> Turning<S> {
         }
     }
 
-    /// Leaves the plant at rest, tells the peer, and closes what is open.
-    pub(super) fn end(self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
-        let Self { side, mut socket, mut channel, ways, mut report, now_ns, mut buffer, .. } = self;
-        let (counts, last) = (side.0.counts(), *side.0.flight());
-        report.path = side.0.path(now_ns);
-        // First of all: what follows takes its time, and memory.
-        drop(side);
-        for release in 0..RELEASES {
-            let now_ns = clock::now_ns();
-            let Ok(datagram) = channel.release(now_ns, &mut buffer) else { break };
-            socket.send(None, datagram);
-            if release + 1 < RELEASES {
-                clock::sleep_until(now_ns + RELEASE_NS);
-            }
+    /// Leaves the plant at rest and tells the peer that this side ends; nothing a second time.
+    pub(super) fn say_end(&mut self) {
+        if std::mem::replace(&mut self.has_said_end, true) {
+            return;
         }
+        // First of all: what follows takes its time.
+        self.side.rest();
+        let Self { side: Resting(side, _), socket, channel, buffer, .. } = self;
+        side.end();
+        side.late(0);
+        for (sent, wait_ns) in END_NS.into_iter().enumerate() {
+            let now_ns = clock::now_ns();
+            // A release ends the keys of the peer, so the frames that say why come first. In the clear there is none.
+            let datagram = if channel.is_secure() && sent + RELEASES >= END_NS.len() {
+                channel.release(now_ns, buffer).ok()
+            } else {
+                channel.send(now_ns, side, buffer)
+            };
+            let Some(datagram) = datagram else { break };
+            socket.send(None, datagram);
+            clock::sleep_until(now_ns + wait_ns);
+        }
+    }
+
+    /// Leaves the plant at rest, tells the peer, and closes what is open.
+    pub(super) fn end(mut self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
+        self.say_end();
+        // What follows takes memory.
         shared.at_rest.store(true, Ordering::Relaxed);
-        let flight = Box::new(last);
+        let (counts, flight) = (self.side.0.counts(), Box::new(*self.side.0.flight()));
+        self.report.path = self.side.0.path(self.now_ns);
+        let Self { side, socket, mut channel, mut ways, mut report, now_ns, start_ns, mut diagnosed, .. } =
+            self;
+        drop(side);
+        if diagnosed.is_told_not(flight.diagnosis()) {
+            diagnosed.tell(now_ns - start_ns, &mut ways.records, &mut ways.diagnoses);
+        }
         report.out_of_memory = memory::is_exhausted();
         report.rejections = channel.end();
         report.link = counts.link.with(&report.rejections);

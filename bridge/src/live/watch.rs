@@ -8,7 +8,7 @@ use std::{
 use super::{handshakes::SecurityEvent, run::Shared};
 use crate::{
     act::Act,
-    ladder::{FlightRecorder, LadderState},
+    ladder::{Diagnosis, FlightRecorder, LadderState},
     recorder::{Recording, RecordingReport},
 };
 
@@ -46,6 +46,9 @@ pub struct LiveWatch<R> {
     pub(super) flights: rtrb::Consumer<FlightRecorder>,
     /// The newest that was taken.
     pub(super) flight: Option<Box<FlightRecorder>>,
+    pub(super) diagnoses: rtrb::Consumer<Option<Diagnosis>>,
+    /// The newest that was taken.
+    pub(super) diagnosis: Option<Diagnosis>,
     pub(super) acts: rtrb::Producer<Act>,
     pub(super) shared: Arc<Shared>,
     pub(super) address: SocketAddr,
@@ -107,6 +110,11 @@ impl<R> LiveWatch<R> {
         self.shared.press.store(true, Ordering::Relaxed);
     }
 
+    /// How often [`Self::press_clutch`] could not couple, because something else must be done before.
+    pub fn vain_presses(&self) -> u64 {
+        self.shared.vain_presses.load(Ordering::Relaxed)
+    }
+
     /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait.
     pub fn act(&mut self, act: Act) -> Result<(), Act> {
         self.acts.push(act).map_err(|rtrb::PushError::Full(act)| act)
@@ -118,6 +126,14 @@ impl<R> LiveWatch<R> {
             self.flight = Some(Box::new(flight));
         }
         self.flight.as_ref().map(|flight| flight.to_json())
+    }
+
+    /// Why the two sides are not coupled, where it happened and what to do; none where nothing is wrong.
+    pub fn diagnosis(&mut self) -> Option<&Diagnosis> {
+        while let Ok(diagnosis) = self.diagnoses.pop() {
+            self.diagnosis = diagnosis;
+        }
+        self.diagnosis.as_ref()
     }
 
     /// Asks the loop to end after its current tick.
@@ -134,5 +150,9 @@ impl<R> LiveWatch<R> {
     pub fn ended(&mut self, flight: Option<Box<FlightRecorder>>) {
         while self.flights.pop().is_ok() {}
         self.flight = flight.or(self.flight.take());
+        while self.diagnoses.pop().is_ok() {}
+        if let Some(flight) = &self.flight {
+            self.diagnosis = flight.diagnosis().copied();
+        }
     }
 }

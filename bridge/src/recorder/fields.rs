@@ -4,7 +4,7 @@ use serde_json::json;
 
 use super::SecurityMark;
 use crate::{
-    ladder::Reason,
+    ladder::{LadderState, Reason},
     record::{MasterRecord, SlaveRecord},
 };
 
@@ -104,9 +104,16 @@ fn reason(code: u8) -> Value<'static> {
     Value::Name(Reason::from_code(code).map_or("", Reason::text))
 }
 
+fn peer_state(code: u8) -> Value<'static> {
+    Value::Name(LadderState::from_code(code).map_or("", LadderState::name))
+}
+
 const TIME: &str = "time since the run began, in ns";
 const STATE: &str = "state of the ladder";
 const REASON: &str = "why the ladder stands there; empty where it began";
+const PEER_STATE: &str = "state of the peer's ladder, by its newest frame; empty before the first";
+const PEER_REASON: &str = "code of why the peer's ladder stands there, by its newest frame; 0 where it began";
+const PEER_FAULT: &str = "code of the peer's fault, by its newest frame; 0 without";
 const CLUTCH: &str = "whether the clutch is closed, as far as this side knows";
 const AGE: &str = "silence of the peer in s; null before its first frame";
 const ROUND_TRIP: &str =
@@ -144,6 +151,9 @@ impl<const N: usize> Recorded for MasterRecord<N> {
             ("acted", "bits of the limiter's bounds that acted", Value::Count(self.acted.into())),
             ("state", STATE, Value::Name(self.state.name())),
             ("reason", REASON, reason(self.reason)),
+            ("peer_state", PEER_STATE, peer_state(self.peer[0])),
+            ("peer_reason", PEER_REASON, Value::Count(self.peer[1].into())),
+            ("peer_fault", PEER_FAULT, Value::Count(self.peer[2].into())),
             ("clutch", CLUTCH, Value::Flag(self.clutch)),
             ("age_s", AGE, seconds(self.age_ns)),
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
@@ -175,6 +185,9 @@ impl<const N: usize> Recorded for SlaveRecord<N> {
             ("limited", "bits of the bounds that acted on the command", Value::Count(self.limited.into())),
             ("state", STATE, Value::Name(self.state.name())),
             ("reason", REASON, reason(self.reason)),
+            ("peer_state", PEER_STATE, peer_state(self.peer[0])),
+            ("peer_reason", PEER_REASON, Value::Count(self.peer[1].into())),
+            ("peer_fault", PEER_FAULT, Value::Count(self.peer[2].into())),
             ("clutch", CLUTCH, Value::Flag(self.clutch)),
             ("age_s", AGE, seconds(self.age_ns)),
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),

@@ -9,19 +9,38 @@ use std::{
 use mcap::{WriteOptions, Writer, records::MessageHeader, records::Metadata, write::NoSeek};
 
 use super::{
-    Recorded, SecurityMark,
+    Note, Recorded, SecurityMark,
     disk::{Refusal, Sink},
     fields::{schema, write_json},
 };
+use crate::ladder::Explanation;
 
 /// Name of the metadata that say what the file is.
 const METADATA: &str = "haptether";
+
+/// Of the channel that says why the two sides were not coupled.
+const CAUSE_SCHEMA: &str = r#"{"title": "haptether.cause", "type": "object", "properties": {
+"time_ns": {"type": "integer", "description": "time since the run began, in ns"},
+"state": {"type": "string", "description": "state of the ladder"},
+"at": {"type": "string", "description": "where it happened: master, slave or link"},
+"text": {"type": "string", "description": "what happened, in the driver's own words where there are any"},
+"steps": {"type": "array", "description": "what to do, in this order", "items": {"type": "object", "properties": {
+"at": {"type": "string"}, "remedy": {"type": "string"}, "text": {"type": "string"}}}}}}"#;
+
+#[derive(serde::Serialize)]
+struct Cause {
+    time_ns: u64,
+    #[serde(flatten)]
+    explanation: Explanation,
+}
 
 /// A file that is being written.
 pub(super) struct McapFile<W: Write> {
     writer: Option<Writer<NoSeek<Sink<W>>>>,
     refusal: Refusal,
     channel: u16,
+    causes: u16,
+    notes: u32,
     security: SecurityMark,
     /// Wall-clock time in ns at which the file was begun, for the log times.
     begun_ns: u64,
@@ -39,6 +58,8 @@ impl<W: Write> McapFile<W> {
             writer: None,
             refusal,
             channel: 0,
+            causes: 0,
+            notes: 0,
             security,
             begun_ns,
             sequence: 0,
@@ -65,6 +86,10 @@ impl<W: Write> McapFile<W> {
                 .add_schema(&name, "jsonschema", schema::<R>().as_bytes())
                 .and_then(|id| writer.add_channel(id, &format!("/{}", R::SIDE), "json", &metadata))
                 .unwrap_or(0);
+            file.causes = writer
+                .add_schema("haptether.cause", "jsonschema", CAUSE_SCHEMA.as_bytes())
+                .and_then(|id| writer.add_channel(id, &format!("/{}/cause", R::SIDE), "json", &metadata))
+                .unwrap_or(0);
         }
         file
     }
@@ -82,6 +107,20 @@ impl<W: Write> McapFile<W> {
             publish_time: log_time,
         };
         self.sequence = self.sequence.wrapping_add(1);
+        let _ = writer.write_to_known_channel(&header, &self.message);
+    }
+
+    /// Adds why the two sides are not coupled to the chunk.
+    pub(super) fn note(&mut self, note: &Note) {
+        let Some(writer) = &mut self.writer else { return };
+        let cause = Cause { time_ns: note.time_ns, explanation: note.diagnosis.explain() };
+        self.message.clear();
+        // A vector takes all that is written, and JSON has all these values.
+        let _ = serde_json::to_writer(&mut self.message, &cause);
+        let log_time = self.begun_ns.saturating_add(note.time_ns);
+        let header =
+            MessageHeader { channel_id: self.causes, sequence: self.notes, log_time, publish_time: log_time };
+        self.notes = self.notes.wrapping_add(1);
         let _ = writer.write_to_known_channel(&header, &self.message);
     }
 

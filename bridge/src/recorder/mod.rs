@@ -25,6 +25,8 @@ use crate::ring::ring;
 
 use mcap_file::McapFile;
 
+use crate::ladder::Diagnosis;
+
 /// Whether frames are sealed; a recording of an unsealed run says so in every record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SecurityMark {
@@ -90,6 +92,16 @@ pub struct RecordingReport {
 /// Records that wait for the disk: 16 s at 1 kHz.
 const RING: usize = 1 << 14;
 
+/// Diagnoses that wait for the disk.
+const NOTES: usize = 16;
+
+/// Why the two sides are not coupled, since when.
+#[derive(Clone, Copy, Debug)]
+struct Note {
+    time_ns: u64,
+    diagnosis: Diagnosis,
+}
+
 /// How long the end of a run waits for the disk.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -149,6 +161,7 @@ impl Recording {
 #[derive(Debug)]
 pub struct Recorder<R> {
     records: rtrb::Producer<R>,
+    notes: rtrb::Producer<Note>,
     progress: Arc<Progress>,
     ended: mpsc::Receiver<()>,
 }
@@ -174,6 +187,7 @@ impl<R: Recorded> Recorder<R> {
         settings: &RecorderSettings,
     ) -> io::Result<Self> {
         let (records, waiting) = ring(RING);
+        let (notes, noted) = ring(NOTES);
         let progress = Arc::new(Progress::default());
         let (tell, ended) = mpsc::sync_channel(1);
         let (seen, security, min_free_bytes) =
@@ -181,10 +195,10 @@ impl<R: Recorded> Recorder<R> {
         std::thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
             // The head, too, is written there: not even that may keep a run waiting.
             let file = McapFile::begin::<R>(out, security);
-            writer::write_while_open(file, waiting, &seen, &|| free_bytes() < min_free_bytes);
+            writer::write_while_open(file, (waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
             let _ = tell.send(());
         })?;
-        Ok(Self { records, progress, ended })
+        Ok(Self { records, notes, progress, ended })
     }
 }
 
@@ -195,6 +209,11 @@ impl<R> Recorder<R> {
         let _ = self.records.push(record);
     }
 
+    /// Hands over why the two sides are not coupled, `time_ns` after the run began; dropped where the disk is behind.
+    pub(crate) fn note(&mut self, time_ns: u64, diagnosis: Diagnosis) {
+        let _ = self.notes.push(Note { time_ns, diagnosis });
+    }
+
     /// Somebody else's view of it.
     pub fn recording(&self) -> Recording {
         Recording(Arc::clone(&self.progress))
@@ -202,8 +221,8 @@ impl<R> Recorder<R> {
 
     /// Waits until all is written, but not for a disk that does not answer.
     pub(crate) fn end(self) -> RecordingReport {
-        let Self { records, progress, ended } = self;
-        drop(records);
+        let Self { records, notes, progress, ended } = self;
+        drop((notes, records));
         if ended.recv_timeout(PATIENCE).is_err() {
             progress.set_end(RecordingEnd::Stuck);
         }

@@ -4,7 +4,7 @@ use std::{
 };
 
 use super::*;
-use crate::{LadderState, record::MasterRecord};
+use crate::{FaultText, LadderState, PeerCause, Reason, record::MasterRecord, wire::Role};
 
 const SETTINGS: RecorderSettings =
     RecorderSettings { path: PathBuf::new(), min_free_bytes: 0, security: SecurityMark::Insecure };
@@ -104,8 +104,8 @@ fn what_is_recorded_can_be_read() {
     }
     let summary = mcap::Summary::read(&file).unwrap().unwrap();
     assert_eq!(summary.stats.unwrap().message_count, 1000);
-    let channel = summary.channels.values().next().unwrap();
-    assert_eq!((channel.topic.as_str(), channel.message_encoding.as_str()), ("/master", "json"));
+    let channel = summary.channels.values().find(|channel| channel.topic == "/master").unwrap();
+    assert_eq!(channel.message_encoding, "json");
     assert_eq!(channel.metadata["security"], "insecure");
     let schema = channel.schema.as_ref().unwrap();
     assert_eq!((schema.name.as_str(), schema.encoding.as_str()), ("haptether.master", "jsonschema"));
@@ -113,6 +113,43 @@ fn what_is_recorded_can_be_read() {
     let described: Vec<&String> = described["properties"].as_object().unwrap().keys().collect();
     let written: Vec<&String> = read[0].as_object().unwrap().keys().collect();
     assert_eq!(described, written);
+}
+
+#[test]
+fn why_two_sides_were_not_coupled_stands_in_a_channel_of_its_own() {
+    let (disk, paper) = disk(usize::MAX);
+    let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
+    take_slowly(&mut recorder, 10);
+    let text = FaultText::new("the bus is down");
+    let peer = PeerCause { state: LadderState::Fault, reason: 1, fault: 11, text };
+    let diagnosis = Diagnosis {
+        role: Role::Master,
+        state: LadderState::Hold,
+        reason: Some(Reason::PeerFaulted),
+        fault: 0,
+        text: FaultText::EMPTY,
+        peer: Some(peer),
+        ended: false,
+        silent: false,
+    };
+    recorder.note(7_000_000, diagnosis);
+    recorder.end();
+    let file = paper.read();
+    let causes: Vec<_> = mcap::MessageStream::new(&file)
+        .unwrap()
+        .map(Result::unwrap)
+        .filter(|message| message.channel.topic == "/master/cause")
+        .collect();
+    assert_eq!(causes.len(), 1);
+    let written: serde_json::Value = serde_json::from_slice(&causes[0].data).unwrap();
+    assert_eq!(written["text"], "the slave has a fault: the bus is down");
+    assert_eq!((written["at"].as_str(), written["time_ns"].as_u64()), (Some("slave"), Some(7_000_000)));
+    let schema = causes[0].channel.schema.as_ref().unwrap();
+    let described: serde_json::Value = serde_json::from_slice(&schema.data).unwrap();
+    let keys =
+        |value: &serde_json::Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
+    assert_eq!(keys(&described["properties"]), keys(&written));
+    assert_eq!(keys(&described["properties"]["steps"]["items"]["properties"]), keys(&written["steps"][0]));
 }
 
 #[test]

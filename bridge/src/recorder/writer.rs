@@ -2,7 +2,7 @@
 
 use std::{io::Write, sync::atomic::Ordering, thread, time::Duration};
 
-use super::{McapFile, Progress, Recorded, RecordingEnd};
+use super::{McapFile, Note, Progress, Recorded, RecordingEnd};
 
 /// How long an empty ring is left alone: a small part of the time in which it fills.
 const PAUSE: Duration = Duration::from_millis(20);
@@ -19,7 +19,7 @@ const MAX_CHUNK: u64 = 4096;
 /// Writes records until the other end of the ring is gone and all are written, or the disk has had enough.
 pub(super) fn write_while_open<R: Recorded>(
     file: McapFile<impl Write>,
-    mut records: rtrb::Consumer<R>,
+    (mut records, mut notes): (rtrb::Consumer<R>, rtrb::Consumer<Note>),
     progress: &Progress,
     is_full: &dyn Fn() -> bool,
 ) {
@@ -37,6 +37,11 @@ pub(super) fn write_while_open<R: Recorded>(
                     chunks += 1;
                     chunk_end += (CHUNK << (chunks / CHUNKS_OF_A_SIZE).min(8)).min(MAX_CHUNK);
                 }
+            }
+        }
+        while let Ok(note) = notes.pop() {
+            if let Some(open) = &mut file {
+                open.note(&note);
             }
         }
         if is_last {

@@ -1,7 +1,7 @@
 //! A side at which a person acts at given times.
 
 use crate::{
-    Act, FlightRecorder, LadderState, PathReport, Refusal, Side, SideCounts, TickTime,
+    Act, FaultText, FlightRecorder, LadderState, PathReport, Refusal, Side, SideCounts, TickTime,
     coupling::CouplingError, wire::MAX_FRAME,
 };
 
@@ -58,6 +58,18 @@ impl<S: Side> Side for Timed<S> {
 
     fn device_failed(&mut self) {
         self.side.device_failed();
+    }
+
+    fn describe_failure(&mut self, text: &FaultText) {
+        self.side.describe_failure(text);
+    }
+
+    fn end(&mut self) {
+        self.side.end();
+    }
+
+    fn peer_ended(&mut self) {
+        self.side.peer_ended();
     }
 
     fn rest(&mut self) {

@@ -1,0 +1,391 @@
+//! Why two sides are not coupled, as one of them knows it: where it happened, in whose words, and what to do in order.
+
+use haptether_safety::Fault;
+use serde::Serialize;
+
+use super::{state::LadderState, table::Reason};
+use crate::{fault_text::FaultText, wire::Role};
+
+/// What the peer last said of itself; codes are its own, and may be of a version that knows more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PeerCause {
+    /// Where it stands.
+    pub state: LadderState,
+    /// Why it last held, [`Reason::code`].
+    pub reason: u8,
+    /// Its fault, [`Fault::code`]; 0 without.
+    pub fault: u8,
+    /// Its own words on that.
+    pub text: FaultText,
+}
+
+/// What one side knows of why the two are not coupled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Diagnosis {
+    /// Which side knows it.
+    pub role: Role,
+    /// Where it stands.
+    pub state: LadderState,
+    /// Why it first held.
+    pub reason: Option<Reason>,
+    /// Its fault, [`Fault::code`]; 0 without.
+    pub fault: u8,
+    /// Its own words on that.
+    pub text: FaultText,
+    /// What the peer said; none before its first frame.
+    pub peer: Option<PeerCause>,
+    /// Whether the peer has ended in good order.
+    pub ended: bool,
+    /// Whether the peer is not heard now.
+    pub silent: bool,
+}
+
+/// Something to be done before the two couple again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Remedy {
+    /// Mend what has failed and acknowledge it.
+    Acknowledge,
+    /// Start what has ended.
+    Start,
+    /// Wait until both sides hear one another.
+    Wait,
+    /// Release the clutch and press it again.
+    Press,
+}
+
+/// One step of what is to be done.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Step {
+    /// "master", "slave" or "link".
+    pub at: &'static str,
+    /// What kind of thing.
+    pub remedy: Remedy,
+    /// In words.
+    pub text: String,
+}
+
+/// A diagnosis in words.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Explanation {
+    /// Where the side stood that knows it.
+    pub state: LadderState,
+    /// Where it happened: "master", "slave" or "link".
+    pub at: &'static str,
+    /// What, with the driver's own words where there are any.
+    pub text: String,
+    /// What to do, in this order.
+    pub steps: Vec<Step>,
+}
+
+impl Explanation {
+    /// As JSON.
+    pub fn to_json(&self) -> String {
+        // Plain names and texts: there is nothing that could fail.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+const LINK: &str = "link";
+
+/// A fault in words: the driver's own, or what its code means.
+fn fault_words(code: u8, text: &FaultText) -> String {
+    match Fault::from_code(code) {
+        _ if !text.is_empty() => text.as_str().to_owned(),
+        Some(fault) => fault.to_string(),
+        None => format!("of a kind that this version does not know, code {code}"),
+    }
+}
+
+impl Diagnosis {
+    /// Whether another one is of the same case, with more words on it or of a link that is back.
+    pub fn is_same_case(&self, other: &Self) -> bool {
+        let bare = |one: &Self| Self {
+            silent: false,
+            text: FaultText::EMPTY,
+            peer: one.peer.map(|peer| PeerCause { text: FaultText::EMPTY, ..peer }),
+            ..*one
+        };
+        bare(self) == bare(other)
+    }
+
+    /// Whether something else must be done before a press of the clutch can couple.
+    pub fn is_before_press(&self) -> bool {
+        let failed = |state| state == LadderState::Fault;
+        failed(self.state) || self.peer.is_some_and(|peer| failed(peer.state)) || self.ended || self.silent
+    }
+
+    /// In words, and what to do.
+    pub fn explain(&self) -> Explanation {
+        let (own, other) = (self.role.name(), self.role.peer().name());
+        if self.state == LadderState::Fault {
+            return self.own_fault(own, other);
+        }
+        if let Some(peer) = self.peer.filter(|peer| peer.state == LadderState::Fault) {
+            let words = fault_words(peer.fault, &peer.text);
+            let (and_ended, first) = if self.ended {
+                (", and has ended", start(other, "mend the cause, then start"))
+            } else {
+                ("", acknowledge(other))
+            };
+            let text = format!("the {other} has a fault{and_ended}: {words}");
+            return self.told(other, text, vec![first]);
+        }
+        if self.ended {
+            let text = format!("the {other} has ended");
+            return self.told(other, text, vec![start(other, "start")]);
+        }
+        let (at, text) = self.hold(own, other);
+        let steps = if at == LINK || self.silent {
+            let text = format!(
+                "wait until master and slave hear one another: is the {other} running, and the link up?"
+            );
+            vec![Step { at: LINK, remedy: Remedy::Wait, text }]
+        } else {
+            Vec::new()
+        };
+        self.told(at, text, steps)
+    }
+
+    fn own_fault(&self, own: &'static str, other: &'static str) -> Explanation {
+        let mut text = format!("the {own} has a fault: {}", fault_words(self.fault, &self.text));
+        let mut steps = vec![acknowledge(own)];
+        if let Some(peer) = self.peer.filter(|peer| peer.state == LadderState::Fault) {
+            text += &format!("; the {other} has one, too: {}", fault_words(peer.fault, &peer.text));
+            steps.push(acknowledge(other));
+        }
+        if self.ended {
+            text += &format!("; the {other} has ended");
+            steps.push(start(other, "start"));
+        }
+        self.told(own, text, steps)
+    }
+
+    /// Where a hold or stop comes from that no fault and no end led to.
+    fn hold(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
+        match self.reason {
+            Some(Reason::PeerHolds | Reason::PeerStopped | Reason::PeerFaulted) => self.peer_hold(own, other),
+            Some(Reason::OwnDelay) => (own, format!("the {own}'s own loop was late")),
+            Some(Reason::PeerRestarted) => (other, format!("the {other} was started anew")),
+            Some(Reason::PeerSilent | Reason::SilentTooLong) => (LINK, format!("the {other} fell silent")),
+            Some(Reason::PeerDeaf) => (LINK, format!("the {other} does not hear the {own}")),
+            Some(Reason::NewsOld) => {
+                (LINK, format!("what arrives from the {other} is older than the link is used to"))
+            }
+            Some(reason) => (own, reason.text().to_owned()),
+            None => (own, format!("the {own} stands in {}", self.state.name())),
+        }
+    }
+
+    fn peer_hold(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
+        let code = self.peer.map_or(0, |peer| peer.reason);
+        match Reason::from_code(code) {
+            Some(Reason::BadNumber) => (other, format!("the {other} had a fault")),
+            Some(Reason::OwnDelay) => (other, format!("the {other} held: its own loop was late")),
+            Some(Reason::PeerEnded) => (LINK, format!("the {other} took the {own} for ended")),
+            Some(Reason::PeerRestarted) => (other, format!("the {other} held: the {own} was started anew")),
+            Some(Reason::PeerSilent | Reason::SilentTooLong) => {
+                (LINK, format!("the {other} held: the {own} fell silent there"))
+            }
+            Some(Reason::PeerDeaf) => (LINK, format!("the {other} held: the {own} did not hear it")),
+            Some(Reason::NewsOld) => (
+                LINK,
+                format!(
+                    "the {other} held: what arrives there from the {own} is older than the link is used to"
+                ),
+            ),
+            Some(reason) => (other, format!("the {other} held: {}", reason.text())),
+            None if code == 0 => (other, format!("the {other} held")),
+            None => {
+                (other, format!("the {other} held for a reason that this version does not know, code {code}"))
+            }
+        }
+    }
+
+    /// With the last step; a master that is started presses by that.
+    fn told(&self, at: &'static str, text: String, mut steps: Vec<Step>) -> Explanation {
+        let is_started = |step: &Step| step.remedy == Remedy::Start && step.at == Role::Master.name();
+        if !steps.iter().any(is_started) {
+            let text = "release the clutch at the master and press it again".to_owned();
+            steps.push(Step { at: Role::Master.name(), remedy: Remedy::Press, text });
+        }
+        Explanation { state: self.state, at, text, steps }
+    }
+}
+
+fn acknowledge(at: &'static str) -> Step {
+    Step { at, remedy: Remedy::Acknowledge, text: format!("mend the cause, then acknowledge it at the {at}") }
+}
+
+fn start(at: &'static str, how: &str) -> Step {
+    Step { at, remedy: Remedy::Start, text: format!("{how} the {at} again") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HELD: Diagnosis = Diagnosis {
+        role: Role::Master,
+        state: LadderState::Stop,
+        reason: Some(Reason::PeerSilent),
+        fault: 0,
+        text: FaultText::EMPTY,
+        peer: None,
+        ended: false,
+        silent: true,
+    };
+
+    fn peer(state: LadderState, reason: u8, fault: u8, text: &str) -> Option<PeerCause> {
+        Some(PeerCause { state, reason, fault, text: FaultText::new(text) })
+    }
+
+    fn told(diagnosis: &Diagnosis) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
+        let Explanation { at, text, steps, .. } = diagnosis.explain();
+        (at, text, steps.iter().map(|step| (step.at, step.remedy)).collect())
+    }
+
+    /// Where it happened, what, and what to do in order: written down by hand.
+    #[test]
+    fn each_cause_says_where_what_and_what_to_do() {
+        use LadderState::{Aligning, Fault, Hold};
+        use Remedy::{Acknowledge, Press, Start, Wait};
+        let bus = "Arm: OSError: the bus is down (arm.py:7)";
+        let cases = [
+            (HELD, "link", "the slave fell silent", vec![("link", Wait), ("master", Press)]),
+            (
+                Diagnosis { peer: peer(Fault, 1, 11, bus), silent: false, ..HELD },
+                "slave",
+                "the slave has a fault: Arm: OSError: the bus is down (arm.py:7)",
+                vec![("slave", Acknowledge), ("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    state: Aligning,
+                    reason: None,
+                    peer: peer(Fault, 1, 1, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "slave",
+                "the slave has a fault: position is not a finite number",
+                vec![("slave", Acknowledge), ("master", Press)],
+            ),
+            (
+                Diagnosis { peer: peer(Fault, 99, 99, ""), ..HELD },
+                "slave",
+                "the slave has a fault: of a kind that this version does not know, code 99",
+                vec![("slave", Acknowledge), ("master", Press)],
+            ),
+            (
+                Diagnosis { peer: peer(Fault, 1, 11, bus), ended: true, ..HELD },
+                "slave",
+                "the slave has a fault, and has ended: Arm: OSError: the bus is down (arm.py:7)",
+                vec![("slave", Start), ("master", Press)],
+            ),
+            (
+                Diagnosis { role: Role::Slave, peer: peer(Fault, 1, 11, bus), ended: true, ..HELD },
+                "master",
+                "the master has a fault, and has ended: Arm: OSError: the bus is down (arm.py:7)",
+                vec![("master", Start)],
+            ),
+            (
+                Diagnosis {
+                    state: Fault,
+                    fault: 11,
+                    text: FaultText::new(bus),
+                    peer: peer(Hold, 8, 0, ""),
+                    ..HELD
+                },
+                "master",
+                "the master has a fault: Arm: OSError: the bus is down (arm.py:7)",
+                vec![("master", Acknowledge), ("master", Press)],
+            ),
+            (
+                Diagnosis { state: Fault, fault: 2, peer: peer(Fault, 1, 11, "off"), silent: false, ..HELD },
+                "master",
+                "the master has a fault: velocity is not a finite number; the slave has one, too: off",
+                vec![("master", Acknowledge), ("slave", Acknowledge), ("master", Press)],
+            ),
+            (
+                Diagnosis { role: Role::Slave, reason: None, ended: true, ..HELD },
+                "master",
+                "the master has ended",
+                vec![("master", Start)],
+            ),
+            (
+                Diagnosis {
+                    reason: Some(Reason::PeerHolds),
+                    peer: peer(Hold, 2, 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "slave",
+                "the slave held: its own loop was late",
+                vec![("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    reason: Some(Reason::PeerHolds),
+                    peer: peer(Hold, 4, 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "link",
+                "the slave held: the master fell silent there",
+                vec![("link", Wait), ("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    reason: Some(Reason::PeerHolds),
+                    peer: peer(Hold, 200, 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "slave",
+                "the slave held for a reason that this version does not know, code 200",
+                vec![("master", Press)],
+            ),
+            (
+                Diagnosis { reason: Some(Reason::OwnDelay), silent: false, ..HELD },
+                "master",
+                "the master's own loop was late",
+                vec![("master", Press)],
+            ),
+        ];
+        for (diagnosis, at, text, steps) in cases {
+            assert_eq!(told(&diagnosis), (at, text.to_owned(), steps), "{diagnosis:?}");
+        }
+    }
+
+    /// Whatever is the case: some words on one line, and a step, of which the last is a press or the start of a master.
+    #[test]
+    fn every_diagnosis_has_words_and_an_end() {
+        let reasons = Reason::ALL.into_iter().map(Some).chain([None]);
+        for reason in reasons {
+            for state in LadderState::ALL {
+                for code in [0, 1, 2, 4, 8, 17, 200] {
+                    for (role, ended, silent) in [
+                        (Role::Master, false, false),
+                        (Role::Slave, false, true),
+                        (Role::Slave, true, true),
+                        (Role::Master, true, false),
+                    ] {
+                        for peer_state in LadderState::ALL {
+                            let peer = peer(peer_state, code, code, "");
+                            let all = Diagnosis { role, state, reason, peer, ended, silent, ..HELD };
+                            let (_, text, steps) = told(&all);
+                            assert!(!text.is_empty() && !text.contains('\n'));
+                            let last = steps.last().copied();
+                            assert!(
+                                last == Some(("master", Remedy::Press))
+                                    || last == Some(("master", Remedy::Start)),
+                                "{all:?}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
