@@ -24,7 +24,7 @@ from haptether._core import (
 from haptether.bridge.device_loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
 from haptether.bridge.device_opening import DeviceError
 from haptether.bridge.devices import MASTERS, SLAVES, device_names, load_master, load_slave
-from haptether.bridge.recording import Recording, read_recording
+from haptether.bridge.recording import RecordedCause, RecordedStep, Recording, read_recording
 from haptether.bridge.scene import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene_error import SceneError
 from haptether.bridge.scene_far import (
@@ -114,6 +114,8 @@ __all__ = [
     "Plane",
     "PusherTable",
     "RecordTable",
+    "RecordedCause",
+    "RecordedStep",
     "Recording",
     "RecordingReport",
     "RegraspTable",

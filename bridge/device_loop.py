@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from haptether._core import LoopReport, MasterLoop, MasterTrace, RecordingReport, SlaveLoop, SlaveTrace
-from haptether.bridge.device_opening import DeviceNotes, close_once, failure, opened
+from haptether.bridge.device_opening import DeviceNotes, close_once, encodable, failure, opened
 from haptether.bridge.interpreter import QUIET
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ def drive_master(
                     _acknowledge(device, loop, notes)
                 position, velocity, clutch, fault = device.read()
                 if fault is not None:
-                    notes.fault = fault
-                force = loop.turn(position, velocity, clutch, failed=fault is not None)
+                    notes.fault = fault = encodable(fault)
+                force = loop.turn(position, velocity, clutch, fault=fault)
                 if force is None:
                     break
                 device.write(force)
@@ -62,15 +62,18 @@ def drive_master(
                     wait()
             if rest:
                 device.write(rest)
+            loop.say_end()
         except BaseException as error:
             # Also where somebody presses Ctrl-C: first the device, then the peer.
             with contextlib.suppress(Exception):
                 if rest:
                     device.write(rest)
-            loop.fail()
             if not isinstance(error, Exception):
+                loop.fail(f"{type(device).__name__}: {type(error).__name__}")
                 raise
-            raise failure(device, error) from error
+            failed = failure(device, error)
+            loop.fail(encodable(str(failed)))
+            raise failed from error
 
 
 def drive_slave(
@@ -104,8 +107,8 @@ def drive_slave(
                     _acknowledge(device, loop, notes)
                 position, velocity, force, fault = device.read()
                 if fault is not None:
-                    notes.fault = fault
-                order = loop.turn(position, velocity, force, failed=fault is not None)
+                    notes.fault = fault = encodable(fault)
+                order = loop.turn(position, velocity, force, fault=fault)
                 if order is None:
                     break
                 kind, position, velocity = order
@@ -117,14 +120,17 @@ def drive_slave(
                 if wait is not None:
                     wait()
             device.stop()
+            loop.say_end()
         except BaseException as error:
             # Also where somebody presses Ctrl-C: first the arm, then the peer.
             with contextlib.suppress(Exception):
                 device.stop()
-            loop.fail()
             if not isinstance(error, Exception):
+                loop.fail(f"{type(device).__name__}: {type(error).__name__}")
                 raise
-            raise failure(device, error) from error
+            failed = failure(device, error)
+            loop.fail(encodable(str(failed)))
+            raise failed from error
 
 
 def _acknowledge(device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveLoop, notes: DeviceNotes) -> None:
@@ -223,6 +229,15 @@ class DeviceRun:
     def flight(self) -> str | None:
         """The last states and commands as JSON."""
         return self._loop.flight()
+
+    def cause(self) -> str | None:
+        """Why the two sides are not coupled, as JSON; none where all is well."""
+        return self._loop.cause()
+
+    @property
+    def vain_presses(self) -> int:
+        """How often the clutch was pressed while something else had to be done before."""
+        return self._loop.vain_presses
 
     def stop(self) -> None:
         """Asks the loop to end after its current tick."""

@@ -2,9 +2,12 @@
 
 import contextlib
 import os
+import sys
 import threading
+import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from haptether.bridge.interpreter import QUIET
@@ -15,6 +18,10 @@ if TYPE_CHECKING:
 
 PERIOD_SHARE = 0.01
 """How far the period of a device may be from that of its loop; no clock of one is off by as much."""
+
+
+LOOP = Path(__file__).parent
+"""Where the loop of a driver is: no line of it says what is wrong with a driver."""
 
 
 class DeviceError(RuntimeError):
@@ -99,5 +106,34 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
 
 
 def failure(device: "MasterDevice | SlaveDevice", error: Exception) -> DeviceError:
-    """An exception of a driver, with the driver's name."""
-    return DeviceError(f"{type(device).__name__}: {type(error).__name__}: {error}")
+    """An exception of a driver, with the driver's name and the line of it that led there."""
+    name, kind = type(device).__name__, type(error).__name__
+    try:
+        said = str(error)
+    except Exception:  # a driver's own class: the other side must learn of it all the same
+        said = ""
+    place = _place(device, error)
+    return DeviceError(f"{name}: {kind}" + (f": {said}" if said else "") + (f" ({place})" if place else ""))
+
+
+def encodable(text: str) -> str:
+    """The text without what UTF-8 has not, as in names of files that are none."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _place(device: "MasterDevice | SlaveDevice", error: Exception) -> str:
+    """File, line and function of an exception: the innermost of the driver's own file, else of whatever it called."""
+    own = getattr(sys.modules.get(type(device).__module__), "__file__", None)
+    steps = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]
+    steps = [(code, line) for code, line in steps if Path(code.co_filename).parent != LOOP]
+    if steps:
+        code, line = next((step for step in reversed(steps) if step[0].co_filename == own), steps[-1])
+    elif (read := getattr(getattr(type(device), "read", None), "__code__", None)) is not None:
+        # The loop refused what `read` gave: this is where it was made.
+        code, line = read, read.co_firstlineno
+    else:
+        return ""
+    file = code.co_filename
+    with contextlib.suppress(ValueError, OSError):
+        file = min(file, os.path.relpath(file), key=len)
+    return f"{file}:{line}, in {code.co_name}"

@@ -11,6 +11,31 @@ import numpy.typing as npt
 SCHEMA = "1"
 
 
+class RecordedStep(msgspec.Struct, frozen=True, kw_only=True):
+    """Something that was to be done before the two sides coupled again."""
+
+    at: str
+    """"master", "slave" or "link"."""
+    remedy: str
+    """"acknowledge", "start", "wait" or "press"."""
+    text: str
+
+
+class RecordedCause(msgspec.Struct, frozen=True, kw_only=True):
+    """Why the two sides were not coupled, as the recorded side knew it."""
+
+    time_ns: int
+    """Since the run began."""
+    state: str
+    """Of its ladder."""
+    at: str
+    """Where it happened: "master", "slave" or "link"."""
+    text: str
+    """What, in the driver's own words where there are any."""
+    steps: list[RecordedStep]
+    """What to do, in this order."""
+
+
 class Recording(msgspec.Struct, frozen=True, kw_only=True):
     """A recording of one side; names, meanings and units of the signals are in the file's own schema."""
 
@@ -24,6 +49,8 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True):
     """One value per tick; of what has axes, shape `(n_ticks, axes)`. What was no finite number is NaN."""
     meanings: dict[str, str]
     """What each signal is, with its unit."""
+    causes: list[RecordedCause] = []
+    """Why the two sides were not coupled, in the order of time."""
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
@@ -46,6 +73,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     meanings: dict[str, str] = {}
     topics: set[int] = set()
     messages: list[dict[str, Any]] = []
+    told: set[int] = set()
+    causes: list[RecordedCause] = []
     whole = False
     with Path(path).open("rb") as file:
         try:
@@ -53,13 +82,15 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
                 match record:
                     case Metadata(name="haptether"):
                         about = record.metadata
-                    case Schema(name=name) if name.startswith("haptether."):
+                    case Schema(name="haptether.master" | "haptether.slave"):
                         properties = msgspec.json.decode(record.data)["properties"]
                         meanings = {name: field["description"] for name, field in properties.items()}
-                    case Channel(message_encoding="json"):
-                        topics.add(record.id)
+                    case Channel(message_encoding="json", topic=topic):
+                        (told if topic.endswith("/cause") else topics).add(record.id)
                     case Message(channel_id=channel) if channel in topics:
                         messages.append(msgspec.json.decode(record.data))
+                    case Message(channel_id=channel) if channel in told:
+                        causes.append(msgspec.json.decode(record.data, type=RecordedCause))
                     case Footer():
                         whole = True
         except (McapError, msgspec.DecodeError, EOFError):
@@ -75,6 +106,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         whole=whole,
         signals={name: _column([message[name] for message in messages]) for name in meanings},
         meanings=meanings,
+        causes=causes,
     )
 
 

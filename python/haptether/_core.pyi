@@ -2294,6 +2294,17 @@ class LiveMaster:
     def flight(self) -> str | None:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
+    @property
+    def vain_presses(self) -> int:
+        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+
+    def cause(self) -> str | None:
+        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
+
+        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
+        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
+        """
+
     def press_clutch(self) -> None:
         """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
 
@@ -2402,6 +2413,17 @@ class LiveSlave:
     def flight(self) -> str | None:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
+    @property
+    def vain_presses(self) -> int:
+        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+
+    def cause(self) -> str | None:
+        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
+
+        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
+        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
+        """
+
     def allow_takeover(self) -> None:
         """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
     def set_position_scale(self, scale: float) -> None:
@@ -2484,7 +2506,7 @@ class MasterLoop:
         velocity: _Sample | None = None,
         clutch: bool | None = None,
         *,
-        failed: bool = False,
+        fault: str | None = None,
     ) -> tuple[float, ...] | None:
         """One tick, at a sample of the device.
 
@@ -2494,7 +2516,7 @@ class MasterLoop:
             position: x in m, a number for one axis or shape `(axes,)`.
             velocity: V in m/s from a device that measures it, at every sample or at none.
             clutch: Whether it is pressed, from a device with a button; else the scene's person works it.
-            failed: The device says that something is wrong with it: a fault.
+            fault: What the device says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
 
         Returns:
             F_device in N, shape `(axes,)`; none where the run is over.
@@ -2507,8 +2529,15 @@ class MasterLoop:
     def wait(self) -> None:
         """Sleeps until the next tick is due: for a device that does not wait in `read`."""
 
-    def fail(self) -> None:
-        """The device is gone: a fault, of which the peer is told for 20 ticks; the loop is over."""
+    def fail(self, text: str = "") -> None:
+        """The device is gone: a fault, of which the peer is told for 60 ticks; the loop is over.
+
+        Args:
+            text: In the driver's own words, which both sides show: up to 239 bytes of UTF-8 on one line.
+        """
+
+    def say_end(self) -> None:
+        """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     @property
     def address(self) -> str:
@@ -2545,6 +2574,17 @@ class MasterLoop:
 
     def flight(self) -> str | None:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+
+    @property
+    def vain_presses(self) -> int:
+        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+
+    def cause(self) -> str | None:
+        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
+
+        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
+        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
+        """
 
     def press_clutch(self) -> None:
         """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
@@ -2627,7 +2667,7 @@ class SlaveLoop:
         velocity: _Sample,
         force: _Sample,
         *,
-        failed: bool = False,
+        fault: str | None = None,
     ) -> tuple[Literal["wait", "move", "stop"], tuple[float, ...], tuple[float, ...]] | None:
         """One tick, at a sample of the arm.
 
@@ -2637,7 +2677,7 @@ class SlaveLoop:
             position: Of the tool in m, a number for one axis or shape `(axes,)`.
             velocity: Of the tool in m/s.
             force: F_e in N.
-            failed: The arm says that something is wrong with it: a fault.
+            fault: What the arm says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
 
         Returns:
             What the arm is to do, and where it is to move in m and with which velocity in m/s, shape `(axes,)` each,
@@ -2652,8 +2692,15 @@ class SlaveLoop:
     def wait(self) -> None:
         """Sleeps until the next tick is due: for an arm that does not wait in `read`."""
 
-    def fail(self) -> None:
-        """The arm is gone: a fault, of which the peer is told for 20 ticks; the loop is over."""
+    def fail(self, text: str = "") -> None:
+        """The arm is gone: a fault, of which the peer is told for 60 ticks; the loop is over.
+
+        Args:
+            text: In the driver's own words, which both sides show: up to 239 bytes of UTF-8 on one line.
+        """
+
+    def say_end(self) -> None:
+        """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     @property
     def address(self) -> str:
@@ -2690,6 +2737,17 @@ class SlaveLoop:
 
     def flight(self) -> str | None:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+
+    @property
+    def vain_presses(self) -> int:
+        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+
+    def cause(self) -> str | None:
+        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
+
+        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
+        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
+        """
 
     def allow_takeover(self) -> None:
         """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""

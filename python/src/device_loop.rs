@@ -6,7 +6,7 @@ use std::{
 };
 
 use haptether_bridge::{
-    Act, DrivenMaster, DrivenSlave, FlightRecorder, MasterSide, Side, SlaveOrder, SlaveSide,
+    Act, DrivenMaster, DrivenSlave, FaultText, FlightRecorder, MasterSide, Side, SlaveOrder, SlaveSide,
     live::{LiveHandle, LiveWatch, LoopReport, PacedLoop, paced_by_device},
     scene::{Timed, driven_master, driven_slave},
 };
@@ -36,7 +36,8 @@ type Ended = (LoopReport, Option<Box<FlightRecorder>>);
 trait Paced: Send {
     fn begin(&mut self) -> PyResult<String>;
     fn wait(&mut self);
-    fn fail(&mut self);
+    fn fail(&mut self, text: &FaultText);
+    fn say_end(&mut self);
     fn end(&mut self) -> Option<Ended>;
 }
 
@@ -52,8 +53,12 @@ where
         PacedLoop::wait(self);
     }
 
-    fn fail(&mut self) {
-        PacedLoop::fail(self);
+    fn fail(&mut self, text: &FaultText) {
+        PacedLoop::fail(self, text);
+    }
+
+    fn say_end(&mut self) {
+        PacedLoop::say_end(self);
     }
 
     fn end(&mut self) -> Option<Ended> {
@@ -66,7 +71,7 @@ struct MasterRead<'a, 'py> {
     position: &'a Bound<'py, PyAny>,
     velocity: Option<&'a Bound<'py, PyAny>>,
     clutch: Option<bool>,
-    failed: bool,
+    fault: Option<&'a str>,
 }
 
 /// What a slave's driver has read.
@@ -74,7 +79,7 @@ struct SlaveRead<'a, 'py> {
     position: &'a Bound<'py, PyAny>,
     velocity: &'a Bound<'py, PyAny>,
     force: &'a Bound<'py, PyAny>,
-    failed: bool,
+    fault: Option<&'a str>,
 }
 
 trait MasterTurns: Paced {
@@ -91,6 +96,14 @@ trait SlaveTurns: Paced {
         py: Python<'py>,
         read: SlaveRead<'_, 'py>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
+}
+
+/// A fault that the device told with its sample, in its own words.
+fn failed(side: &mut impl Side, fault: Option<&str>) {
+    if let Some(text) = fault {
+        side.describe_failure(&FaultText::new(text));
+        side.device_failed();
+    }
 }
 
 /// A number for one axis, or one for each axis.
@@ -125,9 +138,7 @@ where
         let force = PacedLoop::turn(
             self,
             |side| {
-                if read.failed {
-                    side.device_failed();
-                }
+                failed(side, read.fault);
                 let plant = &mut side.side.plant;
                 (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
             },
@@ -154,9 +165,7 @@ where
         let order = PacedLoop::turn(
             self,
             |side| {
-                if read.failed {
-                    side.device_failed();
-                }
+                failed(side, read.fault);
                 side.side.plant.sample = sample;
             },
             |side| *side.side.plant.order(),
@@ -227,10 +236,19 @@ macro_rules! loop_methods {
                 Ok(())
             }
 
-            fn fail(&self, py: Python<'_>) -> PyResult<()> {
+            #[pyo3(signature = (text=""))]
+            fn fail(&self, py: Python<'_>, text: &str) -> PyResult<()> {
+                let text = FaultText::new(text);
                 let mut turns = turned(&self.turns)?;
                 let turns = &mut **turns;
-                py.detach(|| turns.fail());
+                py.detach(|| turns.fail(&text));
+                Ok(())
+            }
+
+            fn say_end(&self, py: Python<'_>) -> PyResult<()> {
+                let mut turns = turned(&self.turns)?;
+                let turns = &mut **turns;
+                py.detach(|| turns.say_end());
                 Ok(())
             }
 
@@ -287,16 +305,16 @@ impl MasterLoop {
         })
     }
 
-    #[pyo3(signature = (position, velocity=None, clutch=None, *, failed=false))]
+    #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None))]
     fn turn<'py>(
         &self,
         py: Python<'py>,
         position: &Bound<'py, PyAny>,
         velocity: Option<&Bound<'py, PyAny>>,
         clutch: Option<bool>,
-        failed: bool,
+        fault: Option<&str>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        turned(&self.turns)?.turn(py, MasterRead { position, velocity, clutch, failed })
+        turned(&self.turns)?.turn(py, MasterRead { position, velocity, clutch, fault })
     }
 
     fn press_clutch(&self) {
@@ -357,16 +375,16 @@ impl SlaveLoop {
         })
     }
 
-    #[pyo3(signature = (position, velocity, force, *, failed=false))]
+    #[pyo3(signature = (position, velocity, force, *, fault=None))]
     fn turn<'py>(
         &self,
         py: Python<'py>,
         position: &Bound<'py, PyAny>,
         velocity: &Bound<'py, PyAny>,
         force: &Bound<'py, PyAny>,
-        failed: bool,
+        fault: Option<&str>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        turned(&self.turns)?.turn(py, SlaveRead { position, velocity, force, failed })
+        turned(&self.turns)?.turn(py, SlaveRead { position, velocity, force, fault })
     }
 
     fn allow_takeover(&self) {

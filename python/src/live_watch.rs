@@ -195,8 +195,10 @@ pub(crate) trait Watching<Rows>: Send {
     fn stop(&self);
     fn events(&mut self) -> Vec<String>;
     fn flight(&mut self) -> Option<String>;
+    fn cause(&mut self) -> Option<String>;
     fn act(&mut self, act: Act) -> PyResult<()>;
     fn press_clutch(&self);
+    fn vain_presses(&self) -> u64;
     fn allow_takeover(&self);
     fn rows(&mut self) -> Rows;
     fn is_stopped(&self) -> bool;
@@ -248,6 +250,10 @@ impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for 
         self.run.flight()
     }
 
+    fn cause(&mut self) -> Option<String> {
+        self.run.diagnosis().map(|diagnosis| diagnosis.explain().to_json())
+    }
+
     fn act(&mut self, act: Act) -> PyResult<()> {
         act.check::<1>().map_err(refuse)?;
         let full =
@@ -257,6 +263,10 @@ impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for 
 
     fn press_clutch(&self) {
         self.run.press_clutch();
+    }
+
+    fn vain_presses(&self) -> u64 {
+        self.run.vain_presses()
     }
 
     fn allow_takeover(&self) {
@@ -344,6 +354,15 @@ macro_rules! watch_methods {
 
             fn flight(&self) -> Option<String> {
                 self.watch().flight()
+            }
+
+            #[getter]
+            fn vain_presses(&self) -> u64 {
+                self.watch().vain_presses()
+            }
+
+            fn cause(&self) -> Option<String> {
+                self.watch().cause()
             }
 
             fn acknowledge(&self) -> PyResult<()> {

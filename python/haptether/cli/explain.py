@@ -37,6 +37,24 @@ class Intervention(msgspec.Struct, frozen=True, kw_only=True):
     trips: list[Trip]
 
 
+class Step(msgspec.Struct, frozen=True, kw_only=True):
+    """Something that was to be done before the two sides coupled again."""
+
+    at: str
+    remedy: str
+    text: str
+
+
+class Cause(msgspec.Struct, frozen=True, kw_only=True):
+    """Why the two sides were not coupled: where it happened, in the driver's own words, and what to do in order."""
+
+    time_s: float
+    state: str
+    at: str
+    text: str
+    steps: list[Step]
+
+
 class Tick(msgspec.Struct, frozen=True, kw_only=True):
     """A tick of a side; null stands for what is no finite number."""
 
@@ -60,6 +78,7 @@ class Flight(msgspec.Struct, frozen=True, kw_only=True):
     transitions: list[Transition]
     interventions: list[Intervention] = []
     interventions_seen: int = 0
+    causes: list[Cause] = []
     at_hold: list[Tick]
     latest: list[Tick]
 
@@ -119,6 +138,7 @@ class Explain:
         for step in flight.transitions:
             steps.add_row(f"{step.time_s:.4f}", step.from_, step.to, step.reason)
         console.print(steps)
+        _print_causes(flight, console)
         for line in _intervention_lines(flight):
             console.print(line, soft_wrap=True)
         for title, ticks in (("until the last hold", flight.at_hold), ("until the end", flight.latest)):
@@ -192,6 +212,16 @@ def _value_columns(side: str, ticks: list[Tick]) -> dict[str, list[str]]:
 
 def _number(value: float | None) -> str:
     return "none" if value is None else f"{value:.4g}"
+
+
+def _print_causes(flight: Flight, console: "Screen") -> None:
+    """Each cause with its steps."""
+    if flight.causes:
+        console.print(f"{flight.side}: why the two sides were not coupled", style="italic")
+    for cause in flight.causes:
+        console.print(f"{cause.time_s:.4f} s, {cause.state}: {cause.text}", soft_wrap=True)
+        for number, step in enumerate(cause.steps, start=1):
+            console.print(f"  {number}. {step.text}", soft_wrap=True)
 
 
 def load_flight(path: Path) -> Flight:

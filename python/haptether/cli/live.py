@@ -11,6 +11,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
 
+import msgspec
+
 from haptether.printable import printable
 
 if TYPE_CHECKING:
@@ -180,25 +182,70 @@ def check_memory(report: "LoopReport") -> None:
         raise MemoryError(message)
 
 
+class Step(msgspec.Struct, frozen=True, kw_only=True):
+    """Something to be done before two sides couple again."""
+
+    at: str
+    """"master", "slave" or "link"."""
+    remedy: str
+    """"acknowledge", "start", "wait" or "press"."""
+    text: str
+
+
+class Cause(msgspec.Struct, frozen=True, kw_only=True):
+    """Why two sides are not coupled."""
+
+    state: str
+    """Of the ladder of the side that knows it."""
+    at: str
+    """Where it happened: "master", "slave" or "link"."""
+    text: str
+    steps: list[Step]
+    """What to do, in this order."""
+
+
+def cause_of(side: "LiveMaster | LiveSlave | DeviceRun") -> Cause | None:
+    """Why a side is not coupled; none where all is well."""
+    cause = side.cause()
+    return None if cause is None else msgspec.json.decode(cause, type=Cause)
+
+
 class Steps:
-    """What a person must know of the ladder while it runs, and what to do about it."""
+    """What a person must know of why two sides are not coupled, and what to do about it, in order."""
 
-    REMEDIES: ClassVar = {
-        "hold": "release the clutch and press it again",
-        "stop": "release the clutch and press it again",
-        "fault": "mend the cause, acknowledge it, then release the clutch and press it again",
+    SIGNALS: ClassVar = {
+        ("master", "press"): "USR1",
+        ("master", "acknowledge"): "USR2",
+        ("slave", "acknowledge"): "USR2",
     }
+    HELD: ClassVar = {"hold", "stop", "fault"}
 
-    def __init__(self, press: str) -> None:
-        self._press = press
-        self._shown = ""
+    def __init__(self, side: str) -> None:
+        self._side = side
+        self._shown: Cause | None = None
+        self._vain_presses = 0
 
-    def show(self, state: str) -> None:
-        """Says on standard error that a side has come to hold, stop or fault."""
-        before, self._shown = self._shown, state
-        if state != before and state in self.REMEDIES:
-            acknowledge = f" (here kill -USR2 {os.getpid()})" if state == "fault" else ""
-            print(f"{state}: {self.REMEDIES[state]}{acknowledge}{self._press}", file=sys.stderr, flush=True)
+    def show(self, side: "LiveMaster | LiveSlave | DeviceRun") -> None:
+        """Says on standard error where something has happened, what, and what to do; and why a press does nothing."""
+        cause, before = cause_of(side), self._shown
+        self._shown = cause
+        if cause is not None and cause != before:
+            self._print(f"{cause.state}: {cause.text}" if cause.state in self.HELD else cause.text, cause)
+        if side.vain_presses != self._vain_presses:
+            self._vain_presses = side.vain_presses
+            if cause is not None:
+                self._print(f"the clutch does nothing yet: {cause.text}", cause)
+
+    def _print(self, headline: str, cause: Cause) -> None:
+        lines = [headline, *(f"  {number}. {self._words(step)}" for number, step in enumerate(cause.steps, start=1))]
+        print("\n".join(printable(line) for line in lines), file=sys.stderr, flush=True)
+
+    def _words(self, step: Step) -> str:
+        name = self.SIGNALS.get((step.at, step.remedy))
+        if name is None:
+            return step.text
+        where = f"here: kill -{name} {os.getpid()}" if step.at == self._side else f"there: kill -{name} PID"
+        return f"{step.text} ({where})"
 
 
 class FlightFile:

@@ -10,8 +10,13 @@ from haptether.cli.live_options import LiveOptions
 from haptether.cli.options import Controller
 
 if TYPE_CHECKING:
-    from haptether.bridge import MasterRun, Scene
+    from haptether.bridge import MasterRun, MasterTrace, Scene
+    from haptether.cli.live import Cause
     from haptether.studies import LinkSummary, PushResult
+
+
+ALONE_S = 0.2
+"""A slave that ends no longer before the master than this has ended with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +28,9 @@ class Master(LiveOptions):
     and pressed again: `kill -USR1` does that, and so does --clutch auto. After a fault `kill -USR2` says first that it
     is mended. Figures and trace hold the last --keep-s.
 
-    Exit status 1 says that no slave answered, that the run ended in fault or, without Ctrl-C, in hold or stop, or that
-    a driver failed. A slave that ends first, in good order or not, leaves the master in stop: end the master first.
+    Exit status 1 says that no slave answered, that the run ended in fault or, without Ctrl-C, in hold, in stop or after
+    the slave, or that a driver failed. Where the two sides are not coupled, the screen says where that happened, in the
+    driver's own words, and what to do in order.
 
     Examples:
 
@@ -71,23 +77,21 @@ class Master(LiveOptions):
 
     def run(self) -> int:
         """Runs until told to stop; fails if the slave never answered."""
-        import os
-
         import numpy as np
 
-        from haptether.bridge import LiveMaster
         from haptether.cli.live import (
             FlightFile,
             Steps,
             Stopped,
             acknowledge,
+            cause_of,
             check_memory,
             recording_status,
             tell,
             wait,
         )
         from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_master, with_clutch
-        from haptether.cli.options import master_settings, new_session
+        from haptether.cli.options import new_session
         from haptether.cli.output import check_distinct, check_target
         from haptether.cli.security import marked, session_key
         from haptether.studies import measure_push, save_master_trace, summarise_link
@@ -118,21 +122,8 @@ class Master(LiveOptions):
         }
         controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
         with Stopped() as stopped:
-            master: LiveMaster | MasterRun
-            if scene is not None:
-                master = start_master(scene, stopped, **how)
-            else:
-                settings = master_settings(
-                    self.controller,
-                    depth=self.depth,
-                    release_at_s=self.release_at_s,
-                    force_scale=self.force_scale,
-                    encoder_quantum=self.encoder_quantum,
-                    clutch=self.clutch,
-                )
-                master = stopped.attached(LiveMaster(settings, **how))
-
-            steps = Steps(f": kill -USR1 {os.getpid()}")
+            master = start_master(scene, stopped, **how) if scene is not None else self._without_scene(stopped, how)
+            steps = Steps("master")
             refused: str | None = None
 
             def status() -> str:
@@ -140,7 +131,7 @@ class Master(LiveOptions):
                 master.poll()
                 acknowledge(master, stopped)
                 refused = refused or tell(master.security_events())
-                steps.show(master.state)
+                steps.show(master)
                 flight.write(master.flight())
                 said = fault_text(master) + recording_status(master.recording)
                 answer = "" if master.is_answered else ", no answer yet"
@@ -159,23 +150,40 @@ class Master(LiveOptions):
             check_memory(report)
             refused = refused or tell(master.security_events())
             flight.write(master.flight())
+            cause = cause_of(master)
         result = measure_push(controller, trace, report, release_at_s)
-        self._report(result, summarise_link(trace, report), answered=bool(np.isfinite(trace.age_s).any()))
+        self._report(result, summarise_link(trace, report), cause, answered=bool(np.isfinite(trace.age_s).any()))
         if self.trace is not None:
             save_master_trace(trace, self.trace)
         raise_error(master)
-        self._judge(result, stopped=bool(stopped), refused=refused, reason=int(trace.reason[-1]) if len(trace) else 0)
+        alone = result.final_state == "disengaged" and _uncoupled_s(trace) < ALONE_S
+        self._judge(result, stopped=bool(stopped) or alone, refused=refused, cause=cause)
         return 0
 
-    def _judge(self, result: "PushResult", *, stopped: bool, refused: str | None, reason: int) -> None:
-        """Raises what a run that did not end well ended by."""
-        from haptether.bridge import ladder_reason
+    def _without_scene(self, stopped: "Stopped", how: dict[str, Any]) -> "LiveMaster":
+        from haptether.bridge import LiveMaster
+        from haptether.cli.options import master_settings
 
+        settings = master_settings(
+            self.controller,
+            depth=self.depth,
+            release_at_s=self.release_at_s,
+            force_scale=self.force_scale,
+            encoder_quantum=self.encoder_quantum,
+            clutch=self.clutch,
+        )
+        return stopped.attached(LiveMaster(settings, **how))
+
+    def _judge(self, result: "PushResult", *, stopped: bool, refused: str | None, cause: "Cause | None") -> None:
+        """Raises what a run that did not end well ended by."""
         if result.final_state == "fault":
-            message = f"the run ended in fault: {result.fault}"
+            message = f"the run ended in fault: {cause.text if cause is not None else result.fault}"
             raise RuntimeError(message)
         if result.engaged_s is None and not stopped and refused is not None:
             message = f"no slave to steer at {self.peer}: {refused}"
+            raise RuntimeError(message)
+        if result.engaged_s is None and not stopped and cause is not None:
+            message = f"the two sides never engaged: {cause.text}"
             raise RuntimeError(message)
         if result.engaged_s is None and not stopped:
             message = (
@@ -183,14 +191,11 @@ class Master(LiveOptions):
                 " the same key?"
             )
             raise RuntimeError(message)
-        if result.final_state == "stop" and not stopped:
-            message = "the run ended in stop: the slave fell silent for 200 ms"
-            raise RuntimeError(message)
-        if result.final_state == "hold" and not stopped:
-            message = f"the run ended in hold: {ladder_reason(reason)}"
+        if not stopped and cause is not None:
+            message = f"the run ended in {result.final_state}: {cause.text}"
             raise RuntimeError(message)
 
-    def _report(self, result: "PushResult", link: "LinkSummary", *, answered: bool) -> None:
+    def _report(self, result: "PushResult", link: "LinkSummary", cause: "Cause | None", *, answered: bool) -> None:
         import msgspec
 
         from haptether.cli.link_table import link_table
@@ -205,8 +210,19 @@ class Master(LiveOptions):
         if answered:
             console.print(link_table(link))
         if self.json is not None:
-            report = {**msgspec.to_builtins(result), "link": link}
+            report = {**msgspec.to_builtins(result), "cause": cause, "link": link}
             write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+
+
+def _uncoupled_s(trace: "MasterTrace") -> float:
+    """For how long in s the two sides have not been coupled at the end."""
+    import numpy as np
+
+    from haptether.bridge import ladder_state_name
+
+    codes = [code for code in np.unique(trace.state) if ladder_state_name(int(code)) in {"engaged", "stale"}]
+    coupled_s = trace.time_s[np.isin(trace.state, codes)]
+    return float(trace.time_s[-1] - coupled_s[-1]) if len(coupled_s) else float("inf")
 
 
 def _protection(scene: "Scene") -> tuple[str, float | None]:

@@ -10,6 +10,7 @@ from haptether.cli.live_options import LiveOptions
 
 if TYPE_CHECKING:
     from haptether.bridge import LoopReport, SlaveRun, SlaveTrace
+    from haptether.cli.live import Cause
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +70,7 @@ class Slave(LiveOptions):
             Steps,
             Stopped,
             acknowledge,
+            cause_of,
             check_memory,
             recording_status,
             tell,
@@ -112,13 +114,13 @@ class Slave(LiveOptions):
                 )
                 slave = stopped.attached(LiveSlave(settings, **how))
 
-            steps = Steps(" at the master")
+            steps = Steps("slave")
 
             def status() -> str:
                 slave.poll()
                 acknowledge(slave, stopped)
                 tell(slave.security_events())
-                steps.show(slave.state)
+                steps.show(slave)
                 flight.write(slave.flight())
                 shown = (
                     f"slave {slave.state}, {slave.ticks} ticks{fault_text(slave)}{recording_status(slave.recording)}"
@@ -132,15 +134,17 @@ class Slave(LiveOptions):
             check_memory(report)
             tell(slave.security_events())
             flight.write(slave.flight())
-        state = self._report(trace, report)
+            cause = cause_of(slave)
+        state = self._report(trace, report, cause)
         raise_error(slave)
+        if state == "fault":
+            said = cause.text if cause is not None else fault_message(int(trace.fault[-1]))
+            raise RuntimeError(f"the run ended in fault: {said}")
         if not np.isfinite(report.engaged_s) and not stopped:
             raise RuntimeError(f"no master came within {self.patience_s} s")
-        if state == "fault":
-            raise RuntimeError(f"the run ended in fault: {fault_message(int(trace.fault[-1]))}")
         return 0
 
-    def _report(self, trace: "SlaveTrace", report: "LoopReport") -> str:
+    def _report(self, trace: "SlaveTrace", report: "LoopReport", cause: "Cause | None") -> str:
         import msgspec
         import numpy as np
 
@@ -168,6 +172,7 @@ class Slave(LiveOptions):
             "rejections": report.rejections,
             "overshoot_p50_s": link.overshoot_p50_s,
             "overshoot_p99_s": link.overshoot_p99_s,
+            "cause": cause,
             "link": link,
         }
         console = screen(self.json)
