@@ -8,6 +8,7 @@ import inspect
 import os
 import select
 import sys
+import traceback
 from collections.abc import Sequence
 from dataclasses import make_dataclass
 from typing import Annotated, Any, Protocol, Union
@@ -131,7 +132,8 @@ def _status(command: Command) -> int:
         if INTERRUPTS.seen:
             # What Ctrl-C has cut short may say so in its own way.
             return INTERRUPTED
-        return complain(error, BAD_REQUEST if isinstance(error, ValueError) else FAILED)
+        status = BAD_REQUEST if isinstance(error, ValueError) else FAILED
+        return complain(error, status, debug=getattr(command, "debug", False))
 
 
 def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
@@ -284,8 +286,11 @@ def summary(command: type[object]) -> str:
     return (inspect.getdoc(command) or "").partition("\n")[0]
 
 
-def complain(error: Exception, status: int) -> int:
-    """Says what is wrong in one line."""
+def complain(error: Exception, status: int, *, debug: bool = False) -> int:
+    """Says what is wrong in one line, whatever it repeats; before it the traceback, if asked for."""
+    if debug:
+        lines = "".join(traceback.format_exception(error)).splitlines()
+        print("\n".join(printable(line) for line in lines), file=sys.stderr)
     text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
     print(f"haptether: {printable(' '.join(text.split()))}", file=sys.stderr)
     return status

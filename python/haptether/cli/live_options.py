@@ -15,6 +15,8 @@ class LiveOptions:
     """Take everything but the network from a scene, the same at both sides, and drive the devices that it names."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """Change the scene, as in `haptether simulate`; may be given often."""
+    debug: bool = False
+    """Show the traceback of what ended the run, a driver's exception above all."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and locked memory and go on without (auto), do not ask (off), or fail without (require)."""
     priority: Annotated[int, tyro.conf.arg(metavar="1-99")] = 80

@@ -10,8 +10,8 @@ from haptether.cli.live_options import LiveOptions
 from haptether.cli.options import Controller
 
 if TYPE_CHECKING:
-    from haptether.bridge import MasterRun, MasterTrace, Scene
-    from haptether.cli.live import Cause
+    from haptether.bridge import LiveMaster, MasterTrace, Scene
+    from haptether.cli.live import Cause, Stopped
     from haptether.studies import LinkSummary, PushResult
 
 
