@@ -151,7 +151,7 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
 def fault_text(run: "LiveMaster | LiveSlave | DeviceRun") -> str:
     """What the line of a run says of a device that has failed, or nothing."""
     from haptether.bridge import DeviceRun
-    from haptether.cli.live import printable
+    from haptether.printable import printable
 
     return f", {printable(run.notes.fault)}" if isinstance(run, DeviceRun) and run.notes.fault is not None else ""
 
