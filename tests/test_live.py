@@ -104,6 +104,8 @@ def test_a_killed_slave_takes_the_force_from_the_hand(
     assert len(explained["at_hold"]) == len(explained["latest"]) == 50
 
     trace = load(trace_path)
+    trips = trace["tripped"] > 0
+    assert explained["interventions_seen"] == int((trips[1:] & ~trips[:-1]).sum()) + int(trips[0])
     time_s, force, age_s = trace["time_s"], trace["device_force"], trace["age_s"]
     last_arrival_s = float(time_s[-1] - age_s[-1])
     before = (time_s > last_arrival_s - 0.2) & (time_s <= last_arrival_s)

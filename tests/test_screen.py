@@ -129,7 +129,8 @@ def test_the_counts_of_a_proxy_fit() -> None:
         ("received", "released", "lost", "queue_full", "damaged", "extras", "overtaking", "refused", "oversize",
          "unsent"), 10**12))  # fmt: skip
     file = io.StringIO()
-    print_proxy(Screen(file=file, width=WIDTH), Big(forward=way, backward=way))
+    statistics: Any = Big(forward=way, backward=way)
+    print_proxy(Screen(file=file, width=WIDTH), statistics)
     table = "\n".join(line for line in file.getvalue().splitlines() if line[:1] in "┃│┏┡└")
     fits(table)
     assert table.count(str(10**12)) == 20
