@@ -72,9 +72,10 @@ class LinkSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     distribution_shape: Shape | None = None
     """Shape of the law where it has one to choose: that of Pareto and of gamma."""
     jitter_correlation_s: Time | None = None
-    """Time in s over which the delay forgets itself: its autocorrelation is `exp(-t / tau)`; by default 0.1. With
-    `keep_order` at least four times `jitter_s`, since a delay that falls faster than time passes would reorder: what is
-    shorter is taken as that. 0 without `keep_order` is independent from packet to packet."""
+    """Time tau in s over which the delay forgets itself: its autocorrelation is 1 / e at tau, and `exp(-t / tau)` of a
+    normal law; by default 0.1. With `keep_order` at least four times `jitter_s`, since a delay that falls faster than
+    time passes would reorder: what is shorter is taken as that. 0 without `keep_order` is independent from packet to
+    packet."""
     timeline: tuple[DelayChange, ...] | None = None
     """Changes of the mean delay at given times."""
     slots: Slots | None = None

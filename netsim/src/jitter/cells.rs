@@ -60,6 +60,49 @@ impl Cells {
         (cell, place - cell as f64)
     }
 
+    /// Correlation that two standard normal variates must have for their delays to have that of `exp(-1)`: at least
+    /// that, for no function of normal variates is correlated more than they are.
+    ///
+    /// With the coefficients `a_n = E[D He_n(z)] / sqrt(n!)` delays are correlated by `sum a_n² rho^n / sum a_n²`.
+    ///
+    /// Source: Mehler's formula; G. Cario, B. Nelson, "Autoregressive to anything", Operations Research Letters 19,
+    /// 1996 (an autocorrelation that is asked for).
+    pub(super) fn correlation_for_one_e(&self) -> f64 {
+        const ORDERS: u8 = 64;
+        let asked = libm::exp(-1.0);
+        let places = (0..=COUNT).map(|k| FIRST + k as f64 * WIDTH);
+        // The trapezoidal rule, exact to rounding on a smooth function that vanishes at both ends; the constant
+        // factor cancels.
+        let weights: Vec<f64> = places.clone().map(|z| libm::exp(-0.5 * z * z)).collect();
+        let total: f64 = weights.iter().sum();
+        let mean =
+            weights.iter().zip(&self.delay_ns).map(|(weight, delay)| weight * delay).sum::<f64>() / total;
+        let apart: Vec<f64> =
+            weights.iter().zip(&self.delay_ns).map(|(weight, delay)| weight * (delay - mean)).collect();
+        let variance: f64 =
+            apart.iter().zip(&self.delay_ns).map(|(apart, delay)| apart * (delay - mean)).sum();
+        // He_n / sqrt(n!) at every place, order by order.
+        let (mut before, mut here) = (vec![0.0; COUNT + 1], vec![1.0; COUNT + 1]);
+        let shares: Vec<f64> = (0..ORDERS)
+            .map(|n| {
+                let n = f64::from(n);
+                for ((before, here), z) in before.iter_mut().zip(&mut here).zip(places.clone()) {
+                    let next = (z * *here - n.sqrt() * *before) / (n + 1.0).sqrt();
+                    (*before, *here) = (*here, next);
+                }
+                let product: f64 = apart.iter().zip(&here).map(|(apart, here)| apart * here).sum();
+                product * product / (variance * total)
+            })
+            .collect();
+        let correlation = |rho: f64| shares.iter().rev().fold(0.0, |sum, share| (sum + share) * rho);
+        let (mut low, mut high) = (asked, 1.0);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if correlation(middle) < asked { low = middle } else { high = middle }
+        }
+        high
+    }
+
     /// The delay in ns that a normal variate stands for.
     pub(super) fn delay_ns(&self, z: f64) -> f64 {
         let (cell, part) = Self::place(z);
@@ -82,7 +125,28 @@ fn moments(delay_ns: &[f64], mass: &[f64], near: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::LinkSettings;
+    use crate::{Distribution, LinkSettings};
+
+    #[test]
+    fn delays_of_correlated_variates_are_correlated_as_closed_forms_say() {
+        let rho =
+            |settings: LinkSettings| Cells::of(&DelayLaw::new(&settings).unwrap()).correlation_for_one_e();
+        let of = |jitter_s, distribution| LinkSettings {
+            delay_s: 0.05,
+            jitter_s,
+            distribution,
+            ..LinkSettings::default()
+        };
+        // Its delay is the variate.
+        assert!((rho(of(0.001, Distribution::Normal)) - (-1.0_f64).exp()).abs() < 1e-5);
+        // (6 / pi) asin(rho / 2) (Pearson 1907).
+        let uniform = 2.0 * (std::f64::consts::PI / 6.0 * (-1.0_f64).exp()).sin();
+        assert!((rho(of(0.001, Distribution::Uniform)) - uniform).abs() < 1e-4);
+        // (exp(s² rho) - 1) / (exp(s²) - 1), with exp(s²) - 1 = (sigma / mean)².
+        let square = 1.04_f64.ln();
+        let lognormal = (0.04 * (-1.0_f64).exp()).ln_1p() / square;
+        assert!((rho(of(0.01, Distribution::Lognormal)) - lognormal).abs() < 1e-4);
+    }
 
     #[test]
     fn mean_and_deviation_are_those_asked_for() {

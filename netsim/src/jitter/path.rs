@@ -12,7 +12,8 @@
 //!   faster they thin out. This alone leaves the law as it is: what enters any stretch balances what leaves it.
 //! - `s(z)^2 tau / 2`, less the mean of the former over both directions. It is the same for both directions and so
 //!   leaves the law too. It makes z diffuse at the rate 1 / tau everywhere: seen over more than a run, z is the
-//!   Ornstein-Uhlenbeck process, AR(1) in time, of the autocorrelation `exp(-t / tau)`.
+//!   Ornstein-Uhlenbeck process, AR(1) in time, of the autocorrelation `exp(-t / tau)`. Its tau is such that the delay,
+//!   a function of z, is correlated by 1 / e over the time that was asked for.
 //!
 //! With the cells of the law the density is a step function of y and the delay a line in each cell; for these the
 //! process is exact, not an approximation in small steps.
@@ -41,14 +42,19 @@ const NEAR: usize = 16;
 pub(super) struct Path {
     pub(super) up: Way,
     pub(super) down: Way,
+    /// Correlation time of z.
     pub(super) tau_ns: f64,
 }
 
 impl Path {
-    /// With `keep_order` no shorter than the order permits.
+    /// The delay is correlated by 1 / e over `tau_s`, with `keep_order` over no less than the order permits. Delays forget
+    /// themselves sooner than z does, unless they are normal, so z is given a longer time.
     pub(super) fn new(cells: &Cells, tau_s: f64, sigma_s: f64, keep_order: bool) -> Self {
         let least_ns = if keep_order { LEAST_TAU_SIGMAS * sigma_s * 1e9 } else { 0.0 };
-        let tau_ns = (tau_s * 1e9).max(least_ns).max(LEAST_TAU_NS);
+        let asked_ns = (tau_s * 1e9).max(least_ns).max(LEAST_TAU_NS);
+        let rho = cells.correlation_for_one_e();
+        // Nearer than this the cells are not to the law.
+        let tau_ns = if rho < libm::exp(-1.0) + 1e-4 { asked_ns } else { asked_ns / -libm::log(rho) };
         // c^2 tau eps = 1, where eps is the time over which the velocity forgets itself. The slope of a normal delay
         // is then sigma / sqrt(tau eps): gentle where that is free, steep where tau is short.
         let turns = if keep_order {

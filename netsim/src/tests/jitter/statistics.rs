@@ -205,6 +205,37 @@ fn the_normal_law_forgets_itself_exponentially() {
     }
 }
 
+/// Over the correlation time that was asked for, delays of every law are correlated by 1 / e.
+///
+/// The inertia of the path adds at most `1.2 / turns` of it, as for the normal law; where it keeps the order, these
+/// deviations of 1 / 200 of tau let it be as quick. The standard error comes from a hundred parts, each of a thousand
+/// correlation times.
+#[test]
+fn every_law_is_correlated_by_one_e_over_its_time() {
+    let asked = (-1.0_f64).exp();
+    for keep_order in [true, false] {
+        for (name, settings) in laws() {
+            let shrink = 0.0005 / settings.jitter_s;
+            let settings = LinkSettings {
+                delay_s: settings.delay_s * shrink,
+                jitter_s: 0.0005,
+                keep_order,
+                ..correlated(&settings, 0.1)
+            };
+            let law = DelayLaw::new(&settings).unwrap();
+            let times = (0..100_001).map(|index| index * nanoseconds(0.1));
+            let delays = delays_at(&settings, times);
+            let x: Vec<f64> =
+                delays.iter().map(|&ns| (ns as f64 * 1e-9 - law.mean_s()) / law.sigma_s()).collect();
+            let products: Vec<f64> = x.windows(2).map(|pair| pair[0] * pair[1]).collect();
+            let seen = products.iter().sum::<f64>() / products.len() as f64;
+            let error = standard_error(&products);
+            let (low, high) = (asked - 4.0 * error, asked * (1.0 + 1.2 / 50.0) + 4.0 * error);
+            assert!((low..high).contains(&seen), "{name} {keep_order}: {seen} +- {error}, asked {asked}");
+        }
+    }
+}
+
 #[test]
 fn the_path_is_the_same_at_any_rate() {
     for (name, settings) in laws() {
