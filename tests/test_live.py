@@ -410,7 +410,6 @@ def test_check_link_judges_the_coupling_of_a_scene(key: Path, children: list[Chi
     assert verdict["delay_s"] == pytest.approx(report["link"]["round_trip_p99_s"] + 2e-3)
     assert verdict["bearable_delay_s"] == 0.0, "nobody holds the device, and its own friction is negative"
     assert verdict["bearable_gap_s"] == pytest.approx(0.032)
-    assert "lambda_f = 0.5, 5000 N/m, nobody holds" in said
 
 
 def test_check_link_without_a_slave_says_so(key: Path, children: list[Child]) -> None:
