@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
-from math import hypot
+from math import exp, hypot, log
 
 from haptether.bridge.scene_error import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene_far import (
@@ -32,6 +32,8 @@ from haptether.bridge.scene_tables import (
 )
 
 SLAVE_PERIOD_S = (1e-5, 2e-2)
+MOST_STEPS = 1e9
+"""Of the integrator in one run."""
 KALMAN_BANDWIDTH = (1e-3, 10.0)
 """Bounds on omega dT of the Kalman filter."""
 
@@ -80,10 +82,14 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
         yield from _ladder(scene.safety.ladder)
 
 
+def _is_whole_ns(time_s: float) -> bool:
+    return abs(time_s * 1e9 - round(time_s * 1e9)) <= 1e-3
+
+
 def _run(run: RunTable) -> Iterator[SceneError]:
     if run.seed >= 2**64:
         yield wrong(("run", "seed"), run.seed, "0 to 2^64 - 1")
-    if abs(run.period_s * 1e9 - round(run.period_s * 1e9)) > 1e-3:
+    if not _is_whole_ns(run.period_s):
         yield wrong(("run", "period_s"), run.period_s, "a whole number of ns")
     if run.duration_s < run.period_s:
         yield wrong(("run", "duration_s"), run.duration_s, f"at least one period of {run.period_s:g} s")
@@ -94,6 +100,9 @@ def _run(run: RunTable) -> Iterator[SceneError]:
         steps = run.period_s / run.step_s
         if run.integrator == "exact":
             yield contradiction(("run", "step_s"), "the exact integrator has no step: leave it out or name another")
+        elif run.duration_s > MOST_STEPS * run.step_s:
+            allowed = f"such that the run has at most 1e9 steps, {run.duration_s / MOST_STEPS:g} or more"
+            yield wrong(("run", "step_s"), run.step_s, allowed)
         elif steps < 1.0 - 1e-9 or abs(steps - round(steps)) > 1e-6 * steps:
             yield wrong(("run", "step_s"), run.step_s, f"a whole fraction of period_s = {run.period_s:g}")
 
@@ -105,7 +114,8 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
         if table.start != 0.0:
             yield contradiction(("operator", "start"), "a recorded path begins where it begins: leave it out")
     if not isinstance(table.clutch, str):
-        times = [time for pair in table.clutch for time in pair]
+        # In whole ns, as the Rust side counts them.
+        times = [round(time_s * 1e9) for pair in table.clutch for time_s in pair]
         if any(later <= earlier for earlier, later in pairwise(times)):
             yield contradiction(("operator", "clutch"), "presses and releases must follow one another in time")
     if table.regrasp is not None and table.release is None:
@@ -125,6 +135,8 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
     if table.period_s is None and not low <= run.period_s <= high:
         allowed = "1e-05 to 0.02 for an arm that runs at it: give [slave] period_s, or another"
         yield wrong(("run", "period_s"), run.period_s, allowed)
+    if table.period_s is not None and not _is_whole_ns(table.period_s):
+        yield wrong(("slave", "period_s"), table.period_s, "a whole number of ns")
     if table.control == "pd" and table.stiffness is None:
         yield contradiction(("slave", "stiffness"), 'control = "pd" needs it')
     for key in ("stiffness", "damping"):
@@ -301,9 +313,13 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
         yield wrong(("safety", "pc_max_damping"), safety["pc_max_damping"], allowed)
     estimator = safety["estimator"]
     if estimator["kind"] == "kalman":
-        power = 12.0 * estimator["jerk_density"] / (estimator["quantum_m"] ** 2 * run["period_s"])
-        bandwidth = power ** (1.0 / 6.0) * run["period_s"]
+        # (12 q / (quantum² dT))^(1/6) dT, by logarithms: no power of what is allowed then overflows or vanishes.
+        power = log(12.0 * estimator["jerk_density"] / run["period_s"]) - 2.0 * log(estimator["quantum_m"])
+        bandwidth = exp(power / 6.0) * run["period_s"]
         low, high = KALMAN_BANDWIDTH
         if not low <= bandwidth <= high:
-            allowed = f"such that omega dT is {low:g} to {high:g}, not {bandwidth:.3g}"
+            allowed = (
+                f"such that omega dT is {low:g} to {high:g}, not {bandwidth:.3g} as with quantum_m = "
+                f"{estimator['quantum_m']:g}"
+            )
             yield wrong(("safety", "estimator", "jerk_density"), estimator["jerk_density"], allowed)

@@ -6,6 +6,7 @@ from msgspec import Meta, Struct, json
 
 from haptether.bridge.scene_near import SeriesTable
 from haptether.bridge.scene_ranges import (
+    Acceleration,
     Duration,
     ForcePerAxis,
     NonNegative,
@@ -14,6 +15,7 @@ from haptether.bridge.scene_ranges import (
     PositionPerAxis,
     Positive,
     PositivePerAxis,
+    SampleRate,
     Seconds,
     SpeedPerAxis,
     Unbounded,
@@ -32,8 +34,8 @@ class ForceSensorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Offset in N."""
     quantum_n: NonNegative = 0.0
     """Resolution in N; 0 is exact."""
-    rate_hz: Positive | None = None
-    """Samples per second; by default one at each tick."""
+    rate_hz: SampleRate | None = None
+    """Samples per second, 1e-3 to 1e6; by default one at each tick."""
 
 
 class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -52,8 +54,8 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """B_s in N s/m, of "pd" only; by default critical, `2 sqrt(K_s M)`."""
     max_speed: Positive | Unbounded = 1.0
     """Fastest that the set position moves, in m/s, or "unbounded"; a UR moves at 1 m/s."""
-    max_acceleration: Positive | None = None
-    """Bound on its acceleration in m/s²; none by default."""
+    max_acceleration: Acceleration | None = None
+    """Bound on its acceleration in m/s², at least 1e-6; none by default."""
     period_s: Annotated[float, Meta(ge=1e-5, le=2e-2)] | None = None
     """Period of its loop in s, 10 us to 20 ms; by default that of the master."""
     position: PositionPerAxis | None = None

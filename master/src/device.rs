@@ -104,14 +104,19 @@ impl<const N: usize> DeviceParameters<N> {
     }
 }
 
+/// 2^52, from which on every number is whole.
+const WHOLE: f64 = 4_503_599_627_370_496.0;
+
 /// A quantity rounded to a resolution; 0 leaves it as it is.
 #[inline(always)]
 pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
     if is_exact {
         return value;
     }
-    let rounded = (value / quantum).rounded() * quantum;
-    rounded.select(quantum.simd_gt(S::splat(0.0)), value)
+    let count = value / quantum;
+    // Numbers of that many quanta are whole as they are, and more are infinite.
+    let has_parts = count.magnitude().simd_lt(S::splat(WHOLE));
+    (count.rounded() * quantum).select(quantum.simd_gt(S::splat(0.0)) & has_parts, value)
 }
 
 /// The force that the motors exert of what they are told: bounded as a vector, then rounded per axis.
@@ -139,6 +144,16 @@ pub(crate) fn exerted<const N: usize, S: Real>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_quantum_below_rounding_is_none() {
+        for quantum in [5e-324, 1e-300, 1e-18] {
+            for value in [0.0, -0.3, 7.9, 1e9] {
+                assert_eq!(quantised(value, quantum, false), value);
+            }
+        }
+        assert_eq!(quantised(0.26, 0.5, false), 0.5);
+    }
 
     #[test]
     fn motors_bound_the_vector_and_round_each_axis() {

@@ -5,6 +5,9 @@ use crate::{Axes, ModelError, axes::require_axes, random::normal, require};
 /// Streams of the noise, one per axis: apart from those that the same seed has in the network.
 const STREAM: u64 = 0x5E << 32;
 
+/// 2^52, from which on every number is whole.
+const WHOLE: f64 = 4_503_599_627_370_496.0;
+
 /// What a force sensor makes of a force: `q round((F + bias + noise) / q)`, at its own rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceSensor<const N: usize> {
@@ -44,11 +47,14 @@ impl<const N: usize> ForceSensor<N> {
                 measured[axis] += self.noise_n * normal(self.seed, STREAM | axis as u64, index);
             }
         }
-        if self.quantum_n > 0.0 {
-            measured.map(|f| self.quantum_n * (f / self.quantum_n).round())
-        } else {
-            measured
+        if self.quantum_n == 0.0 {
+            return measured;
         }
+        // Numbers of 2^52 quanta are whole as they are, and more are infinite.
+        measured.map(|f| {
+            let count = f / self.quantum_n;
+            if count.abs() < WHOLE { self.quantum_n * count.round() } else { f }
+        })
     }
 
     /// Number and time in s of the newest sample at or before `time_s`, if the sensor has a rate of its own.

@@ -1,0 +1,76 @@
+"""Every number of a scene at the ends of its range: a run that ends, or a refusal in one line."""
+
+import multiprocessing
+import re
+import resource
+import time
+from pathlib import Path as FilePath
+
+import pytest
+from tests.scene_extremes import BASES, changed, extremes, numbers
+
+from haptether.bridge import SceneError, simulate
+from haptether.bridge.scene import scene_from_plain
+
+LONGEST_S = 20.0
+"""Of processor time for 20 ticks, on a busy machine; what loops or steps without end takes for ever."""
+MOST_BYTES = 3 << 30
+MOST_TICKS = 1000
+"""A scene that is long on purpose is only built."""
+MOST_STEPS = 1e6
+
+
+def wrong(base: str) -> list[str]:
+    """What went otherwise than it may."""
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    found = []
+    for path in numbers(BASES[base]):
+        for value in extremes(path):
+            what = f"{'.'.join(map(str, path))} = {value!r}"
+            begun = time.process_time()
+            try:
+                scene = scene_from_plain(changed(BASES[base], path, value), FilePath())
+                run = scene.run
+                if run.duration_s / run.period_s > MOST_TICKS or run.duration_s > MOST_STEPS * (run.step_s or 1.0):
+                    continue
+                simulate(scene)
+            except SceneError as error:
+                # In one line, with the place and a number that can be read.
+                if "\n" in str(error) or re.search(r"\d{40}", str(error)) or not re.match(r"\[?[a-z]", str(error)):
+                    found.append(f"{what}: {error}")
+            except Exception as error:
+                found.append(f"{what}: {type(error).__name__}: {error}"[:200])
+            if time.process_time() - begun > LONGEST_S:
+                found.append(f"{what}: took {time.process_time() - begun:.1f} s")
+    return found
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_a_number_at_the_end_of_its_range_is_run_or_refused_in_one_line(base: str) -> None:
+    # In a process of its own: a loop without end in the extension is none that Python could interrupt.
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply_async(wrong, (base,)).get(timeout=600.0) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        (("master", "encoder_quantum"), 1e-300, "quantum_m = 1e-300"),
+        (("safety", "estimator", "quantum_m"), 1e-300, "quantum_m = 1e-300"),
+        (("slave", "max_acceleration"), 5e-324, "must be 1e-06 to 1e9"),
+        (("slave", "force_sensor", "rate_hz"), 1e-300, "must be 0.001 to 1000000"),
+        (("slave", "period_s"), 0.0123456789012, "a whole number of ns"),
+        (("operator", "clutch", 0, 1), 1e-12, "must follow one another in time"),
+        (("run", "step_s"), 5e-324, "at most 1e9 steps"),
+    ],
+)
+def test_what_cannot_be_is_named(path: tuple[str | int, ...], value: float, said: str) -> None:
+    plain = BASES["stepped" if path[0] == "run" else "arm, integrated"]
+    if path == ("master", "encoder_quantum"):
+        estimator = {"kind": "kalman"}
+        plain = changed(plain, path, value)
+        plain["safety"] = plain["safety"] | {"estimator": estimator}
+    else:
+        plain = changed(plain, path, value)
+    with pytest.raises(SceneError, match=re.escape(said)):
+        scene_from_plain(plain, FilePath())
