@@ -27,6 +27,12 @@ const MOST_STALLS: u32 = 8;
 /// Stretches of one advance; beyond them it moves on in steps of this share of it, so that a tick always ends.
 const MOST_STRETCHES: u32 = 4096;
 
+/// Share of an advance below which a stretch is short, and how many of these show that the motion is too stiff to be
+/// followed; the rest is then taken in as many steps. A transient under stiff damping takes 80, after which
+/// [`Law::relaxed`] goes on.
+const SHORT: f64 = 1.0 / 8192.0;
+const MOST_SHORT: u32 = 512;
+
 /// Share of the time wanted below which a series that reaches no further is that of a stiff motion.
 const STIFF_SHARE: f64 = 1.0 / 32.0;
 
@@ -196,10 +202,12 @@ impl<const N: usize> SimulatedMaster<N> {
         let begun = self.time;
         let clock = self.now_ns as f64 * 1e-9;
         let mut done = 0.0;
-        let (mut stretches, mut stalls) = (0, 0);
+        let (mut stretches, mut stalls, mut short) = (0, 0, 0);
         while done < duration {
             stretches += 1;
-            let least = if stretches > MOST_STRETCHES {
+            let least = if short > MOST_SHORT {
+                duration / f64::from(MOST_SHORT)
+            } else if stretches > MOST_STRETCHES {
                 duration / f64::from(MOST_STRETCHES)
             } else if stalls > MOST_STALLS {
                 LEAST_PROGRESS
@@ -212,6 +220,7 @@ impl<const N: usize> SimulatedMaster<N> {
             // A direction that turns fast is followed in short stretches, which are progress.
             let moves_on = taken >= LEAST_PROGRESS || (to_its_reach && taken > 0.0);
             stalls = if moves_on { 0 } else { stalls + 1 };
+            short += u32::from(taken < duration * SHORT);
             let reached_kink = taken == wanted && kink.is_some_and(|kink| kink - self.time == wanted);
             done = if taken == duration - done { duration } else { done + taken };
             // Rounding of many small additions must not shift the clock.
