@@ -211,3 +211,24 @@ def test_a_flight_file_that_nobody_reads_is_not_waited_for(tmp_path: Path, capsy
     os.mkfifo(tmp_path / "pipe")
     FlightFile(tmp_path / "pipe").write("one")
     assert "not written" in capsys.readouterr().err
+
+
+def test_a_flight_file_that_is_read_slowly_is_whole(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    flight = "x" * 300_000
+    read: list[str] = []
+
+    def take() -> None:
+        with (tmp_path / "pipe").open() as pipe:
+            while taken := pipe.read(10_000):
+                read.append(taken)
+                time.sleep(0.01)
+
+    reader = threading.Thread(target=take)
+    reader.start()
+    while not read and reader.is_alive():
+        # Until the reader has opened it.
+        FlightFile(tmp_path / "pipe").write(flight)
+        time.sleep(0.05)
+    reader.join(20.0)
+    assert "".join(read)[: len(flight)] == flight

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
 
 import msgspec
 
+from haptether.cli.interrupts import INTERRUPTS
+from haptether.cli.queued_output import QueuedWriter
 from haptether.printable import printable
 
 if TYPE_CHECKING:
@@ -87,6 +89,9 @@ class Stopped(Handlers):
             if kind is not None:
                 # Whatever became of this thread: no loop goes on without it.
                 self._signals.stop()
+            if self:
+                # What is left is a report: the next Ctrl-C ends that at once.
+                INTERRUPTS.raising = False
             super().__exit__(kind, error, traceback)
             signal.set_wakeup_fd(self._wakeup)
             self._signals.close()
@@ -270,10 +275,12 @@ class FlightFile:
         self._written = flight
         try:
             if self._path.exists() and not self._path.is_file():
-                # A pipe or a device stays what it is; a pipe that nobody reads is not waited for.
+                # A pipe or a device stays what it is; one that nobody reads is not waited for.
                 descriptor = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-                with os.fdopen(descriptor, "wb", buffering=0) as file:
-                    file.write(flight.encode())
+                writer = QueuedWriter(descriptor, "flight")
+                writer.put(flight.encode())
+                if writer.end(time.monotonic()):
+                    os.close(descriptor)
                 return
             write_private(self._path, flight.encode())
         except OSError as error:
