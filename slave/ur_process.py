@@ -53,24 +53,11 @@ class ControlProcess:
                 ],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
-                # By way of this process: a library that prints to a terminal which nobody reads would never come back.
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
+                stdout=2,
                 # A Ctrl-C is for the bridge, which then stops the arm through this process.
                 start_new_session=True,
             )
-        threading.Thread(target=self._show, daemon=True).start()
         self._lines = self._socket.makefile("rb")
-
-    def _show(self) -> None:
-        """Passes on what the library prints, for as long as its process or one that it began may print."""
-        said = self._process.stdout
-        assert said is not None
-        with said:
-            for line in said:
-                # Whatever becomes of it: what is not taken here blocks the library.
-                with contextlib.suppress(OSError, ValueError):
-                    sys.stderr.write(line.decode(errors="replace"))
 
     def connect(self) -> None:
         """Waits until the library has connected, and its script plays.

@@ -4,6 +4,7 @@
 //! and has each loop end in good order at its next tick.
 
 #![allow(unsafe_code)] // an allocator, and a mapping that nobody reads
+#![allow(clippy::cast_ptr_alignment)] // a block is asked for with the alignment that it needs
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},

@@ -1,4 +1,4 @@
-//! SignalRelay of a command that runs loops: they reach the loops on a thread that waits for nothing else.
+//! Signals of a command that runs loops: they reach the loops on a thread that waits for nothing else.
 //!
 //! Python runs a handler only between two of its own steps, and a thread that writes to a terminal nobody reads takes
 //! none. But its handler in C writes the number of each signal to the descriptor of `signal.set_wakeup_fd` at once.
@@ -177,11 +177,12 @@ impl SignalRelay {
     }
 
     #[getter]
+    #[allow(clippy::unused_self)] // of the process, whose loops these are
     fn out_of_memory(&self) -> bool {
         is_exhausted()
     }
 
-    #[allow(clippy::unused_self)] // of the process, whose loops these are
+    #[allow(clippy::unused_self)] // as above
     fn spend_reserve(&self) {
         reserve::spend();
     }
