@@ -1,15 +1,21 @@
 """Whatever is in registers, script or stream: the emulated controller goes on, and what it tells is finite."""
 
 import math
-from collections.abc import Iterable
+import struct
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.ur.plain_rtde import frame
 from tests.ur.virtual import START, World
 
 from haptether.slave.ur_emulator.dashboard import Dashboard
+from haptether.slave.ur_emulator.rtde_frames import FrameReader, FramingError
 from haptether.slave.ur_emulator.rtde_session import RtdeSession
+from haptether.slave.ur_emulator.script_lines import SIGNATURES
 from haptether.slave.ur_emulator.script_port import ScriptReader
 
 WORLD: list[World] = []
@@ -17,7 +23,7 @@ WORLD: list[World] = []
 
 numbers = st.one_of(
     st.floats(allow_nan=False, allow_infinity=False),
-    st.sampled_from([0.0, 1.0, -1.0, 0.002, 0.1, 300.0, 1e-300, 1e300, *START]),
+    st.sampled_from([0.0, 1.0, -1.0, 0.002, 0.1, 300.0, 1e-300, 1e300, 1.7e308, -1.7e308, *START]),
     st.floats(-2.0, 2.0),
 )
 integers = st.one_of(st.integers(-(2**31), 2**31 - 1), st.integers(-2, 3))
@@ -38,19 +44,35 @@ def all_finite(of: World) -> bool:
     return all(map(finite, of.of.outputs.values()))
 
 
-def packed(of: World) -> bytes | None:
-    """Every output there is, as RTDE sends it."""
-    session = RtdeSession(
-        99, 500.0, lambda: of.of.version, of.of.inputs, of.of.outputs, of.of.output_types, of.of.tell, protocol=1
+def session_of(of: World, protocol: int = 2) -> RtdeSession:
+    return RtdeSession(
+        99, 500.0, lambda: of.of.version, of.of.inputs, of.of.outputs, of.of.output_types, of.of.tell, protocol=protocol
     )
-    names: list[str] = []
-    for name in of.of.output_types:
-        names.append(name)
-        if sum(map(len, names)) + len(names) > 1900:
-            break
-    session.receive(frame("O", ",".join(names).encode()))
-    session.receive(frame("S"))
-    return session.package(10)
+
+
+def packed(of: World) -> bool:
+    """Whether every output there is can be sent by RTDE."""
+    for names in batched(of.of.output_types, 60):
+        session = session_of(of, protocol=1)
+        session.receive(frame("O", ",".join(names).encode()))
+        session.receive(frame("S"))
+        if not session.package(10):
+            return False
+    return True
+
+
+def batched(names: Iterable[str], count: int) -> Iterator[tuple[str, ...]]:
+    left = iter(names)
+    while part := tuple(islice(left, count)):
+        yield part
+
+
+def whole_frames(answer: bytes) -> list[tuple[int, bytes]]:
+    """The frames of an answer, of which nothing may be left over."""
+    reader = FrameReader()
+    found = list(reader.frames(answer))
+    assert sum(3 + len(payload) for _, payload in found) == len(answer)
+    return found
 
 
 arguments = st.tuples(commands, st.lists(numbers, min_size=18, max_size=18), st.lists(integers, min_size=7, max_size=7))
@@ -70,18 +92,23 @@ def test_whatever_is_in_the_registers(writes: list[tuple[int, list[float], list[
     assert packed(of)
 
 
-names = st.sampled_from(
-    ["movej", "movel", "stopj", "stopl", "speedj", "speedl", "servoj", "sleep", "sync", "textmsg", "popup", "set_tcp",
-     "set_payload", "zero_ftsensor", "set_digital_out", "set_tool_digital_out", "write_output_integer_register",
-     "write_output_float_register", "protective_stop", "end_force_mode", "os"]
-)  # fmt: skip
+names = st.sampled_from([*SIGNATURES, "os"])
 literals = st.one_of(
     numbers.map(repr),
     st.integers(-(10**30), 10**30).map(str),
     st.lists(numbers, min_size=5, max_size=7).map(repr),
     st.lists(numbers, min_size=6, max_size=6).map(lambda values: f"p{values!r}"),
-    st.sampled_from(["True", "'text'", "1e999", "-1e999", "2 + 3", "1 / 0", "[]", "x", "a=1", "t=-1", "(", "None"]),
-)
+    st.lists(numbers, max_size=4).map(repr),
+    st.sampled_from(
+        ["True", "'text'", "1e999", "-1e999", "2 + 3", "1 / 0", "[]", "x", "a=1", "t=-1", "(", "None", "[1, 2]", "p[]",
+         "[1e999, 0, 0]", "p[1e999, 0, 0, 0, 0, 0]",
+         "[[1], 2, 3]", "['a', 'b', 'c']", "[True, 1, 1]", "m=1", "m=[1, 2]",
+         "cog=[1, 2]", "cog=[1.7e308, 1.7e308, 1.7e308]", "1.7e308 + 1.7e308", "1.7e308 * 10", "'a' * 9",
+         "[1] * 9",
+         "**x", "*[1]", "9" * 400, "1" + "+1" * 900,
+         "-" * 900 + "1", "[" * 150 + "]" * 150, "{1: 2}", "1j", "b''", "..."]
+    ),
+)  # fmt: skip
 
 
 def lines(calls: Iterable[tuple[str, list[str]]]) -> str:
@@ -110,3 +137,88 @@ def test_whatever_comes_on_the_other_ports(pieces: list[bytes]) -> None:
         assert "\n" not in of.line.answer(text.replace("quit", ""), 0.0)
         of.cycles(2)
     assert all_finite(of)
+
+
+WRONG = (
+    "1e999",
+    "-1e999",
+    "'a'",
+    "[1, 2]",
+    "[1e999, 0, 0]",
+    "p[0, 0, 0, 0, 0, 1e999]",
+    "True",
+    "None",
+    "[]",
+    "1.7e308",
+)
+
+
+@pytest.mark.parametrize("name", SIGNATURES)
+def test_every_function_with_every_number_of_arguments(name: str) -> None:
+    of = world()
+    for count in range(len(SIGNATURES[name].kinds) + 2):
+        for value in (*WRONG, "1", repr(list(START)), f"p{list(START)!r}"):
+            for submitted in ScriptReader().receive(f"{name}({', '.join([value] * count)})\n".encode()):
+                of.of.submit(submitted)
+            of.cycles(14)
+            assert all_finite(of), (name, count, value)
+    assert packed(of)
+
+
+name_lists = st.one_of(
+    st.binary(max_size=300),
+    st.tuples(
+        st.sampled_from([b"x,", b",", b"input_int_register_0,", b"actual_q,", b"\xff,"]), st.integers(0, 20_000)
+    ).map(lambda of: (of[0] * of[1])[:65_500]),
+)
+requests = st.one_of(
+    st.tuples(st.sampled_from("VvMUOISP"), st.binary(max_size=40)),
+    st.tuples(
+        st.sampled_from("O"), st.tuples(st.floats(), name_lists).map(lambda of: struct.pack(">d", of[0]) + of[1])
+    ),
+    st.tuples(st.sampled_from("IO"), name_lists),
+    st.tuples(st.characters(max_codepoint=255), st.binary(max_size=10)),
+)
+
+
+@given(st.lists(requests, max_size=5), st.sampled_from([1, 2]), st.integers(1, 64))
+def test_whatever_an_rtde_client_asks(asked: list[tuple[str, bytes]], protocol: int, piece: int) -> None:
+    of = world()
+    session = session_of(of, protocol)
+    stream = b"".join(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload for kind, payload in asked)
+    for begin in range(0, len(stream), 1009 * piece):
+        whole_frames(session.receive(stream[begin : begin + 1009 * piece]))
+    of.cycles(2)
+    assert all_finite(of)
+    session.close()
+
+
+@given(st.lists(numbers, min_size=6, max_size=6))
+def test_whatever_a_clients_sensor_measures(wrench: list[float]) -> None:
+    of = world()
+    of.upload()
+    of.of.setup.external_sensor = True
+    of.of.inputs.write({"external_force_torque": tuple(wrench)})
+    of.cycles(5)
+    assert all_finite(of)
+
+
+@given(st.binary(max_size=200))
+def test_what_is_no_frame_ends_the_connection_and_nothing_else(stream: bytes) -> None:
+    session = session_of(world())
+    try:
+        whole_frames(session.receive(stream))
+    except FramingError:
+        session.close()
+
+
+def test_a_list_of_names_that_is_too_long_gets_no_types() -> None:
+    of = world()
+    session = session_of(of)
+    names = b",".join([b"x"] * 7000)
+    assert session.receive(frame("O", struct.pack(">d", 125.0) + names)) == frame("O", b"\x00")
+    assert session.receive(frame("I", names)) == frame("I", b"\x00")
+    assert session_of(of, 1).receive(frame("O", names)) == frame("O")
+    # The longest that is allowed has an answer of its own.
+    known: Any = session.receive(frame("O", struct.pack(">d", 125.0) + b",".join([b"actual_q"] * 227)))
+    assert known[3:4] == b"\x01"

@@ -1,10 +1,12 @@
 """Kinematics as the controller uses them: with the tool that is set."""
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from haptether.slave.ur_chain import cos_sin, dh_rows
 from haptether.slave.ur_emulator.joint_tracking import Joints
 from haptether.slave.ur_inverse import UrInverse
 from haptether.slave.ur_kinematics import UrKinematics
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Six = tuple[float, ...]
+Three = tuple[float, ...]
 
 SINGULAR = 1e-6
 """Least singular value of the Jacobian, in m and rad per rad, below which a tool velocity has no joint velocity."""
@@ -36,6 +39,7 @@ class ArmKinematics:
         self._forward = UrKinematics(model)
         self._inverse = UrInverse(model)
         self._model = model
+        self._rows = dh_rows(model)
         self.tcp_offset: Six = (0.0,) * 6
         self._tool: Array = np.eye(4)
         self._tool_inverse: Array = np.eye(4)
@@ -64,6 +68,27 @@ class ArmKinematics:
         """From the flange to the tool in m, in the frame of the base, (3,), from base_from_tool, (4, 4)."""
         arm: Array = self.flange_turn(tool) @ self._tool[:3, 3]
         return arm
+
+    def elbow(self, q: Joints, qd: Joints) -> tuple[Three, Three]:
+        """Where the upper arm ends, in m, and its velocity in m/s, in the frame of the base: `p_2` of the DH chain.
+
+        `p = o_1 + R_1 (a_2 cos q_2, a_2 sin q_2, d_2)`, `v = qd_1 z_0 x p + qd_2 z_1 x (p - o_1)`.
+
+        Source: B. Siciliano et al., "Robotics: Modelling, Planning and Control", 2009, Eq. 2.52 and 3.30.
+        """
+        rows = self._rows
+        c1, s1 = math.cos(q[0] + rows.theta[0]), math.sin(q[0] + rows.theta[0])
+        c2, s2 = math.cos(q[1] + rows.theta[1]), math.sin(q[1] + rows.theta[1])
+        ca, sa = cos_sin(rows.alpha[0])
+        u, v, w = rows.a[1] * c2, rows.a[1] * s2, rows.d[1]
+        # From the shoulder.
+        x = c1 * u - s1 * ca * v + s1 * sa * w
+        y = s1 * u + c1 * ca * v - c1 * sa * w
+        z = sa * v + ca * w
+        px, py, pz = x + rows.a[0] * c1, y + rows.a[0] * s1, z + rows.d[0]
+        ax, ay, az = qd[1] * s1 * sa, -qd[1] * c1 * sa, qd[1] * ca
+        turning = (ay * z - az * y - qd[0] * py, az * x - ax * z + qd[0] * px, ax * y - ay * x)
+        return (px, py, pz), turning
 
     def transform_and_jacobian(self, q: Joints) -> tuple[Array, Array]:
         """base_from_tool, (4, 4), and the Jacobian of the tool: velocity over angular velocity, (6, 6)."""

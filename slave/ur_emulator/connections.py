@@ -1,15 +1,19 @@
 """Connections of clients: each takes bytes and gives bytes; none of them owns a socket."""
 
+from collections import deque
 from typing import TYPE_CHECKING, Final, Protocol
 
 from haptether.slave.ur_emulator.dashboard import BANNER, Dashboard
+from haptether.slave.ur_emulator.robot_messages import runtime_exception
 from haptether.slave.ur_emulator.rtde_session import RtdeSession
-from haptether.slave.ur_emulator.script_port import ScriptReader
+from haptether.slave.ur_emulator.script_port import Held, ScriptReader
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.controller import Controller
 
 LONGEST_LINE: Final = 4096
+MAX_MESSAGES: Final = 100
+"""That wait for a client; of more only the newest."""
 
 RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
 PORTS: Final = {30004: RTDE, 29999: DASHBOARD, 30001: SCRIPT, 30002: SCRIPT, 30003: SCRIPT}
@@ -90,13 +94,13 @@ class DashboardPeer:
         if len(self._waiting) > LONGEST_LINE:
             message = f"line of {len(self._waiting)} bytes: must be at most {LONGEST_LINE}"
             raise ValueError(message)
-        answers = b""
+        answers = bytearray()
         for line in lines:
             said, stays = self._dashboard.answer(line.decode("utf-8", "replace"))
             answers += f"{said}\n".encode()
             if not stays:
-                return answers, False
-        return answers, True
+                return bytes(answers), False
+        return bytes(answers), True
 
     def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
         """See `Peer`."""
@@ -107,13 +111,14 @@ class DashboardPeer:
 
 
 class ScriptPeer:
-    """A client of one of the script interfaces; it is sent nothing."""
+    """A client of one of the script interfaces; it is sent what stopped its scripts, and nothing else."""
 
     kind = SCRIPT
 
-    def __init__(self, controller: "Controller") -> None:
+    def __init__(self, controller: "Controller", held: Held) -> None:
         self._controller = controller
-        self._reader = ScriptReader()
+        self._reader = ScriptReader(held, self._failed)
+        self._messages: deque[bytes] = deque(maxlen=MAX_MESSAGES)
 
     def greeting(self) -> bytes:
         """See `Peer`."""
@@ -127,10 +132,14 @@ class ScriptPeer:
 
     def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
         """See `Peer`."""
-        return None
+        return self._messages.popleft() if self._messages else None
 
     def close(self) -> None:
         """See `Peer`."""
+        self._reader.close()
+
+    def _failed(self, error: str) -> None:
+        self._messages.append(runtime_exception(error, self._controller.timestamp))
 
 
 class Reception:
@@ -139,6 +148,7 @@ class Reception:
     def __init__(self, controller: "Controller") -> None:
         self._controller = controller
         self._dashboard = Dashboard(controller)
+        self._held = Held()
         self._accepted = 0
 
     def peer(self, port: int) -> Peer:
@@ -147,4 +157,4 @@ class Reception:
         kind = PORTS[port]
         if kind == RTDE:
             return RtdePeer(self._controller, self._accepted)
-        return DashboardPeer(self._dashboard) if kind == DASHBOARD else ScriptPeer(self._controller)
+        return DashboardPeer(self._dashboard) if kind == DASHBOARD else ScriptPeer(self._controller, self._held)

@@ -98,7 +98,7 @@ class Answers:
         self.setup.external_sensor = self.registers.integer(1) == 1
 
     def _set_gravity(self) -> None:
-        self.setup.gravity = self.registers.six(0)[:3]
+        self.setup.set_gravity(self.registers.six(0)[:3])
 
     def _has_inverse(self, near: Six | None) -> None:
         if self.setup.has((3, 15), (5, 10)):

@@ -1,10 +1,12 @@
 """Recognises the control script of ur_rtde among what clients upload."""
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from haptether.slave.ur_emulator.script_arguments import MAX_SHOWN
 from haptether.slave.ur_emulator.script_error import ScriptError
 
 if TYPE_CHECKING:
@@ -16,14 +18,21 @@ MARKS: Final = ("def process_cmd(", "def rtde_cmd(", "read_input_integer_reg(0)"
 CONTROL_SCRIPT_NAME: Final = "rtde_control"
 CONTROL_SCRIPT: Final = "\n".join((f"def {CONTROL_SCRIPT_NAME}():", *(f"  {mark}" for mark in MARKS), "end"))
 """What stands for the script where the controller has it on its disk."""
-OFFSET: Final = re.compile(r"# int register offset\s*(\d+)")
+OFFSET: Final = re.compile(r"# int register offset\s*(\d{1,2})\b")
 """The client puts the number behind the comment that marks its place, on a line of its own."""
-PATH: Final = re.compile(r"def exec_move_path\(\):(.*?)^\s*end\s*$", re.MULTILINE | re.DOTALL)
+OFFSETS: Final = (0, 24)
+"""Where the client's registers begin."""
+PATH: Final = "def exec_move_path():"
+PATH_ENDS: Final = re.compile(r"^[ \t]*end[ \t\r]*$", re.MULTILINE)
+"""Nothing of it goes over the end of a line, and it is looked for once: else a text could take minutes."""
+MAX_WAYPOINTS: Final = 5000
+MAX_MOVE: Final = 1000
+"""Characters of a move in a path."""
 NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 MOVE: Final = re.compile(
     rf"(movej|movel)\((p?)\[([^\]]*)\]\s*,\s*a=({NUMBER})\s*,\s*v=({NUMBER})\s*,\s*r=({NUMBER})\s*\)"
 )
-PROGRESS: Final = re.compile(r"signal_async_progress\((\d+)\)")
+PROGRESS: Final = re.compile(r"signal_async_progress\((\d{1,9})\)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,20 +77,39 @@ def recognised(text: str) -> Upload | None:
     """
     if not all(mark in text for mark in MARKS):
         return None
-    offset = OFFSET.search(text)
-    path = PATH.search(text)
-    return Upload(int(offset[1]) if offset else 0, tuple(_steps(path[1])) if path else ())
+    found = OFFSET.search(text)
+    offset = int(found[1]) if found else 0
+    if offset not in OFFSETS:
+        message = f"registers from {offset} on: must be from 0 or 24 on"
+        raise ScriptError(message)
+    begin = text.find(PATH)
+    end = PATH_ENDS.search(text, begin) if begin >= 0 else None
+    return Upload(offset, tuple(_steps(text[begin + len(PATH) : end.start()])) if end else ())
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    """Finite numbers between commas; none where one is not."""
+    try:
+        numbers = tuple(map(float, text.split(",")))
+    except ValueError:
+        return ()
+    return numbers if all(map(math.isfinite, numbers)) else ()
 
 
 def _steps(body: str) -> Iterator[PathMove | int]:
+    moves = 0
     for line in body.splitlines():
-        line = line.strip()  # noqa: PLW2901
+        line = line.strip()[: MAX_MOVE + 1]  # noqa: PLW2901
         if found := PROGRESS.match(line):
             yield int(found[1])
         elif line.startswith("move"):
-            move = MOVE.match(line)
-            numbers = tuple(float(part) for part in move[3].split(",")) if move else ()
+            move = MOVE.match(line) if len(line) <= MAX_MOVE else None
+            numbers = _numbers(move[3]) if move else ()
             if move is None or len(numbers) != 6:
-                message = f"movePath: {line!r} cannot be read"
+                message = f"movePath: {line[:MAX_SHOWN]!r} cannot be read"
+                raise ScriptError(message)
+            moves += 1
+            if moves > MAX_WAYPOINTS:
+                message = f"movePath: more than {MAX_WAYPOINTS} waypoints"
                 raise ScriptError(message)
             yield PathMove(move[1] == "movel", move[2] == "p", numbers, float(move[4]), float(move[5]))

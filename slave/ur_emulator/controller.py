@@ -26,7 +26,7 @@ from haptether.slave.ur_emulator.setup import Setup
 from haptether.slave.ur_emulator.version import ControllerVersion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from haptether.slave.ur_emulator.rtde_types import Value
     from haptether.slave.ur_emulator.touch import Touch
@@ -40,6 +40,13 @@ STOP_DECELERATION: Final = 20.0
 UPTIME_S: Final = 100.0
 """Age of the controller when it begins: some clients wait for one that has just booted."""
 LOG_LINES: Final = 1000
+MAX_LOG_LINE: Final = 500
+"""Characters; a client's text may have a million."""
+MAX_NAME: Final = 80
+MAX_SECONDARY: Final = 5_000
+"""Characters of a secondary program, which is read at once."""
+MAX_WRENCH: Final = 1e5
+"""N and N m of a client's force sensor; larger numbers overflow in squares."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,10 +100,18 @@ class Controller:
         self.on_engaged: Callable[[], None] = _nothing
         """Is called when the first servo or speed command has come."""
         self.slider = 1.0
+        self.limiter = 1.0
+        """Share of the speed that the limit of tool speed leaves, beside the slider: RTDE's `speed_scaling`."""
+        self.operational_mode: str | None = None
+        """What the dashboard has set; none while it controls no mode."""
         self.claimed_version: ControllerVersion | None = None
         """Another version to tell clients, whatever it is."""
         self._program: Program | None = None
         self._starts: tuple[int, Submitted] | None = None
+        self._reading: Iterator[bool] | None = None
+        """The program that is being read, and then begins."""
+        self._failed: Callable[[str], None] = _nobody
+        """Of the program that runs: told what stopped it."""
         self._stop_wanted = ""
         self._watched = (0, 0)
         self._has_engaged = False
@@ -120,7 +135,7 @@ class Controller:
 
     def tell(self, text: str) -> None:
         """Writes a line to the log."""
-        self.log.append(f"{self.now_s:.3f} {text}")
+        self.log.append(f"{self.now_s:.3f} {text[:MAX_LOG_LINE]}")
 
     # ---------------------------------------------------------------------------------------------------- cycle
 
@@ -131,7 +146,7 @@ class Controller:
         self._slide()
         self.digital.update()
         wrench = self.inputs.values["external_force_torque"]
-        self.robot.sensing.external = wrench if self.setup.external_sensor else None  # type: ignore[assignment]
+        self.robot.sensing.external = _within(wrench) if self.setup.external_sensor else None  # type: ignore[arg-type]
         # What was commanded in the cycle before has moved the arm until now; what is commanded now moves it after.
         self._move()
         self._look_at_limits()
@@ -145,41 +160,69 @@ class Controller:
             self.slider = min(max(float(values["speed_slider_fraction"]), 0.0), 1.0)  # type: ignore[arg-type]
         speed = max(1e-9, self.robot.tool_speed)
         # The controller slows its own moves down rather than breaking the limit of tool speed.
-        room = 0.9 * self.settings.limits.tool_speed / speed * self.robot.share
-        self.robot.share = min(self.slider, max(room, 0.01))
+        room = max(0.9 * self.settings.limits.tool_speed / speed * self.robot.share, 0.01)
+        self.robot.share = min(self.slider, room)
+        # Clients multiply it by the slider's share, which RTDE tells as target_speed_fraction.
+        self.limiter = min(1.0, room / self.slider) if self.slider > 0.0 else 1.0
 
     def _start_program(self) -> None:
         if self._starts is None or self.cycles < self._starts[0]:
             return
-        submitted, self._starts = self._starts[1], None
-        program = Program(submitted.name or submitted.text)
-        functions = ScriptFunctions(self.robot, program, self.settings.limits.jump, self.protective_stop)
+        submitted = self._starts[1]
+        self._reading = self._reading or self._read(submitted)
         try:
-            upload = recognised(submitted.text)
-            if upload is None:
-                steps = self._lines(functions).steps(submitted.text)
-            else:
-                steps = self._control_program(upload, functions)
+            if next(self._reading):
+                self._starts = self._reading = None
         except ScriptError as error:
-            self.tell(f"{program.name}: {error}")
-            return
+            self._starts = self._reading = None
+            self._fail(submitted.failed, f"{_name(submitted)}: {error}")
+
+    def _read(self, submitted: Submitted) -> "Iterator[bool]":
+        """Reads a program, a part of it in each control cycle, then begins it; whether it has begun.
+
+        Raises:
+            ScriptError: It cannot be read.
+        """
+        program = Program(_name(submitted))
+        functions = ScriptFunctions(self.robot, program, self.settings.limits.jump, self.protective_stop)
+        upload = recognised(submitted.text)
+        if upload is not None:
+            steps = self._control_program(upload, functions)
+        else:
+            reading = self._lines(functions).read(submitted.text)
+            while True:
+                try:
+                    next(reading)
+                except StopIteration as read:
+                    steps = read.value
+                    break
+                yield False
         program.main = Thread(steps)
-        self._program = program
+        self._program, self._failed = program, submitted.failed
         self.program_name = program.name
         self.runtime = RuntimeState.PLAYING
+        yield True
+
+    def _fail(self, failed: "Callable[[str], None]", text: str) -> None:
+        """Says what stopped a program, in the log and to who sent it."""
+        self.tell(text)
+        failed(text)
 
     def _run_secondary(self, submitted: Submitted) -> None:
         """Runs a program beside the one that runs; it may take no time."""
-        program = Program(submitted.name)
+        program = Program(_name(submitted))
         functions = ScriptFunctions(self.robot, program, self.settings.limits.jump, self.protective_stop)
         try:
+            if len(submitted.text) > MAX_SECONDARY:
+                message = f"{len(submitted.text)} characters: a secondary program must have at most {MAX_SECONDARY}"
+                raise ScriptError(message)
             program.main = Thread(self._lines(functions).steps(submitted.text))
             if program.cycle():
                 program.kill()
                 message = "a secondary program must not take time"
                 raise ScriptError(message)
         except ScriptError as error:
-            self.tell(f"{program.name}: {error}")
+            self._fail(submitted.failed, f"{program.name}: {error}")
 
     def _lines(self, functions: ScriptFunctions) -> ScriptLines:
         registers = Registers(self.inputs.values, self.outputs)
@@ -198,7 +241,7 @@ class Controller:
         try:
             goes_on = program.cycle()
         except ScriptError as error:
-            self.tell(f"{program.name}: {error}")
+            self._fail(self._failed, f"{program.name}: {error}")
             goes_on = False
         if self._stop_wanted:
             reason, self._stop_wanted = self._stop_wanted, ""
@@ -224,7 +267,7 @@ class Controller:
         try:
             self.robot.step(self.now_s)
         except ScriptError as error:
-            self.tell(f"{self.program_name}: {error}")
+            self._fail(self._failed, f"{self.program_name}: {error}")
             self.stop_program()
 
     def _look_at_limits(self) -> None:
@@ -236,7 +279,7 @@ class Controller:
     def submit(self, submitted: Submitted) -> bool:
         """Takes a program from a script interface; it starts soon. Whether it is taken."""
         if not self.may_run:
-            self.tell(f"script {submitted.name or submitted.text!r} refused: {self._why_not()}")
+            self._fail(submitted.failed, f"script {_name(submitted)!r} refused: {self._why_not()}")
             return False
         if submitted.secondary:
             self._run_secondary(submitted)
@@ -263,6 +306,7 @@ class Controller:
         self.claimed_version = None
         self.loaded = self.program_name = ""
         self.slider = 1.0
+        self.operational_mode = None
         self.setup.reset()
         self.digital.reset()
         self.robot.place(self.settings.start, self.settings.tcp)
@@ -271,10 +315,10 @@ class Controller:
 
     def stop_program(self) -> None:
         """Ends the program that runs; the arm comes to rest."""
-        self._starts = None
+        self._starts = self._reading = None
         if self._program is not None:
             self._program.kill()
-            self._program = None
+            self._program, self._failed = None, _nobody
         self.robot.end_force_mode()
         self.setup.program_ended()
         self.runtime = RuntimeState.STOPPED
@@ -328,6 +372,18 @@ def _check_start(settings: ControllerSettings) -> None:
         if not low <= angle <= high or not math.isfinite(angle):
             message = f"start: joint {joint} = {angle:g} rad: must be between {low:.4g} and {high:.4g}"
             raise ValueError(message)
+
+
+def _name(submitted: Submitted) -> str:
+    return (submitted.name or submitted.text)[:MAX_NAME]
+
+
+def _within(wrench: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple([min(max(part, -MAX_WRENCH), MAX_WRENCH) for part in wrench])
+
+
+def _nobody(_error: str) -> None:
+    """Nobody waits for it."""
 
 
 def _nothing() -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from haptether.slave.ur_emulator.arm_kinematics import six
+from haptether.slave.ur_emulator.arm_kinematics import Six, six
 from haptether.slave.ur_emulator.robot_state import (
     JOINT_MODES,
     JOINT_POWER_OFF,
@@ -25,6 +25,8 @@ class OutputValues:
 
     def __init__(self, controller: "Controller") -> None:
         self._of = controller
+        self._before: tuple[Six, Six] = ((0.0,) * 6, (0.0,) * 6)
+        """Velocities of the tool a control cycle ago, of the target and as measured."""
 
     def update(self) -> None:
         """Brings the outputs up to date."""
@@ -33,11 +35,18 @@ class OutputValues:
         measured, target = robot.measured, robot.target
         tool, jacobian = robot.arm.transform_and_jacobian(target.q)
         robot.tool_speed = math.hypot(*(target_velocity := six(jacobian @ np.array(target.qd)))[:3])
+        elbow, elbow_velocity = robot.arm.elbow(measured.q, measured.qd)
+        velocities = target_velocity, measured.velocity
+        target_acceleration, acceleration = (
+            tuple([(new - old) / of.period_s for new, old in zip(now, before, strict=True)])
+            for now, before in zip(velocities, self._before, strict=True)
+        )
+        self._before = velocities
         playing = of.runtime == RuntimeState.PLAYING
         safety = of.safety
         values: dict[str, Value] = {
             "timestamp": of.timestamp,
-            "speed_scaling": robot.share,
+            "speed_scaling": of.limiter,
             "target_speed_fraction": of.slider,
             "tcp_force_scalar": math.hypot(*measured.sensed[:3]),
             "target_q": target.q,
@@ -50,6 +59,11 @@ class OutputValues:
             "actual_TCP_force": measured.sensed,
             "target_TCP_pose": six(pose_from_transform(tool)),
             "target_TCP_speed": target_velocity,
+            "target_TCP_acceleration": target_acceleration,
+            "actual_TCP_acceleration": acceleration,
+            "elbow_position": elbow,
+            "elbow_velocity": elbow_velocity,
+            "control_step": of.cycles,
             "tcp_offset": robot.arm.tcp_offset,
             "ft_raw_wrench": robot.sensing.raw(
                 robot.arm.flange_turn(measured.tool),
@@ -75,3 +89,5 @@ class OutputValues:
             "joint_mode": (JOINT_MODES.get(safety.robot_mode, JOINT_POWER_OFF),) * 6,
         }
         outputs.update((name, value) for name, value in values.items() if name in outputs)
+        changed, of.inputs.changed = of.inputs.changed, set()
+        outputs.update((name, of.inputs.values[name]) for name in changed if name in outputs)

@@ -21,7 +21,10 @@ class RtdeInputs:
         """Packages that held a number that is not finite."""
         self.blocked: frozenset[str] = frozenset()
         """Inputs that nobody gets any more: as if a client that nobody sees had them."""
+        self.changed: set[str] = set()
+        """Inputs that were written since somebody emptied this."""
         self._owners: dict[str, int] = {}
+        self._names = {name: name for name in types}
 
     def claim(
         self, owner: int, names: tuple[str, ...], *, wanted: bool = True
@@ -30,9 +33,13 @@ class RtdeInputs:
         answers = [self._answer(owner, name) for name in names]
         if not wanted or NOT_FOUND in answers or IN_USE in answers:
             return answers, None
-        for name in names:
+        for name in self.known(names):
             self._owners[name] = owner
         return answers, tuple(self.types[name] for name in names)
+
+    def known(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The same names, as the table has them."""
+        return tuple(self._names[name] for name in names)
 
     def release(self, owner: int) -> None:
         """Takes all that a connection had."""
@@ -45,6 +52,7 @@ class RtdeInputs:
                 self.refused += 1
                 return
         self.values.update(values)
+        self.changed.update(values)
         self.writes.update(values.keys())
 
     def _answer(self, owner: int, name: str) -> str:

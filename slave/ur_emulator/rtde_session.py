@@ -12,6 +12,8 @@ from haptether.slave.ur_emulator.rtde_types import NOT_FOUND, Number, Value, Wir
 from haptether.slave.ur_emulator.version import ControllerVersion
 
 MOST_RECIPES: Final = 255
+MAX_INPUT_FIELDS: Final = 4096
+"""Over all input recipes of a connection; ur_rtde's have some 300."""
 PROTOCOLS: Final = frozenset({1, 2})
 SLOWEST_HZ: Final = 1.0
 
@@ -97,10 +99,10 @@ class RtdeSession:
         Raises:
             FramingError: It cannot be RTDE.
         """
-        answer = b""
+        answer = bytearray()
         for kind, payload in self._reader.frames(came):
             answer += self._answer(frames.request_of(kind, payload, self.protocol))
-        return answer
+        return bytes(answer)
 
     def package(self, cycles: int = 1) -> bytes | None:
         """The data package that is due after so many control cycles, if any."""
@@ -141,11 +143,15 @@ class RtdeSession:
         return frames.accepted(frames.PROTOCOL_VERSION, yes=fits)
 
     def _set_up_outputs(self, rate_hz: float, names: tuple[str, ...]) -> bytes:
-        types = [kind.name if (kind := self.output_types.get(name)) else NOT_FOUND for name in names]
-        kinds = [kind for name in names if (kind := self.output_types.get(name))]
-        fits = names and NOT_FOUND not in types and rate_hz >= SLOWEST_HZ and _fits(names)
         self.started = False
         self._output = None
+        number = None if self.protocol == 1 else 0
+        if not _fits(names):
+            self._refuse_list(names)
+            return frames.recipe(frames.SETUP_OUTPUTS, number, [])
+        types = [kind.name if (kind := self.output_types.get(name)) else NOT_FOUND for name in names]
+        kinds = [kind for name in names if (kind := self.output_types.get(name))]
+        fits = names and NOT_FOUND not in types and rate_hz >= SLOWEST_HZ
         if fits:
             layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
             body = b"\x01" if self.protocol != 1 else b""
@@ -157,18 +163,27 @@ class RtdeSession:
                 frames.HEADER.pack(size, frames.DATA_PACKAGE) + body,
                 min(1.0, rate_hz / self.rate_hz),
             )
-        number = None if self.protocol == 1 else int(bool(fits))
+        if self.protocol != 1:
+            number = int(bool(fits))
         return frames.recipe(frames.SETUP_OUTPUTS, number, types)
 
     def _set_up_inputs(self, names: tuple[str, ...]) -> bytes:
-        fits = bool(names) and len(self._recipes) < MOST_RECIPES and _fits(names)
+        if not _fits(names):
+            self._refuse_list(names)
+            return frames.recipe(frames.SETUP_INPUTS, 0, [])
+        fields = sum(len(recipe.names) for recipe in self._recipes.values()) + len(names)
+        fits = bool(names) and len(self._recipes) < MOST_RECIPES and fields <= MAX_INPUT_FIELDS
         types, kinds = self.inputs.claim(self.number, names, wanted=fits)
         number = 0
         if fits and kinds is not None:
             number = len(self._recipes) + 1
             layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
-            self._recipes[number] = InputRecipe(names, kinds, layout)
+            # The names of the table: what a client sent need not be kept.
+            self._recipes[number] = InputRecipe(self.inputs.known(names), kinds, layout)
         return frames.recipe(frames.SETUP_INPUTS, number, types)
+
+    def _refuse_list(self, names: tuple[str, ...]) -> None:
+        self.tell(f"list of {len(names)} names refused: must have at most {frames.LONGEST_NAMES} bytes")
 
     def _start(self) -> bytes:
         if self._output is None:

@@ -1,12 +1,27 @@
 """Programs that are no control script: calls with literal arguments, one line after another, without control flow."""
 
 import ast
-import math
-import operator
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
+from haptether.slave.ur_emulator.script_arguments import (
+    ANYTHING,
+    BOOLEAN,
+    INTEGER,
+    MAX_LINE,
+    MAX_SHOWN,
+    NUMBER,
+    POSE,
+    SIX,
+    TARGET,
+    THREE,
+    Kind,
+    Pose,
+    Signature,
+    Six,
+    literal,
+)
 from haptether.slave.ur_emulator.script_error import ScriptError
 
 if TYPE_CHECKING:
@@ -16,15 +31,48 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.script_functions import ScriptFunctions
     from haptether.slave.ur_emulator.setup import Setup
 
-POSE: Final = re.compile(r"\bp\s*\[")
-ARITHMETIC: Final[dict[type[ast.operator], Callable[[Any, Any], object]]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-}
+POSE_LITERAL: Final = re.compile(r"\bp\s*\[")
+MAX_CALLS: Final = 5000
+"""Of a program."""
+CALLS_PER_CYCLE: Final = 8
+"""That are read in a control cycle: some 0.3 ms of it."""
 
-Six = tuple[float, ...]
+Call = Callable[[], "Steps | None"]
+
+
+def _takes(optional: str = "", **kinds: Kind) -> Signature:
+    return Signature(kinds, frozenset(optional.split()))
+
+
+SIGNATURES: Final = {
+    "movej": _takes("a v t r", q=TARGET, a=NUMBER, v=NUMBER, t=NUMBER, r=NUMBER),
+    "movel": _takes("a v t r", pose=TARGET, a=NUMBER, v=NUMBER, t=NUMBER, r=NUMBER),
+    "stopj": _takes("a", a=NUMBER),
+    "stopl": _takes("a", a=NUMBER),
+    "speedj": _takes("a t", qd=SIX, a=NUMBER, t=NUMBER),
+    "speedl": _takes("a t", xd=SIX, a=NUMBER, t=NUMBER),
+    "servoj": _takes(
+        "a v t lookahead_time gain", q=SIX, a=NUMBER, v=NUMBER, t=NUMBER, lookahead_time=NUMBER, gain=NUMBER
+    ),
+    "sleep": _takes(time_s=NUMBER),
+    "sync": _takes(),
+    "textmsg": _takes("s2", s1=ANYTHING, s2=ANYTHING),
+    "popup": _takes(
+        "title warning error blocking", s=ANYTHING, title=ANYTHING, warning=BOOLEAN, error=BOOLEAN, blocking=BOOLEAN
+    ),
+    "set_tcp": _takes("tcp_name", pose=SIX, tcp_name=ANYTHING),
+    "set_payload": _takes("cog", m=NUMBER, cog=THREE),
+    "zero_ftsensor": _takes(),
+    "end_force_mode": _takes(),
+    "protective_stop": _takes(),
+    "set_digital_out": _takes(n=INTEGER, b=BOOLEAN),
+    "set_standard_digital_out": _takes(n=INTEGER, b=BOOLEAN),
+    "set_configurable_digital_out": _takes(n=INTEGER, b=BOOLEAN),
+    "set_tool_digital_out": _takes(n=INTEGER, b=BOOLEAN),
+    "write_output_integer_register": _takes(number=INTEGER, value=INTEGER),
+    "write_output_float_register": _takes(number=INTEGER, value=NUMBER),
+}
+"""What each function takes."""
 
 
 class ScriptLines:
@@ -47,95 +95,90 @@ class ScriptLines:
         tell: Callable[[str], None],
     ) -> None:
         self._do = do
-        self._registers = registers
-        self._setup = setup
-        self._digital = digital
-        self._tell = tell
         self._functions: dict[str, Callable[..., Steps | None]] = {
             "movej": self._movej,
             "movel": self._movel,
             "stopj": lambda a=2.0: do.stopj(a),
             "stopl": lambda a=20.0: do.stopl(a),
-            "speedj": lambda qd, a=0.5, t=0.0: do.speedj(_six("speedj", qd), a, t),
-            "speedl": lambda xd, a=0.5, t=0.0: do.speedl(_six("speedl", xd), a, t),
+            "speedj": lambda qd, a=0.5, t=0.0: do.speedj(qd, a, t),
+            "speedl": lambda xd, a=0.5, t=0.0: do.speedl(xd, a, t),
             "servoj": lambda q, a=0.0, v=0.0, t=0.002, lookahead_time=0.1, gain=300.0: do.servoj(  # noqa: ARG005
-                _six("servoj", q), t, lookahead_time, gain
+                q, t, lookahead_time, gain
             ),
             "sleep": do.sleep,
             "sync": lambda: do.sleep(0.0),
-            "textmsg": lambda *parts: tell(f"textmsg: {''.join(map(str, parts))}"),
-            "popup": lambda text, *_rest, **_more: tell(f"popup: {text}"),
-            "set_tcp": lambda pose: do.robot.set_tcp(_six("set_tcp", pose)),
-            "set_payload": lambda m, cog=(0.0, 0.0, 0.0): setup.set_payload(float(m), tuple(cog)),
+            "textmsg": lambda s1, s2="": tell(f"textmsg: {s1}{s2}"),
+            "popup": lambda s, **_: tell(f"popup: {s}"),
+            "set_tcp": lambda pose, tcp_name="": do.robot.set_tcp(pose),  # noqa: ARG005
+            "set_payload": lambda m, cog=(0.0, 0.0, 0.0): setup.set_payload(m, cog),
             "zero_ftsensor": do.robot.sensing.zero,
             "end_force_mode": do.robot.end_force_mode,
             "protective_stop": lambda: setup.protective_stop("protective_stop() of the program"),
-            "set_digital_out": lambda n, b: digital.set(int(n), on=bool(b)),
-            "set_standard_digital_out": lambda n, b: digital.set(int(n), on=bool(b)),
-            "set_configurable_digital_out": lambda n, b: digital.set(8 + int(n), on=bool(b)),
-            "set_tool_digital_out": lambda n, b: digital.set(16 + int(n), on=bool(b)),
-            "write_output_integer_register": lambda n, value: registers.write_integer(int(n), int(value)),
-            "write_output_float_register": lambda n, value: registers.write_double(int(n), float(value)),
+            "set_digital_out": lambda n, b: digital.set(n, on=b),
+            "set_standard_digital_out": lambda n, b: digital.set(n, on=b),
+            "set_configurable_digital_out": lambda n, b: digital.set(8 + n, on=b),
+            "set_tool_digital_out": lambda n, b: digital.set(16 + n, on=b),
+            "write_output_integer_register": registers.write_integer,
+            "write_output_float_register": registers.write_double,
         }
+
+    def read(self, text: str) -> "Generator[None, None, Steps]":
+        """Reads a program, a few calls at each step; gives what runs it.
+
+        Raises:
+            ScriptError: A line that is none of these calls, or too many of them.
+        """
+        calls: list[Call] = []
+        for line in _statements(text):
+            if len(calls) >= MAX_CALLS:
+                message = f"more than {MAX_CALLS} calls"
+                raise ScriptError(message)
+            calls.append(self._call(line))
+            if len(calls) % CALLS_PER_CYCLE == 0:
+                yield
+        return self._run(calls)
 
     def steps(self, text: str) -> "Steps":
         """The program, ready to run.
 
         Raises:
-            ScriptError: A line that is none of these calls.
+            ScriptError: A line that is none of these calls, or too many of them.
         """
-        return self._run([self._call(line) for line in _statements(text)])
+        reading = self.read(text)
+        while True:
+            try:
+                next(reading)
+            except StopIteration as read:
+                steps: Steps = read.value
+                return steps
 
-    def _run(self, calls: list[Callable[[], "Steps | None"]]) -> "Steps":
+    def _run(self, calls: list[Call]) -> "Steps":
         for call in calls:
             steps = call()
             if steps is not None:
                 yield from steps
 
-    def _call(self, line: str) -> Callable[[], "Steps | None"]:
-        # `p[...]` is a list to Python; the movements that care see which it was.
-        text = POSE.sub("_pose[", line)
-        try:
-            parsed = ast.parse(text, mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
-            parsed = None
-        if not (isinstance(parsed, ast.Call) and isinstance(parsed.func, ast.Name)):
+    def _call(self, line: str) -> Call:
+        name, arguments, named = _parsed(line)
+        function, signature = self._functions.get(name), SIGNATURES.get(name)
+        if function is None or signature is None:
             raise ScriptError(_unknown(line))
-        function = self._functions.get(parsed.func.id)
-        if function is None:
-            raise ScriptError(_unknown(line))
-        arguments = [_literal(node, line) for node in parsed.args]
-        named = {word.arg: _literal(word.value, line) for word in parsed.keywords if word.arg is not None}
+        bound: dict[str, Any] = signature.bound(name, arguments, named)
 
         def call() -> "Steps | None":
             try:
-                return function(*arguments, **named)
-            except (TypeError, ValueError, OverflowError) as error:
-                message = f"{line[:80]!r}: {error}"
+                return function(**bound)
+            except (TypeError, ValueError, ArithmeticError) as error:
+                message = f"{line[:MAX_SHOWN]!r}: {error}"
                 raise ScriptError(message) from None
 
         return call
 
-    def _movej(self, target: object, a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> "Steps":  # noqa: ARG002
-        q = self._do.inverse(target.numbers) if isinstance(target, Pose) else _six("movej", target)
-        return self._do.movej(q, a, v)
+    def _movej(self, q: "Pose | Six", a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> "Steps":  # noqa: ARG002
+        return self._do.movej(self._do.inverse(q.numbers) if isinstance(q, Pose) else q, a, v)
 
-    def _movel(self, target: object, a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> "Steps":  # noqa: ARG002
-        pose = target.numbers if isinstance(target, Pose) else self._do.arm.pose(_six("movel", target))
-        return self._do.movel(pose, a, v)
-
-
-class Pose:
-    """A literal `p[...]`."""
-
-    def __init__(self, numbers: Six) -> None:
-        self.numbers = numbers
-
-    def __iter__(self) -> Iterator[float]:
-        return iter(self.numbers)
-
-    def __str__(self) -> str:
-        return f"p{list(self.numbers)}"
+    def _movel(self, pose: "Pose | Six", a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> "Steps":  # noqa: ARG002
+        return self._do.movel(pose.numbers if isinstance(pose, Pose) else self._do.arm.pose(pose), a, v)
 
 
 def _statements(text: str) -> Iterator[str]:
@@ -148,26 +191,27 @@ def _statements(text: str) -> Iterator[str]:
             yield bare
 
 
-def _literal(node: ast.expr, line: str) -> object:
+def _parsed(line: str) -> tuple[str, list[object], dict[str, object]]:
+    """Name, arguments and named arguments of a call.
+
+    Raises:
+        ScriptError: It is none, or its arguments are no literals.
+    """
+    if len(line) > MAX_LINE:
+        message = f"{line[:MAX_SHOWN]!r}: line of {len(line)} characters: must have at most {MAX_LINE}"
+        raise ScriptError(message)
     try:
-        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "_pose":
-            return Pose(_six("pose", ast.literal_eval(node.slice)))
-        if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
-            left, right = _literal(node.left, line), _literal(node.right, line)
-            return ARITHMETIC[type(node.op)](left, right)
-        literal: object = ast.literal_eval(node)
-        return literal
-    except (ValueError, TypeError, ArithmeticError):
+        # `p[...]` is a list to Python; the movements that care see which it was.
+        call = ast.parse(POSE_LITERAL.sub(f"{POSE}[", line), mode="eval").body
+        if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
+            raise ValueError
+        named = {word.arg: literal(word.value) for word in call.keywords if word.arg is not None}
+        if len(named) != len(call.keywords):
+            raise ValueError
+        return call.func.id, [literal(node) for node in call.args], named
+    except (SyntaxError, ValueError, TypeError, ArithmeticError, RecursionError, MemoryError):
         raise ScriptError(_unknown(line)) from None
 
 
-def _six(name: str, values: object) -> Six:
-    numbers = tuple(values) if isinstance(values, list | tuple | Pose) else ()
-    if len(numbers) != 6 or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers):
-        message = f"{name}: {values!r}: must be six numbers"
-        raise ScriptError(message)
-    return tuple(map(float, numbers))
-
-
 def _unknown(line: str) -> str:
-    return f"{line[:80]!r}: the emulator knows only calls of its own functions with literal arguments"
+    return f"{line[:MAX_SHOWN]!r}: the emulator knows only calls of its own functions with literal, finite arguments"

@@ -3,10 +3,14 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Final
 
 from haptether.slave.ur_emulator.force_mode import ForceMode
 from haptether.slave.ur_emulator.script_error import ScriptError
 from haptether.slave.ur_emulator.version import ControllerVersion
+
+MAX_COG_M: Final = 10.0
+MAX_GRAVITY: Final = 100.0
 
 Three = tuple[float, ...]
 Six = tuple[float, ...]
@@ -43,9 +47,19 @@ class Setup:
         if not 0.0 <= mass_kg <= 100.0:
             message = f"set_payload: m = {mass_kg:g}: must be between 0 and 100 kg"
             raise ScriptError(message)
+        if not max(map(abs, cog)) <= MAX_COG_M:
+            message = f"set_payload: cog = {list(cog)}: must be within {MAX_COG_M:g} m of the flange"
+            raise ScriptError(message)
         self.payload_kg = mass_kg
         if any(cog) or self.version.is_cb3:
             self.payload_cog = cog
+
+    def set_gravity(self, gravity: Three) -> None:
+        """set_gravity: the acceleration in m/s² that holds the base up."""
+        if not max(map(abs, gravity)) <= MAX_GRAVITY:
+            message = f"set_gravity: {list(gravity)}: must be at most {MAX_GRAVITY:g} m/s^2"
+            raise ScriptError(message)
+        self.gravity = gravity
 
     def set_watchdog(self, name: str, min_frequency: float) -> None:
         """rtde_set_watchdog with action "stop"."""

@@ -1,0 +1,209 @@
+"""What a client can cost the emulated controller: time of its control cycle, and memory."""
+
+import contextlib
+import socket
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from tests.ur.emulated import Emulated, emulator
+from tests.ur.plain_rtde import frame
+from tests.ur.stalls import anew_after_stalls
+from tests.ur.virtual import World
+
+from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT, MAX_WAYPOINTS, recognised
+from haptether.slave.ur_emulator.controller import LOG_LINES, MAX_LOG_LINE
+from haptether.slave.ur_emulator.rtde_session import MAX_INPUT_FIELDS
+from haptether.slave.ur_emulator.script_error import ScriptError
+from haptether.slave.ur_emulator.script_lines import CALLS_PER_CYCLE, MAX_CALLS
+from haptether.slave.ur_emulator.script_port import Held, ScriptReader, Submitted
+
+FLOOD_S = 1.0
+CLIENTS = 8
+LATE_S = 0.05
+"""Of a control cycle under a flood. It was 0.14 to 4.5 s late where all that had come was answered at once."""
+MORE_MB = 40.0
+"""Of memory that no client may make the controller take."""
+DASHBOARD, RTDE, SCRIPT = 29999, 30004, 30002
+
+
+@pytest.fixture
+def running() -> Iterator[Emulated]:
+    with emulator() as emulated:
+        yield emulated
+
+
+def memory_mb(emulated: Emulated, key: str = "VmHWM") -> float:
+    """Resident memory of the process, at most so far."""
+    status = Path(f"/proc/{emulated.process.pid}/status").read_text(encoding="ascii")
+    (line,) = [line for line in status.splitlines() if line.startswith(f"{key}:")]
+    return int(line.split()[1]) / 1024.0
+
+
+def flood(host: str, port: int, content: bytes, *, reads: bool) -> None:
+    """Sends as much as is taken."""
+    connections = [socket.create_connection((host, port), 5.0) for _ in range(CLIENTS)]
+    try:
+        for connection in connections:
+            connection.setblocking(False)
+        end_s = time.monotonic() + FLOOD_S
+        while time.monotonic() < end_s:
+            for connection in connections:
+                try:
+                    # From the begin of a request, whatever was taken before: a client may speak nonsense as well.
+                    connection.send(content)
+                    if reads:
+                        connection.recv(1 << 16)
+                except BlockingIOError:
+                    time.sleep(1e-4)
+                except OSError:
+                    return
+    finally:
+        for connection in connections:
+            connection.close()
+
+
+@pytest.mark.parametrize(
+    ("port", "request_", "reads"),
+    [
+        (DASHBOARD, b"x\n", True), (DASHBOARD, b"get loaded program\n", True), (DASHBOARD, b"x\n", False),
+        (RTDE, frame("v"), True), (RTDE, frame("v"), False), (RTDE, frame("O", bytes(8) + b"x," * 1000), True),
+        (SCRIPT, b"x\n", True), (SCRIPT, b"sec x():\nend\n", True),
+    ],
+)  # fmt: skip
+def test_no_flood_of_requests_holds_the_control_cycle_up(port: int, request_: bytes, reads: bool) -> None:
+    content = request_ * (65536 // len(request_))
+
+    @anew_after_stalls
+    def flooded() -> None:
+        with emulator() as running:
+            before_mb = memory_mb(running)
+            running.do("forget-lateness")
+            flood(running.host, port, content, reads=reads)
+            status = running.status()
+            assert status["worst_late_s"] < LATE_S
+            assert status["lost_s"] == 0.0
+            assert memory_mb(running) < before_mb + MORE_MB
+
+    flooded()
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["set_payload(1,[1,2])", "set_payload(1,[1e999,0,0])", 'textmsg("a"*700000000)', "set_tcp(p[1e999,0,0,0,0,0])",
+     f"textmsg({'+'.join(['1'] * 400_000)})", "def x():\n" + "  sync()\n" * 150_000 + "end"],
+    ids=["three numbers", "finite", "long text", "finite pose", "long sum", "many calls"],
+)  # fmt: skip
+def test_no_script_costs_memory_or_the_process(running: Emulated, line: str) -> None:
+    before_mb = memory_mb(running)
+    with socket.create_connection((running.host, SCRIPT), 5.0) as client:
+        client.sendall(f"{line}\n".encode())
+        end_s = time.monotonic() + 20.0
+        while not any("must be" in said or "knows only" in said or "more than" in said or "characters" in said
+                      for said in running.do("log 5").split('", "')):  # fmt: skip
+            assert time.monotonic() < end_s, running.do("log 5")
+            time.sleep(0.05)
+    assert memory_mb(running) < before_mb + MORE_MB
+
+
+def test_scripts_without_an_end_share_what_they_may_hold(running: Emulated) -> None:
+    before_mb = memory_mb(running)
+    clients = []
+    for number in range(30):
+        client = socket.create_connection((running.host, SCRIPT), 10.0)
+        clients.append(client)
+        try:
+            client.sendall(f"def x{number}():\n".encode() + b"  sync()\n" * 200_000)
+        except OSError:
+            # Cut off: the others hold all that there is.
+            continue
+    running.wait_for("runtime_state", "STOPPED")
+    assert memory_mb(running) < before_mb + MORE_MB
+    for client in clients:
+        client.close()
+
+
+def test_what_a_connection_held_is_free_with_its_end() -> None:
+    held = Held(100)
+    first, second = ScriptReader(held), ScriptReader(held)
+    assert list(first.receive(b"def a():\n" + b"  sync()\n" * 5)) == []
+    assert held.bytes == 54
+    with pytest.raises(ValueError, match="at most 100 together"):
+        list(second.receive(b"def b():\n" + b"  sync()\n" * 10))
+    second.close()
+    assert held.bytes == 54
+    (program,) = first.receive(b"end\n")
+    assert program.name == "a"
+    assert held.bytes == 0
+
+
+def test_the_log_keeps_no_long_texts() -> None:
+    world = World(upload=False)
+    for _ in range(LOG_LINES + 10):
+        world.of.tell("a" * 1_000_000)
+    assert sum(map(len, world.of.log)) < LOG_LINES * (MAX_LOG_LINE + 20)
+
+
+def test_a_connection_keeps_no_more_fields_than_it_may() -> None:
+    world = World(upload=False)
+    from haptether.slave.ur_emulator.rtde_session import RtdeSession
+
+    of = world.of
+    session = RtdeSession(1, 500.0, lambda: of.version, of.inputs, of.outputs, of.output_types, of.tell, protocol=2)
+    numbers = [session.receive(frame("I", b",".join([b"input_int_register_1"] * 97)))[3] for _ in range(255)]
+    taken = sum(number > 0 for number in numbers)
+    assert 97 * taken <= MAX_INPUT_FIELDS < 97 * (taken + 1)
+    assert all(new > old for old, new in pairwise(numbers[:taken]))
+
+
+def test_a_long_program_is_read_a_few_calls_in_each_cycle() -> None:
+    world = World(upload=False)
+    calls = 20 * CALLS_PER_CYCLE
+    assert world.of.submit(Submitted("long", "def long():\n" + "  sync()\n" * calls + "end"))
+    begun = world.of.cycles
+    world.until(lambda: world.of.program_name == "long")
+    # 10 cycles from its last line to its start, whatever it is.
+    assert world.of.cycles - begun >= 10 + calls // CALLS_PER_CYCLE
+    assert world.of.submit(Submitted("longer", "def longer():\n" + "  sync()\n" * (MAX_CALLS + 1) + "end"))
+    world.cycles(MAX_CALLS // CALLS_PER_CYCLE + 20)
+    assert f"more than {MAX_CALLS} calls" in world.of.log[-1]
+
+
+@pytest.mark.parametrize(
+    "inside",
+    ["\n" * 500_000, "def exec_move_path():\n" * 40_000, "  # int register offset\n" * 40_000,
+     "# int register offset" + " " * 500_000, "movej([" + "1," * 300_000],
+    ids=["blank lines", "begins", "offsets", "spaces", "a long move"],
+)  # fmt: skip
+def test_a_control_script_is_looked_through_in_one_go(inside: str) -> None:
+    text = CONTROL_SCRIPT.removesuffix("end") + "def exec_move_path():\n" + inside + "\n"
+    begun_s = time.process_time()
+    with contextlib.suppress(ScriptError):
+        recognised(text)
+    # Some 2 ms each; with a search that goes back it was minutes.
+    assert time.process_time() - begun_s < 1.0
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("movej([0,0,0,0,0,1e999], a=1, v=1, r=0)", "cannot be read"),
+        ("movej([0,0,0,0,0,x], a=1, v=1, r=0)", "cannot be read"),
+        ("movej([0,0,0,0,0,0], a=1, v=1, r=0)\n" * (MAX_WAYPOINTS + 1), "waypoints"),
+    ],
+)
+def test_a_path_that_cannot_be_is_refused(path: str, said: str) -> None:
+    text = CONTROL_SCRIPT.removesuffix("end") + f"def exec_move_path():\n{path}\nend\nend"
+    with pytest.raises(ScriptError, match=said):
+        recognised(text)
+
+
+@pytest.mark.parametrize("offset", ["12", "9" * 5000])
+def test_registers_begin_where_the_client_may_have_them(offset: str) -> None:
+    world = World(upload=False)
+    text = CONTROL_SCRIPT.removesuffix("end") + f"# int register offset\n{offset}\nend"
+    world.of.submit(Submitted("rtde_control", text))
+    world.cycles(15)
+    assert len(offset) > 2 or "0 or 24" in world.of.log[-1]
