@@ -1,6 +1,9 @@
 //! Fuzz target: the decoder of frames.
 
-use haptether_bridge::wire::{Frame, MAX_FRAME, Role, WireError, frame_length};
+use haptether_bridge::{
+    HeardText,
+    wire::{Frame, MAX_FRAME, Role, WireError, frame_length},
+};
 
 /// Bytes of the checksum at the end.
 const CHECKSUM: usize = 4;
@@ -41,6 +44,9 @@ fn decode<const N: usize>(bytes: &[u8], role: Role) -> Result<(), WireError> {
             for values in [frame.position, frame.velocity, frame.force] {
                 assert!(values.iter().all(|value| value.is_finite() && value.abs() <= 1e4), "{frame:?}");
             }
+            let mut heard = HeardText::default();
+            heard.take(&frame.text);
+            assert!(heard.text().as_str().chars().all(|letter| !letter.is_control()), "{frame:?}");
             let mut buffer = [0; MAX_FRAME];
             assert_eq!(frame.encode(&mut buffer), bytes, "{frame:?}");
             Ok(())
