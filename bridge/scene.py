@@ -28,6 +28,12 @@ from haptether.bridge.scene_series import embed_recordings
 from haptether.bridge.scene_tables import Scene
 
 _SHIPPED = FilePath(__file__).parent / "scenes"
+MAX_BYTES = 1 << 18
+"""Of a scene's file."""
+MAX_PARTS = 12
+"""Of a dotted key; the schema has 6. TOML's reader takes memory as their square."""
+_PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_PARTS}}}")
 _BARE_WORD = re.compile(r"(?<![\"\w.+-])(?!(?:true|false)\b)([A-Za-z_][\w-]*)(?![\"\w])")
 
 
@@ -52,7 +58,7 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
     """
     path = scene_path(name_or_path)
     try:
-        plain = _tables(path.read_text(encoding="utf-8"))
+        plain = _tables(_bounded(path))
         for override in overrides:
             plain = overridden(plain, override)
         return scene_from_plain(plain, path.parent)
@@ -69,7 +75,25 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
     raise SceneError(message)
 
 
+def _bounded(path: FilePath) -> str:
+    """The text of a file that is no larger than a scene is."""
+    with path.open("rb") as file:
+        content = file.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        message = f"more than {MAX_BYTES} bytes: no scene is that long"
+        raise SceneError(message)
+    return content.decode("utf-8")
+
+
+def _refuse_long_keys(text: str) -> None:
+    if found := _LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        message = f"line {line}: {shown(found[0])}: a key of more than {MAX_PARTS} parts"
+        raise SceneError(message)
+
+
 def _tables(text: str) -> dict[str, Plain]:
+    _refuse_long_keys(text)
     try:
         return cast("dict[str, Plain]", tomllib.loads(text))
     except tomllib.TOMLDecodeError:
@@ -201,6 +225,7 @@ def toml_value(text: str, path: Path) -> Plain:
     Raises:
         SceneError: It is no value of TOML.
     """
+    _refuse_long_keys(text)
     candidates = [text]
     if text in {"true", "false"} and not any(isinstance(kind, inspect.BoolType) for kind in types_at(path)):
         # A choice that reads like a boolean, `safety.signals=true`.

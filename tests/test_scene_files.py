@@ -2,6 +2,8 @@
 
 import json
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -585,3 +587,50 @@ def test_a_sweep_can_be_kept(tmp_path: Path) -> None:
     with pytest.raises(KeyError, match=r"no column 'x': there is safety\.window, ticks"):
         result["x"]
     assert "2 rows" in repr(result)
+
+
+LONG = ".".join(["a"] * 20_000)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"{LONG} = 1\n", 'line 1: "a.a.a'),
+        (f"schema = 1\n[{LONG}]\n", "line 2: "),
+        (f"x = {{{LONG} = 1}}\n", "a key of more than 12 parts"),
+        ('"a"' + ' . "a"' * 8000 + " = 1\n", "a key of more than 12 parts"),
+        ("x = " + "[" * 100_000, "too deep within each other"),
+        ("x = " + "{a=" * 30_000, "too deep within each other"),
+        ("x = 1\n" * 100_000, "more than 262144 bytes"),
+        ("a" * 250_000, "Expected '='"),
+    ],
+    ids=["key", "header", "inline", "quoted", "lists", "tables", "size", "word"],
+)
+def test_a_file_that_would_take_all_memory_is_refused_for_little(tmp_path: Path, text: str, said: str) -> None:
+    # Of 40 kB of one dotted key TOML's reader makes 1.6 GB.
+    (tmp_path / "bomb.toml").write_text(text, encoding="utf-8")
+    ended = run_python(
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from haptether.bridge import SceneError, load_scene\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "try:\n    load_scene(Path(sys.argv[1]))\n"
+        "except SceneError as error:\n    print(error)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)\n",
+        str(tmp_path / "bomb.toml"),
+    )
+    refusal, used_kb = ended.splitlines()
+    assert said in refusal
+    assert int(used_kb) < 60_000
+
+
+def test_an_override_with_a_key_without_end_is_refused() -> None:
+    with pytest.raises(SceneError, match="a key of more than 12 parts"):
+        load_scene("remote_push", [f"operator.legs=[{{{LONG} = 1}}]"])
+
+
+def run_python(code: str, *arguments: str) -> str:
+    """What a Python of its own prints."""
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True, timeout=60
+    ).stdout
