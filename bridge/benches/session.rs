@@ -14,7 +14,12 @@ const MS: u64 = 1_000_000;
 fn ends(payload: usize) -> (SessionEnd, SessionEnd) {
     let end = |role| {
         let settings = SessionSettings::new(role, payload, MS);
-        SessionEnd::secure(settings, PreSharedKey::new([1; 32]), &mut SystemEntropy::new()).unwrap()
+        SessionEnd::secure(
+            settings,
+            PreSharedKey::new(b"the key that both ends share: 32").unwrap(),
+            &mut SystemEntropy::new(),
+        )
+        .unwrap()
     };
     (end(Role::Master), end(Role::Slave))
 }

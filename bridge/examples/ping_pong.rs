@@ -137,7 +137,12 @@ fn sessions(secure: bool) -> [Session; 2] {
     let [mut master, mut slave] = [Role::Master, Role::Slave].map(|role| {
         let mut entropy = SeededEntropy::new(1, role);
         if secure {
-            SessionEnd::secure(settings(role), PreSharedKey::new([7; 32]), &mut entropy).unwrap()
+            SessionEnd::secure(
+                settings(role),
+                PreSharedKey::new(b"the key that both ends share: 32").unwrap(),
+                &mut entropy,
+            )
+            .unwrap()
         } else {
             SessionEnd::insecure(settings(role)).unwrap()
         }

@@ -240,6 +240,11 @@ const ECHO_VALID: u16 = 1;
 const HEARS_PEER: u16 = 2;
 const CLUTCH: u16 = 4;
 const ENDING: u16 = 8;
+/// Whether the sender of a frame says that it hears its peer; of bytes that were decoded.
+pub(crate) fn hears_peer(frame: &[u8]) -> bool {
+    frame.get(6).is_some_and(|flags| u16::from(*flags) & HEARS_PEER != 0)
+}
+
 /// What stands in a frame without an echo.
 const NO_ECHO: Echo = Echo { session: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 

@@ -158,11 +158,11 @@ fn clock_age_playout_and_statistics_allocate_nothing() {
 
 #[test]
 fn sealing_and_opening_allocate_nothing() {
-    let key = PreSharedKey::new([1; 32]);
+    let key = || PreSharedKey::new(b"the key that both ends share: 32").unwrap();
     let settings = |role| SessionSettings::new(role, 92, MS);
     let mut entropy = SystemEntropy::new();
-    let mut master = SessionEnd::secure(settings(Role::Master), key.clone(), &mut entropy).unwrap();
-    let mut slave = SessionEnd::secure(settings(Role::Slave), key, &mut entropy).unwrap();
+    let mut master = SessionEnd::secure(settings(Role::Master), key(), &mut entropy).unwrap();
+    let mut slave = SessionEnd::secure(settings(Role::Slave), key(), &mut entropy).unwrap();
     let mut hello = master.poll(0, &mut entropy).unwrap().unwrap();
     let Ok(Received::Reply(mut answer)) = slave.receive(0, &mut hello, &mut entropy) else {
         panic!("an authentic hello is answered");

@@ -10,7 +10,7 @@ use haptether_bridge::{
     },
     wire::Role,
 };
-use pair::{KEY, MS, Numbers, PAYLOAD, Pair, end, number, payload, peer, settings};
+use pair::{MS, Numbers, PAYLOAD, Pair, end, key, number, payload, peer, settings};
 use proptest::prelude::*;
 
 const SECOND: u64 = 1000 * MS;
@@ -41,9 +41,9 @@ fn a_round_trip_after_one_round_trip() {
     assert_eq!(epochs(&mut pair.slave), [SessionEvent::Began { session }]);
     for (_, _, datagram) in &pair.sent {
         let is_handshake = is_hello(datagram) || is_answer(datagram);
-        assert_eq!(datagram.len(), if is_handshake { 88 } else { sealed_length(PAYLOAD) });
+        assert_eq!(datagram.len(), if is_handshake { HANDSHAKE_LENGTH } else { sealed_length(PAYLOAD) });
     }
-    assert_eq!(pair.sent.iter().filter(|(.., datagram)| datagram.len() == 88).count(), 2);
+    assert_eq!(pair.sent.iter().filter(|(.., datagram)| datagram.len() == HANDSHAKE_LENGTH).count(), 2);
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn a_round_trip_longer_than_the_retry_needs_one_handshake() {
 fn new_keys_are_confirmed_by_whatever_frame_arrives_first() {
     let mut pair = Pair::new();
     pair.fate = Box::new(|at, to, bytes| {
-        let lost = to == Role::Slave && bytes.len() != 88 && at < 300 * MS;
+        let lost = to == Role::Slave && bytes.len() != HANDSHAKE_LENGTH && at < 300 * MS;
         if lost { vec![] } else { vec![5 * MS] }
     });
     pair.run(400);
@@ -147,7 +147,8 @@ fn rekeying_loses_nothing_however_frames_overtake() {
     }
     assert_eq!(pair.rejected, []);
     for role in [Role::Master, Role::Slave] {
-        let sent = pair.sent.iter().filter(|(_, to, bytes)| *to == role && bytes.len() != 88).count();
+        let sent =
+            pair.sent.iter().filter(|(_, to, bytes)| *to == role && bytes.len() != HANDSHAKE_LENGTH).count();
         let mut taken = pair.taken_at(role);
         assert_eq!(taken.len(), sent);
         let newer: Vec<_> = pair
@@ -224,7 +225,7 @@ fn rekeying_comes_at_120_s_and_without_it_sending_ends_at_180_s() {
     assert_eq!(epochs(&mut pair.master), [SessionEvent::Rekeyed { epoch: 1 }]);
 
     let mut alone = Pair::opened();
-    alone.fate = Box::new(|_, _, bytes| if bytes.len() == 88 { vec![] } else { vec![5 * MS] });
+    alone.fate = Box::new(|_, _, bytes| if bytes.len() == HANDSHAKE_LENGTH { vec![] } else { vec![5 * MS] });
     for now_ns in (60 * MS..190 * SECOND).step_by(500_000_000) {
         alone.now_ns = now_ns;
         alone.run(2);
@@ -234,6 +235,116 @@ fn rekeying_comes_at_120_s_and_without_it_sending_ends_at_180_s() {
         assert!((179 * SECOND..=180 * SECOND + 20 * MS).contains(&last), "{last}");
         assert!(matches!(epochs(alone.end(role)).last(), Some(SessionEvent::Expired)));
     }
+}
+
+/// 60 s before the keys open nothing more, once, at both sides; never where they are renewed.
+#[test]
+fn people_are_warned_60_s_before_the_keys_end() {
+    for renews in [false, true] {
+        let mut pair = Pair::opened();
+        pair.fate = Box::new(
+            move |_, _, bytes| {
+                if bytes.len() == HANDSHAKE_LENGTH && !renews { vec![] } else { vec![5 * MS] }
+            },
+        );
+        for role in [Role::Master, Role::Slave] {
+            epochs(pair.end(role));
+        }
+        let mut warned = Vec::new();
+        for at_ms in (100..130_000).step_by(20) {
+            pair.now_ns = at_ms * MS;
+            pair.run(12);
+            for role in [Role::Master, Role::Slave] {
+                for event in epochs(pair.end(role)) {
+                    if let SessionEvent::Aging { left_ns } = event {
+                        warned.push((role, at_ms / 1000, left_ns / SECOND));
+                    }
+                }
+            }
+        }
+        warned.sort_by_key(|(role, ..)| *role == Role::Slave);
+        let expected = [(Role::Master, 125, 55), (Role::Slave, 125, 55)];
+        assert_eq!(warned, if renews { &[][..] } else { &expected[..] });
+    }
+}
+
+/// No handshake gets through until the keys have grown too old: the same two ends go on without a person, another master
+/// does not.
+#[test]
+fn the_holder_goes_on_after_its_keys_have_grown_too_old() {
+    let mut pair = Pair::with(hasty(Role::Master), hasty(Role::Slave));
+    pair.fate = Box::new(|at, _, bytes| {
+        let lost = bytes.len() == HANDSHAKE_LENGTH && (100 * MS..20 * SECOND).contains(&at);
+        if lost { vec![] } else { vec![5 * MS] }
+    });
+    pair.run(12_000);
+    let session = epochs(&mut pair.slave);
+    assert!(matches!(
+        session[..],
+        [SessionEvent::Began { .. }, SessionEvent::Aging { .. }, SessionEvent::Expired]
+    ));
+    assert!(!pair.master.session.is_open(pair.now_ns) && !pair.slave.session.is_open(pair.now_ns));
+    assert!(pair.slave.session.is_leased());
+    let mut second = end(settings(Role::Master), key(), 55);
+    let mut entropy = Numbers(56);
+    let mut hello = second.poll(0, &mut entropy).unwrap().unwrap();
+    let Ok(Received::Reply(mut answer)) = pair.slave.receive(pair.now_ns, &mut hello, &mut entropy) else {
+        panic!("an authentic hello is answered");
+    };
+    second.receive(10, &mut answer, &mut entropy).unwrap();
+    assert!(matches!(second.poll_event(), Some(HandshakeEvent::Refused { verdict: Verdict::Leased, .. })));
+    pair.run(20_000);
+    assert!(pair.master.session.is_open(pair.now_ns) && pair.slave.session.is_open(pair.now_ns));
+    assert!(matches!(epochs(&mut pair.slave)[0], SessionEvent::Rekeyed { .. }));
+    assert!(pair.taken_at(Role::Master).last() > Some(&(31 * SECOND)));
+    assert_eq!((pair.master.poll_event(), pair.slave.poll_event()), (None, None));
+}
+
+/// After the keys have grown too old, the slave starts anew, or a person there lets another master begin.
+#[test]
+fn a_slave_that_forgot_the_session_gets_a_new_one_after_the_keys_grew_too_old() {
+    for restarts in [true, false] {
+        let mut pair = Pair::with(hasty(Role::Master), hasty(Role::Slave));
+        pair.fate = Box::new(|at, _, bytes| {
+            let lost = bytes.len() == HANDSHAKE_LENGTH && (100 * MS..12 * SECOND).contains(&at);
+            if lost { vec![] } else { vec![5 * MS] }
+        });
+        pair.run(11_000);
+        if restarts {
+            pair.slave = end(hasty(Role::Slave), key(), 77);
+        } else {
+            epochs(&mut pair.slave);
+            pair.slave.session.allow_takeover(pair.now_ns).unwrap();
+            assert_eq!(epochs(&mut pair.slave), [SessionEvent::TakenOver]);
+        }
+        pair.run(20_000);
+        assert!(pair.master.session.is_open(pair.now_ns) && pair.slave.session.is_open(pair.now_ns));
+        assert!(matches!(epochs(&mut pair.slave)[0], SessionEvent::Began { .. }));
+    }
+}
+
+/// While its frames were lost, a person at the slave let another master begin: the first is told, though it has keys.
+#[test]
+fn a_master_whose_lease_was_taken_over_is_told() {
+    let mut pair = Pair::opened();
+    let mut second = end(settings(Role::Master), key(), 55);
+    let mut entropy = Numbers(56);
+    pair.now_ns = 5000 * MS;
+    let now_ns = pair.now_ns;
+    pair.slave.session.allow_takeover(now_ns).unwrap();
+    let mut hello = second.poll(now_ns, &mut entropy).unwrap().unwrap();
+    let Ok(Received::Reply(mut answer)) = pair.slave.receive(now_ns, &mut hello, &mut entropy) else {
+        panic!()
+    };
+    second.receive(now_ns, &mut answer, &mut entropy).unwrap();
+    let mut buffer = [0; MAX_DATAGRAM];
+    let mut frame = second.session.seal(now_ns, &payload(1), &mut buffer).unwrap().to_vec();
+    pair.slave.receive(now_ns, &mut frame, &mut entropy).unwrap();
+    // The slave seals for the second, which this master cannot open.
+    pair.run(12_000);
+    let told = pair.master.poll_event();
+    assert!(matches!(told, Some(HandshakeEvent::Refused { verdict: Verdict::Leased, .. })), "{told:?}");
+    assert_eq!(pair.slave.session.session(), second.session.session());
 }
 
 #[test]
@@ -251,7 +362,7 @@ fn a_used_up_counter_refuses_to_send() {
 fn a_slave_that_restarts_gets_a_new_session() {
     let mut pair = Pair::opened();
     let before = pair.master.session.session();
-    pair.slave = end(settings(Role::Slave), KEY, 77);
+    pair.slave = end(settings(Role::Slave), key(), 77);
     pair.run(1900);
     assert_eq!(pair.master.session.session(), before, "silence is not yet long enough");
     assert!(pair.rejected.iter().all(|what| *what == (Role::Slave, Rejection::Session)));
@@ -267,7 +378,7 @@ fn a_slave_that_restarts_gets_a_new_session() {
 fn a_master_that_restarts_waits_for_a_person_at_the_slave() {
     let mut pair = Pair::opened();
     let before = pair.slave.session.session();
-    pair.master = end(settings(Role::Master), KEY, 77);
+    pair.master = end(settings(Role::Master), key(), 77);
     let error = pair.slave.session.allow_takeover(pair.now_ns).unwrap_err();
     assert_eq!(error.silence_ns, 2 * SECOND);
     pair.run(5000);
@@ -297,7 +408,7 @@ fn a_master_that_takes_leave_makes_room_at_once() {
         assert_eq!(release.len(), sealed_length(PAYLOAD));
         pair.carry(Role::Slave, &release);
     }
-    pair.master = end(settings(Role::Master), KEY, 77);
+    pair.master = end(settings(Role::Master), key(), 77);
     pair.run(100);
     let events = epochs(&mut pair.slave);
     assert_eq!(events[1], SessionEvent::Released);
@@ -309,20 +420,29 @@ fn a_master_that_takes_leave_makes_room_at_once() {
 #[test]
 fn a_second_master_is_refused() {
     let mut pair = Pair::opened();
-    let mut second = end(settings(Role::Master), KEY, 55);
+    let mut second = end(settings(Role::Master), key(), 55);
     let mut entropy = Numbers(56);
     let hello = second.poll(0, &mut entropy).unwrap().unwrap();
     let now_ns = pair.now_ns;
     let Ok(Received::Reply(mut answer)) = pair.slave.receive(now_ns, &mut hello.clone(), &mut entropy) else {
         panic!("an authentic hello is answered");
     };
-    assert!(matches!(pair.slave.poll_event(), Some(HandshakeEvent::SecondMaster { .. })));
+    assert_eq!(pair.slave.poll_event(), None, "it may be a recorded message");
     assert_eq!(second.receive(10, &mut answer, &mut entropy), Ok(Received::Nothing));
     assert_eq!(
         second.poll_event(),
         Some(HandshakeEvent::Refused { verdict: Verdict::Leased, payload_length: 92 })
     );
     assert!(!second.session.is_open(10));
+    // A second later it asks again, with what the refusal gave it: it lives.
+    assert_eq!(second.poll(999 * MS, &mut entropy), Ok(None));
+    let hello = second.poll(1001 * MS, &mut entropy).unwrap().unwrap();
+    pair.slave.receive(now_ns + 1000 * MS, &mut hello.clone(), &mut entropy).unwrap();
+    assert!(matches!(pair.slave.poll_event(), Some(HandshakeEvent::SecondMaster { .. })));
+    // Recorded and sent to a slave that has forgotten all: no more.
+    let mut anew = Pair::opened();
+    anew.slave.receive(anew.now_ns, &mut hello.clone(), &mut entropy).unwrap();
+    assert_eq!(anew.slave.poll_event(), None);
     pair.run(500);
     assert_eq!(pair.rejected, []);
     assert!(pair.taken_at(Role::Slave).len() > 500);
@@ -332,7 +452,7 @@ fn a_second_master_is_refused() {
 #[test]
 fn of_two_masters_at_once_one_wins() {
     let mut pair = Pair::new();
-    let mut second = end(settings(Role::Master), KEY, 55);
+    let mut second = end(settings(Role::Master), key(), 55);
     let mut entropy = Numbers(56);
     let hello = second.poll(0, &mut entropy).unwrap().unwrap();
     let Ok(Received::Reply(mut answer)) = pair.slave.receive(0, &mut hello.clone(), &mut entropy) else {

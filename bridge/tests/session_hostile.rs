@@ -3,14 +3,16 @@
 
 mod pair;
 
+use std::net::SocketAddr;
+
 use haptether_bridge::{
     session::{
-        HANDSHAKE_LENGTH, MAX_DATAGRAM, PreSharedKey, Received, Rejection, SessionEvent, SessionSettings,
-        sealed_length,
+        Entropy, HANDSHAKE_LENGTH, Handshake, HandshakeDatagram, Incoming, MAX_DATAGRAM, NoEntropy,
+        PreSharedKey, Received, Rejection, Session, SessionEnd, SessionEvent, SessionSettings, sealed_length,
     },
     wire::Role,
 };
-use pair::{KEY, MS, Numbers, PAYLOAD, Pair, end, payload, settings, state};
+use pair::{MS, Numbers, PAYLOAD, Pair, end, key, payload, settings, state};
 
 /// Gives `datagram` to the end of `role` and says why it was not taken; whatever else the end knows stays.
 fn refusal(pair: &mut Pair, role: Role, datagram: &[u8]) -> Option<Rejection> {
@@ -75,7 +77,8 @@ fn every_flipped_bit_of_a_handshake_is_refused() {
 #[test]
 fn another_key_gets_no_answer() {
     let mut pair = Pair::new();
-    pair.slave = end(settings(Role::Slave), PreSharedKey::new([0x43; 32]), 2);
+    pair.slave =
+        end(settings(Role::Slave), PreSharedKey::new(b"the key that another pair has 32").unwrap(), 2);
     pair.run(1000);
     assert_eq!(pair.taken, []);
     assert!(pair.sent.iter().all(|(_, to, _)| *to == Role::Slave), "silence");
@@ -147,55 +150,175 @@ fn a_recorded_session_sent_again_does_nothing() {
     assert_eq!(anew.sent.len(), 1);
 }
 
-/// A recorded first message, again and again: answered as often as a master sends it, and no more.
-#[test]
-fn a_replayed_hello_is_answered_within_bounds() {
-    let mut pair = Pair::new();
-    pair.tick(false);
-    let hello = pair.sent[0].2.clone();
-    let mut answers = 0;
-    for step in 0..100_000_u64 {
-        let mut copy = hello.clone();
-        let received = pair.slave.receive(step * MS / 4, &mut copy, &mut Numbers(6));
-        answers += u64::from(matches!(received, Ok(Received::Reply(_))));
-    }
-    assert_eq!(answers, 8);
-    assert_eq!(pair.slave.rejections().of(Rejection::Replayed), 100_000 - 8);
+/// Answers that `count` first messages get, one each `step_ns` from the addresses of `from` in turn.
+fn answers(
+    slave: &mut SessionEnd,
+    hellos: &[HandshakeDatagram],
+    from: &[SocketAddr],
+    step_ns: u64,
+    count: u64,
+) -> u64 {
+    let of = |n: u64, length: usize| usize::try_from(n).unwrap() % length;
+    (0..count)
+        .filter(|n| {
+            let (mut copy, from) = (hellos[of(*n, hellos.len())], from[of(*n, from.len())]);
+            let received = slave.receive_from(n * step_ns, from, &mut copy, &mut Numbers(7));
+            matches!(received, Ok(Received::Reply(_)))
+        })
+        .count() as u64
 }
 
-/// Many recorded first messages: bounded by the budget, and the master's own is answered once they stop.
-#[test]
-fn many_replayed_hellos_are_answered_within_the_budget() {
-    let hellos: Vec<_> = (0..2000)
+/// First messages of the peer, each of a session of its own.
+fn recorded(count: u64) -> Vec<HandshakeDatagram> {
+    (0..count)
         .map(|seed| {
-            let mut master = end(settings(Role::Master), KEY, 1000 + seed);
+            let mut master = end(settings(Role::Master), key(), 1000 + seed);
             master.poll(0, &mut Numbers(5000 + seed)).unwrap().unwrap()
         })
-        .collect();
-    let mut slave = end(settings(Role::Slave), KEY, 2);
-    let mut answers = 0;
-    for (n, hello) in hellos.iter().enumerate() {
-        let mut copy = *hello;
-        let received = slave.receive(n as u64 * MS, &mut copy, &mut Numbers(7));
-        answers += u64::from(matches!(received, Ok(Received::Reply(_))));
-    }
-    // Eight at once and four a second, for two seconds.
-    assert!((15..=16).contains(&answers), "{answers}");
-    assert_eq!(slave.rejections().of(Rejection::Busy), 2000 - answers);
+        .collect()
+}
 
+fn address(host: u8, port: u16) -> SocketAddr {
+    SocketAddr::from(([10, 0, 0, host], port))
+}
+
+/// Eight at once and four a second, repeats included, whatever is repeated; half from one host, a quarter from one address.
+#[test]
+fn answers_have_one_limit_repeats_included() {
+    let hosts: Vec<_> = (1..20).map(|host| address(host, 9)).collect();
+    let ports: Vec<_> = (1..20).map(|port| address(1, port)).collect();
+    // One message, some that are repeated as often as a master does, and more than are kept against replay.
+    for distinct in [1, 7, 2000] {
+        let hellos = recorded(distinct);
+        for (from, least, most) in
+            [(&hosts, 38, 8 + 40), (&ports, 18, 6 + 20), (&vec![address(1, 1)], 8, 4 + 10)]
+        {
+            let mut slave = end(settings(Role::Slave), key(), 2);
+            // 4000 a second for 10 s.
+            let given = answers(&mut slave, &hellos, from, MS / 4, 40_000);
+            assert!(given <= most, "{distinct}, {} addresses: {given}", from.len());
+            assert!(given >= least, "{distinct}, {} addresses: {given}", from.len());
+            assert_eq!(slave.rejections().total(), 40_000 - given);
+        }
+    }
+}
+
+/// Whoever sends recorded first messages from one address, or one host, keeps no master of another out.
+#[test]
+fn replayed_hellos_from_elsewhere_do_not_delay_a_master() {
+    let hellos = recorded(2000);
+    for from in [vec![address(1, 1)], (1..1000).map(|port| address(1, port)).collect()] {
+        let mut pair = Pair::new();
+        for (n, hello) in hellos.iter().cycle().take(8000).enumerate() {
+            let at_ns = n as u64 * MS / 4;
+            let _ = pair.slave.receive_from(at_ns, from[n % from.len()], &mut { *hello }, &mut Numbers(7));
+        }
+        pair.now_ns = 2000 * MS;
+        pair.run(30);
+        assert!(pair.slave.session.is_open(pair.now_ns), "after one round trip");
+    }
+}
+
+/// A copy of the master's own first message that is always first, from another address: both are answered.
+#[test]
+fn a_copy_of_a_first_message_does_not_take_its_answer() {
+    let mut slave = end(settings(Role::Slave), key(), 2);
+    let hello = recorded(1)[0];
+    for (n, at_ms) in [0, 250, 750, 1750].into_iter().enumerate() {
+        for (from, later_ms) in [(address(2, 2), 0), (address(1, 1), 4)] {
+            let (mut copy, mut entropy) = (hello, Numbers(7 + n as u64));
+            let received = slave.receive_from((at_ms + later_ms) * MS, from, &mut copy, &mut entropy);
+            assert!(matches!(received, Ok(Received::Reply(_))), "{from} at {at_ms} ms: {received:?}");
+        }
+    }
+}
+
+/// Fast rekeying.
+fn hasty(role: Role) -> SessionSettings {
+    SessionSettings { rekey_ns: 400 * MS, refuse_ns: 1000 * MS, overlap_ns: 200 * MS, ..settings(role) }
+}
+
+/// 4000 authentic first messages a second, of other sessions and of this one, from the master's address or others: keys
+/// are renewed as without them, and nobody is told of another master.
+#[test]
+fn replayed_hellos_do_not_starve_the_next_keys() {
+    for own in [false, true] {
+        let mut pair = Pair::with(hasty(Role::Master), hasty(Role::Slave));
+        pair.run(40);
+        let mut hellos = recorded(1000);
+        let mut n = 0;
+        for _ in 0..10_000 {
+            pair.tick(true);
+            if own {
+                // All that this master has asked so far, the newest included.
+                let asked = pair.sent.iter().filter(|(_, to, _)| *to == Role::Slave);
+                hellos = asked.filter_map(|(.., bytes)| bytes.as_slice().try_into().ok()).collect();
+            }
+            for _ in 0..4 {
+                n += 1;
+                let from = if n % 2 == 0 { address(1, 1) } else { SocketAddr::from(([0; 4], 0)) };
+                let (now_ns, mut copy) = (pair.now_ns, hellos[n % hellos.len()]);
+                let received = pair.slave.receive_from(now_ns, from, &mut copy, &mut Numbers(7));
+                // What is for the partner goes to the partner, see the next test; the rest to who asked.
+                if let Ok(Received::Reply(reply)) = received
+                    && reply[4..8] != [0; 4]
+                {
+                    pair.carry(Role::Master, &reply);
+                }
+            }
+            assert!(pair.slave.session.is_open(pair.now_ns) && pair.master.session.is_open(pair.now_ns));
+            assert_eq!(pair.slave.poll_event(), None);
+        }
+        let events: Vec<_> = std::iter::from_fn(|| pair.slave.session.poll_event()).collect();
+        let renewals = events.iter().filter(|event| matches!(event, SessionEvent::Rekeyed { .. })).count();
+        assert!((20..=25).contains(&renewals), "{events:?}");
+        assert!(!events.iter().any(|event| matches!(event, SessionEvent::Aging { .. })), "{events:?}");
+    }
+}
+
+/// Answers to the partner of a living session go to where its frames come from, whoever asks.
+#[test]
+fn an_answer_to_the_living_partner_goes_to_it() {
+    let mut entropy = Numbers(4);
     let mut pair = Pair::new();
-    pair.slave = slave;
-    pair.now_ns = 2000 * MS;
-    pair.run(600);
-    assert!(pair.slave.session.is_open(pair.now_ns));
+    let mut handshake = Handshake::new(settings(Role::Slave), key(), &mut entropy).unwrap();
+    let mut session = Session::secure(settings(Role::Slave), &key()).unwrap();
+    let mut buffer = [0; MAX_DATAGRAM];
+    let mut ask = |session: &mut Session, now_ns, mut hello: HandshakeDatagram| {
+        let Ok(Incoming::Handshake { datagram, is_renewal }) = session.open(now_ns, &mut hello) else {
+            panic!()
+        };
+        let outcome = handshake
+            .receive(now_ns, address(9, 9), datagram, &session.standing(now_ns), &mut entropy)
+            .unwrap();
+        (outcome, is_renewal)
+    };
+    let mut entropy = Numbers(5);
+    let hello = pair.master.poll(0, &mut entropy).unwrap().unwrap();
+    let (outcome, is_renewal) = ask(&mut session, 0, hello);
+    assert!(!is_renewal && !outcome.to_peer, "nobody is known yet");
+    session.install(0, outcome.keys.unwrap());
+    pair.master.receive(0, &mut outcome.reply.unwrap(), &mut entropy).unwrap();
+    let mut frame = pair.master.session.seal(0, &payload(1), &mut buffer).unwrap().to_vec();
+    session.open(0, &mut frame).unwrap();
+    let mut frame = session.seal(0, &payload(1), &mut buffer).unwrap().to_vec();
+    pair.master.receive(0, &mut frame, &mut entropy).unwrap();
+    pair.master.session.rekey();
+    let hello = pair.master.poll(MS, &mut entropy).unwrap().unwrap();
+    for now_ns in [MS, 2 * MS] {
+        let (outcome, is_renewal) = ask(&mut session, now_ns, hello);
+        assert!(is_renewal && outcome.to_peer && outcome.reply.is_some());
+    }
+    // Silent for long, its address may be another.
+    let (outcome, _) = ask(&mut session, 3000 * MS, hello);
+    assert!(!outcome.to_peer && outcome.reply.is_some());
 }
 
 /// While a session lives, hellos recorded from others do not touch it.
 #[test]
 fn replayed_hellos_leave_a_living_session_alone() {
     let mut pair = Pair::opened();
-    let mut other = end(settings(Role::Master), KEY, 1000);
-    let hello = other.poll(0, &mut Numbers(8)).unwrap().unwrap();
+    let hello = recorded(1)[0];
     for _ in 0..2000 {
         pair.deliver(Role::Slave, hello.to_vec());
         pair.tick(true);
@@ -203,26 +326,56 @@ fn replayed_hellos_leave_a_living_session_alone() {
     for _ in 0..10 {
         pair.tick(false);
     }
-    let frames = pair.sent.iter().filter(|(_, to, bytes)| *to == Role::Slave && bytes.len() != 88).count();
+    let is_handshake = |bytes: &[u8]| bytes.len() == HANDSHAKE_LENGTH;
+    let frames = pair.sent.iter().filter(|(_, to, bytes)| *to == Role::Slave && !is_handshake(bytes)).count();
     assert_eq!(pair.taken_at(Role::Slave).len(), frames);
-    let answers = pair.sent.iter().filter(|(_, to, bytes)| *to == Role::Master && bytes.len() == 88).count();
-    assert_eq!(answers, 1 + 8);
+    let answers =
+        pair.sent.iter().filter(|(_, to, bytes)| *to == Role::Master && is_handshake(bytes)).count();
+    // Four at once, one of them the master's own, and two more in 2 s.
+    assert!((5..=6).contains(&answers), "{answers}");
+    assert_eq!(pair.slave.poll_event(), None, "a recorded message is no second master");
 }
 
 /// One who has the shared key and hears all, but is no end of the session, cannot put its keys in place of theirs.
 #[test]
 fn the_shared_key_alone_does_not_rekey_a_session_of_others() {
+    /// Draws a session's number that is known, and for the rest its own.
+    struct Chosen(Option<u64>, Numbers);
+    impl Entropy for Chosen {
+        fn fill(&mut self, bytes: &mut [u8]) -> Result<(), NoEntropy> {
+            match self.0.take_if(|_| bytes.len() == 8) {
+                Some(number) => bytes.copy_from_slice(&number.to_le_bytes()),
+                None => return self.1.fill(bytes),
+            }
+            Ok(())
+        }
+    }
     let mut pair = Pair::opened();
-    // Its own session with another slave gives it a hello for keys, which it relabels.
-    let mut own = Pair::new();
-    own.entropy = Numbers(99);
-    own.run(60);
-    own.master.session.rekey();
-    own.run(2);
-    let mut hello = own.sent.iter().rfind(|(.., bytes)| bytes.len() == 88).unwrap().2.clone();
+    let mut entropy = Chosen(pair.slave.session.session(), Numbers(99));
+    // Its own session of the same number with another slave gives it a hello for the next keys.
+    let mut master = end(settings(Role::Master), key(), 7);
+    let mut slave = end(settings(Role::Slave), key(), 8);
+    let mut hello = master.poll(0, &mut entropy).unwrap().unwrap();
+    let Ok(Received::Reply(mut answer)) = slave.receive(0, &mut hello, &mut Numbers(98)) else { panic!() };
+    master.receive(0, &mut answer, &mut entropy).unwrap();
+    let mut buffer = [0; MAX_DATAGRAM];
+    let mut frame = master.session.seal(0, &payload(1), &mut buffer).unwrap().to_vec();
+    slave.receive(0, &mut frame, &mut entropy).unwrap();
+    let mut frame = slave.session.seal(0, &payload(1), &mut buffer).unwrap().to_vec();
+    master.receive(0, &mut frame, &mut entropy).unwrap();
+    master.session.rekey();
+    let hello = master.poll(0, &mut entropy).unwrap().unwrap();
     assert_eq!(hello[4], 1);
-    hello[8..16].copy_from_slice(&pair.slave.session.session().unwrap().to_le_bytes());
+    assert_eq!(hello[8..16], pair.slave.session.session().unwrap().to_le_bytes());
     assert_eq!(refusal(&mut pair, Role::Slave, &hello), Some(Rejection::Forged));
+    let now_ns = pair.now_ns;
+    assert!(
+        matches!(slave.receive(0, &mut { hello }, &mut entropy), Ok(Received::Reply(_))),
+        "but it is well made"
+    );
+    pair.master.session.rekey();
+    pair.run(100);
+    assert!(pair.slave.session.is_open(now_ns));
 }
 
 #[test]
@@ -299,4 +452,41 @@ fn a_million_forgeries_change_nothing() {
         }
     }
     assert_eq!(refusal(&mut pair, Role::Slave, &good), None);
+}
+
+/// Garbage that looks like a first message never gets beyond its MAC: nothing goes on to the handshake.
+#[test]
+fn garbage_without_the_key_is_not_handed_on() {
+    let mut session = Session::secure(settings(Role::Slave), &key()).unwrap();
+    let hello = recorded(1)[0];
+    let mut numbers = Numbers(12);
+    for n in 0..10_000_u64 {
+        let mut garbage = hello;
+        // Another session and random bytes, or one bit of the true message.
+        if n % 2 == 0 {
+            numbers.fill(&mut garbage[8..16]).unwrap();
+            numbers.fill(&mut garbage[24..]).unwrap();
+        } else {
+            let bit = 64 + numbers.draw() as usize % (8 * (HANDSHAKE_LENGTH - 8));
+            if (128..192).contains(&bit) {
+                continue;
+            }
+            garbage[bit / 8] ^= 1 << (bit % 8);
+        }
+        assert_eq!(session.open(0, &mut garbage).unwrap_err(), Rejection::Forged);
+    }
+    assert!(matches!(session.open(0, &mut { hello }), Ok(Incoming::Handshake { is_renewal: false, .. })));
+}
+
+/// A datagram that was there before is a sign of life, so it has to be authentic.
+#[test]
+fn a_repeat_that_is_changed_is_forged() {
+    let mut pair = Pair::opened();
+    let mut buffer = [0; MAX_DATAGRAM];
+    let good = pair.master.session.seal(pair.now_ns, &payload(1), &mut buffer).unwrap().to_vec();
+    assert_eq!(refusal(&mut pair, Role::Slave, &good), None);
+    let mut changed = good.clone();
+    changed[60] ^= 1;
+    assert_eq!(refusal(&mut pair, Role::Slave, &changed), Some(Rejection::Forged));
+    assert_eq!(refusal(&mut pair, Role::Slave, &good), Some(Rejection::Repeated));
 }

@@ -9,12 +9,13 @@ use haptether_bridge::{
         SecurityEvent, StartError,
     },
     recorder::{Recorded, Recorder, RecorderSettings, RecordingReport},
-    session::PreSharedKey,
+    session::{KeyError, PreSharedKey},
     wire::Role,
 };
 use pyo3::{
     exceptions::{PyMemoryError, PyOSError, PyRuntimeError, PyValueError},
     prelude::*,
+    types::{PyByteArray, PyBytes},
 };
 
 use crate::{axes::refuse, bridge::nanoseconds, bridge_trace::Rowed, netsim::address, reserve};
@@ -24,15 +25,25 @@ const MOST_KEPT_S: f64 = 3600.0;
 /// Records that wait for a poll.
 const RING: usize = 1 << 16;
 
-/// How frames travel: a key, or the explicit wish to go without.
-pub(crate) fn security(key: Option<&[u8]>, insecure: bool) -> PyResult<Security> {
-    match (key, insecure) {
-        (Some(key), false) => {
-            let bytes = key.try_into().map_err(|_| {
-                PyValueError::new_err(format!("key: {} bytes, must be the 32 of read_key", key.len()))
-            })?;
-            Ok(Security::Secure(PreSharedKey::new(bytes)))
+/// The shared key of a `bytearray`, which its owner can wipe, or of `bytes`.
+fn shared_key(key: &Bound<'_, PyAny>) -> PyResult<PreSharedKey> {
+    let read = if let Ok(bytes) = key.cast::<PyByteArray>() {
+        PreSharedKey::of_vec(bytes.to_vec())
+    } else {
+        PreSharedKey::new(key.cast::<PyBytes>()?.as_bytes())
+    };
+    read.map_err(|error| match error {
+        KeyError::Length(seen) => {
+            PyValueError::new_err(format!("key: {seen} bytes, must be the 32 of read_key"))
         }
+        KeyError::Weak(_) => refuse(error),
+    })
+}
+
+/// How frames travel: a key, or the explicit wish to go without.
+pub(crate) fn security(key: Option<&Bound<'_, PyAny>>, insecure: bool) -> PyResult<Security> {
+    match (key, insecure) {
+        (Some(key), false) => shared_key(key).map(Security::Secure),
         (None, true) => Ok(Security::Insecure),
         (Some(_), true) => Err(PyValueError::new_err("key, insecure: give one of the two")),
         (None, false) => Err(PyValueError::new_err(

@@ -2,16 +2,26 @@
 
 use std::net::SocketAddr;
 
-use super::handshakes::{Handshakes, SecurityEvent, StartError};
+#[cfg(target_os = "linux")]
+use rustix::process::{DumpableBehavior, set_dumpable_behavior};
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+use super::{
+    handshakes::{Handshakes, SecurityEvent, StartError},
+    route::Heard,
+};
 use crate::{
     channel::sealed_frame,
-    session::{Incoming, MAX_DATAGRAM, PreSharedKey, Rejections, SealError, Session, SessionSettings},
+    link::Refusal,
+    session::{
+        Incoming, MAX_DATAGRAM, PreSharedKey, Rejection, Rejections, SealError, Session, SessionSettings,
+    },
     side::Side,
-    wire::Role,
+    wire::{Role, hears_peer},
 };
 
 /// How the frames of a live run travel.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub enum Security {
     /// Encrypted and authenticated with the key that both sides share.
     Secure(PreSharedKey),
@@ -28,13 +38,13 @@ const MOST_ANSWERS: usize = 4;
 /// How often a release is sent after the last frames: datagrams get lost.
 pub(super) const RELEASES: usize = 5;
 
-/// What came of a datagram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Came {
-    /// A frame of the peer, which the side used.
-    Used,
-    /// Nothing that says where the peer is.
-    Nothing,
+/// No core file of this process, and no debugger of another user's: keys lie in its memory from here on.
+fn forbid_dumps() {
+    let no_core = Rlimit { current: Some(0), ..getrlimit(Resource::Core) };
+    // Where the system has neither, nothing is lost but this.
+    let _ = setrlimit(Resource::Core, no_core);
+    #[cfg(target_os = "linux")]
+    let _ = set_dumpable_behavior(DumpableBehavior::NotDumpable);
 }
 
 /// The session of a live side.
@@ -50,11 +60,14 @@ impl LiveChannel {
         let settings = SessionSettings::new(role, S::FRAME_LENGTH, period_ns.min(PEER_PERIOD_NS));
         let cannot = crate::session::EndError::from;
         Ok(match security {
-            Security::Secure(key) => Self {
-                session: Session::secure(settings).map_err(cannot)?,
-                handshakes: Some(Handshakes::start(settings, key)?),
-                ticks: 0,
-            },
+            Security::Secure(key) => {
+                forbid_dumps();
+                Self {
+                    session: Session::secure(settings, &key).map_err(cannot)?,
+                    handshakes: Some(Handshakes::start(settings, key)?),
+                    ticks: 0,
+                }
+            }
             Security::Insecure => {
                 Self { session: Session::insecure(settings).map_err(cannot)?, handshakes: None, ticks: 0 }
             }
@@ -72,24 +85,24 @@ impl LiveChannel {
         from: SocketAddr,
         datagram: &mut [u8],
         side: &mut impl Side,
-    ) -> Came {
+    ) -> Heard {
         match self.session.open(now_ns, datagram) {
-            Ok(Incoming::Payload { payload, .. }) => {
-                if side.receive(now_ns, payload).is_ok() {
-                    return Came::Used;
+            Ok(Incoming::Payload { payload, .. }) => match side.receive(now_ns, payload) {
+                Ok(()) => return Heard::News { is_answered: hears_peer(payload) },
+                Err(Refusal::Late(_) | Refusal::Duplicate(_)) => return Heard::Again,
+                Err(_) => {}
+            },
+            Ok(Incoming::Handshake { datagram, is_renewal }) => {
+                if let (Some(handshakes), Ok(message)) = (&mut self.handshakes, datagram.try_into()) {
+                    handshakes.hand_over(now_ns, &self.session, from, message, is_renewal);
                 }
             }
-            Ok(Incoming::Handshake(message)) => {
-                let standing = self.session.standing(now_ns);
-                if let (Some(handshakes), Ok(message)) = (&mut self.handshakes, message.try_into()) {
-                    handshakes.hand_over(standing, from, message);
-                }
-            }
+            Err(Rejection::Repeated) => return Heard::Again,
             Ok(Incoming::Release) => side.peer_ended(),
             // A rejection is counted by the session.
             Err(_) => {}
         }
-        Came::Nothing
+        Heard::Nothing
     }
 
     /// Lets time pass, and takes new keys; gives each handshake to send, and where to, to `send`.

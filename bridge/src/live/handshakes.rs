@@ -13,14 +13,23 @@ use std::{
 
 use super::clock;
 use crate::session::{
-    EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey, Rejection,
-    Rejections, SessionEvent, SessionSettings, Standing, StillHeard, SystemEntropy, Verdict,
+    Bucket, EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey,
+    Rejection, Rejections, Session, SessionEvent, SessionSettings, Shares, Standing, StillHeard,
+    SystemEntropy, Verdict, message_is_answer, session_and_epoch,
 };
 
 /// What waits in either direction; more is dropped, as a network would.
 const WAITING: usize = 64;
+/// Of that, what new sessions may fill; the rest is the living one's.
+const FOR_NEW: usize = WAITING / 2;
 /// How often the thread looks.
 const POLL: Duration = Duration::from_millis(2);
+/// Messages that the thread is given, one each: of new sessions all together, and of the living one. Each costs it some 50 us,
+/// so that a flood of recorded ones costs 1 % of a core.
+const GIVEN_NS: u64 = 5_000_000;
+/// Messages of the living session at once: of an epoch that was not there yet, and of the newest that was.
+const NEW_KEYS: u64 = 16;
+const REPEATS: u64 = 8;
 
 /// What the loop tells the thread.
 #[derive(Debug)]
@@ -39,6 +48,52 @@ pub(super) struct Told {
     pub(super) outcome: Outcome,
 }
 
+/// Which messages the thread is given: recorded ones, however many, keep neither a new master out nor the partner of the
+/// living session.
+#[derive(Debug)]
+struct Admission {
+    sessions: Shares,
+    renewals: Bucket,
+    repeats: Bucket,
+    /// Session and epoch, as in the header: of the newest keys that this thread gave the slave, of the newest message that
+    /// it made at the master.
+    newest: Option<(u64, u32)>,
+}
+
+impl Admission {
+    fn new() -> Self {
+        Self {
+            sessions: Shares::new(GIVEN_NS),
+            renewals: Bucket::default(),
+            repeats: Bucket::default(),
+            newest: None,
+        }
+    }
+
+    /// Whether a message with the shared key's MAC goes on to the thread.
+    fn admits(
+        &mut self,
+        now_ns: u64,
+        from: SocketAddr,
+        message: &HandshakeDatagram,
+        is_renewal: bool,
+    ) -> bool {
+        let (session, epoch) = session_and_epoch(message);
+        if message_is_answer(message) {
+            return self.newest == Some((session, epoch)) && self.renewals.take(now_ns, GIVEN_NS, NEW_KEYS);
+        }
+        if !is_renewal {
+            return self.sessions.take(now_ns, from);
+        }
+        // Of an epoch that has proved to be the partner's, repeats take nothing from the next; those below were given up.
+        match self.newest.filter(|newest| newest.0 == session).map(|newest| epoch.cmp(&newest.1)) {
+            Some(std::cmp::Ordering::Less) => false,
+            Some(std::cmp::Ordering::Equal) => self.repeats.take(now_ns, GIVEN_NS, REPEATS),
+            _ => self.renewals.take(now_ns, GIVEN_NS, NEW_KEYS),
+        }
+    }
+}
+
 /// The loop's end of the thread.
 #[derive(Debug)]
 pub(super) struct Handshakes {
@@ -46,9 +101,10 @@ pub(super) struct Handshakes {
     told: rtrb::Consumer<Told>,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<Rejections>>,
+    admission: Admission,
     /// Keys that the loop has had.
     keys: u64,
-    /// Messages that found the thread busy.
+    /// Messages that were more than their share.
     dropped: u64,
     was_told: bool,
 }
@@ -64,7 +120,17 @@ impl Handshakes {
         let thread = std::thread::Builder::new()
             .name("haptether-keys".into())
             .spawn(move || answer(handshake, entropy, to_answer, answers, &over))?;
-        Ok(Self { asks, told, is_over, thread: Some(thread), keys: 0, dropped: 0, was_told: false })
+        let admission = Admission::new();
+        Ok(Self {
+            asks,
+            told,
+            is_over,
+            thread: Some(thread),
+            admission,
+            keys: 0,
+            dropped: 0,
+            was_told: false,
+        })
     }
 
     /// Tells how the session stands, unless the thread has not come to what it was told before.
@@ -74,13 +140,22 @@ impl Handshakes {
         }
     }
 
-    /// Hands over a message, behind how the session stands now.
-    pub(super) fn hand_over(&mut self, standing: Standing, from: SocketAddr, message: HandshakeDatagram) {
-        if self.asks.slots() < 2 {
+    /// Hands over a message that came at `now_ns`, behind how the session stands now, if it is within its share.
+    pub(super) fn hand_over(
+        &mut self,
+        now_ns: u64,
+        session: &Session,
+        from: SocketAddr,
+        message: HandshakeDatagram,
+        is_renewal: bool,
+    ) {
+        let is_new = !is_renewal && !message_is_answer(&message);
+        let room = if is_new { FOR_NEW } else { 0 };
+        if self.asks.slots() < room + 2 || !self.admission.admits(now_ns, from, &message, is_renewal) {
             self.dropped += 1;
             return;
         }
-        let _ = self.asks.push(Ask::Standing(standing, self.keys));
+        let _ = self.asks.push(Ask::Standing(session.standing(now_ns), self.keys));
         let _ = self.asks.push(Ask::Message(from, message));
     }
 
@@ -88,6 +163,11 @@ impl Handshakes {
     pub(super) fn next(&mut self) -> Option<Told> {
         let told = self.told.pop().ok()?;
         self.keys += u64::from(told.outcome.keys.is_some());
+        if let Some(made) = told.outcome.reply.as_ref().filter(|made| {
+            !message_is_answer(made) || (told.outcome.keys.is_some() && session_and_epoch(made).1 > 0)
+        }) {
+            self.admission.newest = Some(session_and_epoch(made));
+        }
         Some(told)
     }
 
@@ -98,7 +178,7 @@ impl Handshakes {
         died
     }
 
-    /// Ends the thread; gives what it did not take, and what it was too busy for.
+    /// Ends the thread; gives what it did not take, and what was more than its share.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
         let rejections = self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
@@ -134,15 +214,16 @@ fn answer(
     let mut given = 0;
     while !is_over.load(Ordering::Relaxed) {
         while let Ok(ask) = asks.pop() {
-            match (ask, standing) {
+            match (ask, &standing) {
                 // What was said before the newest keys came into use would have this thread ask for them again.
                 (Ask::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
                 (Ask::Message(from, message), Some(known)) => {
                     let now_ns = clock::now_ns();
-                    if let Ok(outcome) = handshake.receive(now_ns, &message, &known, &mut entropy) {
+                    if let Ok(outcome) = handshake.receive(now_ns, from, &message, known, &mut entropy) {
                         let has_keys = outcome.keys.is_some();
+                        let to = (!outcome.to_peer).then_some(from);
                         // A full ring means that the loop does not run: nobody waits for keys.
-                        if answers.push(Told { to: Some(from), outcome }).is_ok() && has_keys {
+                        if answers.push(Told { to, outcome }).is_ok() && has_keys {
                             given += 1;
                             standing = None;
                         }
@@ -187,9 +268,16 @@ impl std::fmt::Display for SecurityEvent {
             }
             Self::Session(SessionEvent::Rekeyed { epoch }) => write!(formatter, "new keys, the {epoch}. renewal"),
             Self::Session(SessionEvent::Released) => formatter.write_str("the peer has ended the session"),
-            Self::Session(SessionEvent::Expired) => {
-                formatter.write_str("the keys have grown too old, and no others came")
-            }
+            Self::Session(SessionEvent::Aging { left_ns }) => write!(
+                formatter,
+                "the keys should have been renewed and were not: nothing more is sent under them in {:.0} s; new ones \
+                 are asked for until then",
+                *left_ns as f64 * 1e-9
+            ),
+            Self::Session(SessionEvent::Expired) => formatter.write_str(
+                "the keys have grown too old, and no others came: this master and this slave alone go on when a renewal \
+                 comes through; SIGUSR1 of the slave lets another master begin",
+            ),
             Self::Session(SessionEvent::Forgeries) => {
                 formatter.write_str("more forgeries than the keys bear: the session is over")
             }
@@ -215,5 +303,60 @@ impl std::fmt::Display for SecurityEvent {
                     still.ago_ns as f64 * 1e-9, still.silence_ns as f64 * 1e-9)
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn message(kind: u8, session: u64, epoch: u32) -> HandshakeDatagram {
+        let mut message = [0; crate::session::HANDSHAKE_LENGTH];
+        message[3] = kind;
+        message[4..8].copy_from_slice(&epoch.to_le_bytes());
+        message[8..16].copy_from_slice(&session.to_le_bytes());
+        message
+    }
+
+    fn at(host: u8) -> SocketAddr {
+        SocketAddr::from(([10, 0, 0, host], 9))
+    }
+
+    /// 1e5 recorded first messages a second from one address: another's is taken at once, and the thread gets few.
+    #[test]
+    fn a_flood_of_recorded_messages_keeps_no_master_out() {
+        let mut admission = Admission::new();
+        let taken =
+            (0..100_000).filter(|n| admission.admits(n * 10_000, at(1), &message(1, *n, 0), false)).count();
+        assert!((50..60).contains(&taken), "{taken}");
+        assert!(admission.admits(1000 * MS, at(2), &message(1, 5, 0), false));
+    }
+
+    /// All that the partner has asked, again and again: the next message is taken as if there were none of it.
+    #[test]
+    fn repeats_of_the_partner_do_not_keep_its_next_message_out() {
+        let mut admission = Admission::new();
+        admission.newest = Some((7, 6));
+        for (n, epoch) in (0..100_000).zip([4, 5, 6].into_iter().cycle()) {
+            assert!(!admission.admits(n * 10_000, at(1), &message(1, 7, epoch), true) || epoch == 6);
+        }
+        for n in 0..16 {
+            assert!(admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "{n}");
+        }
+        assert!(!admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "with a limit of its own");
+    }
+
+    /// A master hears the answer to what it asked last, and no recorded one.
+    #[test]
+    fn answers_to_other_messages_are_not_looked_at() {
+        let mut admission = Admission::new();
+        assert!(!admission.admits(0, at(1), &message(2, 7, 0), false), "nothing was asked");
+        admission.newest = Some((7, 0));
+        for n in 0..100_000_u64 {
+            assert!(!admission.admits(n * 10_000, at(1), &message(2, n + 8, 0), false));
+        }
+        assert!(admission.admits(1000 * MS, at(1), &message(2, 7, 0), false));
     }
 }

@@ -7,6 +7,7 @@ mod memory;
 mod outlets;
 mod paced;
 mod realtime;
+mod route;
 mod run;
 mod socket;
 mod turning;

@@ -3,7 +3,7 @@
 use std::{ops::ControlFlow, sync::atomic::Ordering};
 
 use super::{
-    channel::{Came, LiveChannel, RELEASES},
+    channel::{LiveChannel, RELEASES},
     clock,
     handshakes::SecurityEvent,
     memory,
@@ -185,7 +185,7 @@ impl<S: Side> Turning<S> {
         socket.drain(now_ns, until_ns, |from, datagram| {
             // It may have come while this loop was still asleep beyond its time.
             side.late(clock::now_ns().saturating_sub(now_ns));
-            channel.receive(now_ns, from, datagram, side) == Came::Used
+            channel.receive(now_ns, from, datagram, side)
         });
         channel.advance(now_ns, |to, datagram| socket.send(to, datagram), &mut tell);
         let start_ns = self.start_ns;

@@ -11,8 +11,19 @@ pub(super) const TAG: usize = 16;
 /// session alone counts, and new keys begin with a new count.
 ///
 /// Source: RFC 8439, section 2.8; Noise Protocol Framework rev. 34, section 12.3 (the nonce).
-#[derive(Clone)]
+///
+/// Not to be cloned: two of one key would seal twice with one counter. Its bytes are wiped on drop.
 pub(super) struct Key(LessSafeKey);
+
+impl Drop for Key {
+    fn drop(&mut self) {
+        if let Some(blank) = UnboundKey::new(&CHACHA20_POLY1305, &[0; 32]).ok().map(LessSafeKey::new) {
+            self.0 = blank;
+            // The store would else be left out, as nobody reads it.
+            std::hint::black_box(&self.0);
+        }
+    }
+}
 
 impl std::fmt::Debug for Key {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

@@ -1,9 +1,11 @@
 //! Both halves of one end on one thread: for virtual time, tests, and whoever ticks slowly enough.
 
+use std::net::SocketAddr;
+
 use super::{
     entropy::Entropy,
     handshake::{Handshake, HandshakeDatagram, HandshakeEvent},
-    keys::PreSharedKey,
+    keys::{KeyError, PreSharedKey},
     noise::HandshakeError,
     rejection::{Rejection, Rejections},
     report::Incoming,
@@ -37,6 +39,9 @@ pub enum EndError {
     /// No randomness.
     #[error(transparent)]
     Handshake(#[from] HandshakeError),
+    /// No shared key.
+    #[error(transparent)]
+    Key(#[from] KeyError),
 }
 
 /// A [`Session`] with its [`Handshake`].
@@ -55,8 +60,8 @@ impl SessionEnd {
         key: PreSharedKey,
         entropy: &mut dyn Entropy,
     ) -> Result<Self, EndError> {
-        let handshake = Some(Handshake::new(settings, key, entropy)?);
-        Ok(Self { session: Session::secure(settings)?, handshake, event: None })
+        let session = Session::secure(settings, &key)?;
+        Ok(Self { session, handshake: Some(Handshake::new(settings, key, entropy)?), event: None })
     }
 
     /// An end without security: see [`Session::insecure`].
@@ -71,13 +76,24 @@ impl SessionEnd {
         datagram: &'a mut [u8],
         entropy: &mut dyn Entropy,
     ) -> Result<Received<'a>, Rejection> {
+        self.receive_from(now_ns, SocketAddr::from(([0; 4], 0)), datagram, entropy)
+    }
+
+    /// The same where several may send: each address has its share of the answers to handshakes.
+    pub fn receive_from<'a>(
+        &mut self,
+        now_ns: u64,
+        from: SocketAddr,
+        datagram: &'a mut [u8],
+        entropy: &mut dyn Entropy,
+    ) -> Result<Received<'a>, Rejection> {
         match self.session.open(now_ns, datagram)? {
             Incoming::Payload { payload, arrival } => Ok(Received::Payload { payload, arrival }),
             Incoming::Release => Ok(Received::Nothing),
-            Incoming::Handshake(datagram) => {
+            Incoming::Handshake { datagram, .. } => {
                 let standing = self.session.standing(now_ns);
                 let handshake = self.handshake.as_mut().ok_or(Rejection::Kind)?;
-                let outcome = handshake.receive(now_ns, datagram, &standing, entropy)?;
+                let outcome = handshake.receive(now_ns, from, datagram, &standing, entropy)?;
                 if let Some(keys) = outcome.keys {
                     self.session.install(now_ns, keys);
                 }

@@ -2,7 +2,7 @@
 
 use super::{
     header::Header,
-    keys::{Epoch, EpochId},
+    keys::{Chain, Epoch, EpochId},
     rejection::Rejection,
     settings::SessionSettings,
     window::{Arrival, ReplayWindow},
@@ -32,11 +32,13 @@ pub(super) enum Turn {
     Rekeyed(u32),
 }
 
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct Epochs {
     pub(super) current: Option<Epoch>,
     /// With the time until which it opens what was under way.
     previous: Option<(Epoch, u64)>,
+    /// Of the session whose keys grew too old: they open nothing, but bind its next handshake to its two ends.
+    pub(super) lapsed: Option<(EpochId, Chain)>,
     offered: [Option<Epoch>; OFFERED],
     next_offer: usize,
     window: ReplayWindow,
@@ -49,6 +51,7 @@ impl Epochs {
         Self {
             current: None,
             previous: None,
+            lapsed: None,
             offered: [const { None }; OFFERED],
             next_offer: 0,
             previous_window: window.clone(),
@@ -91,7 +94,8 @@ impl Epochs {
         };
         match arrival {
             Arrival::TooOld => Err(Rejection::TooOld),
-            Arrival::Duplicate => Err(Rejection::Repeated),
+            // Judged by its tag, first: an authentic one says that the peer is where it came from.
+            Arrival::Duplicate => Ok((slot, arrival)),
             // Whatever was sealed before the newest keys is older than what these have opened.
             _ if slot == Slot::Previous => Ok((slot, Arrival::Late)),
             arrival => Ok((slot, arrival)),
@@ -144,7 +148,8 @@ impl Epochs {
     fn turn(&mut self, now_ns: u64, epoch: Epoch, settings: &SessionSettings) -> Turn {
         let EpochId { session, epoch: number } = epoch.id;
         let before = self.current.replace(epoch).filter(|before| before.id.session == session);
-        let goes_on = before.is_some();
+        let lapsed = self.lapsed.take().is_some_and(|(lapsed, _)| lapsed.session == session);
+        let goes_on = before.is_some() || lapsed;
         self.previous = before.map(|before| (before, now_ns.saturating_add(settings.overlap_ns)));
         std::mem::swap(&mut self.window, &mut self.previous_window);
         self.window.clear();
@@ -158,7 +163,7 @@ impl Epochs {
     pub(super) fn advance(&mut self, now_ns: u64, settings: &SessionSettings) -> bool {
         let most_ns = settings.open_ns();
         self.previous.take_if(|(epoch, until_ns)| now_ns >= *until_ns || epoch.age_ns(now_ns) >= most_ns);
-        let living = self.current.as_ref().map(|epoch| epoch.id.session);
+        let living = self.id().map(|id| id.session);
         for offered in &mut self.offered {
             offered.take_if(|epoch| {
                 let most_ns = if living == Some(epoch.id.session) { most_ns } else { OFFER_NS };
@@ -167,15 +172,23 @@ impl Epochs {
         }
         let over = self.current.as_ref().is_some_and(|epoch| epoch.age_ns(now_ns) >= most_ns);
         if over {
+            let lapsed = self.current.as_ref().map(|epoch| (epoch.id, epoch.chain.copied()));
             self.clear();
+            self.lapsed = lapsed;
         }
         over
+    }
+
+    /// The newest keys, or those that grew too old in a session whose ends may go on.
+    pub(super) fn id(&self) -> Option<EpochId> {
+        self.current.as_ref().map(|epoch| epoch.id).or(self.lapsed.as_ref().map(|(id, _)| *id))
     }
 
     /// Forgets all keys.
     pub(super) fn clear(&mut self) {
         self.current = None;
         self.previous = None;
+        self.lapsed = None;
         self.offered = [const { None }; OFFERED];
     }
 }

@@ -3,11 +3,13 @@
 //! [`Handshake`] holds the shared key and makes keys; [`super::Session`] holds the keys and seals. Between them go
 //! only values: a [`Standing`] and a datagram one way, an [`Outcome`] the other. So they may live on two threads.
 
+use std::net::SocketAddr;
+
 use super::{
     entropy::Entropy,
-    header::{EPHEMERAL, HANDSHAKE_LENGTH, Header, Kind, SESSION_HEADER},
+    header::{EPHEMERAL, HANDSHAKE_LENGTH, Header, Kind, SESSION_HEADER, write_mac},
     initiator::Initiator,
-    keys::{Epoch, EpochId, PreSharedKey},
+    keys::{Epoch, EpochId, MacKey, PreSharedKey},
     noise::{HandshakeError, MESSAGE},
     rejection::{Rejection, Rejections},
     report::Standing,
@@ -23,8 +25,11 @@ pub type HandshakeDatagram = [u8; HANDSHAKE_LENGTH];
 /// What came of a handshake message.
 #[derive(Debug, Default)]
 pub struct Outcome {
-    /// To send back.
+    /// To send: back, or to the peer.
     pub reply: Option<HandshakeDatagram>,
+    /// Whether it goes to where the peer's frames come from, not whence it was asked: who repeats the peer's message
+    /// from elsewhere does not draw the answer away.
+    pub to_peer: bool,
     /// For [`super::Session::install`].
     pub keys: Option<Epoch>,
     /// To tell people.
@@ -41,25 +46,41 @@ pub enum HandshakeEvent {
         /// Bytes of the peer's payloads.
         payload_length: u16,
     },
-    /// Told at the slave: another master with the key was refused, because one holds the lease.
+    /// Told at the slave: another master with the key was refused, because one holds the lease. It lives: it has sent back
+    /// what the first refusal gave it, which no recorded message does.
     SecondMaster {
         /// What that master drew when it started.
         run: u64,
     },
 }
 
-/// Puts a header before a handshake message.
-pub(super) fn message(kind: Kind, id: EpochId, said: &[u8; MESSAGE]) -> HandshakeDatagram {
+/// Puts a header before a handshake message and its MAC behind it.
+pub(super) fn message(kind: Kind, id: EpochId, said: &[u8; MESSAGE], mac: &MacKey) -> HandshakeDatagram {
     let mut datagram = [0; HANDSHAKE_LENGTH];
     let header = Header { kind, epoch: id.epoch, session: id.session, counter: 0 };
     datagram[..SESSION_HEADER].copy_from_slice(&header.to_bytes());
-    datagram[SESSION_HEADER..].copy_from_slice(said);
+    datagram[SESSION_HEADER..SESSION_HEADER + MESSAGE].copy_from_slice(said);
+    write_mac(&mut datagram, mac);
     datagram
 }
 
-/// The ephemeral key of a handshake datagram, and all that is behind the header.
+/// Session and epoch in the header of a handshake datagram.
+pub(crate) fn session_and_epoch(datagram: &HandshakeDatagram) -> (u64, u32) {
+    let [_, _, _, _, e0, e1, e2, e3, s0, s1, s2, s3, s4, s5, s6, s7, ..] = *datagram;
+    (u64::from_le_bytes([s0, s1, s2, s3, s4, s5, s6, s7]), u32::from_le_bytes([e0, e1, e2, e3]))
+}
+
+/// Whether a handshake datagram is the slave's.
+pub(crate) fn message_is_answer(datagram: &HandshakeDatagram) -> bool {
+    datagram[3] == Kind::Answer.byte()
+}
+
+/// The ephemeral key of a handshake datagram, and all of the message between header and MAC.
 pub(super) fn parts(datagram: &[u8]) -> (&[u8], &[u8]) {
-    (&datagram[SESSION_HEADER..SESSION_HEADER + EPHEMERAL], &datagram[SESSION_HEADER..])
+    (
+        &datagram[SESSION_HEADER..SESSION_HEADER + EPHEMERAL],
+        &datagram[SESSION_HEADER..SESSION_HEADER + MESSAGE],
+    )
 }
 
 #[derive(Debug)]
@@ -91,10 +112,12 @@ impl Handshake {
         Ok(Self { role: settings.role, side, rejections: Rejections::default() })
     }
 
-    /// Takes a datagram that [`super::Session::open`] handed on. One that is refused changes nothing but a count.
+    /// Takes a datagram that [`super::Session::open`] handed on, and that came from `from`. One that is refused changes
+    /// nothing but a count.
     pub fn receive(
         &mut self,
         now_ns: u64,
+        from: SocketAddr,
         datagram: &[u8],
         standing: &Standing,
         entropy: &mut dyn Entropy,
@@ -102,8 +125,10 @@ impl Handshake {
         let outcome = Header::read(datagram, self.role, HANDSHAKE_LENGTH).and_then(|header| {
             let datagram: &HandshakeDatagram = datagram.try_into().map_err(|_| Rejection::Length)?;
             match &mut self.side {
-                Side::Master(initiator) => initiator.receive(now_ns, &header, datagram),
-                Side::Slave(responder) => responder.receive(now_ns, &header, datagram, standing, entropy),
+                Side::Master(initiator) => initiator.receive(now_ns, &header, datagram, standing),
+                Side::Slave(responder) => {
+                    responder.receive(now_ns, from, &header, datagram, standing, entropy)
+                }
             }
         });
         outcome.inspect_err(|rejection| self.rejections.count(*rejection))

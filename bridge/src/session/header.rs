@@ -5,13 +5,17 @@ use zerocopy::{
     little_endian::{U32, U64},
 };
 
-use super::{aead::TAG, rejection::Rejection};
+use super::{
+    aead::TAG,
+    keys::{MAC, MacKey},
+    rejection::Rejection,
+};
 use crate::wire::{MAX_FRAME, Role};
 
 /// Magic bytes at the start of a datagram of a secure session.
 pub const SESSION_MAGIC: [u8; 2] = *b"HS";
 /// Version of header and handshake.
-pub const SESSION_VERSION: u8 = 1;
+pub const SESSION_VERSION: u8 = 2;
 /// Bytes of the header.
 pub const SESSION_HEADER: usize = 24;
 /// Bytes of what a handshake message tells under encryption.
@@ -19,13 +23,26 @@ pub(super) const TOLD: usize = 16;
 /// Bytes of an ephemeral public key of X25519.
 pub(super) const EPHEMERAL: usize = 32;
 /// Bytes of either message of a handshake; the answer is never longer than the question.
-pub const HANDSHAKE_LENGTH: usize = SESSION_HEADER + EPHEMERAL + TOLD + TAG;
+pub const HANDSHAKE_LENGTH: usize = AUTHENTICATED + MAC;
+/// Bytes of a handshake message that its MAC is over: all before it.
+const AUTHENTICATED: usize = SESSION_HEADER + EPHEMERAL + TOLD + TAG;
 /// Bytes of the longest sealed datagram.
 pub const MAX_DATAGRAM: usize = sealed_length(MAX_FRAME);
 
 /// Bytes of a sealed datagram with a payload of `payload` bytes.
 pub const fn sealed_length(payload: usize) -> usize {
     SESSION_HEADER + payload + TAG
+}
+
+/// Writes the MAC of a handshake datagram.
+pub(super) fn write_mac(datagram: &mut [u8; HANDSHAKE_LENGTH], key: &MacKey) {
+    let (message, mac) = datagram.split_at_mut(AUTHENTICATED);
+    mac.copy_from_slice(&key.sign(message));
+}
+
+/// Whether the MAC of a handshake datagram is of who has the shared key.
+pub(super) fn mac_fits(datagram: &[u8], key: &MacKey) -> bool {
+    datagram.len() == HANDSHAKE_LENGTH && key.fits(&datagram[..AUTHENTICATED], &datagram[AUTHENTICATED..])
 }
 
 /// What a datagram is.
@@ -55,7 +72,7 @@ impl Kind {
         }
     }
 
-    const fn byte(self) -> u8 {
+    pub(super) const fn byte(self) -> u8 {
         match self {
             Self::Hello => 1,
             Self::Answer => 2,
@@ -157,7 +174,7 @@ mod tests {
         assert_eq!(
             bytes,
             [
-                b'H', b'S', 1, 3, 4, 3, 2, 1, 0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11, 5, 0, 0, 0, 0,
+                b'H', b'S', 2, 3, 4, 3, 2, 1, 0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11, 5, 0, 0, 0, 0,
                 0, 0, 0
             ]
         );
@@ -168,7 +185,7 @@ mod tests {
 
     #[test]
     fn no_frame_is_as_long_as_a_handshake() {
-        assert_eq!(HANDSHAKE_LENGTH, 88);
+        assert_eq!(HANDSHAKE_LENGTH, 120);
         for axes in 1..=7 {
             assert_ne!(sealed_length(frame_length(axes)), HANDSHAKE_LENGTH);
         }
@@ -183,14 +200,15 @@ mod tests {
         };
         let read = |bytes: &[u8]| Header::read(bytes, Role::Slave, 132).map(|_| ());
         assert_eq!(read(&good(Kind::Sealed, 132)), Ok(()));
-        assert_eq!(read(&good(Kind::Hello, 88)), Ok(()));
-        for length in [0, 23, 24, 87, 89, 131, 133, 2000] {
+        assert_eq!(read(&good(Kind::Hello, HANDSHAKE_LENGTH)), Ok(()));
+        for length in [0, 23, 24, 119, 121, 131, 133, 2000] {
             assert_eq!(read(&vec![0; length]), Err(Rejection::Length));
         }
         for (at, byte, refusal) in [
             (0, b'X', Rejection::Version),
             (1, b'T', Rejection::Version),
-            (2, 2, Rejection::Version),
+            (2, 1, Rejection::Version),
+            (2, 3, Rejection::Version),
             (3, 0, Rejection::Kind),
             (3, 2, Rejection::Kind),
             (3, 6, Rejection::Kind),
@@ -200,9 +218,9 @@ mod tests {
             bytes[at] = byte;
             assert_eq!(read(&bytes), Err(refusal), "byte {at} = {byte}");
         }
-        let mut hello = good(Kind::Hello, 88);
+        let mut hello = good(Kind::Hello, HANDSHAKE_LENGTH);
         hello[16] = 1;
         assert_eq!(read(&hello), Err(Rejection::Counter));
-        assert_eq!(read(&good(Kind::Sealed, 88)), Err(Rejection::Length));
+        assert_eq!(read(&good(Kind::Sealed, HANDSHAKE_LENGTH)), Err(Rejection::Length));
     }
 }

@@ -13,7 +13,7 @@
 //! ```text
 //! each datagram:  session.open(now, bytes)?
 //!                   Payload    -> the frame inside
-//!                   Handshake  -> handshake.receive(now, bytes, &session.standing(now), entropy)?
+//!                   Handshake  -> handshake.receive(now, from, bytes, &session.standing(now), entropy)?
 //!                                   reply -> send it;  keys -> session.install(now, keys)
 //!                   Release    -> the peer has gone
 //! each tick:      session.advance(now); session.seal(now, frame, buffer)? -> send it
@@ -21,6 +21,7 @@
 //! ```
 
 mod aead;
+mod budget;
 mod end;
 mod entropy;
 mod epochs;
@@ -37,13 +38,15 @@ mod settings;
 mod told;
 mod window;
 
+pub(crate) use budget::{Bucket, Shares};
 pub use end::{EndError, Received, SessionEnd};
 pub use entropy::{Entropy, NoEntropy, SeededEntropy, SystemEntropy};
 pub use handshake::{Handshake, HandshakeDatagram, HandshakeEvent, Outcome};
+pub(crate) use handshake::{message_is_answer, session_and_epoch};
 pub use header::{
     HANDSHAKE_LENGTH, MAX_DATAGRAM, SESSION_HEADER, SESSION_MAGIC, SESSION_VERSION, sealed_length,
 };
-pub use keys::{Epoch, PreSharedKey};
+pub use keys::{Epoch, KeyError, PreSharedKey};
 pub use noise::HandshakeError;
 pub use rejection::{Rejection, Rejections};
 pub use report::{Incoming, SealError, SessionEvent, Standing, StillHeard};

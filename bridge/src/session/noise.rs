@@ -19,6 +19,8 @@ use snow::{
     types::{Cipher, Dh, Hash, Random},
 };
 
+use zeroize::Zeroizing;
+
 use super::{
     aead::TAG,
     entropy::{Entropy, NoEntropy},
@@ -49,11 +51,11 @@ impl From<snow::Error> for HandshakeError {
 }
 
 /// The primitives of `snow`, with 32 random bytes that were drawn before: those of the ephemeral key.
-struct Drawn([u8; 32]);
+struct Drawn(Zeroizing<[u8; 32]>);
 
 impl CryptoResolver for Drawn {
     fn resolve_rng(&self) -> Option<Box<dyn Random>> {
-        Some(Box::new(Once(Some(self.0))))
+        Some(Box::new(Once(Some(self.0.clone()))))
     }
 
     fn resolve_dh(&self, choice: &DHChoice) -> Option<Box<dyn Dh>> {
@@ -70,7 +72,7 @@ impl CryptoResolver for Drawn {
 }
 
 /// Gives its bytes once; a second wish would repeat a key.
-struct Once(Option<[u8; 32]>);
+struct Once(Option<Zeroizing<[u8; 32]>>);
 
 impl Random for Once {
     fn try_fill_bytes(&mut self, bytes: &mut [u8]) -> Result<(), snow::Error> {
@@ -78,7 +80,7 @@ impl Random for Once {
         if bytes.len() != drawn.len() {
             return Err(snow::Error::Rng);
         }
-        bytes.copy_from_slice(&drawn);
+        bytes.copy_from_slice(drawn.as_slice());
         Ok(())
     }
 }
@@ -86,9 +88,16 @@ impl Random for Once {
 /// One side of one handshake.
 #[derive(Debug)]
 pub(super) struct Noise {
-    state: HandshakeState,
+    state: Box<HandshakeState>,
     id: EpochId,
     role: Role,
+}
+
+impl Drop for Noise {
+    fn drop(&mut self) {
+        // Of a handshake that was given up before its first message, or whose message did not fit.
+        let _ = self.forget_key();
+    }
 }
 
 impl Noise {
@@ -99,7 +108,7 @@ impl Noise {
         key: &PreSharedKey,
         entropy: &mut dyn Entropy,
     ) -> Result<Self, HandshakeError> {
-        let mut prologue = *b"haptether session 1\0____________";
+        let mut prologue = *b"haptether session 2\0____________";
         prologue[20..28].copy_from_slice(&id.session.to_le_bytes());
         prologue[28..].copy_from_slice(&id.epoch.to_le_bytes());
         Self::with_prologue(role, id, key, &prologue, entropy)
@@ -112,23 +121,29 @@ impl Noise {
         prologue: &[u8],
         entropy: &mut dyn Entropy,
     ) -> Result<Self, HandshakeError> {
-        let mut drawn = [0; 32];
-        entropy.fill(&mut drawn)?;
+        let mut drawn = Zeroizing::new([0; 32]);
+        entropy.fill(drawn.as_mut_slice())?;
         let pattern: NoiseParams = PATTERN.parse()?;
-        let builder = Builder::with_resolver(pattern, Box::new(Drawn(drawn)))
-            .prologue(prologue)?
-            .psk(0, key.bytes())?;
-        let state = match role {
+        let builder = Builder::with_resolver(pattern, Box::new(Drawn(drawn))).prologue(prologue)?;
+        let mut state = Box::new(match role {
             Role::Master => builder.build_initiator()?,
             Role::Slave => builder.build_responder()?,
-        };
+        });
+        // Only now that it moves no more: `snow` wipes nothing, and each move would leave a copy of the key behind.
+        state.set_psk(0, key.bytes())?;
         Ok(Self { state, id, role })
+    }
+
+    /// The key is mixed in with the first message and not needed after it.
+    fn forget_key(&mut self) -> Result<(), HandshakeError> {
+        Ok(self.state.set_psk(0, &[0; 32])?)
     }
 
     /// Writes this side's message, which tells the peer `told` under encryption.
     pub(super) fn write(&mut self, told: &[u8; TOLD]) -> Result<[u8; MESSAGE], HandshakeError> {
         let mut message = [0; MESSAGE];
         self.state.write_message(told, &mut message)?;
+        self.forget_key()?;
         Ok(message)
     }
 
@@ -136,6 +151,7 @@ impl Noise {
     pub(super) fn read(&mut self, message: &[u8]) -> Result<[u8; TOLD], HandshakeError> {
         let mut told = [0; TOLD];
         if self.state.read_message(message, &mut told)? == TOLD {
+            self.forget_key()?;
             Ok(told)
         } else {
             Err(HandshakeError::Noise)
@@ -148,6 +164,7 @@ impl Noise {
             return Err(HandshakeError::Noise);
         }
         let (from_master, from_slave) = self.state.dangerously_get_raw_split();
+        let (from_master, from_slave) = (Zeroizing::new(from_master), Zeroizing::new(from_slave));
         Epoch::new(self.id, self.role, (&from_master, &from_slave), (now_ns, peer_run))
             .ok_or(HandshakeError::Noise)
     }
@@ -178,9 +195,9 @@ mod tests {
     /// `tests/vectors/cacophony.txt`.
     #[test]
     fn the_known_answer_of_another_implementation() {
-        let key = PreSharedKey::new(
-            bytes("54686973206973206d7920417573747269616e20706572737065637469766521").try_into().unwrap(),
-        );
+        let key =
+            PreSharedKey::of_vec(bytes("54686973206973206d7920417573747269616e20706572735065637469766521"))
+                .unwrap();
         let prologue = b"John Galt";
         let id = EpochId { session: 0, epoch: 0 };
         let side =
@@ -248,7 +265,7 @@ mod tests {
 
     #[test]
     fn randomness_is_given_once() {
-        let mut once = Once(Some([7; 32]));
+        let mut once = Once(Some(Zeroizing::new([7; 32])));
         let mut bytes = [0; 32];
         assert_eq!(once.try_fill_bytes(&mut bytes), Ok(()));
         assert_eq!(once.try_fill_bytes(&mut bytes), Err(snow::Error::Rng));

@@ -2,6 +2,8 @@
 
 use super::{
     keys::{Chain, EpochId},
+    rejection::Rejection,
+    responder::MAX_SKIPPED,
     window::Arrival,
 };
 
@@ -15,8 +17,13 @@ pub enum Incoming<'a> {
         /// [`Arrival::Newer`] or [`Arrival::Late`]; without security always the former.
         arrival: Arrival,
     },
-    /// A message for the handshake: not looked into yet, and perhaps forged.
-    Handshake(&'a [u8]),
+    /// A message for the handshake, of who has the shared key; perhaps recorded.
+    Handshake {
+        /// All of it.
+        datagram: &'a [u8],
+        /// Whether it is the first message for the next keys of the living session.
+        is_renewal: bool,
+    },
     /// The peer has ended the session.
     Release,
 }
@@ -36,6 +43,11 @@ pub enum SessionEvent {
     },
     /// The peer ended the session; the lease is free.
     Released,
+    /// The newest keys should have been renewed and were not.
+    Aging {
+        /// Until nothing more is sent under them, in ns.
+        left_ns: u64,
+    },
     /// The newest keys grew too old without others.
     Expired,
     /// More forgeries than the keys bear.
@@ -78,8 +90,8 @@ pub struct StillHeard {
     pub silence_ns: u64,
 }
 
-/// What the handshake needs to know of the session: a copy, which may go to another thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What the handshake needs to know of the session; it may go to another thread.
+#[derive(Debug, PartialEq, Eq)]
 pub struct Standing {
     pub(super) live: Option<Live>,
     /// Since the peer was heard, or since the master took its keys.
@@ -90,8 +102,29 @@ pub struct Standing {
     pub(super) due: bool,
 }
 
-/// The newest keys.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+impl Standing {
+    /// Whether a first message is for the next keys of the living session, not for a new one; refused if it is for
+    /// neither, or for keys that the peer has already.
+    pub(super) fn is_renewal(&self, id: EpochId) -> Result<bool, Rejection> {
+        is_renewal(self.live.as_ref().map(|live| live.id), id)
+    }
+}
+
+/// See [`Standing::is_renewal`].
+pub(super) fn is_renewal(living: Option<EpochId>, id: EpochId) -> Result<bool, Rejection> {
+    match living {
+        Some(living) if living.session == id.session => match id.epoch.checked_sub(living.epoch) {
+            None | Some(0) => Err(Rejection::Replayed),
+            Some(skipped) if skipped > MAX_SKIPPED => Err(Rejection::Epoch),
+            Some(_) => Ok(true),
+        },
+        _ if id.epoch == 0 => Ok(false),
+        _ => Err(Rejection::Session),
+    }
+}
+
+/// The newest keys, or, of a session that still has the lease, those that grew too old.
+#[derive(Debug, PartialEq, Eq)]
 pub(super) struct Live {
     pub(super) id: EpochId,
     pub(super) chain: Chain,

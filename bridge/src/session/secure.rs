@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 
 use super::{
     epochs::{Epochs, Slot, Turn},
-    header::{Header, Kind, MAX_DATAGRAM, SESSION_HEADER, sealed_length},
-    keys::{Epoch, EpochId},
+    header::{Header, Kind, MAX_DATAGRAM, SESSION_HEADER, mac_fits, sealed_length},
+    keys::{Epoch, EpochId, MacKey, PreSharedKey},
     rejection::{Rejection, Rejections},
-    report::{Incoming, Live, SealError, SessionEvent, Standing, StillHeard},
+    report::{Incoming, Live, SealError, SessionEvent, Standing, StillHeard, is_renewal},
     settings::{SessionSettings, SettingsError},
     window::Arrival,
 };
@@ -29,16 +29,34 @@ struct Renewal {
     asked_here: bool,
     /// The peer does.
     asked_there: bool,
+    /// People know that they should have given way to others.
+    warned: bool,
+}
+
+/// What a datagram is that was not refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Judged {
+    Handshake { is_renewal: bool },
+    Payload(Arrival),
+    Release,
 }
 
 /// Events that wait for a reader; further ones are dropped.
 const MOST_EVENTS: usize = 32;
 
 /// One end of a session. It owns no clock, no socket and no randomness; sealing and opening allocate nothing.
-#[derive(Clone, Debug)]
+///
+/// It cannot be cloned: two of it would seal different payloads with the same key and counter.
+///
+/// ```compile_fail
+/// fn needs_clone<T: Clone>() {}
+/// needs_clone::<haptether_bridge::session::Session>();
+/// ```
+#[derive(Debug)]
 pub struct Session {
     settings: SessionSettings,
-    is_secure: bool,
+    /// Of handshake messages; none of an insecure session.
+    mac: Option<MacKey>,
     epochs: Epochs,
     /// When the peer was last heard; the newest authentic datagram.
     heard_ns: u64,
@@ -53,22 +71,22 @@ pub struct Session {
 
 impl Session {
     /// An end that waits for keys of a [`super::Handshake`].
-    pub fn secure(settings: SessionSettings) -> Result<Self, SettingsError> {
-        Self::new(settings, true)
+    pub fn secure(settings: SessionSettings, key: &PreSharedKey) -> Result<Self, SettingsError> {
+        Self::new(settings, Some(key.mac()))
     }
 
     /// An end that neither encrypts nor authenticates: payloads are the datagrams, and anybody may send them.
     ///
     /// [`Session::is_secure`] says so; records and the screen must show it.
     pub fn insecure(settings: SessionSettings) -> Result<Self, SettingsError> {
-        Self::new(settings, false)
+        Self::new(settings, None)
     }
 
-    fn new(settings: SessionSettings, is_secure: bool) -> Result<Self, SettingsError> {
+    fn new(settings: SessionSettings, mac: Option<MacKey>) -> Result<Self, SettingsError> {
         settings.check()?;
         Ok(Self {
             settings,
-            is_secure,
+            mac,
             epochs: Epochs::new(&settings),
             heard_ns: 0,
             renewal: Renewal::default(),
@@ -81,12 +99,13 @@ impl Session {
 
     /// Whether what it opens is authenticated and what it seals encrypted.
     pub fn is_secure(&self) -> bool {
-        self.is_secure
+        self.mac.is_some()
     }
 
     /// Whether it can seal at `now_ns`.
     pub fn is_open(&self, now_ns: u64) -> bool {
-        !self.is_secure || self.epochs.current.as_ref().is_some_and(|epoch| self.check(now_ns, epoch).is_ok())
+        !self.is_secure()
+            || self.epochs.current.as_ref().is_some_and(|epoch| self.check(now_ns, epoch).is_ok())
     }
 
     /// The number of the living session.
@@ -97,7 +116,7 @@ impl Session {
     /// Bytes of every sealed datagram, both ways.
     pub fn datagram_length(&self) -> usize {
         let payload = self.settings.payload_length;
-        if self.is_secure { sealed_length(payload) } else { payload }
+        if self.is_secure() { sealed_length(payload) } else { payload }
     }
 
     /// Datagrams not taken, by cause.
@@ -135,7 +154,7 @@ impl Session {
         if seen != allowed {
             return Err(SealError::Length { seen, allowed });
         }
-        if !self.is_secure {
+        if !self.is_secure() {
             buffer[..seen].copy_from_slice(payload);
             return Ok(&buffer[..seen]);
         }
@@ -152,7 +171,7 @@ impl Session {
         now_ns: u64,
         buffer: &'a mut [u8; MAX_DATAGRAM],
     ) -> Result<&'a [u8], SealError> {
-        if !self.is_secure {
+        if !self.is_secure() {
             return Err(SealError::NoSession);
         }
         buffer.fill(0);
@@ -185,14 +204,15 @@ impl Session {
 
     /// Opens a datagram that arrived at `now_ns`, in place.
     ///
-    /// What is not taken changes nothing but counts. The order: length, version and kind, session and epoch, counter,
-    /// and the tag last.
+    /// What is not taken changes nothing but counts. The order: length, version and kind; of a handshake whether it can
+    /// be of use, and its MAC; of others session and epoch, counter, and the tag. One that was there before is
+    /// [`Rejection::Repeated`] only if it is authentic.
     pub fn open<'a>(&mut self, now_ns: u64, datagram: &'a mut [u8]) -> Result<Incoming<'a>, Rejection> {
         match self.judge(now_ns, datagram) {
-            Ok((kind, _)) if kind.is_handshake() => Ok(Incoming::Handshake(datagram)),
-            Ok((Kind::Release, _)) => Ok(Incoming::Release),
-            Ok((_, arrival)) => {
-                let start = if self.is_secure { SESSION_HEADER } else { 0 };
+            Ok(Judged::Handshake { is_renewal }) => Ok(Incoming::Handshake { datagram, is_renewal }),
+            Ok(Judged::Release) => Ok(Incoming::Release),
+            Ok(Judged::Payload(arrival)) => {
+                let start = if self.is_secure() { SESSION_HEADER } else { 0 };
                 Ok(Incoming::Payload {
                     payload: &datagram[start..start + self.settings.payload_length],
                     arrival,
@@ -205,14 +225,16 @@ impl Session {
         }
     }
 
-    fn judge(&mut self, now_ns: u64, datagram: &mut [u8]) -> Result<(Kind, Arrival), Rejection> {
-        if !self.is_secure {
+    fn judge(&mut self, now_ns: u64, datagram: &mut [u8]) -> Result<Judged, Rejection> {
+        if !self.is_secure() {
             let fits = datagram.len() == self.settings.payload_length;
-            return fits.then_some((Kind::Sealed, Arrival::Newer)).ok_or(Rejection::Length);
+            return fits.then_some(Judged::Payload(Arrival::Newer)).ok_or(Rejection::Length);
         }
         let header = Header::read(datagram, self.settings.role, self.datagram_length())?;
         if header.kind.is_handshake() {
-            return Ok((header.kind, Arrival::Newer));
+            return self
+                .judge_handshake(&header, datagram)
+                .map(|is_renewal| Judged::Handshake { is_renewal });
         }
         let (slot, arrival) = self.epochs.find(now_ns, &header, &self.settings)?;
         let (cleartext, sealed) = datagram.split_at_mut(SESSION_HEADER);
@@ -221,6 +243,9 @@ impl Session {
         if !is_authentic {
             self.count_forgery();
             return Err(Rejection::Forged);
+        }
+        if arrival == Arrival::Duplicate {
+            return Err(Rejection::Repeated);
         }
         // Two masters may both have been offered keys: the first to use them holds the lease.
         if matches!(slot, Slot::Offered(_)) && self.lease.is_some_and(|lease| lease.session != header.session)
@@ -237,8 +262,17 @@ impl Session {
         if header.kind == Kind::Release {
             self.lease = None;
             self.stop(SessionEvent::Released);
+            return Ok(Judged::Release);
         }
-        Ok((header.kind, arrival))
+        Ok(Judged::Payload(arrival))
+    }
+
+    /// What goes on to the handshake: what has the shared key's MAC and can be of use. Garbage ends here.
+    fn judge_handshake(&self, header: &Header, datagram: &[u8]) -> Result<bool, Rejection> {
+        let id = EpochId { session: header.session, epoch: header.epoch };
+        let is_renewal = header.kind == Kind::Hello && is_renewal(self.epochs.id(), id)?;
+        let fits = self.mac.as_ref().is_some_and(|key| mac_fits(datagram, key));
+        fits.then_some(is_renewal).ok_or(Rejection::Forged)
     }
 
     /// Source: RFC 9001, section 6.6: all forgeries against a session count, whatever its keys.
@@ -269,7 +303,7 @@ impl Session {
     fn stop(&mut self, why: SessionEvent) {
         self.forged = 0;
         self.renewal = Renewal::default();
-        if self.epochs.current.is_some() {
+        if self.epochs.id().is_some() {
             self.tell(why);
         }
         self.epochs.clear();
@@ -277,7 +311,7 @@ impl Session {
 
     /// Takes the keys that a handshake gave. The master uses them from here on, the slave once the master has.
     pub fn install(&mut self, now_ns: u64, epoch: Epoch) {
-        if !self.is_secure {
+        if !self.is_secure() {
             return;
         }
         let turn = self.epochs.install(now_ns, epoch, &self.settings);
@@ -292,6 +326,10 @@ impl Session {
         if self.epochs.advance(now_ns, &self.settings) {
             self.renewal = Renewal::default();
             self.tell(SessionEvent::Expired);
+        }
+        let age_ns = self.epochs.current.as_ref().map_or(0, |epoch| epoch.age_ns(now_ns));
+        if age_ns >= self.settings.warn_ns() && !std::mem::replace(&mut self.renewal.warned, true) {
+            self.tell(SessionEvent::Aging { left_ns: self.settings.refuse_ns.saturating_sub(age_ns) });
         }
     }
 
@@ -328,13 +366,20 @@ impl Session {
 
     /// What the handshake needs to know.
     pub fn standing(&self, now_ns: u64) -> Standing {
-        Standing {
-            live: self.epochs.current.as_ref().map(|epoch| Live {
+        let live = match (&self.epochs.current, &self.epochs.lapsed) {
+            (Some(epoch), _) => Some(Live {
                 id: epoch.id,
-                chain: epoch.chain,
+                chain: epoch.chain.copied(),
                 age_ns: epoch.age_ns(now_ns),
                 confirmed: self.renewal.confirmed,
             }),
+            (None, Some((id, chain))) => {
+                Some(Live { id: *id, chain: chain.copied(), age_ns: u64::MAX, confirmed: true })
+            }
+            (None, None) => None,
+        };
+        Standing {
+            live,
             silent_ns: now_ns.saturating_sub(self.heard_ns),
             holder: self.lease.map(|lease| lease.run),
             due: self.renewal.asked_here || self.renewal.asked_there,

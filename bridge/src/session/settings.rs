@@ -122,6 +122,11 @@ impl SessionSettings {
         Ok(())
     }
 
+    /// Age of a key at which people are warned that no others have come: 60 s before it opens nothing more.
+    pub(super) const fn warn_ns(&self) -> u64 {
+        self.rekey_ns + (self.refuse_ns - self.rekey_ns) / 12
+    }
+
     /// Age at which keys open nothing more: what was sealed last may still be under way when sealing ends.
     pub(super) const fn open_ns(&self) -> u64 {
         self.refuse_ns.saturating_add(self.overlap_ns)
@@ -152,7 +157,7 @@ mod tests {
         let good = SessionSettings::new(Role::Slave, 92, MS);
         for (bad, said) in [
             (SessionSettings { payload_length: 0, ..good }, "payload_length = 0"),
-            (SessionSettings { payload_length: 48, ..good }, "payload_length = 48"),
+            (SessionSettings { payload_length: 80, ..good }, "payload_length = 80"),
             (SessionSettings { payload_length: 4000, ..good }, "payload_length = 4000"),
             (SessionSettings { peer_period_ns: 0, ..good }, "peer_period_ns = 0"),
             (SessionSettings { window_ns: u64::MAX, ..good }, "window_ns = 18446744073709551615"),

@@ -13,7 +13,10 @@ use haptether_bridge::{
 
 pub(crate) const MS: u64 = 1_000_000;
 pub(crate) const PAYLOAD: usize = 92;
-pub(crate) const KEY: PreSharedKey = PreSharedKey::new([0x42; 32]);
+/// The key that both sides share.
+pub(crate) fn key() -> PreSharedKey {
+    PreSharedKey::new(b"the key that both ends share: 32").unwrap()
+}
 
 /// `SplitMix64`: random enough for tests, and the same each time.
 #[derive(Clone, Debug)]
@@ -98,8 +101,8 @@ impl Pair {
 
     pub(crate) fn with(master: SessionSettings, slave: SessionSettings) -> Self {
         Self {
-            master: end(master, KEY, 1),
-            slave: end(slave, KEY, 2),
+            master: end(master, key(), 1),
+            slave: end(slave, key(), 2),
             now_ns: 0,
             fate: Box::new(|_, _, _| vec![5 * MS]),
             sent: Vec::new(),
