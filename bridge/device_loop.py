@@ -4,6 +4,7 @@ import atexit
 import contextlib
 import gc
 import threading
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
+PROMPT_S = 0.25
+"""Longest age of an acknowledgement when the loop comes to it."""
 GIVE_UP_S = 1.0
 """How long a driver may still take to open its device once nobody waits for it any more."""
 
@@ -48,8 +51,8 @@ def drive_master(
         wait = None if device.paces else loop.wait
         try:
             while True:
-                if notes.acknowledged:
-                    _acknowledge(device, loop, notes)
+                if notes.acknowledged_s is not None:
+                    _acknowledge(device, loop, notes, notes.acknowledged_s)
                 position, velocity, clutch, fault = device.read()
                 if fault is not None:
                     notes.fault = fault = encodable(fault)
@@ -103,8 +106,8 @@ def drive_slave(
         wait = None if device.paces else loop.wait
         try:
             while True:
-                if notes.acknowledged:
-                    _acknowledge(device, loop, notes)
+                if notes.acknowledged_s is not None:
+                    _acknowledge(device, loop, notes, notes.acknowledged_s)
                 position, velocity, force, fault = device.read()
                 if fault is not None:
                     notes.fault = fault = encodable(fault)
@@ -133,8 +136,13 @@ def drive_slave(
             raise failed from error
 
 
-def _acknowledge(device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveLoop, notes: DeviceNotes) -> None:
-    notes.acknowledged, notes.fault = False, None
+def _acknowledge(
+    device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveLoop, notes: DeviceNotes, acknowledged_s: float
+) -> None:
+    notes.acknowledged_s = None
+    if time.monotonic() - acknowledged_s > PROMPT_S:
+        return
+    notes.fault = None
     if (mend := getattr(device, "acknowledge", None)) is not None:
         mend()
     # A loop that has ended meanwhile has nothing to acknowledge.
@@ -244,8 +252,8 @@ class DeviceRun:
         self._loop.stop()
 
     def acknowledge(self) -> None:
-        """Says that the fault of this side is mended: the clutch must then be released and pressed."""
-        self.notes.acknowledged = True
+        """Says that its fault is mended: the clutch must then be released and pressed. Void after 0.25 s."""
+        self.notes.acknowledged_s = time.monotonic()
 
     def give_up(self) -> None:
         """Ends a run whose device does not open; where `open` does not return within 1 s, the device is closed here."""
@@ -278,7 +286,7 @@ class MasterRun(DeviceRun):
         self._master = loop
 
     def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
+        """Lets go of the clutch for 0.1 s and presses it again: the act of a person, void where it comes late."""
         self._master.press_clutch()
 
     def finish(self) -> tuple[MasterTrace, LoopReport]:

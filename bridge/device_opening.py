@@ -34,8 +34,8 @@ class DeviceNotes:
 
     fault: str | None = None
     """What the device said last that is wrong with it."""
-    acknowledged: bool = False
-    """A person says that it is mended; taken back once the device and the loop have heard it."""
+    acknowledged_s: float | None = None
+    """When a person said that it is mended, by `time.monotonic`; none once the device and the loop have heard it."""
     realtime: str = ""
     """What the loop's thread got of the system, once it has begun."""
     closing: threading.Lock = field(default_factory=threading.Lock)

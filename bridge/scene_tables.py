@@ -202,7 +202,8 @@ class LadderTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     stale_after_s: StaleAfter = 0.005
     """In s to STALE, where the velocity of the arm decays; below `hold_after_s`."""
     hold_after_s: HoldAfter = 0.02
-    """In s to HOLD, where the arm holds and the force fades; below `stop_after_s`."""
+    """In s to HOLD, where the arm holds and the force fades; below `stop_after_s` and at most 0.1, so that the force is
+    gone 0.2 s after the last frame."""
     stop_after_s: StopAfter = 0.2
     """In s to STOP: a soft stop of the arm, latched."""
     extrapolate_s: Extrapolation | None = None

@@ -37,8 +37,8 @@ pub use endpoint::{
 pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
 pub use ladder::{
     Clutch, ClutchError, Diagnosis, Explanation, FlightEntry, FlightRecorder, History, Ladder, LadderError,
-    LadderInput, LadderSettings, LadderState, Observed, PeerCause, PeerReport, Person, Reason, Remedy, Step,
-    Transition,
+    LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame,
+    PeerReport, Person, Reason, Remedy, Step, Transition,
 };
 pub use link::{FrameLink, LinkStatistics, PortState, Refusal, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};

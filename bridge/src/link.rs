@@ -273,6 +273,11 @@ impl<const N: usize> FrameLink<N> {
         })
     }
 
+    /// Its own session.
+    pub fn session(&self) -> u64 {
+        self.session
+    }
+
     /// Sequence of the next frame to be sent.
     pub fn next_sequence(&self) -> u64 {
         self.next_sequence

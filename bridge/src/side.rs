@@ -5,7 +5,7 @@ use crate::{
     coupling::{CouplingError, FrameMap},
     endpoint::{MasterEndpoint, SlaveEndpoint},
     fault_text::FaultText,
-    ladder::{Clutch, ClutchError, FlightRecorder, LadderState, Person},
+    ladder::{Button, Clutch, ClutchError, FlightRecorder, LadderState, Person},
     link::{LinkStatistics, Refusal},
     path::PathReport,
     plant::{MasterPlant, SlavePlant},
@@ -103,8 +103,11 @@ pub trait Side {
     /// The last states and commands.
     fn flight(&self) -> &FlightRecorder;
 
-    /// A person lets go of the clutch and presses it again; nothing at a side without one.
+    /// A person lets go of the clutch and presses it again; nothing at a side without one, or whose device has a button.
     fn press_again(&mut self) {}
+
+    /// The start was too long ago to be a press of the clutch; nothing at a side without one. After `begin`.
+    fn let_go(&mut self) {}
 
     /// A person at this side acts, at `now_ns`. What the other side has is passed over; numbers that cannot be change
     /// nothing.
@@ -122,12 +125,13 @@ pub struct MasterSide<P, const N: usize> {
     pub endpoint: MasterEndpoint<N>,
     /// Who presses the clutch of a device that has no button.
     pub person: Person,
+    button: Button,
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// A side whose clutch is worked by a person.
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
-        Ok(Self { plant, endpoint, person: Person::new(clutch)? })
+        Ok(Self { plant, endpoint, person: Person::new(clutch)?, button: Button::default() })
     }
 }
 
@@ -151,8 +155,11 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     fn tick(&mut self, time: TickTime) -> MasterRecord<N> {
         let (position, velocity) = self.plant.read(time.now_ns);
         let exchange = self.endpoint.exchange();
-        let clutch = match self.plant.clutch() {
-            Some(button) => button,
+        let clutch = match self.button.at(time.now_ns, self.plant.clutch()) {
+            Some(button) => {
+                self.person.forget();
+                button
+            }
             None => self.person.at(time.now_ns, exchange.state(), exchange.is_ready()),
         };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &position, velocity.as_ref(), clutch);
@@ -171,6 +178,8 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn stalled(&mut self, now_ns: u64) {
         self.endpoint.stalled(now_ns);
+        self.person.forget();
+        self.button.stalled();
     }
 
     fn device_failed(&mut self) {
@@ -212,6 +221,10 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn press_again(&mut self) {
         self.person.press_again();
+    }
+
+    fn let_go(&mut self) {
+        self.person.let_go();
     }
 
     fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {

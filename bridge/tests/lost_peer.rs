@@ -513,3 +513,188 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
         }
     }
 }
+
+/// A link of 30 ms each way that drops what is sent, or keeps it until it is back, while it is `cut`; a person who presses
+/// the clutch anew at `presses`; and a slave that is started anew at `restarts`. The states of both sides at each tick.
+fn run_delayed(
+    ticks: u64,
+    cut: std::ops::Range<u64>,
+    keeps: bool,
+    presses: &[u64],
+    restarts: Option<u64>,
+) -> Vec<[LadderState; 2]> {
+    const DELAY: u64 = 30;
+    let (mut master, mut slave) = sides();
+    let mut under_way: [VecDeque<(u64, Vec<u8>)>; 2] = Default::default();
+    let mut buffer = [0; MAX_FRAME];
+    let mut history = Vec::new();
+    for tick in 0..ticks {
+        let now_ns = tick * MS;
+        if restarts == Some(tick) {
+            slave.endpoint = SlaveEndpoint::new(&slave_settings(3)).unwrap();
+        }
+        if presses.contains(&tick) {
+            master.press_again();
+        }
+        let due_at = |sent: u64| if cut.contains(&sent) { cut.end + DELAY } else { sent + DELAY };
+        for (from, frames) in under_way.iter_mut().enumerate() {
+            while frames.front().is_some_and(|(sent, _)| due_at(*sent) <= tick) {
+                let (sent, frame) = frames.pop_front().unwrap();
+                if keeps || !cut.contains(&sent) {
+                    // Of a session that is over it is refused.
+                    let _ = if from == 0 {
+                        slave.receive(now_ns, &frame)
+                    } else {
+                        master.receive(now_ns, &frame)
+                    };
+                }
+            }
+        }
+        let near = master.tick(TickTime::at(now_ns)).state;
+        under_way[0].push_back((tick, master.send(now_ns, &mut buffer).to_vec()));
+        let far = slave.tick(TickTime::at(now_ns)).state;
+        under_way[1].push_back((tick, slave.send(now_ns, &mut buffer).to_vec()));
+        history.push([near, far]);
+    }
+    history
+}
+
+fn engagements(history: &[[LadderState; 2]]) -> usize {
+    history.windows(2).filter(|pair| !pair[0][0].is_coupled() && pair[1][0].is_coupled()).count()
+}
+
+/// Held by an outage, pressed at 3 s, and cut so that the slave sees the release and not the press: when the link is back
+/// after 20 s, nothing but another press couples the two.
+#[test]
+fn a_press_that_the_slave_did_not_see_couples_nothing_when_the_link_is_back() {
+    use LadderState::{Aligning, Disengaged, Engaged, Stop};
+    let held = |tick: u64| (1000..1600).contains(&tick);
+    let history = run_delayed(2000, 1000..1600, false, &[], None);
+    assert!(held(1599) && history[1999] == [Stop; 2]);
+    for keeps in [false, true] {
+        for restarts in [None, Some(15_000)] {
+            // Held by the restart of the link at 1 s: the first outage is made by hand here.
+            let mut presses = vec![2000];
+            let cut = 2100 - 15..22_000;
+            let history = run_delayed(26_000, cut.clone(), keeps, &presses, restarts);
+            let what = format!("keeps {keeps}, restarts {restarts:?}");
+            assert_eq!(history[1999], [Engaged; 2], "{what}");
+            assert_eq!(history[2090][1], Disengaged, "{what}: the slave saw the release");
+            assert_eq!(history[2101][0], Aligning, "{what}");
+            assert!(history[2101 + 250..].iter().all(|sides| sides[0] == Disengaged), "{what}");
+            let coupled = history[2101..].iter().any(|sides| sides[1].is_coupled());
+            assert!(!coupled, "{what}: the slave engaged by an old press");
+            presses.push(24_000);
+            let history = run_delayed(26_000, cut, keeps, &presses, restarts);
+            assert_eq!(history[23_999][0], Disengaged, "{what}");
+            assert_eq!(history[25_999], [Engaged; 2], "{what}: a new press");
+            assert_eq!(engagements(&history), 2, "{what}");
+        }
+    }
+}
+
+/// The same with the press out of HOLD, as of a person who waits until the link is good again.
+#[test]
+fn a_press_out_of_hold_ends_with_the_link() {
+    use LadderState::{Aligning, Disengaged, Engaged, Hold};
+    // The arm's loop is late for a moment: both hold.
+    let (mut master, mut slave) = sides();
+    let mut under_way: [VecDeque<(u64, Vec<u8>)>; 2] = Default::default();
+    let mut buffer = [0; MAX_FRAME];
+    let mut states = Vec::new();
+    for tick in 0..25_000_u64 {
+        let now_ns = tick * MS;
+        match tick {
+            1000 => slave.stalled(now_ns),
+            2000 => master.press_again(),
+            _ => {}
+        }
+        for (from, frames) in under_way.iter_mut().enumerate() {
+            while frames.front().is_some_and(|(sent, _)| sent + 30 <= tick) {
+                let (sent, frame) = frames.pop_front().unwrap();
+                if !(2085..22_000).contains(&sent) {
+                    if from == 0 { slave.receive(now_ns, &frame) } else { master.receive(now_ns, &frame) }
+                        .unwrap();
+                }
+            }
+        }
+        let near = master.tick(TickTime::at(now_ns)).state;
+        under_way[0].push_back((tick, master.send(now_ns, &mut buffer).to_vec()));
+        let far = slave.tick(TickTime::at(now_ns)).state;
+        under_way[1].push_back((tick, slave.send(now_ns, &mut buffer).to_vec()));
+        states.push([near, far]);
+    }
+    assert_eq!(states[999], [Engaged; 2]);
+    assert_eq!(states[1999], [Hold; 2]);
+    assert_eq!(states[2110][0], Aligning);
+    assert!(states[2400..].iter().all(|sides| sides[0] == Disengaged), "{:?}", states.last());
+    assert!(states[2000..].iter().all(|sides| !sides[1].is_coupled()));
+}
+
+/// A master that is started long before its slave asks for another press; one that is started just before does not.
+#[test]
+fn a_start_is_a_press_for_as_long_as_any_is() {
+    use LadderState::{Aligning, Disengaged, Engaged};
+    for (late, presses, expected) in
+        [(4000, vec![], Engaged), (60_000, vec![], Disengaged), (60_000, vec![61_000], Engaged)]
+    {
+        let (mut master, mut slave) = sides();
+        let mut buffer = [0; MAX_FRAME];
+        let mut state = Disengaged;
+        for tick in 0..late + 2000 {
+            let now_ns = tick * MS;
+            if presses.contains(&tick) {
+                master.press_again();
+            }
+            state = master.tick(TickTime::at(now_ns)).state;
+            assert_eq!(
+                state == Aligning && tick < late,
+                tick < late.min(5000),
+                "{late} at {tick}: {state:?}"
+            );
+            let frame = master.send(now_ns, &mut buffer);
+            if tick >= late {
+                slave.receive(now_ns, frame).unwrap();
+                slave.tick(TickTime::at(now_ns));
+                master.receive(now_ns, slave.send(now_ns, &mut buffer)).unwrap();
+            }
+        }
+        assert_eq!(state, expected, "{late} {presses:?}");
+    }
+}
+
+/// A slave that is started anew while the master aligns, with a silence that is no stop: its first frame ends the press.
+#[test]
+fn a_slave_that_is_started_anew_while_the_master_aligns_ends_the_press() {
+    use LadderState::{Aligning, Disengaged, Engaged};
+    let (mut master, mut slave) = sides();
+    // It has seen a fault, and takes up no press.
+    slave.endpoint.device_failed();
+    let mut buffer = [0; MAX_FRAME];
+    let mut states = Vec::new();
+    for tick in 0..4000_u64 {
+        let now_ns = tick * MS;
+        if tick == 10 {
+            slave.endpoint.acknowledge(now_ns);
+        }
+        if tick == 1000 {
+            slave.endpoint = SlaveEndpoint::new(&slave_settings(3)).unwrap();
+        }
+        if tick == 20 || tick == 3000 {
+            master.press_again();
+        }
+        states.push(master.tick(TickTime::at(now_ns)).state);
+        let frame = master.send(now_ns, &mut buffer);
+        // The old one sees no release.
+        if !(20..1000).contains(&tick) {
+            slave.receive(now_ns, frame).unwrap();
+        }
+        slave.tick(TickTime::at(now_ns));
+        if !(1000..1201).contains(&tick) {
+            master.receive(now_ns, slave.send(now_ns, &mut buffer)).unwrap();
+        }
+    }
+    assert_eq!(states[999], Aligning);
+    assert!(states[1300..3000].iter().all(|state| *state == Disengaged), "{:?}", states[1300]);
+    assert_eq!(states[3999], Engaged);
+}

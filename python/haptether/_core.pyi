@@ -2110,8 +2110,8 @@ class LadderSettings:
     """Times of the ladder. Ages count from the one that the link has when nothing is wrong.
 
     Args:
-        stale_after_s: Over the expected age to STALE, in s, above 0 and at most 1.
-        hold_after_s: Over the expected age to HOLD, in s, above `stale_after_s` and at most 2.
+        stale_after_s: Over the expected age to STALE, in s, above 0 and at most 0.1.
+        hold_after_s: Over the expected age to HOLD, in s, above `stale_after_s` and at most 0.1.
         stop_after_s: Over the expected age to STOP, in s, above `hold_after_s` and at most 10.
         extrapolate_s: In STALE until the velocity of the slave has decayed to zero, in s, at most 0.02 and at most
             `hold_after_s - stale_after_s`.
@@ -2306,7 +2306,10 @@ class LiveMaster:
         """
 
     def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
+        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side.
+
+        Void if the loop does not come to it within 0.25 s, or was late within 0.25 s before.
+        """
 
     def set_force_scale(self, scale: float) -> None:
         """Changes lambda_f from the next tick on; the limiter says how fast the force follows.
@@ -2459,6 +2462,9 @@ class MasterLoop:
         key: The 32 bytes that both sides share, of `read_key`.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
+        clutch: Of a device without a button: "once" is pressed by the start, if the device opens within 5 s, and anew by
+            `press_clutch` only; "auto" also by a simulated person, 0.5 s (or the operator's reaction) after each hold.
+            The scene's operator has no say.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
         keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
@@ -2471,7 +2477,8 @@ class MasterLoop:
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
-            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
+            `insecure`, both, no such real time or clutch, or a scene without a [slave] and a [coupling], or
+            with times at which its operator presses.
         OSError: An address or a file that cannot be used.
     """
 
@@ -2484,6 +2491,7 @@ class MasterLoop:
         key: bytes | None = None,
         insecure: bool = False,
         listen: str | None = None,
+        clutch: Literal["once", "auto"] = "once",
         duration_s: float | None = None,
         patience_s: float | None = None,
         keep_s: float = 600.0,
@@ -2515,7 +2523,7 @@ class MasterLoop:
         Args:
             position: x in m, a number for one axis or shape `(axes,)`.
             velocity: V in m/s from a device that measures it, at every sample or at none.
-            clutch: Whether it is pressed, from a device with a button; else the scene's person works it.
+            clutch: Whether it is pressed, from a device with a button; none without one.
             fault: What the device says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
 
         Returns:
@@ -2587,7 +2595,10 @@ class MasterLoop:
         """
 
     def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side."""
+        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side.
+
+        Void if the loop does not come to it within 0.25 s, or was late within 0.25 s before.
+        """
 
     def set_force_scale(self, scale: float) -> None:
         """Changes lambda_f from the next tick on; the limiter says how fast the force follows.

@@ -113,6 +113,7 @@ impl PyLadderSettings {
             extrapolate_ns: nanoseconds("extrapolate_s", extrapolate_s)?,
             fade_out_ns: nanoseconds("fade_out_s", fade_out_s)?,
             fade_in_ns: nanoseconds("fade_in_s", fade_in_s)?,
+            ..LadderSettings::default()
         };
         inner.check().map_err(refuse)?;
         Ok(Self { inner })

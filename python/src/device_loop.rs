@@ -12,7 +12,7 @@ use haptether_bridge::{
 };
 use haptether_safety::Axes;
 use pyo3::{
-    exceptions::{PyRuntimeError, PyTypeError},
+    exceptions::{PyRuntimeError, PyTypeError, PyValueError},
     prelude::*,
     types::{PyString, PyTuple},
 };
@@ -269,8 +269,8 @@ pub(crate) struct MasterLoop {
 #[pymethods]
 impl MasterLoop {
     #[new]
-    #[pyo3(signature = (scene, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
-        patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
+    #[pyo3(signature = (scene, *, peer, session, key=None, insecure=false, listen=None, clutch="once",
+        duration_s=None, patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         scene: &[u8],
@@ -279,6 +279,7 @@ impl MasterLoop {
         key: Option<&Bound<'_, PyAny>>,
         insecure: bool,
         listen: Option<&str>,
+        clutch: &str,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
         keep_s: f64,
@@ -289,6 +290,14 @@ impl MasterLoop {
         min_free_bytes: u64,
     ) -> PyResult<Self> {
         let scene = scene_spec(scene)?;
+        let simulated_clutch = match clutch {
+            "once" => false,
+            "auto" => true,
+            _ => {
+                let text = format!("clutch = {clutch:?}: must be \"once\" or \"auto\"");
+                return Err(PyValueError::new_err(text));
+            }
+        };
         let how = How {
             security: security(key, insecure)?,
             period_ns: live_periods(&scene)?[0],
@@ -299,7 +308,7 @@ impl MasterLoop {
             record: recorder_settings(record, min_free_bytes, insecure),
         };
         of_axes!(scene.master.axes, N => {
-            let side = driven_master::<N>(&scene, session).map_err(refuse)?;
+            let side = driven_master::<N>(&scene, session, simulated_clutch).map_err(refuse)?;
             let (turns, watch) = prepare(side, Place::of_master(peer, listen, how)?)?;
             Ok(Self { turns: Mutex::new(Box::new(turns)), watch: Mutex::new(watch) })
         })

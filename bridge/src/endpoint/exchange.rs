@@ -5,8 +5,8 @@ use haptether_safety::{Axes, Fault};
 use crate::{
     fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
-        Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInput,
-        LadderSettings, LadderState, Observed, PeerCause, PeerReport, Reason, Transition,
+        Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInputs,
+        LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason, Transition,
     },
     link::{FrameLink, LinkStatistics, PortState, Refusal, Status},
     path::PathReport,
@@ -29,10 +29,7 @@ pub struct Exchange<const N: usize> {
     counted: (u64, u64),
     /// Its own, which stands for the peer's until that is known.
     period_ns: u64,
-    /// The clutch as of the last tick.
-    clutch: bool,
-    /// Holds that were seen, and the sequence of a frame of this side that tells of the last one.
-    told: (u64, u64),
+    inputs: LadderInputs,
     flight: Box<FlightRecorder>,
     /// Code of this side's fault, 0 without, and the driver's words on it.
     fault: u8,
@@ -43,8 +40,6 @@ pub struct Exchange<const N: usize> {
     heard: HeardText,
     /// Why the peer last held.
     peer_held: u8,
-    /// Sequence of the first frame that tells of the last alignment.
-    aligned: u64,
     /// This side ends: its frames say so.
     ending: bool,
     /// The peer has ended, by its last frames or by releasing its session.
@@ -72,15 +67,13 @@ impl<const N: usize> Exchange<N> {
             first_interval_ns: None,
             counted: (0, 0),
             period_ns,
-            clutch: false,
-            told: (0, 0),
+            inputs: LadderInputs::new(role),
             flight: Box::new(FlightRecorder::new(role.name())),
             fault: 0,
             spoken: SpokenText::default(),
             failing: None,
             heard: HeardText::default(),
             peer_held: 0,
-            aligned: 0,
             ending: false,
             peer_ended: false,
         })
@@ -93,6 +86,7 @@ impl<const N: usize> Exchange<N> {
 
     /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
     pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
+        let is_known = self.newest().is_some();
         let begins = self.link.receive(now_ns, datagram)?;
         let Some(&frame) = self.link.newest() else { return Ok(begins) };
         let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);
@@ -107,9 +101,11 @@ impl<const N: usize> Exchange<N> {
         if begins {
             (self.interval_ns, self.first_interval_ns) = (None, None);
             self.counted = (sequence, sent_ns);
-            // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled again
-            // by what arrives from the network.
-            self.ladder.new_session(now_ns, self.role == Role::Slave);
+            if is_known {
+                // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled
+                // again by what arrives from the network.
+                self.ladder.new_session(now_ns, self.role == Role::Slave);
+            }
         } else if sequence > self.counted.0 {
             // By the peer's own clock and count: neither jitter nor loss is in it.
             let frames = sequence - self.counted.0;
@@ -126,47 +122,31 @@ impl<const N: usize> Exchange<N> {
 
     /// Steps the ladder; `clutch` is the master's button. Gives the state and the silence of the peer in ns.
     pub(super) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
-        if self.told.0 != self.ladder.holds() {
-            self.told = (self.ladder.holds(), self.link.next_sequence());
-        }
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
-        let newest = self.link.newest();
-        let peer = newest.map(|frame| PeerReport {
-            // A state that this version does not know is none to be coupled with.
-            state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
-            hears: self.link.is_heard(),
-            answers: self.link.is_heard() && frame.echo.is_some_and(|echo| echo.sequence >= self.told.1),
-        });
-        let (clutch, asks) = match self.role {
-            Role::Master => (clutch, clutch && !self.clutch),
-            Role::Slave => {
-                let closed = newest.is_some_and(|frame| frame.clutch);
-                let aligns =
-                    peer.is_some_and(|peer| peer.state.is_coupled() || peer.state == LadderState::Aligning);
-                let most_ns = self.ladder.settings().hold_after_ns + expected_age_ns;
-                (closed, closed && aligns && age_ns.is_some_and(|age| age <= most_ns))
+        let hears = self.link.is_heard();
+        let newest = self.newest().map(|frame| {
+            // An echo of another session says nothing of this one.
+            let echo = frame.echo.filter(|echo| echo.session == self.link.session());
+            PeerFrame {
+                // A state that this version does not know is none to be coupled with.
+                state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
+                clutch: frame.clutch,
+                hears,
+                echo: echo.map(|echo| echo.sequence),
+                echo_age_ns: echo.map(|echo| now_ns.saturating_sub(echo.sent_ns)),
             }
-        };
-        self.clutch = clutch;
+        });
         // On arrival an age is what the link is used to; until the next frame it grows by what silence may.
         let over = self.link.path().over_usual_ns(now_ns);
         let over_usual_ns = over.map(|over| over.saturating_sub(expected_age_ns));
-        let (before, ended) = (self.ladder.state(), self.peer_ended);
-        let left = clutch
-            && before.is_coupled()
-            && newest.is_some_and(|frame| {
-                let has_seen = frame.echo.is_some_and(|echo| echo.sequence >= self.aligned);
-                frame.state == LadderState::Disengaged.code() && self.link.is_heard() && has_seen
-            });
-        if left {
-            self.peer_held = newest.map_or(0, |frame| frame.reason);
-        }
-        let input = LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, asks, ended, left };
-        let state = self.ladder.step(now_ns, &input);
-        let aligns = |state: LadderState| state.is_coupled() || state == LadderState::Aligning;
-        if aligns(state) && !aligns(before) {
-            self.aligned = self.link.next_sequence();
+        let next_sequence = self.link.next_sequence();
+        let ended = self.peer_ended;
+        let view = LinkView { age_ns, expected_age_ns, over_usual_ns, newest, next_sequence, ended };
+        let before = self.ladder.state();
+        let state = self.inputs.step(&mut self.ladder, now_ns, clutch, &view);
+        if state == LadderState::Hold && self.ladder.history().cause() == Some(Reason::PeerDisengaged) {
+            self.peer_held = self.newest().map_or(self.peer_held, |frame| frame.reason);
         }
         if state.is_coupled() && !before.is_coupled() {
             self.link.anchor();
@@ -181,7 +161,7 @@ impl<const N: usize> Exchange<N> {
             state: self.ladder.state(),
             peer: self.newest().and_then(|frame| LadderState::from_code(frame.state)),
             age_ns: self.link.age_ns(now_ns),
-            clutch: self.clutch,
+            clutch: self.inputs.clutch(),
             gain: self.ladder.gain(),
             observed,
             values: FlightValues::new(values),
@@ -194,7 +174,7 @@ impl<const N: usize> Exchange<N> {
         let (state, newest) = (self.ladder.state(), self.newest());
         let stands = |frame: &Frame<N>| LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
         let peer_failed = newest.is_some_and(|frame| stands(frame) == LadderState::Fault);
-        if !(state.is_held() || peer_failed || self.peer_ended) {
+        if !(state.is_held() || peer_failed || self.peer_ended || self.ladder.is_unanswered()) {
             return None;
         }
         Some(Diagnosis {
@@ -261,7 +241,7 @@ impl<const N: usize> Exchange<N> {
         let status = Status {
             state: state.code(),
             hears_peer: self.ladder.hears_peer(),
-            clutch: self.clutch && self.role == Role::Master && !self.ending,
+            clutch: self.inputs.clutch() && self.role == Role::Master && !self.ending,
             ending: self.ending,
             reason: self.ladder.history().cause().map_or(0, Reason::code),
             fault: self.fault,
@@ -299,7 +279,7 @@ impl<const N: usize> Exchange<N> {
 
     /// Whether the clutch was closed at the last tick.
     pub fn clutch(&self) -> bool {
-        self.clutch
+        self.inputs.clutch()
     }
 
     /// The last step of the ladder.

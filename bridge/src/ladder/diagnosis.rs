@@ -165,6 +165,10 @@ impl Diagnosis {
     fn hold(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
         match self.reason {
             Some(Reason::PeerHolds | Reason::PeerStopped | Reason::PeerFaulted) => self.peer_hold(own, other),
+            Some(Reason::PeerDisengaged) => self.peer_left(own, other),
+            Some(Reason::AlignTimedOut) => {
+                (other, format!("the {other} did not answer the press of the clutch in time"))
+            }
             Some(Reason::OwnDelay) => (own, format!("the {own}'s own loop was late")),
             Some(Reason::PeerRestarted) => (other, format!("the {other} was started anew")),
             Some(Reason::PeerSilent | Reason::SilentTooLong) => (LINK, format!("the {other} fell silent")),
@@ -177,12 +181,19 @@ impl Diagnosis {
         }
     }
 
+    /// The peer is disengaged while this side is coupled.
+    fn peer_left(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
+        match self.peer.and_then(|peer| Reason::from_code(peer.reason)) {
+            Some(Reason::PeerEnded) => (LINK, format!("the {other} took the {own} for ended")),
+            _ => (other, format!("the {other} is disengaged")),
+        }
+    }
+
     fn peer_hold(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
         let code = self.peer.map_or(0, |peer| peer.reason);
         match Reason::from_code(code) {
             Some(Reason::BadNumber) => (other, format!("the {other} had a fault")),
             Some(Reason::OwnDelay) => (other, format!("the {other} held: its own loop was late")),
-            Some(Reason::PeerEnded) => (LINK, format!("the {other} took the {own} for ended")),
             Some(Reason::PeerRestarted) => (other, format!("the {other} held: the {own} was started anew")),
             Some(Reason::PeerSilent | Reason::SilentTooLong) => {
                 (LINK, format!("the {other} held: the {own} fell silent there"))
@@ -344,6 +355,28 @@ mod tests {
                 },
                 "slave",
                 "the slave held for a reason that this version does not know, code 200",
+                vec![("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    reason: Some(Reason::PeerDisengaged),
+                    peer: peer(LadderState::Disengaged, Reason::PeerEnded.code(), 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "link",
+                "the slave took the master for ended",
+                vec![("link", Wait), ("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    state: LadderState::Disengaged,
+                    reason: Some(Reason::AlignTimedOut),
+                    silent: false,
+                    ..HELD
+                },
+                "slave",
+                "the slave did not answer the press of the clutch in time",
                 vec![("master", Press)],
             ),
             (

@@ -2,44 +2,11 @@
 
 use super::{
     history::{History, Transition},
+    input::LadderInput,
     settings::{LadderError, LadderSettings},
     state::LadderState,
     table::{Facts, Reason, next},
 };
-
-/// What the newest frame of the peer says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PeerReport {
-    /// Where the peer stands.
-    pub state: LadderState,
-    /// Whether it hears this very side.
-    pub hears: bool,
-    /// Whether it knew of this side's last hold when it sent that frame. What it said before says nothing of a press
-    /// or release after the hold began.
-    pub answers: bool,
-}
-
-/// What one tick tells the ladder.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LadderInput {
-    /// Age in ns of the newest that is known of the peer; none before its first frame.
-    pub age_ns: Option<u64>,
-    /// Age in ns that the link has when nothing is wrong: silence counts from there.
-    pub expected_age_ns: u64,
-    /// By how much in ns the newest may be older than the link is used to; none until that is known.
-    pub over_usual_ns: Option<u64>,
-    /// What the newest frame says.
-    pub peer: Option<PeerReport>,
-    /// Whether the clutch is closed: at the master the button, at the slave what the master's frame says of it.
-    pub clutch: bool,
-    /// Whether that is an act at this tick: at the master the edge of the button, at the slave a master that aligns.
-    pub asks: bool,
-    /// Whether the peer has ended in good order.
-    pub ended: bool,
-    /// Whether the peer follows no more, though it has seen this side align and no release since: it took this side for
-    /// ended.
-    pub left: bool,
-}
 
 /// The ladder of one endpoint: a pure function of what it is told and when.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,9 +23,13 @@ pub struct Ladder {
     excess_ns: Option<u64>,
     /// Until when this side itself was blind.
     blind_until_ns: Option<u64>,
-    /// Whether the clutch was seen open since the last hold began, or the last fault ended.
+    /// Whether the clutch was seen open since the last hold began, a press ended unanswered, or the last fault ended.
     opened: bool,
+    /// When ALIGNING began, in ns.
+    aligning_ns: u64,
     holds: u64,
+    /// How often a release became necessary.
+    closings: u64,
     history: History,
 }
 
@@ -77,7 +48,9 @@ impl Ladder {
             excess_ns: None,
             blind_until_ns: None,
             opened: true,
+            aligning_ns: 0,
             holds: 0,
+            closings: 0,
             history: History::default(),
         })
     }
@@ -92,7 +65,7 @@ impl Ladder {
 
     /// What is the case.
     fn facts(&mut self, now_ns: u64, input: &LadderInput) -> Facts {
-        let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, .. } = self.settings;
+        let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
         let silent = self.excess_ns.is_none_or(|excess| excess > hold_after_ns);
         let old = input.over_usual_ns.is_some_and(|over| over > hold_after_ns);
@@ -111,17 +84,23 @@ impl Ladder {
             self.last_sound_ns = Some(now_ns);
         }
         let unsound_ns = now_ns.saturating_sub(self.last_sound_ns.unwrap_or(now_ns));
-        let silent_ns = if sound { self.excess_ns.unwrap_or(unsound_ns) } else { unsound_ns };
+        let aligning = self.state == LadderState::Aligning;
+        let silent_ns = match self.excess_ns {
+            Some(excess) if sound || aligning => excess,
+            // A press at the start waits for the peer's first frame as long as any press does.
+            None if aligning => 0,
+            _ => unsound_ns,
+        };
 
         let held = matches!(self.state, LadderState::Hold | LadderState::Stop);
-        self.opened |= !input.clutch && (answered || !held);
+        self.opened |= !input.clutch && (answered || !(held || input.needs_answer));
         self.ready = both_hear && !stands(LadderState::Fault) && (answered || !held);
         let pressed = input.asks && self.opened && (self.ready || !held);
-        let aligned = peer.is_some_and(|peer| peer.state.is_coupled() || peer.state == LadderState::Aligning);
+        let aligned = peer.is_some_and(|peer| peer.is_current && peer.state.is_aligned());
         Facts::default()
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard)
-            .with(Reason::PeerHolds, stands(LadderState::Hold) || input.left)
+            .with(Reason::PeerHolds, stands(LadderState::Hold))
             .with(Reason::PeerStopped, stands(LadderState::Stop))
             .with(Reason::PeerFaulted, stands(LadderState::Fault))
             .with(Reason::PeerEnded, input.ended)
@@ -133,6 +112,8 @@ impl Ladder {
             .with(Reason::FramesLate, self.excess_ns.is_some_and(|excess| excess > stale_after_ns))
             .with(Reason::FramesBack, self.excess_ns.is_some_and(|excess| excess <= stale_after_ns))
             .with(Reason::SilentTooLong, silent_ns > stop_after_ns)
+            .with(Reason::AlignTimedOut, aligning && now_ns.saturating_sub(self.aligning_ns) >= align_ns)
+            .with(Reason::PeerDisengaged, stands(LadderState::Disengaged) && input.clutch)
     }
 
     /// Goes where the facts lead, as far as they do. Each leads one step only, so this ends.
@@ -142,18 +123,25 @@ impl Ladder {
             if row.to == LadderState::Hold {
                 self.holds += 1;
             }
-            if matches!(row.to, LadderState::Hold | LadderState::Fault) {
+            if row.to == LadderState::Aligning {
+                self.aligning_ns = now_ns;
+                // What was too long in the state before is not so in this one.
+                facts = facts.without(Reason::SilentTooLong);
+            }
+            let is_unanswered = row.from == LadderState::Aligning
+                && row.to == LadderState::Disengaged
+                && row.reason != Reason::ClutchReleased;
+            let is_held = matches!(row.to, LadderState::Hold | LadderState::Fault);
+            // Another peer must not be coupled with by a clutch that waits, pressed.
+            let is_ended = row.reason == Reason::PeerEnded;
+            // Whoever says that a fault is mended must not be surprised by a clutch that waits, pressed.
+            if is_held || is_unanswered || is_ended || row.from == LadderState::Fault {
                 self.opened = false;
+                self.closings += 1;
+            }
+            if is_held || is_unanswered || is_ended {
                 // A press at the very tick at which a hold begins is none that answers it.
                 facts = facts.without(Reason::ClutchPressed);
-            }
-            if row.reason == Reason::PeerEnded {
-                // Another one must not be coupled with by a clutch that waits, pressed.
-                self.opened = false;
-            }
-            if row.from == LadderState::Fault {
-                // Whoever says that a fault is mended must not be surprised by a clutch that waits, pressed.
-                self.opened = false;
             }
             self.history.push(Transition { time_ns: now_ns, from: row.from, to: row.to, reason: row.reason });
             self.state = row.to;
@@ -232,6 +220,19 @@ impl Ladder {
         self.holds
     }
 
+    /// How often a release became necessary, by a hold, a fault or a press that ended unanswered.
+    pub fn closings(&self) -> u64 {
+        self.closings
+    }
+
+    /// Whether a press has ended without the two being coupled, and no other was made since.
+    pub fn is_unanswered(&self) -> bool {
+        self.history.last().is_some_and(|last| {
+            (last.from, last.to) == (LadderState::Aligning, LadderState::Disengaged)
+                && last.reason != Reason::ClutchReleased
+        })
+    }
+
     /// For how long in ns it has stood in STALE by the age of the newest frame; 0 unless it does.
     pub fn stale_ns(&self) -> u64 {
         match (self.state, self.excess_ns) {
@@ -251,6 +252,9 @@ impl Ladder {
     }
 }
 
+#[cfg(test)]
+#[path = "pair_search.rs"]
+mod pair_search;
 #[cfg(test)]
 #[path = "machine_tests.rs"]
 mod tests;

@@ -1,4 +1,5 @@
 use super::*;
+use crate::{LadderInput, PeerReport};
 use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
 use proptest::prelude::*;
 
@@ -10,11 +11,11 @@ fn sound(age: u64) -> LadderInput {
         age_ns: Some(age * MS),
         expected_age_ns: MS,
         over_usual_ns: Some(0),
-        peer: Some(PeerReport { state: Engaged, hears: true, answers: true }),
+        peer: Some(PeerReport { state: Engaged, hears: true, answers: true, is_current: true }),
         clutch: true,
+        needs_answer: false,
         asks: false,
         ended: false,
-        left: false,
     }
 }
 
@@ -81,12 +82,13 @@ fn a_long_way_is_no_silence() {
 
 #[test]
 fn what_a_peer_says_holds_this_side() {
-    let report = PeerReport { state: Engaged, hears: true, answers: true };
+    let report = PeerReport { state: Engaged, hears: true, answers: true, is_current: true };
     for (peer, reason) in [
         (PeerReport { hears: false, ..report }, Reason::PeerDeaf),
         (PeerReport { state: Hold, ..report }, Reason::PeerHolds),
         (PeerReport { state: Stop, ..report }, Reason::PeerStopped),
         (PeerReport { state: Fault, ..report }, Reason::PeerFaulted),
+        (PeerReport { state: Disengaged, ..report }, Reason::PeerDisengaged),
     ] {
         let mut ladder = engaged();
         let input = LadderInput { peer: Some(peer), ..sound(1) };
@@ -96,7 +98,8 @@ fn what_a_peer_says_holds_this_side() {
         for now in 302..600 {
             ladder.step(now * MS, &input);
         }
-        assert_eq!(ladder.state(), if peer.state == Hold { Hold } else { Stop }, "{reason:?}");
+        let stays = peer.hears && matches!(peer.state, Hold | Disengaged);
+        assert_eq!(ladder.state(), if stays { Hold } else { Stop }, "{reason:?}");
     }
     let mut ladder = engaged();
     ladder.step(301 * MS, &LadderInput { peer: None, age_ns: None, ..sound(1) });
@@ -125,8 +128,8 @@ fn old_news_holds_until_a_press_at_the_new_age() {
 #[test]
 fn only_a_press_after_a_release_engages_again() {
     let open = LadderInput { clutch: false, ..sound(1) };
-    let deaf = PeerReport { state: Hold, hears: false, answers: true };
-    let unaware = PeerReport { state: Engaged, hears: true, answers: false };
+    let deaf = PeerReport { state: Hold, hears: false, answers: true, is_current: true };
+    let unaware = PeerReport { state: Engaged, hears: true, answers: false, is_current: true };
     for (held_for, state) in [(30, Hold), (400, Stop)] {
         for (name, inputs, engages) in [
             ("the link is back", vec![sound(1)], false),
@@ -183,18 +186,110 @@ fn a_released_clutch_moves_the_master_alone_and_a_press_engages_it_again() {
     assert!(ladder.gain() <= 1.0 / 200.0 + 1e-12, "it fades in from zero");
 }
 
+const ALONE: LadderInput = LadderInput {
+    age_ns: None,
+    expected_age_ns: MS,
+    over_usual_ns: None,
+    peer: None,
+    clutch: true,
+    needs_answer: false,
+    asks: false,
+    ended: false,
+};
+
 #[test]
-fn a_press_before_there_is_a_peer_waits() {
+fn a_press_before_there_is_a_peer_waits_for_its_time() {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
-    let alone = LadderInput { clutch: true, asks: true, ..LadderInput::default() };
-    assert_eq!(ladder.step(0, &alone), Aligning);
+    assert_eq!(ladder.step(0, &LadderInput { asks: true, ..ALONE }), Aligning);
     for now in 1..1000 {
-        assert_eq!(ladder.step(now * MS, &LadderInput { asks: false, ..alone }), Aligning);
+        assert_eq!(ladder.step(now * MS, &ALONE), Aligning);
     }
-    let idle = PeerReport { state: Disengaged, hears: true, answers: true };
+    let idle = PeerReport { state: Disengaged, hears: true, answers: true, is_current: true };
     ladder.step(1000 * MS, &LadderInput { peer: Some(idle), ..sound(1) });
     assert_eq!(ladder.state(), Aligning, "the peer has not seen the press");
-    assert_eq!(ladder.step(1001 * MS, &sound(1)), Engaged);
+    let stale = PeerReport { state: Engaged, is_current: false, ..idle };
+    ladder.step(1001 * MS, &LadderInput { peer: Some(stale), ..sound(1) });
+    assert_eq!(ladder.state(), Aligning, "what the peer says is of before the press");
+    assert_eq!(ladder.step(1002 * MS, &sound(1)), Engaged);
+}
+
+/// ALIGNING, from 100 ms on, with a peer that has not seen the press.
+fn aligning() -> Ladder {
+    let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+    ladder.step(100 * MS, &LadderInput { asks: true, ..waiting(1) });
+    assert_eq!(ladder.state(), Aligning);
+    ladder
+}
+
+fn waiting(age: u64) -> LadderInput {
+    let peer = PeerReport { state: Disengaged, hears: true, answers: true, is_current: true };
+    LadderInput { peer: Some(peer), ..sound(age) }
+}
+
+/// What a press that waits ends by, when, and that nothing but a release and a press after it couples.
+#[test]
+fn a_press_that_is_not_answered_ends_and_counts_no_more() {
+    let faulty = PeerReport { state: Fault, hears: true, answers: true, is_current: true };
+    type Input = fn(u64) -> LadderInput;
+    let cases: [(&str, Input, u64, Reason); 4] = [
+        ("nobody there", |_| ALONE, 5100, Reason::AlignTimedOut),
+        ("a peer that does not align", |_| waiting(1), 5100, Reason::AlignTimedOut),
+        ("a link that was cut", |now| waiting(now - 99), 301, Reason::SilentTooLong),
+        ("one way cut", |_| LadderInput { peer: None, ..waiting(1) }, 5100, Reason::AlignTimedOut),
+    ];
+    let fell = |ladder: &Ladder, reason| {
+        assert_eq!((ladder.state(), ladder.history().last().unwrap().reason), (Disengaged, reason));
+    };
+    let mut fallen = Vec::new();
+    for (name, input, ends_ms, reason) in cases {
+        let mut ladder = aligning();
+        for now in 101..ends_ms {
+            assert_eq!(ladder.step(now * MS, &input(now)), Aligning, "{name} at {now} ms");
+        }
+        ladder.step(ends_ms * MS, &input(ends_ms));
+        fell(&ladder, reason);
+        fallen.push((name, ladder, ends_ms));
+    }
+    for master in [true, false] {
+        let mut ladder = aligning();
+        ladder.new_session(200 * MS, !master);
+        fell(&ladder, Reason::PeerRestarted);
+        // A slave may follow a master that was started anew.
+        let engages = ladder.clone().step(201 * MS, &press()) == Engaged;
+        assert_eq!(engages, !master);
+        if master {
+            fallen.push(("a peer that was restarted", ladder, 200));
+        }
+    }
+    let mut ladder = aligning();
+    ladder.step(200 * MS, &LadderInput { peer: Some(faulty), ..sound(1) });
+    fell(&ladder, Reason::PeerFaulted);
+    fallen.push(("a peer in fault", ladder, 200));
+    for (name, mut ladder, at_ms) in fallen {
+        for now in at_ms + 1..at_ms + 20_000 {
+            assert_eq!(
+                ladder.step(now * MS, &sound(1)),
+                Disengaged,
+                "{name}: the link alone couples nothing"
+            );
+        }
+        // As a slave is asked for as long as the master aligns.
+        assert_eq!(ladder.step((at_ms + 20_000) * MS, &press()), Disengaged, "{name}: without a release");
+        ladder.step((at_ms + 20_001) * MS, &LadderInput { clutch: false, ..sound(1) });
+        assert_eq!(ladder.step((at_ms + 20_002) * MS, &press()), Engaged, "{name}: a new press");
+    }
+}
+
+/// A loop that slept in ALIGNING finds the press over, and what has arrived does not come before that.
+#[test]
+fn a_press_does_not_outlive_its_time_in_a_loop_that_slept() {
+    for (asleep_ms, expected) in [(4900, Engaged), (5000, Disengaged), (30_000, Disengaged)] {
+        let mut ladder = aligning();
+        let now_ns = (100 + asleep_ms) * MS;
+        ladder.stalled(now_ns);
+        assert_eq!(ladder.step(now_ns, &sound(0)), if expected == Engaged { Aligning } else { Disengaged });
+        assert_eq!(ladder.step(now_ns + 2 * MS, &sound(1)), expected, "{asleep_ms}");
+    }
 }
 
 #[test]
@@ -263,7 +358,7 @@ fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
     ladder.step(1002 * MS, &LadderInput { clutch: false, ..sound(1) });
     assert_eq!(ladder.step(1003 * MS, &press()), Engaged);
     // A hold stays one, and what has a fault says more than its end.
-    let failed = Some(PeerReport { state: Fault, hears: true, answers: true });
+    let failed = Some(PeerReport { state: Fault, hears: true, answers: true, is_current: true });
     assert_eq!(ladder.step(1004 * MS, &LadderInput { peer: failed, ..end }), Hold);
     assert_eq!(ladder.step(1005 * MS, &end), Hold);
     assert_eq!(ladder.history().last().map(|step| step.reason), Some(Reason::PeerFaulted));
@@ -271,11 +366,12 @@ fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
 
 /// Anything that can be told at a tick.
 fn any_input() -> impl Strategy<Value = LadderInput> {
-    let peer = (0_u8..7, any::<bool>(), prop::bool::weighted(0.8)).prop_map(|(code, hears, answers)| {
+    let weighted = prop::bool::weighted(0.8);
+    let peer = (0_u8..7, any::<bool>(), weighted, weighted).prop_map(|(code, hears, answers, is_current)| {
         let state = LadderState::from_code(code).unwrap_or(Fault);
-        PeerReport { state, hears, answers }
+        PeerReport { state, hears, answers, is_current }
     });
-    let good = PeerReport { state: Engaged, hears: true, answers: true };
+    let good = PeerReport { state: Engaged, hears: true, answers: true, is_current: true };
     (
         prop_oneof![6 => Just(Some(0_u64)), 3 => (0..400_u64).prop_map(Some), 1 => Just(None)],
         prop_oneof![6 => Just(Some(good)), 3 => peer.prop_map(Some), 1 => Just(None)],
@@ -289,9 +385,9 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
             over_usual_ns: over.map(|over| over * MS),
             peer,
             clutch,
+            needs_answer: false,
             asks: false,
             ended,
-            left: false,
         })
 }
 

@@ -4,9 +4,11 @@
 //! [`Ladder`] finds out what is the case at a tick and asks the table. [`Person`] is a hand at the clutch for runs
 //! without a button, [`FlightRecorder`] what is left when something went wrong.
 
+mod button;
 mod diagnosis;
 mod flight;
 mod history;
+mod input;
 mod interventions;
 mod machine;
 mod person;
@@ -14,11 +16,13 @@ mod settings;
 mod state;
 pub mod table;
 
+pub(crate) use button::Button;
 pub use diagnosis::{Diagnosis, Explanation, PeerCause, Remedy, Step};
 pub use flight::{FlightEntry, FlightRecorder, FlightValues};
 pub use history::{History, Transition};
+pub use input::{LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
 pub use interventions::{Observed, thresholds};
-pub use machine::{Ladder, LadderInput, PeerReport};
+pub use machine::Ladder;
 pub use person::{Clutch, ClutchError, Person};
 pub use settings::{LadderError, LadderSettings};
 pub use state::LadderState;

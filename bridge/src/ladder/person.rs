@@ -9,8 +9,8 @@ pub enum Clutch {
     /// [`Person::press_again`].
     #[default]
     Once,
-    /// A simulated person: presses at the start, lets go when it holds, and presses again once both sides have been
-    /// ready for `reaction_ns`.
+    /// A simulated person: presses at the start, lets go when it holds or the press was not answered, and presses again
+    /// once both sides have been ready for `reaction_ns`.
     Auto {
         /// Time in ns.
         reaction_ns: u64,
@@ -33,8 +33,11 @@ pub enum ClutchError {
 /// For how long in ns [`Person::press_again`] opens the clutch: enough frames for the other side to see it.
 const OPEN_NS: u64 = 100_000_000;
 
-/// For how long in ns a simulated person waits for the other side to align before it tries anew.
-const PATIENCE_NS: u64 = 5_000_000_000;
+/// Within what time in ns of [`Person::press_again`] it must be pressed; a loop that slept meanwhile presses no more.
+const LATEST_NS: u64 = 2 * OPEN_NS;
+
+/// Within what time in ns of the start the first tick must come, for the start to be a press.
+const START_NS: u64 = 5_000_000_000;
 
 /// Who works the clutch: a pure function of time and of what the ladder shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,10 +49,12 @@ pub struct Person {
     since_ns: u64,
     /// Since when both sides have been ready, in ns.
     ready_ns: Option<u64>,
-    has_held: bool,
     /// Since it last pressed, the side has had a fault.
     has_faulted: bool,
     asked: bool,
+    has_begun: bool,
+    /// When it was asked to press again, in ns.
+    asked_ns: Option<u64>,
 }
 
 impl Person {
@@ -76,9 +81,10 @@ impl Person {
             pressed: true,
             since_ns: 0,
             ready_ns: None,
-            has_held: false,
             has_faulted: false,
             asked: false,
+            has_begun: false,
+            asked_ns: None,
         })
     }
 
@@ -92,39 +98,53 @@ impl Person {
         self.asked = true;
     }
 
+    /// What was asked for counts no more: the loop was late, or the device has a button.
+    pub fn forget(&mut self) {
+        (self.asked, self.asked_ns) = (false, None);
+    }
+
+    /// Has let go: the start was too long ago to be a press.
+    pub fn let_go(&mut self) {
+        self.pressed = false;
+    }
+
     /// Whether the clutch is pressed at `now_ns`, seeing where the ladder stands and whether a press would count.
     pub fn at(&mut self, now_ns: u64, state: LadderState, ready: bool) -> bool {
         let reaction_ns = match &self.clutch {
             Clutch::Schedule(times) => {
+                self.asked = false;
                 let since_ns = now_ns.saturating_sub(self.start_ns);
                 return times.iter().any(|(press, release)| (*press..*release).contains(&since_ns));
             }
             Clutch::Auto { reaction_ns } => Some(*reaction_ns),
             Clutch::Once => None,
         };
-        self.has_held |= state.is_held();
+        if !std::mem::replace(&mut self.has_begun, true) {
+            self.pressed &= now_ns.saturating_sub(self.start_ns) <= START_NS;
+        }
+        if std::mem::take(&mut self.asked) {
+            self.asked_ns = Some(now_ns);
+        }
+        self.asked_ns = self.asked_ns.filter(|asked| now_ns.saturating_sub(*asked) <= LATEST_NS);
         self.has_faulted |= state == LadderState::Fault;
         self.ready_ns = if ready { self.ready_ns.or(Some(now_ns)) } else { None };
         let spent_ns = now_ns.saturating_sub(self.since_ns);
         if self.pressed {
-            // The other side has ended: whoever comes next is met by a new press.
-            let is_alone = state == LadderState::Disengaged && !self.has_faulted;
-            let gives_up = reaction_ns.is_some_and(|reaction| is_alone && spent_ns > reaction)
-                || reaction_ns.is_some()
-                    && (matches!(state, LadderState::Hold | LadderState::Stop)
-                        || self.has_held && state == LadderState::Aligning && spent_ns > PATIENCE_NS);
-            if gives_up || self.asked {
+            // DISENGAGED at the tick after a press: it was not taken up, has ended unanswered, or the peer has ended.
+            let in_vain = matches!(state, LadderState::Hold | LadderState::Stop)
+                || state == LadderState::Disengaged && spent_ns > 0 && !self.has_faulted;
+            if self.asked_ns.is_some() || reaction_ns.is_some() && in_vain {
                 (self.pressed, self.since_ns, self.ready_ns) = (false, now_ns, None);
             }
         } else {
             let ready_for_ns = self.ready_ns.map_or(0, |since| now_ns.saturating_sub(since));
-            let presses = if self.asked {
+            let presses = if self.asked_ns.is_some() {
                 spent_ns >= OPEN_NS
             } else {
                 reaction_ns.is_some_and(|reaction| ready_for_ns >= reaction && spent_ns >= reaction)
             };
             if presses {
-                (self.pressed, self.since_ns, self.asked) = (true, now_ns, false);
+                (self.pressed, self.since_ns, self.asked_ns) = (true, now_ns, None);
                 self.has_faulted = false;
             }
         }
@@ -199,5 +219,69 @@ mod tests {
         person.press_again();
         let open = (1000..2000).filter(|now| !person.at(now * MS, Hold, true)).count();
         assert_eq!(open, 100);
+    }
+
+    /// From 0 on, every ms from `asked` on but those of `asleep`: at which ms it presses.
+    fn presses(asked: &[u64], asleep: std::ops::Range<u64>, forgets: bool) -> Vec<u64> {
+        let mut person = Person::new(Clutch::Once).unwrap();
+        person.begin(0);
+        let (mut was, mut pressed) = (person.at(0, Hold, true), Vec::new());
+        for now in (1..60_000).filter(|now| !asleep.contains(now)) {
+            if asked.contains(&now) {
+                person.press_again();
+            }
+            if now == asleep.end && forgets {
+                person.forget();
+            }
+            let is = person.at(now * MS, Hold, true);
+            if is && !was {
+                pressed.push(now);
+            }
+            was = is;
+        }
+        pressed
+    }
+
+    #[test]
+    fn a_press_that_was_asked_for_is_at_its_time_or_never() {
+        assert_eq!(presses(&[1000], 0..0, false), [1100]);
+        // Twice at once is one press; once more after it is another.
+        assert_eq!(presses(&[1000, 1001, 1050], 0..0, false), [1100]);
+        assert_eq!(presses(&[1000, 1150], 0..0, false), [1100, 1250]);
+        // Asleep between release and press: the press is dropped, and the clutch stays open until the next.
+        assert!(presses(&[1000], 1050..31_000, false).is_empty());
+        assert_eq!(presses(&[1000, 40_000], 1050..31_000, false), [40_000]);
+        assert_eq!(presses(&[1000], 1050..1150, false), [1150]);
+        assert!(presses(&[1000], 1050..1150, true).is_empty());
+    }
+
+    #[test]
+    fn a_simulated_person_tries_anew_where_a_press_was_not_answered() {
+        let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        person.begin(0);
+        assert!(person.at(0, LadderState::Disengaged, false), "the start is a press");
+        assert!((1..5000).all(|now| person.at(now * MS, Aligning, false)));
+        assert!(!person.at(5000 * MS, LadderState::Disengaged, false));
+        let pressed = |now: &u64| person.at(now * MS, LadderState::Disengaged, *now >= 9000);
+        assert_eq!((5001..9501).filter(pressed).collect::<Vec<_>>(), [9500]);
+    }
+
+    #[test]
+    fn a_start_is_a_press_for_five_seconds() {
+        for (first_ms, presses) in [(0, true), (5000, true), (5001, false)] {
+            let mut person = Person::new(Clutch::Once).unwrap();
+            person.begin(7 * MS);
+            assert_eq!(person.at((7 + first_ms) * MS, LadderState::Disengaged, false), presses, "{first_ms}");
+        }
+    }
+
+    #[test]
+    fn who_has_let_go_presses_only_when_asked() {
+        let mut person = Person::new(Clutch::Once).unwrap();
+        person.begin(0);
+        person.let_go();
+        assert!((0..1000).all(|now| !person.at(now * MS, LadderState::Disengaged, true)));
+        person.press_again();
+        assert!(person.at(1000 * MS, LadderState::Disengaged, true));
     }
 }

@@ -5,7 +5,8 @@
 pub struct LadderSettings {
     /// Time in ns over the expected age that leads to STALE.
     pub stale_after_ns: u64,
-    /// Time in ns over the expected age that leads to HOLD; above `stale_after_ns`.
+    /// Time in ns over the expected age that leads to HOLD; above `stale_after_ns` and at most 100 ms, so that with
+    /// `fade_out_ns` the force is gone 200 ms after the last frame.
     pub hold_after_ns: u64,
     /// Time in ns over the expected age that leads to STOP; above `hold_after_ns`.
     pub stop_after_ns: u64,
@@ -15,6 +16,8 @@ pub struct LadderSettings {
     pub fade_out_ns: u64,
     /// Time in ns in which the force rises from zero to full, at least 200 ms.
     pub fade_in_ns: u64,
+    /// Time in ns for which a press waits in ALIGNING, and oldest news by which a slave aligns; 0.5 to 5 s.
+    pub align_ns: u64,
 }
 
 const MS: u64 = 1_000_000;
@@ -30,6 +33,8 @@ impl Default for LadderSettings {
             extrapolate_ns: 15 * MS,
             fade_out_ns: 75 * MS,
             fade_in_ns: 200 * MS,
+            // Handshake, first frames and one repeat of each over a link of 500 ms each way.
+            align_ns: 5_000 * MS,
         }
     }
 }
@@ -48,8 +53,8 @@ impl LadderSettings {
     /// Refuses times that are out of order or range.
     pub fn check(&self) -> Result<(), LadderError> {
         for (name, seen, least, most) in [
-            ("stale_after", self.stale_after_ns, 1, 1_000 * MS),
-            ("hold_after", self.hold_after_ns, self.stale_after_ns.saturating_add(1), 2_000 * MS),
+            ("stale_after", self.stale_after_ns, 1, 100 * MS),
+            ("hold_after", self.hold_after_ns, self.stale_after_ns.saturating_add(1), 100 * MS),
             ("stop_after", self.stop_after_ns, self.hold_after_ns.saturating_add(1), 10_000 * MS),
             (
                 "extrapolate",
@@ -59,6 +64,7 @@ impl LadderSettings {
             ),
             ("fade_out", self.fade_out_ns, 50 * MS, 100 * MS),
             ("fade_in", self.fade_in_ns, 200 * MS, 60_000 * MS),
+            ("align", self.align_ns, 500 * MS, 5_000 * MS),
         ] {
             if !(least..=most).contains(&seen) {
                 return Err(LadderError { name, seen, least, most });
@@ -85,7 +91,10 @@ mod tests {
             (LadderSettings { fade_out_ns: 49 * MS, ..good }, "fade_out"),
             (LadderSettings { fade_out_ns: 101 * MS, ..good }, "fade_out"),
             (LadderSettings { fade_in_ns: 199 * MS, ..good }, "fade_in"),
+            (LadderSettings { hold_after_ns: 100 * MS + 1, ..good }, "hold_after"),
             (LadderSettings { hold_after_ns: u64::MAX, ..good }, "hold_after"),
+            (LadderSettings { align_ns: 499 * MS, ..good }, "align"),
+            (LadderSettings { align_ns: 5_001 * MS, ..good }, "align"),
         ] {
             assert_eq!(bad.check().unwrap_err().name, told);
         }

@@ -4,9 +4,10 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LadderState {
-    /// Not coupled: the master moves freely and the slave holds. Before the first press, and while the clutch is open.
+    /// Not coupled: the master moves freely and the slave holds. Before the first press, while the clutch is open, and
+    /// after a press that was not answered in time.
     Disengaged,
-    /// The clutch is pressed; waits until the other side says the same.
+    /// The clutch is pressed; waits until the other side says the same, but no longer than `LadderSettings::align_ns`.
     Aligning,
     /// Coupled.
     Engaged,
@@ -51,6 +52,11 @@ impl LadderState {
     /// Whether the slave follows and the master renders.
     pub const fn is_coupled(self) -> bool {
         matches!(self, Self::Engaged | Self::Stale)
+    }
+
+    /// Whether the clutch's press was taken up: coupled, or about to be.
+    pub const fn is_aligned(self) -> bool {
+        matches!(self, Self::Aligning | Self::Engaged | Self::Stale)
     }
 
     /// Whether something is wrong, so that nothing but a deliberate act couples again.

@@ -44,17 +44,21 @@ pub enum Reason {
     NewsOld,
     /// The peer has ended in good order.
     PeerEnded,
+    /// The two did not align within `align` of the press.
+    AlignTimedOut,
+    /// The peer is disengaged while this side is coupled and its clutch closed.
+    PeerDisengaged,
 }
 
 use Reason::{
-    Acknowledged, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack, FramesLate,
-    MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerEnded, PeerFaulted, PeerHolds, PeerRestarted,
-    PeerSilent, PeerStopped, SilentTooLong,
+    Acknowledged, AlignTimedOut, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack,
+    FramesLate, MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerDisengaged, PeerEnded, PeerFaulted,
+    PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong,
 };
 
 impl Reason {
     /// All reasons in the order of their codes.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 20] = [
         BadNumber,
         OwnDelay,
         PeerRestarted,
@@ -73,6 +77,8 @@ impl Reason {
         Acknowledged,
         NewsOld,
         PeerEnded,
+        AlignTimedOut,
+        PeerDisengaged,
     ];
 
     /// Its number in records, from 1; 0 stands for none.
@@ -106,6 +112,8 @@ impl Reason {
             Acknowledged => "fault acknowledged at this side",
             NewsOld => "peer's news is old",
             PeerEnded => "peer has ended",
+            AlignTimedOut => "press not answered in time",
+            PeerDisengaged => "peer is disengaged",
         }
     }
 }
@@ -128,7 +136,9 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 /// The ladder. Of a state's rows the first whose reason is the case counts: what is worse stands first.
 ///
 /// A press counts in HOLD and STOP only while both sides hear one another and the peer knows of the hold: a press
-/// into a dead link must not couple whenever the link comes back. In DISENGAGED it waits, visibly, as ALIGNING.
+/// into a dead link must not couple whenever the link comes back. In DISENGAGED it waits, visibly, as ALIGNING, which
+/// ends with the press: a peer that is silent for `stop_after`, restarted, in FAULT, has ended, or has not aligned within
+/// `align` leads back to DISENGAGED, and a release and a press after that lead out again.
 ///
 /// An end of the peer leads to less force only, so that nobody gains by a false one. A fault of a peer that ends says more
 /// than its end, and its end more than the silence after it.
@@ -137,8 +147,11 @@ pub const TABLE: &[Row] = &[
     row(Disengaged, ClutchPressed, Aligning),
     row(Aligning, BadNumber, Fault),
     row(Aligning, ClutchReleased, Disengaged),
-    row(Aligning, MasterStartedAnew, Disengaged),
+    row(Aligning, PeerRestarted, Disengaged),
+    row(Aligning, PeerFaulted, Disengaged),
     row(Aligning, PeerEnded, Disengaged),
+    row(Aligning, SilentTooLong, Disengaged),
+    row(Aligning, AlignTimedOut, Disengaged),
     row(Aligning, BothAligned, Engaged),
     row(Engaged, BadNumber, Fault),
     row(Engaged, OwnDelay, Hold),
@@ -150,6 +163,7 @@ pub const TABLE: &[Row] = &[
     row(Engaged, PeerHolds, Hold),
     row(Engaged, PeerDeaf, Hold),
     row(Engaged, NewsOld, Hold),
+    row(Engaged, PeerDisengaged, Hold),
     row(Engaged, ClutchReleased, Disengaged),
     row(Engaged, FramesLate, Stale),
     row(Stale, BadNumber, Fault),
@@ -162,6 +176,7 @@ pub const TABLE: &[Row] = &[
     row(Stale, PeerHolds, Hold),
     row(Stale, PeerDeaf, Hold),
     row(Stale, NewsOld, Hold),
+    row(Stale, PeerDisengaged, Hold),
     row(Stale, ClutchReleased, Disengaged),
     row(Stale, FramesBack, Engaged),
     row(Hold, BadNumber, Fault),
@@ -222,11 +237,14 @@ pub fn diagram() -> String {
 mod tests {
     use super::*;
 
+    /// What ends a press that waits.
+    const ENDS: [Reason; 5] = [PeerRestarted, PeerFaulted, PeerEnded, SilentTooLong, AlignTimedOut];
+
     fn all_facts() -> impl Iterator<Item = Facts> {
-        (0..1_u32 << 18).map(|bits| Facts(bits << 1))
+        (0..1_u32 << 20).map(|bits| Facts(bits << 1))
     }
 
-    /// Every state under every set of reasons: 7 times 262144 cases.
+    /// Every state under every set of reasons: 7 times 1048576 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
         for state in LadderState::ALL {
@@ -234,17 +252,19 @@ mod tests {
                 let Some(row) = next(state, facts) else {
                     // What must never be ignored.
                     assert!(!facts.has(BadNumber) || state == Fault, "{state:?} {facts:?}");
-                    let worse = [OwnDelay, PeerSilent, PeerRestarted, NewsOld];
+                    let worse = [OwnDelay, PeerSilent, PeerRestarted, NewsOld, PeerDisengaged];
                     assert!(!state.is_coupled() || !worse.iter().any(|reason| facts.has(*reason)));
+                    assert!(state != Aligning || !ENDS.iter().any(|reason| facts.has(*reason)));
                     continue;
                 };
                 if facts.has(BadNumber) && state != Fault {
                     assert_eq!(row.to, Fault);
                 }
                 match row.to {
-                    // Nobody is coupled but out of ALIGNING, or out of STALE.
+                    // Nobody is coupled but out of ALIGNING, and not by a press that is over, or out of STALE.
                     Engaged => assert!(
                         (row.from, row.reason) == (Aligning, BothAligned)
+                            && !ENDS.iter().any(|reason| facts.has(*reason))
                             || (row.from, row.reason) == (Stale, FramesBack)
                     ),
                     // Nobody begins to align but by a press.
@@ -256,7 +276,8 @@ mod tests {
                     Disengaged => match row.from {
                         Fault => assert_eq!(row.reason, Acknowledged),
                         Hold | Stop => assert_eq!(row.reason, MasterStartedAnew),
-                        _ => assert!(matches!(row.reason, ClutchReleased | MasterStartedAnew | PeerEnded)),
+                        Aligning => assert!(row.reason == ClutchReleased || ENDS.contains(&row.reason)),
+                        _ => assert!(matches!(row.reason, ClutchReleased | PeerEnded)),
                     },
                 }
             }
@@ -273,6 +294,7 @@ mod tests {
             (PeerSilent, Hold),
             (PeerDeaf, Hold),
             (NewsOld, Hold),
+            (PeerDisengaged, Hold),
             (PeerHolds, Hold),
             (PeerStopped, Hold),
             (PeerFaulted, Hold),
@@ -291,8 +313,11 @@ mod tests {
                     (BadNumber, Fault),
                     (ClutchReleased, Disengaged),
                     (BothAligned, Engaged),
-                    (MasterStartedAnew, Disengaged),
+                    (PeerRestarted, Disengaged),
+                    (PeerFaulted, Disengaged),
                     (PeerEnded, Disengaged),
+                    (SilentTooLong, Disengaged),
+                    (AlignTimedOut, Disengaged),
                 ],
             ),
             (Engaged, engaged),
@@ -324,7 +349,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(19)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(21)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.

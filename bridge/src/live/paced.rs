@@ -26,6 +26,10 @@ use crate::{
 /// Ticks after a device has failed in which the peer is told so: frames get lost, and the driver's words come in pieces.
 const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
+/// Longest time in ns from the making of a loop to its begin, in which the device opens, for that making to be a press of
+/// the clutch.
+const START_NS: u64 = 5_000_000_000;
+
 /// How far the loop is.
 enum Stage<S: Side> {
     Ready(Box<(S, PeerSocket, LiveChannel, Ways<S::Record>)>),
@@ -43,6 +47,7 @@ pub struct PacedLoop<S: Side> {
     pace: DevicePace,
     /// The last tick was waited for here, and not by the device.
     waited: bool,
+    made_ns: u64,
     realtime: RealtimeReport,
     kept: Option<Kept>,
 }
@@ -62,6 +67,7 @@ pub fn paced_by_device<S: Side>(
         shared: Arc::clone(&watch.shared),
         pace: DevicePace::new(settings.period_ns),
         waited: false,
+        made_ns: clock::now_ns(),
         realtime: RealtimeReport::default(),
         kept: None,
     };
@@ -81,7 +87,10 @@ impl<S: Side> PacedLoop<S> {
                 let (side, socket, channel, ways) = *parts;
                 let now_ns = clock::now_ns();
                 self.pace.begin(now_ns);
-                let turning = Turning::begin(side, socket, channel, self.settings, ways, now_ns);
+                let mut turning = Turning::begin(side, socket, channel, self.settings, ways, now_ns);
+                if now_ns.saturating_sub(self.made_ns) > START_NS {
+                    turning.side().let_go();
+                }
                 self.stage = Stage::Turning(Box::new(turning));
             }
             stage => self.stage = stage,

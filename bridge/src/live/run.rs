@@ -95,10 +95,11 @@ pub(super) struct Shared {
     pub(super) ticks: AtomicU64,
     /// The peer has answered a frame.
     pub(super) answered: AtomicBool,
-    pub(super) press: AtomicBool,
+    /// When the clutch, and the takeover, were asked for last, in ns; 0 where not since the loop looked.
+    pub(super) press_ns: AtomicU64,
+    pub(super) takeover_ns: AtomicU64,
     /// Presses before which something else must be done.
     pub(super) vain_presses: AtomicU64,
-    pub(super) takeover: AtomicBool,
     /// No force, no motion, and the peer has been sent the end.
     pub(super) at_rest: AtomicBool,
 }
@@ -107,6 +108,16 @@ impl Shared {
     /// Whether the loop must end: it was asked to, or the process has no memory left.
     pub(super) fn must_end(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || memory::is_exhausted()
+    }
+
+    /// As [`super::LiveWatch::press_clutch`].
+    pub(super) fn press_clutch(&self) {
+        self.press_ns.store(clock::now_ns().max(1), Ordering::Relaxed);
+    }
+
+    /// As [`super::LiveWatch::allow_takeover`].
+    pub(super) fn allow_takeover(&self) {
+        self.takeover_ns.store(clock::now_ns().max(1), Ordering::Relaxed);
     }
 }
 

@@ -1,6 +1,9 @@
 //! One live tick, whoever waits for its time: take what has arrived, tick, send, record.
 
-use std::{ops::ControlFlow, sync::atomic::Ordering};
+use std::{
+    ops::ControlFlow,
+    sync::atomic::{AtomicU64, Ordering},
+};
 
 use super::{
     channel::{LiveChannel, RELEASES},
@@ -26,9 +29,9 @@ const END_NS: [u64; 9] =
     [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
 /// A diagnosis is told once it has stood for this long in ns: the words of a peer come in pieces.
 const SETTLED_NS: u64 = 50_000_000;
-/// After a loop has slept, acts that were asked for meanwhile may still be on their way: for this long, in ns, a press
-/// counts for nothing.
-const MAX_PRESS_DELAY_NS: u64 = 200_000_000;
+/// Longest age in ns of what a person did when the loop takes it, and for how long after a stall it takes no press: a
+/// signal that was sent while the process stood still comes when it goes on.
+const PROMPT_NS: u64 = 250_000_000;
 
 /// A side that is left without force or motion however its loop ends.
 struct Resting<S: Side>(S, bool);
@@ -92,7 +95,7 @@ pub(super) struct Ways<R> {
     pub(super) events: rtrb::Producer<SecurityEvent>,
     pub(super) flights: rtrb::Producer<FlightRecorder>,
     pub(super) diagnoses: rtrb::Producer<Option<Diagnosis>>,
-    pub(super) acts: rtrb::Consumer<Act>,
+    pub(super) acts: rtrb::Consumer<(u64, Act)>,
 }
 
 /// A side in its loop.
@@ -106,11 +109,11 @@ pub(super) struct Turning<S: Side> {
     start_ns: u64,
     /// Of the last tick.
     now_ns: u64,
-    /// A press before this time was asked for while the loop slept.
-    presses_from_ns: u64,
     shown: LadderState,
     diagnosed: Diagnosed,
     has_said_end: bool,
+    /// End of the last stall, in ns.
+    stalled_ns: Option<u64>,
     buffer: [u8; MAX_DATAGRAM],
 }
 
@@ -136,10 +139,10 @@ impl<S: Side> Turning<S> {
             report,
             start_ns,
             now_ns: start_ns,
-            presses_from_ns: start_ns,
             shown: LadderState::Disengaged,
             diagnosed: Diagnosed { now: None, since_ns: start_ns, is_told: true },
             has_said_end: false,
+            stalled_ns: None,
             buffer: [0; MAX_DATAGRAM],
         }
     }
@@ -159,27 +162,35 @@ impl<S: Side> Turning<S> {
         let Wake { deadline_ns, overshoot_ns, missed } = wake;
         report.skipped += missed;
         if wake.is_stalled() {
+            self.stalled_ns = Some(clock::now_ns());
             side.stalled(deadline_ns);
             // Late already: another period for this is not much.
             socket.discard(clock::now_ns() + settings.period_ns);
-            self.presses_from_ns = deadline_ns + MAX_PRESS_DELAY_NS;
         }
         // The tick's time is its deadline, or that of the device's sample: the pure part sees a steady clock, as in
         // virtual time.
         let now_ns = deadline_ns;
         self.now_ns = now_ns;
-        if shared.press.swap(false, Ordering::Relaxed) && now_ns >= self.presses_from_ns {
+        let stalled_ns = self.stalled_ns;
+        let is_prompt = |at_ns: u64| clock::now_ns().saturating_sub(at_ns) <= PROMPT_NS;
+        let was_asked = |at_ns: &AtomicU64| match at_ns.swap(0, Ordering::Relaxed) {
+            0 => false,
+            at_ns => is_prompt(at_ns) && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS),
+        };
+        if was_asked(&shared.press_ns) {
             side.press_again();
             if side.flight().diagnosis().is_some_and(Diagnosis::is_before_press) {
                 shared.vain_presses.fetch_add(1, Ordering::Relaxed);
             }
         }
-        if shared.takeover.swap(false, Ordering::Relaxed) {
+        if was_asked(&shared.takeover_ns) {
             channel.allow_takeover(now_ns, &mut tell);
         }
-        while let Ok(act) = acts.pop() {
-            // `LiveRun::act` has refused what cannot be.
-            let _ = side.act(now_ns, act);
+        while let Ok((at_ns, act)) = acts.pop() {
+            if act != Act::Acknowledge || is_prompt(at_ns) {
+                // `LiveRun::act` has refused what cannot be.
+                let _ = side.act(now_ns, act);
+            }
         }
         let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
         socket.drain(now_ns, until_ns, |from, datagram| {

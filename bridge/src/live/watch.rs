@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, atomic::Ordering},
 };
 
-use super::{handshakes::SecurityEvent, run::Shared};
+use super::{clock, handshakes::SecurityEvent, run::Shared};
 use crate::{
     act::Act,
     ladder::{Diagnosis, FlightRecorder, LadderState},
@@ -24,12 +24,12 @@ impl LiveHandle {
 
     /// [`LiveWatch::press_clutch`].
     pub fn press_clutch(&self) {
-        self.0.press.store(true, Ordering::Relaxed);
+        self.0.press_clutch();
     }
 
     /// [`LiveWatch::allow_takeover`].
     pub fn allow_takeover(&self) {
-        self.0.takeover.store(true, Ordering::Relaxed);
+        self.0.allow_takeover();
     }
 
     /// Whether the loop has ended: no force, no motion, and the peer has been sent the end.
@@ -49,7 +49,7 @@ pub struct LiveWatch<R> {
     pub(super) diagnoses: rtrb::Consumer<Option<Diagnosis>>,
     /// The newest that was taken.
     pub(super) diagnosis: Option<Diagnosis>,
-    pub(super) acts: rtrb::Producer<Act>,
+    pub(super) acts: rtrb::Producer<(u64, Act)>,
     pub(super) shared: Arc<Shared>,
     pub(super) address: SocketAddr,
     pub(super) recording: Option<Recording>,
@@ -70,9 +70,10 @@ impl<R> LiveWatch<R> {
         }
     }
 
-    /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave.
+    /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave. Void as
+    /// [`Self::press_clutch`].
     pub fn allow_takeover(&self) {
-        self.shared.takeover.store(true, Ordering::Relaxed);
+        self.shared.allow_takeover();
     }
 
     /// For threads that must not wait for whoever reads the rings.
@@ -105,9 +106,10 @@ impl<R> LiveWatch<R> {
         self.shared.ticks.load(Ordering::Relaxed)
     }
 
-    /// Lets go of the clutch for a moment and presses it again: the act of a person at this side.
+    /// Lets go of the clutch for a moment and presses it again: the act of a person at this side. Void if the loop does
+    /// not come to it within 0.25 s, or was late within 0.25 s before: nobody knows then when it was done.
     pub fn press_clutch(&self) {
-        self.shared.press.store(true, Ordering::Relaxed);
+        self.shared.press_clutch();
     }
 
     /// How often [`Self::press_clutch`] could not couple, because something else must be done before.
@@ -115,9 +117,10 @@ impl<R> LiveWatch<R> {
         self.shared.vain_presses.load(Ordering::Relaxed)
     }
 
-    /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait.
+    /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait. An acknowledgement is
+    /// void if the loop does not come to it within 0.25 s.
     pub fn act(&mut self, act: Act) -> Result<(), Act> {
-        self.acts.push(act).map_err(|rtrb::PushError::Full(act)| act)
+        self.acts.push((clock::now_ns(), act)).map_err(|rtrb::PushError::Full((_, act))| act)
     }
 
     /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.

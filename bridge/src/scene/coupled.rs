@@ -27,6 +27,7 @@ pub(crate) fn ladder(spec: Option<&LadderSpec>) -> Result<LadderSettings, SceneE
         extrapolate_ns: ns(spec.extrapolate_s),
         fade_out_ns: ns(spec.fade_out_s),
         fade_in_ns: ns(spec.fade_in_s),
+        ..LadderSettings::default()
     };
     settings.check().map_err(EndpointError::from)?;
     Ok(settings)

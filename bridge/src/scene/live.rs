@@ -4,8 +4,8 @@ use haptether_slave::SimulatedSlave;
 
 use super::{
     build::{
-        SceneError, arm, axes, clutch, device_model, environment, estimator, exact_master, force_sensor,
-        limiter, period_ns, safety_settings, stepped_master, stepping,
+        SceneError, arm, axes, device_model, driven_clutch, environment, estimator, exact_master,
+        force_sensor, limiter, live_clutch, period_ns, safety_settings, stepped_master, stepping,
     },
     coupled::{acts, bounds, ladder},
     spec::{CouplingSpec, SceneSpec, SlaveSpec},
@@ -94,7 +94,7 @@ pub fn simulated_master<const N: usize>(
             Box::new(plant)
         }
     };
-    let side = MasterSide::new(plant, master_endpoint(scene, session)?, clutch(scene))?;
+    let side = MasterSide::new(plant, master_endpoint(scene, session)?, live_clutch(scene))?;
     Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
 }
 
@@ -111,16 +111,22 @@ pub fn simulated_slave<const N: usize>(
     Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
 }
 
-/// The side of the hand with a device whose driver is elsewhere.
+/// The side of the hand with a device whose driver is elsewhere; `simulated_clutch` has a simulated person press anew
+/// where it has no button.
 ///
 /// # Errors
 ///
-/// As [`simulated_master`].
+/// As [`simulated_master`], and times at which the clutch would be pressed.
 pub fn driven_master<const N: usize>(
     scene: &SceneSpec,
     session: u64,
+    simulated_clutch: bool,
 ) -> Result<Timed<MasterSide<DrivenMaster<N>, N>>, SceneError> {
-    let side = MasterSide::new(DrivenMaster::default(), master_endpoint(scene, session)?, clutch(scene))?;
+    let side = MasterSide::new(
+        DrivenMaster::default(),
+        master_endpoint(scene, session)?,
+        driven_clutch(scene, simulated_clutch)?,
+    )?;
     Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
 }
 

@@ -96,6 +96,10 @@ impl<S: Side> Side for Timed<S> {
         self.side.press_again();
     }
 
+    fn let_go(&mut self) {
+        self.side.let_go();
+    }
+
     fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
         self.side.act(now_ns, act)
     }

@@ -154,6 +154,8 @@ impl Drawn {
                 extrapolate_ns: n.whole(0, (20 * MS).min(hold_after_ns - stale_after_ns)),
                 fade_out_ns: n.whole(50 * MS, 100 * MS),
                 fade_in_ns: n.whole(200 * MS, 400 * MS),
+                // Longer than a run: `cut_while_aligning` has a test of its own.
+                ..LadderSettings::default()
             },
             clutch: clutch(n, end_ns),
             control: n.one_of(&[Control::Position, Control::Velocity, Control::Pd]),

@@ -47,10 +47,13 @@ def with_clutch(scene: "Scene", clutch: str) -> "Scene":
     """The scene with the clutch of the command line: no default of a scene may move an arm again after a hold.
 
     Raises:
-        ValueError: "auto", where the scene has times of its own.
+        ValueError: "auto", where the scene has times of its own, or a simulated device that nobody holds.
     """
     from haptether.bridge import override_scene
 
+    if scene.operator is None and scene.master.driver is None and clutch == "auto":
+        message = "--clutch auto: the scene has no [operator] who could press: add one, or leave it out"
+        raise ValueError(message)
     if scene.operator is None or scene.operator.clutch == clutch:
         return scene
     if not isinstance(scene.operator.clutch, str):
@@ -61,8 +64,14 @@ def with_clutch(scene: "Scene", clutch: str) -> "Scene":
     return override_scene(scene, [f"operator.clutch={clutch}"])
 
 
-def start_master(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveMaster | MasterRun":  # noqa: ANN401  # of LiveMaster
-    """The master of a scene, begun.
+def start_master(
+    scene: "Scene",
+    stopped: "Stopped",
+    *,
+    clutch: str,
+    **how: Any,  # noqa: ANN401  # of LiveMaster
+) -> "LiveMaster | MasterRun":
+    """The master of a scene, begun; `clutch` is that of a real device without a button.
 
     Raises:
         ValueError: A driver or an option that there is not.
@@ -76,8 +85,11 @@ def start_master(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveMaster 
     if scene.master.driver is None:
         return stopped.attached(LiveMaster(spec, **how))
     device = load_master(scene.master.driver, scene.master.options)
-    loop = stopped.attached(MasterLoop(spec, **how))
+    loop = stopped.attached(MasterLoop(spec, clutch=clutch, **how))
     run = MasterRun(device, loop, period_s=scene.run.period_s)
+    if clutch == "auto":
+        message = "--clutch auto: a simulated person presses the clutch of this device: it couples anew after each hold"
+        print(message, file=sys.stderr, flush=True)
     return _opened(run, f"[master] driver = {scene.master.driver}", stopped)
 
 

@@ -23,10 +23,11 @@ ALONE_S = 0.2
 class Master(LiveOptions):
     """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
 
-    Times count from the moment the two sides engage. Starting this command presses the clutch. When the slave falls
-    silent for 20 ms, the force on the hand fades to zero within 75 ms and stays away until the clutch is released
-    and pressed again: `kill -USR1` does that, and so does --clutch auto. After a fault `kill -USR2` says first that it
-    is mended. Figures and trace hold the last --keep-s.
+    Times count from the moment the two sides engage. Starting this command presses the clutch. No press waits for more
+    than 5 s: a slave that answers later needs another. When the slave falls silent for 20 ms, the force on the hand
+    fades to zero within 75 ms and stays away until the clutch is released and pressed again: `kill -USR1` does that,
+    and so does --clutch auto. After a fault `kill -USR2` says first that it is mended. Figures and trace hold the last
+    --keep-s.
 
     Exit status 1 says that no slave answered, that the run ended in fault or, without Ctrl-C, in hold, in stop or after
     the slave, or that a driver failed. Where the two sides are not coupled, the screen says where that happened, in the
@@ -61,7 +62,8 @@ class Master(LiveOptions):
     """Resolution of the device in m; 0 measures position and velocity exactly."""
     clutch: Literal["once", "auto"] = "once"
     """Pressed at the start and held; or worked by a simulated person, who presses again 0.5 s after a hold. A scene's
-    "auto" counts only where it stands here as well."""
+    "auto" counts only where it stands here as well, for a device with a driver, too: else only its button or SIGUSR1
+    presses that."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     duration_s: float | None = None
@@ -122,7 +124,10 @@ class Master(LiveOptions):
         }
         controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
         with Stopped() as stopped:
-            master = start_master(scene, stopped, **how) if scene is not None else self._without_scene(stopped, how)
+            if scene is not None:
+                master = start_master(scene, stopped, clutch=self.clutch, **how)
+            else:
+                master = self._without_scene(stopped, how)
             steps = Steps("master")
             refused: str | None = None
 
@@ -157,7 +162,8 @@ class Master(LiveOptions):
             save_master_trace(trace, self.trace)
         raise_error(master)
         alone = result.final_state == "disengaged" and _uncoupled_s(trace) < ALONE_S
-        self._judge(result, stopped=bool(stopped) or alone, refused=refused, cause=cause)
+        answered = report.link.fresh > 0
+        self._judge(result, answered=answered, stopped=bool(stopped) or alone, refused=refused, cause=cause)
         return 0
 
     def _without_scene(self, stopped: "Stopped", how: dict[str, Any]) -> "LiveMaster":
@@ -174,26 +180,35 @@ class Master(LiveOptions):
         )
         return stopped.attached(LiveMaster(settings, **how))
 
-    def _judge(self, result: "PushResult", *, stopped: bool, refused: str | None, cause: "Cause | None") -> None:
+    def _judge(
+        self, result: "PushResult", *, answered: bool, stopped: bool, refused: str | None, cause: "Cause | None"
+    ) -> None:
         """Raises what a run that did not end well ended by."""
         if result.final_state == "fault":
             message = f"the run ended in fault: {cause.text if cause is not None else result.fault}"
             raise RuntimeError(message)
-        if result.engaged_s is None and not stopped and refused is not None:
-            message = f"no slave to steer at {self.peer}: {refused}"
+        if stopped:
+            return
+        if result.engaged_s is None:
+            raise RuntimeError(self._never_engaged(refused, cause, answered=answered))
+        if cause is not None:
+            message = f"the run ended in {result.final_state}: {cause.text}"
             raise RuntimeError(message)
-        if result.engaged_s is None and not stopped and cause is not None:
-            message = f"the two sides never engaged: {cause.text}"
-            raise RuntimeError(message)
-        if result.engaged_s is None and not stopped:
-            message = (
+
+    def _never_engaged(self, refused: str | None, cause: "Cause | None", *, answered: bool) -> str:
+        if refused is not None:
+            return f"no slave to steer at {self.peer}: {refused}"
+        if not answered:
+            return (
                 f"no slave answered at {self.peer} within {self.patience_s:g} s: is it running there, free, and with"
                 " the same key?"
             )
-            raise RuntimeError(message)
-        if not stopped and cause is not None:
-            message = f"the run ended in {result.final_state}: {cause.text}"
-            raise RuntimeError(message)
+        if cause is not None:
+            return f"the two sides never engaged: {cause.text}"
+        return (
+            f"the slave at {self.peer} answered, but the clutch was not pressed since: `kill -USR1` of the master"
+            " presses it again"
+        )
 
     def _report(self, result: "PushResult", link: "LinkSummary", cause: "Cause | None", *, answered: bool) -> None:
         import msgspec

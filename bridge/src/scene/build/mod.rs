@@ -17,7 +17,7 @@ pub use environment::scene_environment;
 pub use error::SceneError;
 pub(crate) use judging::measures;
 pub(crate) use master::{device_model, exact_master, stepped_master, stepping};
-pub(crate) use operator::clutch;
+pub(crate) use operator::{clutch, driven_clutch, live_clutch};
 pub(crate) use safety::{estimator, limiter, safety_settings, watch};
 pub(crate) use slave::{arm, force_sensor};
 pub(crate) use times::{late, period_ns, ticks};

@@ -12,19 +12,49 @@ use crate::Clutch;
 /// Reaction of a simulated person in ns where no operator says another.
 const REACTION_NS: u64 = 500_000_000;
 
-/// How the clutch of the master is worked.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not negative, and saturates
+fn ns(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
+}
+
+/// A simulated person, as quick as the operator.
+fn person(scene: &SceneSpec) -> Clutch {
+    let reaction_ns = scene.operator.as_ref().map_or(REACTION_NS, |operator| ns(operator.clutch_reaction_s));
+    Clutch::Auto { reaction_ns }
+}
+
+/// How the clutch of a simulated master is worked in virtual time, where nobody can be hurt.
 pub(crate) fn clutch(scene: &SceneSpec) -> Clutch {
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not negative, and saturates
-    let ns = |seconds: f64| (seconds * 1e9).round() as u64;
-    let Some(operator) = &scene.operator else {
-        return Clutch::Auto { reaction_ns: REACTION_NS };
-    };
+    match &scene.operator {
+        None => person(scene),
+        Some(_) => live_clutch(scene),
+    }
+}
+
+/// How the clutch of a simulated master is worked live, where the arm may be a real one: only an operator presses anew.
+pub(crate) fn live_clutch(scene: &SceneSpec) -> Clutch {
+    let Some(operator) = &scene.operator else { return Clutch::Once };
     match (&operator.clutch_times, operator.clutch) {
         (Some(times), _) => {
             Clutch::Schedule(times.iter().map(|(press, release)| (ns(*press), ns(*release))).collect())
         }
         (None, PersonSpec::Once) => Clutch::Once,
-        (None, PersonSpec::Auto) => Clutch::Auto { reaction_ns: ns(operator.clutch_reaction_s) },
+        (None, PersonSpec::Auto) => person(scene),
+    }
+}
+
+/// How the clutch of a real device without a button is worked: by its start and by whoever presses it anew. The scene's
+/// operator, who is simulated, has no say, but that times without a press leave it open; `simulated` asks for a
+/// simulated person all the same.
+pub(crate) fn driven_clutch(scene: &SceneSpec, simulated: bool) -> Result<Clutch, SceneError> {
+    let times = scene.operator.as_ref().and_then(|operator| operator.clutch_times.as_deref());
+    match times {
+        Some([]) => Ok(Clutch::Schedule(Vec::new())),
+        Some(_) => contradiction(
+            "operator.clutch: times press the clutch of a real device without a person: must be \"once\", \"auto\" or []",
+        ),
+        None if simulated => Ok(person(scene)),
+        None => Ok(Clutch::Once),
     }
 }
 

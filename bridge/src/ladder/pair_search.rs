@@ -1,0 +1,458 @@
+//! Every state that two ladders can reach over a bad link, and what must hold in each.
+//!
+//! Two real [`Ladder`]s with their real [`LadderInputs`] and the master's [`Button`] step every 100 ms. Between two steps a
+//! person presses or releases as she likes and acknowledges faults, and of each direction's frame the link delivers it,
+//! loses it, or delivers one that it has kept instead. Beyond that it has a number of events: it keeps a frame for as
+//! long as it likes, a side is started anew, falls asleep for as long as it likes, or has a fault. Nothing bounds the
+//! time: times count from now and up to where they make no difference, so that the states are finite, and all are
+//! visited. `HAPTETHER_SEARCH_EVENTS` says how many events there are.
+#![allow(clippy::cast_possible_truncation)] // small numbers of ticks
+
+use std::collections::HashSet;
+
+use super::{
+    super::{Button, LadderInputs, LinkView, PeerFrame},
+    *,
+};
+use crate::wire::Role;
+
+const TICK_NS: u64 = 100_000_000;
+/// HOLD where two frames are missing, STOP where three are, and a press that waits for four ticks: short times make few
+/// states.
+const SETTINGS: LadderSettings = LadderSettings {
+    stale_after_ns: 5_000_000,
+    hold_after_ns: 50_000_000,
+    stop_after_ns: 150_000_000,
+    extrapolate_ns: 15_000_000,
+    fade_out_ns: 75_000_000,
+    fade_in_ns: 200_000_000,
+    align_ns: 4 * TICK_NS,
+};
+const ALIGN: u64 = SETTINGS.align_ns / TICK_NS;
+/// By how old a press a slave may engage: the master says for `align` that it aligns, and says so in a frame that is at
+/// most as old again.
+const SLAVE_PRESS: u64 = 2 * ALIGN + 1;
+/// Where an age makes no difference any more.
+const OLD: u64 = SLAVE_PRESS + 1;
+const MASTER: usize = 0;
+const SLAVE: usize = 1;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sent {
+    session: u64,
+    /// The tick at which it was sent, too.
+    sequence: u64,
+    state: LadderState,
+    clutch: bool,
+    hears: bool,
+    echo: Option<(u64, u64)>,
+}
+
+#[derive(Clone, Debug)]
+struct Side {
+    ladder: Ladder,
+    inputs: LadderInputs,
+    session: u64,
+    newest: Option<(Sent, u64)>,
+    asleep: bool,
+}
+
+impl Side {
+    fn new(role: Role, session: u64) -> Self {
+        let ladder = Ladder { settings: SETTINGS, ..Ladder::new(LadderSettings::default()).unwrap() };
+        Self { ladder, inputs: LadderInputs::new(role), session, newest: None, asleep: false }
+    }
+
+    /// As [`crate::FrameLink`]: what is newer, and another session once this one is silent. Of the session's sake, none
+    /// that was before.
+    fn receive(&mut self, now: u64, frame: Sent, engages: bool) -> bool {
+        let Some((newest, arrived)) = self.newest else {
+            self.newest = Some((frame, now));
+            return false;
+        };
+        let begins = newest.session < frame.session && (now - arrived) * TICK_NS >= SETTINGS.stop_after_ns;
+        if begins || newest.session == frame.session && newest.sequence < frame.sequence {
+            self.newest = Some((frame, now));
+        }
+        if begins {
+            self.ladder.new_session(now * TICK_NS, engages);
+        }
+        begins
+    }
+
+    fn step(&mut self, now: u64, button: bool) -> Sent {
+        let newest = self.newest.map(|(frame, _)| {
+            let echo = frame.echo.filter(|(session, _)| *session == self.session);
+            PeerFrame {
+                state: frame.state,
+                clutch: frame.clutch,
+                hears: frame.hears && echo.is_some(),
+                echo: echo.map(|(_, sequence)| sequence),
+                echo_age_ns: echo.map(|(_, sequence)| (now - sequence) * TICK_NS),
+            }
+        });
+        let view = LinkView {
+            age_ns: self.newest.map(|(_, arrived)| (now - arrived) * TICK_NS),
+            expected_age_ns: TICK_NS,
+            over_usual_ns: None,
+            newest,
+            next_sequence: now,
+            ended: false,
+        };
+        self.inputs.step(&mut self.ladder, now * TICK_NS, button, &view);
+        Sent {
+            session: self.session,
+            sequence: now,
+            state: self.ladder.state(),
+            clutch: self.inputs.clutch(),
+            hears: self.ladder.hears_peer(),
+            echo: self.newest.map(|(frame, _)| (frame.session, frame.sequence)),
+        }
+    }
+}
+
+/// The press that the person did last, as this search itself remembers it.
+#[derive(Clone, Copy, Debug)]
+struct Press {
+    tick: u64,
+    /// Whether the side has since neither held nor had a fault nor let it end, nor was the peer that it knew restarted.
+    counts: [bool; 2],
+    /// Whether it was since this master was started.
+    of_this_life: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Pair {
+    now: u64,
+    sides: [Side; 2],
+    level: bool,
+    button: Button,
+    /// Of each side, what it has sent at the last tick.
+    fresh: [Option<Sent>; 2],
+    /// Of each side, what the link has kept.
+    kept: [Option<Sent>; 2],
+    events: u8,
+    press: Press,
+}
+
+/// What the link does with the frames of a direction at a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fate {
+    Delivered,
+    Lost,
+    /// Lost, and what was kept is delivered.
+    KeptDelivered,
+    /// Kept, and not delivered now.
+    Kept,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Move {
+    /// A tick: whether the person moves the button, what becomes of the frames of each side, whether sleepers wake.
+    Tick(bool, [Fate; 2], bool),
+    /// Whether the clutch is pressed at the start of a master.
+    Restart(usize, bool),
+    Sleep(usize),
+    Fault(usize),
+    Acknowledge(usize),
+}
+
+impl Pair {
+    fn start(pressed: bool, events: u8) -> Self {
+        let now = 1000;
+        let mut pair = Self {
+            now,
+            sides: [Side::new(Role::Master, 1), Side::new(Role::Slave, 1)],
+            level: pressed,
+            button: Button::default(),
+            fresh: [None; 2],
+            kept: [None; 2],
+            events,
+            press: Press { tick: 0, counts: [false; 2], of_this_life: false },
+        };
+        if pressed {
+            pair.presses();
+        }
+        pair
+    }
+
+    fn presses(&mut self) {
+        self.press = Press { tick: self.now, counts: [true; 2], of_this_life: true };
+    }
+
+    fn moves(&self) -> Vec<Move> {
+        let mut moves = Vec::new();
+        let fates = |from: usize| {
+            let mut fates = vec![Fate::Lost];
+            let hears = !self.sides[1 - from].asleep;
+            if self.fresh[from].is_some() && hears {
+                fates.push(Fate::Delivered);
+            }
+            if self.kept[from].is_some() && hears {
+                fates.push(Fate::KeptDelivered);
+            }
+            if self.fresh[from].is_some() && self.events > 0 {
+                fates.push(Fate::Kept);
+            }
+            fates
+        };
+        let wakes: &[bool] =
+            if self.sides.iter().any(|side| side.asleep) { &[false, true] } else { &[false] };
+        for forward in fates(MASTER) {
+            for backward in fates(SLAVE) {
+                // Both at once cost two events.
+                if forward == Fate::Kept && backward == Fate::Kept {
+                    continue;
+                }
+                for moves_button in [false, true] {
+                    moves.extend(
+                        wakes.iter().map(|wakes| Move::Tick(moves_button, [forward, backward], *wakes)),
+                    );
+                }
+            }
+        }
+        for side in [MASTER, SLAVE] {
+            if self.sides[side].ladder.state() == LadderState::Fault {
+                moves.push(Move::Acknowledge(side));
+            }
+            if self.events > 0 && !self.sides[side].asleep {
+                moves.extend([Move::Restart(side, false), Move::Sleep(side), Move::Fault(side)]);
+            }
+        }
+        if self.events > 0 && !self.sides[MASTER].asleep {
+            moves.push(Move::Restart(MASTER, true));
+        }
+        moves
+    }
+
+    /// Does something to a side between two ticks, and notes where it made a release necessary.
+    fn at(&mut self, side: usize, does: impl FnOnce(&mut Side)) {
+        let before = self.sides[side].ladder.closings();
+        does(&mut self.sides[side]);
+        self.press.counts[side] &= self.sides[side].ladder.closings() == before;
+    }
+
+    fn does(&mut self, what: Move) -> Result<(), String> {
+        let now_ns = self.now * TICK_NS;
+        match what {
+            Move::Tick(moves_button, fates, wakes) => return self.tick(moves_button, fates, wakes),
+            Move::Acknowledge(side) => self.at(side, |side| side.ladder.acknowledge(now_ns)),
+            Move::Fault(side) => self.at(side, |side| side.ladder.fault(now_ns)),
+            Move::Sleep(side) => self.sides[side].asleep = true,
+            Move::Restart(MASTER, pressed) => {
+                let session = self.sides[MASTER].session + 1;
+                self.sides[MASTER] = Side::new(Role::Master, session);
+                (self.button, self.level) = (Button::default(), pressed);
+                // Frames of the master that is gone may still be under way: to the slave it lives until it is silent.
+                (self.press.counts[MASTER], self.press.of_this_life) = (false, false);
+                if pressed {
+                    self.presses();
+                }
+            }
+            Move::Restart(..) => {
+                let session = self.sides[SLAVE].session + 1;
+                self.sides[SLAVE] = Side::new(Role::Slave, session);
+                if self.sides[MASTER].newest.is_some() {
+                    self.press.counts = [false; 2];
+                }
+            }
+        }
+        if !matches!(what, Move::Acknowledge(_)) {
+            self.events -= 1;
+        }
+        Ok(())
+    }
+
+    fn tick(&mut self, moves_button: bool, fates: [Fate; 2], wakes: bool) -> Result<(), String> {
+        self.now += 1;
+        if moves_button {
+            self.level = !self.level;
+            if self.level {
+                self.presses();
+            }
+        }
+        for (from, fate) in fates.into_iter().enumerate() {
+            let frame = match fate {
+                Fate::Delivered => self.fresh[from],
+                Fate::KeptDelivered => self.kept[from].take(),
+                Fate::Lost => None,
+                Fate::Kept => {
+                    self.events -= 1;
+                    self.kept[from] = self.fresh[from];
+                    None
+                }
+            };
+            let Some(frame) = frame else { continue };
+            let (to, now, mut begins) = (1 - from, self.now, false);
+            self.at(to, |side| begins = side.receive(now, frame, to == SLAVE));
+            if to == SLAVE && begins && self.sides[SLAVE].ladder.state() != LadderState::Fault {
+                // It may follow whatever the new master's person has pressed.
+                self.press.counts[SLAVE] = self.press.of_this_life;
+            }
+        }
+        for side in [MASTER, SLAVE] {
+            let now = self.now;
+            if self.sides[side].asleep {
+                if !wakes {
+                    self.fresh[side] = None;
+                    continue;
+                }
+                self.sides[side].asleep = false;
+                self.at(side, |side| side.ladder.stalled(now * TICK_NS));
+                if side == MASTER {
+                    self.button.stalled();
+                }
+            }
+            let button = side == MASTER && self.button.at(now * TICK_NS, Some(self.level)) == Some(true);
+            let before = self.sides[side].ladder.state();
+            let counted = self.press.counts[side];
+            let mut sent = None;
+            self.at(side, |side| sent = Some(side.step(now, button)));
+            self.fresh[side] = sent;
+            self.check(side, before, counted)?;
+        }
+        Ok(())
+    }
+
+    /// What must hold of a side after its step.
+    fn check(&self, side: usize, before: LadderState, counted: bool) -> Result<(), String> {
+        let Side { ladder, newest, .. } = &self.sides[side];
+        let state = ladder.state();
+        let hold = |holds: bool, what: &str| {
+            if holds { Ok(()) } else { Err(format!("{before:?} to {state:?}: {what}")) }
+        };
+        if state.is_coupled() && !before.is_coupled() {
+            let most = [ALIGN, SLAVE_PRESS][side];
+            hold(self.now - self.press.tick <= most, "coupled by no press, or an old one")?;
+            hold(counted, "coupled by a press of before the last hold, fault, end or restart")?;
+        }
+        let aligning = self.now - ladder.aligning_ns / TICK_NS;
+        hold(state != LadderState::Aligning || aligning < ALIGN, "aligns for too long")?;
+        if let Some((frame, arrived)) = newest {
+            let missing = (self.now - arrived) * TICK_NS > TICK_NS + SETTINGS.hold_after_ns;
+            hold(!state.is_coupled() || !missing, "coupled to a silent peer")?;
+            let open = side == SLAVE && !frame.clutch;
+            let apart = frame.state.is_held() || frame.state == LadderState::Disengaged || open;
+            hold(!state.is_coupled() || !apart, "coupled to a peer that is not")?;
+            let gone = missing && self.now - arrived > 1 + SETTINGS.stop_after_ns.div_ceil(TICK_NS);
+            // A press into a dead link shows for a tick.
+            let goes_on = state == LadderState::Aligning && before == state;
+            hold(!goes_on || !gone, "aligns with a silent peer")?;
+        } else {
+            hold(!state.is_coupled(), "coupled to nobody")?;
+        }
+        Ok(())
+    }
+
+    /// All that its future depends on: states with the same key go on alike. A field that is new must be considered here.
+    fn key(&self) -> Vec<u8> {
+        let mut key = Vec::with_capacity(64);
+        let age = |tick: u64, most: u64| (self.now - tick).min(most) as u8;
+        // A sequence is compared with what made a release necessary, with the press that waits, and with the present.
+        let number = |side: usize, number: u64| {
+            let Side { ladder, inputs, .. } = &self.sides[side];
+            let pressed = ladder.state == LadderState::Aligning && number >= inputs.pressed_sequence;
+            let answers = number >= inputs.closed_sequence;
+            age(number, ALIGN + 1) << 2 | u8::from(answers) << 1 | u8::from(pressed)
+        };
+        // Sessions end one by one; how many before the living one makes no difference beyond one.
+        let session = |side: usize, session: u64| (self.sides[side].session - session).min(2) as u8;
+        let frame = |key: &mut Vec<u8>, from: usize, frame: Option<&Sent>| {
+            let Some(Sent { session: of, sequence, state, clutch, hears, echo }) = frame else {
+                return key.push(0xFF);
+            };
+            // None that is older than the newest of its session is taken.
+            let newer = self.sides[1 - from].newest.is_none_or(|(newest, _)| {
+                newest.session < *of || newest.session == *of && newest.sequence < *sequence
+            });
+            let flags = [*clutch, *hears, newer, echo.is_some()];
+            key.extend([session(from, *of), number(from, *sequence), state.code()]);
+            key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
+            if let Some((of, sequence)) = echo {
+                key.extend([session(1 - from, *of), number(1 - from, *sequence)]);
+            }
+        };
+        for side in [MASTER, SLAVE] {
+            let Side { ladder, inputs, session: _, newest, asleep } = &self.sides[side];
+            let Ladder {
+                settings: _,
+                state,
+                gain: _,
+                last_ns: _,
+                last_sound_ns,
+                // Of the last step, and in what it has sent.
+                hears: _,
+                ready: _,
+                excess_ns: _,
+                blind_until_ns,
+                opened,
+                aligning_ns,
+                holds: _,
+                closings,
+                history: _,
+            } = ladder;
+            let blind =
+                blind_until_ns.is_some_and(|until| newest.is_none_or(|(_, at)| at * TICK_NS <= until));
+            let flags = [*opened, inputs.clutch, blind, *asleep, *closings != inputs.closings, *closings > 0];
+            key.push(state.code());
+            key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
+            // It leads from HOLD to STOP only, and begins anew where the two engage.
+            let sound = last_sound_ns.filter(|_| state.is_coupled() || *state == LadderState::Hold);
+            key.push(sound.map_or(0xFF, |at| age(at / TICK_NS, 3)));
+            key.push(if *state == LadderState::Aligning { age(aligning_ns / TICK_NS, ALIGN) } else { 0 });
+            key.push(newest.map_or(0xFF, |(_, arrived)| age(arrived, 4)));
+            frame(&mut key, 1 - side, newest.as_ref().map(|(frame, _)| frame));
+            frame(&mut key, side, self.fresh[side].as_ref());
+            frame(&mut key, side, self.kept[side].as_ref());
+        }
+        // Ticks are longer than a contact bounces: of its times the button goes by none.
+        let Button { level, closed, unknown, released_ns: _, pressed_ns: _ } = self.button;
+        let Press { tick, counts, of_this_life } = self.press;
+        let old = self.now - tick >= OLD || counts == [false; 2] && !of_this_life;
+        let flags = [self.level, unknown, closed, level == Some(true), level.is_none(), of_this_life && !old];
+        key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
+        key.push(if old {
+            0xFF
+        } else {
+            age(tick, OLD) << 2 | u8::from(counts[0]) << 1 | u8::from(counts[1])
+        });
+        key.push(self.events);
+        key
+    }
+}
+
+#[test]
+fn no_state_of_two_ladders_couples_without_a_press_of_the_last_moment() {
+    let events = std::env::var("HAPTETHER_SEARCH_EVENTS").map_or(1, |text| text.parse().unwrap());
+    let mut seen = HashSet::new();
+    let mut left: Vec<(Pair, u32)> = [false, true].map(|pressed| (Pair::start(pressed, events), 0)).to_vec();
+    seen.extend(left.iter().map(|(pair, _)| pair.key()));
+    let (mut steps, mut deepest, mut coupled) = (0_u64, 0, [0_u64; 2]);
+    let mut reached = [[false; 7]; 2];
+    while let Some((pair, depth)) = left.pop() {
+        deepest = deepest.max(depth);
+        let states = [MASTER, SLAVE].map(|side| pair.sides[side].ladder.state());
+        for (side, state) in states.into_iter().enumerate() {
+            reached[side][usize::from(state.code())] = true;
+            coupled[side] += u64::from(state.is_coupled());
+        }
+        for what in pair.moves() {
+            steps += 1;
+            let mut next = pair.clone();
+            if let Err(wrong) = next.does(what) {
+                let history =
+                    pair.sides.each_ref().map(|side| side.ladder.history().iter().collect::<Vec<_>>());
+                panic!("{wrong}, by {what:?}, at {} after {history:#?}\n{next:#?}", pair.now);
+            }
+            if seen.insert(next.key()) {
+                left.push((next, depth + 1));
+            }
+        }
+    }
+    println!(
+        "{} states, {steps} steps, {events} events, coupled in {coupled:?}, paths up to {deepest}",
+        seen.len()
+    );
+    assert!(reached.iter().flatten().all(|reached| *reached) || events == 0, "{reached:?}");
+    assert!(coupled.iter().all(|count| *count > 500), "{coupled:?}");
+}
