@@ -11,7 +11,8 @@ use haptether_bridge::{
         LiveSettings, LiveWatch, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
         Security, paced_by_device,
     },
-    wire::Role,
+    scene::{SceneSpec, driven_master, simulated_master, simulated_slave},
+    wire::{MAX_FRAME, Role},
 };
 use haptether_safety::{
     DeviceModel, Fault, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
@@ -194,4 +195,111 @@ fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) 
 fn a_device_that_is_gone_cannot_be_mended_while_the_peer_is_told() {
     a_device_that_is_gone_is_gone(master(), Role::Master);
     a_device_that_is_gone_is_gone(slave(), Role::Slave);
+}
+
+/// What the operator of a scene says of the clutch.
+enum Operator {
+    Absent,
+    Says(&'static str),
+    Times(&'static [(f64, f64)]),
+}
+
+fn scene(operator: &Operator) -> SceneSpec {
+    let bytes = include_bytes!("remote_push.json");
+    let mut json: serde_json::Value = serde_json::from_slice(bytes).unwrap();
+    match operator {
+        Operator::Absent => json["operator"] = serde_json::Value::Null,
+        Operator::Says(clutch) => json["operator"]["clutch"] = (*clutch).into(),
+        Operator::Times(times) => json["operator"]["clutch_times"] = serde_json::to_value(times).unwrap(),
+    }
+    serde_json::from_value(json).unwrap()
+}
+
+/// Engages with a slave, loses it for 60 ms, 300 ms or as the loop stands still, and goes on for 8 s with all in order: how
+/// often it engages, with a person who presses anew after 5 s or not.
+fn engagements(mut side: impl Side, slave: &mut impl Side, away: Away, pressed_again: bool) -> usize {
+    let mut buffer = [0; MAX_FRAME];
+    let (mut engagements, mut was) = (0, false);
+    side.begin(0);
+    slave.begin(0);
+    for tick in 0..9000_u64 {
+        let now_ns = tick * MS;
+        let gone = match away {
+            Away::Link(length) => (1000..1000 + length).contains(&tick),
+            Away::Blocked => (1000..1060).contains(&tick),
+        };
+        if !(gone && matches!(away, Away::Blocked)) {
+            if tick == 1060 && matches!(away, Away::Blocked) {
+                side.stalled(now_ns);
+            }
+            if pressed_again && tick == 6000 {
+                side.press_again();
+            }
+            side.tick(TickTime::at(now_ns));
+            let frame = side.send(now_ns, &mut buffer);
+            if !gone {
+                let _ = slave.receive(now_ns, frame);
+            }
+        }
+        slave.tick(TickTime::at(now_ns));
+        let frame = slave.send(now_ns, &mut buffer);
+        if !gone {
+            let _ = side.receive(now_ns, frame);
+        }
+        engagements += usize::from(side.state().is_coupled() && !was);
+        was = side.state().is_coupled();
+    }
+    engagements
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Away {
+    /// For so many ms: to HOLD, or to STOP.
+    Link(u64),
+    Blocked,
+}
+
+/// Nobody presses for a real device but its start, its button and a call: whatever its scene has or lacks.
+#[test]
+fn nobody_simulated_presses_for_a_real_device() {
+    use Operator::{Absent, Says, Times};
+    for away in [Away::Link(60), Away::Link(300), Away::Blocked] {
+        for (name, operator) in [("absent", Absent), ("auto", Says("auto")), ("once", Says("once"))] {
+            let scene = scene(&operator);
+            for (simulated, pressed_again, button, expected) in [
+                (false, false, None, 1),
+                (false, true, None, 2),
+                (true, false, None, 2),
+                // Held throughout: the button counts, and neither a call nor a simulated person.
+                (false, true, Some(true), 1),
+                (true, true, Some(true), 1),
+                (true, true, Some(false), 0),
+            ] {
+                let mut side = driven_master::<1>(&scene, 1, simulated).unwrap();
+                side.side.plant.clutch = button;
+                let mut slave = simulated_slave::<1>(&scene, 2).unwrap();
+                let seen = engagements(side, &mut slave, away, pressed_again);
+                let what =
+                    format!("{away:?} {name} simulated {simulated}, again {pressed_again}, {button:?}");
+                assert_eq!(seen, expected, "{what}");
+            }
+            // A simulated device without an operator is live by no other law.
+            let mut slave = simulated_slave::<1>(&scene, 2).unwrap();
+            let side = simulated_master::<1>(&scene, 1).unwrap();
+            let expected = if name == "auto" { 2 } else { 1 };
+            assert_eq!(
+                engagements(side, &mut slave, away, false),
+                expected,
+                "{away:?} {name}, simulated device"
+            );
+        }
+    }
+    let refused = driven_master::<1>(&scene(&Times(&[(0.0, 1.0), (2.0, 3.0)])), 1, false).unwrap_err();
+    assert!(
+        refused.to_string().starts_with("operator.clutch: times press the clutch of a real device"),
+        "{refused}"
+    );
+    let mut slave = simulated_slave::<1>(&scene(&Absent), 2).unwrap();
+    let never = driven_master::<1>(&scene(&Times(&[])), 1, false).unwrap();
+    assert_eq!(engagements(never, &mut slave, Away::Link(60), true), 0);
 }
