@@ -19,7 +19,7 @@ LEAST_DURATION_S = 1e-9
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=1e6)]
 Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
 Reaction = Annotated[float, Meta(ge=0.05, le=60.0)]
-StaleAfter = Annotated[float, Meta(ge=1e-9, le=0.1)]
+StaleAfter = Annotated[float, Meta(ge=1e-9, le=1.0)]
 HoldAfter = Annotated[float, Meta(ge=1e-9, le=0.1)]
 StopAfter = Annotated[float, Meta(ge=1e-9, le=10.0)]
 Extrapolation = Annotated[float, Meta(ge=0.0, le=0.02)]

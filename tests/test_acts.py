@@ -121,6 +121,7 @@ def test_a_scene_with_changes_is_overridden_like_any_other() -> None:
     ("given", "said"),
     [
         ({"stale_after_s": 0.02}, "hold_after"),
+        ({"hold_after_s": 0.101}, "hold_after"),
         ({"stop_after_s": 0.01}, "stop_after"),
         ({"extrapolate_s": 0.016}, "extrapolate"),
         ({"fade_out_s": 0.2}, "fade_out"),
@@ -135,7 +136,7 @@ def test_times_out_of_order_or_range_are_refused(given: dict[str, float], said: 
 
 def test_scales_change_while_both_sides_run() -> None:
     hand = Hand(stiffness=300.0, damping=8.0, strength_n=20.0, start=0.02, legs=[(0.4, -0.03, "minimum-jerk")])
-    ladder = LadderSettings(hold_after_s=0.5, stop_after_s=1.0)
+    ladder = LadderSettings(hold_after_s=0.1, stop_after_s=1.0)
     key = bytes(range(32))
     slave = LiveSlave(
         SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02, ladder=ladder),

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 
 from haptether.bridge import DeviceError, load_scene
@@ -128,6 +129,16 @@ def test_a_scene_presses_its_clutch_anew_only_where_the_command_says_so(asked: s
     live = with_clutch(scene, asked)
     assert live.operator is not None
     assert live.operator.clutch == asked
+
+
+def test_a_scene_without_an_operator_has_nobody_who_presses_anew() -> None:
+    scene = load_scene("remote_push")
+    alone = msgspec.structs.replace(scene, operator=None)
+    assert with_clutch(alone, "once") == alone
+    with pytest.raises(ValueError, match=r"--clutch auto: the scene has no \[operator\]"):
+        with_clutch(alone, "auto")
+    driven = msgspec.structs.replace(alone, master=msgspec.structs.replace(alone.master, driver="mine"))
+    assert with_clutch(driven, "auto") == driven, "its loop is told"
 
 
 def test_times_of_a_clutch_are_kept() -> None:

@@ -2110,7 +2110,7 @@ class LadderSettings:
     """Times of the ladder. Ages count from the one that the link has when nothing is wrong.
 
     Args:
-        stale_after_s: Over the expected age to STALE, in s, above 0 and at most 0.1.
+        stale_after_s: Over the expected age to STALE, in s, above 0 and at most 1.
         hold_after_s: Over the expected age to HOLD, in s, above `stale_after_s` and at most 0.1.
         stop_after_s: Over the expected age to STOP, in s, above `hold_after_s` and at most 10.
         extrapolate_s: In STALE until the velocity of the slave has decayed to zero, in s, at most 0.02 and at most

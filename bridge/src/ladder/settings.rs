@@ -53,7 +53,7 @@ impl LadderSettings {
     /// Refuses times that are out of order or range.
     pub fn check(&self) -> Result<(), LadderError> {
         for (name, seen, least, most) in [
-            ("stale_after", self.stale_after_ns, 1, 100 * MS),
+            ("stale_after", self.stale_after_ns, 1, 1_000 * MS),
             ("hold_after", self.hold_after_ns, self.stale_after_ns.saturating_add(1), 100 * MS),
             ("stop_after", self.stop_after_ns, self.hold_after_ns.saturating_add(1), 10_000 * MS),
             (
