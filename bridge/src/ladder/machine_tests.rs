@@ -229,8 +229,8 @@ fn waiting(age: u64) -> LadderInput {
 /// What a press that waits ends by, when, and that nothing but a release and a press after it couples.
 #[test]
 fn a_press_that_is_not_answered_ends_and_counts_no_more() {
-    let faulty = PeerReport { state: Fault, hears: true, answers: true, is_current: true };
     type Input = fn(u64) -> LadderInput;
+    let faulty = PeerReport { state: Fault, hears: true, answers: true, is_current: true };
     let cases: [(&str, Input, u64, Reason); 4] = [
         ("nobody there", |_| ALONE, 5100, Reason::AlignTimedOut),
         ("a peer that does not align", |_| waiting(1), 5100, Reason::AlignTimedOut),
