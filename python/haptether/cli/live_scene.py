@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Iterable
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 if TYPE_CHECKING:
     from haptether.bridge import DeviceRun, LiveMaster, LiveSlave, MasterRun, Scene, SlaveRun
@@ -68,7 +68,7 @@ def start_master(
     scene: "Scene",
     stopped: "Stopped",
     *,
-    clutch: str,
+    clutch: Literal["once", "auto"],
     **how: Any,  # noqa: ANN401  # of LiveMaster
 ) -> "LiveMaster | MasterRun":
     """The master of a scene, begun; `clutch` is that of a real device without a button.
