@@ -2,13 +2,14 @@
 
 import json
 import os
+import queue
 import re
 import secrets
-import selectors
 import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -67,23 +68,39 @@ class Screen:
             stderr=subprocess.PIPE, text=True, bufsize=1,
         )  # fmt: skip
         self.lines: list[str] = []
+        self._waiting: queue.Queue[str] = queue.Queue()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        with self.process.stderr as lines:
+            for line in lines:
+                self._waiting.put(line)
+        self._waiting.put("")
 
     def until(self, said: str) -> str:
-        """Reads until a line holds `said`, and gives it."""
-        assert self.process.stderr is not None
+        """Waits for a line that holds `said`, and gives it."""
         while True:
-            with selectors.DefaultSelector() as ready:
-                ready.register(self.process.stderr, selectors.EVENT_READ)
-                assert ready.select(TIMEOUT_S), (said, self.lines)
-            line = self.process.stderr.readline()
+            try:
+                line = self._waiting.get(timeout=TIMEOUT_S)
+            except queue.Empty:
+                pytest.fail(f"{said!r} was not said: {self.lines}")
             assert line, (said, self.lines)
             self.lines.append(line.rstrip("\n"))
             if said in line:
                 return self.lines[-1]
 
+    def join(self) -> None:
+        """Waits until all that it said has been read."""
+        self._reader.join(timeout=TIMEOUT_S)
+
     def end(self) -> str:
-        _, rest = self.process.communicate(timeout=TIMEOUT_S)
-        self.lines += rest.splitlines()
+        """Waits for the end and gives all that it said."""
+        self.process.wait(timeout=TIMEOUT_S)
+        self.join()
+        while line := self._waiting.get(timeout=TIMEOUT_S):
+            self.lines.append(line.rstrip("\n"))
         return "\n".join(self.lines)
 
 
@@ -94,7 +111,8 @@ def screens() -> Iterator[list[Screen]]:
     for screen in running:
         if screen.process.poll() is None:
             screen.process.kill()
-        screen.process.communicate()
+        screen.process.wait()
+        screen.join()
 
 
 def packaged(folder: Path) -> dict[str, str]:
