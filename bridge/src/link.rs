@@ -97,10 +97,21 @@ pub enum Refusal {
     /// Of another session while this one lives.
     #[error("frame of session {0:#x} while another session lives")]
     Session(u64),
+    /// Further ahead than its sender can have come, while frames of the living session arrive.
+    #[error("frame {seen} after {newest}: further ahead than any sender comes in this time")]
+    Ahead {
+        /// As received.
+        seen: u64,
+        /// The newest before it.
+        newest: u64,
+    },
 }
 
 /// Frames before the newest that are told apart: two seconds at 1 kHz.
 const WINDOW: u32 = 2048;
+/// Time between two frames of the fastest sender in ns, twice as fast as any: a jump of the sequence beyond the window takes
+/// so long for each frame.
+const MIN_PERIOD_NS: u64 = 50_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Newest<const N: usize> {
@@ -109,6 +120,16 @@ struct Newest<const N: usize> {
     arrived_ns: u64,
     /// When it had arrived for sure.
     by_ns: u64,
+}
+
+impl<const N: usize> Newest<N> {
+    /// Whether a sequence of the same session can follow or precede it at `by_ns`.
+    fn is_near(&self, sequence: u64, by_ns: u64) -> bool {
+        let newest = self.frame.sequence;
+        let sent = by_ns.saturating_sub(self.by_ns) / MIN_PERIOD_NS;
+        let ahead = sequence.saturating_sub(newest) <= sent.saturating_add(WINDOW.into());
+        ahead && newest.saturating_sub(sequence) < WINDOW.into()
+    }
 }
 
 /// One end: numbers what it sends, keeps the newest of what it receives.
@@ -159,19 +180,33 @@ impl<const N: usize> FrameLink<N> {
     /// Takes a datagram that arrived by the tick of `now_ns`; strictly newer frames replace the newest.
     ///
     /// Says whether the frame began a session. A refused datagram changes nothing but its counter.
+    ///
+    /// In the clear anybody may write any sequence. One that no sender comes to is refused while the session lives; after
+    /// the lease's silence it begins a session anew. So no frame takes the link from its peer for longer than that.
     pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
         let frame =
             Frame::decode(datagram, self.role.peer()).inspect_err(|_| self.statistics.refused += 1)?;
         let by_ns = now_ns.saturating_add(self.late_ns);
         let begins = match &self.newest {
-            Some(newest) if newest.frame.session == frame.session => {
+            Some(newest)
+                if newest.frame.session == frame.session && newest.is_near(frame.sequence, by_ns) =>
+            {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 self.place(frame.sequence)?;
                 false
             }
             Some(newest) if now_ns.saturating_sub(newest.arrived_ns) < self.lease_ns => {
+                let (seen, of_newest) = (frame.sequence, newest.frame.sequence);
+                if newest.frame.session == frame.session && seen < of_newest {
+                    self.statistics.late += 1;
+                    return Err(Refusal::Late(seen));
+                }
                 self.statistics.refused += 1;
-                return Err(Refusal::Session(frame.session));
+                return Err(if newest.frame.session == frame.session {
+                    Refusal::Ahead { seen, newest: of_newest }
+                } else {
+                    Refusal::Session(frame.session)
+                });
             }
             _ => {
                 self.first_sequence = frame.sequence;
@@ -413,6 +448,71 @@ mod tests {
         let answer = slave.send(off + 3 * MS, HEARD, PortState::default(), &mut buffer).to_vec();
         master.receive(113 * MS, &answer).unwrap();
         assert_eq!(master.statistics().round_trip_ns, 100 * MS);
+    }
+
+    /// Bytes of a frame changed, and its checksum made to fit: in the clear anybody can.
+    fn changed(frame: &[u8], at: usize, value: u64) -> Vec<u8> {
+        let mut bytes = frame[..frame.len() - 4].to_vec();
+        bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
+        bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+        bytes
+    }
+
+    const SESSION: usize = 8;
+    const SEQUENCE: usize = 16;
+    const SENT: usize = 32;
+    const HELD: usize = 48;
+
+    /// One frame of somebody else in the clear, with any number in any field, in a session that lives and in a pause of it:
+    /// what the peer sends is news again within the lease, and its age is what it was.
+    #[test]
+    fn no_frame_in_the_clear_takes_the_link_for_longer_than_the_lease() {
+        let mut values: Vec<u64> = [0, 1, 1500, 1 << 32, 1 << 63, u64::MAX / 2].to_vec();
+        values.extend((0..3).map(|n| u64::MAX - n));
+        for (field, pause_ms) in
+            [SESSION, SEQUENCE, SENT, HELD].into_iter().flat_map(|at| [(at, 1), (at, 300)])
+        {
+            for &value in &values {
+                let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+                let mut slave = FrameLink::<1>::new(Role::Slave, 8, 200 * MS);
+                let (mut buffer, mut last_ms, mut lost_ms) = ([0; MAX_FRAME], 0, 0);
+                for ms in 0..4000_u64 {
+                    let now_ns = 10_000 * MS + ms * MS;
+                    let _ =
+                        slave.receive(now_ns, master.send(now_ns, HEARD, PortState::default(), &mut buffer));
+                    let frame = slave.send(now_ns, HEARD, PortState::default(), &mut buffer).to_vec();
+                    if (1000..1000 + pause_ms).contains(&ms) {
+                        last_ms = ms;
+                        continue;
+                    }
+                    if ms == 1000 + pause_ms {
+                        let of_next =
+                            if field == SEQUENCE { frame.clone() } else { changed(&frame, SEQUENCE, ms) };
+                        let _ = master.receive(now_ns, &changed(&of_next, field, value));
+                    }
+                    if master.receive(now_ns, &frame).is_ok() {
+                        last_ms = ms;
+                    }
+                    lost_ms = lost_ms.max(ms - last_ms);
+                }
+                let what = format!("byte {field} = {value} after {pause_ms} ms: {lost_ms} ms");
+                // A sequence within the window is one that the peer comes to.
+                let within = field == SEQUENCE && value.abs_diff(1000) <= 4048;
+                assert!(lost_ms <= if within { 2048 } else { 200 }, "{what}");
+                let over_ns = master.path().over_usual_ns(14_000 * MS);
+                assert!(over_ns.is_some_and(|over_ns| over_ns < 5 * MS), "{what}, {over_ns:?} older");
+            }
+        }
+    }
+
+    /// A delay that falls by a second, as a queue that drains, is no jump that nobody makes.
+    #[test]
+    fn frames_that_overtake_a_second_of_delay_are_news() {
+        let frames = frames(2000, 1);
+        let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
+        master.receive(1000 * MS, &frames[0]).unwrap();
+        assert_eq!(master.receive(1001 * MS, &frames[1000]), Ok(false));
+        assert_eq!(master.receive(1002 * MS, &frames[999]), Err(Refusal::Late(999)));
     }
 
     proptest! {
