@@ -126,8 +126,10 @@ mod tests {
         for n in 0..10_000 {
             shares.take(n * MS, one);
         }
-        assert!(!shares.take(10 * SECOND, one));
-        assert!(shares.take(10 * SECOND, other) && shares.take(10 * SECOND, far));
+        // A moment before its next.
+        let now_ns = 10 * SECOND - 1;
+        assert!(!shares.take(now_ns, one));
+        assert!(shares.take(now_ns, other) && shares.take(now_ns, far));
         // Nor from all ports of one host: others have their half.
         let mut shares = Shares::new(250 * MS);
         for port in 0..20_000_u16 {

@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn the_known_answer_of_another_implementation() {
         let key =
-            PreSharedKey::of_vec(bytes("54686973206973206d7920417573747269616e20706572735065637469766521"))
+            PreSharedKey::of_vec(bytes("54686973206973206d7920417573747269616e20706572737065637469766521"))
                 .unwrap();
         let prologue = b"John Galt";
         let id = EpochId { session: 0, epoch: 0 };
