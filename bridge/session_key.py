@@ -7,10 +7,15 @@ import os
 import secrets
 import stat
 from pathlib import Path
+from typing import NoReturn
 
 KEY_BYTES = 32
 HEADER = "haptether session key 1"
 LONGEST_FILE = 4096
+MIN_DISTINCT = 8
+"""Different byte values in a key: fewer are none that was drawn at random."""
+_ENCODED = 44
+_SEXTETS = {code: n for n, code in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")}
 
 
 def write_key(path: Path, *, replace: bool = False) -> None:
@@ -59,11 +64,11 @@ def _write_new(path: Path, text: str) -> None:
         os.fsync(file.fileno())
 
 
-def read_key(path: Path) -> bytes:
-    """The 32 bytes of a key file that :func:`write_key` made.
+def read_key(path: Path) -> bytearray:
+    """The 32 bytes of a key file that :func:`write_key` made, and no other copy of them: to be wiped by :func:`wipe`.
 
     Raises:
-        ValueError: It is no plain file, others may read or write it, or it holds no key.
+        ValueError: It is no plain file, others may read or write it, or it holds no key, or a weak one.
         OSError: It cannot be read.
     """
     try:
@@ -84,13 +89,62 @@ def read_key(path: Path) -> bytes:
         if mode & 0o077:
             message = f"{path}: others may use this key (mode {mode:04o}): run `chmod 600 {path}`"
             raise ValueError(message)
-        content = os.read(descriptor, LONGEST_FILE + 1)
+        content = bytearray(LONGEST_FILE + 1)
+        length = os.readv(descriptor, [content])
     finally:
         os.close(descriptor)
-    return _parse(path, content)
+    try:
+        key = _decoded(content, length)
+        if key is None:
+            _refuse(path, bytes(content[:length]))
+    finally:
+        wipe(content)
+    if (distinct := len(set(key))) < MIN_DISTINCT:
+        message = (
+            f"{path}: a weak key, {distinct} different byte values: must be {KEY_BYTES} random bytes, "
+            "`haptether keygen` makes one"
+        )
+        raise ValueError(message)
+    return key
 
 
-def _parse(path: Path, content: bytes) -> bytes:
+def wipe(key: bytearray) -> None:
+    """Overwrites a key in place with zeros."""
+    key[:] = bytes(len(key))
+
+
+def _decoded(content: bytearray, length: int) -> bytearray | None:
+    """The key of a key file's content, decoded in place: `base64` would leave copies that nobody can wipe."""
+    start = content.find(b"\n", 0, length) + 1
+    if length > LONGEST_FILE or bytes(content[:start]).strip() != HEADER.encode():
+        return None
+    while length > start and content[length - 1 : length].isspace():
+        length -= 1
+    while content[start] in b" \t" and start < length:
+        start += 1
+    if length - start != _ENCODED or content[length - 1] != ord("="):
+        return None
+    key = bytearray(KEY_BYTES)
+    for n in range(_ENCODED - 1):
+        sextet = _SEXTETS.get(content[start + n])
+        if sextet is None:
+            wipe(key)
+            return None
+        at, shift = divmod(6 * n, 8)
+        # The sextet's bits from bit `shift` of byte `at` on; the last has two bits that are none of the key's.
+        bits = sextet << 10 - shift
+        key[at] |= bits >> 8
+        if at + 1 < KEY_BYTES:
+            key[at + 1] |= bits & 0xFF
+    return key
+
+
+def _refuse(path: Path, content: bytes) -> NoReturn:
+    """Says why the content of a key file is no key.
+
+    Raises:
+        ValueError: Always.
+    """
     lines = content.splitlines()
     if len(content) > LONGEST_FILE or len(lines) != 2 or lines[0].strip() != HEADER.encode():
         message = f"{path}: is no key file: must be the line {HEADER!r} and one with the key"
@@ -100,7 +154,5 @@ def _parse(path: Path, content: bytes) -> bytes:
     except binascii.Error as error:
         message = f"{path}: line 2 is no base64 text"
         raise ValueError(message) from error
-    if len(key) != KEY_BYTES:
-        message = f"{path}: a key of {len(key)} bytes, must have {KEY_BYTES}"
-        raise ValueError(message)
-    return key
+    message = f"{path}: a key of {len(key)} bytes, must have {KEY_BYTES}"
+    raise ValueError(message)

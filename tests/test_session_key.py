@@ -6,10 +6,14 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from haptether.bridge import read_key, write_key
+from haptether.bridge import LiveSlave, read_key, wipe, write_key
+from haptether.cli.options import slave_settings
+
+PUSH: dict[str, Any] = {"wall_stiffness": 100.0, "push_at_s": None, "push_force_n": 3.5, "push_duration_s": 2.0}
 
 
 def key_text(length: int = 32) -> str:
@@ -44,6 +48,99 @@ def test_the_known_answer(tmp_path: Path) -> None:
     # Brought over by a machine that ends its lines otherwise.
     assert read_key(written(tmp_path / "other", text.replace("\n", "\r\n"))) == bytes(range(32))
     assert read_key(written(tmp_path / "bare", text, 0o400)) == bytes(range(32))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [bytes(32), b"\x42" * 32, bytes(31) + b"\x01", bytes(range(4)) * 8],
+    ids=["zeros", "one byte", "one bit", "pattern"],
+)
+def test_a_weak_key_is_refused_wherever_it_enters(tmp_path: Path, key: bytes) -> None:
+    text = f"haptether session key 1\n{base64.b64encode(key).decode()}\n"
+    with pytest.raises(ValueError, match=r"arm\.key: a weak key, \d different byte values: must be 32 random bytes"):
+        read_key(written(tmp_path / "arm.key", text))
+    for given in (key, bytearray(key)):
+        with pytest.raises(ValueError, match="weak key"):
+            LiveSlave(slave_settings(**PUSH), listen="127.0.0.1:0", session=1, key=given)
+
+
+def copies(pid: int, *secrets: bytes) -> int:
+    """How often any of some bytes lie in the memory of a process."""
+    found = 0
+    proc = Path(f"/proc/{pid}")
+    with (proc / "maps").open(encoding="ascii") as maps, (proc / "mem").open("rb", buffering=0) as memory:
+        for line in maps:
+            span, rights, *_ = line.split()
+            if not rights.startswith("rw"):
+                continue
+            start, end = (int(number, 16) for number in span.split("-"))
+            try:
+                memory.seek(start)
+                content = memory.read(end - start)
+            except (OSError, ValueError, OverflowError):
+                continue
+            found += sum(content.count(secret) for secret in secrets)
+    return found
+
+
+HELD = """
+import base64, ctypes, resource, sys, time
+from pathlib import Path
+from haptether.bridge import LiveMaster, LiveSlave, read_key, wipe
+from haptether.cli.options import master_settings, slave_settings
+
+def settled(port):
+    key = read_key(Path(sys.argv[1]))
+    slave = LiveSlave(slave_settings(**PUSH), listen="127.0.0.1:0", session=1, key=key, realtime="off")
+    master = LiveMaster(master_settings("none", depth=0.0, release_at_s=None, force_scale=1.0), peer=slave.address, session=2, key=key, realtime="off")
+    wipe(key)
+    end = time.monotonic() + 20.0
+    while master.state == "disengaged" and time.monotonic() < end:
+        time.sleep(0.01)
+    return slave, master
+
+sides = settled(0)
+print(sides[1].state, ctypes.CDLL(None).prctl(3), resource.getrlimit(resource.RLIMIT_CORE)[0], flush=True)
+sys.stdin.readline()
+for side in sides:
+    side.finish()
+del sides
+print("ended", flush=True)
+sys.stdin.readline()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_live_process_has_one_copy_of_the_key_a_side_and_none_after_it(tmp_path: Path) -> None:
+    path = tmp_path / "arm.key"
+    write_key(path)
+    # Both as it is and as the file has it.
+    secrets = (bytes(read_key(path)), path.read_bytes().splitlines()[1])
+    with subprocess.Popen(
+        [sys.executable, "-c", HELD, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            state, dumpable, core = process.stdout.readline().split()
+            held = copies(process.pid, *secrets)
+            process.stdin.write("\n")
+            process.stdin.flush()
+            assert process.stdout.readline() == "ended\n"
+            left = copies(process.pid, *secrets)
+        finally:
+            process.kill()
+    assert state != "disengaged"
+    # Not dumped, and of no size.
+    assert (dumpable, core) == ("0", "0")
+    assert held == 2
+    assert left == 0
+
+
+def test_a_wiped_key_is_gone() -> None:
+    key = bytearray(range(32))
+    wipe(key)
+    assert key == bytes(32)
 
 
 def test_a_key_is_not_overwritten_by_accident(tmp_path: Path) -> None:

@@ -2217,7 +2217,7 @@ class LiveMaster:
         settings: The side, or a scene of any number of axes as `scene_json` gives it.
         peer: The slave or a proxy before it, `HOST:PORT`.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`.
+        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
@@ -2242,7 +2242,7 @@ class LiveMaster:
         *,
         peer: str,
         session: int,
-        key: bytes | None = None,
+        key: bytes | bytearray | None = None,
         insecure: bool = False,
         listen: str | None = None,
         duration_s: float | None = None,
@@ -2341,7 +2341,7 @@ class LiveSlave:
         settings: The side, or a scene of any number of axes as `scene_json` gives it.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`.
+        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
@@ -2365,7 +2365,7 @@ class LiveSlave:
         *,
         listen: str,
         session: int,
-        key: bytes | None = None,
+        key: bytes | bytearray | None = None,
         insecure: bool = False,
         duration_s: float | None = None,
         patience_s: float | None = None,
@@ -2459,7 +2459,7 @@ class MasterLoop:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
         peer: The slave or a proxy before it, `HOST:PORT`.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`.
+        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         clutch: Of a device without a button: "once" is pressed by the start, if the device opens within 5 s, and anew by
@@ -2488,7 +2488,7 @@ class MasterLoop:
         *,
         peer: str,
         session: int,
-        key: bytes | None = None,
+        key: bytes | bytearray | None = None,
         insecure: bool = False,
         listen: str | None = None,
         clutch: Literal["once", "auto"] = "once",
@@ -2630,7 +2630,7 @@ class SlaveLoop:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`.
+        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
@@ -2654,7 +2654,7 @@ class SlaveLoop:
         *,
         listen: str,
         session: int,
-        key: bytes | None = None,
+        key: bytes | bytearray | None = None,
         insecure: bool = False,
         duration_s: float | None = None,
         patience_s: float | None = None,

@@ -74,7 +74,7 @@ class CheckLink:
         from haptether.cli.live_scene import live_scene
         from haptether.cli.options import master_settings, new_session
         from haptether.cli.output import check_target
-        from haptether.cli.security import marked, session_key
+        from haptether.cli.security import handed_over, marked, session_key
         from haptether.studies import judge_link, largest_delay_s, summarise_link
 
         check_target(self.json)
@@ -111,6 +111,7 @@ class CheckLink:
                     realtime=self.realtime,
                 )
             )
+            handed_over(key)
 
             def status() -> str:
                 master.poll()

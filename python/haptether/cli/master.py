@@ -10,7 +10,7 @@ from haptether.cli.live_options import LiveOptions
 from haptether.cli.options import Controller
 
 if TYPE_CHECKING:
-    from haptether.bridge import LiveMaster, MasterTrace, Scene
+    from haptether.bridge import LiveMaster, MasterRun, MasterTrace, Scene
     from haptether.cli.live import Cause, Stopped
     from haptether.studies import LinkSummary, PushResult
 
@@ -92,10 +92,10 @@ class Master(LiveOptions):
             tell,
             wait,
         )
-        from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_master, with_clutch
+        from haptether.cli.live_scene import fault_text, live_scene, raise_error, with_clutch
         from haptether.cli.options import new_session
         from haptether.cli.output import check_distinct, check_target
-        from haptether.cli.security import marked, session_key
+        from haptether.cli.security import handed_over, marked, session_key
         from haptether.studies import measure_push, save_master_trace, summarise_link
 
         check_target(self.json)
@@ -124,10 +124,8 @@ class Master(LiveOptions):
         }
         controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
         with Stopped() as stopped:
-            if scene is not None:
-                master = start_master(scene, stopped, clutch=self.clutch, **how)
-            else:
-                master = self._without_scene(stopped, how)
+            master = self._start(scene, stopped, how)
+            handed_over(key)
             steps = Steps("master")
             refused: str | None = None
 
@@ -166,10 +164,13 @@ class Master(LiveOptions):
         self._judge(result, answered=answered, stopped=bool(stopped) or alone, refused=refused, cause=cause)
         return 0
 
-    def _without_scene(self, stopped: "Stopped", how: dict[str, Any]) -> "LiveMaster":
+    def _start(self, scene: "Scene | None", stopped: "Stopped", how: dict[str, Any]) -> "LiveMaster | MasterRun":
         from haptether.bridge import LiveMaster
+        from haptether.cli.live_scene import start_master
         from haptether.cli.options import master_settings
 
+        if scene is not None:
+            return start_master(scene, stopped, clutch=self.clutch, **how)
         settings = master_settings(
             self.controller,
             depth=self.depth,

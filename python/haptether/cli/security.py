@@ -6,7 +6,7 @@ INSECURE = "INSECURE: frames are neither encrypted nor authenticated, anybody wh
 """What the screen says of a run in the clear."""
 
 
-def session_key(key: Path | None, *, insecure: bool) -> bytes | None:
+def session_key(key: Path | None, *, insecure: bool) -> bytearray | None:
     """The key of a secure session, or none for a run in the clear.
 
     Raises:
@@ -33,6 +33,14 @@ def session_key(key: Path | None, *, insecure: bool) -> bytes | None:
             "`haptether keygen PATH` makes one"
         )
         raise ValueError(message) from None
+
+
+def handed_over(key: bytearray | None) -> None:
+    """Wipes a key that the live side has its copy of."""
+    from haptether.bridge import wipe
+
+    if key is not None:
+        wipe(key)
 
 
 def marked(headline: str, *, insecure: bool) -> str:

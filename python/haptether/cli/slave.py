@@ -79,7 +79,7 @@ class Slave(LiveOptions):
         from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_slave
         from haptether.cli.options import new_session, slave_settings
         from haptether.cli.output import check_distinct, check_target
-        from haptether.cli.security import marked, session_key
+        from haptether.cli.security import handed_over, marked, session_key
         from haptether.safety import fault_message
 
         check_target(self.json)
@@ -113,6 +113,7 @@ class Slave(LiveOptions):
                     push_duration_s=self.push_duration_s,
                 )
                 slave = stopped.attached(LiveSlave(settings, **how))
+            handed_over(key)
 
             steps = Steps("slave")
 
