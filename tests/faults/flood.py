@@ -16,7 +16,8 @@ from dataclasses import asdict, dataclass
 
 HEADER = struct.Struct("<2sBBIQQ")
 """Magic, version, kind, epoch, session, counter: docs/protocol.md."""
-SEALED_BYTES, HELLO_BYTES = 164, 88
+VERSION = 2
+SEALED_BYTES, HELLO_BYTES = 164, 120
 """Of a sealed frame of one axis, of the first message of a handshake."""
 BATCH = 100
 """Datagrams a system call."""
@@ -53,12 +54,12 @@ class Sent:
 
 def sealed(session: int, counter: int) -> bytes:
     """A header as of a frame of this session, and random bytes."""
-    return HEADER.pack(b"HS", 1, 3, 0, session, counter) + secrets.token_bytes(SEALED_BYTES - HEADER.size)
+    return HEADER.pack(b"HS", VERSION, 3, 0, session, counter) + secrets.token_bytes(SEALED_BYTES - HEADER.size)
 
 
 def hello(session: int, _: int) -> bytes:
     """A header as of the first message of a handshake, and random bytes."""
-    return HEADER.pack(b"HS", 1, 1, 0, session, 0) + secrets.token_bytes(HELLO_BYTES - HEADER.size)
+    return HEADER.pack(b"HS", VERSION, 1, 0, session, 0) + secrets.token_bytes(HELLO_BYTES - HEADER.size)
 
 
 KINDS = {"frame": sealed, "hello": hello}

@@ -10,18 +10,26 @@ import subprocess
 import sys
 import threading
 import time
+import zlib
+from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
-from tests.faults.flood import HEADER
+from tests.faults.flood import HEADER, HELLO_BYTES, VERSION
 from tests.faults.processes import DisturbedError, Judged, Limits, again, never_held, pair
 from tests.faults.rows import Row
-from tests.faults.running import END_S, PRESSED_S, Recorded, Stage
+from tests.faults.running import END_S, PRESSED_S, Process, Recorded, Stage
 from tests.faults.virtual import PERIOD_S, causes
 
 REPLAYED = "replay of a recorded session to the slave, and to one started anew"
 FUZZED = "header fuzz at the socket, 40000 datagrams"
+REPEATED = "4000 recorded first messages/s beside a living session"
+GARBAGE = "1e5 forged first messages/s while a master starts"
+COPIED = "each frame copied from another address, 4 ms faster"
+LAST_SEQUENCE = "in the clear, one frame with sequence 2^64 - 1"
+START_S, START_LATER_S = 6.0, 1.5
+"""How long the start of a session is watched, and by how much a flood may delay it: repeats of the first message."""
 ANY_SESSION = 0x0123_4567_89AB_CDEF
 FLOOD_S = 3.0
 RATE_HZ, LEAST_RATE_HZ = 1e5, 8e4
@@ -35,9 +43,12 @@ LATER_S = 0.5e-3
 
 
 class Relay:
-    """Passes on what a master and a slave send each other, and keeps what the master sent."""
+    """Passes on what a master and a slave send each other, and keeps what the master sent.
 
-    def __init__(self, slave: str) -> None:
+    With `behind_s` it passes the master's datagrams on so much later, and a copy of each at once from another address.
+    """
+
+    def __init__(self, slave: str, behind_s: float = 0.0) -> None:
         host, port = slave.rsplit(":", 1)
         self._slave = (host, int(port))
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -45,6 +56,11 @@ class Relay:
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far.connect(self._slave)
         self._done = threading.Event()
+        self._behind_s = behind_s
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._copier = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._copier.connect(self._slave)
+        self._copier.setblocking(False)
         self.recorded: list[bytes] = []
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -58,12 +74,20 @@ class Relay:
     def _run(self) -> None:
         master = None
         while not self._done.is_set():
-            ready, _, _ = select.select([self._near, self._far], [], [], 0.05)
+            wait_s = max(self._waiting[0][0] - time.monotonic(), 0.0) if self._waiting else 0.05
+            ready, _, _ = select.select([self._near, self._far], [], [], wait_s)
+            while self._waiting and self._waiting[0][0] <= time.monotonic():
+                with contextlib.suppress(OSError):
+                    self._far.send(self._waiting.popleft()[1])
             if self._near in ready:
                 datagram, master = self._near.recvfrom(2048)
                 self.recorded.append(datagram)
                 with contextlib.suppress(OSError):
-                    self._far.send(datagram)
+                    if self._behind_s:
+                        self._waiting.append((time.monotonic() + self._behind_s, datagram))
+                        self._copier.send(datagram)
+                    else:
+                        self._far.send(datagram)
             if self._far in ready and master is not None:
                 with contextlib.suppress(OSError):
                     self._near.sendto(self._far.recv(2048), master)
@@ -72,8 +96,8 @@ class Relay:
         """Ends it."""
         self._done.set()
         self._thread.join()
-        self._near.close()
-        self._far.close()
+        for used in (self._near, self._far, self._copier):
+            used.close()
 
 
 def send_all(to: str, datagrams: list[bytes], every: int = 50) -> int:
@@ -140,10 +164,10 @@ def fuzz(count: int, seed: int) -> Iterator[bytes]:
     """Datagrams of every length, kind and header, right in more and more places."""
     draw = random.Random(seed)
     for n in range(count):
-        length = draw.choice((0, 1, 23, 24, 25, 87, 88, 89, 123, 124, 125, 163, 164, 165, 1400))
+        length = draw.choice((0, 1, 23, 24, 25, 119, 120, 121, 123, 124, 125, 163, 164, 165, 1400))
         head = b""
         if n % 4:
-            version = draw.choice((0, 1, 2, 255)) if n % 2 else 1
+            version = draw.choice((0, 1, 2, 255)) if n % 2 else VERSION
             kind = draw.randrange(256) if n % 3 else 1 + n % 5
             counter = draw.choice((0, 1, 2**32, 2**64 - 1))
             head = HEADER.pack(b"HS", version, kind, draw.choice((0, 1, 2**32 - 1)), ANY_SESSION, counter)
@@ -255,6 +279,115 @@ def _late(recorded: Recorded, from_end_s: float, until_end_s: float) -> tuple[fl
     return float(np.percentile(late_s, 99)), float(np.mean(late_s > PERIOD_S))
 
 
+def repeated_first_message(limits: Limits) -> Row:
+    """The first message of a session before, authentic, 4000 times a second beside the session that lives."""
+    with Stage.set() as stage:
+        slave = stage.slave("slave")
+        relay = Relay(slave.address)
+        before = stage.master(relay.address, "before", record=None)
+        time.sleep(PRESSED_S)
+        before.end()
+        relay.close()
+        first = next(datagram for datagram in relay.recorded if len(datagram) == HELLO_BYTES)
+        master = stage.master(slave.address)
+        time.sleep(PRESSED_S)
+        begun_s = time.monotonic()
+        answers = send_all(slave.address, [first] * 12_000, every=4)
+        took_s = time.monotonic() - begun_s
+        stage.end_together(slave, master)
+        sides = [stage.ticks("slave").before_end(), stage.ticks("master").before_end()]
+        said = slave.said
+    engaged_again(sides[0])
+    judged = Judged(limits)
+    judged.wrong.check(answers <= 4 + took_s, f"{answers} answers in {took_s:.1f} s")
+    judged.wrong.check("another master" not in said, "a replay was reported as another master")
+    judged.say(f"{12_000 / took_s:.0f}/s sent, {answers} answers in {took_s:.1f} s; no hold, nothing reported")
+    return judged.row(REPEATED, "the session goes on; one answer a second; no other master is reported")
+
+
+def engaged_again(recorded: Recorded) -> None:
+    """Refuses a run whose second session did not engage, or held before its end.
+
+    Raises:
+        DisturbedError: It did.
+    """
+    if recorded.ticks.last not in {"engaged", "stale"}:
+        raise DisturbedError(f"ended in {recorded.ticks.last}")
+
+
+def garbage_at_start(limits: Limits) -> Row:
+    """A master that comes while 1e5 forged first messages a second do."""
+    engaged_s: list[float] = []
+    rate_hz = 0.0
+    for floods in (False, True):
+        with Stage.set() as stage:
+            slave = stage.slave("slave", record=None)
+            sender = [sys.executable, "-m", "tests.faults.flood", slave.address, "--kind", "hello"]
+            flooding = subprocess.Popen(
+                [*sender, "--rate", f"{RATE_HZ}", "--seconds", f"{START_S}"], stdout=subprocess.PIPE, text=True
+            ) if floods else None  # fmt: skip
+            time.sleep(0.5)
+            master = stage.master(slave.address, record=None)
+            time.sleep(START_S - 1.0)
+            stage.end_together(slave, master)
+            engaged_s.append(stage.report("master")["engaged_s"] or float("inf"))
+            if flooding is not None:
+                rate_hz = float(json.loads(flooding.communicate(timeout=END_S)[0])["rate_hz"])
+    if rate_hz < LEAST_RATE_HZ:
+        raise DisturbedError(f"the sender reached {rate_hz:.0f} a second, must be {LEAST_RATE_HZ:g}")
+    judged = Judged(limits)
+    later_s = engaged_s[1] - engaged_s[0]
+    judged.wrong.check(later_s <= START_LATER_S, f"engaged {later_s:.2f} s later")
+    judged.say(f"engaged after {engaged_s[0]:.2f} s without, {engaged_s[1]:.2f} s with {rate_hz:.0f}/s")
+    return judged.row(GARBAGE, f"the start takes at most {START_LATER_S:g} s longer")
+
+
+def copied(limits: Limits) -> Row:
+    """Each frame of the master copied from another address, and there 4 ms before it."""
+    with Stage.set() as stage:
+        slave = stage.slave()
+        relay = Relay(slave.address, behind_s=4e-3)
+        master = stage.master(relay.address)
+        time.sleep(PRESSED_S + 1.0)
+        stage.end_together(slave, master)
+        relay.close()
+        sides = [stage.ticks("slave").before_end(), stage.ticks("master").before_end()]
+        duplicates = stage.report("slave")["rejections"].get("counter seen before", 0)
+    never_held(*sides)
+    judged = Judged(limits)
+    judged.slave(sides[0])
+    judged.wrong.check(duplicates > 1000, f"{duplicates} originals came second")
+    judged.say(f"{duplicates} originals came second; no hold")
+    return judged.row(COPIED, "the answers still reach the master")
+
+
+def last_sequence(limits: Limits) -> Row:
+    """In the clear, one frame of the living session with the highest sequence there is."""
+    with Stage.set() as stage:
+        plain = ("--insecure", "--json", str(stage.path("slave.json")))
+        slave = Process("slave", "--listen", "127.0.0.1:0", *plain, record=stage.path("slave.mcap"))
+        stage.processes.append(slave)
+        relay = Relay(slave.address)
+        plain = ("--insecure", "--json", str(stage.path("master.json")))
+        master = Process("master", "--peer", relay.address, *plain, record=stage.path("master.mcap"))
+        stage.processes.append(master)
+        time.sleep(PRESSED_S)
+        frame = bytearray(relay.recorded[-1][:-4])
+        struct.pack_into("<Q", frame, 16, 2**64 - 1)
+        send_all(slave.address, [bytes(frame) + struct.pack("<I", zlib.crc32(frame))])
+        time.sleep(0.5)
+        stage.end_together(slave, master)
+        relay.close()
+        sides = [stage.ticks("slave").before_end(), stage.ticks("master").before_end()]
+        refused = stage.report("slave")["refused"]
+    never_held(*sides)
+    judged = Judged(limits)
+    judged.slave(sides[0])
+    judged.wrong.check(refused >= 1, "the frame was taken")
+    judged.say("refused; no hold")
+    return judged.row(LAST_SEQUENCE, "refused, the session goes on")
+
+
 FLOODS = (
     ("1e5 forged frames/s, of the living session", "frame", True),
     ("1e5 forged frames/s, of any session", "frame", False),
@@ -265,7 +398,14 @@ FLOODS = (
 def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
     """All of them by name, to be run one after the other."""
     bounds = limits or Limits()
-    measures: dict[str, Callable[[Limits], Row]] = {REPLAYED: replayed_session, FUZZED: fuzzed}
+    measures: dict[str, Callable[[Limits], Row]] = {
+        REPLAYED: replayed_session,
+        FUZZED: fuzzed,
+        REPEATED: repeated_first_message,
+        GARBAGE: garbage_at_start,
+        COPIED: copied,
+        LAST_SEQUENCE: last_sequence,
+    }
     for name, kind, knows in FLOODS:
         measures[name] = partial(flooded, name, kind, knows_session=knows)
     return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}
