@@ -92,7 +92,8 @@ from haptether.cli.options import master_settings, slave_settings
 def settled(port):
     key = read_key(Path(sys.argv[1]))
     slave = LiveSlave(slave_settings(**PUSH), listen="127.0.0.1:0", session=1, key=key, realtime="off")
-    master = LiveMaster(master_settings("none", depth=0.0, release_at_s=None, force_scale=1.0), peer=slave.address, session=2, key=key, realtime="off")
+    settings = master_settings("none", depth=0.0, release_at_s=None)
+    master = LiveMaster(settings, peer=slave.address, session=2, key=key, realtime="off")
     wipe(key)
     end = time.monotonic() + 20.0
     while master.state == "disengaged" and time.monotonic() < end:
