@@ -83,7 +83,7 @@ def copies(pid: int, *secrets: bytes) -> int:
     return found
 
 
-HELD = """
+HELD = f"PUSH = {PUSH!r}" + """
 import base64, ctypes, resource, sys, time
 from pathlib import Path
 from haptether.bridge import LiveMaster, LiveSlave, read_key, wipe

@@ -128,14 +128,14 @@ fn at_most(sigma_s: f64, most_s: f64, law: &str, mean_s: f64, remedy: &str) -> R
     if mean_s == 0.0 {
         return Err(LinkError::contradiction(
             "jitter_s",
-            format!("{sigma_s}: needs delay_s above 0 to vary around"),
+            format!("{sigma_s:?}: needs delay_s above 0 to vary around"),
         ));
     }
     Err(LinkError::contradiction(
         "jitter_s",
         format!(
-            "{sigma_s}: a delay that is {law} with the mean delay_s = {mean_s} and never negative has a standard \
-             deviation of at most {most_s}; {remedy}"
+            "{sigma_s:?}: a delay that is {law} with the mean delay_s = {mean_s:?} and never negative has a standard \
+             deviation of at most {most_s:?}; {remedy}"
         ),
     ))
 }

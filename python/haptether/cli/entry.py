@@ -96,12 +96,12 @@ def _main(arguments: Sequence[str]) -> int:
     if list(arguments) in (["--version"], ["-V"]):
         print(f"haptether {__version__}")
         return 0
-    if arguments and arguments[0] == COMPLETION:
-        try:
+    try:
+        if arguments and arguments[0] == COMPLETION:
             return complete(arguments[1:])
-        except ValueError as error:
-            return complain(error, BAD_REQUEST)
-    command = parse(arguments)
+        command = parse(arguments)
+    except ValueError as error:
+        return complain(error, BAD_REQUEST)
     try:
         INTERRUPTS.raising = True
         if not isinstance(command, NEVER_WAITS):

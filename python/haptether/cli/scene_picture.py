@@ -39,6 +39,8 @@ def draw_run(run: "Run", path: Path) -> None:
     from matplotlib.figure import Figure
 
     time_s = run.signals["time_s"]
+    # What a scene of one loop renders ticks with its master.
+    slave_time_s = run.signals.get("slave_time_s", time_s)
     told = told_events(run.events)
     figure = Figure(figsize=(10.0, 9.0), layout="constrained")
     # Names of files and reasons are no formulas.
@@ -52,7 +54,7 @@ def draw_run(run: "Run", path: Path) -> None:
                 _draw_trips(panel, time_s, run.signals[name])
                 continue
             values = np.asarray(run.signals[name])
-            times = run.signals["slave_time_s"] if name.startswith(SLAVE_SIGNAL) else time_s
+            times = slave_time_s if name.startswith(SLAVE_SIGNAL) else time_s
             columns = values.reshape(len(values), -1) if values.size else values.reshape(0, 1)
             for axis, values_of_axis in enumerate(columns.T):
                 along = f", {AXIS_NAMES[axis] if axis < 3 else axis}" if values.ndim > 1 else ""
