@@ -57,7 +57,7 @@ def largest_delay_s(loop: ContactLoop) -> float:
     bottom = np.array([loop.mass_kg, loop.damping, loop.hand_stiffness])
     if (arm := loop.follower) is not None:
         command = [arm.damping, arm.stiffness] if arm.follows_velocity else [arm.stiffness]
-        top = np.polymul(top, command)
+        top = np.polymul(top, command).astype(np.float64)
         bottom = np.polymul(bottom, np.polyadd([arm.mass_kg, arm.damping, arm.stiffness], contact))
     if top.size == 0:
         return float("inf")

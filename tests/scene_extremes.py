@@ -118,7 +118,7 @@ LADDER: Plain = {
 
 
 def _scene(run: Plain, estimator: Plain | None = None, **tables: Plain) -> Plain:
-    plain = {"schema": 1, "record": {}, "run": {"duration_s": 0.02} | run}
+    plain: dict[str, Any] = {"schema": 1, "record": {}, "run": {"duration_s": 0.02} | run}
     plain |= {"master": DEVICE, "operator": HAND, "environment": ENVIRONMENT, "safety": SAFETY} | tables
     if estimator is not None:
         plain["safety"] = plain["safety"] | {"estimator": estimator}

@@ -83,7 +83,9 @@ def copies(pid: int, *secrets: bytes) -> int:
     return found
 
 
-HELD = f"PUSH = {PUSH!r}" + """
+HELD = (
+    f"PUSH = {PUSH!r}"
+    """
 import base64, ctypes, resource, sys, time
 from pathlib import Path
 from haptether.bridge import LiveMaster, LiveSlave, read_key, wipe
@@ -109,6 +111,7 @@ del sides
 print("ended", flush=True)
 sys.stdin.readline()
 """
+)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.bridge import Scene
+    from haptether.bridge import MasterSettings, Scene
     from haptether.studies import ContactLoop, Follower, LinkSummary, LinkVerdict
 
 HOLD_S = 0.02
@@ -86,6 +86,7 @@ class CheckLink:
             message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MOST_DURATION_S:g} s"
             raise ValueError(message)
         scene = live_scene(self, self.scene, self.set, ("force_scale",))
+        settings: MasterSettings | bytes
         if scene is None:
             stiffness = WALL_STIFFNESS if self.wall_stiffness is None else self.wall_stiffness
             settings = master_settings(
