@@ -70,7 +70,7 @@ from haptether.bridge.scene_tables import (
     Scene,
     SecurityTable,
 )
-from haptether.bridge.session_key import read_key, wipe, write_key
+from haptether.bridge.session_key import read_key, wipe_key, write_key
 from haptether.bridge.virtual_run import run_bridge
 
 __all__ = [
@@ -157,6 +157,6 @@ __all__ = [
     "scene_names",
     "simulate",
     "sweep",
-    "wipe",
+    "wipe_key",
     "write_key",
 ]

@@ -65,7 +65,7 @@ def _write_new(path: Path, text: str) -> None:
 
 
 def read_key(path: Path) -> bytearray:
-    """The 32 bytes of a key file that :func:`write_key` made, and no other copy of them: to be wiped by :func:`wipe`.
+    """The 32 bytes of a key file that :func:`write_key` made, and no other copy: to be wiped by :func:`wipe_key`.
 
     Raises:
         ValueError: It is no plain file, others may read or write it, or it holds no key, or a weak one.
@@ -98,7 +98,7 @@ def read_key(path: Path) -> bytearray:
         if key is None:
             _refuse(path, bytes(content[:length]))
     finally:
-        wipe(content)
+        wipe_key(content)
     if (distinct := len(set(key))) < MIN_DISTINCT:
         message = (
             f"{path}: a weak key, {distinct} different byte values: must be {KEY_BYTES} random bytes, "
@@ -108,7 +108,7 @@ def read_key(path: Path) -> bytearray:
     return key
 
 
-def wipe(key: bytearray) -> None:
+def wipe_key(key: bytearray) -> None:
     """Overwrites a key in place with zeros."""
     key[:] = bytes(len(key))
 
@@ -128,7 +128,7 @@ def _decoded(content: bytearray, length: int) -> bytearray | None:
     for n in range(_ENCODED - 1):
         sextet = _SEXTETS.get(content[start + n])
         if sextet is None:
-            wipe(key)
+            wipe_key(key)
             return None
         at, shift = divmod(6 * n, 8)
         # The sextet's bits from bit `shift` of byte `at` on; the last has two bits that are none of the key's.

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from haptether.bridge import LiveSlave, read_key, wipe, write_key
+from haptether.bridge import LiveSlave, read_key, wipe_key, write_key
 from haptether.cli.options import slave_settings
 
 PUSH: dict[str, Any] = {"wall_stiffness": 100.0, "push_at_s": None, "push_force_n": 3.5, "push_duration_s": 2.0}
@@ -88,7 +88,7 @@ HELD = (
     """
 import base64, ctypes, resource, sys, time
 from pathlib import Path
-from haptether.bridge import LiveMaster, LiveSlave, read_key, wipe
+from haptether.bridge import LiveMaster, LiveSlave, read_key, wipe_key
 from haptether.cli.options import master_settings, slave_settings
 
 def settled(port):
@@ -96,7 +96,7 @@ def settled(port):
     slave = LiveSlave(slave_settings(**PUSH), listen="127.0.0.1:0", session=1, key=key, realtime="off")
     settings = master_settings("none", depth=0.0, release_at_s=None)
     master = LiveMaster(settings, peer=slave.address, session=2, key=key, realtime="off")
-    wipe(key)
+    wipe_key(key)
     end = time.monotonic() + 20.0
     while master.state == "disengaged" and time.monotonic() < end:
         time.sleep(0.01)
@@ -143,7 +143,7 @@ def test_a_live_process_has_one_copy_of_the_key_a_side_and_none_after_it(tmp_pat
 
 def test_a_wiped_key_is_gone() -> None:
     key = bytearray(range(32))
-    wipe(key)
+    wipe_key(key)
     assert key == bytes(32)
 
 

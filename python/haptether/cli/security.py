@@ -37,10 +37,10 @@ def session_key(key: Path | None, *, insecure: bool) -> bytearray | None:
 
 def handed_over(key: bytearray | None) -> None:
     """Wipes a key that the live side has its copy of."""
-    from haptether.bridge import wipe
+    from haptether.bridge import wipe_key
 
     if key is not None:
-        wipe(key)
+        wipe_key(key)
 
 
 def marked(headline: str, *, insecure: bool) -> str:
