@@ -2,7 +2,9 @@
 
 import contextlib
 import socket
+import struct
 import time
+import warnings
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -13,12 +15,15 @@ from tests.ur.plain_rtde import frame
 from tests.ur.stalls import anew_after_stalls
 from tests.ur.virtual import World
 
+from haptether.slave.ur_emulator.connections import Reception
 from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT, MAX_WAYPOINTS, recognised
 from haptether.slave.ur_emulator.controller import LOG_LINES, MAX_LOG_LINE
+from haptether.slave.ur_emulator.robot_messages import HEAD, MAX_TEXT, runtime_exception
+from haptether.slave.ur_emulator.rtde_frames import FrameReader, controller_version, text_message
 from haptether.slave.ur_emulator.rtde_session import MAX_INPUT_FIELDS
 from haptether.slave.ur_emulator.script_error import ScriptError
 from haptether.slave.ur_emulator.script_lines import CALLS_PER_CYCLE, MAX_CALLS
-from haptether.slave.ur_emulator.script_port import Held, ScriptReader, Submitted
+from haptether.slave.ur_emulator.script_port import ScriptBudget, ScriptReader, Submitted
 
 FLOOD_S = 1.0
 CLIENTS = 8
@@ -108,6 +113,64 @@ def test_no_script_costs_memory_or_the_process(running: Emulated, line: str) -> 
     assert memory_mb(running) < before_mb + MORE_MB
 
 
+UNENCODABLE = r'set_payload("\ud800")', r'set_tcp("\udfff")', r'textmsg("\udc80")', r'set_payload(1, x="\ud800")'
+
+
+@pytest.mark.parametrize("line", UNENCODABLE)
+def test_text_that_utf8_has_not_is_refused(line: str) -> None:
+    world = World(upload=False)
+    peer = Reception(world.of).peer(SCRIPT)
+    for form in (line, f"def x():\n  {line}\nend"):
+        peer.receive(f"{form}\n".encode())
+        message = None
+        for _ in range(30):
+            world.cycles(1)
+            message = message or peer.package(1)
+        assert message is not None
+        assert b"literal, finite arguments" in message
+        assert struct.unpack_from(">i", message)[0] == len(message)
+    assert not any(character in "".join(world.of.log) for character in "\ud800\udfff\udc80")
+
+
+def test_no_text_script_ends_the_process(running: Emulated) -> None:
+    with socket.create_connection((running.host, SCRIPT), 5.0) as client:
+        client.sendall("".join(f"{line}\n" for line in UNENCODABLE).encode())
+        client.settimeout(10.0)
+        assert b"literal, finite arguments" in client.recv(4096)
+    assert running.status()["runtime_state"] == "STOPPED"
+
+
+@pytest.mark.parametrize("text", ["\ud800" * 2000, "\u20ac" * 2000, "a" * 5000, "", "a\udfff\x1b"])
+def test_messages_hold_whole_characters_of_any_text(text: str) -> None:
+    escaped = text.encode("utf-8", "backslashreplace").decode()
+    message = runtime_exception(text, 1.0)
+    assert struct.unpack_from(">i", message)[0] == len(message) <= HEAD.size + MAX_TEXT
+    assert escaped.startswith(message[HEAD.size :].decode())
+    assert len(message) > HEAD.size + min(MAX_TEXT, len(escaped.encode())) - 4
+    ((_, first),) = FrameReader().frames(text_message("error", text, 1))
+    ((_, second),) = FrameReader().frames(text_message("error", text, 2))
+    assert first[1:] == second[1 : 1 + second[0]]
+    assert escaped.startswith(first[1:].decode())
+
+
+def test_what_a_client_writes_is_no_command_to_the_screen() -> None:
+    world = World(upload=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Python warns of the escape that it does not know, and repeats it.
+        world.of.submit(Submitted("", 'textmsg("\\\x1b[31m")'))
+        world.cycles(30)
+    assert "textmsg: " in world.of.log[-1]
+
+
+def test_a_version_that_no_client_could_be_sent_is_refused() -> None:
+    world = World(upload=False)
+    for text in ("5.99999999999", "5.\u00b2", f"5.{'9' * 5000}"):
+        assert world.line.answer(f"version {text}", 0.0).startswith("error: version: must be")
+    assert world.line.answer("version 5.9.999999999", 0.0) == "ok"
+    assert controller_version(world.of.reported_version)
+
+
 def test_scripts_without_an_end_share_what_they_may_hold(running: Emulated) -> None:
     before_mb = memory_mb(running)
     clients = []
@@ -126,7 +189,7 @@ def test_scripts_without_an_end_share_what_they_may_hold(running: Emulated) -> N
 
 
 def test_what_a_connection_held_is_free_with_its_end() -> None:
-    held = Held(100)
+    held = ScriptBudget(100)
     first, second = ScriptReader(held), ScriptReader(held)
     assert list(first.receive(b"def a():\n" + b"  sync()\n" * 5)) == []
     assert held.bytes == 54

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from haptether.slave.ur_emulator.dashboard import BANNER, Dashboard
 from haptether.slave.ur_emulator.robot_messages import runtime_exception
 from haptether.slave.ur_emulator.rtde_session import RtdeSession
-from haptether.slave.ur_emulator.script_port import Held, ScriptReader
+from haptether.slave.ur_emulator.script_port import ScriptBudget, ScriptReader
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.controller import Controller
@@ -115,7 +115,7 @@ class ScriptPeer:
 
     kind = SCRIPT
 
-    def __init__(self, controller: "Controller", held: Held) -> None:
+    def __init__(self, controller: "Controller", held: ScriptBudget) -> None:
         self._controller = controller
         self._reader = ScriptReader(held, self._failed)
         self._messages: deque[bytes] = deque(maxlen=MAX_MESSAGES)
@@ -148,7 +148,7 @@ class Reception:
     def __init__(self, controller: "Controller") -> None:
         self._controller = controller
         self._dashboard = Dashboard(controller)
-        self._held = Held()
+        self._held = ScriptBudget()
         self._accepted = 0
 
     def peer(self, port: int) -> Peer:

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Final
 
+from haptether.printable import printable
 from haptether.slave.ur_emulator.connections import LONGEST_LINE
 from haptether.slave.ur_emulator.control_line import ControlLine
 
@@ -79,7 +80,7 @@ class ControlChannel:
         try:
             came = client.recv(LONGEST_LINE)
             for answer in self._answers(key, came):
-                client.sendall(f"{answer}\n".encode())
+                client.sendall(f"{answer}\n".encode("utf-8", "backslashreplace"))
         except OSError:
             came = b""
         if not came:
@@ -91,7 +92,10 @@ class ControlChannel:
         *lines, rest = (self._waiting.get(key, b"") + came).split(b"\n")
         # What has no end is no line.
         self._waiting[key] = rest if len(rest) <= LONGEST_LINE else b""
-        return [self._line.answer(line.decode("utf-8", "replace").strip(), time.monotonic()) for line in lines]
+        # Standard output may be a terminal, which takes what a line repeats for commands.
+        return [
+            printable(self._line.answer(line.decode("utf-8", "replace").strip(), time.monotonic())) for line in lines
+        ]
 
     def _listen(self, place: str) -> socket.socket:
         host, colon, port = place.rpartition(":")

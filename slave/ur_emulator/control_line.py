@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from typing import TYPE_CHECKING, Any, Protocol
 
 from haptether.slave.ur_emulator.faults import KINDS
@@ -222,7 +223,7 @@ class ControlLine:
             self._of.claimed_version = None
             return
         numbers = words[0].split(".") if len(words) == 1 else []
-        if not (2 <= len(numbers) <= 4 and all(part.isdigit() for part in numbers)):
+        if not (2 <= len(numbers) <= 4 and all(re.fullmatch(r"[0-9]{1,9}", part) for part in numbers)):
             _refuse("must be real, or like 5.8 or 5.8.0.10253")
         self._of.claimed_version = ControllerVersion(*map(int, numbers))
 

@@ -21,7 +21,7 @@ from haptether.slave.ur_emulator.safety_system import SafetySystem
 from haptether.slave.ur_emulator.script_error import ScriptError
 from haptether.slave.ur_emulator.script_functions import ScriptFunctions
 from haptether.slave.ur_emulator.script_lines import ScriptLines
-from haptether.slave.ur_emulator.script_port import Submitted
+from haptether.slave.ur_emulator.script_port import Submitted, nobody
 from haptether.slave.ur_emulator.setup import Setup
 from haptether.slave.ur_emulator.version import ControllerVersion
 
@@ -110,7 +110,7 @@ class Controller:
         self._starts: tuple[int, Submitted] | None = None
         self._reading: Iterator[bool] | None = None
         """The program that is being read, and then begins."""
-        self._failed: Callable[[str], None] = _nobody
+        self._failed: Callable[[str], None] = nobody
         """Of the program that runs: told what stopped it."""
         self._stop_wanted = ""
         self._watched = (0, 0)
@@ -318,7 +318,7 @@ class Controller:
         self._starts = self._reading = None
         if self._program is not None:
             self._program.kill()
-            self._program, self._failed = None, _nobody
+            self._program, self._failed = None, nobody
         self.robot.end_force_mode()
         self.setup.program_ended()
         self.runtime = RuntimeState.STOPPED
@@ -380,10 +380,6 @@ def _name(submitted: Submitted) -> str:
 
 def _within(wrench: tuple[float, ...]) -> tuple[float, ...]:
     return tuple([min(max(part, -MAX_WRENCH), MAX_WRENCH) for part in wrench])
-
-
-def _nobody(_error: str) -> None:
-    """Nobody waits for it."""
 
 
 def _nothing() -> None:

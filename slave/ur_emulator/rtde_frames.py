@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from haptether.slave.ur_emulator.utf8 import utf8
 from haptether.slave.ur_emulator.version import ControllerVersion
 
 PROTOCOL_VERSION, CONTROLLER_VERSION, TEXT_MESSAGE, DATA_PACKAGE = b"VvMU"
@@ -188,7 +189,7 @@ def recipe(kind: int, number: int | None, types: list[str]) -> bytes:
 
 def text_message(level: str, text: str, protocol: int) -> bytes:
     """A message of the controller."""
-    said = text.encode("utf-8")[:255]
+    said = utf8(text, 255)
     if protocol == 1:
         return frame(TEXT_MESSAGE, bytes([LEVELS[level]]) + said)
     source = b"RTDE"

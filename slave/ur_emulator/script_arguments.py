@@ -133,10 +133,10 @@ def literal(node: ast.expr) -> object:
     """The value of a literal, or of sums, differences, products and quotients of numbers.
 
     Raises:
-        ValueError: It is none, or a number of it is not finite.
+        ValueError: It is none, a number of it is not finite, or a text of it has no encoding in UTF-8.
     """
     if isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float | str):
-        return _finite(node.value)
+        return _encodable(_finite(node.value))
     if isinstance(node, ast.Constant) and node.value is None:
         return None
     if isinstance(node, ast.List):
@@ -157,6 +157,13 @@ def _operand(node: ast.expr) -> float:
     value = literal(node)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError
+    return value
+
+
+def _encodable(value: object) -> object:
+    if isinstance(value, str):
+        # Of an escape such as `\ud800`; it raises a ValueError.
+        value.encode()
     return value
 
 

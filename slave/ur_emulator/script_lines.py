@@ -2,6 +2,7 @@
 
 import ast
 import re
+import warnings
 from collections.abc import Callable, Generator, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
@@ -201,8 +202,11 @@ def _parsed(line: str) -> tuple[str, list[object], dict[str, object]]:
         message = f"{line[:MAX_SHOWN]!r}: line of {len(line)} characters: must have at most {MAX_LINE}"
         raise ScriptError(message)
     try:
-        # `p[...]` is a list to Python; the movements that care see which it was.
-        call = ast.parse(POSE_LITERAL.sub(f"{POSE}[", line), mode="eval").body
+        with warnings.catch_warnings():
+            # Python would print the client's escapes to the screen.
+            warnings.simplefilter("ignore")
+            # `p[...]` is a list to Python; the movements that care see which it was.
+            call = ast.parse(POSE_LITERAL.sub(f"{POSE}[", line), mode="eval").body
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
             raise ValueError
         named = {word.arg: literal(word.value) for word in call.keywords if word.arg is not None}

@@ -16,7 +16,7 @@ MAX_FIRST_LINE: Final = 200
 """Characters of a line in which a program may begin."""
 
 
-def _nobody(_error: str) -> None:
+def nobody(_error: str) -> None:
     """Nobody waits for it."""
 
 
@@ -28,11 +28,11 @@ class Submitted:
     text: str
     secondary: bool = False
     """Whether it runs beside the program that runs (`sec`)."""
-    failed: Callable[[str], None] = field(default=_nobody, compare=False)
+    failed: Callable[[str], None] = field(default=nobody, compare=False)
     """Is told why it was refused, or what stopped it."""
 
 
-class Held:
+class ScriptBudget:
     """Bytes of scripts without an end that all connections hold."""
 
     def __init__(self, most: int = MAX_HELD) -> None:
@@ -59,8 +59,8 @@ class ScriptReader:
         failed: Of what is submitted.
     """
 
-    def __init__(self, held: Held | None = None, failed: Callable[[str], None] = _nobody) -> None:
-        self._all = held or Held()
+    def __init__(self, held: ScriptBudget | None = None, failed: Callable[[str], None] = nobody) -> None:
+        self._all = held or ScriptBudget()
         self._failed = failed
         self._waiting = bytearray()
         """Of a program that has begun, or of a line."""
