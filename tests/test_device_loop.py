@@ -409,7 +409,7 @@ def test_drivers_are_found_by_name_and_called_with_their_options(monkeypatch: py
     assert isinstance(arm, SlaveDevice)
     for name, options, said in (
         ("benchh", {}, "did you mean bench?"),
-        ("zzz", {}, "there are: simulated, bench, nothing"),
+        ("zzz", {}, "there is simulated, bench, nothing"),
         ("bench", {"axis": 3}, "it takes"),
         ("bench", {}, "missing a required argument: 'axes'"),
         ("nothing", {"s": "[]"}, "has no open, read, write, stop, close, paces"),

@@ -169,7 +169,10 @@ def test_a_spring_five_seconds_late_diverges(integrator: str) -> None:
     assert run(local).metrics.diverged
     remote = unstable(integrator, 1, True)
     remote["run"]["duration_s"] = 100.0
+    # A press waits for 5 s: over a way there and back of as much nobody can engage.
     remote["link"] = {"forward": {"delay_s": 2.5}, "backward": {"delay_s": 2.5}}
+    assert run(remote).metrics.outcome == "never-engaged"
+    remote["link"] = {"forward": {"delay_s": 2.4}, "backward": {"delay_s": 2.4}}
     assert run(remote).metrics.diverged
 
 

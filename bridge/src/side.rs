@@ -225,6 +225,7 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
 
     fn let_go(&mut self) {
         self.person.let_go();
+        self.button.must_be_released();
     }
 
     fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {

@@ -245,7 +245,7 @@ fn an_end_leads_to_less_force_and_couples_nobody() {
     assert_eq!(pair.states(), (Engaged, Engaged));
 }
 
-/// In the clear anybody may write an end. Then neither side goes on alone: who is left behind holds.
+/// In the clear anybody may write an end. Then neither side goes on alone.
 #[test]
 fn a_false_end_of_one_side_holds_the_other() {
     let mut pair = Pair::engaged();
@@ -262,8 +262,8 @@ fn a_false_end_of_one_side_holds_the_other() {
     pair.master.peer_ended();
     pair.run(1, |_| (true, false));
     pair.run(100, |_| (true, true));
-    assert_eq!(pair.states(), (Disengaged, Hold));
-    assert_eq!(told(&pair.slave).1, "the master took the slave for ended");
+    // A master that has let go, whatever made it, takes its slave along.
+    assert_eq!(pair.states(), (Disengaged, Disengaged));
     pair.press();
     assert_eq!(pair.states(), (Engaged, Engaged));
 }
@@ -278,11 +278,10 @@ fn a_quick_press_over_a_long_link_is_not_taken_for_a_departure() {
     for tick in 0..3000_u64 {
         pair.now_ns += MS;
         let now_ns = pair.now_ns;
-        pair.master.plant.clutch = Some(!(1000..1030).contains(&tick) && !(1500..1501).contains(&tick));
-        // The delay of 150 ms begins with the run: what holds by that is left by a press.
-        if tick == 400 {
-            pair.master.plant.clutch = Some(false);
-        }
+        // The delay of 150 ms begins with the run: what holds by that is left by a press. A release shorter than 20 ms
+        // may be a bounce, and no press counts after it.
+        let released = [400..430, 1000..1030, 1500..1525].iter().any(|open| open.contains(&tick));
+        pair.master.plant.clutch = Some(!released);
         pair.master.tick(TickTime::at(now_ns));
         there.push_back(pair.master.send(now_ns, &mut buffer).to_vec());
         pair.slave.tick(TickTime::at(now_ns));

@@ -38,8 +38,12 @@ fn block() -> Layout {
 struct Reserving;
 
 impl Reserving {
-    fn tried(mut allocate: impl FnMut() -> *mut u8) -> *mut u8 {
+    fn tried(size: usize, mut allocate: impl FnMut() -> *mut u8) -> *mut u8 {
         let mut got = allocate();
+        if size > BLOCK * BLOCKS {
+            // The reserve could not serve it: whoever asks for so much asks whether it is there.
+            return got;
+        }
         for _ in 0..ATTEMPTS {
             if !got.is_null() {
                 break;
@@ -57,11 +61,11 @@ impl Reserving {
 // SAFETY: each call is one of the system's allocator with the same arguments; one that failed is only repeated.
 unsafe impl GlobalAlloc for Reserving {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        Self::tried(|| unsafe { System.alloc(layout) })
+        Self::tried(layout.size(), || unsafe { System.alloc(layout) })
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        Self::tried(|| unsafe { System.alloc_zeroed(layout) })
+        Self::tried(layout.size(), || unsafe { System.alloc_zeroed(layout) })
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
@@ -69,7 +73,7 @@ unsafe impl GlobalAlloc for Reserving {
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        Self::tried(|| unsafe { System.realloc(pointer, layout, size) })
+        Self::tried(size, || unsafe { System.realloc(pointer, layout, size) })
     }
 }
 

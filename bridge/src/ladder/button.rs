@@ -44,6 +44,11 @@ impl Button {
         Some(self.closed)
     }
 
+    /// Closed, it must be seen open before it can be pressed: the start was too long ago to be a press.
+    pub(crate) fn must_be_released(&mut self) {
+        self.unknown = true;
+    }
+
     /// The loop was late: nobody knows when what it shows next was done.
     pub(crate) fn stalled(&mut self) {
         self.unknown |= !self.closed;
@@ -72,6 +77,15 @@ mod tests {
             }
         }
         spans
+    }
+
+    #[test]
+    fn a_button_that_is_held_long_after_the_start_is_no_press() {
+        let mut button = Button::default();
+        button.must_be_released();
+        assert!((0..50).all(|now| button.at(now * MS, Some(true)) == Some(false)));
+        assert!((50..80).all(|now| button.at(now * MS, Some(false)) == Some(false)));
+        assert_eq!(button.at(80 * MS, Some(true)), Some(true));
     }
 
     #[test]

@@ -112,7 +112,10 @@ impl Diagnosis {
     /// Whether something else must be done before a press of the clutch can couple.
     pub fn is_before_press(&self) -> bool {
         let failed = |state| state == LadderState::Fault;
-        failed(self.state) || self.peer.is_some_and(|peer| failed(peer.state)) || self.ended || self.silent
+        failed(self.state)
+            || self.peer.is_some_and(|peer| failed(peer.state))
+            || self.ended
+            || self.silent && self.state.is_held()
     }
 
     /// In words, and what to do.
@@ -169,6 +172,7 @@ impl Diagnosis {
             Some(Reason::AlignTimedOut) => {
                 (other, format!("the {other} did not answer the press of the clutch in time"))
             }
+            Some(Reason::PeerEnded) => (other, format!("the {other} had ended")),
             Some(Reason::OwnDelay) => (own, format!("the {own}'s own loop was late")),
             Some(Reason::PeerRestarted) => (other, format!("the {other} was started anew")),
             Some(Reason::PeerSilent | Reason::SilentTooLong) => (LINK, format!("the {other} fell silent")),

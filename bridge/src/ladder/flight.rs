@@ -122,6 +122,11 @@ impl FlightRecorder {
         self.interventions.hold_against(thresholds);
     }
 
+    /// When the side went to FAULT, in ns; none unless that was its last step.
+    pub(crate) fn failed_ns(&self) -> Option<u64> {
+        self.history.last().filter(|last| last.to == LadderState::Fault).map(|last| last.time_ns)
+    }
+
     /// Keeps a tick, and what led to a hold or a fault when there is one.
     pub(crate) fn take(&mut self, entry: FlightEntry, history: &History, diagnosis: Option<Diagnosis>) {
         self.start_ns.get_or_insert(entry.time_ns);

@@ -3,7 +3,8 @@
 //! Two real [`Ladder`]s with their real [`LadderInputs`] and the master's [`Button`] step every 100 ms. Between two steps a
 //! person presses or releases as she likes and acknowledges faults, and of each direction's frame the link delivers it,
 //! loses it, or delivers one that it has kept instead. Beyond that it has a number of events: it keeps a frame for as
-//! long as it likes, a side is started anew, falls asleep for as long as it likes, or has a fault. Nothing bounds the
+//! long as it likes, a side is started anew, ends in good order, falls asleep for as long as it likes, or has a fault, and
+//! somebody writes a false end of one side to the other. A side that has ended may be started anew. Nothing bounds the
 //! time: times count from now and up to where they make no difference, so that the states are finite. Without events
 //! all are visited, with one of them those that few moves lead to; `HAPTETHER_SEARCH_EVENTS` and
 //! `HAPTETHER_SEARCH_STATES` ask for more.
@@ -47,6 +48,7 @@ struct Sent {
     clutch: bool,
     hears: bool,
     echo: Option<(u64, u64)>,
+    ended: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -56,24 +58,29 @@ struct Side {
     session: u64,
     newest: Option<(Sent, u64)>,
     asleep: bool,
+    /// It has ended: at rest, and its frames say so.
+    ended: bool,
+    /// What it last heard is an end of its peer.
+    peer_ended: bool,
 }
 
 impl Side {
     fn new(role: Role, session: u64) -> Self {
         let ladder = Ladder { settings: SETTINGS, ..Ladder::new(LadderSettings::default()).unwrap() };
-        Self { ladder, inputs: LadderInputs::new(role), session, newest: None, asleep: false }
+        let inputs = LadderInputs::new(role);
+        Self { ladder, inputs, session, newest: None, asleep: false, ended: false, peer_ended: false }
     }
 
     /// As [`crate::FrameLink`]: what is newer, and another session once this one is silent. Of the session's sake, none
     /// that was before.
     fn receive(&mut self, now: u64, frame: Sent, engages: bool) -> bool {
         let Some((newest, arrived)) = self.newest else {
-            self.newest = Some((frame, now));
+            (self.newest, self.peer_ended) = (Some((frame, now)), frame.ended);
             return false;
         };
         let begins = newest.session < frame.session && (now - arrived) * TICK_NS >= SETTINGS.stop_after_ns;
         if begins || newest.session == frame.session && newest.sequence < frame.sequence {
-            self.newest = Some((frame, now));
+            (self.newest, self.peer_ended) = (Some((frame, now)), frame.ended);
         }
         if begins {
             self.ladder.new_session(now * TICK_NS, engages);
@@ -98,16 +105,20 @@ impl Side {
             over_usual_ns: None,
             newest,
             next_sequence: now,
-            ended: false,
+            ended: self.peer_ended,
         };
         self.inputs.step(&mut self.ladder, now * TICK_NS, button, &view);
         Sent {
             session: self.session,
             sequence: now,
-            state: self.ladder.state(),
-            clutch: self.inputs.clutch(),
+            state: match self.ladder.state() {
+                state if self.ended && !state.is_held() => LadderState::Disengaged,
+                state => state,
+            },
+            clutch: self.inputs.clutch() && !self.ended,
             hears: self.ladder.hears_peer(),
             echo: self.newest.map(|(frame, _)| (frame.session, frame.sequence)),
+            ended: self.ended,
         }
     }
 }
@@ -156,6 +167,8 @@ enum Move {
     Sleep(usize),
     Fault(usize),
     Acknowledge(usize),
+    End(usize),
+    FalseEnd(usize),
 }
 
 impl Pair {
@@ -216,12 +229,19 @@ impl Pair {
             if self.sides[side].ladder.state() == LadderState::Fault {
                 moves.push(Move::Acknowledge(side));
             }
-            if self.events > 0 && !self.sides[side].asleep {
-                moves.extend([Move::Restart(side, false), Move::Sleep(side), Move::Fault(side)]);
+            let Side { asleep, ended, newest, .. } = &self.sides[side];
+            if (self.events > 0 || *ended) && !asleep {
+                moves.push(Move::Restart(side, false));
+                if side == MASTER {
+                    moves.push(Move::Restart(MASTER, true));
+                }
             }
-        }
-        if self.events > 0 && !self.sides[MASTER].asleep {
-            moves.push(Move::Restart(MASTER, true));
+            if self.events > 0 && !asleep && !ended {
+                moves.extend([Move::Sleep(side), Move::Fault(side), Move::End(side)]);
+                if newest.is_some() {
+                    moves.push(Move::FalseEnd(side));
+                }
+            }
         }
         moves
     }
@@ -235,11 +255,19 @@ impl Pair {
 
     fn does(&mut self, what: Move) -> Result<(), String> {
         let now_ns = self.now * TICK_NS;
+        // What has ended is started anew in the course of things.
+        let is_free = match what {
+            Move::Acknowledge(_) => true,
+            Move::Restart(side, _) => self.sides[side].ended,
+            _ => false,
+        };
         match what {
             Move::Tick(moves_button, fates, wakes) => return self.tick(moves_button, fates, wakes),
             Move::Acknowledge(side) => self.at(side, |side| side.ladder.acknowledge(now_ns)),
             Move::Fault(side) => self.at(side, |side| side.ladder.fault(now_ns)),
             Move::Sleep(side) => self.sides[side].asleep = true,
+            Move::End(side) => (self.sides[side].ended, self.press.counts[side]) = (true, false),
+            Move::FalseEnd(side) => self.sides[side].peer_ended = true,
             Move::Restart(MASTER, pressed) => {
                 let session = self.sides[MASTER].session + 1;
                 self.sides[MASTER] = Side::new(Role::Master, session);
@@ -258,7 +286,7 @@ impl Pair {
                 self.press.counts[SLAVE] = self.press.counts[MASTER];
             }
         }
-        if !matches!(what, Move::Acknowledge(_)) {
+        if !is_free {
             self.events -= 1;
         }
         Ok(())
@@ -321,7 +349,10 @@ impl Pair {
 
     /// What must hold of a side after its step.
     fn check(&self, side: usize, before: LadderState, counted: bool) -> Result<(), String> {
-        let Side { ladder, newest, .. } = &self.sides[side];
+        let Side { ladder, newest, ended, .. } = &self.sides[side];
+        if *ended {
+            return Ok(());
+        }
         let state = ladder.state();
         let hold = |holds: bool, what: &str| {
             if holds { Ok(()) } else { Err(format!("{before:?} to {state:?}: {what}")) }
@@ -363,14 +394,14 @@ impl Pair {
         // Sessions end one by one; how many before the living one makes no difference beyond one.
         let session = |side: usize, session: u64| (self.sides[side].session - session).min(2) as u8;
         let frame = |key: &mut Vec<u8>, from: usize, frame: Option<&Sent>| {
-            let Some(Sent { session: of, sequence, state, clutch, hears, echo }) = frame else {
+            let Some(Sent { session: of, sequence, state, clutch, hears, echo, ended }) = frame else {
                 return key.push(0xFF);
             };
             // None that is older than the newest of its session is taken.
             let newer = self.sides[1 - from].newest.is_none_or(|(newest, _)| {
                 newest.session < *of || newest.session == *of && newest.sequence < *sequence
             });
-            let flags = [*clutch, *hears, newer, echo.is_some()];
+            let flags = [*clutch, *hears, newer, echo.is_some(), *ended];
             key.extend([session(from, *of), number(from, *sequence), state.code()]);
             key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
             if let Some((of, sequence)) = echo {
@@ -378,7 +409,7 @@ impl Pair {
             }
         };
         for side in [MASTER, SLAVE] {
-            let Side { ladder, inputs, session: _, newest, asleep } = &self.sides[side];
+            let Side { ladder, inputs, session: _, newest, asleep, ended, peer_ended } = &self.sides[side];
             let Ladder {
                 settings: _,
                 state,
@@ -398,7 +429,8 @@ impl Pair {
             } = ladder;
             let blind =
                 blind_until_ns.is_some_and(|until| newest.is_none_or(|(_, at)| at * TICK_NS <= until));
-            let flags = [*opened, inputs.clutch, blind, *asleep, *closings != inputs.closings, *closings > 0];
+            let changed = *closings != inputs.closings;
+            let flags = [*opened, inputs.clutch, blind, *asleep, changed, *closings > 0, *ended, *peer_ended];
             key.push(state.code());
             key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
             // It leads from HOLD to STOP only, and begins anew where the two engage.

@@ -37,7 +37,7 @@ const OPEN_NS: u64 = 100_000_000;
 const LATEST_NS: u64 = 2 * OPEN_NS;
 
 /// Within what time in ns of the start the first tick must come, for the start to be a press.
-const START_NS: u64 = 5_000_000_000;
+pub(crate) const START_NS: u64 = 5_000_000_000;
 
 /// Who works the clutch: a pure function of time and of what the ladder shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +49,7 @@ pub struct Person {
     since_ns: u64,
     /// Since when both sides have been ready, in ns.
     ready_ns: Option<u64>,
-    /// Since it last pressed, the side has had a fault.
+    /// Since it last pressed, the side has had a fault: whoever acknowledges it says when to press.
     has_faulted: bool,
     asked: bool,
     has_begun: bool,
@@ -141,7 +141,8 @@ impl Person {
             let presses = if self.asked_ns.is_some() {
                 spent_ns >= OPEN_NS
             } else {
-                reaction_ns.is_some_and(|reaction| ready_for_ns >= reaction && spent_ns >= reaction)
+                !self.has_faulted
+                    && reaction_ns.is_some_and(|reaction| ready_for_ns >= reaction && spent_ns >= reaction)
             };
             if presses {
                 (self.pressed, self.since_ns, self.asked_ns) = (true, now_ns, None);
@@ -273,6 +274,19 @@ mod tests {
             person.begin(7 * MS);
             assert_eq!(person.at((7 + first_ms) * MS, LadderState::Disengaged, false), presses, "{first_ms}");
         }
+    }
+
+    #[test]
+    fn a_simulated_person_does_not_press_after_a_fault_until_asked() {
+        let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        person.begin(0);
+        assert!(person.at(0, Aligning, false));
+        assert!(!person.at(MS, Hold, true), "it lets go");
+        assert!(!person.at(2 * MS, LadderState::Fault, true));
+        assert!((3..3000).all(|now| !person.at(now * MS, LadderState::Disengaged, true)));
+        person.press_again();
+        assert!(person.at(3000 * MS, LadderState::Disengaged, true));
+        assert!(person.at(3001 * MS, Engaged, true));
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub struct PacedLoop<S: Side> {
     pace: DevicePace,
     /// The last tick was waited for here, and not by the device.
     waited: bool,
-    made_ns: u64,
+    made_ns: Option<u64>,
     realtime: RealtimeReport,
     kept: Option<Kept>,
 }
@@ -67,7 +67,7 @@ pub fn paced_by_device<S: Side>(
         shared: Arc::clone(&watch.shared),
         pace: DevicePace::new(settings.period_ns),
         waited: false,
-        made_ns: clock::now_ns(),
+        made_ns: Some(clock::now_ns()),
         realtime: RealtimeReport::default(),
         kept: None,
     };
@@ -87,10 +87,7 @@ impl<S: Side> PacedLoop<S> {
                 let (side, socket, channel, ways) = *parts;
                 let now_ns = clock::now_ns();
                 self.pace.begin(now_ns);
-                let mut turning = Turning::begin(side, socket, channel, self.settings, ways, now_ns);
-                if now_ns.saturating_sub(self.made_ns) > START_NS {
-                    turning.side().let_go();
-                }
+                let turning = Turning::begin(side, socket, channel, self.settings, ways, now_ns);
                 self.stage = Stage::Turning(Box::new(turning));
             }
             stage => self.stage = stage,
@@ -114,6 +111,12 @@ impl<S: Side> PacedLoop<S> {
             self.pace.sampled(clock::now_ns())
         };
         before(turning.side());
+        // Of a device that opened late, or whose first sample was late, the start is no press any more.
+        if let Some(made_ns) = self.made_ns.take()
+            && clock::now_ns().saturating_sub(made_ns) > START_NS
+        {
+            turning.side().let_go();
+        }
         match turning.turn(wake, &self.shared) {
             ControlFlow::Continue(()) => Some(after(turning.side())),
             ControlFlow::Break(()) => {
@@ -145,14 +148,14 @@ impl<S: Side> PacedLoop<S> {
             clock::sleep_until(self.pace.next_ns());
         }
         self.shared.stop.store(true, Ordering::Relaxed);
-        turning.say_end();
+        turning.say_end(&self.shared);
     }
 
     /// The device is at rest: tells the peer that this side ends, before whoever waits for the report does.
     pub fn say_end(&mut self) {
         if let Stage::Turning(turning) = &mut self.stage {
             self.shared.stop.store(true, Ordering::Relaxed);
-            turning.say_end();
+            turning.say_end(&self.shared);
         }
     }
 

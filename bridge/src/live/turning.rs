@@ -69,7 +69,9 @@ impl Diagnosed {
 
     /// Whether it has stood for long enough, and was not told yet.
     fn is_due(&mut self, now_ns: u64, newest: Option<&Diagnosis>) -> bool {
-        if self.now.as_ref() != newest {
+        // More words on the same case, or a link that comes and goes, do not put off what was not told yet.
+        let is_same_case = |now: &Diagnosis| newest.is_some_and(|newest| now.is_same_case(newest));
+        if self.now.as_ref() != newest && (self.is_told || !self.now.as_ref().is_some_and(is_same_case)) {
             self.since_ns = now_ns;
         }
         self.is_told_not(newest) && now_ns.saturating_sub(self.since_ns) >= SETTLED_NS
@@ -178,16 +180,20 @@ impl<S: Side> Turning<S> {
             at_ns => is_prompt(at_ns) && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS),
         };
         if was_asked(&shared.press_ns) {
-            side.press_again();
+            // A press that is said to do nothing must not couple once its obstacle is gone.
             if side.flight().diagnosis().is_some_and(Diagnosis::is_before_press) {
                 shared.vain_presses.fetch_add(1, Ordering::Relaxed);
+            } else {
+                side.press_again();
             }
         }
         if was_asked(&shared.takeover_ns) {
             channel.allow_takeover(now_ns, &mut tell);
         }
         while let Ok((at_ns, act)) = acts.pop() {
-            if act != Act::Acknowledge || is_prompt(at_ns) {
+            // It is of the fault that was there then, and of no later one.
+            let is_of_this_fault = || side.flight().failed_ns().is_none_or(|failed_ns| failed_ns <= at_ns);
+            if act != Act::Acknowledge || is_prompt(at_ns) && is_of_this_fault() {
                 // `LiveRun::act` has refused what cannot be.
                 let _ = side.act(now_ns, act);
             }
@@ -240,7 +246,7 @@ impl<S: Side> Turning<S> {
     }
 
     /// Leaves the plant at rest and tells the peer that this side ends; nothing a second time.
-    pub(super) fn say_end(&mut self) {
+    pub(super) fn say_end(&mut self, shared: &Shared) {
         if std::mem::replace(&mut self.has_said_end, true) {
             return;
         }
@@ -261,13 +267,13 @@ impl<S: Side> Turning<S> {
             socket.send(None, datagram);
             clock::sleep_until(now_ns + wait_ns);
         }
+        // What follows takes memory.
+        shared.at_rest.store(true, Ordering::Relaxed);
     }
 
     /// Leaves the plant at rest, tells the peer, and closes what is open.
     pub(super) fn end(mut self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
-        self.say_end();
-        // What follows takes memory.
-        shared.at_rest.store(true, Ordering::Relaxed);
+        self.say_end(shared);
         let (counts, flight) = (self.side.0.counts(), Box::new(*self.side.0.flight()));
         self.report.path = self.side.0.path(self.now_ns);
         let Self { side, socket, mut channel, mut ways, mut report, now_ns, start_ns, mut diagnosed, .. } =
