@@ -83,7 +83,8 @@ fn the_set_position_moves_no_faster_than_the_arm_may() {
 
 #[test]
 fn the_motion_is_the_same_bit_for_bit() {
-    // FNV-1a over all samples, taken from the first version of this model.
+    // FNV-1a over all samples, of the first version of this model but for the push: since its times are whole nanoseconds,
+    // 28 of 18000 values differ by an ulp.
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
     let mut add = |value: f64| {
         for byte in value.to_bits().to_le_bytes() {
@@ -108,5 +109,5 @@ fn the_motion_is_the_same_bit_for_bit() {
             }
         }
     }
-    assert_eq!(hash, 0x73ad_5235_10db_e5f8, "{hash:#018x}");
+    assert_eq!(hash, 0x193d_1aeb_e90c_791c, "{hash:#018x}");
 }
