@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
+from pathlib import Path as FilePath
 from types import MappingProxyType
 from typing import Any
 
@@ -13,6 +14,7 @@ from msgspec import Struct, convert
 from haptether import _core
 from haptether.bridge.scene import load_scene, override_scene, scene_json
 from haptether.bridge.scene_tables import Scene
+from haptether.private_file import private_file, refuse_link
 
 
 class Signals(Mapping[str, npt.NDArray[Any]]):
@@ -111,9 +113,15 @@ class Run(Struct, frozen=True, kw_only=True):
     """What it comes to."""
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes every signal as an array of a NumPy `.npz` file."""
+        """Writes every signal as an array of a NumPy `.npz` file, for its owner alone.
+
+        Raises:
+            ValueError: A symbolic link.
+        """
         arrays: dict[str, Any] = dict(self.signals)
-        with open(path, "wb") as file:  # noqa: PTH123  # a path of any kind
+        target = FilePath(path)
+        refuse_link(target)
+        with private_file(target) as file:
             np.savez_compressed(file, **arrays)
 
 

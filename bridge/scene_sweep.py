@@ -3,6 +3,7 @@
 import csv
 import importlib
 import importlib.util
+import io
 import itertools
 import math
 import os
@@ -24,6 +25,7 @@ from haptether.bridge.scene_checks import checked_spec
 from haptether.bridge.scene_error import Path, Plain, SceneError, allowed_at, place, shown, types_at, wrong
 from haptether.bridge.scene_run import named_scene
 from haptether.bridge.scene_tables import Scene
+from haptether.private_file import private_file, refuse_link
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Leaf: TypeAlias = "float | int | str | bool | None"
@@ -89,20 +91,21 @@ class Sweep:
         return values
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes all columns to a `.csv` or `.npz` file.
+        """Writes all columns to a `.csv` or `.npz` file, for its owner alone.
 
         Raises:
-            ValueError: Another suffix.
+            ValueError: Another suffix, or a symbolic link.
         """
         path = FilePath(path)
+        refuse_link(path)
         if path.suffix == ".csv":
-            with path.open("w", newline="", encoding="utf-8") as file:
+            with private_file(path) as binary, io.TextIOWrapper(binary, encoding="utf-8", newline="") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(self.columns)
                 writer.writerows(zip(*map(self._values, self.columns), strict=True))
         elif path.suffix == ".npz":
             arrays: dict[str, Any] = dict(self.columns)
-            with path.open("wb") as file:
+            with private_file(path) as file:
                 np.savez_compressed(file, **arrays)
         else:
             message = f"{path}: must end in .csv or .npz"

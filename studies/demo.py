@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from haptether.bridge import write_key
+from haptether.private_file import private_file
 from haptether.studies.remote_push import PushResult
 
 if TYPE_CHECKING:
@@ -291,4 +292,5 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], path: Path) -> No
                        fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
     panels[0].annotate("hand lets go", (0.0, panels[0].get_ylim()[1]),
                        fontsize=8, ha="right", va="top", rotation=90)  # fmt: skip
-    figure.savefig(path, dpi=120)
+    with private_file(path) as file:
+        figure.savefig(file, dpi=120)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from haptether.private_file import private_file
 from haptether.safety import (
     HandGraspObserver,
     SafetyObserver,
@@ -48,7 +49,8 @@ def draw_paper(report: PaperReport, folder: Path) -> list[Path]:
     paths = []
     for name, figure in figures.items():
         paths.append(folder / f"{name}.png")
-        figure.savefig(paths[-1], dpi=130)
+        with private_file(paths[-1]) as file:
+            figure.savefig(file, dpi=130)
     return paths
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.bridge import LoopReport, MasterTrace, ladder_state_name
+from haptether.private_file import private_file, refuse_link
 from haptether.safety import fault_message
 
 TRACE_SIGNALS = (
@@ -127,7 +128,12 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
 
 
 def save_master_trace(trace: MasterTrace, path: Path) -> None:
-    """Writes every signal of a run as an array of a NumPy `.npz` file."""
+    """Writes every signal of a run as an array of a NumPy `.npz` file, for its owner alone.
+
+    Raises:
+        ValueError: A symbolic link.
+    """
+    refuse_link(path)
     signals = {name: getattr(trace, name) for name in TRACE_SIGNALS}
-    with path.open("wb") as file:
+    with private_file(path) as file:
         np.savez_compressed(file, **signals)

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import secrets
 import signal
 import sys
 import time
@@ -16,6 +15,7 @@ import msgspec
 from haptether.cli.interrupts import INTERRUPTS
 from haptether.cli.queued_output import QueuedWriter
 from haptether.printable import printable
+from haptether.private_file import refuse_link, write_private
 
 if TYPE_CHECKING:
     from haptether.bridge import (
@@ -72,6 +72,7 @@ class Stopped(Handlers):
         self._signals = SignalRelay()
         # Python's handler in C writes to it, whatever Python itself does; the one in Python has nothing to add.
         self._wakeup = signal.set_wakeup_fd(self._signals.fileno(), warn_on_full_buffer=False)
+        # SIGINT even where it was ignored, as in a background job of a script: whoever sends it wants the arm to stop.
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
             self.handle(number, _nothing)
         # Of nohup, which outlives its terminal.
@@ -261,9 +262,8 @@ class FlightFile:
     """
 
     def __init__(self, path: Path | None) -> None:
-        if path is not None and path.is_symlink() and (path.is_file() or not path.exists()):
-            message = f"--flight {path}: is a symbolic link, must be a file"
-            raise ValueError(message)
+        if path is not None:
+            refuse_link(path)
         self._path = path
         self._written: str | None = None
 
@@ -285,21 +285,3 @@ class FlightFile:
             write_private(self._path, flight.encode())
         except OSError as error:
             print(f"{self._path}: not written: {error.strerror or error}", file=sys.stderr, flush=True)
-
-
-def write_private(path: Path, content: bytes) -> None:
-    """Replaces a file by one that only its owner may read; a link in its place is replaced, not followed.
-
-    Raises:
-        OSError: It cannot be made, or not put into its place.
-    """
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
-    # Nobody knows its name before, and what is there already is not opened.
-    descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-        beside.replace(path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise

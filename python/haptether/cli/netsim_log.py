@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Self
 
 from haptether.cli.output import check_target
+from haptether.private_file import begin_private
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,10 @@ class Log:
         numbers = dict.fromkeys(("index", "t_in_ns", "t_due_ns", "t_out_ns", "error_ns", "size"), pl.Int64)
         words = dict.fromkeys(("direction", "kind", "cause"), pl.String)
         try:
+            begin_private(self.target)
             rows = pl.scan_csv(self.csv, schema_overrides={**numbers, **words})
             rows.with_columns(pl.col(*words).fill_null("")).sink_parquet(self.target)
-        except (OSError, pl.exceptions.PolarsError) as error:
+        except (OSError, ValueError, pl.exceptions.PolarsError) as error:
             message = f"{self.target}: cannot be written: {error}; the log is in {self.csv}"
             raise OSError(message) from None
         self.csv.unlink()

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from haptether.netsim import Verdicts
+from haptether.private_file import private_file
 
 MOST_POINTS = 5000
 
@@ -28,4 +29,5 @@ def draw_sample(verdicts: Verdicts, path: Path) -> None:
     over_time.legend(loc="center right")
     often.hist(delay_ms[arrived], bins=100, orientation="horizontal")
     often.set(xlabel="packets", xscale="log")
-    figure.savefig(path, dpi=120)
+    with private_file(path) as file:
+        figure.savefig(file, dpi=120, format=path.suffix[1:] or "png")

@@ -66,6 +66,7 @@ class Proxy(LinkOptions):
         from haptether.cli.output import check_target
         from haptether.netsim import ControlSocket
         from haptether.netsim import Proxy as LiveProxy
+        from haptether.private_file import begin_private
 
         check_duration("duration_s", self.duration_s)
         if not 0.0 < self.max_error_s <= 1.0:
@@ -74,6 +75,8 @@ class Proxy(LinkOptions):
         check_target(self.json)
         links = self.links(self.scene)
         log = None if self.log is None else Log.checked(self.log)
+        if log is not None:
+            begin_private(log.csv)
         with Stopped() as stopped, contextlib.ExitStack() as stack:
             control = None if self.control is None else stack.enter_context(ControlSocket(self.control))
             proxy = LiveProxy(

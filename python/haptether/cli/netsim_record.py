@@ -53,6 +53,7 @@ class Record:
 
         from haptether.cli.output import check_target, write_json
         from haptether.netsim import record
+        from haptether.private_file import begin_private
 
         check_target(self.csv)
         check_target(self.json)
@@ -62,6 +63,7 @@ class Record:
         with _progress(self.peer, self.duration_s):
             recording = record(self.peer, rate_hz=self.rate, duration_s=self.duration_s, realtime=not self.no_realtime)
         if self.csv is not None:
+            begin_private(self.csv)
             recording.write_csv(self.csv)
         figures = summarised(recording)
         self._print(figures)

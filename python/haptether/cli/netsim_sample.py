@@ -9,6 +9,8 @@ import tyro
 from haptether.cli.link_options import LinkOptions
 
 if TYPE_CHECKING:
+    from typing import TextIO
+
     import numpy as np
     import numpy.typing as npt
     from rich.table import Table
@@ -157,15 +159,18 @@ def figures_table(title: str, columns: "dict[str, LinkFigures]") -> "Table":
 
 def _write_csv(target: Path, verdicts: "Verdicts") -> None:
     import contextlib
+    import io
     import sys
 
     from haptether.netsim import VERDICT_CAUSES
+    from haptether.private_file import private_file
 
     rows_at_once = 100_000
     with contextlib.ExitStack() as stack:
-        file = sys.stdout
+        file: TextIO = sys.stdout
         if str(target) != "-":
-            file = stack.enter_context(target.open("w", encoding="utf-8", newline=""))
+            binary = stack.enter_context(private_file(target))
+            file = stack.enter_context(io.TextIOWrapper(binary, encoding="utf-8", newline=""))
         file.write("index,t_in_ns,t_out_ns,cause\n")
         for start in range(0, len(verdicts), rows_at_once):
             part = slice(start, start + rows_at_once)

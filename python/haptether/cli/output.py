@@ -6,6 +6,8 @@ import sys
 from json import dumps as _dumps
 from pathlib import Path
 
+from haptether.private_file import is_stream, refuse_link, write_private
+
 
 def write_json(target: Path, text: bytes) -> None:
     """Writes JSON to a file, or to standard output for `-`."""
@@ -13,7 +15,7 @@ def write_json(target: Path, text: bytes) -> None:
         sys.stdout.buffer.write(_inert(text) + b"\n")
         sys.stdout.buffer.flush()
     else:
-        target.write_bytes(_inert(text) + b"\n")
+        write_private(target, _inert(text) + b"\n")
 
 
 def _inert(json: bytes) -> bytes:
@@ -45,13 +47,16 @@ def check_target(target: Path | None) -> None:
 
     Raises:
         OSError: With the path and what is in the way.
+        ValueError: A symbolic link: whoever may make one would choose what is overwritten.
     """
     if target is None or str(target) == "-":
         return
     if target.is_dir():
         message = f"{target}: is a folder, must be a file"
         raise OSError(message)
-    if not os.access(target if target.exists() else target.parent, os.W_OK):
+    refuse_link(target)
+    # A file that is there is replaced.
+    if not os.access(target if is_stream(target) else target.parent, os.W_OK):
         message = f"{target}: cannot be written: is the folder there, and yours?"
         raise OSError(message)
 

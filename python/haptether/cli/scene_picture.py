@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from haptether.cli.simulate import told_events
 from haptether.printable import printable
+from haptether.private_file import private_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,7 +67,8 @@ def draw_run(run: "Run", path: Path) -> None:
         panel.grid(alpha=0.3)
     _name_events(panels[0], told[:EVENTS_NAMED], float(time_s[-1] - time_s[0]))
     panels[-1].set_xlabel("time [s]")
-    figure.savefig(path, dpi=120)
+    with private_file(path) as file:
+        figure.savefig(file, dpi=120)
 
 
 def _name_events(panel: "Axes", told: list[tuple[float, str]], width_s: float) -> None:

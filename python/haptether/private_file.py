@@ -1,0 +1,80 @@
+"""Files for their owner alone: mode 0600, no link followed, and never seen half written."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+STREAMS = frozenset(map(Path, ("/dev", "/dev/fd", "/proc/self/fd")))
+"""Folders whose links only the system makes: to the streams of this process."""
+
+
+def refuse_link(path: Path) -> None:
+    """Refuses to write where a link leads: whoever may make one would choose what is overwritten.
+
+    Raises:
+        ValueError: A symbolic link to a file, or to nothing.
+    """
+    if path.is_symlink() and not is_stream(path):
+        message = f"{path}: is a symbolic link, must be a file"
+        raise ValueError(message)
+
+
+def is_stream(path: Path) -> bool:
+    """Whether it is a pipe, a device or a stream of this process, which stays what it is."""
+    return path.exists() and (not path.is_file() or path.parent in STREAMS)
+
+
+@contextmanager
+def private_file(path: Path) -> Iterator[IO[bytes]]:
+    """A file to write, which then replaces the one that is there, or the link; a pipe or a device is written to.
+
+    Raises:
+        OSError: It cannot be made, or not put into its place.
+    """
+    if is_stream(path):
+        # What a redirected stream has already is not cut off.
+        with path.open("ab") as file:
+            yield file
+        return
+    beside = path.with_name(f".{secrets.token_hex(8)}.part")
+    # Nobody knows its name before, and what is there already is not opened.
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    try:
+        descriptor = os.open(beside, flags, 0o600)
+    except OSError as error:
+        # Of the name that its user knows.
+        raise type(error)(error.errno, error.strerror, str(path)) from None
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            # The umask may have taken the owner's own rights.
+            os.fchmod(file.fileno(), 0o600)
+            yield file
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Writes all of a file, as `private_file`.
+
+    Raises:
+        OSError: It cannot be made, or not put into its place.
+    """
+    with private_file(path) as file:
+        file.write(content)
+
+
+def begin_private(path: Path) -> None:
+    """Makes an empty file for what opens it by its name, and leaves a pipe or a device alone.
+
+    Raises:
+        OSError: It cannot be made, or not put into its place.
+        ValueError: A symbolic link.
+    """
+    refuse_link(path)
+    if not is_stream(path):
+        write_private(path, b"")
