@@ -1,5 +1,6 @@
 """Stop works: whoever reads the output, whatever a driver does, and with no memory left."""
 
+import itertools
 import os
 import signal
 import subprocess
@@ -52,8 +53,11 @@ LIVE = (
 )
 
 
-@pytest.mark.parametrize("arguments", LIVE, ids=lambda arguments: " ".join(arguments[:2]))
-@pytest.mark.parametrize("kind", ["pipe", "pty"])
+@pytest.mark.parametrize(
+    ("arguments", "kind"),
+    list(zip(LIVE, itertools.cycle(["pipe", "pty"]))),
+    ids=lambda value: value if isinstance(value, str) else " ".join(value[:2]),
+)
 def test_commands_end_that_nobody_reads(arguments: tuple[str, ...], kind: str, tmp_path: Path) -> None:
     with stopping.blocked_sink(kind) as sink:
         process = subprocess.Popen(
@@ -111,10 +115,14 @@ COMMANDS = (
     ("sweep", "remote_push", "--vary", "link.forward.delay_s=0.01:0.1:10"), ("explain", "none"),
     ("demo", "--slave", "ur"),
 )  # fmt: skip
+DELAYS_S = (0.005, 0.05, 0.1, 0.2, 0.35)
 
 
-@pytest.mark.parametrize("arguments", COMMANDS, ids=lambda arguments: " ".join(arguments[:2]))
-@pytest.mark.parametrize("delay_s", [0.005, 0.05, 0.1, 0.2, 0.35])
+@pytest.mark.parametrize(
+    ("arguments", "delay_s"),
+    [*zip(COMMANDS, itertools.cycle(DELAYS_S)), *((LIVE[0], delay_s) for delay_s in DELAYS_S[1:])],
+    ids=lambda value: f"{value}" if isinstance(value, float) else " ".join(value[:2]),
+)
 def test_ctrl_c_while_a_command_loads(arguments: tuple[str, ...], delay_s: float, tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-X", "importtime", "-m", "haptether", *arguments], stdin=subprocess.DEVNULL,
@@ -142,8 +150,39 @@ def test_ctrl_c_while_a_command_loads(arguments: tuple[str, ...], delay_s: float
             process.stderr.close()
     assert "Traceback" not in said[0]
     assert "KeyboardInterrupt" not in said[0]
+    # By the signal itself: 130 for a shell, too. It meets a process whose Python has begun to end.
+    ended = status in {130, -signal.SIGINT}
     # A side that runs already ends in good order.
-    assert had_ended or status == 130 or (status == 0 and arguments in LIVE and arguments[0] != "demo")
+    assert had_ended or ended or (status == 0 and arguments in LIVE and arguments[0] != "demo")
+
+
+@pytest.mark.parametrize("button", [signal.SIGUSR1, signal.SIGUSR2])
+@pytest.mark.parametrize("ignored", [True, False])
+def test_a_button_pressed_while_a_side_loads_does_not_end_it(button: int, ignored: bool) -> None:
+    # A script starts a job in its background with SIGINT ignored.
+    process = subprocess.Popen(
+        ["sh", "-c", 'test "$0" && trap "" INT; exec "$@"', "yes" if ignored else "",
+         sys.executable, "-X", "importtime", "-m", "haptether", *LIVE[0], "--realtime", "off"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1,
+    )  # fmt: skip
+    assert process.stderr is not None
+    assert process.stdout is not None
+    try:
+        for line in process.stderr:
+            if line.rstrip().endswith("haptether.cli.interrupts"):
+                break
+        threading.Thread(target=process.stderr.read, daemon=True).start()
+        time.sleep(0.05)
+        process.send_signal(button)
+        assert "listen" in process.stdout.readline()
+        assert process.poll() is None
+        # Sent to a side that runs, it stops it all the same.
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(8.0) == 0
+    finally:
+        process.kill()
+        process.wait()
 
 
 # ------------------------------------------------------------------------------------------------------- memory
@@ -156,9 +195,9 @@ def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> N
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:
-        time.sleep(8.0)
+        time.sleep(5.0)
         before = anonymous_bytes(process.pid)
-        time.sleep(20.0)
+        time.sleep(10.0)
         grown = anonymous_bytes(process.pid) - before
         process.send_signal(signal.SIGTERM)
         assert process.wait(10.0) == 0
@@ -166,7 +205,7 @@ def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> N
         process.kill()
         process.wait()
     # What was kept of each tick grew by 150 KB a second before; a day of this bound is 900 MB less.
-    assert grown < 20 * 5_000, f"{grown / 20.0:.0f} bytes a second"
+    assert grown < 10 * 5_000, f"{grown / 10.0:.0f} bytes a second"
 
 
 def test_what_is_kept_of_a_run_is_bounded_and_in_order() -> None:

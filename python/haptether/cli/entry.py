@@ -5,6 +5,7 @@ Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted.
 
 import contextlib
 import inspect
+import io
 import os
 import select
 import sys
@@ -116,6 +117,9 @@ def _main(arguments: Sequence[str]) -> int:
         INTERRUPTS.raising = False
     if status == INTERRUPTED:
         _let_go_of_output()
+        # An interrupt within code that was made of text, as dataclasses make theirs, has CPython end by the signal
+        # whatever caught it, until the next such code runs.
+        exec("")
     return status
 
 
@@ -170,16 +174,23 @@ def parse(arguments: Sequence[str]) -> Command:
 def _parsed(
     commands: "dict[str, type[Command]]", prog: str, group: "type[object] | None", arguments: Sequence[str]
 ) -> Command:
+    said = io.StringIO()
+    # The parser repeats arguments as they are.
+    safe = all(argument.isprintable() for argument in arguments)
     try:
-        command: Command = tyro.cli(
-            union_of(commands),
-            prog=prog,
-            description=DESCRIPTION if group is None else summary(group),
-            args=arguments,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-            registry=NUMBERS,
-        )
+        with contextlib.nullcontext() if safe else contextlib.redirect_stderr(said):
+            command: Command = tyro.cli(
+                union_of(commands),
+                prog=prog,
+                description=DESCRIPTION if group is None else summary(group),
+                args=arguments,
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+                registry=NUMBERS,
+            )
     except SystemExit as ended:
+        for line in said.getvalue().split("\n"):
+            if line:
+                print(printable(line), file=sys.stderr)
         told = commands[arguments[0]] if arguments and arguments[0] in commands else group
         if ended.code == 0 and told is not None:
             # The parser would fold the examples into one paragraph.
