@@ -65,7 +65,7 @@ def drive_master(
                     wait()
             if rest:
                 device.write(rest)
-            loop.say_end()
+            loop.announce_end()
         except BaseException as error:
             # Also where somebody presses Ctrl-C: first the device, then the peer.
             with contextlib.suppress(Exception):
@@ -123,7 +123,7 @@ def drive_slave(
                 if wait is not None:
                     wait()
             device.stop()
-            loop.say_end()
+            loop.announce_end()
         except BaseException as error:
             # Also where somebody presses Ctrl-C: first the arm, then the peer.
             with contextlib.suppress(Exception):
@@ -243,9 +243,9 @@ class DeviceRun:
         return self._loop.cause()
 
     @property
-    def vain_presses(self) -> int:
+    def ineffective_presses(self) -> int:
         """How often the clutch was pressed while something else had to be done before."""
-        return self._loop.vain_presses
+        return self._loop.ineffective_presses
 
     def stop(self) -> None:
         """Asks the loop to end after its current tick."""

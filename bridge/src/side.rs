@@ -107,7 +107,7 @@ pub trait Side {
     fn press_again(&mut self) {}
 
     /// The start was too long ago to be a press of the clutch; nothing at a side without one. After `begin`.
-    fn let_go(&mut self) {}
+    fn release_clutch(&mut self) {}
 
     /// A person at this side acts, at `now_ns`. What the other side has is passed over; numbers that cannot be change
     /// nothing.
@@ -223,8 +223,8 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.person.press_again();
     }
 
-    fn let_go(&mut self) {
-        self.person.let_go();
+    fn release_clutch(&mut self) {
+        self.person.release_clutch();
         self.button.must_be_released();
     }
 

@@ -2295,7 +2295,7 @@ class LiveMaster:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def vain_presses(self) -> int:
+    def ineffective_presses(self) -> int:
         """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
 
     def cause(self) -> str | None:
@@ -2417,7 +2417,7 @@ class LiveSlave:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def vain_presses(self) -> int:
+    def ineffective_presses(self) -> int:
         """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
 
     def cause(self) -> str | None:
@@ -2544,7 +2544,7 @@ class MasterLoop:
             text: In the driver's own words, which both sides show: up to 239 bytes of UTF-8 on one line.
         """
 
-    def say_end(self) -> None:
+    def announce_end(self) -> None:
         """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     @property
@@ -2584,7 +2584,7 @@ class MasterLoop:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def vain_presses(self) -> int:
+    def ineffective_presses(self) -> int:
         """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
 
     def cause(self) -> str | None:
@@ -2710,7 +2710,7 @@ class SlaveLoop:
             text: In the driver's own words, which both sides show: up to 239 bytes of UTF-8 on one line.
         """
 
-    def say_end(self) -> None:
+    def announce_end(self) -> None:
         """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     @property
@@ -2750,7 +2750,7 @@ class SlaveLoop:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def vain_presses(self) -> int:
+    def ineffective_presses(self) -> int:
         """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
 
     def cause(self) -> str | None:

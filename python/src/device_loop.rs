@@ -37,7 +37,7 @@ trait Paced: Send {
     fn begin(&mut self) -> PyResult<String>;
     fn wait(&mut self);
     fn fail(&mut self, text: &FaultText);
-    fn say_end(&mut self);
+    fn announce_end(&mut self);
     fn end(&mut self) -> Option<Ended>;
 }
 
@@ -57,8 +57,8 @@ where
         PacedLoop::fail(self, text);
     }
 
-    fn say_end(&mut self) {
-        PacedLoop::say_end(self);
+    fn announce_end(&mut self) {
+        PacedLoop::announce_end(self);
     }
 
     fn end(&mut self) -> Option<Ended> {
@@ -245,10 +245,10 @@ macro_rules! loop_methods {
                 Ok(())
             }
 
-            fn say_end(&self, py: Python<'_>) -> PyResult<()> {
+            fn announce_end(&self, py: Python<'_>) -> PyResult<()> {
                 let mut turns = turned(&self.turns)?;
                 let turns = &mut **turns;
-                py.detach(|| turns.say_end());
+                py.detach(|| turns.announce_end());
                 Ok(())
             }
 

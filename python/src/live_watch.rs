@@ -209,7 +209,7 @@ pub(crate) trait Watching<Rows>: Send {
     fn cause(&mut self) -> Option<String>;
     fn act(&mut self, act: Act) -> PyResult<()>;
     fn press_clutch(&self);
-    fn vain_presses(&self) -> u64;
+    fn ineffective_presses(&self) -> u64;
     fn allow_takeover(&self);
     fn rows(&mut self) -> Rows;
     fn is_stopped(&self) -> bool;
@@ -276,8 +276,8 @@ impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for 
         self.run.press_clutch();
     }
 
-    fn vain_presses(&self) -> u64 {
-        self.run.vain_presses()
+    fn ineffective_presses(&self) -> u64 {
+        self.run.ineffective_presses()
     }
 
     fn allow_takeover(&self) {
@@ -368,8 +368,8 @@ macro_rules! watch_methods {
             }
 
             #[getter]
-            fn vain_presses(&self) -> u64 {
-                self.watch().vain_presses()
+            fn ineffective_presses(&self) -> u64 {
+                self.watch().ineffective_presses()
             }
 
             fn cause(&self) -> Option<String> {

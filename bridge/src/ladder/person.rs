@@ -104,7 +104,7 @@ impl Person {
     }
 
     /// Has let go: the start was too long ago to be a press.
-    pub fn let_go(&mut self) {
+    pub fn release_clutch(&mut self) {
         self.pressed = false;
     }
 
@@ -293,7 +293,7 @@ mod tests {
     fn who_has_let_go_presses_only_when_asked() {
         let mut person = Person::new(Clutch::Once).unwrap();
         person.begin(0);
-        person.let_go();
+        person.release_clutch();
         assert!((0..1000).all(|now| !person.at(now * MS, LadderState::Disengaged, true)));
         person.press_again();
         assert!(person.at(1000 * MS, LadderState::Disengaged, true));

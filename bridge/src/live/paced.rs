@@ -115,7 +115,7 @@ impl<S: Side> PacedLoop<S> {
         if let Some(made_ns) = self.made_ns.take()
             && clock::now_ns().saturating_sub(made_ns) > START_NS
         {
-            turning.side().let_go();
+            turning.side().release_clutch();
         }
         match turning.turn(wake, &self.shared) {
             ControlFlow::Continue(()) => Some(after(turning.side())),
@@ -148,14 +148,14 @@ impl<S: Side> PacedLoop<S> {
             clock::sleep_until(self.pace.next_ns());
         }
         self.shared.stop.store(true, Ordering::Relaxed);
-        turning.say_end(&self.shared);
+        turning.announce_end(&self.shared);
     }
 
     /// The device is at rest: tells the peer that this side ends, before whoever waits for the report does.
-    pub fn say_end(&mut self) {
+    pub fn announce_end(&mut self) {
         if let Stage::Turning(turning) = &mut self.stage {
             self.shared.stop.store(true, Ordering::Relaxed);
-            turning.say_end(&self.shared);
+            turning.announce_end(&self.shared);
         }
     }
 

@@ -99,7 +99,7 @@ pub(super) struct Shared {
     pub(super) press_ns: AtomicU64,
     pub(super) takeover_ns: AtomicU64,
     /// Presses before which something else must be done.
-    pub(super) vain_presses: AtomicU64,
+    pub(super) ineffective_presses: AtomicU64,
     /// No force, no motion, and the peer has been sent the end.
     pub(super) at_rest: AtomicBool,
 }

@@ -113,7 +113,7 @@ pub(super) struct Turning<S: Side> {
     now_ns: u64,
     shown: LadderState,
     diagnosed: Diagnosed,
-    has_said_end: bool,
+    has_announced_end: bool,
     /// End of the last stall, in ns.
     stalled_ns: Option<u64>,
     buffer: [u8; MAX_DATAGRAM],
@@ -143,7 +143,7 @@ impl<S: Side> Turning<S> {
             now_ns: start_ns,
             shown: LadderState::Disengaged,
             diagnosed: Diagnosed { now: None, since_ns: start_ns, is_told: true },
-            has_said_end: false,
+            has_announced_end: false,
             stalled_ns: None,
             buffer: [0; MAX_DATAGRAM],
         }
@@ -182,7 +182,7 @@ impl<S: Side> Turning<S> {
         if was_asked(&shared.press_ns) {
             // A press that is said to do nothing must not couple once its obstacle is gone.
             if side.flight().diagnosis().is_some_and(Diagnosis::is_before_press) {
-                shared.vain_presses.fetch_add(1, Ordering::Relaxed);
+                shared.ineffective_presses.fetch_add(1, Ordering::Relaxed);
             } else {
                 side.press_again();
             }
@@ -246,8 +246,8 @@ impl<S: Side> Turning<S> {
     }
 
     /// Leaves the plant at rest and tells the peer that this side ends; nothing a second time.
-    pub(super) fn say_end(&mut self, shared: &Shared) {
-        if std::mem::replace(&mut self.has_said_end, true) {
+    pub(super) fn announce_end(&mut self, shared: &Shared) {
+        if std::mem::replace(&mut self.has_announced_end, true) {
             return;
         }
         // First of all: what follows takes its time.
@@ -273,7 +273,7 @@ impl<S: Side> Turning<S> {
 
     /// Leaves the plant at rest, tells the peer, and closes what is open.
     pub(super) fn end(mut self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
-        self.say_end(shared);
+        self.announce_end(shared);
         let (counts, flight) = (self.side.0.counts(), Box::new(*self.side.0.flight()));
         self.report.path = self.side.0.path(self.now_ns);
         let Self { side, socket, mut channel, mut ways, mut report, now_ns, start_ns, mut diagnosed, .. } =

@@ -113,8 +113,8 @@ impl<R> LiveWatch<R> {
     }
 
     /// How often [`Self::press_clutch`] could not couple, because something else must be done before.
-    pub fn vain_presses(&self) -> u64 {
-        self.shared.vain_presses.load(Ordering::Relaxed)
+    pub fn ineffective_presses(&self) -> u64 {
+        self.shared.ineffective_presses.load(Ordering::Relaxed)
     }
 
     /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait. An acknowledgement is

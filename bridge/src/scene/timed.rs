@@ -96,8 +96,8 @@ impl<S: Side> Side for Timed<S> {
         self.side.press_again();
     }
 
-    fn let_go(&mut self) {
-        self.side.let_go();
+    fn release_clutch(&mut self) {
+        self.side.release_clutch();
     }
 
     fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {

@@ -229,7 +229,7 @@ class Steps:
     def __init__(self, side: str) -> None:
         self._side = side
         self._shown: Cause | None = None
-        self._vain_presses = 0
+        self._ineffective_presses = 0
 
     def show(self, side: "LiveMaster | LiveSlave | DeviceRun") -> None:
         """Says on standard error where something has happened, what, and what to do; and why a press does nothing."""
@@ -237,8 +237,8 @@ class Steps:
         self._shown = cause
         if cause is not None and cause != before:
             self._print(f"{cause.state}: {cause.text}" if cause.state in self.HELD else cause.text, cause)
-        if side.vain_presses != self._vain_presses:
-            self._vain_presses = side.vain_presses
+        if side.ineffective_presses != self._ineffective_presses:
+            self._ineffective_presses = side.ineffective_presses
             if cause is not None:
                 self._print(f"the clutch does nothing yet: {cause.text}", cause)
 
