@@ -476,3 +476,23 @@ def test_files_of_commands_are_their_users_alone(tmp_path: Path, capsys: pytest.
 
 def test_explain_has_its_figures_in_its_help() -> None:
     assert "the last 10 of the 50 ticks" in " ".join((Explain.__doc__ or "").split())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["simulate", "--nope", HOSTILE],
+        ["list", HOSTILE],
+        ["netsim", "list", f"--{HOSTILE}"],
+        ["paper", "--encoder-quantum", HOSTILE],
+    ],
+)
+def test_arguments_that_do_not_fit_are_repeated_printably(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    said = capsys.readouterr()
+    assert not FORBIDDEN.search(said.err)
+    assert not FORBIDDEN.search(said.out)
+    assert "x1b[31m" in said.err

@@ -22,18 +22,20 @@ class Interrupts:
         """Ctrl-C has come."""
 
     def begin(self) -> None:
-        """Takes over, where this thread may and nobody has Ctrl-C ignored."""
-        if _signal.getsignal(_signal.SIGINT) is not _signal.default_int_handler:
-            return
+        """Takes over, where this thread may: the buttons, and Ctrl-C unless it is ignored."""
         try:
+            for button in (_signal.SIGUSR1, _signal.SIGUSR2):
+                # Before a side has begun and after it has ended, they must not end the process.
+                if _signal.getsignal(button) == _signal.SIG_DFL:
+                    _signal.signal(button, _signal.SIG_IGN)
+            # A shell without job control starts a background job with Ctrl-C ignored: it stays so, but for a side
+            # that runs (`Stopped`). SIGTERM ends either.
+            if _signal.getsignal(_signal.SIGINT) is not _signal.default_int_handler:
+                return
             _signal.signal(_signal.SIGINT, self._handle)
         except ValueError:
             # Of another thread than the main one.
             return
-        for button in (_signal.SIGUSR1, _signal.SIGUSR2):
-            # Before a side has begun and after it has ended, they must not end the process.
-            if _signal.getsignal(button) == _signal.SIG_DFL:
-                _signal.signal(button, _signal.SIG_IGN)
         # Where nobody can take an exception, Python prints it and goes on.
         sys.unraisablehook = self._unraisable
 

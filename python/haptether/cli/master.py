@@ -93,11 +93,12 @@ class Master(LiveOptions):
             wait,
         )
         from haptether.cli.live_scene import fault_text, live_scene, raise_error, with_clutch
-        from haptether.cli.options import new_session
+        from haptether.cli.options import check_duration, new_session
         from haptether.cli.output import check_distinct, check_target
         from haptether.cli.security import handed_over, marked, session_key
         from haptether.studies import measure_push, save_master_trace, summarise_link
 
+        check_duration("duration_s", self.duration_s)
         check_target(self.json)
         check_target(self.trace)
         check_target(self.flight)

@@ -135,18 +135,24 @@ def values_of(text: str) -> tuple[str, list[float]]:
     Raises:
         ValueError: Another form, or a count that is none.
     """
+    import math
+
     import numpy as np
 
     path, _, values = text.partition("=")
     try:
         if ":" in values:
             first, last, count = values.split(":")
+            if not (math.isfinite(float(last) - float(first)) and int(count) <= MOST_ROWS):
+                raise ValueError
             numbers: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
         else:
             numbers = [float(value) for value in values.split(",")]
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError
     except ValueError:
         numbers = []
     if not path or not numbers or len(numbers) > MOST_ROWS:
-        message = f"--vary {text}: must be path=a:b:n with n of at least 1, or path=v1,v2,..."
+        message = f"--vary {text}: must be path=a:b:n with n of at least 1, or path=v1,v2,... of finite numbers"
         raise ValueError(message)
     return path, numbers
