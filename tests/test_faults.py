@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.faults import clocks, drivers, hostile, machine, numbers, processes, virtual
 from tests.faults.rows import Row
+from tests.faults.running import Recorded
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
 
 LOOSE = processes.Limits(hold_s=0.15, fade_s=0.2)
@@ -119,3 +120,30 @@ def test_a_run_that_is_disturbed_is_measured_anew() -> None:
     row = processes.again(never, "a")()
     assert row.verdict == "FAILED"
     assert row.complaints == ("3 attempts, each disturbed: held",)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.003, 0.03])
+@pytest.mark.parametrize("stalled_at", [400, 480, 520])
+@pytest.mark.parametrize("held_side", [0, 1, None])
+def test_a_hold_is_the_machines_only_after_a_loop_woke_late(
+    late_s: float, stalled_at: int, held_side: "int | None"
+) -> None:
+    def side(held: bool, began_s: float) -> Recorded:
+        state = np.full(1000, ENGAGED)
+        state[500:] = HOLD if held else ENGAGED
+        ticks = Ticks(time_s=began_s + np.arange(1000) * 1e-3, state=state, age_s=np.zeros(1000), output=np.zeros(1000))
+        overshoot_s = [0.0] * 1000
+        overshoot_s[stalled_at] = late_s
+        return Recorded(ticks=ticks, reasons=["peer is silent"] * 1000, overshoot_s=overshoot_s)
+
+    sides = [side(held_side == 0, 3.0), side(held_side == 1, 70.0)]
+    judged = processes.Judged(processes.Limits())
+    if held_side is not None and late_s > 0.01 and stalled_at < 500:
+        with pytest.raises(processes.DisturbedError, match=r"woke 0\.03 s late"):
+            judged.never_held(*sides)
+    else:
+        judged.never_held(*sides)
+        assert (judged.row("a", "b").verdict == "FAILED") == (held_side is not None)
+    judged = processes.Judged(processes.Limits())
+    judged.never_held(*sides, excused=False)
+    assert (judged.row("a", "b").verdict == "FAILED") == (held_side is not None)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from tests.faults.processes import Judged, Limits, again, never_held
+from tests.faults.processes import Judged, Limits, again
 from tests.faults.rows import Row
 from tests.faults.running import PRESSED_S, Recorded, Stage
 from tests.faults.signals import ENGAGED, NAMES, Ticks
@@ -55,8 +55,8 @@ def full_disk(limits: Limits) -> Row:
         stage.end_together(slave, master)
         reports = {side: stage.report(side) for side in disks}
         traced = _traced(stage.path("master.npz"))
-    never_held(traced.before_end())
     judged = Judged(limits)
+    judged.never_held(traced.before_end())
     for side, report in reports.items():
         link = report["link"]
         judged.wrong.check(link["recording_end"] is not None, f"{side}: the recording never ended")
@@ -95,8 +95,8 @@ def wall_clock(limits: Limits) -> Row:
         time.sleep(max(PRESSED_S, master.begun_s + STEPPED_S - time.monotonic()))
         stage.end_together(slave, master)
         sides = [stage.ticks("slave").before_end(), stage.ticks("master").before_end()]
-    never_held(*sides)
     judged = Judged(limits)
+    judged.never_held(*sides)
     judged.slave(sides[0])
     judged.wrong.check(all(loaded), "the clock was not set: the library was not loaded")
     for side in sides:

@@ -168,6 +168,16 @@ class Recorded:
     reasons: list[str]
     overshoot_s: list[float]
 
+    def last(self, seconds: float) -> Self:
+        """Its last seconds."""
+        begin = int(np.searchsorted(self.ticks.time_s, self.ticks.time_s[-1] - seconds))
+        return replace(
+            self,
+            ticks=self.ticks.between(float(self.ticks.time_s[begin])),
+            reasons=self.reasons[begin:],
+            overshoot_s=self.overshoot_s[begin:],
+        )
+
     def before_end(self) -> Self:
         """Without the last moment, in which the other side may have ended already."""
         return replace(self, ticks=self.ticks.between(-np.inf, float(self.ticks.time_s[-1]) - APART_S))
