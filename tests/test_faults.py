@@ -131,7 +131,8 @@ def test_a_hold_is_the_machines_only_after_a_loop_woke_late(
     def side(held: bool, began_s: float) -> Recorded:
         state = np.full(1000, ENGAGED)
         state[500:] = HOLD if held else ENGAGED
-        ticks = Ticks(time_s=began_s + np.arange(1000) * 1e-3, state=state, age_s=np.zeros(1000), output=np.zeros(1000))
+        times = np.arange(1000, dtype=np.float64) * 1e-3 + began_s
+        ticks = Ticks(time_s=times.astype(np.float64), state=state, age_s=np.zeros(1000), output=np.zeros(1000))
         overshoot_s = [0.0] * 1000
         overshoot_s[stalled_at] = late_s
         return Recorded(ticks=ticks, reasons=["peer is silent"] * 1000, overshoot_s=overshoot_s)
