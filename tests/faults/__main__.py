@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from tests.faults import clocks, drivers, hostile, machine, numbers, processes, stopping, virtual
+from tests.faults import clocks, drivers, hostile, machine, numbers, presses, processes, stopping, virtual
 from tests.faults.rows import Row
 from tests.faults.table import print_table
 
@@ -16,6 +16,7 @@ GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "numbers": numbers.rows,
     "drivers": drivers.rows,
     "processes": lambda: list(processes.rows().values()),
+    "presses": lambda: list(presses.rows().values()),
     "stopping": lambda: list(stopping.rows().values()),
     "machine": lambda: list(machine.rows().values()),
     "hostile": lambda: list(hostile.rows().values()),
