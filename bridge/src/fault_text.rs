@@ -82,6 +82,7 @@ impl FaultText {
     }
 
     /// How many pieces it has; the last one holds the zero byte behind it.
+    #[allow(clippy::cast_possible_truncation)] // 12
     const fn pieces(&self) -> u8 {
         self.length / PIECE as u8 + 1
     }
@@ -306,7 +307,7 @@ mod tests {
             let mut heard = HeardText::default();
             for (number, index, bytes) in pieces {
                 heard.take(&TextPiece { number: number % 3, index: index % 24, bytes });
-                prop_assert!(heard.text().as_str().chars().all(|letter| is_printable(letter)));
+                prop_assert!(heard.text().as_str().chars().all(is_printable));
             }
         }
     }

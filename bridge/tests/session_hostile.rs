@@ -456,6 +456,7 @@ fn a_million_forgeries_change_nothing() {
 
 /// Garbage that looks like a first message never gets beyond its MAC: nothing goes on to the handshake.
 #[test]
+#[allow(clippy::cast_possible_truncation)] // a draw of bits
 fn garbage_without_the_key_is_not_handed_on() {
     let mut session = Session::secure(settings(Role::Slave), &key()).unwrap();
     let hello = recorded(1)[0];

@@ -18,17 +18,17 @@ impl<const N: usize> ObjectMotion<N> {
     /// V in m/s between two times in s, a in m, f in Hz (>= 0).
     pub fn new(
         velocity: Axes<N>,
-        from_s: f64,
+        begin_s: f64,
         until_s: f64,
         amplitude: Axes<N>,
         frequency_hz: f64,
     ) -> Result<Self, ModelError> {
         require_axes("motion velocity", &velocity, |_| true, "finite")?;
-        require("motion begin", from_s, true, "finite")?;
-        require("motion end", until_s, until_s >= from_s, "finite and not before its begin")?;
+        require("motion begin", begin_s, true, "finite")?;
+        require("motion end", until_s, until_s >= begin_s, "finite and not before its begin")?;
         require_axes("motion amplitude", &amplitude, |_| true, "finite")?;
         require("motion frequency", frequency_hz, frequency_hz >= 0.0, "finite and 0 or more")?;
-        let window = Window::between(from_s, until_s);
+        let window = Window::between(begin_s, until_s);
         Ok(Self { velocity, window, amplitude, rate: std::f64::consts::TAU * frequency_hz })
     }
 
@@ -39,13 +39,13 @@ impl<const N: usize> ObjectMotion<N> {
 
     /// The same, on the smooth piece that holds at time `piece`.
     pub(crate) fn on(&self, piece: f64, t: f64) -> (Axes<N>, Axes<N>) {
-        let (from_s, until_s) = (self.window.from_s(), self.window.until_s());
+        let (begin_s, until_s) = (self.window.begin_s(), self.window.until_s());
         let (mut displacement, mut velocity) = if self.window.contains(piece) {
-            (self.velocity * (t - from_s), self.velocity)
+            (self.velocity * (t - begin_s), self.velocity)
         } else if self.window.begins_after(piece) {
             (Axes::zeros(), Axes::zeros())
         } else {
-            (self.velocity * (until_s - from_s), Axes::zeros())
+            (self.velocity * (until_s - begin_s), Axes::zeros())
         };
         if self.rate > 0.0 {
             let (sin, cos) = (self.rate * t).sin_cos();

@@ -19,9 +19,9 @@ impl Window {
         Self { from_ns, until_ns: from_ns + whole_ns(duration_s) }
     }
 
-    /// From `from_s` until `until_s`.
-    pub(crate) fn between(from_s: f64, until_s: f64) -> Self {
-        Self { from_ns: whole_ns(from_s), until_ns: whole_ns(until_s) }
+    /// From `begin_s` until `until_s`.
+    pub(crate) fn between(begin_s: f64, until_s: f64) -> Self {
+        Self { from_ns: whole_ns(begin_s), until_ns: whole_ns(until_s) }
     }
 
     pub(crate) fn begins_after(&self, time_s: f64) -> bool {
@@ -32,7 +32,7 @@ impl Window {
         (self.from_ns..self.until_ns).contains(&whole_ns(time_s))
     }
 
-    pub(crate) fn from_s(&self) -> f64 {
+    pub(crate) fn begin_s(&self) -> f64 {
         self.from_ns / 1e9
     }
 
@@ -44,7 +44,7 @@ impl Window {
     pub(crate) fn next_bound(&self, time_s: f64) -> f64 {
         let now_ns = whole_ns(time_s);
         if now_ns < self.from_ns {
-            self.from_s()
+            self.begin_s()
         } else if now_ns < self.until_ns {
             self.until_s()
         } else {

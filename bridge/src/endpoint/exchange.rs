@@ -166,7 +166,8 @@ impl<const N: usize> Exchange<N> {
             observed,
             values: FlightValues::new(values),
         };
-        self.flight.take(entry, self.ladder.history(), self.diagnosis());
+        let diagnosis = self.diagnosis();
+        self.flight.take(entry, self.ladder.history(), diagnosis.as_ref());
     }
 
     /// Why the two sides are not coupled; none where nothing is wrong.

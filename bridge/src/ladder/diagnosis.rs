@@ -1,5 +1,7 @@
 //! Why two sides are not coupled, as one of them knows it: where it happened, in whose words, and what to do in order.
 
+use std::fmt::Write as _;
+
 use haptether_safety::Fault;
 use serde::Serialize;
 
@@ -154,11 +156,11 @@ impl Diagnosis {
         let mut text = format!("the {own} has a fault: {}", fault_words(self.fault, &self.text));
         let mut steps = vec![acknowledge(own)];
         if let Some(peer) = self.peer.filter(|peer| peer.state == LadderState::Fault) {
-            text += &format!("; the {other} has one, too: {}", fault_words(peer.fault, &peer.text));
+            let _ = write!(text, "; the {other} has one, too: {}", fault_words(peer.fault, &peer.text));
             steps.push(acknowledge(other));
         }
         if self.ended {
-            text += &format!("; the {other} has ended");
+            let _ = write!(text, "; the {other} has ended");
             steps.push(start(other, "start"));
         }
         self.told(own, text, steps)
@@ -251,6 +253,7 @@ mod tests {
         silent: true,
     };
 
+    #[allow(clippy::unnecessary_wraps)] // as the field has it
     fn peer(state: LadderState, reason: u8, fault: u8, text: &str) -> Option<PeerCause> {
         Some(PeerCause { state, reason, fault, text: FaultText::new(text) })
     }
@@ -262,6 +265,7 @@ mod tests {
 
     /// Where it happened, what, and what to do in order: written down by hand.
     #[test]
+    #[allow(clippy::too_many_lines)] // a table
     fn each_cause_says_where_what_and_what_to_do() {
         use LadderState::{Aligning, Fault, Hold};
         use Remedy::{Acknowledge, Press, Start, Wait};

@@ -128,10 +128,10 @@ impl FlightRecorder {
     }
 
     /// Keeps a tick, and what led to a hold or a fault when there is one.
-    pub(crate) fn take(&mut self, entry: FlightEntry, history: &History, diagnosis: Option<Diagnosis>) {
+    pub(crate) fn take(&mut self, entry: FlightEntry, history: &History, diagnosis: Option<&Diagnosis>) {
         self.start_ns.get_or_insert(entry.time_ns);
-        if self.diagnosis != diagnosis {
-            if let Some(diagnosis) = diagnosis {
+        if self.diagnosis.as_ref() != diagnosis {
+            if let Some(&diagnosis) = diagnosis {
                 let mut since_ns = entry.time_ns;
                 // More words on the same, or the link that comes and goes: no place of its own.
                 if let Some(before) = self.diagnosis.filter(|before| before.is_same_case(&diagnosis)) {
@@ -142,7 +142,7 @@ impl FlightRecorder {
                 self.diagnoses[self.diagnosed % KEPT_DIAGNOSES] = Some((since_ns, diagnosis));
                 self.diagnosed += 1;
             }
-            self.diagnosis = diagnosis;
+            self.diagnosis = diagnosis.copied();
         }
         let before = self.latest.count.checked_sub(1).map(|last| self.latest.entries[last % KEPT].state);
         self.latest.entries[self.latest.count % KEPT] = entry;

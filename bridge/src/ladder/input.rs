@@ -19,6 +19,7 @@ pub struct PeerReport {
 }
 
 /// What one tick tells the ladder.
+#[allow(clippy::struct_excessive_bools)] // what is the case at a tick
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LadderInput {
     /// Age in ns of the newest that is known of the peer; none before its first frame.

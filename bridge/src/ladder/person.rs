@@ -40,6 +40,7 @@ const LATEST_NS: u64 = 2 * OPEN_NS;
 pub(crate) const START_NS: u64 = 5_000_000_000;
 
 /// Who works the clutch: a pure function of time and of what the ladder shows.
+#[allow(clippy::struct_excessive_bools)] // what it has done and seen
 #[derive(Clone, Debug, PartialEq)]
 pub struct Person {
     clutch: Clutch,

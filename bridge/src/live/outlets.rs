@@ -26,7 +26,7 @@ impl<R: Copy> Outlets<R> {
     }
 
     /// Hands the recording why the two sides are not coupled, since `time_ns` after the start or shortly before.
-    pub(super) fn note(&mut self, time_ns: u64, diagnosis: Diagnosis) {
+    pub(super) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
         if let Some(recorder) = &mut self.recorder {
             recorder.note(time_ns, diagnosis);
         }

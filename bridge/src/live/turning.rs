@@ -86,7 +86,7 @@ impl Diagnosed {
     ) {
         self.is_told = diagnoses.push(self.now).is_ok();
         if let Some(diagnosis) = self.now.filter(|_| self.is_told) {
-            records.note(time_ns, diagnosis);
+            records.note(time_ns, &diagnosis);
         }
     }
 }

@@ -210,8 +210,8 @@ impl<R> Recorder<R> {
     }
 
     /// Hands over why the two sides are not coupled, `time_ns` after the run began; dropped where the disk is behind.
-    pub(crate) fn note(&mut self, time_ns: u64, diagnosis: Diagnosis) {
-        let _ = self.notes.push(Note { time_ns, diagnosis });
+    pub(crate) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
+        let _ = self.notes.push(Note { time_ns, diagnosis: *diagnosis });
     }
 
     /// Somebody else's view of it.

@@ -132,7 +132,7 @@ fn why_two_sides_were_not_coupled_stands_in_a_channel_of_its_own() {
         ended: false,
         silent: false,
     };
-    recorder.note(7_000_000, diagnosis);
+    recorder.note(7_000_000, &diagnosis);
     recorder.end();
     let file = paper.read();
     let causes: Vec<_> = mcap::MessageStream::new(&file)

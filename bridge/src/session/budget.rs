@@ -49,11 +49,11 @@ impl Shares {
 
     /// Takes one for `from`, if its share allows it; else nothing is taken from any.
     pub(crate) fn take(&mut self, now_ns: u64, from: SocketAddr) -> bool {
-        let host = Some(host(from.ip()));
+        let host = host(from.ip());
         let [all, of_host, of_address] = BURSTS;
         let at_host = place(&self.hosts, host);
-        let at_address = place(&self.addresses, Some(from));
-        let known_host = self.hosts[at_host].1.only_of(self.hosts[at_host].0 == host);
+        let at_address = place(&self.addresses, from);
+        let known_host = self.hosts[at_host].1.only_of(self.hosts[at_host].0 == Some(host));
         let known_address = self.addresses[at_address].1.only_of(self.addresses[at_address].0 == Some(from));
         let (Some(all), Some(in_host), Some(in_address)) = (
             self.all.after(now_ns, self.interval_ns, all),
@@ -63,7 +63,7 @@ impl Shares {
             return false;
         };
         self.all = all;
-        self.hosts[at_host] = (host, in_host);
+        self.hosts[at_host] = (Some(host), in_host);
         self.addresses[at_address] = (Some(from), in_address);
         true
     }
@@ -77,8 +77,8 @@ impl Bucket {
 }
 
 /// Where somebody stands in the table, or the place that has waited longest.
-fn place<K: PartialEq>(table: &[(Option<K>, Bucket)], who: Option<K>) -> usize {
-    let known = table.iter().position(|(key, _)| *key == who);
+fn place<K: Copy + PartialEq>(table: &[(Option<K>, Bucket)], who: K) -> usize {
+    let known = table.iter().position(|(key, _)| *key == Some(who));
     let longest = || table.iter().enumerate().min_by_key(|(_, (_, bucket))| bucket.full_ns).map(|(at, _)| at);
     known.or_else(longest).unwrap_or(0)
 }

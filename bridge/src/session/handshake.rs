@@ -83,6 +83,7 @@ pub(super) fn parts(datagram: &[u8]) -> (&[u8], &[u8]) {
     )
 }
 
+#[allow(clippy::large_enum_variant)] // one for a whole run
 #[derive(Debug)]
 enum Side {
     Master(Initiator),

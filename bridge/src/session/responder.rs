@@ -169,6 +169,7 @@ impl Responder {
         kept.iter().find(|answered| answered.hello == *datagram)
     }
 
+    #[allow(clippy::large_types_passed_by_value)] // it is moved into its place
     fn keep(&mut self, answered: Answered, is_renewal: bool) {
         if is_renewal {
             self.renewed = Some(answered);

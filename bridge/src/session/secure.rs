@@ -21,6 +21,7 @@ struct Lease {
 }
 
 /// Where the newest keys stand on their way to the next.
+#[allow(clippy::struct_excessive_bools)] // steps, in any order
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Renewal {
     /// The peer has used them.

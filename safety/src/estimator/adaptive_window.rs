@@ -313,6 +313,7 @@ mod tests {
     }
 
     /// A hand that draws, slows down, rests and turns, in quanta.
+    #[allow(clippy::cast_possible_truncation)] // some thousand quanta
     fn hand(n: i32) -> i128 {
         let t = f64::from(n) * PERIOD_S;
         let x = 0.02 * (4.4 * t).sin() + 0.002 * (18.85 * t).sin() + 2e-5 * (62.8 * t).sin();
