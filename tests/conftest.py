@@ -19,9 +19,9 @@ settings.load_profile(os.environ.get("HAPTETHER_HYPOTHESIS_PROFILE", "fast"))
 ALONE = (
     "test_device_loop", "test_docs", "test_engine_stress", "test_examples", "test_faults", "test_live",
     "test_live_realtime", "test_netsim_cli_live", "test_netsim_control", "test_netsim_live", "test_packaging",
-    "test_safety_speed", "test_soak", "test_stop", "test_ur_demo", "test_ur_engagements", "test_ur_emulator_bounds",
+    "test_safety_speed", "test_soak", "test_stop", "test_true_cause", "test_ur_demo", "test_ur_emulator_bounds",
     "test_ur_emulator_calls", "test_ur_emulator_letter", "test_ur_emulator_live", "test_ur_emulator_process",
-    "test_ur_live", "test_work_unit",
+    "test_ur_engagements", "test_ur_live", "test_work_unit",
 )  # fmt: skip
 """Real time, real sockets, or cargo."""
 
