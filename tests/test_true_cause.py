@@ -80,7 +80,7 @@ class Screen:
         self._waiting.put("")
 
     def until(self, said: str, again: signal.Signals | None = None) -> str:
-        """Waits for a line that holds `said`, and gives it; a signal that a late loop left aside is sent `again` once."""
+        """Waits for a line that holds `said`, and gives it; a signal that a late loop passed over is sent `again`."""
         while True:
             try:
                 line = self._waiting.get(timeout=TIMEOUT_S if again is None else 2.0)
