@@ -138,6 +138,7 @@ Run = TypeVar("Run", bound="DeviceRun")
 
 def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     """Waits until the device is open."""
+    from haptether.cli.queued_output import deliver_output
     from haptether.cli.screen import Screen
 
     end = time.monotonic() + READY_S
@@ -154,7 +155,7 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     if stopped:
         if not run.finished:
             # Threads of a vendor's library that still connects would end an orderly exit with an abort.
-            sys.stderr.flush()
+            deliver_output()
             os._exit(130)
         raise KeyboardInterrupt
     message = f"{name}: did not open within {READY_S:g} s"

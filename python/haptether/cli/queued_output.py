@@ -106,6 +106,10 @@ class QueuedBuffer(io.RawIOBase):
         """Of what it is written to in the end."""
         return self._descriptor
 
+    def deliver(self) -> None:
+        """Waits until all is written, within the bounds of `QueuedWriter.end`."""
+        self._writer.end(time.monotonic())
+
     def isatty(self) -> bool:
         """Whether that is a terminal."""
         return os.isatty(self._descriptor)
@@ -158,3 +162,13 @@ def queued_output() -> Iterator[QueuedOutput]:
         if out is not None:
             output.delivered = out.end(asked_s) and not out.dropped
             output.error = out.error
+
+
+def deliver_output() -> None:
+    """Waits, within bounds, until what was printed is written: before an exit that waits for nothing."""
+    for stream in (sys.stdout, sys.stderr):
+        buffer = getattr(stream, "buffer", None)
+        if isinstance(buffer, QueuedBuffer):
+            buffer.deliver()
+        else:
+            stream.flush()
