@@ -48,7 +48,8 @@ demo: $(EXTENSION) ## run `haptether demo`
 .PHONY: test
 test: $(EXTENSION) ## cargo test and pytest
 	cargo test --locked
-	$(BIN)/python -m pytest --numprocesses 2 -m 'not alone'
+	$(BIN)/python -m pytest --numprocesses 2 -m 'not live and not alone'
+	$(BIN)/python -m pytest --numprocesses 3 -m live
 	$(BIN)/python -m pytest -m alone
 
 .PHONY: lint

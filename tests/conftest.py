@@ -3,11 +3,12 @@
 HAPTETHER_HYPOTHESIS_PROFILE chooses. `fast` tries the same examples each time, so that a change is
 judged and not the luck of a draw; `slow` draws new ones.
 
-Modules of the list ALONE have the marker `alone`: `make test` runs them one after the other, and all others on two
-processors at once.
+`make test` runs the modules of the list LIVE (marker `live`) three at a time, those of ALONE (`alone`) one after the
+other, and all others two at a time.
 """
 
 import os
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
@@ -16,17 +17,31 @@ settings.register_profile("fast", max_examples=50, deadline=None, derandomize=Tr
 settings.register_profile("slow", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HAPTETHER_HYPOTHESIS_PROFILE", "fast"))
 
-ALONE = (
-    "test_device_loop", "test_docs", "test_engine_stress", "test_examples", "test_faults", "test_live",
-    "test_live_realtime", "test_netsim_cli_live", "test_netsim_control", "test_netsim_live", "test_packaging",
-    "test_safety_speed", "test_soak", "test_stop", "test_true_cause", "test_ur_demo", "test_ur_emulator_bounds",
-    "test_ur_emulator_calls", "test_ur_emulator_letter", "test_ur_emulator_live", "test_ur_emulator_process",
-    "test_ur_engagements", "test_ur_live", "test_work_unit",
+LIVE = (
+    "test_docs", "test_examples", "test_faults", "test_live", "test_netsim_cli_live", "test_netsim_control",
+    "test_soak", "test_stop", "test_ur_demo", "test_ur_emulator_bounds", "test_ur_emulator_calls",
+    "test_ur_emulator_letter", "test_ur_emulator_live", "test_ur_emulator_process",
 )  # fmt: skip
-"""Real time, real sockets, or cargo."""
+"""Processes and sockets that mostly wait: several at once, beside nothing that computes."""
+ALONE = (
+    "test_device_loop", "test_engine_stress", "test_live_realtime", "test_netsim_live", "test_packaging",
+    "test_safety_speed", "test_true_cause", "test_ur_engagements", "test_ur_live", "test_work_unit",
+)  # fmt: skip
+"""Lateness, speed, or cargo."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.path.stem in ALONE:
-            item.add_marker(pytest.mark.alone)
+        for marker, modules in (("live", LIVE), ("alone", ALONE)):
+            if item.path.stem in modules:
+                item.add_marker(marker)
+
+
+
+@pytest.fixture(autouse=True)
+def ordinary_scheduling() -> Iterator[None]:
+    """Real time that a test leaves to its thread is a fault of what it tests: all later ones would starve others."""
+    yield
+    if hasattr(os, "sched_getscheduler") and (policy := os.sched_getscheduler(0)) != os.SCHED_OTHER:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        pytest.fail(f"the thread of the tests was left under scheduling policy {policy}")

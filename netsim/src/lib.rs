@@ -52,7 +52,7 @@ pub use probe::{
 };
 pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, MOST_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
-    ProxySettings, ProxyStatistics, Scheduling, SchedulingError, Source, schedule_fifo,
+    ProxySettings, ProxyStatistics, ScheduleBefore, Scheduling, SchedulingError, Source, schedule_fifo,
 };
 pub use settings::{
     Action, Attack, ByteRange, Checksum, ClockSettings, CrossTraffic, DelayChange, DelayTrace, Discipline,

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.environment import ToolEnvironment
     from haptether.slave.ur_emulator.faults import Faults
     from haptether.slave.ur_emulator.safety_limits import SafetyLimits
-    from haptether.slave.ur_emulator.scheduling import ask_realtime
+    from haptether.slave.ur_emulator.scheduling import realtime
     from haptether.slave.ur_emulator.serve import Server
     from haptether.slave.ur_emulator.version import ControllerVersion
     from haptether.slave.ur_emulator.wrench_sensor import WrenchSensing
@@ -25,7 +25,7 @@ _PLACES = {
     "Server": "serve",
     "ToolEnvironment": "environment",
     "WrenchSensing": "wrench_sensor",
-    "ask_realtime": "scheduling",
+    "realtime": "scheduling",
 }
 
 __all__ = [
@@ -39,7 +39,7 @@ __all__ = [
     "Server",
     "ToolEnvironment",
     "WrenchSensing",
-    "ask_realtime",
+    "realtime",
 ]
 
 

@@ -5,9 +5,10 @@ use std::{
     fs::{File, OpenOptions},
     io::{self, Write},
     sync::{Mutex, PoisonError},
+    thread::{self, ThreadId},
 };
 
-use haptether_netsim::schedule_fifo;
+use haptether_netsim::{ScheduleBefore, schedule_fifo};
 use rustix::{
     io::Errno,
     mm::{MlockAllFlags, mlockall, munlockall},
@@ -161,6 +162,8 @@ pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
     if settings.demand == RealtimeDemand::Off {
         return (RealtimeReport::default(), Kept::default());
     }
+    let schedule = ScheduleBefore::of_this_thread();
+    let processors = settings.cpu.and_then(|_| ProcessorsBefore::of_this_thread());
     let memory = LockedMemory::new();
     let awake = keep_awake();
     let report = RealtimeReport {
@@ -174,7 +177,7 @@ pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
     if memory.is_err() {
         touch_stack(32);
     }
-    (report, Kept { memory: memory.ok(), awake: awake.ok() })
+    (report, Kept { memory: memory.ok(), awake: awake.ok(), schedule, processors })
 }
 
 /// What is granted for as long as it is held.
@@ -183,6 +186,30 @@ pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
 pub(super) struct Kept {
     memory: Option<LockedMemory>,
     awake: Option<File>,
+    /// Given back when the loop ends: its thread may be somebody else's.
+    schedule: Option<ScheduleBefore>,
+    processors: Option<ProcessorsBefore>,
+}
+
+/// Where a thread might run before its loop; given back when this is dropped on that thread.
+#[derive(Debug)]
+struct ProcessorsBefore {
+    thread: ThreadId,
+    processors: CpuSet,
+}
+
+impl ProcessorsBefore {
+    fn of_this_thread() -> Option<Self> {
+        Some(Self { thread: thread::current().id(), processors: sched_getaffinity(None).ok()? })
+    }
+}
+
+impl Drop for ProcessorsBefore {
+    fn drop(&mut self) {
+        if self.thread == thread::current().id() {
+            let _ = sched_setaffinity(None, &self.processors);
+        }
+    }
 }
 
 /// Tells the kernel that no wake-up may take long, as cyclictest does, for as long as the file is open.

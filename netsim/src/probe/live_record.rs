@@ -13,7 +13,7 @@ use super::estimate::{Offset, RoundTrip};
 use super::live_echo::{is_passing, nanoseconds};
 use super::recording::{Probe, Recording};
 use super::wire::{Answer, Request, SIZE};
-use crate::proxy::prepare_thread;
+use crate::{ScheduleBefore, proxy::prepare_thread};
 
 /// Most probes a second.
 pub const MOST_RATE_HZ: f64 = 1000.0;
@@ -82,8 +82,7 @@ struct Sent {
     trip: Option<RoundTrip>,
 }
 
-/// Measures a network until the time is over or `stop` is set, on the calling thread, which keeps the scheduling it is
-/// given.
+/// Measures a network until the time is over or `stop` is set, on the calling thread.
 pub fn record(settings: &RecordSettings, stop: &AtomicBool) -> Result<Recording, ProbeError> {
     let RecordSettings { peer, rate_hz, duration_s, realtime } = *settings;
     let within = |key, seen: f64, least: f64, most: f64| {
@@ -94,6 +93,7 @@ pub fn record(settings: &RecordSettings, stop: &AtomicBool) -> Result<Recording,
     within("duration_s", duration_s, 1e-3, MOST_PROBES / rate_hz)?;
     let refuse = |source| ProbeError::Socket { peer, source };
     let socket = connect(peer).map_err(refuse)?;
+    let _given_back = ScheduleBefore::of_this_thread();
     prepare_thread(realtime);
     let run = Run::new(socket, rate_hz, duration_s);
     let (sent, latest_s) = run.carry_out(stop).map_err(refuse)?;

@@ -45,7 +45,7 @@ pub use buffers::MAX_DATAGRAM;
 pub use control::ProxyControl;
 pub use flows::MOST_FLOWS;
 pub use histogram::SchedulingError;
-pub use realtime::{Scheduling, schedule_fifo};
+pub use realtime::{ScheduleBefore, Scheduling, schedule_fifo};
 pub use settings::{ProxyError, ProxySettings, Source};
 pub use statistics::{DirectionStatistics, ProxyMonitor, ProxyStatistics};
 

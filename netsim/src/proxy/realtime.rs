@@ -1,9 +1,12 @@
 //! What the proxy's thread asks of the scheduler.
 
-use std::num::NonZeroU64;
-use std::{fmt, io};
+use std::{
+    fmt, io,
+    num::NonZeroU64,
+    thread::{self, ThreadId},
+};
 
-use rustix::thread::set_current_timer_slack;
+use rustix::{process::getpriority_process, thread::set_current_timer_slack};
 use thread_priority::{
     Error, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id, thread_schedule_policy_param,
@@ -51,9 +54,92 @@ pub fn schedule_fifo(priority: u8) -> io::Result<u8> {
     }
 }
 
+/// How a thread was scheduled before it was given real time; given back when this is dropped on that thread.
+///
+/// Whoever turns a loop on a thread of their own goes on with it afterwards, and what they start inherits it: a program
+/// that computes under `SCHED_FIFO` takes a processor from everybody.
+#[derive(Debug)]
+pub struct ScheduleBefore {
+    thread: ThreadId,
+    policy: ThreadSchedulePolicy,
+    priority: ThreadPriority,
+}
+
+impl ScheduleBefore {
+    /// Of the calling thread; none where the system does not tell.
+    pub fn of_this_thread() -> Option<Self> {
+        let (policy, parameters) = thread_schedule_policy_param(thread_native_id()).ok()?;
+        let priority = match policy {
+            ThreadSchedulePolicy::Realtime(_) => ThreadPriority::from_posix(parameters),
+            // Of those without real time the library takes a part of 99 for a niceness: the one that gives the same.
+            ThreadSchedulePolicy::Normal(_) => {
+                let niceness = getpriority_process(None).ok()?;
+                (0..=99_u8)
+                    .filter_map(|part| ThreadPriorityValue::try_from(part).ok())
+                    .map(ThreadPriority::Crossplatform)
+                    .find(|priority| priority.to_posix(policy).ok() == Some(niceness))?
+            }
+        };
+        Some(Self { thread: thread::current().id(), policy, priority })
+    }
+}
+
+impl Drop for ScheduleBefore {
+    fn drop(&mut self) {
+        if self.thread == thread::current().id() {
+            // To be given less is always allowed.
+            let _ = set_thread_priority_and_policy(thread_native_id(), self.priority, self.policy);
+        }
+    }
+}
+
 fn as_io(error: Error) -> io::Error {
     match error {
         Error::OS(number) => io::Error::from_raw_os_error(number),
         other => io::Error::other(format!("{other:?}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rustix::process::setpriority_process;
+
+    use super::*;
+
+    #[test]
+    fn a_thread_gets_back_the_schedule_that_it_had() {
+        let seen = |niceness: i32| {
+            thread::spawn(move || {
+                let nice = niceness == 0 || setpriority_process(None, niceness).is_ok();
+                let before = ScheduleBefore::of_this_thread().unwrap();
+                let granted = schedule_fifo(3).is_ok();
+                drop(before);
+                let (policy, parameters) = thread_schedule_policy_param(thread_native_id()).unwrap();
+                let now = (policy, parameters.sched_priority, getpriority_process(None).unwrap());
+                (nice && granted, now)
+            })
+            .join()
+            .unwrap()
+        };
+        for niceness in [0, 1, 7, 19, -5, -20] {
+            let (granted, now) = seen(niceness);
+            if granted {
+                let policy = ThreadSchedulePolicy::Normal(thread_priority::NormalThreadSchedulePolicy::Other);
+                assert_eq!(now, (policy, 0, niceness));
+            }
+        }
+    }
+
+    #[test]
+    fn only_the_thread_itself_is_given_it_back() {
+        let before = thread::spawn(|| ScheduleBefore::of_this_thread().unwrap()).join().unwrap();
+        let here = thread::spawn(move || {
+            let granted = schedule_fifo(3).is_ok();
+            drop(before);
+            let (policy, _) = thread_schedule_policy_param(thread_native_id()).unwrap();
+            (granted, matches!(policy, ThreadSchedulePolicy::Realtime(_)))
+        });
+        let (granted, still) = here.join().unwrap();
+        assert_eq!(granted, still);
     }
 }

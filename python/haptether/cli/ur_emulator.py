@@ -75,7 +75,7 @@ class UrEmulator:
         from haptether.cli.live import Stopped
         from haptether.cli.options import check_duration
         from haptether.cli.output import check_target, table_goes_to_stderr, write_json
-        from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server, ask_realtime
+        from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server, realtime
 
         check_duration("duration_s", self.duration_s)
         if not 0 <= self.seed < 2**64:
@@ -100,11 +100,11 @@ class UrEmulator:
                     except OverflowError:
                         message = f"control = {self.control}: the port must be 0 to 65535"
                         raise ValueError(message) from None
-                granted = ask_realtime(self.realtime)
-                # Whoever started this process reads the line to learn that the ports are open.
-                said_to = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                print(f"{self._headline(channel)}, real time: {granted}", file=said_to, flush=True)
-                server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
+                with realtime(self.realtime) as granted:
+                    # Whoever started this process reads the line to learn that the ports are open.
+                    said_to = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
+                    print(f"{self._headline(channel)}, real time: {granted}", file=said_to, flush=True)
+                    server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
             finally:
                 server.close()
                 if channel is not None:
