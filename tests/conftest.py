@@ -37,7 +37,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(marker)
 
 
-
 @pytest.fixture(autouse=True)
 def ordinary_scheduling() -> Iterator[None]:
     """Real time that a test leaves to its thread is a fault of what it tests: all later ones would starve others."""
