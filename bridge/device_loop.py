@@ -182,6 +182,8 @@ class DeviceRun:
             self._drive(self.notes)
         except Exception as error:  # told at the end of the run
             self.error = error
+        except BaseException as error:  # a driver's own KeyboardInterrupt or SystemExit, of which nobody else hears
+            self.error = failure(self._device, error)
         finally:
             self._loop.stop()
             self._unquiet()
@@ -243,8 +245,8 @@ class DeviceRun:
         return self._loop.cause()
 
     @property
-    def ineffective_presses(self) -> int:
-        """How often the clutch was pressed while something else had to be done before."""
+    def ineffective_presses(self) -> tuple[int, str | None]:
+        """How often the clutch was pressed for nothing, and why the last time; none where `cause` has the words."""
         return self._loop.ineffective_presses
 
     def stop(self) -> None:

@@ -105,7 +105,7 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
             device.close()
 
 
-def failure(device: "MasterDevice | SlaveDevice", error: Exception) -> DeviceError:
+def failure(device: "MasterDevice | SlaveDevice", error: BaseException) -> DeviceError:
     """An exception of a driver, with the driver's name and the line of it that led there."""
     name, kind = type(device).__name__, type(error).__name__
     try:
@@ -121,7 +121,7 @@ def encodable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _place(device: "MasterDevice | SlaveDevice", error: Exception) -> str:
+def _place(device: "MasterDevice | SlaveDevice", error: BaseException) -> str:
     """File, line and function of an exception: the innermost of the driver's own file, else of whatever it called."""
     own = getattr(sys.modules.get(type(device).__module__), "__file__", None)
     steps = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]

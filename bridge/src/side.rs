@@ -103,11 +103,18 @@ pub trait Side {
     /// The last states and commands.
     fn flight(&self) -> &FlightRecorder;
 
+    /// Whether the device has shown a button.
+    fn has_button(&self) -> bool {
+        false
+    }
+
     /// A person lets go of the clutch and presses it again; nothing at a side without one, or whose device has a button.
     fn press_again(&mut self) {}
 
-    /// The start was too long ago to be a press of the clutch; nothing at a side without one. After `begin`.
-    fn release_clutch(&mut self) {}
+    /// The start was too long ago to be a press of the clutch; whether it would have been one. After `begin`.
+    fn release_clutch(&mut self) -> bool {
+        false
+    }
 
     /// A person at this side acts, at `now_ns`. What the other side has is passed over; numbers that cannot be change
     /// nothing.
@@ -223,9 +230,14 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.person.press_again();
     }
 
-    fn release_clutch(&mut self) {
-        self.person.release_clutch();
+    fn has_button(&self) -> bool {
+        self.button.is_there()
+    }
+
+    fn release_clutch(&mut self) -> bool {
         self.button.must_be_released();
+        let was_pressed = self.person.release_clutch();
+        self.plant.clutch().unwrap_or(was_pressed)
     }
 
     fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {

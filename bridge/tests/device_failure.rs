@@ -140,6 +140,7 @@ fn paced<S: Seen>(side: S, role: Role) -> (PacedLoop<S>, LiveWatch<S::Record>) {
         period_ns: MS,
         duration_ns: None,
         patience_ns: None,
+        started_ns: None,
         ring: 1000,
         realtime: RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() },
     };

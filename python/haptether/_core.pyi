@@ -2222,6 +2222,8 @@ class LiveMaster:
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        started_s: When a person started this side, by `time.monotonic()`; without it now. At the first tick it counts as
+            a press of the clutch if it is at most 5 s old.
         keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
         realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
             fails without.
@@ -2247,6 +2249,7 @@ class LiveMaster:
         listen: str | None = None,
         duration_s: float | None = None,
         patience_s: float | None = None,
+        started_s: float | None = None,
         keep_s: float = 600.0,
         realtime: str = "auto",
         priority: int = 80,
@@ -2295,8 +2298,12 @@ class LiveMaster:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def ineffective_presses(self) -> int:
-        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+    def ineffective_presses(self) -> tuple[int, str | None]:
+        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
+
+        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
+        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
+        """
 
     def cause(self) -> str | None:
         """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
@@ -2417,8 +2424,12 @@ class LiveSlave:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def ineffective_presses(self) -> int:
-        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+    def ineffective_presses(self) -> tuple[int, str | None]:
+        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
+
+        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
+        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
+        """
 
     def cause(self) -> str | None:
         """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
@@ -2467,6 +2478,8 @@ class MasterLoop:
             The scene's operator has no say.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
+        started_s: When a person started this side, by `time.monotonic()`; without it now. At the first tick it counts as
+            a press of the clutch if it is at most 5 s old.
         keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
         realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
             fails without.
@@ -2494,6 +2507,7 @@ class MasterLoop:
         clutch: Literal["once", "auto"] = "once",
         duration_s: float | None = None,
         patience_s: float | None = None,
+        started_s: float | None = None,
         keep_s: float = 600.0,
         realtime: str = "auto",
         priority: int = 80,
@@ -2584,8 +2598,12 @@ class MasterLoop:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def ineffective_presses(self) -> int:
-        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+    def ineffective_presses(self) -> tuple[int, str | None]:
+        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
+
+        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
+        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
+        """
 
     def cause(self) -> str | None:
         """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
@@ -2750,8 +2768,12 @@ class SlaveLoop:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
-    def ineffective_presses(self) -> int:
-        """How often the clutch was pressed by `press_clutch` while something else had to be done before; 0 at a slave."""
+    def ineffective_presses(self) -> tuple[int, str | None]:
+        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
+
+        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
+        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
+        """
 
     def cause(self) -> str | None:
         """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.

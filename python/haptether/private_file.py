@@ -28,6 +28,17 @@ def is_stream(path: Path) -> bool:
 
 
 @contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Has an error of a disk say which file it was."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None or error.errno is None:
+            raise
+        raise type(error)(error.errno, error.strerror, str(path)) from None
+
+
+@contextmanager
 def private_file(path: Path) -> Iterator[IO[bytes]]:
     """A file to write, which then replaces the one that is there, or the link; a pipe or a device is written to.
 
@@ -36,7 +47,7 @@ def private_file(path: Path) -> Iterator[IO[bytes]]:
     """
     if is_stream(path):
         # What a redirected stream has already is not cut off.
-        with path.open("ab") as file:
+        with _named(path), path.open("ab") as file:
             yield file
         return
     beside = path.with_name(f".{secrets.token_hex(8)}.part")
@@ -48,7 +59,7 @@ def private_file(path: Path) -> Iterator[IO[bytes]]:
         # Of the name that its user knows.
         raise type(error)(error.errno, error.strerror, str(path)) from None
     try:
-        with os.fdopen(descriptor, "wb") as file:
+        with _named(path), os.fdopen(descriptor, "wb") as file:
             # The umask may have taken the owner's own rights.
             os.fchmod(file.fileno(), 0o600)
             yield file

@@ -89,7 +89,7 @@ impl LiveMaster {
 impl LiveMaster {
     #[new]
     #[pyo3(signature = (settings, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
-        patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
+        patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         settings: &Bound<'_, PyAny>,
@@ -100,6 +100,7 @@ impl LiveMaster {
         listen: Option<&str>,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
+        started_s: Option<f64>,
         keep_s: f64,
         realtime: &str,
         priority: u8,
@@ -111,7 +112,8 @@ impl LiveMaster {
         let record = recorder_settings(record, min_free_bytes, insecure);
         let place = |period_ns| {
             let security = security(key, insecure)?;
-            let how = How { security, period_ns, duration_s, patience_s, keep_s, realtime, record };
+            let how =
+                How { security, period_ns, duration_s, patience_s, started_s, keep_s, realtime, record };
             Place::of_master(peer, listen, how)
         };
         let run = if let Ok(settings) = settings.cast::<PyMasterSettings>() {
@@ -196,7 +198,16 @@ impl LiveSlave {
         let record = recorder_settings(record, min_free_bytes, insecure);
         let place = |period_ns| {
             let security = security(key, insecure)?;
-            let how = How { security, period_ns, duration_s, patience_s, keep_s, realtime, record };
+            let how = How {
+                security,
+                period_ns,
+                duration_s,
+                patience_s,
+                started_s: None,
+                keep_s,
+                realtime,
+                record,
+            };
             Place::of_slave(listen, how)
         };
         let run = if let Ok(settings) = settings.cast::<PySlaveSettings>() {

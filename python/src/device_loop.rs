@@ -270,7 +270,7 @@ pub(crate) struct MasterLoop {
 impl MasterLoop {
     #[new]
     #[pyo3(signature = (scene, *, peer, session, key=None, insecure=false, listen=None, clutch="once",
-        duration_s=None, patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
+        duration_s=None, patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         scene: &[u8],
@@ -282,6 +282,7 @@ impl MasterLoop {
         clutch: &str,
         duration_s: Option<f64>,
         patience_s: Option<f64>,
+        started_s: Option<f64>,
         keep_s: f64,
         realtime: &str,
         priority: u8,
@@ -303,6 +304,7 @@ impl MasterLoop {
             period_ns: live_periods(&scene)?[0],
             duration_s,
             patience_s,
+            started_s,
             keep_s,
             realtime: realtime_settings(realtime, priority, cpu)?,
             record: recorder_settings(record, min_free_bytes, insecure),
@@ -373,6 +375,7 @@ impl SlaveLoop {
             period_ns: live_periods(&scene)?[1],
             duration_s,
             patience_s,
+            started_s: None,
             keep_s,
             realtime: realtime_settings(realtime, priority, cpu)?,
             record: recorder_settings(record, min_free_bytes, insecure),

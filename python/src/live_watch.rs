@@ -5,8 +5,8 @@ use std::{mem::MaybeUninit, ops::DerefMut};
 use haptether_bridge::{
     Act, FlightRecorder,
     live::{
-        LiveHandle, LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket, Security,
-        SecurityEvent, StartError,
+        Ineffective, LiveHandle, LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket,
+        Security, SecurityEvent, StartError,
     },
     recorder::{Recorded, Recorder, RecorderSettings, RecordingReport},
     session::{KeyError, PreSharedKey},
@@ -80,7 +80,7 @@ impl Place {
     }
 
     fn new(role: Role, listen: &str, peer: PeerAddress, how: How) -> PyResult<Self> {
-        let How { security, period_ns, duration_s, patience_s, keep_s, realtime, record } = how;
+        let How { security, period_ns, duration_s, patience_s, started_s, keep_s, realtime, record } = how;
         if !(keep_s > 0.0 && keep_s <= MOST_KEPT_S) {
             let text = format!("keep_s = {keep_s}: must be above 0 and at most {MOST_KEPT_S} s");
             return Err(PyValueError::new_err(text));
@@ -90,6 +90,7 @@ impl Place {
             period_ns,
             duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
             patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
+            started_ns: started_s.map(|time| nanoseconds("started_s", time)).transpose()?,
             ring: RING,
             realtime,
         };
@@ -137,6 +138,7 @@ pub(crate) struct How {
     pub(crate) period_ns: u64,
     pub(crate) duration_s: Option<f64>,
     pub(crate) patience_s: Option<f64>,
+    pub(crate) started_s: Option<f64>,
     pub(crate) keep_s: f64,
     pub(crate) realtime: haptether_bridge::live::RealtimeSettings,
     pub(crate) record: Option<RecorderSettings>,
@@ -209,7 +211,7 @@ pub(crate) trait Watching<Rows>: Send {
     fn cause(&mut self) -> Option<String>;
     fn act(&mut self, act: Act) -> PyResult<()>;
     fn press_clutch(&self);
-    fn ineffective_presses(&self) -> u64;
+    fn ineffective_presses(&self) -> (u64, Option<&'static str>);
     fn allow_takeover(&self);
     fn rows(&mut self) -> Rows;
     fn is_stopped(&self) -> bool;
@@ -276,8 +278,9 @@ impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for 
         self.run.press_clutch();
     }
 
-    fn ineffective_presses(&self) -> u64 {
-        self.run.ineffective_presses()
+    fn ineffective_presses(&self) -> (u64, Option<&'static str>) {
+        let (count, why) = self.run.ineffective_presses();
+        (count, why.and_then(Ineffective::text))
     }
 
     fn allow_takeover(&self) {
@@ -368,7 +371,7 @@ macro_rules! watch_methods {
             }
 
             #[getter]
-            fn ineffective_presses(&self) -> u64 {
+            fn ineffective_presses(&self) -> (u64, Option<&'static str>) {
                 self.watch().ineffective_presses()
             }
 

@@ -192,6 +192,8 @@ impl<const N: usize> Exchange<N> {
             }),
             ended: self.peer_ended,
             silent: !self.ladder.hears_peer(),
+            // Its loop knows.
+            ends: false,
         })
     }
 

@@ -44,6 +44,11 @@ impl Button {
         Some(self.closed)
     }
 
+    /// Whether the device has ever shown it.
+    pub(crate) fn is_there(&self) -> bool {
+        self.level.is_some()
+    }
+
     /// Closed, it must be seen open before it can be pressed: the start was too long ago to be a press.
     pub(crate) fn must_be_released(&mut self) {
         self.unknown = true;

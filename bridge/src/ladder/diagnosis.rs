@@ -40,6 +40,8 @@ pub struct Diagnosis {
     pub ended: bool,
     /// Whether the peer is not heard now.
     pub silent: bool,
+    /// Whether this side ends by its fault: there will be nothing to acknowledge it.
+    pub ends: bool,
 }
 
 /// Something to be done before the two couple again.
@@ -154,7 +156,8 @@ impl Diagnosis {
 
     fn own_fault(&self, own: &'static str, other: &'static str) -> Explanation {
         let mut text = format!("the {own} has a fault: {}", fault_words(self.fault, &self.text));
-        let mut steps = vec![acknowledge(own)];
+        let mut steps =
+            vec![if self.ends { start(own, "mend the cause, then start") } else { acknowledge(own) }];
         if let Some(peer) = self.peer.filter(|peer| peer.state == LadderState::Fault) {
             let _ = write!(text, "; the {other} has one, too: {}", fault_words(peer.fault, &peer.text));
             steps.push(acknowledge(other));
@@ -251,6 +254,7 @@ mod tests {
         peer: None,
         ended: false,
         silent: true,
+        ends: false,
     };
 
     #[allow(clippy::unnecessary_wraps)] // as the field has it
@@ -319,6 +323,25 @@ mod tests {
                 "master",
                 "the master has a fault: Arm: OSError: the bus is down (arm.py:7)",
                 vec![("master", Acknowledge), ("master", Press)],
+            ),
+            (
+                Diagnosis { state: Fault, fault: 11, text: FaultText::new(bus), ends: true, ..HELD },
+                "master",
+                "the master has a fault: Arm: OSError: the bus is down (arm.py:7)",
+                vec![("master", Start)],
+            ),
+            (
+                Diagnosis {
+                    role: Role::Slave,
+                    state: Fault,
+                    fault: 11,
+                    text: FaultText::new(bus),
+                    ends: true,
+                    ..HELD
+                },
+                "slave",
+                "the slave has a fault: Arm: OSError: the bus is down (arm.py:7)",
+                vec![("slave", Start), ("master", Press)],
             ),
             (
                 Diagnosis { state: Fault, fault: 2, peer: peer(Fault, 1, 11, "off"), silent: false, ..HELD },

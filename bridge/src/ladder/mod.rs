@@ -23,6 +23,7 @@ pub use history::{History, Transition};
 pub use input::{LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
 pub use interventions::{Observed, thresholds};
 pub use machine::Ladder;
+pub(crate) use person::START_NS;
 pub use person::{Clutch, ClutchError, Person};
 pub use settings::{LadderError, LadderSettings};
 pub use state::LadderState;

@@ -104,9 +104,9 @@ impl Person {
         (self.asked, self.asked_ns) = (false, None);
     }
 
-    /// Has let go: the start was too long ago to be a press.
-    pub fn release_clutch(&mut self) {
-        self.pressed = false;
+    /// Has let go: the start was too long ago to be a press. Whether it would have been one.
+    pub fn release_clutch(&mut self) -> bool {
+        std::mem::replace(&mut self.pressed, false) && !matches!(self.clutch, Clutch::Schedule(_))
     }
 
     /// Whether the clutch is pressed at `now_ns`, seeing where the ladder stands and whether a press would count.

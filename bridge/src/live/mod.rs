@@ -18,6 +18,6 @@ pub use handshakes::{SecurityEvent, StartError};
 pub use memory::{end_for_lack_of_memory, is_exhausted, memory_is_back};
 pub use paced::{PacedLoop, paced_by_device};
 pub use realtime::{Granted, RealtimeDemand, RealtimeReport, RealtimeSettings};
-pub use run::{LiveRun, LiveSettings, LoopReport, run_live};
+pub use run::{Ineffective, LiveRun, LiveSettings, LoopReport, run_live};
 pub use socket::{PeerAddress, PeerSocket};
 pub use watch::{LiveHandle, LiveWatch};

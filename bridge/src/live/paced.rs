@@ -26,10 +26,6 @@ use crate::{
 /// Ticks after a device has failed in which the peer is told so: frames get lost, and the driver's words come in pieces.
 const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
-/// Longest time in ns from the making of a loop to its begin, in which the device opens, for that making to be a press of
-/// the clutch.
-const START_NS: u64 = 5_000_000_000;
-
 /// How far the loop is.
 enum Stage<S: Side> {
     Ready(Box<(S, PeerSocket, LiveChannel, Ways<S::Record>)>),
@@ -47,7 +43,6 @@ pub struct PacedLoop<S: Side> {
     pace: DevicePace,
     /// The last tick was waited for here, and not by the device.
     waited: bool,
-    made_ns: Option<u64>,
     realtime: RealtimeReport,
     kept: Option<Kept>,
 }
@@ -67,7 +62,6 @@ pub fn paced_by_device<S: Side>(
         shared: Arc::clone(&watch.shared),
         pace: DevicePace::new(settings.period_ns),
         waited: false,
-        made_ns: Some(clock::now_ns()),
         realtime: RealtimeReport::default(),
         kept: None,
     };
@@ -111,12 +105,6 @@ impl<S: Side> PacedLoop<S> {
             self.pace.sampled(clock::now_ns())
         };
         before(turning.side());
-        // Of a device that opened late, or whose first sample was late, the start is no press any more.
-        if let Some(made_ns) = self.made_ns.take()
-            && clock::now_ns().saturating_sub(made_ns) > START_NS
-        {
-            turning.side().release_clutch();
-        }
         match turning.turn(wake, &self.shared) {
             ControlFlow::Continue(()) => Some(after(turning.side())),
             ControlFlow::Break(()) => {
@@ -135,6 +123,7 @@ impl<S: Side> PacedLoop<S> {
     /// The device is gone: zero force and no motion, and the peer is told, in the driver's words where there are any.
     pub fn fail(&mut self, text: &FaultText) {
         let Stage::Turning(turning) = &mut self.stage else { return };
+        self.shared.ends.store(true, Ordering::Relaxed);
         for _ in 0..FAILED_TICKS {
             // Anew at each: nobody can mend what is gone.
             turning.side().device_failed();

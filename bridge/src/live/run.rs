@@ -23,7 +23,7 @@ use super::{
     watch::LiveWatch,
 };
 use crate::{
-    ladder::FlightRecorder,
+    ladder::{Diagnosis, FlightRecorder},
     link::LinkStatistics,
     pace::Wake,
     path::PathReport,
@@ -45,6 +45,8 @@ pub struct LiveSettings {
     pub duration_ns: Option<u64>,
     /// Ends if the two sides have not engaged after this time, in ns.
     pub patience_ns: Option<u64>,
+    /// When a person started this side, in ns of the system's monotonic clock; when it is made, where nobody says.
+    pub started_ns: Option<u64>,
     /// Records that wait for a reader; further ones are counted and dropped.
     pub ring: usize,
     /// What to ask of the system.
@@ -87,6 +89,36 @@ pub struct LoopReport {
 /// Events that wait for a reader; further ones are dropped.
 const MOST_EVENTS: usize = 64;
 
+/// Why a press of the clutch did nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Ineffective {
+    /// Something else must be done before; the diagnosis says what.
+    NotYet = 1,
+    /// The loop was late: nobody knows when it was done.
+    Late,
+    /// The device has a button of its own.
+    HasButton,
+    /// The start, which is a press, was too long ago when the loop began.
+    OldStart,
+}
+
+impl Ineffective {
+    /// In words; none where the diagnosis has them.
+    pub fn text(self) -> Option<&'static str> {
+        match self {
+            Self::NotYet => None,
+            Self::Late => Some("the loop was late, and nobody knows when it was pressed: press it again"),
+            Self::HasButton => Some("this device has a button: press that"),
+            Self::OldStart => Some("the start was more than 5 s ago when the loop began: press the clutch"),
+        }
+    }
+
+    pub(super) fn from_code(code: u8) -> Option<Self> {
+        [Self::NotYet, Self::Late, Self::HasButton, Self::OldStart].into_iter().find(|why| *why as u8 == code)
+    }
+}
+
 /// What the loop and those who watch it both see.
 #[derive(Debug, Default)]
 pub(super) struct Shared {
@@ -98,8 +130,11 @@ pub(super) struct Shared {
     /// When the clutch, and the takeover, were asked for last, in ns; 0 where not since the loop looked.
     pub(super) press_ns: AtomicU64,
     pub(super) takeover_ns: AtomicU64,
-    /// Presses before which something else must be done.
+    /// Presses that did nothing, and why the last of them did not.
     pub(super) ineffective_presses: AtomicU64,
+    pub(super) ineffective: AtomicU8,
+    /// The device has failed, and the loop ends by that.
+    pub(super) ends: AtomicBool,
     /// No force, no motion, and the peer has been sent the end.
     pub(super) at_rest: AtomicBool,
 }
@@ -108,6 +143,18 @@ impl Shared {
     /// Whether the loop must end: it was asked to, or the process has no memory left.
     pub(super) fn must_end(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || memory::is_exhausted()
+    }
+
+    /// Why the two sides are not coupled, as the recorder of a side has it.
+    pub(super) fn diagnosis(&self, flight: &FlightRecorder) -> Option<Diagnosis> {
+        let ends = self.ends.load(Ordering::Relaxed);
+        flight.diagnosis().map(|diagnosis| Diagnosis { ends, ..*diagnosis })
+    }
+
+    /// A press did nothing.
+    pub(super) fn reject_press(&self, why: Ineffective) {
+        self.ineffective.store(why as u8, Ordering::Relaxed);
+        self.ineffective_presses.fetch_add(1, Ordering::Release);
     }
 
     /// As [`super::LiveWatch::press_clutch`].
@@ -162,6 +209,7 @@ pub(super) fn assemble<S: Side>(
         flights: flown,
         diagnoses: diagnosed,
         acts: done,
+        started_ns: Some(settings.started_ns.unwrap_or_else(clock::now_ns)),
     };
     Ok((channel, ways, watch))
 }

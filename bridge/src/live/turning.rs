@@ -11,12 +11,12 @@ use super::{
     handshakes::SecurityEvent,
     memory,
     outlets::Outlets,
-    run::{LiveSettings, LoopReport, Shared},
+    run::{Ineffective, LiveSettings, LoopReport, Shared},
     socket::PeerSocket,
 };
 use crate::{
     act::Act,
-    ladder::{Diagnosis, FlightRecorder, LadderState},
+    ladder::{Diagnosis, FlightRecorder, LadderState, START_NS},
     pace::Wake,
     session::MAX_DATAGRAM,
     side::{Side, TickTime},
@@ -98,6 +98,8 @@ pub(super) struct Ways<R> {
     pub(super) flights: rtrb::Producer<FlightRecorder>,
     pub(super) diagnoses: rtrb::Producer<Option<Diagnosis>>,
     pub(super) acts: rtrb::Consumer<(u64, Act)>,
+    /// When a person started this side, in ns, until the first tick.
+    pub(super) started_ns: Option<u64>,
 }
 
 /// A side in its loop.
@@ -157,7 +159,7 @@ impl<S: Side> Turning<S> {
     /// One tick; breaks where the run is over.
     pub(super) fn turn(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
         let Self { side: Resting(side, _), socket, channel, settings, ways, report, .. } = self;
-        let Ways { records, events, flights, diagnoses, acts } = ways;
+        let Ways { records, events, flights, diagnoses, acts, started_ns } = ways;
         let mut tell = |event| {
             let _ = events.push(event);
         };
@@ -174,20 +176,32 @@ impl<S: Side> Turning<S> {
         let now_ns = deadline_ns;
         self.now_ns = now_ns;
         let stalled_ns = self.stalled_ns;
+        // Of a side that opened late, or whose first sample was late, the start is no press any more.
+        if let Some(started_ns) = started_ns.take()
+            && clock::now_ns().saturating_sub(started_ns) > START_NS
+            && side.release_clutch()
+        {
+            shared.reject_press(Ineffective::OldStart);
+        }
         let is_prompt = |at_ns: u64| clock::now_ns().saturating_sub(at_ns) <= PROMPT_NS;
-        let was_asked = |at_ns: &AtomicU64| match at_ns.swap(0, Ordering::Relaxed) {
-            0 => false,
-            at_ns => is_prompt(at_ns) && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS),
+        // None where nobody asked, else whether it counts.
+        let asked = |at_ns: &AtomicU64| match at_ns.swap(0, Ordering::Relaxed) {
+            0 => None,
+            at_ns => Some(is_prompt(at_ns) && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS)),
         };
-        if was_asked(&shared.press_ns) {
+        if let Some(counts) = asked(&shared.press_ns) {
             // A press that is said to do nothing must not couple once its obstacle is gone.
-            if side.flight().diagnosis().is_some_and(Diagnosis::is_before_press) {
-                shared.ineffective_presses.fetch_add(1, Ordering::Relaxed);
+            if !counts {
+                shared.reject_press(Ineffective::Late);
+            } else if side.has_button() {
+                shared.reject_press(Ineffective::HasButton);
+            } else if side.flight().diagnosis().is_some_and(Diagnosis::is_before_press) {
+                shared.reject_press(Ineffective::NotYet);
             } else {
                 side.press_again();
             }
         }
-        if was_asked(&shared.takeover_ns) {
+        if asked(&shared.takeover_ns) == Some(true) {
             channel.allow_takeover(now_ns, &mut tell);
         }
         while let Ok((at_ns, act)) = acts.pop() {
@@ -226,7 +240,7 @@ impl<S: Side> Turning<S> {
         {
             self.shown = state;
         }
-        if self.diagnosed.is_due(now_ns, side.flight().diagnosis()) {
+        if self.diagnosed.is_due(now_ns, shared.diagnosis(side.flight()).as_ref()) {
             self.diagnosed.tell(now_ns - start_ns, records, diagnoses);
         }
         shared.state.store(state.code(), Ordering::Relaxed);
@@ -279,7 +293,7 @@ impl<S: Side> Turning<S> {
         let Self { side, socket, mut channel, mut ways, mut report, now_ns, start_ns, mut diagnosed, .. } =
             self;
         drop(side);
-        if diagnosed.is_told_not(flight.diagnosis()) {
+        if diagnosed.is_told_not(shared.diagnosis(&flight).as_ref()) {
             diagnosed.tell(now_ns - start_ns, &mut ways.records, &mut ways.diagnoses);
         }
         report.out_of_memory = memory::is_exhausted();

@@ -5,7 +5,11 @@ use std::{
     sync::{Arc, atomic::Ordering},
 };
 
-use super::{clock, handshakes::SecurityEvent, run::Shared};
+use super::{
+    clock,
+    handshakes::SecurityEvent,
+    run::{Ineffective, Shared},
+};
 use crate::{
     act::Act,
     ladder::{Diagnosis, FlightRecorder, LadderState},
@@ -112,9 +116,10 @@ impl<R> LiveWatch<R> {
         self.shared.press_clutch();
     }
 
-    /// How often [`Self::press_clutch`] could not couple, because something else must be done before.
-    pub fn ineffective_presses(&self) -> u64 {
-        self.shared.ineffective_presses.load(Ordering::Relaxed)
+    /// How often a press did nothing, and why the last one did not: [`Self::press_clutch`], or a start that was too old.
+    pub fn ineffective_presses(&self) -> (u64, Option<Ineffective>) {
+        let count = self.shared.ineffective_presses.load(Ordering::Acquire);
+        (count, Ineffective::from_code(self.shared.ineffective.load(Ordering::Relaxed)))
     }
 
     /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait. An acknowledgement is
@@ -155,7 +160,7 @@ impl<R> LiveWatch<R> {
         self.flight = flight.or(self.flight.take());
         while self.diagnoses.pop().is_ok() {}
         if let Some(flight) = &self.flight {
-            self.diagnosis = flight.diagnosis().copied();
+            self.diagnosis = self.shared.diagnosis(flight);
         }
     }
 }

@@ -131,6 +131,7 @@ fn why_two_sides_were_not_coupled_stands_in_a_channel_of_its_own() {
         peer: Some(peer),
         ended: false,
         silent: false,
+        ends: false,
     };
     recorder.note(7_000_000, &diagnosis);
     recorder.end();

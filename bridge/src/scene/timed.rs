@@ -96,8 +96,12 @@ impl<S: Side> Side for Timed<S> {
         self.side.press_again();
     }
 
-    fn release_clutch(&mut self) {
-        self.side.release_clutch();
+    fn has_button(&self) -> bool {
+        self.side.has_button()
+    }
+
+    fn release_clutch(&mut self) -> bool {
+        self.side.release_clutch()
     }
 
     fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {

@@ -7,8 +7,11 @@ import contextlib
 import inspect
 import io
 import os
+import re
 import select
+import shutil
 import sys
+import textwrap
 import traceback
 from collections.abc import Sequence
 from dataclasses import make_dataclass
@@ -77,6 +80,8 @@ COMPLETION = "--completion"
 SHELLS = ("bash", "zsh", "fish")
 
 FAILED, BAD_REQUEST = 1, 2
+LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
+"""More digits than a number has: nobody counts the zeros of 1e300."""
 
 NEVER_WAITS = (Master, Slave, Demo, UrEmulator, CheckLink, Proxy, Echo, Record)
 """Commands that go on, and end, whether anybody reads what they print or not."""
@@ -194,7 +199,7 @@ def _parsed(
         told = commands[arguments[0]] if arguments and arguments[0] in commands else group
         if ended.code == 0 and told is not None:
             # The parser would fold the examples into one paragraph.
-            print(f"\n{(inspect.getdoc(told) or '').partition(chr(10))[2].strip()}")
+            print(f"\n{folded((inspect.getdoc(told) or '').partition(chr(10))[2].strip())}")
         raise
     return command
 
@@ -297,11 +302,26 @@ def summary(command: type[object]) -> str:
     return (inspect.getdoc(command) or "").partition("\n")[0]
 
 
+def folded(text: str) -> str:
+    """The paragraphs of a text as wide as the terminal; a command to be copied stays on one line."""
+    width = max(40, shutil.get_terminal_size().columns)
+    paragraphs = text.split("\n\n")
+    return "\n\n".join(
+        paragraph
+        if paragraph.startswith(("haptether ", " ")) or all(len(line) <= width for line in paragraph.splitlines())
+        else textwrap.fill(" ".join(paragraph.split()), width, break_long_words=False, break_on_hyphens=False)
+        for paragraph in paragraphs
+    )
+
+
 def complain(error: Exception, status: int, *, debug: bool = False) -> int:
     """Says what is wrong in one line, whatever it repeats; before it the traceback, if asked for."""
     if debug:
         lines = "".join(traceback.format_exception(error)).splitlines()
         print("\n".join(printable(line) for line in lines), file=sys.stderr)
     text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
-    print(f"haptether: {printable(' '.join(text.split()))}", file=sys.stderr)
+    if isinstance(error, OSError) and error.strerror and text.startswith("[Errno"):
+        text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    text = LONG_NUMBER.sub(lambda number: repr(float(number[0])), " ".join(text.split()))
+    print(f"haptether: {printable(text)}", file=sys.stderr)
     return status

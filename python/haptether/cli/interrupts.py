@@ -16,6 +16,8 @@ class Interrupts:
     """Ends the process at Ctrl-C while it loads; raises KeyboardInterrupt once while a command runs, then ends it."""
 
     def __init__(self) -> None:
+        self.begun = False
+        """The process is the command's own."""
         self.raising = False
         """A command runs, which may have something to clear up."""
         self.seen = False
@@ -23,6 +25,7 @@ class Interrupts:
 
     def begin(self) -> None:
         """Takes over, where this thread may: the buttons, and Ctrl-C unless it is ignored."""
+        self.begun = True
         try:
             for button in (_signal.SIGUSR1, _signal.SIGUSR2):
                 # Before a side has begun and after it has ended, they must not end the process.

@@ -230,6 +230,7 @@ class Steps:
         self._side = side
         self._shown: Cause | None = None
         self._ineffective_presses = 0
+        self._is_engaged = False
 
     def show(self, side: "LiveMaster | LiveSlave | DeviceRun") -> None:
         """Says on standard error where something has happened, what, and what to do; and why a press does nothing."""
@@ -237,10 +238,17 @@ class Steps:
         self._shown = cause
         if cause is not None and cause != before:
             self._print(f"{cause.state}: {cause.text}" if cause.state in self.HELD else cause.text, cause)
-        if side.ineffective_presses != self._ineffective_presses:
-            self._ineffective_presses = side.ineffective_presses
-            if cause is not None:
+        presses, why = side.ineffective_presses
+        if presses != self._ineffective_presses:
+            self._ineffective_presses = presses
+            if why is not None:
+                print(f"the clutch was pressed for nothing: {why}", file=sys.stderr, flush=True)
+            elif cause is not None:
                 self._print(f"the clutch does nothing yet: {cause.text}", cause)
+        is_engaged = side.state == "engaged"
+        if is_engaged and not self._is_engaged:
+            print(f"{self._side}: engaged", file=sys.stderr, flush=True)
+        self._is_engaged = is_engaged
 
     def _print(self, headline: str, cause: Cause) -> None:
         lines = [headline, *(f"  {number}. {self._words(step)}" for number, step in enumerate(cause.steps, start=1))]

@@ -84,7 +84,7 @@ def start_master(
     spec = scene_json(scene)
     if scene.master.driver is None:
         return stopped.attached(LiveMaster(spec, **how))
-    # The loop first: the start is a press for 5 s from here, and a driver may take its time to be loaded.
+    # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
     loop = stopped.attached(MasterLoop(spec, clutch=clutch, **how))
     device = load_master(scene.master.driver, scene.master.options)
     run = MasterRun(device, loop, period_s=scene.run.period_s)

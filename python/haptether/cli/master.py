@@ -169,7 +169,9 @@ class Master(LiveOptions):
         from haptether.bridge import LiveMaster
         from haptether.cli.live_scene import start_master
         from haptether.cli.options import master_settings
+        from haptether.cli.process_start import started_s
 
+        how["started_s"] = started_s()
         if scene is not None:
             return start_master(scene, stopped, clutch=self.clutch, **how)
         settings = master_settings(
