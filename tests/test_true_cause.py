@@ -239,6 +239,9 @@ def test_a_drivers_exception_shows_file_and_line_at_both_screens_and_its_traceba
     assert "start the slave again" in master.until("  1.")
     said = slave.end()
     assert slave.process.returncode == 1
+    # This process is gone: there is nothing left to acknowledge at it.
+    assert "mend the cause, then start the slave again" in said
+    assert "acknowledge" not in said
     assert seen.search(said.splitlines()[-1])
     assert ("Traceback" in said) == debug
     assert ("raise OSError(self.words)" in said) == debug
