@@ -113,3 +113,39 @@ pub(crate) fn option<T, P, G>(
         _ => None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use simba::simd::AutoF64x4;
+
+    #[test]
+    fn what_all_have_or_none_is_gathered() {
+        let half = |parts: &[f64]| (parts.iter().sum::<f64>() < 100.0).then(|| parts.len());
+        assert_eq!(option(&[Some(1.0), Some(2.0)], |one| *one, half), Some(Some(2)));
+        assert_eq!(option(&[None::<f64>, None], |one| *one, half), Some(None));
+        assert_eq!(option(&[Some(1.0), None], |one| *one, half), None);
+        assert_eq!(option(&[Some(99.0), Some(2.0)], |one| *one, half), None, "refused by what gathers");
+        assert_eq!(part(&[1, 2, 3], |one| f64::from(*one), half), Some(3));
+        assert_eq!(part(&[100], |one| f64::from(*one), half), None);
+    }
+
+    #[test]
+    fn a_value_is_shared_where_all_have_it() {
+        assert_eq!(shared(&[2, 2, 2], |one| *one), Some(2));
+        assert_eq!(shared(&[2, 2, 3], |one| *one), None);
+        assert_eq!(shared(&[1, 2, 2], |one| *one), None);
+        assert_eq!(shared(&[0; 0], |one: &i32| *one), None);
+    }
+
+    #[test]
+    fn lanes_are_packed_in_order_and_in_full() {
+        let packed: AutoF64x4 = pack(&[1.0, 2.0, 3.0, 4.0], |one| *one).unwrap();
+        for lane in 0..4_u8 {
+            assert_eq!(packed.extract(usize::from(lane)), f64::from(lane + 1));
+        }
+        assert!(pack::<_, AutoF64x4>(&[1.0, 2.0, 3.0], |one: &f64| *one).is_none());
+        assert!(pack::<_, AutoF64x4>(&[1.0; 5], |one: &f64| *one).is_none());
+        assert_eq!(pack::<_, f64>(&[7.0], |one| *one), Some(7.0));
+    }
+}

@@ -237,6 +237,52 @@ mod tests {
         LimiterSettings { max_force_n: 1e3, max_slew_n_per_s: 1e9, max_power_w: 1e9, ramp_in_s: 0.0 };
 
     #[test]
+    fn bounds_are_told_apart() {
+        let bounds = [Acted::NORM, Acted::SLEW, Acted::POWER, Acted::RAMP, Acted::FAULT];
+        for (place, one) in bounds.into_iter().enumerate() {
+            assert_eq!(one.bits(), 1 << place);
+            assert!(one.contains(Acted::default()) && !Acted::default().contains(one));
+            for other in bounds {
+                let both = one.and(other);
+                assert_eq!(both.bits(), one.bits() | other.bits());
+                assert!(both.contains(one) && both.contains(other) && both.contains(both));
+                assert_eq!((one.contains(other), one.contains(both)), (one == other, one == other));
+            }
+        }
+    }
+
+    #[test]
+    fn the_ramp_is_a_line_from_zero() {
+        let settings = LimiterSettings { ramp_in_s: 8e-3, ..OPEN };
+        let mut limiter = Limiter::<2>::new(1e-3, settings).unwrap();
+        let asked = Axes::<2>::new(3.0, -4.0);
+        for tick in 0..20_u8 {
+            let Limited { force, acted } = limiter.step(&asked, &Axes::zeros());
+            // Eighths are exact.
+            assert_eq!(force, asked * (f64::from(tick.min(8)) / 8.0));
+            assert_eq!(acted.contains(Acted::RAMP), tick < 8);
+        }
+    }
+
+    #[test]
+    fn whatever_is_not_finite_there_is_no_force() {
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            for places in 1_u8..64 {
+                let mut values = [0.5; 6];
+                for (place, value) in values.iter_mut().enumerate() {
+                    if places >> place & 1 == 1 {
+                        *value = bad;
+                    }
+                }
+                let mut limiter = Limiter::<3>::new(1e-3, OPEN).unwrap();
+                let seen = limiter
+                    .step(&Axes::from_column_slice(&values[..3]), &Axes::from_column_slice(&values[3..]));
+                assert_eq!((seen.force, seen.acted), (Axes::zeros(), Acted::FAULT), "{values:?}");
+            }
+        }
+    }
+
+    #[test]
     fn each_bound_reports_itself() {
         let still = Axes::<1>::zeros();
         let asked = Axes::<1>::new(10.0);

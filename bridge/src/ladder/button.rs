@@ -85,6 +85,18 @@ mod tests {
     }
 
     #[test]
+    fn a_button_is_there_once_it_was_seen() {
+        let mut button = Button::default();
+        assert!(!button.is_there());
+        assert_eq!(button.at(0, None), None);
+        assert!(!button.is_there());
+        button.at(MS, Some(false));
+        assert!(button.is_there());
+        button.at(2 * MS, None);
+        assert!(button.is_there());
+    }
+
+    #[test]
     fn a_button_that_is_held_long_after_the_start_is_no_press() {
         let mut button = Button::default();
         button.must_be_released();

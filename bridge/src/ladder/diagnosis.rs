@@ -422,6 +422,61 @@ mod tests {
         }
     }
 
+    #[test]
+    fn more_words_or_a_link_that_is_back_are_the_same_case() {
+        let held = Diagnosis { peer: peer(LadderState::Hold, 1, 2, "a"), ..HELD };
+        for (other, is_same) in [
+            (held, true),
+            (Diagnosis { silent: false, ..held }, true),
+            (Diagnosis { text: FaultText::new("b"), ..held }, true),
+            (Diagnosis { peer: peer(LadderState::Hold, 1, 2, "more words"), ..held }, true),
+            (Diagnosis { role: Role::Slave, ..held }, false),
+            (Diagnosis { state: LadderState::Hold, ..held }, false),
+            (Diagnosis { reason: Some(Reason::PeerDeaf), ..held }, false),
+            (Diagnosis { reason: None, ..held }, false),
+            (Diagnosis { fault: 1, ..held }, false),
+            (Diagnosis { peer: None, ..held }, false),
+            (Diagnosis { peer: peer(LadderState::Stop, 1, 2, "a"), ..held }, false),
+            (Diagnosis { peer: peer(LadderState::Hold, 3, 2, "a"), ..held }, false),
+            (Diagnosis { peer: peer(LadderState::Hold, 1, 3, "a"), ..held }, false),
+            (Diagnosis { ended: true, ..held }, false),
+            (Diagnosis { ends: true, ..held }, false),
+        ] {
+            assert_eq!(held.is_same_case(&other), is_same, "{other:?}");
+            assert_eq!(other.is_same_case(&held), is_same, "{other:?}");
+        }
+    }
+
+    #[test]
+    fn a_press_comes_after_faults_ends_and_silence() {
+        use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
+        for state in [Disengaged, Aligning, Engaged, Stale, Hold, Stop, Fault] {
+            for peer_state in [None, Some(Engaged), Some(Hold), Some(Fault)] {
+                for (ended, silent) in [(false, false), (false, true), (true, false), (true, true)] {
+                    let peer = peer_state.and_then(|state| peer(state, 0, 0, ""));
+                    let diagnosis = Diagnosis { state, peer, ended, silent, ..HELD };
+                    let is_first = state == Fault
+                        || peer_state == Some(Fault)
+                        || ended
+                        || (silent && (state == Hold || state == Stop));
+                    assert_eq!(diagnosis.is_before_press(), is_first, "{diagnosis:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn json_has_all_of_an_explanation() {
+        let json = HELD.explain().to_json();
+        let read: serde_json::Value = serde_json::from_str(&json).unwrap();
+        assert_eq!(read["state"], "stop");
+        assert_eq!(read["at"], "link");
+        assert_eq!(read["text"], "the slave fell silent");
+        assert_eq!(read["steps"][0]["remedy"], "wait");
+        assert_eq!(read["steps"][1]["at"], "master");
+        assert_eq!(read["steps"][1]["text"], "release the clutch at the master and press it again");
+    }
+
     /// Whatever is the case: some words on one line, and a step, of which the last is a press or the start of a master.
     #[test]
     fn every_diagnosis_has_words_and_an_end() {

@@ -269,6 +269,11 @@ impl Tick {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        fault_text::FaultText,
+        ladder::{Reason, Transition},
+        wire::Role,
+    };
     use haptether_safety::Axes;
 
     #[test]
@@ -288,5 +293,131 @@ mod tests {
         assert_eq!((ticks.len(), ticks[49]["state"].as_str()), (50, Some("hold")));
         assert!(ticks[48]["position"][1].is_null());
         assert_eq!(ticks[48]["time_s"], 0.299);
+    }
+
+    fn read(recorder: &FlightRecorder) -> serde_json::Value {
+        serde_json::from_str(&recorder.to_json()).unwrap()
+    }
+
+    fn at(time_ns: u64) -> FlightEntry {
+        FlightEntry { time_ns, ..FlightEntry::EMPTY }
+    }
+
+    fn moved(from: LadderState, to: LadderState, time_ns: u64) -> Transition {
+        Transition { time_ns, from, to, reason: Reason::BadNumber }
+    }
+
+    #[test]
+    fn a_failure_has_a_time_until_the_side_goes_on() {
+        let (mut recorder, mut history) = (FlightRecorder::new("master"), History::default());
+        recorder.take(at(10), &history, None);
+        assert_eq!(recorder.failed_ns(), None);
+        history.push(moved(LadderState::Engaged, LadderState::Hold, 20));
+        recorder.take(at(20), &history, None);
+        assert_eq!(recorder.failed_ns(), None);
+        history.push(moved(LadderState::Hold, LadderState::Fault, 30));
+        recorder.take(at(30), &history, None);
+        recorder.take(at(40), &history, None);
+        assert_eq!(recorder.failed_ns(), Some(30));
+        history.push(moved(LadderState::Fault, LadderState::Disengaged, 50));
+        recorder.take(at(50), &history, None);
+        assert_eq!(recorder.failed_ns(), None);
+        let log = read(&recorder);
+        let steps: Vec<_> = log["transitions"].as_array().unwrap().iter().map(|one| &one["time_s"]).collect();
+        assert_eq!(steps, [10e-9, 20e-9, 40e-9]);
+        assert_eq!((&log["transitions"][1]["to"], &log["side"]), (&"fault".into(), &"master".into()));
+    }
+
+    fn held(reason: Reason) -> Diagnosis {
+        Diagnosis {
+            role: Role::Master,
+            state: LadderState::Hold,
+            reason: Some(reason),
+            fault: 0,
+            text: FaultText::EMPTY,
+            peer: None,
+            ended: false,
+            silent: false,
+            ends: false,
+        }
+    }
+
+    /// When, and how many steps: a link that is silent has one more.
+    fn causes(recorder: &FlightRecorder) -> Vec<(f64, usize)> {
+        let log = read(recorder);
+        let of = |one: &serde_json::Value| {
+            (one["time_s"].as_f64().unwrap() * 1e9, one["steps"].as_array().unwrap().len())
+        };
+        log["causes"].as_array().unwrap().iter().map(of).collect()
+    }
+
+    #[test]
+    fn a_cause_is_kept_with_its_newest_words_and_its_first_time() {
+        let mut recorder = FlightRecorder::new("master");
+        let mut take = |time_ns: u64, diagnosis: Option<Diagnosis>| {
+            recorder.take(at(time_ns), &History::default(), diagnosis.as_ref());
+            assert_eq!(recorder.diagnosis(), diagnosis.as_ref());
+            causes(&recorder).iter().map(|(time, steps)| (time.round(), *steps)).collect::<Vec<_>>()
+        };
+        let late = held(Reason::OwnDelay);
+        assert_eq!(take(0, None), []);
+        assert_eq!(take(10, Some(late)), [(10.0, 1)]);
+        assert_eq!(take(20, Some(late)), [(10.0, 1)]);
+        // Of the same case, with a link that went.
+        assert_eq!(take(30, Some(Diagnosis { silent: true, ..late })), [(10.0, 2)]);
+        assert_eq!(take(40, None), [(10.0, 2)]);
+        // Anew: a case of its own, whose words stand there already.
+        assert_eq!(take(50, Some(Diagnosis { silent: true, ..late })), [(10.0, 2)]);
+        assert_eq!(take(60, Some(held(Reason::PeerRestarted))), [(10.0, 2), (60.0, 1)]);
+        assert_eq!(take(70, Some(late)), [(10.0, 2), (60.0, 1), (70.0, 1)]);
+    }
+
+    #[test]
+    fn of_many_causes_the_last_are_kept_in_order() {
+        let mut recorder = FlightRecorder::new("slave");
+        for time_ns in 0..20 {
+            let reason = if time_ns % 2 == 0 { Reason::OwnDelay } else { Reason::PeerRestarted };
+            recorder.take(at(time_ns), &History::default(), Some(&held(reason)));
+        }
+        let times: Vec<_> = causes(&recorder).iter().map(|(time, _)| time.round()).collect();
+        assert_eq!(times, [12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0, 19.0]);
+    }
+
+    #[test]
+    fn the_newest_hold_is_the_one_that_is_kept() {
+        let mut recorder = FlightRecorder::new("slave");
+        let states = [(0, LadderState::Engaged), (100, LadderState::Hold), (150, LadderState::Stop)];
+        let states = [&states[..], &[(200, LadderState::Engaged), (300, LadderState::Fault)]].concat();
+        for tick in 0..400_u64 {
+            let (_, state) = *states.iter().rev().find(|(from, _)| *from <= tick).unwrap();
+            let age_ns = (tick > 300).then_some(tick * 1_000_000_000);
+            let entry = FlightEntry { time_ns: tick * 1_000_000_000, state, age_ns, ..FlightEntry::EMPTY };
+            recorder.take(entry, &History::default(), None);
+        }
+        let log = read(&recorder);
+        let last = |key: &str| log[key].as_array().unwrap().last().unwrap().clone();
+        assert_eq!((&last("at_hold")["time_s"], &last("at_hold")["state"]), (&300.0.into(), &"fault".into()));
+        assert!(last("at_hold")["age_s"].is_null());
+        assert_eq!((&last("latest")["time_s"], &last("latest")["age_s"]), (&399.0.into(), &399.0.into()));
+    }
+
+    #[test]
+    fn interventions_are_held_against_their_thresholds() {
+        use haptether_safety::controller::Tripped;
+        let mut recorder = FlightRecorder::new("master");
+        recorder.hold_against([1.0, 1.5, -0.03, 0.0]);
+        for (time_ns, tripped) in [(0, 0), (1_000_000_000, 2), (2_000_000_000, 0), (3_000_000_000, 2)] {
+            let observed = Observed { tripped: Tripped::from_bits(tripped), values: [0.0, 2.0, 0.0, 0.0] };
+            let entry = FlightEntry { observed, ..at(5 + time_ns) };
+            recorder.take(entry, &History::default(), None);
+        }
+        let log = read(&recorder);
+        assert_eq!(
+            (&log["interventions_seen"], log["interventions"].as_array().unwrap().len()),
+            (&2.into(), 2)
+        );
+        assert_eq!(log["interventions"][1]["time_s"], 3.0);
+        assert_eq!(log["interventions"][0]["trips"][0]["threshold"], 1.5);
+        assert_eq!(log["latest"][1]["tripped"], serde_json::json!(["hsc"]));
     }
 }
