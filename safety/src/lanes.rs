@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn what_all_have_or_none_is_gathered() {
-        let half = |parts: &[f64]| (parts.iter().sum::<f64>() < 100.0).then(|| parts.len());
+        let half = |parts: &[f64]| (parts.iter().sum::<f64>() < 100.0).then_some(parts.len());
         assert_eq!(option(&[Some(1.0), Some(2.0)], |one| *one, half), Some(Some(2)));
         assert_eq!(option(&[None::<f64>, None], |one| *one, half), Some(None));
         assert_eq!(option(&[Some(1.0), None], |one| *one, half), None);

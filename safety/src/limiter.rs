@@ -262,6 +262,9 @@ mod tests {
             assert_eq!(force, asked * (f64::from(tick.min(8)) / 8.0));
             assert_eq!(acted.contains(Acted::RAMP), tick < 8);
         }
+        limiter.reset();
+        assert_eq!(limiter.step(&asked, &Axes::zeros()).force, Axes::<2>::zeros());
+        assert_eq!(limiter.step(&asked, &Axes::zeros()).force, asked / 8.0);
     }
 
     #[test]
@@ -277,7 +280,7 @@ mod tests {
                 let mut limiter = Limiter::<3>::new(1e-3, OPEN).unwrap();
                 let seen = limiter
                     .step(&Axes::from_column_slice(&values[..3]), &Axes::from_column_slice(&values[3..]));
-                assert_eq!((seen.force, seen.acted), (Axes::zeros(), Acted::FAULT), "{values:?}");
+                assert_eq!((seen.force, seen.acted), (Axes::<3>::zeros(), Acted::FAULT), "{values:?}");
             }
         }
     }

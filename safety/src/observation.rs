@@ -55,3 +55,41 @@ impl<const N: usize> Observation<N> {
         Signal::GraspForce.check(&self.grasp_force)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    type Field = fn(&mut Observation<2>) -> &mut Axes<2>;
+
+    #[test]
+    fn numbers_within_their_bounds_pass_and_all_others_are_named() {
+        let good = Observation::<2>::exact(Axes::zeros(), Axes::zeros(), Axes::zeros());
+        assert_eq!((good.check(), good.passes()), (Ok(()), true));
+        let fields: [(Signal, Field); 4] = [
+            (Signal::Velocity, |of| &mut of.velocity),
+            (Signal::RenderedForce, |of| &mut of.rendered_force),
+            (Signal::GraspForce, |of| &mut of.grasp_force),
+            (Signal::RenderedForce, |of| &mut of.aligned_rendered_force),
+        ];
+        for (signal, field) in fields {
+            let bound = signal.bound();
+            for axis in 0..2 {
+                for (value, passes) in [
+                    (bound, true),
+                    (-bound, true),
+                    (bound * (1.0 + f64::EPSILON), false),
+                    (f64::NAN, false),
+                    (f64::NEG_INFINITY, false),
+                ] {
+                    let mut seen = good;
+                    field(&mut seen)[axis] = value;
+                    assert_eq!((seen.passes(), seen.check().is_ok()), (passes, passes), "{seen:?}");
+                    // Two that are wrong are no better than one.
+                    field(&mut seen)[1 - axis] = value;
+                    assert_eq!((seen.passes(), seen.check().is_ok()), (passes, passes), "{seen:?}");
+                }
+            }
+        }
+    }
+}

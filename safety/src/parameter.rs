@@ -110,6 +110,29 @@ mod tests {
     }
 
     #[test]
+    fn intervals_are_as_their_names_say() {
+        assert_eq!(finite("viscous", "b", -1e300), Ok(-1e300));
+        assert_eq!(ratio("gain", "k", 1.0), Ok(1.0));
+        for value in [0.0, -0.1, 1.0 + f64::EPSILON, f64::NAN] {
+            assert!(ratio("gain", "k", value).is_err());
+        }
+        for (count, accepted) in [(1, false), (2, true), (3, true), (4, false)] {
+            assert_eq!(whole("window", "n", count, 2, 3, "2 or 3").is_ok(), accepted);
+        }
+        assert_eq!(whole("window", "n", 3, 2, 3, "2 or 3"), Ok(3));
+        for value in [f64::NAN, f64::INFINITY] {
+            assert!(finite("viscous", "b", value).is_err());
+        }
+    }
+
+    #[test]
+    fn a_field_is_known_under_another_name() {
+        let error = ParameterError { name: "threshold", symbol: "t", seen: 2.0, allowed: "1" };
+        assert_eq!(error.clone().of_field("window", "other"), error);
+        assert_eq!(error.clone().of_field("threshold", "other"), ParameterError { name: "other", ..error });
+    }
+
+    #[test]
     fn the_message_names_field_symbol_value_and_bound() {
         let refused = positive("mass_kg", "m", -1.0).map_err(|error| error.to_string());
         assert_eq!(refused, Err("mass_kg (m) = -1: must be finite and above 0".to_owned()));
