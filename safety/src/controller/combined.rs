@@ -335,3 +335,114 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         (self.on_for, self.fading_for, self.let_through) = (S::splat(0.0), S::splat(0.0), S::splat(1.0));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::controller::Tripped;
+
+    const PERIOD_S: f64 = 1e-3;
+
+    fn controller(settings: &SafetySettings) -> SafetyController<1> {
+        let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+        SafetyController::new(&device, PERIOD_S, settings).unwrap()
+    }
+
+    fn seen(velocity: f64, rendered: f64) -> Observation<1> {
+        Observation::exact(Axes::<1>::new(velocity), Axes::<1>::new(rendered), Axes::<1>::zeros())
+    }
+
+    /// VFC, HSC and WSC, of which some watch.
+    fn watching(places: u8) -> SafetySettings {
+        SafetySettings {
+            vfc: places & 1 != 0,
+            hsc: places & 2 != 0,
+            wsc: places & 4 != 0,
+            energy_threshold_j: -1e-6,
+            ..SafetySettings::default()
+        }
+    }
+
+    #[test]
+    fn whoever_trips_and_however_many_one_law_answers() {
+        for places in 0..8_u8 {
+            let mut controller = controller(&watching(places));
+            let mut last = Intervention::none();
+            for tick in 0..50_u8 {
+                last = controller.step(&seen(0.7 + f64::from(tick) * 0.01, 2.0)).unwrap();
+            }
+            assert_eq!(last.tripped.bits(), places, "all that watch trip");
+            let velocity = 0.7 + 49.0 * 0.01;
+            let expected = if places == 0 { 0.0 } else { -2.0 - 5.0 * velocity };
+            assert!((last.safety_force[0] - expected).abs() < 1e-12, "{places}: {last:?}");
+            assert_eq!(controller.observed(), [places & 1 != 0, places & 2 != 0, places & 4 != 0, false]);
+            assert_eq!(controller.needs_grasp_force(), places & 6 != 0);
+            for (value, bit) in
+                [last.velocity_force, last.grasp, last.windowed_energy_j].into_iter().zip([1, 2, 4])
+            {
+                assert_eq!(value.is_nan(), places & bit == 0);
+            }
+        }
+    }
+
+    #[test]
+    fn damping_needs_authority_and_cancelling_none() {
+        for authority in [0.0, 0.25, 1.0] {
+            let mut controller = controller(&watching(1));
+            let step = controller.step_with_authority(&seen(1.0, 2.0), authority).unwrap();
+            assert_eq!(step.safety_force[0], -2.0 - 5.0 * authority);
+            assert_eq!(step.tripped, Tripped::VFC);
+        }
+    }
+
+    #[test]
+    fn an_intervention_is_forgotten_by_a_reset() {
+        let settings = SafetySettings { hold_off_s: 0.1, release_ramp_s: 0.1, ..watching(1) };
+        let mut controller = controller(&settings);
+        controller.step(&seen(1.0, 2.0)).unwrap();
+        assert_eq!(controller.step(&seen(0.0, 2.0)).unwrap().tripped, Tripped::HELD);
+        controller.reset();
+        assert_eq!(controller, self::controller(&settings));
+        assert_eq!(controller.step(&seen(0.0, 2.0)).unwrap().tripped, Tripped::NONE);
+    }
+
+    /// While the force comes back a hand is held against the share of it that it can have felt.
+    #[test]
+    fn a_hand_that_holds_what_comes_back_ends_the_intervention() {
+        let settings = SafetySettings { release_ramp_s: 0.05, ..watching(2) };
+        for (holds, stays) in [(true, false), (false, true)] {
+            let mut controller = controller(&settings);
+            controller.step(&seen(0.0, 2.0)).unwrap();
+            let (mut on, mut last_share) = (0, 0.0);
+            for _ in 0..500 {
+                let grasp = if holds { -2.0 * last_share } else { 0.0 };
+                let felt = Observation { grasp_force: Axes::<1>::new(grasp), ..seen(0.0, 2.0) };
+                let step = controller.step(&felt).unwrap();
+                last_share = 1.0 + step.safety_force[0] / 2.0;
+                on += u32::from(step.tripped.any());
+            }
+            assert_eq!(on == 500, stays, "{on}");
+        }
+    }
+
+    /// PC acts in the share that an intervention leaves.
+    #[test]
+    fn passivity_control_has_what_an_intervention_leaves() {
+        let pc = SafetySettings { pc: true, ..SafetySettings::default() };
+        let (mut alone, mut both) = (controller(&pc), controller(&SafetySettings { vfc: true, ..pc }));
+        let push = |tick: u8| seen(if tick == 20 { 1.0 } else { 0.1 }, 2.0);
+        for tick in 0..40 {
+            let (one, two) = (alone.step(&push(tick)).unwrap(), both.step(&push(tick)).unwrap());
+            if tick == 20 {
+                assert_eq!(two.tripped, Tripped::VFC, "not beside it");
+                assert!((two.safety_force[0] - (-2.0 - 5.0)).abs() < 1e-12);
+            } else if tick < 20 {
+                assert_eq!((one.safety_force, one.tripped), (two.safety_force, two.tripped));
+                assert_eq!(one.tripped == Tripped::PC, one.safety_force[0] != 0.0);
+            }
+        }
+        assert!(alone.step(&push(1)).unwrap().tripped.contains(Tripped::PC), "it acts here");
+        let half = alone.clone().step_with_authority(&push(1), 0.5).unwrap().safety_force[0];
+        assert_eq!(half, alone.step(&push(1)).unwrap().safety_force[0] * 0.5);
+    }
+}
