@@ -252,6 +252,24 @@ mod tests {
     }
 
     #[test]
+    fn each_lane_has_its_own_bounds() {
+        use nalgebra::SimdValue as _;
+        use simba::simd::{AutoBoolx4, AutoF64x4};
+        let only = |lane: usize| {
+            let mut mask = AutoBoolx4::splat(false);
+            mask.replace(lane, true);
+            mask
+        };
+        let force = Axes::<1, AutoF64x4>::new(AutoF64x4::splat(0.0));
+        let bounded =
+            Bounded { force, norm: only(0), slew: only(1), power: only(2), ramp: only(3), fault: only(3) };
+        let acted = [Acted::NORM, Acted::SLEW, Acted::POWER, Acted::RAMP.and(Acted::FAULT)];
+        for (lane, acted) in acted.into_iter().enumerate() {
+            assert_eq!(bounded.acted(lane), acted);
+        }
+    }
+
+    #[test]
     fn the_ramp_is_a_line_from_zero() {
         let settings = LimiterSettings { ramp_in_s: 8e-3, ..OPEN };
         let mut limiter = Limiter::<2>::new(1e-3, settings).unwrap();

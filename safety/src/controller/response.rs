@@ -138,3 +138,74 @@ impl<const N: usize, S: Real> Response<N, S> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use simba::simd::{AutoBoolx4, AutoF64x4};
+
+    const ALL: [(Tripped, &str); 5] = [
+        (Tripped::VFC, "vfc"),
+        (Tripped::HSC, "hsc"),
+        (Tripped::WSC, "wsc"),
+        (Tripped::PC, "pc"),
+        (Tripped::HELD, "held"),
+    ];
+
+    #[test]
+    fn bits_and_names_are_of_the_controllers_that_tripped() {
+        for bits in 0..=u8::MAX {
+            let tripped = Tripped::from_bits(bits);
+            assert_eq!(tripped.bits(), bits % 32);
+            assert_eq!(tripped.any(), bits % 32 != 0);
+            let names: Vec<_> = tripped.names().collect();
+            let mut expected = Vec::new();
+            for (place, (one, name)) in ALL.into_iter().enumerate() {
+                let is_set = bits >> place & 1 == 1;
+                assert_eq!(tripped.contains(one), is_set);
+                assert_eq!(tripped.with(one, true), Tripped::from_bits(bits | one.bits()));
+                assert_eq!(tripped.with(one, false), tripped);
+                if is_set {
+                    expected.push(name);
+                }
+            }
+            assert_eq!(names, expected);
+            assert!(tripped.contains(Tripped::NONE) && tripped.contains(tripped));
+        }
+    }
+
+    #[test]
+    fn each_lane_has_its_own_answer() {
+        for lane in 0..4 {
+            let only = |place: usize| {
+                let mut mask = AutoBoolx4::splat(false);
+                mask.replace((lane + place) % 4, true);
+                mask
+            };
+            let number = |from: f64| AutoF64x4::new(from, from + 1.0, from + 2.0, from + 3.0);
+            let response = Response::<1, AutoF64x4> {
+                safety_force: Axes::<1, AutoF64x4>::new(number(1.0)),
+                acts: only(0),
+                vfc: only(0),
+                hsc: only(1),
+                wsc: only(2),
+                pc: only(3),
+                held: only(0),
+                velocity_force: number(10.0),
+                grasp: number(20.0),
+                windowed_energy_j: number(30.0),
+                energy_j: number(40.0),
+            };
+            let own = response.lane(lane);
+            assert_eq!(own.tripped, Tripped::from_bits(1 | 16));
+            for (place, one) in [(1, Tripped::HSC), (2, Tripped::WSC), (3, Tripped::PC)] {
+                assert_eq!(response.lane((lane + place) % 4).tripped, one);
+            }
+            let place = lane as f64;
+            assert_eq!(
+                [own.safety_force[0], own.velocity_force, own.grasp, own.windowed_energy_j, own.energy_j],
+                [1.0 + place, 10.0 + place, 20.0 + place, 30.0 + place, 40.0 + place]
+            );
+        }
+    }
+}
