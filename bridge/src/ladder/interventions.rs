@@ -148,6 +148,13 @@ mod tests {
     }
 
     #[test]
+    fn observers_are_held_against_what_their_controllers_have() {
+        let settings =
+            SafetySettings { grasp_threshold: 1.7, energy_threshold_j: -0.2, ..SafetySettings::default() };
+        assert_eq!(thresholds(&settings), [1.0, 1.7, -0.2, 0.0]);
+    }
+
+    #[test]
     fn an_intervention_keeps_what_each_controller_saw_when_it_tripped() {
         let mut kept = Interventions::NONE;
         kept.hold_against([1.0, 1.5, -0.03, 0.0]);

@@ -454,3 +454,46 @@ proptest! {
         }
     }
 }
+
+/// What a person is shown: whether a press would count, how often a release became necessary, whether a press was in vain.
+#[test]
+fn what_is_shown_of_the_clutch_is_the_case() {
+    let settings = LadderSettings { stale_after_ns: 4 * MS, ..LadderSettings::default() };
+    let mut ladder = Ladder::new(settings).unwrap();
+    assert_eq!(*ladder.settings(), settings);
+    assert_eq!((ladder.is_ready(), ladder.closings(), ladder.is_unanswered()), (false, 0, false));
+    let open = LadderInput { clutch: false, ..sound(1) };
+    let standing = PeerReport { state: Disengaged, hears: true, answers: true, is_current: false };
+    let apart = LadderInput { peer: Some(standing), ..open };
+    assert_eq!(ladder.step(MS, &apart), Disengaged);
+    assert!(ladder.is_ready(), "an open clutch and a sound peer");
+    // Pressed, and let go before the peer has answered: that is nobody's fault.
+    let waiting = LadderInput { clutch: true, ..apart };
+    assert_eq!(ladder.step(2 * MS, &LadderInput { asks: true, ..waiting }), Aligning);
+    assert_eq!(ladder.step(3 * MS, &apart), Disengaged);
+    assert_eq!((ladder.is_unanswered(), ladder.closings()), (false, 0));
+    // Pressed and held, until it is none any more.
+    assert_eq!(ladder.step(4 * MS, &LadderInput { asks: true, ..waiting }), Aligning);
+    let mut now = 5;
+    while ladder.step(now * MS, &waiting) == Aligning {
+        now += 10;
+        assert!(now < 10_000);
+    }
+    assert_eq!(ladder.state(), Disengaged);
+    assert_eq!((ladder.is_unanswered(), ladder.closings()), (true, 1));
+    now += 1;
+    ladder.step(now * MS, &apart);
+    assert_eq!((ladder.is_ready(), ladder.is_unanswered()), (true, true));
+    now += 1;
+    ladder.step(now * MS, &LadderInput { age_ns: Some(5_000 * MS), ..apart });
+    assert!(!ladder.is_ready(), "nobody is there");
+    // Coupled, held: another release is necessary.
+    now += 1;
+    ladder.step(now * MS, &LadderInput { asks: true, ..sound(1) });
+    now += 1;
+    assert_eq!(ladder.step(now * MS, &sound(1)), Engaged);
+    assert_eq!((ladder.is_unanswered(), ladder.closings()), (false, 1));
+    now += 100;
+    assert_eq!(ladder.step(now * MS, &sound(100)), Hold);
+    assert_eq!(ladder.closings(), 2);
+}

@@ -278,6 +278,19 @@ mod tests {
     }
 
     #[test]
+    fn a_start_of_long_ago_is_let_go_of_once() {
+        for (clutch, was_pressed) in [
+            (Clutch::Once, true),
+            (Clutch::Auto { reaction_ns: 500 * MS }, true),
+            (Clutch::Schedule(vec![(0, 10)]), false),
+        ] {
+            let mut person = Person::new(clutch).unwrap();
+            person.begin(0);
+            assert_eq!((person.release_clutch(), person.release_clutch()), (was_pressed, false));
+        }
+    }
+
+    #[test]
     fn a_simulated_person_does_not_press_after_a_fault_until_asked() {
         let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         person.begin(0);
