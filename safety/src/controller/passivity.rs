@@ -138,6 +138,27 @@ mod tests {
     }
 
     #[test]
+    fn where_nothing_is_missing_or_nothing_moves_there_is_no_force() {
+        let mut controller = controller(20.0);
+        // Put in by the hand: what is left over must not push.
+        let mut seen = ejected(0.5);
+        seen.grasp_force = Axes::<1>::new(1e3);
+        let action = controller.step(&seen);
+        assert!(action.energy_j > 0.0);
+        assert_eq!(action.force[0], 0.0);
+        // At rest, with energy left over and with energy missing.
+        assert_eq!(controller.step(&ejected(0.0)).force[0], 0.0);
+        let mut taken = ejected(0.5);
+        taken.grasp_force = Axes::<1>::new(-2e3);
+        assert!(controller.step(&taken).energy_j < 0.0);
+        assert_eq!(controller.step(&ejected(0.0)).force[0], 0.0);
+        // Nothing is left of that after a reset.
+        controller.reset();
+        assert_eq!(controller, self::controller(20.0));
+        assert_eq!(controller.step(&ejected(0.0)).energy_j, 0.0);
+    }
+
+    #[test]
     fn a_damping_that_would_reverse_the_motion_is_refused() {
         let device = DeviceModel::<1>::uniform(0.157, 0.0, 0.0).unwrap();
         let observer = SafetyObserver::new(device, PERIOD, 0.5).unwrap();

@@ -52,3 +52,31 @@ impl<const N: usize, S: Real> WindowedSafetyController<N, S> {
         self.observer.reset();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Axes, DeviceModel};
+
+    #[test]
+    fn it_is_unsafe_below_its_threshold_and_forgets_by_a_reset() {
+        let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+        let observer = WindowedSafetyObserver::<1>::new(device, 1e-3, 0.5, 100).unwrap();
+        let build = || WindowedSafetyController::new(observer.clone(), -0.03).unwrap();
+        let mut controller = build();
+        let thrown = |v: f64| Observation::exact(Axes::<1>::new(v), Axes::zeros(), Axes::zeros());
+        // E = -m V^2 / (2 eta) is -0.03 J at 0.437 m/s.
+        for (v, is_unsafe) in [(0.43, false), (0.44, true), (-0.44, true), (0.0, false)] {
+            controller.reset();
+            let (energy_j, seen) = controller.step(&thrown(v));
+            assert!((energy_j + 0.157 * v * v).abs() < 1e-12, "{v}: {energy_j}");
+            assert_eq!(seen, is_unsafe, "{v}");
+        }
+        let mut held = thrown(0.5);
+        held.grasp_force = Axes::<1>::new(100.0);
+        controller.step(&held);
+        assert_ne!(controller, build());
+        controller.reset();
+        assert_eq!(controller, build());
+    }
+}
