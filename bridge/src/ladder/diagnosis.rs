@@ -380,6 +380,17 @@ mod tests {
             (
                 Diagnosis {
                     reason: Some(Reason::PeerHolds),
+                    peer: peer(Hold, 0, 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "slave",
+                "the slave held",
+                vec![("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    reason: Some(Reason::PeerHolds),
                     peer: peer(Hold, 200, 0, ""),
                     silent: false,
                     ..HELD

@@ -370,6 +370,8 @@ mod tests {
         assert_eq!(take(50, Some(Diagnosis { silent: true, ..late })), [(10.0, 2)]);
         assert_eq!(take(60, Some(held(Reason::PeerRestarted))), [(10.0, 2), (60.0, 1)]);
         assert_eq!(take(70, Some(late)), [(10.0, 2), (60.0, 1), (70.0, 1)]);
+        let silent = Diagnosis { silent: true, ..late };
+        assert_eq!(take(80, Some(silent)), [(10.0, 2), (60.0, 1), (70.0, 2)], "since it began");
     }
 
     #[test]
