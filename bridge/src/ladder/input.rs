@@ -94,6 +94,17 @@ impl LadderInputs {
 
     /// Steps the ladder; `button` is the master's.
     pub fn step(&mut self, ladder: &mut Ladder, now_ns: u64, button: bool, link: &LinkView) -> LadderState {
+        let input = self.read(ladder, button, link);
+        let before = ladder.state();
+        let state = ladder.step(now_ns, &input);
+        if state == LadderState::Aligning && before != state {
+            self.pressed_sequence = link.next_sequence;
+        }
+        state
+    }
+
+    /// What a tick tells the ladder.
+    fn read(&mut self, ladder: &Ladder, button: bool, link: &LinkView) -> LadderInput {
         if self.closings != ladder.closings() {
             (self.closings, self.closed_sequence) = (ladder.closings(), link.next_sequence);
         }
@@ -129,18 +140,142 @@ impl LadderInputs {
         });
         let &LinkView { age_ns, expected_age_ns, over_usual_ns, ended, .. } = link;
         let needs_answer = self.role == Role::Slave && self.closings > 0;
-        let input =
-            LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, needs_answer, asks, ended };
-        let before = ladder.state();
-        let state = ladder.step(now_ns, &input);
-        if state == LadderState::Aligning && before != state {
-            self.pressed_sequence = link.next_sequence;
-        }
-        state
+        LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, needs_answer, asks, ended }
     }
 
     /// The clutch as of the last tick.
     pub fn clutch(&self) -> bool {
         self.clutch
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ladder::LadderSettings;
+
+    const MS: u64 = 1_000_000;
+
+    fn frame(state: LadderState, clutch: bool, echo: Option<u64>, echo_age_ns: Option<u64>) -> PeerFrame {
+        PeerFrame { state, clutch, hears: true, echo, echo_age_ns }
+    }
+
+    fn link(newest: Option<PeerFrame>, next_sequence: u64) -> LinkView {
+        LinkView {
+            age_ns: Some(2 * MS),
+            expected_age_ns: MS,
+            over_usual_ns: Some(0),
+            newest,
+            next_sequence,
+            ended: false,
+        }
+    }
+
+    fn ladder() -> Ladder {
+        Ladder::new(LadderSettings::default()).unwrap()
+    }
+
+    /// One that has held once: a release is necessary.
+    fn held() -> Ladder {
+        let peer = PeerReport { state: LadderState::Engaged, hears: true, answers: true, is_current: true };
+        let sound = LadderInput { age_ns: Some(0), peer: Some(peer), clutch: true, ..LadderInput::default() };
+        let mut ladder = ladder();
+        ladder.step(0, &LadderInput { asks: true, ..sound });
+        assert_eq!(ladder.step(MS, &sound), LadderState::Engaged);
+        assert_eq!(ladder.step(2 * MS, &LadderInput { age_ns: Some(100 * MS), ..sound }), LadderState::Hold);
+        assert_eq!(ladder.closings(), 1);
+        ladder
+    }
+
+    #[test]
+    fn a_press_of_the_master_is_the_edge_of_its_button_and_known_by_a_later_echo() {
+        for (before, button, asks) in
+            [(false, false, false), (false, true, true), (true, true, false), (true, false, false)]
+        {
+            for (echo, pressed_sequence, knows) in
+                [(None, 0, false), (Some(7), 7, true), (Some(8), 7, true), (Some(6), 7, false)]
+            {
+                let mut inputs =
+                    LadderInputs { clutch: before, pressed_sequence, ..LadderInputs::new(Role::Master) };
+                let newest = frame(LadderState::Engaged, false, echo, None);
+                let input = inputs.read(&ladder(), button, &link(Some(newest), 9));
+                assert_eq!((input.clutch, input.asks, inputs.clutch()), (button, asks, button));
+                let current = input.peer.unwrap().is_current;
+                assert_eq!(current, knows && !asks, "{before} {button} {echo:?}");
+                assert!(!input.needs_answer);
+            }
+        }
+        let input = LadderInputs::new(Role::Master).read(&ladder(), true, &link(None, 0));
+        assert_eq!((input.peer, input.asks), (None, true));
+    }
+
+    #[test]
+    fn a_press_of_the_slave_is_a_master_that_aligns_now() {
+        use LadderState::{Aligning, Disengaged, Engaged};
+        let align_ns = LadderSettings::default().align_ns;
+        let hold_ns = LadderSettings::default().hold_after_ns;
+        for state in [Aligning, Disengaged, Engaged] {
+            for clutch in [false, true] {
+                for (echo_age_ns, is_fresh, is_current) in
+                    [(None, true, false), (Some(align_ns), true, true), (Some(align_ns + 1), false, false)]
+                {
+                    for (age_ns, heard) in
+                        [(None, false), (Some(hold_ns + MS), true), (Some(hold_ns + MS + 1), false)]
+                    {
+                        let newest = frame(state, clutch, Some(3), echo_age_ns);
+                        let view = LinkView { age_ns, ..link(Some(newest), 9) };
+                        let mut inputs = LadderInputs::new(Role::Slave);
+                        // The button is the master's.
+                        let input = inputs.read(&ladder(), !clutch, &view);
+                        let closed = clutch && state != Disengaged;
+                        assert_eq!((input.clutch, inputs.clutch()), (closed, closed));
+                        assert_eq!(input.asks, closed && heard && is_fresh && state == Aligning, "{view:?}");
+                        assert_eq!(input.peer.unwrap().is_current, is_current);
+                    }
+                }
+            }
+        }
+        let input = LadderInputs::new(Role::Slave).read(&ladder(), true, &link(None, 0));
+        assert_eq!((input.peer, input.asks, input.clutch), (None, false, false));
+    }
+
+    #[test]
+    fn a_release_counts_where_the_peer_knew_of_what_made_it_necessary() {
+        for role in [Role::Master, Role::Slave] {
+            for (hears, echo, answers) in [
+                (true, Some(20), true),
+                (true, Some(21), true),
+                (true, Some(19), false),
+                (true, None, false),
+                (false, Some(20), false),
+            ] {
+                let newest = PeerFrame { hears, ..frame(LadderState::Hold, false, echo, Some(0)) };
+                let mut inputs = LadderInputs::new(role);
+                assert!(!inputs.read(&ladder(), false, &link(Some(newest), 5)).needs_answer);
+                let ladder = held();
+                for next_sequence in 20..25 {
+                    let input = inputs.read(&ladder, false, &link(Some(newest), next_sequence));
+                    let peer = input.peer.unwrap();
+                    assert_eq!((peer.answers, peer.hears), (answers, hears), "{role:?} {echo:?}");
+                    assert_eq!(input.needs_answer, role == Role::Slave);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_frame_that_first_told_of_a_press_is_the_one_of_its_tick() {
+        let mut inputs = LadderInputs::new(Role::Master);
+        let mut ladder = ladder();
+        let newest = frame(LadderState::Disengaged, false, Some(39), None);
+        let mut step = |now: u64, button: bool| {
+            let state = inputs.step(&mut ladder, now * MS, button, &link(Some(newest), 40 + now));
+            (state, inputs.pressed_sequence)
+        };
+        assert_eq!(step(0, false), (LadderState::Disengaged, 0));
+        assert_eq!(step(1, true), (LadderState::Aligning, 41));
+        assert_eq!(step(2, true), (LadderState::Aligning, 41));
+        assert_eq!(step(3, false), (LadderState::Disengaged, 41));
+        assert_eq!(step(4, true), (LadderState::Aligning, 44));
     }
 }
