@@ -20,12 +20,13 @@ settings.load_profile(os.environ.get("HAPTETHER_HYPOTHESIS_PROFILE", "fast"))
 LIVE = (
     "test_docs", "test_examples", "test_faults", "test_live", "test_netsim_cli_live", "test_netsim_control",
     "test_presses_in_vain", "test_soak", "test_stop", "test_ur_demo", "test_ur_emulator_bounds",
-    "test_ur_emulator_calls", "test_ur_emulator_letter", "test_ur_emulator_live", "test_ur_emulator_process",
+    "test_ur_emulator_letter", "test_ur_emulator_process",
 )  # fmt: skip
 """Processes and sockets that mostly wait: several at once, beside nothing that computes."""
 ALONE = (
     "test_device_loop", "test_engine_stress", "test_live_realtime", "test_netsim_live", "test_packaging",
-    "test_safety_speed", "test_true_cause", "test_ur_engagements", "test_ur_live", "test_work_unit",
+    "test_safety_speed", "test_true_cause", "test_ur_emulator_calls", "test_ur_emulator_live",
+    "test_ur_engagements", "test_ur_live", "test_work_unit",
 )  # fmt: skip
 """Lateness, speed, or cargo."""
 

@@ -47,6 +47,11 @@ class Child:
         assert found, self.headline
         return found[1].rstrip(",")
 
+    def engaged(self) -> None:
+        """Waits until it says that it is; the test's own timeout bounds that."""
+        assert self.process.stderr is not None
+        assert any("engaged" in line for line in self.process.stderr), "it ended before"
+
     def end(self) -> str:
         """Waits for the end and gives what it said on standard error."""
         _, said = self.process.communicate(timeout=START_TIMEOUT_S)
@@ -90,7 +95,8 @@ def test_a_killed_slave_takes_the_force_from_the_hand(
         "--trace", str(trace_path), "--json", str(json_path), "--flight", str(tmp_path / "master.flight"),
     )  # fmt: skip
     children.append(master)
-    time.sleep(2.5)
+    master.engaged()
+    time.sleep(1.5)
     slave.process.send_signal(signal.SIGKILL)
     said = master.end()
     assert master.process.returncode == 1, "a run that ended in stop has failed"
@@ -127,7 +133,8 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
         "master", "--key", str(key), "--peer", slave.address(), "--duration-s", "4", "--trace", str(trace_path)
     )
     children.append(master)
-    time.sleep(1.5)
+    master.engaged()
+    time.sleep(1.0)
     slave.process.send_signal(signal.SIGSTOP)
     time.sleep(0.1)
     slave.process.send_signal(signal.SIGCONT)
@@ -158,7 +165,8 @@ def test_both_commands_end_cleanly_on_a_signal(key: Path, children: list[Child],
     children.append(netsim)
     master = Child("master", "--key", str(key), "--peer", netsim.address(), "--controller", "wsc")
     children.append(master)
-    time.sleep(1.5)
+    master.engaged()
+    time.sleep(1.0)
     for child in (master, netsim, slave):
         child.process.send_signal(number)
         said = child.end()
@@ -213,7 +221,7 @@ def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: l
         "master", "--key", str(key), "--peer", slave.address(), "--duration-s", "2.5", "--json", str(first_json)
     )
     children.append(first)
-    time.sleep(0.8)
+    first.engaged()
     second = Child(
         "master", "--key", str(key), "--peer", slave.address(), "--patience-s", "0.8", "--json", str(second_json)
     )
