@@ -186,5 +186,7 @@ mod tests {
         let rows = serde_json::to_value(kept.rows(|ns| ns as f64)).unwrap();
         assert_eq!((kept.count(), rows.as_array().unwrap().len()), (100, KEPT));
         assert_eq!((&rows[0]["time_s"], &rows[15]["time_s"]), (&168.0.into(), &198.0.into()));
+        assert_eq!((&rows[0]["until_s"], &rows[15]["until_s"]), (&168.0.into(), &198.0.into()));
+        assert_eq!(rows[7]["trips"][0]["observed"], 2.0);
     }
 }

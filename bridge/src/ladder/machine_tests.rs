@@ -49,6 +49,7 @@ fn silence_leads_down_the_ladder_at_its_times() {
         };
         assert_eq!(ladder.state(), expected, "{silence}");
         assert!(ladder.gain() <= last);
+        assert!(expected != Stale || ladder.gain() == last, "nothing new is known");
         last = ladder.gain();
         assert!(silence < 97 || last == 0.0, "the force is gone 100 ms after the last frame");
     }
@@ -496,4 +497,30 @@ fn what_is_shown_of_the_clutch_is_the_case() {
     now += 100;
     assert_eq!(ladder.step(now * MS, &sound(100)), Hold);
     assert_eq!(ladder.closings(), 2);
+}
+
+#[test]
+fn a_peer_of_which_nothing_is_known_any_more_is_silent_since_it_was_sound() {
+    let mut ladder = engaged();
+    let unknown = LadderInput { age_ns: None, over_usual_ns: None, peer: None, ..sound(0) };
+    let states: Vec<_> = (301..=600).map(|now| ladder.step(now * MS, &unknown)).collect();
+    assert_eq!((states[0], states[199], states[200]), (Hold, Hold, Stop));
+}
+
+#[test]
+fn a_press_at_the_tick_at_which_one_ends_is_none() {
+    let align_ns = LadderSettings::default().align_ns;
+    let standing = PeerReport { state: Disengaged, hears: true, answers: true, is_current: false };
+    let waiting = LadderInput { peer: Some(standing), ..sound(1) };
+    let again = LadderInput { asks: true, ..waiting };
+    for ended in [false, true] {
+        let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
+        ladder.step(0, &LadderInput { clutch: false, ..waiting });
+        assert_eq!(ladder.step(MS, &again), Aligning);
+        assert_eq!(ladder.step(2 * MS, &waiting), Aligning);
+        let (at_ns, last) =
+            if ended { (3 * MS, LadderInput { ended, ..again }) } else { (MS + align_ns, again) };
+        assert_eq!(ladder.step(at_ns, &last), Disengaged, "{ended}");
+        assert_eq!(ladder.closings(), 1);
+    }
 }
