@@ -1,6 +1,5 @@
-"""What is changed while both sides run: scales, axes and times of the ladder, in scenes and live."""
+"""What is changed while both sides run: scales, axes and times of the ladder; live in `test_live.py`."""
 
-import time
 from typing import Any
 
 import numpy as np
@@ -8,17 +7,11 @@ import pytest
 
 from haptether.bridge import (
     LadderSettings,
-    LiveMaster,
-    LiveSlave,
-    MasterSettings,
     Run,
-    SlaveSettings,
     load_scene,
     override_scene,
     simulate,
 )
-from haptether.master import Hand, HapticDevice
-from haptether.slave import Arm, Wall
 
 HALF = 0.5**0.5
 
@@ -114,9 +107,6 @@ def test_a_scene_with_changes_is_overridden_like_any_other() -> None:
     assert changed.coupling.changes[0].force_scale == 0.25
 
 
-# ------------------------------------------------------------------------------------------------------ live
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -132,47 +122,3 @@ def test_a_scene_with_changes_is_overridden_like_any_other() -> None:
 def test_times_out_of_order_or_range_are_refused(given: dict[str, float], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         LadderSettings(**given)
-
-
-def test_scales_change_while_both_sides_run() -> None:
-    hand = Hand(stiffness=300.0, damping=8.0, strength_n=20.0, start=0.02, legs=[(0.4, -0.03, "minimum-jerk")])
-    ladder = LadderSettings(hold_after_s=0.1, stop_after_s=1.0)
-    key = bytes(range(32))
-    slave = LiveSlave(
-        SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02, ladder=ladder),
-        listen="127.0.0.1:0", session=2, key=key, duration_s=2.0, patience_s=20.0,
-    )  # fmt: skip
-    master = LiveMaster(
-        MasterSettings(HapticDevice.phantom_desktop(), hand, ladder=ladder),
-        peer=slave.address, session=1, key=key, duration_s=2.0, patience_s=20.0,
-    )  # fmt: skip
-    for refused in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="must be finite and above 0"):
-            master.set_force_scale(refused)
-        with pytest.raises(ValueError, match="must be finite and above 0"):
-            slave.set_position_scale(refused)
-    time.sleep(1.0)
-    master.set_force_scale(0.5)
-    slave.set_position_scale(2.0)
-    # Nothing to acknowledge: nothing happens.
-    master.acknowledge()
-    slave.acknowledge()
-    near, _ = master.finish() if _waited(master) else pytest.fail("the master did not end")
-    far, _ = slave.finish() if _waited(slave) else pytest.fail("the slave did not end")
-    assert {int(state) for state in near.state[-100:]} <= {2, 3, 4, 5}
-    engaged = np.isin(near.state, (2, 3))
-    last = int(np.flatnonzero(engaged)[-1])
-    felt, measured = float(near.rendered_force[last]), float(far.environment_force[-1])
-    assert felt == pytest.approx(0.5 * measured, rel=0.1)
-    assert np.abs(np.diff(far.command)).max() <= 3.0 * 0.05, "no jump"
-    for act in (master.acknowledge, slave.acknowledge):
-        with pytest.raises(RuntimeError, match="ended"):
-            act()
-
-
-def _waited(side: LiveMaster | LiveSlave) -> bool:
-    end = time.monotonic() + 30.0
-    while not side.finished and time.monotonic() < end:
-        side.poll()
-        time.sleep(0.02)
-    return side.finished

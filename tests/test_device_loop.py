@@ -1,6 +1,7 @@
 """Loops that a driver turns, and how drivers are found."""
 
 import gc
+import itertools
 import json
 import math
 import os
@@ -108,6 +109,30 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
     while not done() and time.monotonic() < end_s:
         time.sleep(0.002)
     assert done()
+
+
+@pytest.mark.parametrize("side", [LiveSlave, SlaveLoop])
+@anew_after_stalls
+def test_a_side_that_begins_leaves_the_interpreter_to_the_loops_that_run(side: type[LiveSlave | SlaveLoop]) -> None:
+    """What it sets aside takes its time; an arm whose watchdog is armed waits for its driver meanwhile."""
+    turns, ended = [time.monotonic()], threading.Event()
+
+    def turn() -> None:
+        while not ended.is_set():
+            time.sleep(5e-4)
+            turns.append(time.monotonic())
+
+    beside = threading.Thread(target=turn)
+    beside.start()
+    try:
+        begun_s = time.monotonic()
+        begun = side(THREE, listen="127.0.0.1:0", keep_s=1200.0, realtime="off", **how())
+        took_s = time.monotonic() - begun_s
+    finally:
+        ended.set()
+        beside.join()
+    begun.finish()
+    assert max(after - before for before, after in itertools.pairwise(turns)) < 0.5 * took_s
 
 
 @pytest.mark.parametrize(("axes", "spec"), [(1, ONE), (3, THREE)])

@@ -13,8 +13,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.ur.stalls import anew_after_stalls
 
-from haptether.bridge import LiveMaster, LiveSlave, load_scene, read_key, scene_json, write_key
+from haptether.bridge import (
+    LadderSettings,
+    LiveMaster,
+    LiveSlave,
+    MasterSettings,
+    SlaveSettings,
+    load_scene,
+    read_key,
+    scene_json,
+    write_key,
+)
+from haptether.master import Hand, HapticDevice
+from haptether.slave import Arm, Wall
 
 COMMAND = [sys.executable, "-m", "haptether"]
 START_TIMEOUT_S = 30.0
@@ -452,6 +465,51 @@ def test_both_sides_record_what_they_did(key: Path, children: list[Child], tmp_p
     other = read_recording(slave_path)
     assert (other.side, other.security) == ("slave", "secure")
     assert len(other.signals["time_ns"]) == json.loads((tmp_path / "slave.json").read_text())["link"]["recorded"]
+
+
+@anew_after_stalls
+def test_scales_change_while_both_sides_run() -> None:
+    hand = Hand(stiffness=300.0, damping=8.0, strength_n=20.0, start=0.02, legs=[(0.4, -0.03, "minimum-jerk")])
+    ladder = LadderSettings(hold_after_s=0.1, stop_after_s=1.0)
+    key = bytes(range(32))
+    slave = LiveSlave(
+        SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02, ladder=ladder),
+        listen="127.0.0.1:0", session=2, key=key,
+    )  # fmt: skip
+    master = LiveMaster(
+        MasterSettings(HapticDevice.phantom_desktop(), hand, ladder=ladder),
+        peer=slave.address, session=1, key=key,
+    )  # fmt: skip
+    for refused in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="must be finite and above 0"):
+            master.set_force_scale(refused)
+        with pytest.raises(ValueError, match="must be finite and above 0"):
+            slave.set_position_scale(refused)
+    end_s = time.monotonic() + START_TIMEOUT_S
+    while (master.state, slave.state) != ("engaged", "engaged"):
+        assert time.monotonic() < end_s, (master.state, slave.state)
+        time.sleep(0.01)
+    # The hand is there after 0.4 s.
+    time.sleep(0.8)
+    master.set_force_scale(0.5)
+    slave.set_position_scale(2.0)
+    # Nothing to acknowledge: nothing happens.
+    master.acknowledge()
+    slave.acknowledge()
+    time.sleep(0.8)
+    assert (master.state, slave.state) == ("engaged", "engaged")
+    near, _ = master.finish()
+    far, _ = slave.finish()
+    felt, measured = (
+        float(of[np.flatnonzero(np.isin(side.state, (2, 3)))[-1]])
+        for side, of in ((near, near.rendered_force), (far, far.environment_force))
+    )
+    assert abs(measured) > 1.0
+    assert felt == pytest.approx(0.5 * measured, rel=0.1)
+    assert np.nanmax(np.abs(np.diff(far.command))) <= 3.0 * 0.05, "no jump"
+    for act in (master.acknowledge, slave.acknowledge):
+        with pytest.raises(RuntimeError, match="ended"):
+            act()
 
 
 def test_late_wakes_are_no_fault_of_a_clock(key: Path) -> None:

@@ -118,6 +118,12 @@ def test_a_start_that_cannot_be_is_refused(started: float) -> None:
         LiveMaster(SCENE, peer="127.0.0.1:9", started_s=started, **how())
 
 
+@pytest.mark.parametrize("side", [LiveMaster, MasterLoop])
+def test_a_start_that_is_still_to_come_is_refused(side: type[LiveMaster | MasterLoop]) -> None:
+    with pytest.raises(ValueError, match=r"started_s = .*must not be after now, \d+\.\d{3} s by time\.monotonic"):
+        side(SCENE, peer="127.0.0.1:9", started_s=time.monotonic() + 1.0, **how())
+
+
 def test_a_command_that_stood_still_while_it_loaded_couples_nobody() -> None:
     slave = LiveSlave(SCENE, listen="127.0.0.1:0", **how())
     master = subprocess.Popen(

@@ -299,15 +299,8 @@ def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> 
 
 @anew_after_stalls
 def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
-    # A known fault of its own: at 10 Hz the first sample may find the script stopped. It is latched, and nothing moves.
-    assert any(killed_stops_by_its_watchdog() for _ in range(10))
-
-
-def killed_stops_by_its_watchdog() -> bool:
     host = HOST.format(24)
     with emulator(host=host) as emulated, driven({"host": host, "mode": "speedl", "watchdog_hz": 10}) as watching:
-        if watching.wait_for("slave", "engaged", "fault", patience_s=15.0)["slave"] == "fault":
-            return False
         engaged(watching)
         end_s = time.monotonic() + 10.0
         while math.hypot(*emulated.status()["tcp_speed"][:3]) < 0.005:
@@ -325,7 +318,6 @@ def killed_stops_by_its_watchdog() -> bool:
         end_s = time.monotonic() + 5.0
         while math.hypot(*emulated.status()["tcp_speed"][:3]) > 1e-3:
             assert time.monotonic() < end_s
-    return True
 
 
 @anew_after_stalls

@@ -8,8 +8,8 @@ use haptether_bridge::{
     MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
     coupling::CommandBounds,
     live::{
-        LiveSettings, LiveWatch, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
-        Security, paced_by_device,
+        Ineffective, LiveSettings, LiveWatch, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
+        RealtimeSettings, Security, now_ns, paced_by_device,
     },
     scene::{SceneSpec, driven_master, simulated_master, simulated_slave},
     wire::{MAX_FRAME, Role},
@@ -134,13 +134,18 @@ fn a_failure_outlasts_an_acknowledgement_of_the_same_tick() {
 
 /// A loop whose driver is here, with nobody at the other end.
 fn paced<S: Seen>(side: S, role: Role) -> (PacedLoop<S>, LiveWatch<S::Record>) {
+    started(side, role, None)
+}
+
+/// One that a person started at a time of the monotonic clock.
+fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> (PacedLoop<S>, LiveWatch<S::Record>) {
     let local: SocketAddr = "127.0.0.1:0".parse().unwrap();
     let settings = LiveSettings {
         role,
         period_ns: MS,
         duration_ns: None,
         patience_ns: None,
-        started_ns: None,
+        started_ns,
         ring: 1000,
         realtime: RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() },
     };
@@ -174,6 +179,25 @@ fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
 fn a_live_loop_keeps_a_failure_that_an_act_had_come_before() {
     a_loop_keeps_a_failure(master(), Role::Master);
     a_loop_keeps_a_failure(slave(), Role::Slave);
+}
+
+/// A start that is still to come would never grow old.
+#[test]
+fn only_a_start_of_the_last_seconds_is_a_press() {
+    const SECOND: u64 = 1_000_000_000;
+    for (started_ns, counts) in [
+        (now_ns(), true),
+        (now_ns() - 3 * SECOND, true),
+        (now_ns() - 6 * SECOND, false),
+        (now_ns() + 60 * SECOND, false),
+        (u64::MAX, false),
+    ] {
+        let (mut paced, watch) = started(master(), Role::Master, Some(started_ns));
+        paced.begin().unwrap();
+        paced.turn(|_| {}, |_| {});
+        let void = (1, Some(Ineffective::OldStart));
+        assert_eq!(watch.ineffective_presses(), if counts { (0, None) } else { void }, "{started_ns}");
+    }
 }
 
 /// Whoever says at any time that it is mended.

@@ -2233,8 +2233,8 @@ class LiveMaster:
         min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
-            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
+            neither a key nor `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
         OSError: An address or a file that cannot be used, or real time that is required and refused.
     """
 
@@ -2489,9 +2489,9 @@ class MasterLoop:
         min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
-            `insecure`, both, no such real time or clutch, or a scene without a [slave] and a [coupling], or
-            with times at which its operator presses.
+        ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
+            neither a key nor `insecure`, both, no such real time or clutch, or a scene without a [slave] and a
+            [coupling], or with times at which its operator presses.
         OSError: An address or a file that cannot be used.
     """
 

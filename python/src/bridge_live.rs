@@ -34,14 +34,18 @@ fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn start<S>(side: S, place: Place) -> PyResult<Run<<S::Record as Rowed>::Rows>>
+/// Without the interpreter: once a first loop has locked the process's memory, the rings of the next take 100 ms to map.
+fn start<S>(py: Python<'_>, side: S, place: Place) -> PyResult<Run<<S::Record as Rowed>::Rows>>
 where
     S: Side<Record: Rowed> + Send + 'static,
 {
-    // Before the loop: it locks what memory there is.
-    let (newest, recorder) = (place.newest()?, place.recorder()?);
-    let run = run_live(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
-    Ok(Box::new(Live::new(run, newest)))
+    py.detach(|| {
+        // Before the loop: it locks what memory there is.
+        let (newest, recorder) = (place.newest()?, place.recorder()?);
+        let run =
+            run_live(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
+        Ok(Box::new(Live::new(run, newest)) as Run<_>)
+    })
 }
 
 /// How long between two looks at whether a loop has ended.
@@ -92,6 +96,7 @@ impl LiveMaster {
         patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
+        py: Python<'_>,
         settings: &Bound<'_, PyAny>,
         peer: &str,
         session: u64,
@@ -118,12 +123,12 @@ impl LiveMaster {
         };
         let run = if let Ok(settings) = settings.cast::<PyMasterSettings>() {
             let settings = settings.get();
-            start(settings.side(session)?, place(settings.endpoint.period_ns)?)?
+            start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
         } else {
             let scene = scene_of(settings, "MasterSettings")?;
             let place = place(live_periods(&scene)?[0])?;
             of_axes!(scene.master.axes, N => {
-                start(simulated_master::<N>(&scene, session).map_err(refuse)?, place)?
+                start(py, simulated_master::<N>(&scene, session).map_err(refuse)?, place)?
             })
         };
         Ok(Self { run: Mutex::new(run) })
@@ -180,6 +185,7 @@ impl LiveSlave {
         patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
+        py: Python<'_>,
         settings: &Bound<'_, PyAny>,
         listen: &str,
         session: u64,
@@ -212,12 +218,12 @@ impl LiveSlave {
         };
         let run = if let Ok(settings) = settings.cast::<PySlaveSettings>() {
             let settings = settings.get();
-            start(settings.side(session)?, place(settings.endpoint.period_ns)?)?
+            start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
         } else {
             let scene = scene_of(settings, "SlaveSettings")?;
             let place = place(live_periods(&scene)?[1])?;
             of_axes!(scene.master.axes, N => {
-                start(simulated_slave::<N>(&scene, session).map_err(refuse)?, place)?
+                start(py, simulated_slave::<N>(&scene, session).map_err(refuse)?, place)?
             })
         };
         Ok(Self { run: Mutex::new(run) })

@@ -225,8 +225,11 @@ macro_rules! loop_methods {
 
         #[pymethods]
         impl $class {
-            fn begin(&self) -> PyResult<String> {
-                turned(&self.turns)?.begin()
+            fn begin(&self, py: Python<'_>) -> PyResult<String> {
+                let mut turns = turned(&self.turns)?;
+                let turns = &mut **turns;
+                // Memory is locked here, which takes its time where much is mapped.
+                py.detach(|| turns.begin())
             }
 
             fn wait(&self, py: Python<'_>) -> PyResult<()> {
@@ -273,6 +276,7 @@ impl MasterLoop {
         duration_s=None, patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
+        py: Python<'_>,
         scene: &[u8],
         peer: &str,
         session: u64,
@@ -311,7 +315,7 @@ impl MasterLoop {
         };
         of_axes!(scene.master.axes, N => {
             let side = driven_master::<N>(&scene, session, simulated_clutch).map_err(refuse)?;
-            let (turns, watch) = prepare(side, Place::of_master(peer, listen, how)?)?;
+            let (turns, watch) = prepare(py, side, Place::of_master(peer, listen, how)?)?;
             Ok(Self { turns: Mutex::new(Box::new(turns)), watch: Mutex::new(watch) })
         })
     }
@@ -355,6 +359,7 @@ impl SlaveLoop {
         patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
+        py: Python<'_>,
         scene: &[u8],
         listen: &str,
         session: u64,
@@ -382,7 +387,7 @@ impl SlaveLoop {
         };
         of_axes!(scene.master.axes, N => {
             let side = driven_slave::<N>(&scene, session).map_err(refuse)?;
-            let (turns, watch) = prepare(side, Place::of_slave(listen, how)?)?;
+            let (turns, watch) = prepare(py, side, Place::of_slave(listen, how)?)?;
             Ok(Self { turns: Mutex::new(Box::new(turns)), watch: Mutex::new(watch) })
         })
     }
@@ -415,14 +420,18 @@ impl SlaveLoop {
 
 type Prepared<S> = (PacedLoop<S>, Box<dyn Watching<<<S as Side>::Record as Rowed>::Rows>>);
 
-fn prepare<S>(side: S, place: Place) -> PyResult<Prepared<S>>
+/// Without the interpreter, as `start` of `LiveMaster`.
+fn prepare<S>(py: Python<'_>, side: S, place: Place) -> PyResult<Prepared<S>>
 where
-    S: Side<Record: Rowed>,
+    S: Side<Record: Rowed> + Send,
 {
-    let (newest, recorder) = (place.newest()?, place.recorder()?);
-    let (turns, watch): (_, LiveWatch<S::Record>) =
-        paced_by_device(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
-    Ok((turns, Box::new(Live::new(Box::new(watch), newest))))
+    py.detach(|| {
+        let (newest, recorder) = (place.newest()?, place.recorder()?);
+        let (turns, watch): (_, LiveWatch<S::Record>) =
+            paced_by_device(side, place.socket, place.settings, place.security, recorder)
+                .map_err(not_begun)?;
+        Ok((turns, Box::new(Live::new(Box::new(watch), newest)) as Box<dyn Watching<_>>))
+    })
 }
 
 loop_methods!(MasterLoop, MasterRows);

@@ -6,7 +6,7 @@ use haptether_bridge::{
     Act, FlightRecorder,
     live::{
         Ineffective, LiveHandle, LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket,
-        Security, SecurityEvent, StartError,
+        Security, SecurityEvent, StartError, now_ns,
     },
     recorder::{Recorded, Recorder, RecorderSettings, RecordingReport},
     session::{KeyError, PreSharedKey},
@@ -90,7 +90,7 @@ impl Place {
             period_ns,
             duration_ns: duration_s.map(|time| nanoseconds("duration_s", time)).transpose()?,
             patience_ns: patience_s.map(|time| nanoseconds("patience_s", time)).transpose()?,
-            started_ns: started_s.map(|time| nanoseconds("started_s", time)).transpose()?,
+            started_ns: started_s.map(started).transpose()?,
             ring: RING,
             realtime,
         };
@@ -130,6 +130,18 @@ impl Place {
             ))
         })
     }
+}
+
+/// When a person started a side, which is not to come.
+fn started(time_s: f64) -> PyResult<u64> {
+    let (started_ns, now_ns) = (nanoseconds("started_s", time_s)?, now_ns());
+    if started_ns > now_ns {
+        #[allow(clippy::cast_precision_loss)] // for a person
+        let now_s = now_ns as f64 * 1e-9;
+        let text = format!("started_s = {time_s}: must not be after now, {now_s:.3} s by time.monotonic()");
+        return Err(PyValueError::new_err(text));
+    }
+    Ok(started_ns)
 }
 
 /// How a side goes.

@@ -7,8 +7,8 @@ use rustix::{
 
 const SECOND: u64 = 1_000_000_000;
 
-/// Monotonic time in ns.
-pub(super) fn now_ns() -> u64 {
+/// Time of the system's monotonic clock in ns, which live loops go by.
+pub fn now_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     #[allow(clippy::cast_sign_loss)] // the monotonic clock starts at boot
     let (seconds, nanoseconds) = (now.tv_sec as u64, now.tv_nsec as u64);

@@ -14,6 +14,7 @@ mod turning;
 mod watch;
 
 pub use channel::Security;
+pub use clock::now_ns;
 pub use handshakes::{SecurityEvent, StartError};
 pub use memory::{end_for_lack_of_memory, is_exhausted, memory_is_back};
 pub use paced::{PacedLoop, paced_by_device};

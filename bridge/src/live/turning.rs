@@ -176,9 +176,10 @@ impl<S: Side> Turning<S> {
         let now_ns = deadline_ns;
         self.now_ns = now_ns;
         let stalled_ns = self.stalled_ns;
-        // Of a side that opened late, or whose first sample was late, the start is no press any more.
+        // Of a side that opened late, or whose first sample was late, the start is no press any more; nor is one of a
+        // time that has not been yet, which would never grow old.
         if let Some(started_ns) = started_ns.take()
-            && clock::now_ns().saturating_sub(started_ns) > START_NS
+            && clock::now_ns().checked_sub(started_ns).is_none_or(|age_ns| age_ns > START_NS)
             && side.release_clutch()
         {
             shared.reject_press(Ineffective::OldStart);
