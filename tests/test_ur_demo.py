@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.ur.stalls import STALL_S, Stalls
 
 from haptether.bridge import load_scene
 from haptether.studies import DemoScene, run_demo
@@ -44,10 +45,11 @@ def test_a_push_of_an_emulated_tool_reaches_the_hand_damped(tmp_path: Path) -> N
     scene = DemoScene(slave="ur", delay_s=0.02, jitter_s=0.0, loss=0.0)
     for _ in range(ATTEMPTS):
         # A run whose controller was not heard for 0.1 s ends in a fault, as it must.
-        with contextlib.suppress(RuntimeError):
+        with Stalls() as stalls, contextlib.suppress(RuntimeError):
             result = run_demo(scene, "hsc", tmp_path, lambda *_: None, Never())
             if result.holds == 0:
                 break
+        assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
     else:
         # After a hold the two engage from where they are, so that the wall is pressed otherwise.
         pytest.skip(STALLED)
@@ -116,12 +118,13 @@ def peg(folder: Path, running: list[subprocess.Popen[str]]) -> tuple[dict[str, A
 @pytest.mark.timeout(200)
 def test_a_peg_meets_table_and_wall_on_three_axes(tmp_path: Path, running: list[subprocess.Popen[str]]) -> None:
     for _ in range(ATTEMPTS):
-        result, force, x = peg(tmp_path, running)
-        if result["holds"] == 0:
+        with Stalls() as stalls:
+            result, force, x = peg(tmp_path, running)
+        if result["holds"] == 0 and result["final_state"] in {"engaged", "stale"}:
             break
+        assert stalls.worst_s > STALL_S, result
     else:
         pytest.skip(STALLED)
-    assert result["final_state"] in {"engaged", "stale"}
     scene = load_scene("ur_peg")
     assert scene.operator is not None
     targets = np.array([leg.end for leg in scene.operator.legs])

@@ -1,6 +1,7 @@
 """Tests of several processes on a machine that others use, too: measured anew where it stood still."""
 
 import functools
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -14,22 +15,27 @@ MOST_TRIES = 3
 
 
 class Stalls:
-    """The longest that a sleeper overslept."""
+    """The longest that a sleeper overslept; there is one on each processor, for they stand still one by one."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
         self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._threads = [
+            threading.Thread(target=self._run, args=(cpu,), daemon=True) for cpu in sorted(os.sched_getaffinity(0))
+        ]
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stopped.set()
-        self._thread.join()
+        for thread in self._threads:
+            thread.join()
 
-    def _run(self) -> None:
+    def _run(self, cpu: int) -> None:
+        os.sched_setaffinity(0, {cpu})
         while not self._stopped.is_set():
             before_s = time.monotonic()
             time.sleep(SLEEP_S)

@@ -445,4 +445,74 @@ mod tests {
         let half = alone.clone().step_with_authority(&push(1), 0.5).unwrap().safety_force[0];
         assert_eq!(half, alone.step(&push(1)).unwrap().safety_force[0] * 0.5);
     }
+
+    /// As long as the hold-off, the first tick counted, then `g = 1 - s²` over the ramp, then nothing.
+    #[test]
+    fn an_intervention_lasts_its_hold_off_and_fades_by_its_law() {
+        for (hold_off, ramp) in [(1_u32, 3_u32), (4, 1), (5, 4), (3, 0)] {
+            let settings = SafetySettings {
+                hold_off_s: f64::from(hold_off) * PERIOD_S,
+                release_ramp_s: f64::from(ramp) * PERIOD_S,
+                ..watching(1)
+            };
+            let mut controller = controller(&settings);
+            let force = |gain: f64, velocity: f64| gain * (-2.0 - 5.0 * velocity);
+            // Longer and longer unsafe: the hold-off counts from the first tick.
+            for unsafe_ticks in [1, hold_off.max(2) - 1, hold_off, hold_off + 2] {
+                for tick in 0..unsafe_ticks {
+                    let step = controller.step(&seen(1.0, 2.0)).unwrap();
+                    assert_eq!(step.safety_force[0], force(1.0, 1.0), "{tick}");
+                }
+                let held = hold_off.saturating_sub(unsafe_ticks);
+                for tick in 1..=held + ramp + 3 {
+                    let step = controller.step(&seen(0.1, 2.0)).unwrap();
+                    let s = f64::from(tick.saturating_sub(held)) / f64::from(ramp + 1);
+                    let gain = if s < 1.0 { 1.0 - s * s } else { 0.0 };
+                    let apart = (step.safety_force[0] - force(gain, 0.1)).abs();
+                    assert!(apart < 1e-14, "{hold_off} {ramp} {unsafe_ticks} {tick}: {step:?}");
+                    let tripped = if gain > 0.0 { Tripped::HELD } else { Tripped::NONE };
+                    assert_eq!(step.tripped, tripped);
+                }
+            }
+        }
+    }
+
+    /// Beside an intervention that fades, the force of Eq. 12 counts in the share `1 - g`.
+    #[test]
+    fn passivity_control_comes_back_as_an_intervention_fades() {
+        let pc = SafetySettings { pc: true, ..SafetySettings::default() };
+        let vfc = SafetySettings { hold_off_s: 5e-3, release_ramp_s: 0.02, ..watching(1) };
+        let settings = [pc, vfc, SafetySettings { pc: true, ..vfc }];
+        let mut of = settings.map(|settings| controller(&settings));
+        let mut partly = 0;
+        for tick in 0..60 {
+            let seen = seen(if tick == 20 { 1.0 } else { 0.1 }, 2.0);
+            let [alone, intervention, both] = of.each_mut().map(|one| one.respond(&seen, 0.5));
+            let gain = -intervention.safety_force[0] / (2.0 + 0.5 * 5.0 * seen.velocity[0]);
+            let expected = intervention.safety_force[0] + (1.0 - gain) * alone.safety_force[0];
+            assert!((both.safety_force[0] - expected).abs() < 1e-14, "{tick}: {both:?} {expected}");
+            assert_eq!(both.pc, alone.pc && gain < 1.0, "{tick}");
+            assert_eq!(both.acts, gain > 0.0 || both.pc, "{tick}");
+            assert_eq!(both.energy_j, alone.energy_j);
+            partly += u32::from(both.pc && gain > 0.0);
+        }
+        assert!(partly >= 19, "the ramp: {partly}");
+    }
+
+    #[test]
+    fn passivity_control_acts_on_any_axis() {
+        let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
+        let settings = SafetySettings { pc: true, ..SafetySettings::default() };
+        for velocity in [[0.5, 0.0], [0.0, -0.5], [0.5, 0.5], [0.0, 0.0]] {
+            let mut controller = SafetyController::<2>::new(&device, PERIOD_S, &settings).unwrap();
+            let seen = Observation::exact(Axes::<2>::from(velocity), Axes::zeros(), Axes::zeros());
+            let response = controller.respond(&seen, 1.0);
+            let moves = velocity != [0.0; 2];
+            assert_eq!((response.pc, response.acts), (moves, moves), "{velocity:?}");
+            for (force, velocity) in response.safety_force.iter().zip(velocity) {
+                assert_eq!(*force < 0.0, velocity > 0.0);
+                assert_eq!(*force == 0.0, velocity == 0.0);
+            }
+        }
+    }
 }

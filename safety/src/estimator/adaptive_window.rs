@@ -320,6 +320,27 @@ mod tests {
         (x / BOUND_M).round() as i128
     }
 
+    /// A hand that takes up speed from rest so gently that lines reach back into the rest.
+    #[allow(clippy::cast_possible_truncation)] // some hundred quanta
+    fn begins(n: i32) -> i128 {
+        (f64::from(n).powi(2) / 90.0).round() as i128
+    }
+
+    /// How sure a velocity of the rest was counts from the first tick on.
+    #[test]
+    fn a_motion_from_rest_has_the_windows_of_whole_numbers() {
+        for fit in [Fit::End, Fit::Best] {
+            let mut exact = InCounts::new(fit, 0);
+            let mut estimator = AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, LONGEST, fit).unwrap();
+            for n in 0..120 {
+                estimator.step(&Axes::from([begins(n) as f64 * BOUND_M]));
+                let (windows, _) = exact.step(begins(n));
+                let axis = &estimator.axes[0];
+                assert_eq!([axis.velocity_window, axis.acceleration_window], windows, "{fit:?} tick {n}");
+            }
+        }
+    }
+
     /// Ties at d = quantum come out as exact numbers say, wherever the device stands: no tick differs in its windows,
     /// and V and A are equal up to the rounding of the positions.
     #[test]

@@ -5,6 +5,7 @@ use crate::{
     Observation,
     controller::{SafetySettings, Tripped},
     estimator::{Estimator, EstimatorKind},
+    fault::Signal,
 };
 
 const PERIOD: f64 = 1e-3;
@@ -200,4 +201,97 @@ fn without_a_controller_the_rendered_force_passes() {
         assert!((tick.device_force[0] - 0.3 * f64::from(n)).abs() < 1e-12);
         assert!(!tick.intervention.tripped.any());
     }
+}
+
+/// What PC asked for and the force that is exerted beyond `F_v` does not dissipate within the tick.
+#[test]
+fn energy_is_owed_by_the_force_that_is_exerted() {
+    let safety = SafetySettings { pc: true, ..SafetySettings::default() };
+    for max_force_n in [1.0, 1.6, 50.0] {
+        let limiter = LimiterSettings { max_force_n, ramp_in_s: 0.0, ..LimiterSettings::default() };
+        let mut layer = SafetyLayer::new(&LayerSettings { limiter, ..settings(safety) }).unwrap();
+        let mut owed = 0;
+        for n in 0..200 {
+            let v = Axes::<1>::new(0.3 * (f64::from(n) * 0.05).sin());
+            let rendered = Axes::<1>::new(0.2 * f64::from(n % 10));
+            let tick = layer.tick(&Axes::zeros(), Some(&v), &rendered);
+            let beyond = tick.device_force[0] - tick.rendered_force[0];
+            let dissipated = (-beyond * tick.motion.velocity[0] * PERIOD).max(0.0);
+            let expected = (-tick.intervention.energy_j - dissipated).max(0.0);
+            assert!((tick.owed_energy_j - expected).abs() < 1e-15, "{n}: {tick:?} {expected}");
+            owed += u32::from(expected > 0.0);
+        }
+        assert!(owed > 20, "{owed}");
+    }
+}
+
+/// A layer of an encoder whose past all of it remembers: motion, energy, an intervention, a force.
+fn with_a_past() -> SafetyLayer<1> {
+    let safety = SafetySettings { hsc: true, wsc: true, pc: true, ..SafetySettings::default() };
+    let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
+    for n in 0..300 {
+        let x = 0.05 * (f64::from(n) * 0.02).sin();
+        layer.tick(&Axes::<1>::new(x), None, &Axes::<1>::new(3.0));
+    }
+    layer
+}
+
+/// The next 50 ticks, from a place.
+fn next(layer: &mut SafetyLayer<1>, from: f64) -> Vec<SafetyTick<1>> {
+    let tick = |n: i32| {
+        let x = Axes::<1>::new(from + 1e-4 * f64::from(n));
+        layer.tick(&x, None, &Axes::<1>::new(0.1 * f64::from(n)))
+    };
+    (0..50).map(tick).collect()
+}
+
+fn forces(ticks: &[SafetyTick<1>]) -> Vec<(f64, f64, Option<Fault>)> {
+    ticks.iter().map(|tick| (tick.device_force[0], tick.motion.velocity[0], tick.fault)).collect()
+}
+
+#[test]
+fn a_reset_leaves_nothing_of_the_past_and_a_restart_leaves_a_fault() {
+    let place = Axes::<1>::new(0.2);
+    let mut fresh = SafetyLayer::new(&settings(SafetySettings {
+        hsc: true,
+        wsc: true,
+        pc: true,
+        ..SafetySettings::default()
+    }))
+    .unwrap();
+    fresh.reset(&place).unwrap();
+    let as_new = forces(&next(&mut fresh, 0.2));
+    assert_ne!(forces(&next(&mut with_a_past(), 0.2)), as_new, "the past shows");
+    let mut layer = with_a_past();
+    layer.reset(&place).unwrap();
+    assert_eq!(forces(&next(&mut layer, 0.2)), as_new);
+    let mut layer = with_a_past();
+    layer.restart(&place).unwrap();
+    assert_eq!(forces(&next(&mut layer, 0.2)), as_new);
+
+    let (first, second) = (Fault::Device, Fault::NotFinite(Signal::Position));
+    let mut layer = with_a_past();
+    layer.fail(first);
+    layer.fail(second);
+    let stopped = next(&mut layer, 0.2);
+    assert!(stopped.iter().all(|tick| tick.fault == Some(first) && tick.device_force[0] == 0.0));
+    layer.restart(&place).unwrap();
+    assert!(next(&mut layer, 0.2).iter().all(|tick| tick.fault == Some(first)), "it keeps a fault");
+    assert!(layer.restart(&Axes::<1>::new(f64::NAN)).is_err());
+    assert!(layer.reset(&Axes::<1>::new(f64::INFINITY)).is_err());
+    layer.reset(&place).unwrap();
+    assert_eq!(forces(&next(&mut layer, 0.2)), as_new);
+}
+
+#[test]
+fn a_missed_tick_without_a_sound_position_changes_nothing() {
+    let before = forces(&next(&mut with_a_past(), 0.05));
+    for x in [f64::NAN, f64::INFINITY, 1e300] {
+        let mut layer = with_a_past();
+        layer.missed(&Axes::<1>::new(x), None);
+        assert_eq!(forces(&next(&mut layer, 0.05)), before, "{x}");
+    }
+    let mut layer = with_a_past();
+    layer.missed(&Axes::<1>::new(0.05), None);
+    assert_ne!(forces(&next(&mut layer, 0.05)), before, "a sound one is carried along");
 }

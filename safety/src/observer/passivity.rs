@@ -79,4 +79,17 @@ mod tests {
         let leak = stiffness * period / 2.0 * v * v / 2.0;
         assert!((energy + leak).abs() < 0.01 * leak, "{energy} against -{leak}");
     }
+
+    #[test]
+    fn a_reset_forgets_energy_and_position() {
+        let mut observer = PassivityObserver::<1>::new();
+        let held = Axes::<1>::new(2.0);
+        for x in [0.0, 0.1] {
+            observer.step(&Axes::<1>::new(x), &held);
+        }
+        assert_eq!(observer.step(&Axes::<1>::new(0.2), &held), -0.4);
+        observer.reset();
+        assert_eq!(observer.step(&Axes::<1>::new(5.0), &held), 0.0, "a first position is no motion");
+        assert_eq!(observer.step(&Axes::<1>::new(4.5), &held), 1.0);
+    }
 }

@@ -95,5 +95,9 @@ mod tests {
             assert!((product.observe(&seen(v, f)) - as_printed).abs() < 1e-12, "{v} {f}");
             assert!((both.observe(&seen(v, f)) - as_told).abs() < 1e-12, "{v} {f}");
         }
+        // Another V_t and F_t: P = 0.9 W against 0.3 m/s and 2 N.
+        let observed = |form| VelocityForceObserver::new(0.3, 2.0, form).unwrap().observe(&seen(0.6, 1.5));
+        assert!((observed(VelocityForceForm::Product) - 1.5).abs() < 1e-12);
+        assert!((observed(VelocityForceForm::Both) - 0.75).abs() < 1e-12);
     }
 }
