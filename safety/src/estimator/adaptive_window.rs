@@ -320,24 +320,40 @@ mod tests {
         (x / BOUND_M).round() as i128
     }
 
-    /// A hand that takes up speed from rest so gently that lines reach back into the rest.
-    #[allow(clippy::cast_possible_truncation)] // some hundred quanta
-    fn begins(n: i32) -> i128 {
-        (f64::from(n).powi(2) / 90.0).round() as i128
-    }
-
-    /// How sure a velocity of the rest was counts from the first tick on.
+    /// How sure a velocity of the rest was counts from the first tick on, also where the device has moved by then.
     #[test]
     fn a_motion_from_rest_has_the_windows_of_whole_numbers() {
-        for fit in [Fit::End, Fit::Best] {
+        for (fit, jump) in
+            [Fit::End, Fit::Best].into_iter().flat_map(|fit| (0..8).map(move |jump| (fit, jump)))
+        {
             let mut exact = InCounts::new(fit, 0);
             let mut estimator = AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, LONGEST, fit).unwrap();
-            for n in 0..120 {
-                estimator.step(&Axes::from([begins(n) as f64 * BOUND_M]));
-                let (windows, _) = exact.step(begins(n));
+            estimator.reset(&Axes::zeros());
+            for n in 0..60 {
+                let counts = jump + n * n / 90;
+                estimator.step(&Axes::from([counts as f64 * BOUND_M]));
+                let (windows, _) = exact.step(counts);
                 let axis = &estimator.axes[0];
-                assert_eq!([axis.velocity_window, axis.acceleration_window], windows, "{fit:?} tick {n}");
+                let found = [axis.velocity_window, axis.acceleration_window];
+                assert_eq!(found, windows, "{fit:?} {jump} tick {n}");
             }
+        }
+    }
+
+    #[test]
+    fn lanes_are_as_many_estimators_of_one_period() {
+        let of = |period_s: f64| AdaptiveWindow::<1>::new(period_s, BOUND_M, 16, Fit::End).unwrap();
+        let (one, other) = (of(1e-3), of(2e-3));
+        for (lanes, given, can) in [
+            (2, [&one, &one].as_slice(), true),
+            (2, &[&one, &other], false),
+            (2, &[&other, &one], false),
+            (1, &[&one, &one], false),
+            (4, &[&one, &one], false),
+            (2, &[], false),
+        ] {
+            let given: Vec<_> = given.iter().copied().cloned().collect();
+            assert_eq!(AdaptiveWindow::are_lanes(&given, lanes), can, "{lanes} {}", given.len());
         }
     }
 
