@@ -244,6 +244,23 @@ mod tests {
         (0..1_u32 << 20).map(|bits| Facts(bits << 1))
     }
 
+    #[test]
+    fn a_fact_comes_and_goes_alone() {
+        let all = Reason::ALL.iter().fold(Facts::default(), |facts, reason| facts.with(*reason, true));
+        for reason in Reason::ALL {
+            for facts in [Facts::default(), all] {
+                let (there, gone) = (facts.with(reason, true), facts.without(reason));
+                assert!(there.has(reason) && !gone.has(reason), "{reason:?}");
+                assert_eq!((there.without(reason), gone.with(reason, true)), (gone, there), "{reason:?}");
+                assert_eq!((facts.with(reason, false), gone.without(reason)), (facts, gone), "{reason:?}");
+                for other in Reason::ALL.iter().filter(|other| **other != reason) {
+                    let had = facts.has(*other);
+                    assert!(there.has(*other) == had && gone.has(*other) == had, "{reason:?} {other:?}");
+                }
+            }
+        }
+    }
+
     /// Every state under every set of reasons: 7 times 1048576 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
