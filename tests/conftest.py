@@ -22,13 +22,13 @@ LIVE = (
     "test_presses_in_vain", "test_soak", "test_stop", "test_ur_demo", "test_ur_emulator_bounds",
     "test_ur_emulator_letter", "test_ur_emulator_process",
 )  # fmt: skip
-"""Processes and sockets that mostly wait: several at once, beside nothing that computes."""
+"""Processes and sockets that mostly wait: several at once."""
 ALONE = (
     "test_device_loop", "test_engine_stress", "test_live_realtime", "test_netsim_live", "test_packaging",
     "test_safety_speed", "test_true_cause", "test_ur_emulator_calls", "test_ur_emulator_live",
     "test_ur_engagements", "test_ur_live", "test_work_unit",
 )  # fmt: skip
-"""Lateness, speed, or cargo."""
+"""Lateness, speed, busy processors, or cargo."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -41,7 +41,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True)
 def ordinary_scheduling() -> Iterator[None]:
     """Real time that a test leaves to its thread is a fault of what it tests: all later ones would starve others."""
+    before = _scheduling()
     yield
-    if hasattr(os, "sched_getscheduler") and (policy := os.sched_getscheduler(0)) != os.SCHED_OTHER:
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        pytest.fail(f"the thread of the tests was left under scheduling policy {policy}")
+    if (left := _scheduling()) != before:
+        policy, parameter = before
+        os.sched_setscheduler(0, policy, os.sched_param(parameter))
+        pytest.fail(f"the thread of the tests was left under scheduling policy and priority {left}, not {before}")
+
+
+def _scheduling() -> tuple[int, int]:
+    if not hasattr(os, "sched_getscheduler"):
+        return 0, 0
+    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority

@@ -156,3 +156,54 @@ def test_a_driver_that_times_out_by_itself_is_told_with_its_own_words() -> None:
     with pytest.raises(DeviceError, match="no answer from the arm"):
         _opened(run, "own", Stopped())  # type: ignore[type-var]  # all that it looks at
     assert given_up == [True]
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "5", "-5", "wide", ""])
+def test_no_width_of_a_terminal_takes_output_away(columns: str) -> None:
+    for arguments in (["list"], ["netsim", "list"], ["list", "--help"]):
+        ended = subprocess.run(
+            [*COMMAND, *arguments],
+            capture_output=True, text=True, timeout=60, check=True, env={**os.environ, "COLUMNS": columns},
+        )  # fmt: skip
+        assert len(ended.stdout) > 300, arguments
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["master", "--help"], ["netsim", "--help"], ["--completion", "bash"], ["list"]]
+)
+def test_output_that_cannot_be_written_is_one_line_or_none(arguments: list[str]) -> None:
+    with Path("/dev/full").open("wb") as full:
+        ended = subprocess.run([*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (1, b"haptether: No space left on device\n")
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = subprocess.run([*COMMAND, *arguments], stdout=writing, stderr=subprocess.PIPE, timeout=60, check=False)
+    finally:
+        os.close(writing)
+    assert (ended.returncode, ended.stderr) == (1, b"")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["sweep", "remote_push", "--vary", "safety.window=1", "--vary", "safety.window=2"],
+         "--vary safety.window: given twice: give all its values at once, as safety.window=v1,v2"),
+        (["master", *NOBODY, "--release-at-s", "-5"], "release_at_s = -5: must be at least 0 s"),
+        (["slave", "--insecure", "--listen", "127.0.0.1:0", "--push-force-n", "nan"], "push force = NaN"),
+        (["slave", "--insecure", "--listen", "127.0.0.1:0", "--push-duration-s", "-3"], "push duration = -3"),
+    ],
+)  # fmt: skip
+def test_what_would_be_passed_over_is_refused(arguments: list[str], said: str) -> None:
+    ended = run(*arguments)
+    assert ended.returncode == 2
+    assert said in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_a_file_of_a_flight_recorder_that_is_no_text_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "master.flight"
+    path.write_bytes(b'{"schema": 1, "side": "\xff"}')
+    ended = run("explain", str(path))
+    assert ended.returncode == 2
+    assert f"{path}: is no file of a flight recorder" in ended.stderr

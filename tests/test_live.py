@@ -21,9 +21,6 @@ from haptether.bridge import (
     LiveSlave,
     MasterSettings,
     SlaveSettings,
-    load_scene,
-    read_key,
-    scene_json,
     write_key,
 )
 from haptether.master import Hand, HapticDevice
@@ -31,7 +28,6 @@ from haptether.slave import Arm, Wall
 
 COMMAND = [sys.executable, "-m", "haptether"]
 START_TIMEOUT_S = 30.0
-BUSY_S = 4.0
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +59,7 @@ class Child:
     def engaged(self) -> None:
         """Waits until it says that it is; the test's own timeout bounds that."""
         assert self.process.stderr is not None
-        assert any("engaged" in line for line in self.process.stderr), "it ended before"
+        assert any(line.strip().endswith(": engaged") for line in self.process.stderr), "it ended before"
 
     def end(self) -> str:
         """Waits for the end and gives what it said on standard error."""
@@ -97,6 +93,7 @@ def children() -> Iterator[list[Child]]:
 
 
 @pytest.mark.parametrize("controller", ["none", "hsc", "wsc"])
+@anew_after_stalls
 def test_a_killed_slave_takes_the_force_from_the_hand(
     key: Path, controller: str, children: list[Child], tmp_path: Path
 ) -> None:
@@ -136,6 +133,7 @@ def test_a_killed_slave_takes_the_force_from_the_hand(
     assert float(np.abs(np.diff(falling)).max()) < 1.0, "it fades, it does not drop"
 
 
+@anew_after_stalls
 def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
     key: Path, children: list[Child], tmp_path: Path
 ) -> None:
@@ -226,6 +224,7 @@ def test_ipv6_works_and_a_mix_is_refused(key: Path, children: list[Child]) -> No
     assert master.process.returncode == 0
 
 
+@anew_after_stalls
 def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: list[Child], tmp_path: Path) -> None:
     slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
@@ -510,25 +509,3 @@ def test_scales_change_while_both_sides_run() -> None:
     for act in (master.acknowledge, slave.acknowledge):
         with pytest.raises(RuntimeError, match="ended"):
             act()
-
-
-def test_late_wakes_are_no_fault_of_a_clock(key: Path) -> None:
-    """Two loops of one machine share its clock, however late they wake: here beside two processes that never sleep."""
-    scene = scene_json(load_scene("remote_push"))
-    busy = [sys.executable, "-c", f"import time; end = time.monotonic() + {BUSY_S}\nwhile time.monotonic() < end: pass"]
-    burning = [subprocess.Popen(busy) for _ in range(2)]
-    try:
-        both: dict[str, Any] = {"key": read_key(key), "realtime": "off"}
-        slave = LiveSlave(scene, listen="127.0.0.1:0", session=1, **both)
-        master = LiveMaster(scene, peer=slave.address, session=2, **both)
-        time.sleep(BUSY_S)
-        reports = [run.finish()[1] for run in (master, slave)]
-    finally:
-        for process in burning:
-            process.kill()
-            process.wait()
-    late = [report.path for report in reports]
-    assert [path.clock_faults for path in late] == [0, 0], [path.last_clock_fault for path in late]
-    # They have heard of one another, and woke late.
-    assert min(report.link.fresh for report in reports) > 100
-    assert sum(report.skipped for report in reports) > 0

@@ -1,6 +1,7 @@
 """Real time, the interpreter's lock and recordings of live loops: the subject is the operating system."""
 
 import os
+import secrets
 import shutil
 import socket
 import subprocess
@@ -9,15 +10,25 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import pytest
 
-from haptether.bridge import LiveMaster, LoopReport, MasterSettings, MasterTrace, read_recording
+from haptether.bridge import (
+    LiveMaster,
+    LiveSlave,
+    LoopReport,
+    MasterSettings,
+    MasterTrace,
+    load_scene,
+    read_recording,
+    scene_json,
+)
 from haptether.master import Hand, HapticDevice
 
 PERIOD_S = 1e-3
+BUSY_S = 4.0
 HAND = Hand(stiffness=300, damping=8, strength_n=12, start=0.0)
 
 
@@ -251,3 +262,25 @@ def test_a_disk_that_does_not_answer_costs_records_and_nothing_else(peer: str, t
     assert report.recording.dropped > 0
     assert report.recording.written + report.recording.dropped == report.ticks == len(trace)
     assert trace.time_s[-1] >= 1.0 - PERIOD_S
+
+
+def test_late_wakes_are_no_fault_of_a_clock() -> None:
+    """Two loops of one machine share its clock, however late they wake: here beside two processes that never sleep."""
+    scene = scene_json(load_scene("remote_push"))
+    busy = [sys.executable, "-c", f"import time; end = time.monotonic() + {BUSY_S}\nwhile time.monotonic() < end: pass"]
+    burning = [subprocess.Popen(busy) for _ in range(2)]
+    try:
+        both: dict[str, Any] = {"key": secrets.token_bytes(32), "realtime": "off"}
+        slave = LiveSlave(scene, listen="127.0.0.1:0", session=1, **both)
+        master = LiveMaster(scene, peer=slave.address, session=2, **both)
+        time.sleep(BUSY_S)
+        reports = [run.finish()[1] for run in (master, slave)]
+    finally:
+        for process in burning:
+            process.kill()
+            process.wait()
+    late = [report.path for report in reports]
+    assert [path.clock_faults for path in late] == [0, 0], [path.last_clock_fault for path in late]
+    # They have heard of one another, and woke late.
+    assert min(report.link.fresh for report in reports) > 100
+    assert sum(report.skipped for report in reports) > 0

@@ -231,7 +231,8 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
     }
 
     fn has_button(&self) -> bool {
-        self.button.is_there()
+        // Before the first tick the plant alone knows.
+        self.button.is_there() || self.plant.clutch().is_some()
     }
 
     fn release_clutch(&mut self) -> bool {

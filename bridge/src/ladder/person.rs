@@ -104,9 +104,9 @@ impl Person {
         (self.asked, self.asked_ns) = (false, None);
     }
 
-    /// Has let go: the start was too long ago to be a press. Whether it would have been one.
+    /// Has let go: the start was too long ago to be a press. Whether it would have been that of a person.
     pub fn release_clutch(&mut self) -> bool {
-        std::mem::replace(&mut self.pressed, false) && !matches!(self.clutch, Clutch::Schedule(_))
+        std::mem::replace(&mut self.pressed, false) && matches!(self.clutch, Clutch::Once)
     }
 
     /// Whether the clutch is pressed at `now_ns`, seeing where the ladder stands and whether a press would count.
@@ -281,7 +281,7 @@ mod tests {
     fn a_start_of_long_ago_is_let_go_of_once() {
         for (clutch, was_pressed) in [
             (Clutch::Once, true),
-            (Clutch::Auto { reaction_ns: 500 * MS }, true),
+            (Clutch::Auto { reaction_ns: 500 * MS }, false),
             (Clutch::Schedule(vec![(0, 10)]), false),
         ] {
             let mut person = Person::new(clutch).unwrap();

@@ -80,6 +80,7 @@ COMPLETION = "--completion"
 SHELLS = ("bash", "zsh", "fish")
 
 FAILED, BAD_REQUEST = 1, 2
+MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
 """More digits than a number has: nobody counts the zeros of 1e300."""
 
@@ -102,12 +103,16 @@ def _main(arguments: Sequence[str]) -> int:
     if list(arguments) in (["--version"], ["-V"]):
         print(f"haptether {__version__}")
         return 0
+    _use_width()
     try:
         if arguments and arguments[0] == COMPLETION:
             return complete(arguments[1:])
         command = parse(arguments)
     except ValueError as error:
         return complain(error, BAD_REQUEST)
+    except OSError as error:
+        # Help, or a script for a shell, that nobody takes.
+        return _unwritten(error)
     try:
         INTERRUPTS.raising = True
         if not isinstance(command, NEVER_WAITS):
@@ -133,16 +138,30 @@ def _status(command: Command) -> int:
         return command.run()
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output is gone: nothing is left to say, and Python must not try at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return INTERRUPTED if INTERRUPTS.seen else FAILED
+    except BrokenPipeError as error:
+        return INTERRUPTED if INTERRUPTS.seen else _unwritten(error)
     except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
         if INTERRUPTS.seen:
             # What Ctrl-C has cut short may say so in its own way.
             return INTERRUPTED
         status = BAD_REQUEST if isinstance(error, ValueError) else FAILED
         return complain(error, status, debug=getattr(command, "debug", False))
+
+
+def _unwritten(error: OSError) -> int:
+    """The status where standard output takes no more: nothing is left to say there, and Python must not try at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return FAILED if isinstance(error, BrokenPipeError) else complain(error, FAILED)
+
+
+def _use_width() -> None:
+    """Has text be as wide as the terminal and at least `MIN_COLUMNS`, whatever COLUMNS says.
+
+    At width 0 tables come out empty, at a few columns the parser does not end.
+    """
+    columns = shutil.get_terminal_size().columns
+    if columns < MIN_COLUMNS or not os.environ.get("COLUMNS", "1").lstrip("0").isdecimal():
+        os.environ["COLUMNS"] = str(max(MIN_COLUMNS, columns))
 
 
 def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
@@ -200,6 +219,8 @@ def _parsed(
         if ended.code == 0 and told is not None:
             # The parser would fold the examples into one paragraph.
             print(f"\n{folded((inspect.getdoc(told) or '').partition(chr(10))[2].strip())}")
+        # Here, where somebody is told that it cannot be written.
+        sys.stdout.flush()
         raise
     return command
 
@@ -246,6 +267,7 @@ def complete(arguments: Sequence[str]) -> int:
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
             registry=NUMBERS,
         )
+    sys.stdout.flush()
     return 0
 
 
@@ -304,7 +326,7 @@ def summary(command: type[object]) -> str:
 
 def folded(text: str) -> str:
     """The paragraphs of a text as wide as the terminal; a command to be copied stays on one line."""
-    width = max(40, shutil.get_terminal_size().columns)
+    width = shutil.get_terminal_size().columns
     paragraphs = text.split("\n\n")
     return "\n\n".join(
         paragraph

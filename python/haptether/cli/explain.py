@@ -233,7 +233,7 @@ def load_flight(path: Path) -> Flight:
     """
     try:
         flight = msgspec.json.decode(path.read_bytes(), type=Flight)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         message = f"{path}: is no file of a flight recorder ({error})"
         raise ValueError(message) from None
     if flight.schema != SCHEMA:

@@ -49,6 +49,9 @@ def master_settings(
     from haptether.master import Hand, HapticDevice
     from haptether.safety import SafetySettings
 
+    if release_at_s is not None and not release_at_s >= 0.0:
+        message = f"release_at_s = {release_at_s:g}: must be at least 0 s"
+        raise ValueError(message)
     hand = Hand(
         stiffness=HAND_STIFFNESS,
         damping=HAND_DAMPING,
@@ -80,9 +83,9 @@ def slave_settings(
     from haptether.bridge import SlaveSettings
     from haptether.slave import Arm, Pusher, Wall
 
-    pusher = None
-    if push_at_s is not None:
-        pusher = Pusher(at_s=push_at_s, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S)
+    # Also where there is none: what cannot be is refused all the same.
+    push = Pusher(at_s=push_at_s or 0.0, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S)
+    pusher = None if push_at_s is None else push
     return SlaveSettings(Arm(), Wall(stiffness=wall_stiffness), pusher=pusher, position=START_M)
 
 

@@ -69,7 +69,13 @@ class Sweep:
         if not self.vary:
             message = "nothing to vary: give --vary path=a:b:n or path=v1,v2"
             raise ValueError(message)
-        grid = dict(values_of(text) for text in self.vary)
+        grid: dict[str, list[float]] = {}
+        for text in self.vary:
+            path, values = values_of(text)
+            if path in grid:
+                message = f"--vary {path}: given twice: give all its values at once, as {path}=v1,v2"
+                raise ValueError(message)
+            grid[path] = values
         rows = prod(len(values) for values in grid.values())
         if rows > MOST_ROWS:
             message = f"{rows} rows: must be at most {MOST_ROWS}"
