@@ -8,6 +8,7 @@ other, and all others two at a time.
 """
 
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -16,6 +17,11 @@ from hypothesis import settings
 settings.register_profile("fast", max_examples=50, deadline=None, derandomize=True)
 settings.register_profile("slow", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HAPTETHER_HYPOTHESIS_PROFILE", "fast"))
+
+# Whoever runs the tests in the background, or under nohup, must not have what they start ignore its signals.
+for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, handler)
 
 LIVE = (
     "test_docs", "test_examples", "test_faults", "test_live", "test_netsim_cli_live", "test_netsim_control",
