@@ -154,6 +154,7 @@ class Master(LiveOptions):
             check_memory(report)
             refused = refused or tell(master.security_events())
             flight.write(master.flight())
+            steps.show_failure(master)
             cause = cause_of(master)
         result = measure_push(controller, trace, report, release_at_s)
         self._report(result, summarise_link(trace, report), cause, answered=bool(np.isfinite(trace.age_s).any()))

@@ -135,6 +135,7 @@ class Slave(LiveOptions):
             check_memory(report)
             tell(slave.security_events())
             flight.write(slave.flight())
+            steps.show_failure(slave)
             cause = cause_of(slave)
         state = self._report(trace, report, cause)
         raise_error(slave)
