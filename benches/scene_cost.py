@@ -181,7 +181,7 @@ def main() -> int:
         description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--repeats", type=int, default=7, help="default 7")
+    parser.add_argument("--repeats", type=int, default=21, help="default 21")
     arguments = parser.parse_args()
     if arguments.repeats < 1:
         parser.error("--repeats must be at least 1")

@@ -60,6 +60,9 @@ impl<const N: usize, S: Real> PassivityObserver<N, S> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::SimdValue;
+    use simba::simd::AutoF64x4;
+
     use super::*;
 
     /// A sampled spring wall gives out more than it takes: by Colgate's K T / 2 it acts as negative damping.
@@ -78,6 +81,27 @@ mod tests {
         let v = 0.02 * std::f64::consts::TAU;
         let leak = stiffness * period / 2.0 * v * v / 2.0;
         assert!((energy + leak).abs() < 0.01 * leak, "{energy} against -{leak}");
+    }
+
+    #[test]
+    fn lanes_go_on_from_what_each_has_seen() {
+        let mut one = [1.0, -3.0, 0.5, 2.0].map(|force| {
+            let mut observer = PassivityObserver::<1>::new();
+            for x in [0.0, 0.1] {
+                observer.step(&Axes::<1>::new(x), &Axes::<1>::new(force));
+            }
+            observer
+        });
+        let mut lanes = PassivityObserver::<1, AutoF64x4>::gather(&one).unwrap();
+        let (to, held) = (Axes::<1>::new(0.4), Axes::<1>::new(2.0));
+        let seen = lanes
+            .step(&Axes::from_element(AutoF64x4::splat(0.4)), &Axes::from_element(AutoF64x4::splat(2.0)));
+        for (lane, one) in one.iter_mut().enumerate() {
+            assert_eq!(seen.extract(lane), one.step(&to, &held), "{lane}");
+        }
+        assert!(PassivityObserver::<1, AutoF64x4>::gather(&one[..3]).is_none());
+        one[2].reset();
+        assert!(PassivityObserver::<1, AutoF64x4>::gather(&one).is_none(), "one without a position yet");
     }
 
     #[test]
