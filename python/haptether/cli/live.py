@@ -250,10 +250,11 @@ class Steps:
             print(f"{self._side}: engaged", file=sys.stderr, flush=True)
         self._is_engaged = is_engaged
 
-    def show_failure(self, side: "LiveMaster | LiveSlave | DeviceRun") -> None:
-        """The same once the run has ended by its driver: it may have done so before anybody looked."""
+    def cause_at_end(self, side: "LiveMaster | LiveSlave | DeviceRun") -> Cause | None:
+        """Why a side that has ended is not coupled; said if a driver ended it, maybe before anybody looked."""
         if getattr(side, "error", None) is not None:
             self.show(side)
+        return cause_of(side)
 
     def _print(self, headline: str, cause: Cause) -> None:
         lines = [headline, *(f"  {number}. {self._words(step)}" for number, step in enumerate(cause.steps, start=1))]

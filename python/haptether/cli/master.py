@@ -86,7 +86,6 @@ class Master(LiveOptions):
             Steps,
             Stopped,
             acknowledge,
-            cause_of,
             check_memory,
             recording_status,
             tell,
@@ -154,8 +153,7 @@ class Master(LiveOptions):
             check_memory(report)
             refused = refused or tell(master.security_events())
             flight.write(master.flight())
-            steps.show_failure(master)
-            cause = cause_of(master)
+            cause = steps.cause_at_end(master)
         result = measure_push(controller, trace, report, release_at_s)
         self._report(result, summarise_link(trace, report), cause, answered=bool(np.isfinite(trace.age_s).any()))
         if self.trace is not None:

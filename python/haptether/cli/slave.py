@@ -70,7 +70,6 @@ class Slave(LiveOptions):
             Steps,
             Stopped,
             acknowledge,
-            cause_of,
             check_memory,
             recording_status,
             tell,
@@ -135,8 +134,7 @@ class Slave(LiveOptions):
             check_memory(report)
             tell(slave.security_events())
             flight.write(slave.flight())
-            steps.show_failure(slave)
-            cause = cause_of(slave)
+            cause = steps.cause_at_end(slave)
         state = self._report(trace, report, cause)
         raise_error(slave)
         if state == "fault":
