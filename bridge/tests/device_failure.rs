@@ -200,6 +200,18 @@ fn only_a_start_of_the_last_seconds_is_a_press() {
     }
 }
 
+/// Before the first tick as well: what is passed over is said.
+#[test]
+fn a_press_beside_a_button_is_said_to_do_nothing_from_the_first_tick_on() {
+    for (button, ineffective) in [(Some(false), (1, Some(Ineffective::HasButton))), (None, (0, None))] {
+        let (mut paced, watch) = started(master(), Role::Master, Some(now_ns()));
+        paced.begin().unwrap();
+        watch.press_clutch();
+        paced.turn(|side| side.plant.clutch = button, |_| {});
+        assert_eq!(watch.ineffective_presses(), ineffective, "{button:?}");
+    }
+}
+
 /// Whoever says at any time that it is mended.
 fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) {
     let (mut paced, mut watch) = paced(side, role);
