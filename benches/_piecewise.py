@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 Law = Callable[[float, Array], float]
 
 RTOL, ATOL = 1e-13, 1e-15
-MOST_PIECES = 10_000
+MAX_PIECES = 10_000
 KINKED = 1e-12
 """Time in s within which a kink has been reached."""
 
@@ -237,7 +237,7 @@ def integrate(scene: Scene, rtol: float = RTOL, most_step_s: float | None = None
     for end in [*(kink for kink in plant.kinks() if kink < ticks[-1]), float(ticks[-1])]:
         while t < end:
             pieces += 1
-            if pieces > MOST_PIECES:
+            if pieces > MAX_PIECES:
                 message = f"{pieces} pieces until {t} s"
                 raise RuntimeError(message)
             laws = plant.margins(regime)

@@ -31,9 +31,9 @@ EXAMPLE = """example:
   .venv/bin/python benches/scene_cost.py --json -
 """
 SHORT_S, LONG_S = 1.0, 11.0
-MOST_FOR_OBJECTS = 1.5
+MAX_FOR_OBJECTS = 1.5
 """Cost of 1000 objects out of reach over that of none."""
-MOST_FOR_HELP_S = 0.4
+MAX_FOR_HELP_S = 0.4
 PROCESSES = 5
 UNUSED = ("casadi", "matplotlib", "pyvista", "rtde_control", "rtde_receive", "scipy")
 
@@ -206,13 +206,13 @@ def main() -> int:
         print(f"{start.name:<38}{start.seconds:>8.3f}", file=out)
 
     missed = [
-        f"{cost.name}: {cost.ratio:.2f} x, must be at most {MOST_FOR_OBJECTS}"
+        f"{cost.name}: {cost.ratio:.2f} x, must be at most {MAX_FOR_OBJECTS}"
         for cost in costs.values()
-        if "1000 out of reach" in cost.name and cost.ratio is not None and cost.ratio > MOST_FOR_OBJECTS
+        if "1000 out of reach" in cost.name and cost.ratio is not None and cost.ratio > MAX_FOR_OBJECTS
     ]
     help_s = next(start.seconds for start in begins if start.name == "haptether --help")
-    if help_s > MOST_FOR_HELP_S:
-        missed.append(f"haptether --help: {help_s:.3f} s, must be at most {MOST_FOR_HELP_S}")
+    if help_s > MAX_FOR_HELP_S:
+        missed.append(f"haptether --help: {help_s:.3f} s, must be at most {MAX_FOR_HELP_S}")
     if needless:
         missed.append(f"haptether simulate loads {', '.join(needless)}")
     print(f"\n{'; '.join(missed) or 'all as required'}", file=out)

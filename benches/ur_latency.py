@@ -25,7 +25,7 @@ HOST = "127.0.3.90"
 SERVO = ((0.03, 2000.0), (0.03, 1000.0), (0.05, 1000.0), (0.05, 500.0), (0.1, 300.0), (0.2, 100.0))
 WAVE_HZ = 0.3
 AMPLITUDE_M = 0.03
-MOST_TRIES = 3
+MAX_TRIES = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +118,7 @@ def main() -> int:
     ]
     rows = []
     for mode, version, options in asked:
-        for left in reversed(range(MOST_TRIES)):
+        for left in reversed(range(MAX_TRIES)):
             try:
                 rows.append(measure(mode, version, options, given.seconds))
                 break

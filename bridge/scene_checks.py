@@ -16,7 +16,7 @@ from haptether.bridge.scene_far import (
     Spring,
 )
 from haptether.bridge.scene_near import OperatorTable
-from haptether.bridge.scene_ranges import MOST_TICKS
+from haptether.bridge.scene_ranges import MAX_TICKS
 from haptether.bridge.scene_spec import Spec, most_damping, spec_of
 from haptether.bridge.scene_tables import (
     ClockTable,
@@ -32,7 +32,7 @@ from haptether.bridge.scene_tables import (
 )
 
 SLAVE_PERIOD_S = (1e-5, 2e-2)
-MOST_STEPS = 1e9
+MAX_STEPS = 1e9
 """Of the integrator in one run."""
 KALMAN_BANDWIDTH = (1e-3, 10.0)
 """Bounds on omega dT of the Kalman filter."""
@@ -93,15 +93,15 @@ def _run(run: RunTable) -> Iterator[SceneError]:
         yield wrong(("run", "period_s"), run.period_s, "a whole number of ns")
     if run.duration_s < run.period_s:
         yield wrong(("run", "duration_s"), run.duration_s, f"at least one period of {run.period_s:g} s")
-    if run.duration_s / run.period_s > MOST_TICKS * (1.0 + 1e-9):
-        allowed = f"at most 2e7 ticks, {MOST_TICKS * run.period_s:g} s at period_s = {run.period_s:g}"
+    if run.duration_s / run.period_s > MAX_TICKS * (1.0 + 1e-9):
+        allowed = f"at most 2e7 ticks, {MAX_TICKS * run.period_s:g} s at period_s = {run.period_s:g}"
         yield wrong(("run", "duration_s"), run.duration_s, allowed)
     if run.step_s is not None:
         steps = run.period_s / run.step_s
         if run.integrator == "exact":
             yield contradiction(("run", "step_s"), "the exact integrator has no step: leave it out or name another")
-        elif run.duration_s > MOST_STEPS * run.step_s:
-            allowed = f"such that the run has at most 1e9 steps, {run.duration_s / MOST_STEPS:g} or more"
+        elif run.duration_s > MAX_STEPS * run.step_s:
+            allowed = f"such that the run has at most 1e9 steps, {run.duration_s / MAX_STEPS:g} or more"
             yield wrong(("run", "step_s"), run.step_s, allowed)
         elif steps < 1.0 - 1e-9 or abs(steps - round(steps)) > 1e-6 * steps:
             yield wrong(("run", "step_s"), run.step_s, f"a whole fraction of period_s = {run.period_s:g}")

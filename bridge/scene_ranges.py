@@ -6,8 +6,8 @@ from msgspec import Meta
 
 LARGEST = 1e9
 """No number of a scene is larger: every range is closed, so that infinity is in none."""
-MOST_AXES = 7
-MOST_TICKS = 20_000_000
+MAX_AXES = 7
+MAX_TICKS = 20_000_000
 """Ticks of the longest run."""
 
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
@@ -15,8 +15,8 @@ Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
 NonNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 Ratio = Annotated[float, Meta(gt=0.0, le=1.0)]
 Seconds = Annotated[float, Meta(ge=0.0, le=1e6)]
-LEAST_DURATION_S = 1e-9
-Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=1e6)]
+MIN_DURATION_S = 1e-9
+Duration = Annotated[float, Meta(ge=MIN_DURATION_S, le=1e6)]
 Hold = Annotated[float, Meta(ge=0.0, le=60.0)]
 Reaction = Annotated[float, Meta(ge=0.05, le=60.0)]
 StaleAfter = Annotated[float, Meta(ge=1e-9, le=1.0)]
@@ -45,7 +45,7 @@ Axis: TypeAlias = Literal[1, 2, 3, 6, 7]
 Unbounded: TypeAlias = Literal["unbounded"]
 """What is written where a number would be a bound and there is to be none."""
 
-_axes = Meta(min_length=1, max_length=MOST_AXES)
+_axes = Meta(min_length=1, max_length=MAX_AXES)
 PerAxis: TypeAlias = Number | Annotated[tuple[Number, ...], _axes]
 """One number for every axis, or a list of one number per axis."""
 PositivePerAxis: TypeAlias = Positive | Annotated[tuple[Positive, ...], _axes]
@@ -60,7 +60,7 @@ StopsPerAxis: TypeAlias = Annotated[tuple[Position | _pair, ...], _axes]
 _times = Annotated[tuple[Seconds, ...], Meta(min_length=2, max_length=2)]
 Quaternion: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=4, max_length=4)]
 """w, x, y, z of a rotation."""
-AxisIndices: TypeAlias = Annotated[tuple[Annotated[int, Meta(ge=0, le=MOST_AXES - 1)], ...], Meta(max_length=MOST_AXES)]
+AxisIndices: TypeAlias = Annotated[tuple[Annotated[int, Meta(ge=0, le=MAX_AXES - 1)], ...], Meta(max_length=MAX_AXES)]
 """Some of the axes, counted from 0."""
 ClutchTimes: TypeAlias = tuple[_times, ...]
 """Press and release times in s."""

@@ -10,7 +10,7 @@ from haptether.bridge.scene_error import Path, SceneError, contradiction, place,
 from haptether.bridge.scene_far import ObjectTable, Plane, PusherTable, SlaveTable
 from haptether.bridge.scene_links import spec_of_links
 from haptether.bridge.scene_near import MasterTable, OperatorTable, SeriesTable
-from haptether.bridge.scene_ranges import LEAST_DURATION_S
+from haptether.bridge.scene_ranges import MIN_DURATION_S
 from haptether.bridge.scene_tables import AdaptiveWindow, CouplingTable, Kalman, LadderTable, Scene
 from haptether.master import DEVICE_PRESETS
 
@@ -188,8 +188,8 @@ def series_spec(table: SeriesTable, axes: int, path: Path) -> Spec:
     for index, (before, after) in enumerate(zip(table.time_s, table.time_s[1:], strict=False), start=1):
         if after <= before:
             raise wrong((*path, "time_s", index), after, f"above the time before it, {before:g}")
-        if after - before < LEAST_DURATION_S:
-            allowed = f"at least {LEAST_DURATION_S:g} s after the time before it, {before:g}"
+        if after - before < MIN_DURATION_S:
+            allowed = f"at least {MIN_DURATION_S:g} s after the time before it, {before:g}"
             raise wrong((*path, "time_s", index), after, allowed)
     values = [spread(value, axes, (*path, "values", index)) for index, value in enumerate(table.values)]
     return {"time_s": list(table.time_s), "values": values}
@@ -267,7 +267,7 @@ def _coupling(scene: Scene) -> Spec | None:
 
 
 DEFAULT_EXTRAPOLATION_S = 0.015
-LEAST_FADE_IN_S = 0.2
+MIN_FADE_IN_S = 0.2
 
 
 def _ladder(scene: Scene) -> Spec | None:
@@ -278,7 +278,7 @@ def _ladder(scene: Scene) -> Spec | None:
     stale_ns, hold_ns = round(table.stale_after_s * 1e9), round(table.hold_after_s * 1e9)
     extrapolate_s = min(DEFAULT_EXTRAPOLATION_S, max(hold_ns - stale_ns, 0) * 1e-9)
     limiter = scene.safety.limiter
-    fade_in_s = max(LEAST_FADE_IN_S, limiter.ramp_in_s if limiter.enabled else 0.0)
+    fade_in_s = max(MIN_FADE_IN_S, limiter.ramp_in_s if limiter.enabled else 0.0)
     return {
         **_plain(table),
         "extrapolate_s": extrapolate_s if table.extrapolate_s is None else table.extrapolate_s,

@@ -184,7 +184,7 @@ def _of_rows(
     return whole
 
 
-MOST_ROWS = 2_000_000
+MAX_ROWS = 2_000_000
 """Scenarios of a grid: more would not fit into memory."""
 
 
@@ -202,8 +202,8 @@ def _varied(
         raise ValueError(message)
     if grid is not None:
         total = math.prod(len(values) for values in given.values())
-        if total > MOST_ROWS:
-            message = f"a grid of {total} scenarios: must be at most {MOST_ROWS}"
+        if total > MAX_ROWS:
+            message = f"a grid of {total} scenarios: must be at most {MAX_ROWS}"
             raise ValueError(message)
         rows = np.array(list(itertools.product(*given.values())), dtype=np.float64)
         return {path: np.ascontiguousarray(rows[:, column]) for column, path in enumerate(given)}

@@ -15,7 +15,7 @@ from haptether.netsim.control_address import LONGEST_LINE, ControlAddress, contr
 from haptether.netsim.controlled import Controlled, refused_line
 from haptether.netsim.link_error import refuse_infinite
 
-MOST_CONNECTIONS = 4
+MAX_CONNECTIONS = 4
 _POLL_S = 0.1
 _PATIENCE_S = 1.0
 """How long an answer waits for a client that does not read."""
@@ -95,7 +95,7 @@ class ControlSocket:
         except OSError:
             return None
         client.settimeout(_PATIENCE_S)
-        if already < MOST_CONNECTIONS:
+        if already < MAX_CONNECTIONS:
             return client
         with client:
             _send(client, refused_line(f"{already} connections are open, there may be no more"))
@@ -116,7 +116,7 @@ def _listen(at: ControlAddress) -> socket.socket:
         else:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listening.bind(at.place)
-        listening.listen(MOST_CONNECTIONS)
+        listening.listen(MAX_CONNECTIONS)
     except OSError as error:
         listening.close()
         message = f'control = "{at.text}": {error.strerror or error}'

@@ -32,8 +32,8 @@ LIMITS: Final[dict[str, Six]] = {
     "delta_alpha": (0.05, 0.05, 0.05, 0.05, 0.05, 0.05),
 }
 # What a mounted arm of that model may be off; published ones are off by millimetres and mrad.
-MOST_M: Final = 0.05
-MOST_RAD: Final = 0.05
+MAX_M: Final = 0.05
+MAX_RAD: Final = 0.05
 NONE: Final[Six] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -71,10 +71,10 @@ class UrCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             ValueError: The tool would be more than 0.05 m or 0.05 rad from where the model has it.
         """
         metres, radians = deviation(dh_rows(model, self), dh_rows(model))
-        if metres > MOST_M or radians > MOST_RAD:
+        if metres > MAX_M or radians > MAX_RAD:
             message = (
                 f"deltas move the flange of a {model.name} by {metres:.3g} m and {radians:.3g} rad: "
-                f"must be at most {MOST_M:g} m and {MOST_RAD:g} rad"
+                f"must be at most {MAX_M:g} m and {MAX_RAD:g} rad"
             )
             raise ValueError(message)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 CLOSING_PERIODS: Final = 4.0
 """Periods in which the joints close in on the set-point."""
-MOST_BEHIND_M: Final = 0.02
+MAX_BEHIND_M: Final = 0.02
 """How far the joints may stay behind it: what more there is would be made up for at once, somewhere else."""
 JOINT_ACCELERATION: Final = 25.0
 """rad/s² at most: what the bounds of the tool ask for over the shortest lever, not what makes it smooth."""
@@ -58,7 +58,7 @@ class Joints:
         self._streaming = UrStreaming(kinematics, limits, period_s=period_s)
         self._period_s = period_s
         self._rate_hz = 1.0 / (CLOSING_PERIODS * period_s)
-        self._longest_m = max(options.max_jump, MOST_BEHIND_M)
+        self._longest_m = max(options.max_jump, MAX_BEHIND_M)
         self._turn = np.eye(3)
         self._twist = np.zeros(6)
         self.offset = np.zeros(3)

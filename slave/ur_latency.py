@@ -9,7 +9,7 @@ LONGEST_S: Final = 0.4
 """Largest delay that is looked for."""
 STEP_S: Final = 0.001
 KEPT_S: Final = 8.0
-LEAST_M: Final = 0.002
+MIN_M: Final = 0.002
 """Standard deviation of the motion below which nothing can be told."""
 
 
@@ -42,7 +42,7 @@ class Latency:
             return None
         time_s, told, measured = rows.T
         late = time_s > time_s[0] + LONGEST_S
-        if late.sum() < 3 or float(measured[late].std()) < LEAST_M:
+        if late.sum() < 3 or float(measured[late].std()) < MIN_M:
             return None
         delays = np.arange(0.0, LONGEST_S, STEP_S)
         squares = np.empty(len(delays))

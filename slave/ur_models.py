@@ -182,7 +182,7 @@ UR_MODELS: Final[dict[str, UrModel]] = {
 }
 
 
-MOST_PAYLOAD_KG: Final = {
+MAX_PAYLOAD_KG: Final = {
     "ur3": 3.0, "ur5": 5.0, "ur10": 10.0, "ur3e": 3.0, "ur5e": 5.0, "ur7e": 7.5, "ur10e": 12.5, "ur12e": 12.5,
     "ur16e": 16.0, "ur20": 25.0, "ur30": 35.0,
 }  # fmt: skip

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SILENCE_S: Final = 0.02
 """After which an arm is stopped that would go on by itself and is not led."""
-MOST_PERIODS: Final = 5.0
+MAX_PERIODS: Final = 5.0
 """Time between two commands that is made up for at once."""
 LAG_S: Final = 0.3
 """How late an arm may be beside its lookahead before it counts as one that does not follow."""
@@ -72,7 +72,7 @@ class Motion:
             # It was stopped meanwhile: on from where it came to rest, as fast as it may.
             self.at_rest(state)
             self._written_s = now_s - self._period_s
-        elapsed_s = min(max(now_s - self._written_s, 0.25 * self._period_s), MOST_PERIODS * self._period_s)
+        elapsed_s = min(max(now_s - self._written_s, 0.25 * self._period_s), MAX_PERIODS * self._period_s)
         self._written_s = now_s
         self.point.step(target, placed(self._options, velocity, ORIGIN), elapsed_s)
         self._check_follows(state)

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from haptether.slave.allowed import allowed
-from haptether.slave.ur_models import MOST_PAYLOAD_KG, UR_MODELS, ur_model
+from haptether.slave.ur_models import MAX_PAYLOAD_KG, UR_MODELS, ur_model
 
 Three: TypeAlias = tuple[float, float, float]
 Six: TypeAlias = tuple[float, float, float, float, float, float]
@@ -17,7 +17,7 @@ Mode: TypeAlias = Literal["servoj", "servol", "speedl", "direct-torque"]
 
 FARTHEST_M: Final = 10.0
 """No number of metres in these options is larger: it was meant in millimetres."""
-LEAST_NORM: Final = 1e-6
+MIN_NORM: Final = 1e-6
 
 
 class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -119,9 +119,9 @@ def _check(options: UrOptions) -> None:
     if options.model.lower() not in UR_MODELS:
         raise _wrong("model", options.model, f"must be one of {', '.join(UR_MODELS)}")
     model = ur_model(options.model)
-    if math.hypot(*options.axis) < LEAST_NORM:
+    if math.hypot(*options.axis) < MIN_NORM:
         raise _wrong("axis", options.axis, "must have a length")
-    most_kg = MOST_PAYLOAD_KG[model.name]
+    most_kg = MAX_PAYLOAD_KG[model.name]
     if options.payload_kg is not None and options.payload_kg > most_kg:
         raise _wrong("payload_kg", options.payload_kg, f"must be 0 to {most_kg:g} kg: a {model.name} carries no more")
     if options.payload_cog is not None and options.payload_kg is None:
@@ -131,7 +131,7 @@ def _check(options: UrOptions) -> None:
         if place is not None and any(abs(part) > FARTHEST_M for part in place[:3]):
             raise _wrong(key, place, f"must be in m, within {FARTHEST_M:g} m of the flange")
     for plane in options.workspace:
-        if math.hypot(*plane[:3]) < LEAST_NORM:
+        if math.hypot(*plane[:3]) < MIN_NORM:
             raise _wrong("workspace", plane, "must have a normal of some length")
     if options.force_source == "raw" and not model.wrench.measured:
         raise _wrong("force_source", "raw", f"a {model.name} has no sensor in its flange: must be tcp")

@@ -23,9 +23,9 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Numbers: TypeAlias = Array | Sequence[float]
 
 # Solutions that the search for its multiplier may take; 1 to 4 are usual.
-MOST_SOLUTIONS: Final = 40
+MAX_SOLUTIONS: Final = 40
 # From this multiplier on, (m/s)^-2, the cost drowns in rounding: then the tool cannot be that slow.
-MOST_MULTIPLIER: Final = 1e6
+MAX_MULTIPLIER: Final = 1e6
 
 
 class UrStreaming:
@@ -118,7 +118,7 @@ class UrStreaming:
         assert limit is not None
         limit.begin()
         m = self.speed_multiplier
-        for _ in range(MOST_SOLUTIONS):
+        for _ in range(MAX_SOLUTIONS):
             heavier = program if m == 0 else program._replace(hessian=limit.added_to(program.hessian, m))
             solution = self._solver.solve(heavier)
             if solution is None:
@@ -128,7 +128,7 @@ class UrStreaming:
                 self.speed_multiplier = m
                 return solution
             m = limit.next(m, speed)
-            if m > MOST_MULTIPLIER:
+            if m > MAX_MULTIPLIER:
                 break
         self.speed_multiplier = 0.0
         return None

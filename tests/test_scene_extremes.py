@@ -14,15 +14,15 @@ from haptether.bridge.scene import scene_from_plain
 
 LONGEST_S = 20.0
 """Of processor time for 20 ticks, on a busy machine; what loops or steps without end takes for ever."""
-MOST_BYTES = 3 << 30
-MOST_TICKS = 1000
+MAX_BYTES = 3 << 30
+MAX_TICKS = 1000
 """A scene that is long on purpose is only built."""
-MOST_STEPS = 1e6
+MAX_STEPS = 1e6
 
 
 def wrong(base: str) -> list[str]:
     """What went otherwise than it may."""
-    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
     found = []
     for path in numbers(BASES[base]):
         for value in extremes(path):
@@ -31,7 +31,7 @@ def wrong(base: str) -> list[str]:
             try:
                 scene = scene_from_plain(changed(BASES[base], path, value), FilePath())
                 run = scene.run
-                if run.duration_s / run.period_s > MOST_TICKS or run.duration_s > MOST_STEPS * (run.step_s or 1.0):
+                if run.duration_s / run.period_s > MAX_TICKS or run.duration_s > MAX_STEPS * (run.step_s or 1.0):
                     continue
                 simulate(scene)
             except SceneError as error:

@@ -5,14 +5,14 @@ import math
 import pytest
 
 from haptether.bridge import load_slave
-from haptether.slave.ur_models import MOST_PAYLOAD_KG, UR_MODELS
+from haptether.slave.ur_models import MAX_PAYLOAD_KG, UR_MODELS
 from haptether.slave.ur_options import UrOptions, ur_options
 
 HOST = {"host": "192.168.1.10"}
 
 
 def test_every_arm_has_a_most_payload() -> None:
-    assert MOST_PAYLOAD_KG.keys() == UR_MODELS.keys()
+    assert MAX_PAYLOAD_KG.keys() == UR_MODELS.keys()
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,12 @@
 
 use crate::{
     coupling::{CouplingError, FrameMap, PositionForce},
-    wire::MOST_AXES,
+    wire::MAX_AXES,
 };
 
 /// Something done at one side while it runs. Nothing of it comes from the network.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Act {
+pub enum OperatorCommand {
     /// Says that this side's fault is mended. Nothing couples by it: the clutch must then be released and pressed.
     Acknowledge,
     /// Changes `lambda_p`, at the slave; the arm goes on from where it is.
@@ -19,11 +19,11 @@ pub enum Act {
         /// Unit quaternion of the rotation from the master's frame to the slave's.
         quat_wxyz: [f64; 4],
         /// Whether the slave's axis does not follow; those beyond its number of axes count for nothing.
-        locked: [bool; MOST_AXES],
+        locked: [bool; MAX_AXES],
     },
 }
 
-impl Act {
+impl OperatorCommand {
     /// Refuses numbers that an endpoint of N axes cannot have.
     pub fn check<const N: usize>(&self) -> Result<(), CouplingError> {
         match self {

@@ -28,7 +28,7 @@ mod side;
 mod virtual_time;
 pub mod wire;
 
-pub use act::Act;
+pub use act::OperatorCommand;
 pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
     EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings,
@@ -38,9 +38,9 @@ pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, Spoken
 pub use ladder::{
     Clutch, ClutchError, Diagnosis, Explanation, FlightEntry, FlightRecorder, History, Ladder, LadderError,
     LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame,
-    PeerReport, Person, Reason, Remedy, Step, Transition,
+    PeerReport, Reason, Remedy, SimulatedOperator, Step, Transition,
 };
-pub use link::{FrameLink, LinkStatistics, PortState, Refusal, Status};
+pub use link::{FrameLink, LinkStatistics, PortState, RejectReason, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
 pub use path::{PathReport, PathSettings, PeerPath};
 pub use plant::{MasterPlant, SlavePlant, Truth};

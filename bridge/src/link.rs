@@ -84,7 +84,7 @@ pub struct Status {
 
 /// Why a frame of the right form is not used.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Refusal {
+pub enum RejectReason {
     /// No frame.
     #[error(transparent)]
     Wire(#[from] WireError),
@@ -183,7 +183,7 @@ impl<const N: usize> FrameLink<N> {
     ///
     /// In the clear anybody may write any sequence. One that no sender comes to is refused while the session lives; after
     /// the lease's silence it begins a session anew. So no frame takes the link from its peer for longer than that.
-    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
+    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, RejectReason> {
         let frame =
             Frame::decode(datagram, self.role.peer()).inspect_err(|_| self.statistics.refused += 1)?;
         let by_ns = now_ns.saturating_add(self.late_ns);
@@ -199,13 +199,13 @@ impl<const N: usize> FrameLink<N> {
                 let (seen, of_newest) = (frame.sequence, newest.frame.sequence);
                 if newest.frame.session == frame.session && seen < of_newest {
                     self.statistics.late += 1;
-                    return Err(Refusal::Late(seen));
+                    return Err(RejectReason::Late(seen));
                 }
                 self.statistics.refused += 1;
                 return Err(if newest.frame.session == frame.session {
-                    Refusal::Ahead { seen, newest: of_newest }
+                    RejectReason::Ahead { seen, newest: of_newest }
                 } else {
-                    Refusal::Session(frame.session)
+                    RejectReason::Session(frame.session)
                 });
             }
             _ => {
@@ -235,7 +235,7 @@ impl<const N: usize> FrameLink<N> {
     }
 
     /// Places a sequence of the living session: news, late or seen before.
-    fn place(&mut self, sequence: u64) -> Result<(), Refusal> {
+    fn place(&mut self, sequence: u64) -> Result<(), RejectReason> {
         // What lies before the first frame of this session is not held by its counts.
         let arrival =
             if sequence < self.first_sequence { Arrival::TooOld } else { self.arrivals.mark(sequence) };
@@ -243,7 +243,7 @@ impl<const N: usize> FrameLink<N> {
             Arrival::Newer => return Ok(()),
             Arrival::Duplicate => {
                 self.statistics.duplicate += 1;
-                return Err(Refusal::Duplicate(sequence));
+                return Err(RejectReason::Duplicate(sequence));
             }
             Arrival::Late => {
                 self.statistics.late += 1;
@@ -252,7 +252,7 @@ impl<const N: usize> FrameLink<N> {
             }
             Arrival::TooOld => self.statistics.late += 1,
         }
-        Err(Refusal::Late(sequence))
+        Err(RejectReason::Late(sequence))
     }
 
     fn count_missing(&mut self) {
@@ -403,10 +403,10 @@ mod tests {
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         assert_eq!(master.receive(0, &frames[1]), Ok(true));
         assert_eq!(master.receive(MS, &frames[3]), Ok(false));
-        assert_eq!(master.receive(MS, &frames[2]), Err(Refusal::Late(2)));
-        assert_eq!(master.receive(MS, &frames[2]), Err(Refusal::Duplicate(2)));
-        assert_eq!(master.receive(MS, &frames[3]), Err(Refusal::Duplicate(3)));
-        assert_eq!(master.receive(MS, &frames[0]), Err(Refusal::Late(0)));
+        assert_eq!(master.receive(MS, &frames[2]), Err(RejectReason::Late(2)));
+        assert_eq!(master.receive(MS, &frames[2]), Err(RejectReason::Duplicate(2)));
+        assert_eq!(master.receive(MS, &frames[3]), Err(RejectReason::Duplicate(3)));
+        assert_eq!(master.receive(MS, &frames[0]), Err(RejectReason::Late(0)));
         assert_eq!(master.newest().unwrap().sequence, 3);
         assert_eq!(master.age_ns(5 * MS), Some(4 * MS));
         let counts = master.statistics();
@@ -430,9 +430,9 @@ mod tests {
         let (first, second) = (frames(3, 1), frames(3, 2));
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         master.receive(0, &first[2]).unwrap();
-        assert_eq!(master.receive(199 * MS, &second[0]), Err(Refusal::Session(2)));
+        assert_eq!(master.receive(199 * MS, &second[0]), Err(RejectReason::Session(2)));
         assert_eq!(master.receive(201 * MS, &second[0]), Ok(true));
-        assert_eq!(master.receive(202 * MS, &first[2]), Err(Refusal::Session(1)));
+        assert_eq!(master.receive(202 * MS, &first[2]), Err(RejectReason::Session(1)));
         assert_eq!(master.newest().unwrap().session, 2);
     }
 
@@ -512,7 +512,7 @@ mod tests {
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         master.receive(1000 * MS, &frames[0]).unwrap();
         assert_eq!(master.receive(1001 * MS, &frames[1000]), Ok(false));
-        assert_eq!(master.receive(1002 * MS, &frames[999]), Err(Refusal::Late(999)));
+        assert_eq!(master.receive(1002 * MS, &frames[999]), Err(RejectReason::Late(999)));
     }
 
     proptest! {

@@ -3,7 +3,7 @@
 use haptether_netsim::EndpointClock;
 
 /// A loop that wakes later than this discards the backlog and holds: what it knows is old.
-const MOST_LATE_NS: u64 = 20_000_000;
+const MAX_LATE_NS: u64 = 20_000_000;
 
 /// What a loop does that waited for a deadline and woke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +26,7 @@ impl Wake {
 
     /// Whether what has arrived meanwhile is too old to act on.
     pub(crate) fn is_stalled(&self) -> bool {
-        self.overshoot_ns > MOST_LATE_NS
+        self.overshoot_ns > MAX_LATE_NS
     }
 }
 
@@ -86,7 +86,7 @@ const PACE_SHARE: u64 = 1024;
 
 /// Least time between two ticks at a device's samples, in eighths of the period: force grows by so much a tick, so a
 /// device that gives its samples in a burst, or at twice the rate, must not make it grow faster.
-const LEAST_EIGHTHS: u64 = 7;
+const MIN_EIGHTHS: u64 = 7;
 
 /// When a loop ticks that a device paces: at its samples, each of which may come late, but none before its time.
 #[derive(Clone, Copy, Debug)]
@@ -134,7 +134,7 @@ impl DevicePace {
         let wake = Wake::new(self.next_ns.min(now_ns), now_ns, self.period_ns);
         let late_ns = now_ns - wake.deadline_ns;
         self.next_ns = wake.deadline_ns + late_ns / PACE_SHARE + self.period_ns;
-        self.least_ns = now_ns + self.period_ns * LEAST_EIGHTHS / 8;
+        self.least_ns = now_ns + self.period_ns * MIN_EIGHTHS / 8;
         Wake { deadline_ns: now_ns, ..wake }
     }
 }

@@ -11,7 +11,7 @@ use crate::{
 
 /// What the records of both sides say of the ladder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Told {
+pub(crate) struct LadderSnapshot {
     reason: u8,
     peer: [u8; 3],
     clutch: bool,
@@ -21,7 +21,7 @@ pub(crate) struct Told {
 /// What stands for the codes of a peer that has not been heard.
 const NO_PEER: [u8; 3] = [u8::MAX, 0, 0];
 
-impl Told {
+impl LadderSnapshot {
     pub(crate) fn of<const N: usize>(exchange: &Exchange<N>) -> Self {
         let reason = exchange.last_transition().map_or(0, |last| last.reason.code());
         // 0 is what the link says before the first.
@@ -112,7 +112,7 @@ impl<const N: usize> MasterRecord<N> {
         position: &Axes<N>,
         truth: Option<Truth<N>>,
         tick: &MasterTick<N>,
-        told: Told,
+        told: LadderSnapshot,
     ) -> Self {
         let Truth { position: true_position, velocity, hand_force } = truth.unwrap_or(Truth {
             position: *position,
@@ -201,7 +201,7 @@ impl<const N: usize> SlaveRecord<N> {
         time: TickTime,
         [position, _, environment_force]: &[Axes<N>; 3],
         tick: &SlaveTick<N>,
-        told: Told,
+        told: LadderSnapshot,
     ) -> Self {
         Self {
             time_ns: time.now_ns - time.start_ns,

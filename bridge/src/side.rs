@@ -1,15 +1,15 @@
 //! One side of the bridge, plant and endpoint together: what both runners call at each tick.
 
 use crate::{
-    act::Act,
+    act::OperatorCommand,
     coupling::{CouplingError, FrameMap},
     endpoint::{MasterEndpoint, SlaveEndpoint},
     fault_text::FaultText,
-    ladder::{Button, Clutch, ClutchError, FlightRecorder, LadderState, Person},
-    link::{LinkStatistics, Refusal},
+    ladder::{Button, Clutch, ClutchError, FlightRecorder, LadderState, SimulatedOperator},
+    link::{LinkStatistics, RejectReason},
     path::PathReport,
     plant::{MasterPlant, SlavePlant},
-    record::{MasterRecord, SlaveRecord, Told},
+    record::{LadderSnapshot, MasterRecord, SlaveRecord},
     wire::{MAX_FRAME, frame_length},
 };
 
@@ -62,7 +62,7 @@ pub trait Side {
     fn late(&mut self, late_ns: u64);
 
     /// Takes a datagram that arrived by `now_ns`; a refused one is counted and otherwise forgotten.
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal>;
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason>;
 
     /// Reads the plant, decides, writes the plant.
     fn tick(&mut self, time: TickTime) -> Self::Record;
@@ -118,7 +118,7 @@ pub trait Side {
 
     /// A person at this side acts, at `now_ns`. What the other side has is passed over; numbers that cannot be change
     /// nothing.
-    fn act(&mut self, _now_ns: u64, _act: Act) -> Result<(), CouplingError> {
+    fn act(&mut self, _now_ns: u64, _act: OperatorCommand) -> Result<(), CouplingError> {
         Ok(())
     }
 }
@@ -131,14 +131,14 @@ pub struct MasterSide<P, const N: usize> {
     /// What decides.
     pub endpoint: MasterEndpoint<N>,
     /// Who presses the clutch of a device that has no button.
-    pub person: Person,
+    pub person: SimulatedOperator,
     button: Button,
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// A side whose clutch is worked by a person.
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
-        Ok(Self { plant, endpoint, person: Person::new(clutch)?, button: Button::default() })
+        Ok(Self { plant, endpoint, person: SimulatedOperator::new(clutch)?, button: Button::default() })
     }
 }
 
@@ -155,7 +155,7 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.endpoint.late(late_ns);
     }
 
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         self.endpoint.receive(now_ns, datagram)
     }
 
@@ -175,7 +175,7 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         if tick.state.is_coupled() {
             self.plant.engaged();
         }
-        let told = Told::of(self.endpoint.exchange());
+        let told = LadderSnapshot::of(self.endpoint.exchange());
         MasterRecord::new(time, &position, truth, &tick, told)
     }
 
@@ -241,12 +241,14 @@ impl<P: MasterPlant<N>, const N: usize> Side for MasterSide<P, N> {
         self.plant.clutch().unwrap_or(was_pressed)
     }
 
-    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+    fn act(&mut self, now_ns: u64, act: OperatorCommand) -> Result<(), CouplingError> {
         match act {
-            Act::Acknowledge => self.endpoint.acknowledge(now_ns),
-            Act::ForceScale(scale) => self.endpoint.set_force_scale(scale)?,
-            Act::Frame { quat_wxyz, locked } => self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?),
-            Act::PositionScale(_) => {}
+            OperatorCommand::Acknowledge => self.endpoint.acknowledge(now_ns),
+            OperatorCommand::ForceScale(scale) => self.endpoint.set_force_scale(scale)?,
+            OperatorCommand::Frame { quat_wxyz, locked } => {
+                self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?)
+            }
+            OperatorCommand::PositionScale(_) => {}
         }
         Ok(())
     }
@@ -282,7 +284,7 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         self.endpoint.late(late_ns);
     }
 
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         self.endpoint.receive(now_ns, datagram)
     }
 
@@ -309,7 +311,7 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         if tick.state.is_coupled() {
             self.plant.engaged(time.now_ns);
         }
-        SlaveRecord::new(time, &sample, &tick, Told::of(self.endpoint.exchange()))
+        SlaveRecord::new(time, &sample, &tick, LadderSnapshot::of(self.endpoint.exchange()))
     }
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
@@ -357,12 +359,14 @@ impl<P: SlavePlant<N>, const N: usize> Side for SlaveSide<P, N> {
         self.endpoint.exchange().flight()
     }
 
-    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+    fn act(&mut self, now_ns: u64, act: OperatorCommand) -> Result<(), CouplingError> {
         match act {
-            Act::Acknowledge => self.endpoint.acknowledge(now_ns),
-            Act::PositionScale(scale) => self.endpoint.set_position_scale(scale)?,
-            Act::Frame { quat_wxyz, locked } => self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?),
-            Act::ForceScale(_) => {}
+            OperatorCommand::Acknowledge => self.endpoint.acknowledge(now_ns),
+            OperatorCommand::PositionScale(scale) => self.endpoint.set_position_scale(scale)?,
+            OperatorCommand::Frame { quat_wxyz, locked } => {
+                self.endpoint.set_map(FrameMap::turned(quat_wxyz, &locked)?)
+            }
+            OperatorCommand::ForceScale(_) => {}
         }
         Ok(())
     }

@@ -39,7 +39,7 @@ pub struct VirtualSettings {
 }
 
 /// Most datagrams under way in one direction: more than an hour at 1 kHz. They take memory only as they come.
-const MOST_IN_FLIGHT: usize = 1 << 22;
+const MAX_IN_FLIGHT: usize = 1 << 22;
 
 /// Why a run in virtual time cannot be.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -73,7 +73,7 @@ struct Way {
 impl Way {
     fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
         let link = Link::new(direction, seed, settings)?;
-        Ok(Self { link, in_flight: InFlight::growing(MOST_IN_FLIGHT), index: 0, direction })
+        Ok(Self { link, in_flight: InFlight::growing(MAX_IN_FLIGHT), index: 0, direction })
     }
 
     /// Hands over what is due by `now_ns`, when the receiver's clock shows `clock_ns`; answers go `back`.

@@ -43,7 +43,7 @@ use zerocopy::{
 };
 
 use crate::{
-    coupling::{MOST_ENERGY_J, PortEnergy},
+    coupling::{MAX_ENERGY_J, PortEnergy},
     fault_text::{PIECE, TextPiece},
 };
 
@@ -60,9 +60,9 @@ const CAUSE: usize = 4 + PIECE;
 /// Bytes of the checksum.
 const CHECKSUM: usize = 4;
 /// Most axes of a device or an arm.
-pub const MOST_AXES: usize = 7;
+pub const MAX_AXES: usize = 7;
 /// Bytes of a frame of the largest number of axes.
-pub const MAX_FRAME: usize = frame_length(MOST_AXES);
+pub const MAX_FRAME: usize = frame_length(MAX_AXES);
 
 /// Bytes of a frame of `axes` axes.
 pub const fn frame_length(axes: usize) -> usize {
@@ -197,7 +197,7 @@ pub enum WireError {
     #[error("frame {0}: {1}")]
     Value(u64, haptether_safety::Fault),
     /// Energies that cannot be.
-    #[error("frame {sequence}: energies {energy:?}: must be between 0 and {MOST_ENERGY_J} J")]
+    #[error("frame {sequence}: energies {energy:?}: must be between 0 and {MAX_ENERGY_J} J")]
     Energy {
         /// Of the frame.
         sequence: u64,

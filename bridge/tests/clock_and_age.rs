@@ -4,8 +4,8 @@
 use std::ops::ControlFlow;
 
 use haptether_bridge::{
-    Event, FlightRecorder, FrameLink, LadderState, PortState, Refusal, Side, SideCounts, Status, TickTime,
-    VirtualSettings,
+    Event, FlightRecorder, FrameLink, LadderState, PortState, RejectReason, Side, SideCounts, Status,
+    TickTime, VirtualSettings,
     clock::{Age, ClockFault, PeerOffset},
     run_virtual,
     wire::{MAX_FRAME, Role, frame_length},
@@ -54,7 +54,7 @@ impl Side for Measuring {
         self.link.late(late_ns);
     }
 
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         let before = self.link.path_report(now_ns).clock_faults;
         self.link.receive(now_ns, datagram)?;
         let report = self.link.path_report(now_ns);

@@ -4,8 +4,8 @@
 use std::{net::SocketAddr, time::Duration};
 
 use haptether_bridge::{
-    Act, Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, MasterEndpoint,
-    MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
+    Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, MasterEndpoint,
+    MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
     coupling::CommandBounds,
     live::{
         Ineffective, LiveSettings, LiveWatch, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
@@ -93,7 +93,7 @@ fn ticks<S: Seen>(mut side: S, failed_first: bool, met: &[Met]) -> Vec<(LadderSt
             side.device_failed();
         }
         if met.acknowledged {
-            side.act(now_ns, Act::Acknowledge).unwrap();
+            side.act(now_ns, OperatorCommand::Acknowledge).unwrap();
         }
         if met.failed && !failed_first {
             side.device_failed();
@@ -168,10 +168,10 @@ fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
         told
     };
     turn(&mut paced, false);
-    watch.act(Act::Acknowledge).unwrap();
+    watch.act(OperatorCommand::Acknowledge).unwrap();
     assert_eq!(turn(&mut paced, true), Some(LadderState::Fault), "{role:?}");
     assert_eq!(turn(&mut paced, false), Some(LadderState::Fault), "{role:?}");
-    watch.act(Act::Acknowledge).unwrap();
+    watch.act(OperatorCommand::Acknowledge).unwrap();
     assert_ne!(turn(&mut paced, false), Some(LadderState::Fault), "{role:?}");
 }
 
@@ -219,7 +219,7 @@ fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) 
     let failing = std::thread::spawn(move || paced.fail(&FaultText::new("the bus is down")));
     while !failing.is_finished() {
         // Full where the loop has not taken them yet.
-        let _ = watch.act(Act::Acknowledge);
+        let _ = watch.act(OperatorCommand::Acknowledge);
         std::thread::sleep(Duration::from_micros(100));
     }
     failing.join().unwrap();

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
-    Act, FrameLink, LadderSettings, LadderState, PortState, Side, SlaveEndpoint, SlaveSettings, SlaveSide,
-    Status, TickTime,
+    FrameLink, LadderSettings, LadderState, OperatorCommand, PortState, Side, SlaveEndpoint, SlaveSettings,
+    SlaveSide, Status, TickTime,
     coupling::CommandBounds,
     wire::{MAX_FRAME, Role},
 };
@@ -149,7 +149,7 @@ fn a_stop_is_latched() {
         bench.run(320, true, true, SPEED);
         bench.run(500, false, true, SPEED);
         let rest = bench.tick(false, true, 0.0).command;
-        bench.slave.act(bench.tick * MS, Act::Acknowledge).unwrap();
+        bench.slave.act(bench.tick * MS, OperatorCommand::Acknowledge).unwrap();
         // The master is back and its clutch was never let go.
         for one in bench.run(500, true, true, SPEED) {
             assert_eq!((one.state, one.command), (LadderState::Stop, rest), "{name}");
@@ -174,9 +174,9 @@ proptest! {
         bench.run(100, true, true, speed);
         bench.run(late, false, true, speed);
         let act = if which {
-            Act::PositionScale(scale)
+            OperatorCommand::PositionScale(scale)
         } else {
-            Act::Frame { quat_wxyz: [1.0, 0.0, 0.0, 0.0], locked: [locked; 7] }
+            OperatorCommand::Frame { quat_wxyz: [1.0, 0.0, 0.0, 0.0], locked: [locked; 7] }
         };
         // The tick before has the same frame.
         let before = bench.tick(false, true, speed);

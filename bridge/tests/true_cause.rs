@@ -5,9 +5,9 @@ use LadderState::{Disengaged, Engaged, Fault, Hold, Stop};
 use std::collections::VecDeque;
 
 use haptether_bridge::{
-    Act, Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, MasterEndpoint,
-    MasterSettings, MasterSide, Reason, Remedy, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
-    coupling::CommandBounds, wire::MAX_FRAME,
+    Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, MasterEndpoint,
+    MasterSettings, MasterSide, OperatorCommand, Reason, Remedy, Side, SlaveEndpoint, SlaveSettings,
+    SlaveSide, TickTime, coupling::CommandBounds, wire::MAX_FRAME,
 };
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
@@ -132,7 +132,7 @@ fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
     pair.press();
     assert_eq!(pair.states(), (Stop, Fault));
     assert_eq!(told(&pair.master), expected);
-    pair.slave.act(pair.now_ns, Act::Acknowledge).unwrap();
+    pair.slave.act(pair.now_ns, OperatorCommand::Acknowledge).unwrap();
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Stop, Disengaged));
     assert_eq!(told(&pair.master).2, [("master", Remedy::Press)]);

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::{
     Axes, ModelError, Path,
-    path::{DEGREE, LEAST_LEG_S},
+    path::{DEGREE, MIN_LEG_S},
     polynomial::{Series, TERMS},
     require,
 };
@@ -275,7 +275,7 @@ impl<const N: usize> Hand<N> {
 
 /// A time in s in which a grip changes, or 0 where it is too short for a rate: powers of it would overflow.
 fn or_at_once(duration_s: f64) -> f64 {
-    if duration_s < LEAST_LEG_S { 0.0 } else { duration_s }
+    if duration_s < MIN_LEG_S { 0.0 } else { duration_s }
 }
 
 /// The number of s nearest to whole ns: a sum of decimal seconds lies a rounding beside the tick that it means.

@@ -30,7 +30,7 @@ impl LegShape {
 }
 
 /// Shortest leg in s: the powers of its rate stay far from overflow.
-pub(crate) const LEAST_LEG_S: f64 = 1e-9;
+pub(crate) const MIN_LEG_S: f64 = 1e-9;
 
 /// One leg: from where the last one ended to `end`, within `duration_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +62,7 @@ impl<const N: usize> Path<N> {
         let mut time = 0.0;
         for leg in &legs {
             let allowed = "finite and at least 1e-9";
-            require("duration_s", leg.duration_s, leg.duration_s >= LEAST_LEG_S, allowed)?;
+            require("duration_s", leg.duration_s, leg.duration_s >= MIN_LEG_S, allowed)?;
             for x in &leg.end {
                 require("end", *x, true, "finite")?;
             }

@@ -19,19 +19,19 @@ pub struct MasterSample<const N: usize> {
 
 /// Progress in s below which an event counts as another at the same instant. At a tie (the grip exactly as strong as
 /// the load) rounding would place the next event at no distance for ever.
-const LEAST_PROGRESS: f64 = 1e-9;
+const MIN_PROGRESS: f64 = 1e-9;
 
-/// Events at one instant; beyond them the motion is taken on by [`LEAST_PROGRESS`].
-const MOST_STALLS: u32 = 8;
+/// Events at one instant; beyond them the motion is taken on by [`MIN_PROGRESS`].
+const MAX_STALLS: u32 = 8;
 
 /// Stretches of one advance; beyond them it moves on in steps of this share of it, so that a tick always ends.
-const MOST_STRETCHES: u32 = 4096;
+const MAX_STRETCHES: u32 = 4096;
 
 /// Share of an advance below which a stretch is short, and how many of these show that the motion is too stiff to be
 /// followed; the rest is then taken in as many steps. A transient under stiff damping takes 80, after which
 /// [`Law::relaxed`] goes on.
 const SHORT: f64 = 1.0 / 8192.0;
-const MOST_SHORT: u32 = 512;
+const MAX_SHORT: u32 = 512;
 
 /// Share of the time wanted below which a series that reaches no further is that of a stiff motion.
 const STIFF_SHARE: f64 = 1.0 / 32.0;
@@ -205,12 +205,12 @@ impl<const N: usize> SimulatedMaster<N> {
         let (mut stretches, mut stalls, mut short) = (0, 0, 0);
         while done < duration {
             stretches += 1;
-            let least = if short > MOST_SHORT {
-                duration / f64::from(MOST_SHORT)
-            } else if stretches > MOST_STRETCHES {
-                duration / f64::from(MOST_STRETCHES)
-            } else if stalls > MOST_STALLS {
-                LEAST_PROGRESS
+            let least = if short > MAX_SHORT {
+                duration / f64::from(MAX_SHORT)
+            } else if stretches > MAX_STRETCHES {
+                duration / f64::from(MAX_STRETCHES)
+            } else if stalls > MAX_STALLS {
+                MIN_PROGRESS
             } else {
                 0.0
             };
@@ -218,7 +218,7 @@ impl<const N: usize> SimulatedMaster<N> {
             let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.time));
             let (taken, to_its_reach) = self.stretch(wanted, least, clock + done);
             // A direction that turns fast is followed in short stretches, which are progress.
-            let moves_on = taken >= LEAST_PROGRESS || (to_its_reach && taken > 0.0);
+            let moves_on = taken >= MIN_PROGRESS || (to_its_reach && taken > 0.0);
             stalls = if moves_on { 0 } else { stalls + 1 };
             short += u32::from(taken < duration * SHORT);
             let reached_kink = taken == wanted && kink.is_some_and(|kink| kink - self.time == wanted);

@@ -116,7 +116,7 @@ impl<const N: usize> SteppedMaster<N> {
             velocity: Axes::zeros(),
             hand_force: Axes::zeros(),
         };
-        master.feel_hand();
+        master.update_hand_force();
         Ok(master)
     }
 
@@ -127,7 +127,7 @@ impl<const N: usize> SteppedMaster<N> {
             require("velocity", *v, true, "finite")?;
         }
         (self.position, self.velocity) = (position, velocity);
-        self.feel_hand();
+        self.update_hand_force();
         Ok(())
     }
 
@@ -267,7 +267,7 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
     }
 
     #[inline(always)]
-    fn feel_hand(&mut self) {
+    fn update_hand_force(&mut self) {
         self.hand_force = self.hand.force(self.time(0.0), &self.position, &self.velocity);
     }
 
@@ -296,7 +296,7 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
 
     /// `c V / max(|V|, V_f)`.
     #[inline(always)]
-    fn rubbing(&self, velocity: &Axes<N, S>) -> Axes<N, S> {
+    fn friction_force(&self, velocity: &Axes<N, S>) -> Axes<N, S> {
         let one = S::splat(1.0);
         if N == 1 || self.friction == Friction::Axis {
             return velocity.zip_map(&self.coulomb, |v, coulomb| {
@@ -320,7 +320,7 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
             force += self.forces_of_walls(position, velocity);
         }
         force -= self.viscous.component_mul(velocity);
-        force -= self.rubbing(velocity);
+        force -= self.friction_force(velocity);
         force.component_div(&self.mass)
     }
 
@@ -373,6 +373,6 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
         if !self.waits {
             self.steps += 1;
         }
-        self.feel_hand();
+        self.update_hand_force();
     }
 }

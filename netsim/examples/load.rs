@@ -21,7 +21,7 @@ const SIZE: usize = 64;
 const BATCH: usize = 64;
 const BUFFER_BYTES: usize = 8 << 20;
 /// Above so many a second, datagrams leave in small groups.
-const MOST_SINGLE: f64 = 5000.0;
+const MAX_SINGLE: f64 = 5000.0;
 const GROUP_PERIOD: Duration = Duration::from_micros(100);
 /// How long the last datagrams may take.
 const DRAIN: Duration = Duration::from_millis(1500);
@@ -153,7 +153,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let answers_to = meet(&client, &peer, proxy)?;
     let (mut client, mut peer) = (Side::new(client, proxy)?, Side::new(peer, answers_to)?);
 
-    let period = if rate_hz > MOST_SINGLE { GROUP_PERIOD } else { Duration::from_secs_f64(1.0 / rate_hz) };
+    let period = if rate_hz > MAX_SINGLE { GROUP_PERIOD } else { Duration::from_secs_f64(1.0 / rate_hz) };
     let duration = Duration::from_secs_f64(seconds);
     let origin = Instant::now();
     let mut next = Duration::ZERO;
@@ -167,7 +167,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 side.send(due.saturating_sub(side.sent), origin);
             }
             next = elapsed + period / 8;
-            if rate_hz > MOST_SINGLE {
+            if rate_hz > MAX_SINGLE {
                 next = elapsed + period;
             }
         }

@@ -3,7 +3,7 @@
 use crate::settings::{Checksum, Edit, Operation};
 
 /// Most numbers that one attack changes.
-pub(crate) const MOST_EDITS: usize = 4;
+pub(crate) const MAX_EDITS: usize = 4;
 
 /// Bytes of a number.
 pub(crate) const NUMBER_BYTES: usize = 8;
@@ -14,13 +14,13 @@ const CHECKSUM_BYTES: usize = 4;
 /// Edits, one after the other, and what is put right after them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Alteration {
-    pub(crate) edits: [Option<Edit>; MOST_EDITS],
+    pub(crate) edits: [Option<Edit>; MAX_EDITS],
     pub(crate) checksum: Option<Checksum>,
 }
 
 impl Alteration {
     /// None.
-    pub(crate) const NONE: Self = Self { edits: [None; MOST_EDITS], checksum: None };
+    pub(crate) const NONE: Self = Self { edits: [None; MAX_EDITS], checksum: None };
 
     /// Whether the bytes stay as they are.
     pub(crate) fn is_none(&self) -> bool {
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     fn altered(edits: &[Edit], checksum: Option<Checksum>, payload: &[u8]) -> Vec<u8> {
-        let mut list = [None; MOST_EDITS];
+        let mut list = [None; MAX_EDITS];
         for (slot, edit) in list.iter_mut().zip(edits) {
             *slot = Some(*edit);
         }

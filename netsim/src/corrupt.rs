@@ -2,7 +2,7 @@
 //!
 //! A packet and each copy of it are corrupted independently.
 
-use crate::damage::{Damage, Flips, MOST_FLIPS};
+use crate::damage::{Damage, Flips, MAX_FLIPS};
 use crate::random::{Event, Impairment};
 use crate::rule::{Ending, Extras, Streams};
 use crate::settings::{LinkError, LinkSettings, probability, within};
@@ -19,7 +19,7 @@ pub(crate) fn build(
     streams: &Streams,
 ) -> Result<Option<Box<dyn Ending>>, LinkError> {
     probability("corrupt", settings.corrupt)?;
-    within("corrupt_bits", f64::from(settings.corrupt_bits), 1.0, f64::from(MOST_FLIPS))?;
+    within("corrupt_bits", f64::from(settings.corrupt_bits), 1.0, f64::from(MAX_FLIPS))?;
     if settings.corrupt == 0.0 {
         return Ok(None);
     }

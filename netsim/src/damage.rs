@@ -40,7 +40,7 @@ pub(crate) struct Flips {
 }
 
 /// Most bits that are flipped in a packet at once.
-pub(crate) const MOST_FLIPS: u32 = 1024;
+pub(crate) const MAX_FLIPS: u32 = 1024;
 
 /// A number of bytes as [`Damage`] keeps it: no packet has as many as are cut off here.
 pub(crate) fn bytes(count: usize) -> u32 {
@@ -114,9 +114,9 @@ impl Flips {
         let start = (self.start as usize).min(payload.len());
         let end = (self.end as usize).clamp(start, payload.len());
         let bits = (end - start) as u64 * 8;
-        let wanted = u64::from(self.bits.min(MOST_FLIPS)).min(bits);
+        let wanted = u64::from(self.bits.min(MAX_FLIPS)).min(bits);
         let stream = self.stream.nth(FLIPPED);
-        let mut chosen = ArrayVec::<u64, { MOST_FLIPS as usize }>::new();
+        let mut chosen = ArrayVec::<u64, { MAX_FLIPS as usize }>::new();
         for last in bits - wanted..bits {
             let drawn = stream.up_to_at(last, index, chosen.len());
             let bit = if chosen.contains(&drawn) { last } else { drawn };
@@ -192,7 +192,7 @@ mod tests {
             let mut payload = vec![0; size];
             Damage { corrupted: flips(bits, start, end), index, ..Damage::NONE }.apply(&mut payload);
             let range = (start as usize).min(size)..(end as usize).min(size);
-            let wanted = bits.min(MOST_FLIPS).min(8 * u32::try_from(range.len()).unwrap());
+            let wanted = bits.min(MAX_FLIPS).min(8 * u32::try_from(range.len()).unwrap());
             let flipped = |bytes: &[u8]| bytes.iter().map(|byte| byte.count_ones()).sum::<u32>();
             prop_assert_eq!(flipped(&payload), wanted);
             prop_assert_eq!(flipped(&payload[range]), wanted);

@@ -48,10 +48,10 @@ pub use in_flight::{DEFAULT_CAPACITY, InFlight};
 pub use law::DelayLaw;
 pub use link::{Link, LinkCounters, Rules};
 pub use probe::{
-    Echo, EchoStatistics, MOST_PROBES, MOST_RATE_HZ, Probe, ProbeError, RecordSettings, Recording, record,
+    Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, Probe, ProbeError, RecordSettings, Recording, record,
 };
 pub use proxy::{
-    DirectionStatistics, MAX_DATAGRAM, MOST_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
+    DirectionStatistics, MAX_DATAGRAM, MAX_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
     ProxySettings, ProxyStatistics, ScheduleBefore, Scheduling, SchedulingError, Source, schedule_fifo,
 };
 pub use settings::{

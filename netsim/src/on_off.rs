@@ -12,14 +12,14 @@ use crate::random::{Chance, Stream, unit};
 use crate::settings::nanoseconds;
 
 /// Least mean time between two draws of the state in s: a time is counted in whole ns.
-pub(crate) const LEAST_GAP_S: f64 = 5e-7;
+pub(crate) const MIN_GAP_S: f64 = 5e-7;
 /// Longest mean time on or off in s.
 pub(crate) const MAX_MEAN_S: f64 = 1e6;
 
 /// Mean number of draws in a block. Few blocks have none, so that one seldom looks back by more than one.
 const DRAWS_PER_BLOCK: f64 = 8.0;
 /// Blocks looked back at most; all of them without a draw has a probability of `exp(-512)`.
-const MOST_BLOCKS_BACK: u64 = 64;
+const MAX_BLOCKS_BACK: u64 = 64;
 
 /// Whether it is on at a given time.
 #[derive(Clone, Copy, Debug)]
@@ -106,7 +106,7 @@ impl OnOff {
 
     /// The first stretch of a block.
     fn block(&self, block: u64) -> Stretch {
-        let back = (1..=block.min(MOST_BLOCKS_BACK)).find_map(|back| self.last_drawn(block - back));
+        let back = (1..=block.min(MAX_BLOCKS_BACK)).find_map(|back| self.last_drawn(block - back));
         // Nothing precedes the first block.
         let off = back.unwrap_or_else(|| self.off.takes(self.stream.bits(block)));
         self.first_of(block, off)

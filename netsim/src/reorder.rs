@@ -12,12 +12,12 @@ use crate::settings::{LinkError, LinkSettings, MAX_DELAY_S, OutageEffect, nanose
 use crate::verdict::{Packet, Verdict};
 
 /// Most packets that one overtakes.
-const MOST_DEPTH: usize = 1024;
+const MAX_DEPTH: usize = 1024;
 
 pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option<Box<dyn Rule>>, LinkError> {
     let depth = settings.reorder_depth;
     probability("reorder", settings.reorder)?;
-    within("reorder_depth", depth as f64, 1.0, MOST_DEPTH as f64)?;
+    within("reorder_depth", depth as f64, 1.0, MAX_DEPTH as f64)?;
     if let Some(hold_s) = settings.reorder_hold_s {
         within("reorder_hold_s", hold_s, 1e-9, MAX_DELAY_S)?;
         if depth != 1 {

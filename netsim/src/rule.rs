@@ -21,10 +21,10 @@ pub(crate) trait Rule: Debug + Send {
 }
 
 /// Most that arrives beside one packet.
-pub(crate) const MOST_EXTRAS: usize = 8;
+pub(crate) const MAX_EXTRAS: usize = 8;
 
 /// What arrives beside a packet.
-pub(crate) type Extras = ArrayVec<Extra, MOST_EXTRAS>;
+pub(crate) type Extras = ArrayVec<Extra, MAX_EXTRAS>;
 
 /// Lets something more arrive beside a packet.
 pub(crate) fn add_extra(extras: &mut Extras, at_ns: u64, cause: ExtraCause, damage: Damage) {

@@ -15,7 +15,7 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 use crate::{
     axes::refuse,
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, SlaveRows, SlaveTrace},
-    local::{MOST_TICKS, PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
+    local::{MAX_TICKS, PyArm, PyHand, PyHapticDevice, PyPusher, PyWall},
     netsim::link_settings,
     safety::{PyEstimatorKind, PyLimiterSettings, PySafetySettings},
 };
@@ -247,8 +247,8 @@ fn run_bridge(
         return Err(PyValueError::new_err("period_s: master and slave must have the same in virtual time"));
     }
     let ticks = nanoseconds("duration_s", duration_s)? / period_ns;
-    if ticks > MOST_TICKS as u64 {
-        let text = format!("duration_s = {duration_s}: {ticks} ticks, must be at most {MOST_TICKS}");
+    if ticks > MAX_TICKS as u64 {
+        let text = format!("duration_s = {duration_s}: {ticks} ticks, must be at most {MAX_TICKS}");
         return Err(PyValueError::new_err(text));
     }
     let settings = VirtualSettings {

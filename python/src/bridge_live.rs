@@ -7,7 +7,7 @@ use std::{
 };
 
 use haptether_bridge::{
-    Act, Side,
+    OperatorCommand, Side,
     live::{LiveHandle, run_live},
     scene::{SceneSpec, simulated_master, simulated_slave},
 };
@@ -83,7 +83,7 @@ impl LiveMaster {
         self.watch().handle()
     }
 
-    fn act(&self, act: Act) -> PyResult<()> {
+    fn act(&self, act: OperatorCommand) -> PyResult<()> {
         let mut run = self.watch();
         if run.is_finished() { Err(ended()) } else { run.act(act) }
     }
@@ -149,7 +149,7 @@ impl LiveMaster {
     }
 
     fn set_force_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(Act::ForceScale(scale))
+        self.act(OperatorCommand::ForceScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
@@ -172,7 +172,7 @@ impl LiveSlave {
         self.watch().handle()
     }
 
-    fn act(&self, act: Act) -> PyResult<()> {
+    fn act(&self, act: OperatorCommand) -> PyResult<()> {
         let mut run = self.watch();
         if run.is_finished() { Err(ended()) } else { run.act(act) }
     }
@@ -244,7 +244,7 @@ impl LiveSlave {
     }
 
     fn set_position_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(Act::PositionScale(scale))
+        self.act(OperatorCommand::PositionScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {

@@ -6,7 +6,8 @@ use std::{
 };
 
 use haptether_bridge::{
-    Act, DrivenMaster, DrivenSlave, FaultText, FlightRecorder, MasterSide, Side, SlaveOrder, SlaveSide,
+    DrivenMaster, DrivenSlave, FaultText, FlightRecorder, MasterSide, OperatorCommand, Side, SlaveOrder,
+    SlaveSide,
     live::{LiveHandle, LiveWatch, LoopReport, PacedLoop, paced_by_device},
     scene::{Timed, driven_master, driven_slave},
 };
@@ -217,7 +218,7 @@ macro_rules! loop_methods {
                 self.watch().handle()
             }
 
-            fn act(&self, act: Act) -> PyResult<()> {
+            fn act(&self, act: OperatorCommand) -> PyResult<()> {
                 let mut watch = self.watch();
                 if watch.is_stopped() { Err(ended()) } else { watch.act(act) }
             }
@@ -337,7 +338,7 @@ impl MasterLoop {
     }
 
     fn set_force_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(Act::ForceScale(scale))
+        self.act(OperatorCommand::ForceScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
@@ -409,7 +410,7 @@ impl SlaveLoop {
     }
 
     fn set_position_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(Act::PositionScale(scale))
+        self.act(OperatorCommand::PositionScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {

@@ -3,7 +3,7 @@
 use std::{mem::MaybeUninit, ops::DerefMut};
 
 use haptether_bridge::{
-    Act, FlightRecorder,
+    FlightRecorder, OperatorCommand,
     live::{
         Ineffective, LiveHandle, LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket,
         Security, SecurityEvent, StartError, now_ns,
@@ -21,7 +21,7 @@ use pyo3::{
 use crate::{axes::refuse, bridge::nanoseconds, bridge_trace::Rowed, netsim::address, reserve};
 
 /// How much of a live run is kept at most, in s: an hour.
-const MOST_KEPT_S: f64 = 3600.0;
+const MAX_KEPT_S: f64 = 3600.0;
 /// Records that wait for a poll.
 const RING: usize = 1 << 16;
 
@@ -81,8 +81,8 @@ impl Place {
 
     fn new(role: Role, listen: &str, peer: PeerAddress, how: How) -> PyResult<Self> {
         let How { security, period_ns, duration_s, patience_s, started_s, keep_s, realtime, record } = how;
-        if !(keep_s > 0.0 && keep_s <= MOST_KEPT_S) {
-            let text = format!("keep_s = {keep_s}: must be above 0 and at most {MOST_KEPT_S} s");
+        if !(keep_s > 0.0 && keep_s <= MAX_KEPT_S) {
+            let text = format!("keep_s = {keep_s}: must be above 0 and at most {MAX_KEPT_S} s");
             return Err(PyValueError::new_err(text));
         }
         let settings = LiveSettings {
@@ -221,7 +221,7 @@ pub(crate) trait Watching<Rows>: Send {
     fn events(&mut self) -> Vec<String>;
     fn flight(&mut self) -> Option<String>;
     fn cause(&mut self) -> Option<String>;
-    fn act(&mut self, act: Act) -> PyResult<()>;
+    fn act(&mut self, act: OperatorCommand) -> PyResult<()>;
     fn press_clutch(&self);
     fn ineffective_presses(&self) -> (u64, Option<&'static str>);
     fn allow_takeover(&self);
@@ -279,7 +279,7 @@ impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for 
         self.run.diagnosis().map(|diagnosis| diagnosis.explain().to_json())
     }
 
-    fn act(&mut self, act: Act) -> PyResult<()> {
+    fn act(&mut self, act: OperatorCommand) -> PyResult<()> {
         act.check::<1>().map_err(refuse)?;
         let full =
             |_| PyRuntimeError::new_err("the loop has not done what it was told before: is it running?");
@@ -392,7 +392,7 @@ macro_rules! watch_methods {
             }
 
             fn acknowledge(&self) -> PyResult<()> {
-                self.act(Act::Acknowledge)
+                self.act(OperatorCommand::Acknowledge)
             }
         }
     };

@@ -337,7 +337,7 @@ local_columns!(
 );
 
 /// Most ticks of one run: 1e8 would be 10 GB of records.
-pub(crate) const MOST_TICKS: usize = 20_000_000;
+pub(crate) const MAX_TICKS: usize = 20_000_000;
 
 #[pyfunction]
 #[pyo3(signature = (device, hand, rendered, *, ticks, settings=None, estimator=None, limiter=None,
@@ -374,8 +374,8 @@ fn run_local(
         return Err(PyValueError::new_err(text));
     }
     .map_err(refuse)?;
-    if ticks > MOST_TICKS {
-        return Err(PyValueError::new_err(format!("ticks = {ticks}: must be at most {MOST_TICKS}")));
+    if ticks > MAX_TICKS {
+        return Err(PyValueError::new_err(format!("ticks = {ticks}: must be at most {MAX_TICKS}")));
     }
     let mut master = SimulatedMaster::new(device.inner, hand.inner.clone(), 0).map_err(refuse)?;
     if let Some((position, velocity)) = start {

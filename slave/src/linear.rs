@@ -8,7 +8,7 @@ const LONGEST: f64 = 1e-3;
 /// Least time in s that an event takes, so that a tick ends.
 const SHORTEST: f64 = 1e-12;
 /// Steps for one piece before its rest is taken at once.
-const MOST_STEPS: u32 = 20_000;
+const MAX_STEPS: u32 = 20_000;
 
 /// What acts on one axis of the tool beside the pushers.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -201,7 +201,7 @@ impl Line {
         step: f64,
     ) -> ([f64; 2], bool) {
         let mut done = 0.0;
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let mut stiffness = arm_stiffness + self.spring[0];
             let mut damping = arm_damping + self.spring[1];
             let mut pull = self.spring[2];

@@ -14,9 +14,9 @@ const LONGEST: f64 = 1e-3;
 /// Shortest step in s: taken whatever the estimated error, so that a tick ends.
 pub(crate) const SHORTEST: f64 = 1e-11;
 /// Attempts for one millisecond before the rest of it is taken coarsely.
-const MOST_ATTEMPTS: u32 = 20_000;
+const MAX_ATTEMPTS: u32 = 20_000;
 /// Attempts for the shortest piece.
-const LEAST_ATTEMPTS: u32 = 1_000;
+const MIN_ATTEMPTS: u32 = 1_000;
 
 /// The tool as the solver sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -227,9 +227,9 @@ impl<const N: usize> Environment<N> {
 
 /// Attempts for a piece of `span` in s: in proportion to it, or short ticks would each have the patience of a long one.
 fn allowed_attempts(span: f64) -> u32 {
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to MOST_ATTEMPTS, and saturates
-    let share = (f64::from(MOST_ATTEMPTS) * (span / LONGEST)) as u32;
-    share.clamp(LEAST_ATTEMPTS, MOST_ATTEMPTS)
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to MAX_ATTEMPTS, and saturates
+    let share = (f64::from(MAX_ATTEMPTS) * (span / LONGEST)) as u32;
+    share.clamp(MIN_ATTEMPTS, MAX_ATTEMPTS)
 }
 
 /// Whether so many attempts have brought so small a share of the piece that its rest would need more than `most`.

@@ -10,9 +10,9 @@ pub(crate) const CLOSE: f64 = 5e-13;
 /// Where nothing is left to be gained.
 const ROUNDED: f64 = 2e-14;
 /// A simple root takes 3 to 5; where two branches meet, each step halves the distance: 2^-30 of 1 rad.
-const MOST_STEPS: usize = 40;
+const MAX_STEPS: usize = 40;
 /// Steps that may fail to halve what a posture is off by, one after the other.
-const MOST_IDLE: usize = 12;
+const MAX_IDLE: usize = 12;
 /// Longest step of a joint, rad: farther, the chain is no longer as straight as a step takes it to be.
 const LONGEST: f64 = 0.5;
 
@@ -75,12 +75,12 @@ impl UrChain {
         let mut q = *start;
         let (mut best, mut least) = (q, f64::INFINITY);
         let mut idle = 0;
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let (pose, jacobian) = self.forward(&q);
             let error = difference(target, &pose);
             let off = error.amax();
             idle = if off > 0.5 * least { idle + 1 } else { 0 };
-            let stalled = idle > if off <= CLOSE { 0 } else { MOST_IDLE };
+            let stalled = idle > if off <= CLOSE { 0 } else { MAX_IDLE };
             if off < least {
                 (best, least) = (q, off);
             }

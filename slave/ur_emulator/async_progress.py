@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 RUNNING: Final = 1 << 15
-MOST_PROGRESS: Final = RUNNING - 1
+MAX_PROGRESS: Final = RUNNING - 1
 COUNTS: Final = 128
 
 
@@ -32,7 +32,7 @@ class AsyncProgress:
         elif value < 0:
             self.end()
         else:
-            self._tell(RUNNING + min(value, MOST_PROGRESS))
+            self._tell(RUNNING + min(value, MAX_PROGRESS))
 
     def end(self) -> None:
         """It has ended."""

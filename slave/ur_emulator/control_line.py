@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.environment import ToolEnvironment
     from haptether.slave.ur_emulator.faults import Faults
 
-MOST_FORCE_N = 10_000.0
+MAX_FORCE_N = 10_000.0
 SHOWN_LINES = 20
 """Lines of the log where no number is given."""
 
@@ -157,8 +157,8 @@ class ControlLine:
             _refuse("must be FX or FX,FY,FZ in N, and for how long in s")
         parts = words[0].split(",")
         force = [*_numbers(parts, len(parts)), 0.0, 0.0][:3]
-        if len(parts) not in {1, 3} or max(map(abs, force)) > MOST_FORCE_N:
-            _refuse(f"force {words[0]}: must be one or three numbers of at most {MOST_FORCE_N:g} N")
+        if len(parts) not in {1, 3} or max(map(abs, force)) > MAX_FORCE_N:
+            _refuse(f"force {words[0]}: must be one or three numbers of at most {MAX_FORCE_N:g} N")
         duration_s = _positive(words[1:], math.inf)
         self._environment.push((force[0], force[1], force[2]), duration_s)
 

@@ -11,7 +11,7 @@ from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
 from haptether.slave.ur_emulator.rtde_types import NOT_FOUND, Number, Value, WireType
 from haptether.slave.ur_emulator.version import ControllerVersion
 
-MOST_RECIPES: Final = 255
+MAX_RECIPES: Final = 255
 MAX_INPUT_FIELDS: Final = 4096
 """Over all input recipes of a connection; ur_rtde's have some 300."""
 PROTOCOLS: Final = frozenset({1, 2})
@@ -172,7 +172,7 @@ class RtdeSession:
             self._refuse_list(names)
             return frames.recipe(frames.SETUP_INPUTS, 0, [])
         fields = sum(len(recipe.names) for recipe in self._recipes.values()) + len(names)
-        fits = bool(names) and len(self._recipes) < MOST_RECIPES and fields <= MAX_INPUT_FIELDS
+        fits = bool(names) and len(self._recipes) < MAX_RECIPES and fields <= MAX_INPUT_FIELDS
         types, kinds = self.inputs.claim(self.number, names, wanted=fits)
         number = 0
         if fits and kinds is not None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.controller import Controller
     from haptether.slave.ur_emulator.faults import Faults
 
-MOST_CONNECTIONS: Final = 64
+MAX_CONNECTIONS: Final = 64
 SEND_BUFFER: Final = 1 << 16
 """Bytes in the system's hands: so much is old at most when a slow reader comes back."""
 SERVING_SHARE: Final = 0.4
@@ -25,7 +25,7 @@ MAX_OUTBOX: Final = 1 << 16
 """Bytes that may wait for a client before nothing more is taken of it."""
 WORTH_SENDING_S: Final = 0.02
 """Age of a state from which on it is skipped where a newer one is there: a stall of the machine costs packages."""
-MOST_CATCH_UP_S: Final = 0.5
+MAX_CATCH_UP_S: Final = 0.5
 """Time that is made up for after a stall; what was lost beyond it is lost."""
 
 
@@ -142,9 +142,9 @@ class Server:
         late_s = now_s - due_s
         self.worst_late_s = max(self.worst_late_s, late_s)
         self.late_cycles += late_s > period_s
-        if late_s > MOST_CATCH_UP_S:
+        if late_s > MAX_CATCH_UP_S:
             # Whole periods, so that the rhythm stays.
-            lost = int((late_s - MOST_CATCH_UP_S) / period_s) * period_s
+            lost = int((late_s - MAX_CATCH_UP_S) / period_s) * period_s
             self.lost_s += lost
             due_s += lost
         cycles = unsent = 0
@@ -221,7 +221,7 @@ class Server:
         except OSError:
             # It went away again.
             return
-        if self.faults.refusing or len(self._connections) >= MOST_CONNECTIONS:
+        if self.faults.refusing or len(self._connections) >= MAX_CONNECTIONS:
             endpoint.close()
             return
         endpoint.setblocking(False)

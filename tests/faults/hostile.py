@@ -32,7 +32,7 @@ START_S, START_LATER_S = 6.0, 1.5
 """How long the start of a session is watched, and by how much a flood may delay it: repeats of the first message."""
 ANY_SESSION = 0x0123_4567_89AB_CDEF
 FLOOD_S = 3.0
-RATE_HZ, LEAST_RATE_HZ = 1e5, 8e4
+RATE_HZ, MIN_RATE_HZ = 1e5, 8e4
 """Asked for, and what a busy machine must reach for the row to count; the row says what it was."""
 LATE_SHARE = 0.005
 """More late cycles than without the flood, as a share of all."""
@@ -240,8 +240,8 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
         report = stage.report("slave")
     sent = json.loads(ended.stdout)
     rate_hz, arrived = float(sent["rate_hz"]), sum(report["rejections"].values())
-    if rate_hz < LEAST_RATE_HZ:
-        raise DisturbedError(f"the sender reached {rate_hz:.0f} a second, must be {LEAST_RATE_HZ:g}")
+    if rate_hz < MIN_RATE_HZ:
+        raise DisturbedError(f"the sender reached {rate_hz:.0f} a second, must be {MIN_RATE_HZ:g}")
     windows = {
         side: (
             _late(recorded, flooded_s - quiet_s, flooded_s - begun_s),
@@ -331,8 +331,8 @@ def garbage_at_start(limits: Limits) -> Row:
             engaged_s.append(stage.report("master")["engaged_s"] or float("inf"))
             if flooding is not None:
                 rate_hz = float(json.loads(flooding.communicate(timeout=END_S)[0])["rate_hz"])
-    if rate_hz < LEAST_RATE_HZ:
-        raise DisturbedError(f"the sender reached {rate_hz:.0f} a second, must be {LEAST_RATE_HZ:g}")
+    if rate_hz < MIN_RATE_HZ:
+        raise DisturbedError(f"the sender reached {rate_hz:.0f} a second, must be {MIN_RATE_HZ:g}")
     judged = Judged(limits)
     later_s = engaged_s[1] - engaged_s[0]
     judged.wrong.check(later_s <= START_LATER_S, f"engaged {later_s:.2f} s later")

@@ -22,7 +22,7 @@ from tests.soak.memory import Growth, anonymous_bytes, growth, loop_sleeps
 from haptether.bridge import write_key
 
 SAMPLE_S = 1.0
-LEAST_S = 160.0
+MIN_S = 160.0
 """Shortest soak that is judged: a loop's ring of 65536 records has each of its pages touched only after 66 s, and what
 is judged is the second half."""
 END_S = 30.0
@@ -154,11 +154,11 @@ def table(result: dict[str, Any]) -> str:
 def main() -> int:
     """Runs a soak as the command line asks for."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=600.0, help=f"how long, {LEAST_S:g} to 1e6; 600 by default")
+    parser.add_argument("--seconds", type=float, default=600.0, help=f"how long, {MIN_S:g} to 1e6; 600 by default")
     parser.add_argument("--json", type=Path, help="where the same goes for machines")
     asked = parser.parse_args()
-    if not LEAST_S <= asked.seconds <= 1e6:
-        parser.error(f"--seconds {asked.seconds:g}: must be {LEAST_S:g} to 1e6, the ring of a loop is full before")
+    if not MIN_S <= asked.seconds <= 1e6:
+        parser.error(f"--seconds {asked.seconds:g}: must be {MIN_S:g} to 1e6, the ring of a loop is full before")
     result = soak(asked.seconds, lambda line: print(line, flush=True))
     print(table(result))
     if asked.json is not None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.001
 LONGEST_S = 60.0
-LEAST_M = 1e-7
+MIN_M = 1e-7
 """Above the rounding of an arm that rests."""
 
 
@@ -81,7 +81,7 @@ class Watched:
 
 def reaction_s(trace: Any) -> float | None:  # noqa: ANN401  # SlaveTrace of one axis
     """From the first command off the place to the first state off it, in s; none where either stays."""
-    told, moved = (np.flatnonzero(np.abs(x - x[:1]) > LEAST_M) for x in (trace.command.ravel(), trace.position.ravel()))
+    told, moved = (np.flatnonzero(np.abs(x - x[:1]) > MIN_M) for x in (trace.command.ravel(), trace.position.ravel()))
     return float(trace.time_s[moved[0]] - trace.time_s[told[0]]) if len(told) and len(moved) else None
 
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 PRIORITY = 90
 """Above the 80 of the loops: what holds these sleepers up is none of the processes that are measured."""
 SLEEP_S = 0.001
-LEAST_S = 0.002
+MIN_S = 0.002
 """Two periods of an arm: what is shorter makes no frame late."""
 
 
@@ -33,7 +33,7 @@ def overslept() -> list[tuple[float, float]]:
     while not ended.is_set():
         due_s = time.monotonic() + SLEEP_S
         time.sleep(SLEEP_S)
-        if (late_s := (now_s := time.monotonic()) - due_s) > LEAST_S:
+        if (late_s := (now_s := time.monotonic()) - due_s) > MIN_S:
             seen.append((now_s, late_s))
     return seen
 

@@ -11,7 +11,7 @@ P = ParamSpec("P")
 SLEEP_S = 0.002
 STALL_S = 0.015
 """Less than the 20 ms after which a loop holds: a sleeper beside a loop need not be held up for as long as that."""
-MOST_TRIES = 3
+MAX_TRIES = 3
 
 
 class Stalls:
@@ -47,7 +47,7 @@ def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
 
     @functools.wraps(test)
     def run(*arguments: P.args, **named: P.kwargs) -> None:
-        for left in reversed(range(MOST_TRIES)):
+        for left in reversed(range(MAX_TRIES)):
             with Stalls() as stalls:
                 try:
                     test(*arguments, **named)

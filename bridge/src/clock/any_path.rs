@@ -9,7 +9,7 @@ const MS: u64 = 1_000_000;
 const S: u64 = 1000 * MS;
 
 /// Greatest drift of the settings by default: clocks here go up to it.
-const MOST_PPB: i64 = 200_000;
+const MAX_PPB: i64 = 200_000;
 const PARTS: i128 = BILLION as i128;
 
 /// A healthy clock that wanders: its rate changes with every second.
@@ -66,7 +66,7 @@ fn room(exchanges: &[FourTimes]) -> i128 {
         let most = i128::from(difference(upper.peer_received_ns, upper.sent_ns));
         let least = i128::from(difference(lower.peer_sent_ns, lower.received_ns));
         let apart = i128::from(upper.sent_ns.abs_diff(lower.received_ns));
-        (most - least) * PARTS + apart * i128::from(MOST_PPB)
+        (most - least) * PARTS + apart * i128::from(MAX_PPB)
     };
     exchanges.iter().flat_map(|upper| exchanges.iter().map(move |lower| pair(upper, lower))).min().unwrap()
 }
@@ -78,8 +78,8 @@ fn delay() -> impl Strategy<Value = u64> {
 
 fn wandering() -> impl Strategy<Value = Wandering> {
     let rates = prop_oneof![
-        prop::collection::vec(-MOST_PPB..=MOST_PPB, 1..20),
-        prop::collection::vec(prop::sample::select(vec![-MOST_PPB, MOST_PPB]), 1..20),
+        prop::collection::vec(-MAX_PPB..=MAX_PPB, 1..20),
+        prop::collection::vec(prop::sample::select(vec![-MAX_PPB, MAX_PPB]), 1..20),
     ];
     (60 * S..1 << 60, rates).prop_map(|(ahead_ns, ppb)| Wandering { ahead_ns, ppb, step: None })
 }
@@ -147,18 +147,18 @@ proptest! {
     /// exchange was all.
     #[test]
     fn the_range_is_the_intersection_of_all(peer in wandering(), packets in path()) {
-        let mut bounds = causal::CausalBounds::new(MOST_PPB.unsigned_abs());
+        let mut bounds = causal::CausalBounds::new(MAX_PPB.unsigned_abs());
         let all = exchanges(&peer, &packets);
         for (count, times) in (1..).zip(&all) {
             bounds.narrow(times);
             let now = i128::from(times.received_ns);
             let most = all[..count].iter().map(|times| {
                 let since = now - i128::from(times.sent_ns);
-                i128::from(difference(times.peer_received_ns, times.sent_ns)) * PARTS + since * i128::from(MOST_PPB)
+                i128::from(difference(times.peer_received_ns, times.sent_ns)) * PARTS + since * i128::from(MAX_PPB)
             }).min().unwrap();
             let least = all[..count].iter().map(|times| {
                 let since = now - i128::from(times.received_ns);
-                i128::from(difference(times.peer_sent_ns, times.received_ns)) * PARTS - since * i128::from(MOST_PPB)
+                i128::from(difference(times.peer_sent_ns, times.received_ns)) * PARTS - since * i128::from(MAX_PPB)
             }).max().unwrap();
             let (low, high) = bounds.range(times.received_ns).unwrap();
             // 2 ns for readings, less than one for the rounding outwards.
@@ -183,7 +183,7 @@ proptest! {
         let mut taken: Vec<FourTimes> = Vec::new();
         for times in exchanges(&peer, &packets) {
             let longest = taken.iter().chain([&times]).map(FourTimes::took_ns).max().unwrap();
-            let unsure = i128::from(longest) * 2 * i128::from(MOST_PPB) + 4 * PARTS;
+            let unsure = i128::from(longest) * 2 * i128::from(MAX_PPB) + 4 * PARTS;
             match clock.take(&times) {
                 Ok(reading) => {
                     prop_assert!(reading.is_some());

@@ -9,7 +9,7 @@ const LEARNT_NS: f64 = 2e9;
 /// Time in ns that a first sample counts for, and that any sample counts for at most.
 const SAMPLE_NS: u64 = 20_000_000;
 /// A deviation in ns counts as no more than this: what would hold is no jitter.
-const MOST_DEVIATION_NS: f64 = 20e6;
+const MAX_DEVIATION_NS: f64 = 20e6;
 /// Mean deviations above the mean that are usual.
 const DEVIATIONS: f64 = 4.0;
 
@@ -63,12 +63,12 @@ impl UsualAge {
         let age = age_ns as f64;
         let Some(last_ns) = self.last_ns.replace(now_ns) else {
             (self.present_ns, self.mean_ns) = (age, age);
-            self.deviation_ns = (0.5 * age).min(MOST_DEVIATION_NS);
+            self.deviation_ns = (0.5 * age).min(MAX_DEVIATION_NS);
             self.level_ns = self.usual_ns();
             return;
         };
         let stands_ns = now_ns.saturating_sub(last_ns).min(SAMPLE_NS) as f64;
-        let deviation = (age - self.mean_ns).abs().min(MOST_DEVIATION_NS);
+        let deviation = (age - self.mean_ns).abs().min(MAX_DEVIATION_NS);
         for (known, reach, value, seen) in [
             (&mut self.present_known_ns, PRESENT_NS, &mut self.present_ns, age),
             (&mut self.mean_known_ns, REACH_NS, &mut self.mean_ns, age),

@@ -1,7 +1,7 @@
 //! Energy that goes in and out of the link at one side's port, each a sum that never falls.
 
 /// Largest sum in J that a frame tells; a port of 1 kW takes eleven days to it.
-pub const MOST_ENERGY_J: f64 = 1e9;
+pub const MAX_ENERGY_J: f64 = 1e9;
 
 /// Cumulative energies at a port, for the couplings that balance them.
 ///
@@ -27,12 +27,12 @@ impl PortEnergy {
             return;
         }
         let sum = if energy_j > 0.0 { &mut self.in_j } else { &mut self.out_j };
-        *sum = (*sum + energy_j.abs()).min(MOST_ENERGY_J);
+        *sum = (*sum + energy_j.abs()).min(MAX_ENERGY_J);
     }
 
     /// Whether both sums can be.
     pub fn is_possible(&self) -> bool {
-        [self.in_j, self.out_j].iter().all(|sum| (0.0..=MOST_ENERGY_J).contains(sum))
+        [self.in_j, self.out_j].iter().all(|sum| (0.0..=MAX_ENERGY_J).contains(sum))
     }
 }
 
@@ -64,7 +64,7 @@ mod tests {
         }
         energy.add(1e300, 1.0);
         energy.add(-1e300, 1.0);
-        assert_eq!(energy, PortEnergy { in_j: MOST_ENERGY_J, out_j: MOST_ENERGY_J });
+        assert_eq!(energy, PortEnergy { in_j: MAX_ENERGY_J, out_j: MAX_ENERGY_J });
         assert!(energy.is_possible());
         for bad in [-1e-300, f64::NAN, f64::INFINITY, 1.1e9] {
             assert!(!PortEnergy { in_j: bad, out_j: 0.0 }.is_possible());

@@ -9,6 +9,6 @@ mod position_force;
 pub(crate) use bounds::bounded;
 pub use bounds::{CommandBounds, Limited};
 pub(crate) use decay::decayed;
-pub use energy::{MOST_ENERGY_J, PortEnergy};
+pub use energy::{MAX_ENERGY_J, PortEnergy};
 pub use frame::FrameMap;
 pub use position_force::{CouplingError, PositionForce};

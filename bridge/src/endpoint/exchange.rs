@@ -8,7 +8,7 @@ use crate::{
         Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInputs,
         LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason, Transition,
     },
-    link::{FrameLink, LinkStatistics, PortState, Refusal, Status},
+    link::{FrameLink, LinkStatistics, PortState, RejectReason, Status},
     path::PathReport,
     wire::{Frame, MAX_FRAME, Role},
 };
@@ -85,7 +85,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
-    pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, Refusal> {
+    pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, RejectReason> {
         let is_known = self.newest().is_some();
         let begins = self.link.receive(now_ns, datagram)?;
         let Some(&frame) = self.link.newest() else { return Ok(begins) };

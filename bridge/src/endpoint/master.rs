@@ -10,7 +10,7 @@ use crate::{
     coupling::{CouplingError, FrameMap, PositionForce},
     fault_text::FaultText,
     ladder::{LadderSettings, LadderState, Observed, thresholds},
-    link::{PortState, Refusal},
+    link::{PortState, RejectReason},
     wire::Role,
 };
 
@@ -94,7 +94,7 @@ impl<const N: usize> MasterEndpoint<N> {
     }
 
     /// Takes a datagram that arrived by `now_ns`.
-    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         self.exchange.receive(now_ns, datagram).map(|_| ())
     }
 

@@ -7,7 +7,7 @@ use crate::{
     coupling::{CommandBounds, CouplingError, FrameMap, Limited, PositionForce, bounded, decayed},
     fault_text::FaultText,
     ladder::{LadderSettings, LadderState, Observed},
-    link::{PortState, Refusal},
+    link::{PortState, RejectReason},
     wire::Role,
 };
 
@@ -84,7 +84,7 @@ impl<const N: usize> SlaveEndpoint<N> {
     }
 
     /// Takes a datagram that arrived by `now_ns`.
-    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         if self.exchange.receive(now_ns, datagram)? {
             self.coupling.disengage();
         }

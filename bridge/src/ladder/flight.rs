@@ -8,7 +8,7 @@ use super::{
     interventions::{Interventions, Observed, Row},
     state::LadderState,
 };
-use crate::wire::MOST_AXES;
+use crate::wire::MAX_AXES;
 
 /// How many ticks are kept.
 const KEPT: usize = 50;
@@ -42,19 +42,19 @@ pub struct FlightEntry {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlightValues {
     axes: usize,
-    rows: [[f64; MOST_AXES]; 3],
+    rows: [[f64; MAX_AXES]; 3],
 }
 
 impl FlightValues {
     /// Position, command and force of each axis.
     pub fn new<const N: usize>(of: [&haptether_safety::Axes<N>; 3]) -> Self {
-        let mut rows = [[0.0; MOST_AXES]; 3];
+        let mut rows = [[0.0; MAX_AXES]; 3];
         for (row, values) in rows.iter_mut().zip(of) {
             for (slot, value) in row.iter_mut().zip(values.iter()) {
                 *slot = *value;
             }
         }
-        Self { axes: N.min(MOST_AXES), rows }
+        Self { axes: N.min(MAX_AXES), rows }
     }
 }
 
@@ -67,7 +67,7 @@ impl FlightEntry {
         clutch: false,
         gain: 0.0,
         observed: Observed::NOTHING,
-        values: FlightValues { axes: 0, rows: [[0.0; MOST_AXES]; 3] },
+        values: FlightValues { axes: 0, rows: [[0.0; MAX_AXES]; 3] },
     };
 }
 

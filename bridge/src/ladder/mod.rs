@@ -24,7 +24,7 @@ pub use input::{LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
 pub use interventions::{Observed, thresholds};
 pub use machine::Ladder;
 pub(crate) use person::START_NS;
-pub use person::{Clutch, ClutchError, Person};
+pub use person::{Clutch, ClutchError, SimulatedOperator};
 pub use settings::{LadderError, LadderSettings};
 pub use state::LadderState;
 pub use table::Reason;

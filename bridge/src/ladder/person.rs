@@ -6,7 +6,7 @@ use super::state::LadderState;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Clutch {
     /// Pressed at the start and held. After a hold it stays as it is, so nothing couples again but by
-    /// [`Person::press_again`].
+    /// [`SimulatedOperator::press_again`].
     #[default]
     Once,
     /// A simulated person: presses at the start, lets go when it holds or the press was not answered, and presses again
@@ -30,10 +30,10 @@ pub enum ClutchError {
     Reaction(u64),
 }
 
-/// For how long in ns [`Person::press_again`] opens the clutch: enough frames for the other side to see it.
+/// For how long in ns [`SimulatedOperator::press_again`] opens the clutch: enough frames for the other side to see it.
 const OPEN_NS: u64 = 100_000_000;
 
-/// Within what time in ns of [`Person::press_again`] it must be pressed; a loop that slept meanwhile presses no more.
+/// Within what time in ns of [`SimulatedOperator::press_again`] it must be pressed; a loop that slept meanwhile presses no more.
 const LATEST_NS: u64 = 2 * OPEN_NS;
 
 /// Within what time in ns of the start the first tick must come, for the start to be a press.
@@ -42,7 +42,7 @@ pub(crate) const START_NS: u64 = 5_000_000_000;
 /// Who works the clutch: a pure function of time and of what the ladder shows.
 #[allow(clippy::struct_excessive_bools)] // what it has done and seen
 #[derive(Clone, Debug, PartialEq)]
-pub struct Person {
+pub struct SimulatedOperator {
     clutch: Clutch,
     start_ns: u64,
     pressed: bool,
@@ -58,7 +58,7 @@ pub struct Person {
     asked_ns: Option<u64>,
 }
 
-impl Person {
+impl SimulatedOperator {
     /// A person who has not begun.
     pub fn new(clutch: Clutch) -> Result<Self, ClutchError> {
         match &clutch {
@@ -165,7 +165,7 @@ mod tests {
     fn a_simulated_person_presses_anew_for_whoever_comes_after_an_end_but_not_after_a_fault() {
         use LadderState::{Disengaged, Fault};
         for faulted in [false, true] {
-            let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+            let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
             person.begin(0);
             assert!(person.at(0, Disengaged, false));
             for now in 1..1000 {
@@ -187,19 +187,19 @@ mod tests {
 
     #[test]
     fn a_schedule_is_followed() {
-        let mut person = Person::new(Clutch::Schedule(vec![(0, 5), (8, 9)])).unwrap();
+        let mut person = SimulatedOperator::new(Clutch::Schedule(vec![(0, 5), (8, 9)])).unwrap();
         person.begin(100);
         let pressed: Vec<_> = (100..112).filter(|now| person.at(*now, Engaged, true)).collect();
         assert_eq!(pressed, [100, 101, 102, 103, 104, 108]);
         for times in [vec![(5, 5)], vec![(0, 5), (5, 6)], vec![(3, 4), (1, 2)]] {
-            let error = Person::new(Clutch::Schedule(times)).unwrap_err();
+            let error = SimulatedOperator::new(Clutch::Schedule(times)).unwrap_err();
             assert!(error.to_string().ends_with("must follow one another in time"), "{error}");
         }
     }
 
     #[test]
     fn a_simulated_person_lets_go_and_presses_once_both_are_ready() {
-        let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         person.begin(0);
         assert!(person.at(0, Aligning, false));
         assert!(person.at(MS, Engaged, true));
@@ -210,12 +210,12 @@ mod tests {
         assert_eq!(pressed, [1500]);
         let pressed: Vec<_> = (2000..2500).filter(|now| person.at(now * MS, Hold, true)).collect();
         assert_eq!(pressed.first(), Some(&2002));
-        assert!(Person::new(Clutch::Auto { reaction_ns: 1 }).is_err());
+        assert!(SimulatedOperator::new(Clutch::Auto { reaction_ns: 1 }).is_err());
     }
 
     #[test]
     fn who_presses_once_does_so_again_when_told() {
-        let mut person = Person::new(Clutch::Once).unwrap();
+        let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
         person.begin(0);
         assert!((0..1000).all(|now| person.at(now * MS, Hold, true)));
         person.press_again();
@@ -225,7 +225,7 @@ mod tests {
 
     /// From 0 on, every ms from `asked` on but those of `asleep`: at which ms it presses.
     fn presses(asked: &[u64], asleep: std::ops::Range<u64>, forgets: bool) -> Vec<u64> {
-        let mut person = Person::new(Clutch::Once).unwrap();
+        let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
         person.begin(0);
         let (mut was, mut pressed) = (person.at(0, Hold, true), Vec::new());
         for now in (1..60_000).filter(|now| !asleep.contains(now)) {
@@ -259,7 +259,7 @@ mod tests {
 
     #[test]
     fn a_simulated_person_tries_anew_where_a_press_was_not_answered() {
-        let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         person.begin(0);
         assert!(person.at(0, LadderState::Disengaged, false), "the start is a press");
         assert!((1..5000).all(|now| person.at(now * MS, Aligning, false)));
@@ -271,7 +271,7 @@ mod tests {
     #[test]
     fn a_start_is_a_press_for_five_seconds() {
         for (first_ms, presses) in [(0, true), (5000, true), (5001, false)] {
-            let mut person = Person::new(Clutch::Once).unwrap();
+            let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
             person.begin(7 * MS);
             assert_eq!(person.at((7 + first_ms) * MS, LadderState::Disengaged, false), presses, "{first_ms}");
         }
@@ -284,7 +284,7 @@ mod tests {
             (Clutch::Auto { reaction_ns: 500 * MS }, false),
             (Clutch::Schedule(vec![(0, 10)]), false),
         ] {
-            let mut person = Person::new(clutch).unwrap();
+            let mut person = SimulatedOperator::new(clutch).unwrap();
             person.begin(0);
             assert_eq!((person.release_clutch(), person.release_clutch()), (was_pressed, false));
         }
@@ -292,7 +292,7 @@ mod tests {
 
     #[test]
     fn a_simulated_person_does_not_press_after_a_fault_until_asked() {
-        let mut person = Person::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         person.begin(0);
         assert!(person.at(0, Aligning, false));
         assert!(!person.at(MS, Hold, true), "it lets go");
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn who_has_let_go_presses_only_when_asked() {
-        let mut person = Person::new(Clutch::Once).unwrap();
+        let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
         person.begin(0);
         person.release_clutch();
         assert!((0..1000).all(|now| !person.at(now * MS, LadderState::Disengaged, true)));

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     channel::sealed_frame,
-    link::Refusal,
+    link::RejectReason,
     session::{
         Incoming, MAX_DATAGRAM, PreSharedKey, Rejection, Rejections, SealError, Session, SessionSettings,
     },
@@ -34,7 +34,7 @@ const PEER_PERIOD_NS: u64 = 100_000;
 /// How often the handshakes are told how the session stands, in ticks.
 const TELL_EVERY: u64 = 4;
 /// Answers of the handshakes that one tick takes.
-const MOST_ANSWERS: usize = 4;
+const MAX_ANSWERS: usize = 4;
 /// How often a release is sent after the last frames: datagrams get lost.
 pub(super) const RELEASES: usize = 5;
 
@@ -89,7 +89,7 @@ impl LiveChannel {
         match self.session.open(now_ns, datagram) {
             Ok(Incoming::Payload { payload, .. }) => match side.receive(now_ns, payload) {
                 Ok(()) => return Heard::News { is_answered: hears_peer(payload) },
-                Err(Refusal::Late(_) | Refusal::Duplicate(_)) => return Heard::Again,
+                Err(RejectReason::Late(_) | RejectReason::Duplicate(_)) => return Heard::Again,
                 Err(_) => {}
             },
             Ok(Incoming::Handshake { datagram, is_renewal }) => {
@@ -114,7 +114,7 @@ impl LiveChannel {
     ) {
         self.session.advance(now_ns);
         if let Some(handshakes) = &mut self.handshakes {
-            for _ in 0..MOST_ANSWERS {
+            for _ in 0..MAX_ANSWERS {
                 let Some(told) = handshakes.next() else { break };
                 if let Some(datagram) = told.outcome.reply {
                     send(told.to, &datagram);

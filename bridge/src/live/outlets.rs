@@ -7,12 +7,12 @@ use crate::{
 
 /// Both ways out of the loop; neither is ever waited for.
 #[derive(Debug)]
-pub(super) struct Outlets<R> {
+pub(super) struct RecordSinks<R> {
     polled: rtrb::Producer<R>,
     recorder: Option<Recorder<R>>,
 }
 
-impl<R: Copy> Outlets<R> {
+impl<R: Copy> RecordSinks<R> {
     pub(super) fn new(polled: rtrb::Producer<R>, recorder: Option<Recorder<R>>) -> Self {
         Self { polled, recorder }
     }

@@ -12,7 +12,7 @@ use super::{
     realtime::{self, Kept, RealtimeReport},
     run::{LiveSettings, LoopReport, Shared, assemble},
     socket::PeerSocket,
-    turning::{Turning, Ways},
+    turning::{LiveLoop, LoopChannels},
     watch::LiveWatch,
 };
 use crate::{
@@ -28,8 +28,8 @@ const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
 /// How far the loop is.
 enum Stage<S: Side> {
-    Ready(Box<(S, PeerSocket, LiveChannel, Ways<S::Record>)>),
-    Turning(Box<Turning<S>>),
+    Ready(Box<(S, PeerSocket, LiveChannel, LoopChannels<S::Record>)>),
+    LiveLoop(Box<LiveLoop<S>>),
     Over,
 }
 
@@ -81,8 +81,8 @@ impl<S: Side> PacedLoop<S> {
                 let (side, socket, channel, ways) = *parts;
                 let now_ns = clock::now_ns();
                 self.pace.begin(now_ns);
-                let turning = Turning::begin(side, socket, channel, self.settings, ways, now_ns);
-                self.stage = Stage::Turning(Box::new(turning));
+                let turning = LiveLoop::begin(side, socket, channel, self.settings, ways, now_ns);
+                self.stage = Stage::LiveLoop(Box::new(turning));
             }
             stage => self.stage = stage,
         }
@@ -91,7 +91,7 @@ impl<S: Side> PacedLoop<S> {
 
     /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
     pub fn turn<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
-        let Stage::Turning(turning) = &mut self.stage else { return None };
+        let Stage::LiveLoop(turning) = &mut self.stage else { return None };
         if self.shared.must_end() {
             self.shared.stop.store(true, Ordering::Relaxed);
             return None;
@@ -122,7 +122,7 @@ impl<S: Side> PacedLoop<S> {
 
     /// The device is gone: zero force and no motion, and the peer is told, in the driver's words where there are any.
     pub fn fail(&mut self, text: &FaultText) {
-        let Stage::Turning(turning) = &mut self.stage else { return };
+        let Stage::LiveLoop(turning) = &mut self.stage else { return };
         self.shared.ends.store(true, Ordering::Relaxed);
         for _ in 0..FAILED_TICKS {
             // Anew at each: nobody can mend what is gone.
@@ -142,7 +142,7 @@ impl<S: Side> PacedLoop<S> {
 
     /// The device is at rest: tells the peer that this side ends, before whoever waits for the report does.
     pub fn announce_end(&mut self) {
-        if let Stage::Turning(turning) = &mut self.stage {
+        if let Stage::LiveLoop(turning) = &mut self.stage {
             self.shared.stop.store(true, Ordering::Relaxed);
             turning.announce_end(&self.shared);
         }
@@ -153,7 +153,7 @@ impl<S: Side> PacedLoop<S> {
         self.shared.stop.store(true, Ordering::Relaxed);
         let realtime = self.realtime;
         match std::mem::replace(&mut self.stage, Stage::Over) {
-            Stage::Turning(turning) => {
+            Stage::LiveLoop(turning) => {
                 let (report, flight) = turning.end(&self.shared);
                 // Locked memory is the process's: it is given back with the run, not with the last who holds the loop.
                 self.kept = None;

@@ -16,10 +16,10 @@ use super::{
     clock,
     handshakes::StartError,
     memory,
-    outlets::Outlets,
+    outlets::RecordSinks,
     realtime::{self, RealtimeReport, RealtimeSettings},
     socket::PeerSocket,
-    turning::{Turning, Ways},
+    turning::{LiveLoop, LoopChannels},
     watch::LiveWatch,
 };
 use crate::{
@@ -87,7 +87,7 @@ pub struct LoopReport {
 }
 
 /// Events that wait for a reader; further ones are dropped.
-const MOST_EVENTS: usize = 64;
+const MAX_EVENTS: usize = 64;
 
 /// Why a press of the clutch did nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -169,14 +169,14 @@ impl Shared {
 }
 
 /// States and commands as of a STOP or FAULT that wait for a reader.
-const MOST_FLIGHTS: usize = 2;
+const MAX_FLIGHTS: usize = 2;
 /// Diagnoses that wait for a reader; the loop keeps the newest until there is room.
-const MOST_DIAGNOSES: usize = 16;
+const MAX_DIAGNOSES: usize = 16;
 /// Acts that may wait for the loop: it takes all of them at its next tick.
-const MOST_ACTS: usize = 16;
+const MAX_ACTS: usize = 16;
 
 /// What a loop is made of before its time begins, and the other ends of its rings.
-pub(super) type Assembled<R> = (LiveChannel, Ways<R>, LiveWatch<R>);
+pub(super) type Assembled<R> = (LiveChannel, LoopChannels<R>, LiveWatch<R>);
 
 /// Makes the rings, and a session without keys yet.
 pub(super) fn assemble<S: Side>(
@@ -186,10 +186,10 @@ pub(super) fn assemble<S: Side>(
     recorder: Option<Recorder<S::Record>>,
 ) -> Result<Assembled<S::Record>, StartError> {
     let (producer, records) = ring(settings.ring);
-    let (told, events) = rtrb::RingBuffer::new(MOST_EVENTS);
-    let (flown, flights) = ring(MOST_FLIGHTS);
-    let (diagnosed, diagnoses) = ring(MOST_DIAGNOSES);
-    let (acts, done) = rtrb::RingBuffer::new(MOST_ACTS);
+    let (told, events) = rtrb::RingBuffer::new(MAX_EVENTS);
+    let (flown, flights) = ring(MAX_FLIGHTS);
+    let (diagnosed, diagnoses) = ring(MAX_DIAGNOSES);
+    let (acts, done) = rtrb::RingBuffer::new(MAX_ACTS);
     let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
     let watch = LiveWatch {
         records,
@@ -203,8 +203,8 @@ pub(super) fn assemble<S: Side>(
         address: socket.local_address()?,
         recording: recorder.as_ref().map(Recorder::recording),
     };
-    let ways = Ways {
-        records: Outlets::new(producer, recorder),
+    let ways = LoopChannels {
+        records: RecordSinks::new(producer, recorder),
         events: told,
         flights: flown,
         diagnoses: diagnosed,
@@ -243,7 +243,7 @@ pub fn run_live<S: Side + Send + 'static>(
             return (LoopReport { realtime, recording, ..LoopReport::default() }, None);
         }
         let mut deadline_ns = clock::now_ns();
-        let mut turning = Turning::begin(side, socket, channel, settings, ways, deadline_ns);
+        let mut turning = LiveLoop::begin(side, socket, channel, settings, ways, deadline_ns);
         while !shared.must_end() {
             clock::sleep_until(deadline_ns);
             let wake = Wake::new(deadline_ns, clock::now_ns(), settings.period_ns);

@@ -14,7 +14,7 @@ use crate::session::MAX_DATAGRAM;
 /// Datagrams between two looks at the clock.
 const ROUND: usize = 32;
 /// Datagrams taken at once, however fast they are.
-const MOST_DATAGRAMS: usize = 4096;
+const MAX_DATAGRAMS: usize = 4096;
 
 /// How the peer is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,7 +63,7 @@ impl PeerSocket {
     ) {
         // One byte more than the longest datagram, so that a longer one is seen to be too long.
         let mut buffer = [0; MAX_DATAGRAM + 1];
-        for taken in 0..MOST_DATAGRAMS {
+        for taken in 0..MAX_DATAGRAMS {
             if taken > 0 && taken % ROUND == 0 && clock::now_ns() >= until_ns {
                 return;
             }
@@ -85,7 +85,7 @@ impl PeerSocket {
     /// Throws away what waits: it is old. Until the clock shows `until_ns`: a flood must not hold the loop here.
     pub fn discard(&mut self, until_ns: u64) {
         let mut buffer = [0; 1];
-        for thrown in 1..=MOST_DATAGRAMS {
+        for thrown in 1..=MAX_DATAGRAMS {
             if thrown % ROUND == 0 && clock::now_ns() >= until_ns {
                 return;
             }

@@ -10,12 +10,12 @@ use super::{
     clock,
     handshakes::SecurityEvent,
     memory,
-    outlets::Outlets,
+    outlets::RecordSinks,
     run::{Ineffective, LiveSettings, LoopReport, Shared},
     socket::PeerSocket,
 };
 use crate::{
-    act::Act,
+    act::OperatorCommand,
     ladder::{Diagnosis, FlightRecorder, LadderState, START_NS},
     pace::Wake,
     session::MAX_DATAGRAM,
@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
-const MOST_TAKING: u64 = 4;
+const MAX_TAKING: u64 = 4;
 /// After each of the last frames and releases, the time in ns to the next: 20 ms in all, since losses come in bursts.
 const END_NS: [u64; 9] =
     [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
@@ -81,7 +81,7 @@ impl Diagnosed {
     fn tell<R: Copy>(
         &mut self,
         time_ns: u64,
-        records: &mut Outlets<R>,
+        records: &mut RecordSinks<R>,
         diagnoses: &mut rtrb::Producer<Option<Diagnosis>>,
     ) {
         self.is_told = diagnoses.push(self.now).is_ok();
@@ -92,23 +92,23 @@ impl Diagnosed {
 }
 
 /// The loop's ends of what leads to and from it; none of them is ever waited for.
-pub(super) struct Ways<R> {
-    pub(super) records: Outlets<R>,
+pub(super) struct LoopChannels<R> {
+    pub(super) records: RecordSinks<R>,
     pub(super) events: rtrb::Producer<SecurityEvent>,
     pub(super) flights: rtrb::Producer<FlightRecorder>,
     pub(super) diagnoses: rtrb::Producer<Option<Diagnosis>>,
-    pub(super) acts: rtrb::Consumer<(u64, Act)>,
+    pub(super) acts: rtrb::Consumer<(u64, OperatorCommand)>,
     /// When a person started this side, in ns, until the first tick.
     pub(super) started_ns: Option<u64>,
 }
 
 /// A side in its loop.
-pub(super) struct Turning<S: Side> {
+pub(super) struct LiveLoop<S: Side> {
     side: Resting<S>,
     socket: PeerSocket,
     channel: LiveChannel,
     settings: LiveSettings,
-    ways: Ways<S::Record>,
+    ways: LoopChannels<S::Record>,
     report: LoopReport,
     start_ns: u64,
     /// Of the last tick.
@@ -121,14 +121,14 @@ pub(super) struct Turning<S: Side> {
     buffer: [u8; MAX_DATAGRAM],
 }
 
-impl<S: Side> Turning<S> {
+impl<S: Side> LiveLoop<S> {
     /// Time begins at `start_ns`.
     pub(super) fn begin(
         mut side: S,
         socket: PeerSocket,
         channel: LiveChannel,
         settings: LiveSettings,
-        ways: Ways<S::Record>,
+        ways: LoopChannels<S::Record>,
         start_ns: u64,
     ) -> Self {
         let report =
@@ -159,7 +159,7 @@ impl<S: Side> Turning<S> {
     /// One tick; breaks where the run is over.
     pub(super) fn turn(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
         let Self { side: Resting(side, _), socket, channel, settings, ways, report, .. } = self;
-        let Ways { records, events, flights, diagnoses, acts, started_ns } = ways;
+        let LoopChannels { records, events, flights, diagnoses, acts, started_ns } = ways;
         let mut tell = |event| {
             let _ = events.push(event);
         };
@@ -208,12 +208,12 @@ impl<S: Side> Turning<S> {
         while let Ok((at_ns, act)) = acts.pop() {
             // It is of the fault that was there then, and of no later one.
             let is_of_this_fault = || side.flight().failed_ns().is_none_or(|failed_ns| failed_ns <= at_ns);
-            if act != Act::Acknowledge || is_prompt(at_ns) && is_of_this_fault() {
+            if act != OperatorCommand::Acknowledge || is_prompt(at_ns) && is_of_this_fault() {
                 // `LiveRun::act` has refused what cannot be.
                 let _ = side.act(now_ns, act);
             }
         }
-        let until_ns = deadline_ns + settings.period_ns / MOST_TAKING;
+        let until_ns = deadline_ns + settings.period_ns / MAX_TAKING;
         socket.drain(now_ns, until_ns, |from, datagram| {
             // It may have come while this loop was still asleep beyond its time.
             side.late(clock::now_ns().saturating_sub(now_ns));

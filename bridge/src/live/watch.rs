@@ -11,7 +11,7 @@ use super::{
     run::{Ineffective, Shared},
 };
 use crate::{
-    act::Act,
+    act::OperatorCommand,
     ladder::{Diagnosis, FlightRecorder, LadderState},
     recorder::{Recording, RecordingReport},
 };
@@ -53,7 +53,7 @@ pub struct LiveWatch<R> {
     pub(super) diagnoses: rtrb::Consumer<Option<Diagnosis>>,
     /// The newest that was taken.
     pub(super) diagnosis: Option<Diagnosis>,
-    pub(super) acts: rtrb::Producer<(u64, Act)>,
+    pub(super) acts: rtrb::Producer<(u64, OperatorCommand)>,
     pub(super) shared: Arc<Shared>,
     pub(super) address: SocketAddr,
     pub(super) recording: Option<Recording>,
@@ -124,7 +124,7 @@ impl<R> LiveWatch<R> {
 
     /// Hands an act to the loop, which does it at its next tick; gives it back where too many wait. An acknowledgement is
     /// void if the loop does not come to it within 0.25 s.
-    pub fn act(&mut self, act: Act) -> Result<(), Act> {
+    pub fn act(&mut self, act: OperatorCommand) -> Result<(), OperatorCommand> {
         self.acts.push((clock::now_ns(), act)).map_err(|rtrb::PushError::Full((_, act))| act)
     }
 

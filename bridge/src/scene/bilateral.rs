@@ -23,8 +23,8 @@ use super::{
     timed::Timed,
 };
 use crate::{
-    Act, EndpointError, Event, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSide, Reason,
-    Side, SlaveRecord, SlaveSide, VirtualSettings, run_virtual,
+    EndpointError, Event, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSide,
+    OperatorCommand, Reason, Side, SlaveRecord, SlaveSide, VirtualSettings, run_virtual,
 };
 
 /// Sessions of the two sides: constants, for nobody listens in.
@@ -69,7 +69,7 @@ struct Bilateral<'a, const N: usize> {
     endpoint: MasterEndpoint<N>,
     slave: SlaveSide<SimulatedSlave<N>, N>,
     coupling: CouplingSpec,
-    acts: Vec<(u64, Act)>,
+    acts: Vec<(u64, OperatorCommand)>,
 }
 
 impl<'a, const N: usize> Bilateral<'a, N> {

@@ -7,7 +7,7 @@ use super::{
     spec::{ChangeSpec, CouplingSpec, LadderSpec},
 };
 use crate::{
-    Act, EndpointError, LadderSettings,
+    EndpointError, LadderSettings, OperatorCommand,
     coupling::{CommandBounds, CouplingError, FrameMap},
 };
 
@@ -42,7 +42,7 @@ pub(crate) fn bounds(spec: &CouplingSpec) -> CommandBounds {
 }
 
 /// Rotation and locks as one act.
-fn frame<const N: usize>(quat_wxyz: &[f64], locked_axes: &[usize]) -> Result<Act, SceneError> {
+fn frame<const N: usize>(quat_wxyz: &[f64], locked_axes: &[usize]) -> Result<OperatorCommand, SceneError> {
     let Ok(quat_wxyz) = <[f64; 4]>::try_from(quat_wxyz) else {
         let text = format!("coupling.quat_wxyz: {} numbers, must be 4", quat_wxyz.len());
         return Err(SceneError::Contradiction(text));
@@ -55,11 +55,11 @@ fn frame<const N: usize>(quat_wxyz: &[f64], locked_axes: &[usize]) -> Result<Act
         }
         locked[axis] = true;
     }
-    Ok(Act::Frame { quat_wxyz, locked })
+    Ok(OperatorCommand::Frame { quat_wxyz, locked })
 }
 
 /// What is done at both sides when, in ns since the start: rotation and locks at once, then the changes.
-pub(crate) fn acts<const N: usize>(spec: &CouplingSpec) -> Result<Vec<(u64, Act)>, SceneError> {
+pub(crate) fn acts<const N: usize>(spec: &CouplingSpec) -> Result<Vec<(u64, OperatorCommand)>, SceneError> {
     let (mut quat_wxyz, mut locked_axes) = (&spec.quat_wxyz, &spec.locked_axes);
     let mut acts = vec![(0, frame::<N>(quat_wxyz, locked_axes)?)];
     let mut before_s = 0.0;
@@ -72,10 +72,10 @@ pub(crate) fn acts<const N: usize>(spec: &CouplingSpec) -> Result<Vec<(u64, Act)
         before_s = *at_s;
         let mut add = |act| acts.push((ns(*at_s), act));
         if let Some(scale) = position_scale {
-            add(Act::PositionScale(*scale));
+            add(OperatorCommand::PositionScale(*scale));
         }
         if let Some(scale) = force_scale {
-            add(Act::ForceScale(*scale));
+            add(OperatorCommand::ForceScale(*scale));
         }
         if change.quat_wxyz.is_some() || change.locked_axes.is_some() {
             quat_wxyz = change.quat_wxyz.as_ref().unwrap_or(quat_wxyz);
@@ -94,13 +94,13 @@ pub(crate) struct Present<const N: usize> {
     map: FrameMap<N>,
     position_scale: f64,
     force_scale: f64,
-    acts: Vec<(u64, Act)>,
+    acts: Vec<(u64, OperatorCommand)>,
     done: usize,
 }
 
 impl<const N: usize> Present<N> {
     /// As it begins; `acts` in the order of their times.
-    pub(crate) fn new(spec: &CouplingSpec, acts: Vec<(u64, Act)>) -> Self {
+    pub(crate) fn new(spec: &CouplingSpec, acts: Vec<(u64, OperatorCommand)>) -> Self {
         let CouplingSpec { position_scale, force_scale, .. } = *spec;
         Self { map: FrameMap::default(), position_scale, force_scale, acts, done: 0 }
     }
@@ -110,10 +110,12 @@ impl<const N: usize> Present<N> {
         let before = self.done;
         while let Some((_, act)) = self.acts.get(self.done).filter(|(at, _)| *at <= now_ns) {
             match act {
-                Act::PositionScale(scale) => self.position_scale = *scale,
-                Act::ForceScale(scale) => self.force_scale = *scale,
-                Act::Frame { quat_wxyz, locked } => self.map = FrameMap::turned(*quat_wxyz, locked)?,
-                Act::Acknowledge => {}
+                OperatorCommand::PositionScale(scale) => self.position_scale = *scale,
+                OperatorCommand::ForceScale(scale) => self.force_scale = *scale,
+                OperatorCommand::Frame { quat_wxyz, locked } => {
+                    self.map = FrameMap::turned(*quat_wxyz, locked)?
+                }
+                OperatorCommand::Acknowledge => {}
             }
             self.done += 1;
         }
@@ -123,7 +125,7 @@ impl<const N: usize> Present<N> {
     /// Largest `lambda_p` that there will be.
     pub(crate) fn most_position_scale(&self) -> f64 {
         self.acts.iter().fold(self.position_scale, |most, (_, act)| match act {
-            Act::PositionScale(scale) => most.max(*scale),
+            OperatorCommand::PositionScale(scale) => most.max(*scale),
             _ => most,
         })
     }

@@ -26,12 +26,12 @@ pub(crate) struct EventLog {
 }
 
 /// Most events that are kept; a loop that chatters would fill the memory.
-const MOST_EVENTS: usize = 10_000;
+const MAX_EVENTS: usize = 10_000;
 
 impl EventLog {
     pub(crate) fn add(&mut self, time_s: f64, kind: &'static str, detail: impl Into<String>) {
         let chatters = matches!(kind, "trip" | "recover" | "contact" | "free");
-        if chatters && self.events.len() >= MOST_EVENTS {
+        if chatters && self.events.len() >= MAX_EVENTS {
             self.dropped += 1;
         } else {
             self.events.push(SceneEvent { time_s, kind, detail: detail.into() });

@@ -127,7 +127,7 @@ const AT_REST: f64 = 1e-4;
 const SETTLED_S: f64 = 0.2;
 
 /// The force that tells in which direction an ejection goes, squared: 1 mN.
-const LEAST_SQUARED_FORCE: f64 = 1e-6;
+const MIN_SQUARED_FORCE: f64 = 1e-6;
 
 /// The measures of a run as they grow.
 #[derive(Clone, Copy, Debug)]
@@ -307,7 +307,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         let squared_speed = velocity.dot(velocity);
         if t <= self.latest_release {
             let squared = rendered_force.dot(rendered_force);
-            let points = squared.simd_gt(S::splat(LEAST_SQUARED_FORCE));
+            let points = squared.simd_gt(S::splat(MIN_SQUARED_FORCE));
             let points = if self.has_release { points & time.simd_le(self.release) } else { points };
             if N == 1 {
                 let side = one.select(rendered_force[0].simd_gt(zero), -one);

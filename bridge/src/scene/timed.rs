@@ -1,8 +1,8 @@
 //! A side at which a person acts at given times.
 
 use crate::{
-    Act, FaultText, FlightRecorder, LadderState, PathReport, Refusal, Side, SideCounts, TickTime,
-    coupling::CouplingError, wire::MAX_FRAME,
+    FaultText, FlightRecorder, LadderState, OperatorCommand, PathReport, RejectReason, Side, SideCounts,
+    TickTime, coupling::CouplingError, wire::MAX_FRAME,
 };
 
 /// A side, and what is done at it when, in ns since the start, in order.
@@ -10,13 +10,13 @@ use crate::{
 pub struct Timed<S> {
     /// At which it is done.
     pub side: S,
-    acts: Vec<(u64, Act)>,
+    acts: Vec<(u64, OperatorCommand)>,
     done: usize,
 }
 
 impl<S> Timed<S> {
     /// `acts` in the order of their times.
-    pub(crate) fn new(side: S, acts: Vec<(u64, Act)>) -> Self {
+    pub(crate) fn new(side: S, acts: Vec<(u64, OperatorCommand)>) -> Self {
         Self { side, acts, done: 0 }
     }
 }
@@ -33,7 +33,7 @@ impl<S: Side> Side for Timed<S> {
         self.side.late(late_ns);
     }
 
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         self.side.receive(now_ns, datagram)
     }
 
@@ -104,7 +104,7 @@ impl<S: Side> Side for Timed<S> {
         self.side.release_clutch()
     }
 
-    fn act(&mut self, now_ns: u64, act: Act) -> Result<(), CouplingError> {
+    fn act(&mut self, now_ns: u64, act: OperatorCommand) -> Result<(), CouplingError> {
         self.side.act(now_ns, act)
     }
 }

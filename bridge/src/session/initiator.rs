@@ -18,7 +18,7 @@ const MS: u64 = 1_000_000;
 /// because every repeat is the same message and any answer to it will do.
 const RETRY_NS: u64 = 250 * MS;
 /// The wait doubles up to this, so that a slave that is not there is not flooded and one that comes is found soon.
-const MOST_RETRY_NS: u64 = 2000 * MS;
+const MAX_RETRY_NS: u64 = 2000 * MS;
 /// A handshake without an answer is given up, and one with new keys begun: seven sendings, and longer than any
 /// round trip that anybody teleoperates over.
 const ATTEMPT_NS: u64 = 8000 * MS;
@@ -111,7 +111,7 @@ impl Initiator {
             if now_ns < pending.next_ns {
                 return Ok(None);
             }
-            pending.wait_ns = (2 * pending.wait_ns).min(MOST_RETRY_NS);
+            pending.wait_ns = (2 * pending.wait_ns).min(MAX_RETRY_NS);
             pending.next_ns = now_ns + pending.wait_ns;
             return Ok(Some(pending.datagram));
         }

@@ -43,7 +43,7 @@ enum Judged {
 }
 
 /// Events that wait for a reader; further ones are dropped.
-const MOST_EVENTS: usize = 32;
+const MAX_EVENTS: usize = 32;
 
 /// One end of a session. It owns no clock, no socket and no randomness; sealing and opening allocate nothing.
 ///
@@ -94,7 +94,7 @@ impl Session {
             forged: 0,
             lease: None,
             rejections: Rejections::default(),
-            events: VecDeque::with_capacity(MOST_EVENTS),
+            events: VecDeque::with_capacity(MAX_EVENTS),
         })
     }
 
@@ -131,7 +131,7 @@ impl Session {
     }
 
     fn tell(&mut self, event: SessionEvent) {
-        if self.events.len() < MOST_EVENTS {
+        if self.events.len() < MAX_EVENTS {
             self.events.push_back(event);
         }
     }

@@ -42,7 +42,7 @@ pub enum SettingsError {
     PayloadLength(usize),
     /// The window cannot be reserved, or holds nothing.
     #[error(
-        "window_ns = {window_ns} at peer_period_ns = {peer_period_ns}: must hold 1 to {MOST_WINDOW} datagrams"
+        "window_ns = {window_ns} at peer_period_ns = {peer_period_ns}: must hold 1 to {MAX_WINDOW} datagrams"
     )]
     Window {
         /// As given.
@@ -68,9 +68,9 @@ pub enum SettingsError {
 }
 
 /// Bits of a window at most: 512 KiB.
-const MOST_WINDOW: u64 = 1 << 22;
+const MAX_WINDOW: u64 = 1 << 22;
 /// Bits of a window at least.
-const LEAST_WINDOW: u64 = 1024;
+const MIN_WINDOW: u64 = 1024;
 
 impl SessionSettings {
     /// The usual times, for payloads of `payload_length` bytes and a peer that sends one each `peer_period_ns`.
@@ -102,7 +102,7 @@ impl SessionSettings {
             return Err(SettingsError::PayloadLength(length));
         }
         let (window_ns, peer_period_ns) = (self.window_ns, self.peer_period_ns);
-        if peer_period_ns == 0 || window_ns == 0 || window_ns / peer_period_ns > MOST_WINDOW {
+        if peer_period_ns == 0 || window_ns == 0 || window_ns / peer_period_ns > MAX_WINDOW {
             return Err(SettingsError::Window { window_ns, peer_period_ns });
         }
         let (overlap_ns, rekey_ns, refuse_ns) = (self.overlap_ns, self.rekey_ns, self.refuse_ns);
@@ -135,7 +135,7 @@ impl SessionSettings {
     /// Counters that the window reaches back.
     pub(super) fn window(&self) -> u32 {
         let datagrams = self.window_ns.div_ceil(self.peer_period_ns.max(1));
-        u32::try_from(datagrams.clamp(LEAST_WINDOW, MOST_WINDOW)).unwrap_or(u32::MAX)
+        u32::try_from(datagrams.clamp(MIN_WINDOW, MAX_WINDOW)).unwrap_or(u32::MAX)
     }
 }
 

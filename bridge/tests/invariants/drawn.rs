@@ -1,6 +1,6 @@
 //! A scene drawn from a seed: all that one run has, so that a failing one can be printed and run again.
 
-use haptether_bridge::{Act, Clutch, LadderSettings, coupling::CommandBounds};
+use haptether_bridge::{Clutch, LadderSettings, OperatorCommand, coupling::CommandBounds};
 use haptether_netsim::{
     Action, Attack, ByteRange, Checksum, ClockSettings, Direction, Edit, EndpointClock, Link, LinkSettings,
     Operation, Outage, OutageEffect, OutageTimes, Target,
@@ -115,7 +115,7 @@ pub(crate) struct Drawn {
     pub(crate) clocks: [Option<ClockSettings>; 2],
     pub(crate) broken: [Option<Broken>; 2],
     /// What people do at both sides, in order.
-    pub(crate) acts: Vec<(u64, Act)>,
+    pub(crate) acts: Vec<(u64, OperatorCommand)>,
     /// Whether frames travel in a secure session.
     pub(crate) secure: bool,
 }
@@ -280,16 +280,19 @@ fn clock(n: &mut Numbers) -> Option<ClockSettings> {
     (n.chance(0.3) && EndpointClock::new(&settings).is_ok()).then_some(settings)
 }
 
-fn acts(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, Act)> {
+fn acts(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, OperatorCommand)> {
     let mut acts: Vec<_> = (0..n.whole(0, 4))
         .map(|_| {
             let half = n.real(-1.5, 1.5);
             let turned = if axes == 3 { [half.cos(), 0.0, half.sin(), 0.0] } else { [1.0, 0.0, 0.0, 0.0] };
             let act = match n.whole(0, 4) {
-                0 => Act::PositionScale(n.real(0.1, 5.0)),
-                1 => Act::ForceScale(n.real(0.1, 5.0)),
-                2 => Act::Frame { quat_wxyz: turned, locked: std::array::from_fn(|_| n.chance(0.3)) },
-                _ => Act::Acknowledge,
+                0 => OperatorCommand::PositionScale(n.real(0.1, 5.0)),
+                1 => OperatorCommand::ForceScale(n.real(0.1, 5.0)),
+                2 => OperatorCommand::Frame {
+                    quat_wxyz: turned,
+                    locked: std::array::from_fn(|_| n.chance(0.3)),
+                },
+                _ => OperatorCommand::Acknowledge,
             };
             (n.whole(0, end_ns), act)
         })

@@ -3,8 +3,8 @@
 use std::{cell::RefCell, rc::Rc};
 
 use haptether_bridge::{
-    Act, FlightRecorder, LadderState, MasterPlant, MasterRecord, MasterSide, Refusal, Side, SideCounts,
-    SlavePlant, SlaveRecord, SlaveSide, TickTime,
+    FlightRecorder, LadderState, MasterPlant, MasterRecord, MasterSide, OperatorCommand, RejectReason, Side,
+    SideCounts, SlavePlant, SlaveRecord, SlaveSide, TickTime,
     coupling::CommandBounds,
     wire::{Frame, MAX_FRAME, Role},
 };
@@ -60,7 +60,7 @@ struct Watch {
     pressed: bool,
     /// Session and sequence of the newest frame that was acted on.
     newest: Option<(u64, u64)>,
-    acts: Vec<(u64, Act)>,
+    acts: Vec<(u64, OperatorCommand)>,
     /// What either side has sent, where a session must let nothing else through.
     sent: Option<Sent>,
     seen: Seen,
@@ -71,7 +71,7 @@ struct Watch {
 pub(crate) type Sent = Rc<RefCell<[Vec<Vec<u8>>; 2]>>;
 
 impl Watch {
-    fn new(side: usize, acts: Vec<(u64, Act)>, sent: Option<Sent>) -> Self {
+    fn new(side: usize, acts: Vec<(u64, OperatorCommand)>, sent: Option<Sent>) -> Self {
         let state = LadderState::Disengaged;
         Self {
             side,
@@ -198,7 +198,7 @@ impl<P: MasterPlant<N>, const N: usize> Near<P, N> {
         side: MasterSide<Plant<P, N>, N>,
         limiter: LimiterSettings,
         period_ns: u64,
-        acts: Vec<(u64, Act)>,
+        acts: Vec<(u64, OperatorCommand)>,
         sent: Option<Sent>,
     ) -> Self {
         let period_s = period_ns as f64 * 1e-9;
@@ -237,7 +237,7 @@ impl<P: SlavePlant<N>, const N: usize> Far<P, N> {
     pub(crate) fn new(
         side: SlaveSide<Plant<P, N>, N>,
         bounds: CommandBounds,
-        acts: Vec<(u64, Act)>,
+        acts: Vec<(u64, OperatorCommand)>,
         sent: Option<Sent>,
     ) -> Self {
         Self { side, watch: Watch::new(1, acts, sent), bounds, home: None, command: None, clock_ns: 0 }
@@ -292,7 +292,7 @@ impl<P: MasterPlant<N>, const N: usize> Side for Near<P, N> {
         self.side.late(late_ns);
     }
 
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         let taken = self.side.receive(now_ns, datagram);
         self.watch.accepted::<N>(now_ns, datagram, taken.is_ok());
         taken
@@ -346,7 +346,7 @@ impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
         self.side.late(late_ns);
     }
 
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), Refusal> {
+    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
         let taken = self.side.receive(now_ns, datagram);
         self.watch.accepted::<N>(now_ns, datagram, taken.is_ok());
         taken

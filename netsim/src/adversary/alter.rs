@@ -3,14 +3,14 @@
 //! Source: T. Bonaci et al., "To make a robot secure: an experimental analysis of cyber security threats against
 //! teleoperated surgical robotics", arXiv 1504.04339, intent manipulation and hijacking.
 
-use crate::alteration::{Alteration, MOST_EDITS, NUMBER_BYTES, offset};
+use crate::alteration::{Alteration, MAX_EDITS, NUMBER_BYTES, offset};
 use crate::damage::Damage;
 use crate::rule::{Ending, Extras, add_extra};
 use crate::settings::{Checksum, Edit, LinkError, MAX_PAYLOAD, within};
 use crate::verdict::{ExtraCause, Packet, Verdict};
 
 /// Largest number that an edit names: what a unit slipped by a million still fits in.
-const MOST_VALUE: f64 = 1e12;
+const MAX_VALUE: f64 = 1e12;
 
 #[derive(Clone, Copy, Debug)]
 struct Alter {
@@ -24,7 +24,7 @@ pub(super) fn build(
     checksum: Option<Checksum>,
     inject: bool,
 ) -> Result<Box<dyn Ending>, LinkError> {
-    within(&format!("{key}.edits"), edits.len() as f64, 0.0, MOST_EDITS as f64)?;
+    within(&format!("{key}.edits"), edits.len() as f64, 0.0, MAX_EDITS as f64)?;
     if edits.is_empty() && checksum.is_none() {
         return Err(LinkError::contradiction(
             format!("{key}.edits"),
@@ -37,7 +37,7 @@ pub(super) fn build(
         let most = MAX_PAYLOAD - NUMBER_BYTES;
         within(&format!("{key}.offset"), offset(edit) as f64, 0.0, most as f64)?;
         if let Edit::F64 { value, .. } = *edit {
-            within(&format!("{key}.value"), value, -MOST_VALUE, MOST_VALUE)?;
+            within(&format!("{key}.value"), value, -MAX_VALUE, MAX_VALUE)?;
         }
         *slot = Some(*edit);
     }

@@ -1,6 +1,6 @@
 //! An attack that flips bits at a chosen place, such as the header.
 
-use crate::damage::{Damage, Flips, MOST_FLIPS, bytes};
+use crate::damage::{Damage, Flips, MAX_FLIPS, bytes};
 use crate::random::Stream;
 use crate::rule::{Ending, Extras};
 use crate::settings::{ByteRange, LinkError, MAX_PAYLOAD, within};
@@ -23,7 +23,7 @@ pub(super) fn build(
             format!("{start} is not below end = {end}: there is no byte in between"),
         ));
     }
-    let most = (8 * (end - start)).min(MOST_FLIPS as usize);
+    let most = (8 * (end - start)).min(MAX_FLIPS as usize);
     within(&format!("{key}.bits"), f64::from(bits), 1.0, most as f64)?;
     Ok(Box::new(BitFlip(Flips { bits, start: bytes(start), end: bytes(end), stream })))
 }

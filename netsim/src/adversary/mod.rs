@@ -14,7 +14,7 @@ mod target;
 
 use crate::damage::Damage;
 use crate::random::{Impairment, Stream};
-use crate::rule::{Ending, Extras, MOST_EXTRAS, Streams};
+use crate::rule::{Ending, Extras, MAX_EXTRAS, Streams};
 use crate::settings::{Action, LinkError, LinkSettings, within};
 use crate::verdict::{ExtraCause, Packet, Verdict};
 
@@ -32,9 +32,9 @@ pub(crate) fn build(
 ) -> Result<Option<Box<dyn Ending>>, LinkError> {
     within("attacks", settings.attacks.len() as f64, 0.0, MOST as f64)?;
     let copies = settings.attacks.iter().filter(|attack| copies(&attack.action)).count();
-    if copies + usize::from(settings.duplicate > 0.0) > MOST_EXTRAS {
+    if copies + usize::from(settings.duplicate > 0.0) > MAX_EXTRAS {
         let problem =
-            format!("{copies} of them add a packet: at most {MOST_EXTRAS} may, a duplicate among them");
+            format!("{copies} of them add a packet: at most {MAX_EXTRAS} may, a duplicate among them");
         return Err(LinkError::contradiction("attacks", problem));
     }
     let stream = streams.of(Impairment::Attack);

@@ -27,12 +27,12 @@ use super::cells::{COUNT, Cells, WIDTH};
 /// Fastest change of the delay in s/s: a little short of what would let a packet catch up with the one before.
 const FASTEST: f64 = 0.9;
 /// Shortest correlation time by standard deviations of the delay.
-const LEAST_TAU_SIGMAS: f64 = 4.0;
+const MIN_TAU_SIGMAS: f64 = 4.0;
 /// Shortest correlation time in ns; far above the resolution of time.
-const LEAST_TAU_NS: f64 = 20_000.0;
+const MIN_TAU_NS: f64 = 20_000.0;
 /// Number of velocity's correlation times in tau: at least, and where the order asks for no less, at most.
-const LEAST_TURNS: f64 = 12.0;
-const MOST_TURNS: f64 = 50.0;
+const MIN_TURNS: f64 = 12.0;
+const MAX_TURNS: f64 = 50.0;
 
 /// Cells that a run often passes.
 const NEAR: usize = 16;
@@ -50,8 +50,8 @@ impl Path {
     /// The delay is correlated by 1 / e over `tau_s`, with `keep_order` over no less than the order permits. Delays forget
     /// themselves sooner than z does, unless they are normal, so z is given a longer time.
     pub(super) fn new(cells: &Cells, tau_s: f64, sigma_s: f64, keep_order: bool) -> Self {
-        let least_ns = if keep_order { LEAST_TAU_SIGMAS * sigma_s * 1e9 } else { 0.0 };
-        let asked_ns = (tau_s * 1e9).max(least_ns).max(LEAST_TAU_NS);
+        let least_ns = if keep_order { MIN_TAU_SIGMAS * sigma_s * 1e9 } else { 0.0 };
+        let asked_ns = (tau_s * 1e9).max(least_ns).max(MIN_TAU_NS);
         let rho = cells.correlation_for_one_e();
         // Nearer than this the cells are not to the law.
         let tau_ns = if rho < libm::exp(-1.0) + 1e-4 { asked_ns } else { asked_ns / -libm::log(rho) };
@@ -59,9 +59,9 @@ impl Path {
         // is then sigma / sqrt(tau eps): gentle where that is free, steep where tau is short.
         let turns = if keep_order {
             let ratio = tau_ns / (sigma_s * 1e9);
-            (0.5 * ratio * ratio).clamp(LEAST_TURNS, MOST_TURNS)
+            (0.5 * ratio * ratio).clamp(MIN_TURNS, MAX_TURNS)
         } else {
-            MOST_TURNS
+            MAX_TURNS
         };
         let speed = turns.sqrt() / tau_ns;
         let fastest = if keep_order { FASTEST } else { f64::INFINITY };

@@ -7,7 +7,7 @@ use super::incomplete_gamma::StandardGamma;
 use super::{Tails, at_most};
 use crate::settings::{LinkError, within};
 
-const LEAST_SHAPE: f64 = 0.05;
+const MIN_SHAPE: f64 = 0.05;
 const LARGEST_SHAPE: f64 = 1e4;
 
 #[derive(Clone, Copy, Debug)]
@@ -19,14 +19,14 @@ pub(super) struct Gamma {
 
 impl Gamma {
     pub(super) fn new(mean_s: f64, sigma_s: f64) -> Result<Self, LinkError> {
-        let most_s = mean_s / LEAST_SHAPE.sqrt();
+        let most_s = mean_s / MIN_SHAPE.sqrt();
         at_most(sigma_s, most_s, "gamma", mean_s, "for more take the distribution lognormal")?;
         let ratio = mean_s / sigma_s;
         Ok(Self { least_s: 0.0, scale_s: sigma_s / ratio, excess: StandardGamma::new(ratio * ratio) })
     }
 
     pub(super) fn shifted(mean_s: f64, sigma_s: f64, shape: f64) -> Result<Self, LinkError> {
-        within("distribution_shape", shape, LEAST_SHAPE, LARGEST_SHAPE)?;
+        within("distribution_shape", shape, MIN_SHAPE, LARGEST_SHAPE)?;
         let root = shape.sqrt();
         let remedy = "for more take a smaller distribution_shape";
         at_most(sigma_s, mean_s / root, "a least one and a gamma excess of this shape", mean_s, remedy)?;

@@ -6,7 +6,7 @@ use super::Tails;
 
 const PRECISION: f64 = 1e-15;
 const NEWTON_PRECISION: f64 = 1e-7;
-const MOST_TERMS: usize = 10_000;
+const MAX_TERMS: usize = 10_000;
 /// From here on the normal law of the cube root is closer than the inversion is worth its time.
 const LARGE_SHAPE: f64 = 2000.0;
 
@@ -28,7 +28,7 @@ struct Values {
 /// `1 + x / (k + 1) + x^2 / ((k + 1) (k + 2)) + ...`
 fn series(k: f64, x: f64) -> f64 {
     let (mut term, mut sum) = (1.0, 1.0);
-    for n in 1..MOST_TERMS {
+    for n in 1..MAX_TERMS {
         term *= x / (k + n as f64);
         sum += term;
         if term < sum * PRECISION {
@@ -44,7 +44,7 @@ fn fraction(k: f64, x: f64) -> f64 {
     let mut d = 1.0 / b;
     let mut c = f64::INFINITY;
     let mut product = d;
-    for n in 1..MOST_TERMS {
+    for n in 1..MAX_TERMS {
         let n = n as f64;
         let a = -n * (n - k);
         b += 2.0;

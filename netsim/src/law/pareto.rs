@@ -11,7 +11,7 @@ use crate::settings::{LinkError, within};
 
 const DEFAULT_INDEX: f64 = 5.0;
 /// At 2 the variance is infinite; shortly above it lies in delays too rare to be ever met.
-const LEAST_INDEX: f64 = 2.5;
+const MIN_INDEX: f64 = 2.5;
 const LARGEST_INDEX: f64 = 100.0;
 
 #[derive(Clone, Copy, Debug)]
@@ -24,7 +24,7 @@ pub(super) struct Pareto {
 impl Pareto {
     pub(super) fn new(mean_s: f64, sigma_s: f64, index: Option<f64>) -> Result<Self, LinkError> {
         let index = index.unwrap_or(DEFAULT_INDEX);
-        within("distribution_shape", index, LEAST_INDEX, LARGEST_INDEX)?;
+        within("distribution_shape", index, MIN_INDEX, LARGEST_INDEX)?;
         // E[X] - x_m is this many standard deviations.
         let rise = ((index - 2.0) / index).sqrt();
         let remedy = "for more take a smaller distribution_shape or the distribution lognormal";

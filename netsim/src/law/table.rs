@@ -10,7 +10,7 @@ use super::{Tails, at_most};
 use crate::settings::LinkError;
 
 /// As many as netem takes.
-const MOST_VALUES: usize = 16384;
+const MAX_VALUES: usize = 16384;
 
 #[derive(Clone, Debug)]
 pub(super) struct Table {
@@ -21,8 +21,8 @@ impl Table {
     pub(super) fn new(mean_s: f64, sigma_s: f64, values: &[i16]) -> Result<Self, LinkError> {
         let refuse = |problem: String| Err(LinkError::contradiction("distribution", problem));
         let count = values.len();
-        if !(2..=MOST_VALUES).contains(&count) {
-            return refuse(format!("a table of {count} values: must have from 2 to {MOST_VALUES}"));
+        if !(2..=MAX_VALUES).contains(&count) {
+            return refuse(format!("a table of {count} values: must have from 2 to {MAX_VALUES}"));
         }
         let mut sorted: Vec<f64> = values.iter().copied().map(f64::from).collect();
         sorted.sort_by(f64::total_cmp);

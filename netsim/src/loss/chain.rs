@@ -4,7 +4,7 @@ use crate::random::{Chance, Stream};
 
 /// Most packets that a chain steps over at once, those that a rule before it dropped. After more than these it
 /// starts from its stationary law again, so that no packet costs more.
-const MOST_STEPS: u64 = 10_000;
+const MAX_STEPS: u64 = 10_000;
 
 /// A distribution over the states `0..N`, as a table of its sums.
 #[derive(Clone, Copy, Debug)]
@@ -50,7 +50,7 @@ impl<const N: usize> Chain<N> {
     /// this one leaves the states as they are.
     pub(super) fn state(&mut self, index: u64) -> usize {
         let state = match self.last {
-            Some((last, state)) if last <= index && index - last <= MOST_STEPS => {
+            Some((last, state)) if last <= index && index - last <= MAX_STEPS => {
                 (last + 1..=index).fold(state, |state, index| self.rows[state].pick(self.stream.bits(index)))
             }
             _ => self.stationary.pick(self.stream.bits(index)),

@@ -3,7 +3,7 @@
 //! Given the share L of the time that is bad and its mean length B in s, good times last `B (1 - L) / L` on
 //! average. Unlike [`gilbert`](super::gilbert), what is lost does not depend on how often packets are sent.
 
-use crate::on_off::{LEAST_GAP_S, MAX_MEAN_S, OnOff};
+use crate::on_off::{MAX_MEAN_S, MIN_GAP_S, OnOff};
 use crate::random::Impairment;
 use crate::rule::{Rule, Streams};
 use crate::settings::{LinkError, within};
@@ -17,18 +17,18 @@ pub(super) struct GilbertInTime {
 impl GilbertInTime {
     /// `None` where bursts have no meaning, since nothing or everything is lost.
     pub(super) fn new(loss: f64, mean_burst_s: f64, streams: &Streams) -> Result<Option<Self>, LinkError> {
-        within("mean_burst_s", mean_burst_s, LEAST_GAP_S, MAX_MEAN_S)?;
+        within("mean_burst_s", mean_burst_s, MIN_GAP_S, MAX_MEAN_S)?;
         if loss == 0.0 || loss == 1.0 {
             return Ok(None);
         }
         let mean_gap_s = mean_burst_s * (1.0 - loss);
-        if mean_gap_s < LEAST_GAP_S {
+        if mean_gap_s < MIN_GAP_S {
             return Err(LinkError::contradiction(
                 "mean_burst_s",
                 format!(
                     "{mean_burst_s} is too short for loss = {loss}: give at least {}, so that the times between \
                      bursts can be told apart",
-                    LEAST_GAP_S / (1.0 - loss)
+                    MIN_GAP_S / (1.0 - loss)
                 ),
             ));
         }

@@ -8,7 +8,7 @@ use crate::trace::ParseError;
 /// Packets that netem holds unless told otherwise.
 const DEFAULT_LIMIT: usize = 1000;
 /// Most packets that it may be told to hold.
-const MOST_PACKETS: usize = 10_000_000;
+const MAX_PACKETS: usize = 10_000_000;
 /// Longest text in bytes.
 const LONGEST_TEXT: usize = 4096;
 
@@ -113,7 +113,7 @@ impl Arguments {
                 return Err(word.unknown());
             };
             match option {
-                "limit" => arguments.limit = words.integer("limit", 1, MOST_PACKETS)?,
+                "limit" => arguments.limit = words.integer("limit", 1, MAX_PACKETS)?,
                 "latency" | "delay" => arguments.read_delay(&mut words)?,
                 "loss" | "drop" => {
                     if std::mem::replace(&mut has_loss, true) {

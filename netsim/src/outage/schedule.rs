@@ -5,12 +5,12 @@ use crate::random::Stream;
 use crate::settings::{LinkError, MAX_TIME_S, OutageTimes, nanoseconds, within};
 
 /// Least duration in s: a clock tick of the model.
-const LEAST_S: f64 = 1e-9;
+const MIN_S: f64 = 1e-9;
 /// Least mean time of random outages in s.
-const LEAST_MEAN_S: f64 = 1e-6;
+const MIN_MEAN_S: f64 = 1e-6;
 /// How many times longer than the mean time up the mean time down may be; the work of finding the end of an outage
 /// grows with it.
-const MOST_DOWN_PER_UP: f64 = 1000.0;
+const MAX_DOWN_PER_UP: f64 = 1000.0;
 
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Schedule {
@@ -26,14 +26,14 @@ impl Schedule {
         match *times {
             OutageTimes::Once { at_s, duration_s } => {
                 check("at_s", at_s, 0.0, MAX_TIME_S)?;
-                check("duration_s", duration_s, LEAST_S, MAX_TIME_S)?;
+                check("duration_s", duration_s, MIN_S, MAX_TIME_S)?;
                 let from_ns = nanoseconds(at_s);
                 Ok(Self::Once { from_ns, until_ns: from_ns + nanoseconds(duration_s) })
             }
             OutageTimes::Periodic { at_s, period_s, duration_s } => {
                 check("at_s", at_s, 0.0, MAX_TIME_S)?;
-                check("period_s", period_s, LEAST_S, MAX_TIME_S)?;
-                check("duration_s", duration_s, LEAST_S, MAX_TIME_S)?;
+                check("period_s", period_s, MIN_S, MAX_TIME_S)?;
+                check("duration_s", duration_s, MIN_S, MAX_TIME_S)?;
                 let [period_ns, duration_ns] = [period_s, duration_s].map(nanoseconds);
                 if duration_ns >= period_ns {
                     return Err(LinkError::contradiction(
@@ -46,9 +46,9 @@ impl Schedule {
                 Ok(Self::Periodic { from_ns: nanoseconds(at_s), period_ns, duration_ns })
             }
             OutageTimes::Random { mean_up_s, mean_down_s } => {
-                check("mean_up_s", mean_up_s, LEAST_MEAN_S, MAX_MEAN_S)?;
-                let most_s = MAX_MEAN_S.min(mean_up_s * MOST_DOWN_PER_UP);
-                check("mean_down_s", mean_down_s, LEAST_MEAN_S, most_s)?;
+                check("mean_up_s", mean_up_s, MIN_MEAN_S, MAX_MEAN_S)?;
+                let most_s = MAX_MEAN_S.min(mean_up_s * MAX_DOWN_PER_UP);
+                check("mean_down_s", mean_down_s, MIN_MEAN_S, most_s)?;
                 Ok(Self::Random(OnOff::by_means(mean_up_s, mean_down_s, stream)))
             }
         }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::wire::{Answer, Request, SIZE, Seen};
 
 /// Measurements remembered at a time; another one takes the place of the one that was heard of longest ago.
-const MOST_SESSIONS: usize = 64;
+const MAX_SESSIONS: usize = 64;
 /// How soon a stop is noticed.
 const PATIENCE: Duration = Duration::from_millis(20);
 
@@ -42,7 +42,7 @@ impl Echo {
     pub fn bind(address: SocketAddr) -> io::Result<Self> {
         let socket = UdpSocket::bind(address)?;
         socket.set_read_timeout(Some(PATIENCE))?;
-        Ok(Self { socket, sessions: Vec::with_capacity(MOST_SESSIONS) })
+        Ok(Self { socket, sessions: Vec::with_capacity(MAX_SESSIONS) })
     }
 
     /// Where it is.
@@ -84,7 +84,7 @@ impl Echo {
         let known = self.sessions.iter().position(is_of);
         let place = known.unwrap_or_else(|| {
             let session = Session { source, token: request.token, seen: Seen::default(), heard: now };
-            if self.sessions.len() < MOST_SESSIONS {
+            if self.sessions.len() < MAX_SESSIONS {
                 self.sessions.push(session);
                 return self.sessions.len() - 1;
             }

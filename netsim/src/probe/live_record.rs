@@ -16,11 +16,11 @@ use super::wire::{Answer, Request, SIZE};
 use crate::{ScheduleBefore, proxy::prepare_thread};
 
 /// Most probes a second.
-pub const MOST_RATE_HZ: f64 = 1000.0;
+pub const MAX_RATE_HZ: f64 = 1000.0;
 /// Slowest rate of probes in Hz.
-const LEAST_RATE_HZ: f64 = 1e-3;
+const MIN_RATE_HZ: f64 = 1e-3;
 /// Most probes of a measurement: more than two hours at 1 kHz.
-pub const MOST_PROBES: f64 = 1e7;
+pub const MAX_PROBES: f64 = 1e7;
 /// How long the last answers are waited for.
 const LAST_WAIT: Duration = Duration::from_secs(2);
 /// Asleep for at most this long, so that a stop is noticed.
@@ -31,7 +31,7 @@ const LONGEST_SLEEP: Duration = Duration::from_millis(20);
 pub struct RecordSettings {
     /// Where the echo is.
     pub peer: SocketAddr,
-    /// Probes a second, at most [`MOST_RATE_HZ`].
+    /// Probes a second, at most [`MAX_RATE_HZ`].
     pub rate_hz: f64,
     /// For how long in s.
     pub duration_s: f64,
@@ -89,8 +89,8 @@ pub fn record(settings: &RecordSettings, stop: &AtomicBool) -> Result<Recording,
         let is_good = seen >= least && seen <= most;
         if is_good { Ok(()) } else { Err(ProbeError::OutOfRange { key, seen, least, most }) }
     };
-    within("rate_hz", rate_hz, LEAST_RATE_HZ, MOST_RATE_HZ)?;
-    within("duration_s", duration_s, 1e-3, MOST_PROBES / rate_hz)?;
+    within("rate_hz", rate_hz, MIN_RATE_HZ, MAX_RATE_HZ)?;
+    within("duration_s", duration_s, 1e-3, MAX_PROBES / rate_hz)?;
     let refuse = |source| ProbeError::Socket { peer, source };
     let socket = connect(peer).map_err(refuse)?;
     let _given_back = ScheduleBefore::of_this_thread();
@@ -124,7 +124,7 @@ struct Run {
 }
 
 impl Run {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within MOST_PROBES")]
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within MAX_PROBES")]
     fn new(socket: UdpSocket, rate_hz: f64, duration_s: f64) -> Self {
         let count = (rate_hz * duration_s).ceil() as usize;
         Self {

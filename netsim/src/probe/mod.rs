@@ -7,5 +7,5 @@ mod recording;
 mod wire;
 
 pub use live_echo::{Echo, EchoStatistics};
-pub use live_record::{MOST_PROBES, MOST_RATE_HZ, ProbeError, RecordSettings, record};
+pub use live_record::{MAX_PROBES, MAX_RATE_HZ, ProbeError, RecordSettings, record};
 pub use recording::{Probe, Recording};

@@ -14,9 +14,9 @@ use super::buffers::MAX_DATAGRAM;
 use super::statistics::count;
 
 /// Most datagrams taken with one call.
-const MOST_RECEIVED: usize = 64;
+const MAX_RECEIVED: usize = 64;
 /// Most datagrams sent with one call: few, so that the last is not much later than the first.
-pub(super) const MOST_SENT: usize = 32;
+pub(super) const MAX_SENT: usize = 32;
 /// One byte more than is carried, which tells a datagram that is too large.
 const CELL: usize = MAX_DATAGRAM + 1;
 
@@ -26,14 +26,14 @@ pub(super) struct Receiver {
     headers: MultiHeaders<SockaddrStorage>,
     bytes: Vec<u8>,
     /// Length and source of what the last call brought.
-    arrived: ArrayVec<(usize, Option<SocketAddr>), MOST_RECEIVED>,
+    arrived: ArrayVec<(usize, Option<SocketAddr>), MAX_RECEIVED>,
 }
 
 impl Receiver {
     pub(super) fn new() -> Self {
         Self {
-            headers: MultiHeaders::preallocate(MOST_RECEIVED, None),
-            bytes: vec![0; MOST_RECEIVED * CELL],
+            headers: MultiHeaders::preallocate(MAX_RECEIVED, None),
+            bytes: vec![0; MAX_RECEIVED * CELL],
             arrived: ArrayVec::new(),
         }
     }
@@ -43,7 +43,7 @@ impl Receiver {
         self.arrived.clear();
         loop {
             let mut bytes = self.bytes.chunks_exact_mut(CELL);
-            let mut cells: [_; MOST_RECEIVED] =
+            let mut cells: [_; MAX_RECEIVED] =
                 array::from_fn(|_| [IoSliceMut::new(bytes.next().unwrap_or_default())]);
             let received =
                 recvmmsg(socket.as_raw_fd(), &mut self.headers, &mut cells, MsgFlags::MSG_DONTWAIT, None);
@@ -81,13 +81,13 @@ pub(super) struct Sender {
 }
 
 /// What is to be sent with one call.
-pub(super) type Outgoing<'a> = ArrayVec<[IoSlice<'a>; 1], MOST_SENT>;
+pub(super) type Outgoing<'a> = ArrayVec<[IoSlice<'a>; 1], MAX_SENT>;
 /// Where to; `None` where the socket is connected.
-pub(super) type Destinations = ArrayVec<Option<SockaddrStorage>, MOST_SENT>;
+pub(super) type Destinations = ArrayVec<Option<SockaddrStorage>, MAX_SENT>;
 
 impl Sender {
     pub(super) fn new() -> Self {
-        Self { headers: MultiHeaders::preallocate(MOST_SENT, None) }
+        Self { headers: MultiHeaders::preallocate(MAX_SENT, None) }
     }
 
     /// Sends all; bit n of the result says whether the n-th was taken.

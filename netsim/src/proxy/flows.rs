@@ -3,7 +3,7 @@
 use std::net::{SocketAddr, UdpSocket};
 
 /// Most clients served at a time.
-pub const MOST_FLOWS: usize = 64;
+pub const MAX_FLOWS: usize = 64;
 /// A flow that has been silent for as long is closed.
 const EXPIRY_NS: u64 = 60_000_000_000;
 /// A flow that has been silent for as long makes room for another where there is none.
@@ -58,7 +58,7 @@ impl Flows {
     /// Whether another client may come, who takes the place of the one that has been silent longest if need be.
     pub(super) fn make_room(&mut self, now_ns: u64) -> bool {
         self.expire(now_ns);
-        if self.len() < MOST_FLOWS {
+        if self.len() < MAX_FLOWS {
             return true;
         }
         let heard_ns = |place: &Option<Flow>| place.as_ref().map_or(u64::MAX, |flow| flow.heard_ns);
@@ -142,14 +142,14 @@ mod tests {
     #[test]
     fn where_all_places_are_taken_the_longest_silent_makes_room() {
         let mut flows = Flows::default();
-        for number in 0..MOST_FLOWS {
+        for number in 0..MAX_FLOWS {
             assert!(flows.make_room(100));
             open(&mut flows, number, 100 + number as u64);
         }
         flows.find(client(0), 500);
         assert!(!flows.make_room(YIELD_NS + 100), "the longest silent one was heard 1 ns too late");
         assert!(flows.make_room(YIELD_NS + 101));
-        assert_eq!(flows.len(), MOST_FLOWS - 1);
+        assert_eq!(flows.len(), MAX_FLOWS - 1);
         assert_eq!(flows.find(client(1), 0), None);
         assert!(flows.find(client(0), YIELD_NS).is_some());
     }

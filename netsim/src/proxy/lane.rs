@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering::Relaxed;
 use arrayvec::ArrayVec;
 
 use super::Clock;
-use super::batch::{Destinations, MOST_SENT, Outgoing, Sender};
+use super::batch::{Destinations, MAX_SENT, Outgoing, Sender};
 use super::buffers::{BufferPool, MAX_DATAGRAM, Slot};
 use super::control::Change;
 use super::log::{Log, Record};
@@ -157,7 +157,7 @@ impl Lane {
     ) {
         let mut next = self.queue.pop_due(now_ns);
         while let Some((due_ns, slot)) = next.take() {
-            let mut batch: ArrayVec<(u64, Slot), MOST_SENT> = ArrayVec::new();
+            let mut batch: ArrayVec<(u64, Slot), MAX_SENT> = ArrayVec::new();
             let door = self.door(&slot);
             batch.push((due_ns, slot));
             while !batch.is_full() {
@@ -183,7 +183,7 @@ impl Lane {
 
     fn send(
         &mut self,
-        batch: ArrayVec<(u64, Slot), MOST_SENT>,
+        batch: ArrayVec<(u64, Slot), MAX_SENT>,
         door: Option<Door>,
         clock: Clock,
         ports: &Ports,

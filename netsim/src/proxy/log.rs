@@ -9,7 +9,7 @@ use super::writer::write_while_open;
 use crate::verdict::Direction;
 
 /// Datagrams whose records wait to be written; more are not recorded.
-const MOST_WAITING: usize = 1 << 17;
+const MAX_WAITING: usize = 1 << 17;
 
 /// First line of the log.
 pub(super) const HEADER: &str = "direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,error_ns,size";
@@ -60,7 +60,7 @@ pub(super) struct Log {
 impl Log {
     /// Begins a log, and the thread that writes it.
     pub(super) fn begin(out: impl Write + Send + 'static) -> io::Result<Self> {
-        let (records, waiting) = rtrb::RingBuffer::new(MOST_WAITING);
+        let (records, waiting) = rtrb::RingBuffer::new(MAX_WAITING);
         let writer = std::thread::Builder::new()
             .name("haptether-log".into())
             .spawn(move || write_while_open(out, waiting))?;

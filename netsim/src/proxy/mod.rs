@@ -43,7 +43,7 @@ use statistics::{Recorder, count};
 
 pub use buffers::MAX_DATAGRAM;
 pub use control::ProxyControl;
-pub use flows::MOST_FLOWS;
+pub use flows::MAX_FLOWS;
 pub use histogram::SchedulingError;
 pub use realtime::{ScheduleBefore, Scheduling, schedule_fifo};
 pub use settings::{ProxyError, ProxySettings, Source};

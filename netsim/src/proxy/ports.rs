@@ -8,7 +8,7 @@ use nix::sys::socket::SockaddrStorage;
 use rustix::event::epoll::{self, CreateFlags, Event, EventData, EventFlags};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
-use super::flows::{FlowId, Flows, MOST_FLOWS};
+use super::flows::{FlowId, Flows, MAX_FLOWS};
 use super::settings::{ProxyError, ProxySettings, Source};
 use super::socket::{granted, is_own, open_listening, open_upstream};
 
@@ -66,11 +66,11 @@ impl Entrance {
 }
 
 /// Room for the answer of a look at all entrances.
-pub(super) struct Ready([Event; MOST_FLOWS + 1]);
+pub(super) struct Ready([Event; MAX_FLOWS + 1]);
 
 impl Ready {
     pub(super) fn new() -> Self {
-        Self([Event { flags: EventFlags::empty(), data: EventData::new_u64(0) }; MOST_FLOWS + 1])
+        Self([Event { flags: EventFlags::empty(), data: EventData::new_u64(0) }; MAX_FLOWS + 1])
     }
 }
 

@@ -5,7 +5,7 @@ const SPIN_NS: u64 = 100_000;
 /// Asleep for at most this long, so that a stop is noticed.
 const SLEEP_NS: u64 = 20_000_000;
 /// Most time awake that is saved up for later.
-const MOST_CREDIT_NS: u64 = 2_000_000;
+const MAX_CREDIT_NS: u64 = 2_000_000;
 
 /// Decides how long to sleep.
 ///
@@ -21,7 +21,7 @@ pub(super) struct Rest {
 
 impl Default for Rest {
     fn default() -> Self {
-        Self { credit_ns: MOST_CREDIT_NS, looked_ns: 0, was_spinning: false }
+        Self { credit_ns: MAX_CREDIT_NS, looked_ns: 0, was_spinning: false }
     }
 }
 
@@ -33,7 +33,7 @@ impl Rest {
         self.credit_ns = if self.was_spinning {
             self.credit_ns.saturating_sub(passed_ns)
         } else {
-            self.credit_ns.saturating_add(passed_ns).min(MOST_CREDIT_NS)
+            self.credit_ns.saturating_add(passed_ns).min(MAX_CREDIT_NS)
         };
         let until_due_ns = due_ns.map_or(u64::MAX, |due_ns| due_ns.saturating_sub(now_ns));
         self.was_spinning = false;
@@ -85,6 +85,6 @@ mod tests {
                 None => now_ns += 500,
             }
         }
-        assert!(asleep_ns * 2 >= now_ns - 2 * MOST_CREDIT_NS, "{asleep_ns} of {now_ns}");
+        assert!(asleep_ns * 2 >= now_ns - 2 * MAX_CREDIT_NS, "{asleep_ns} of {now_ns}");
     }
 }

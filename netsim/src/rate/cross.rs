@@ -10,13 +10,13 @@ use crate::settings::{CrossTraffic, LinkError, within};
 const SLOWEST_BPS: f64 = 1.0;
 const FASTEST_BPS: f64 = 1e11;
 /// Most packets per second: a gap in the link's own packets costs about a second of them.
-const MOST_PER_S: f64 = 1e6;
+const MAX_PER_S: f64 = 1e6;
 /// Largest packet in bytes.
 const LARGEST: usize = 65_535;
 /// Packets in a bin, on average.
 const PER_BIN: f64 = 16.0;
 /// Most packets that are drawn to settle the queue after a silence.
-const MOST_TO_SETTLE: f64 = 2e6;
+const MAX_TO_SETTLE: f64 = 2e6;
 /// Pauses and the times between them in one bin of theirs, on average.
 const PAUSES_PER_BIN: f64 = 256.0;
 /// Shortest and longest mean time in s that it sends or pauses.
@@ -46,15 +46,15 @@ impl Cross {
         within("cross_traffic.packet_bytes", asked.packet_bytes as f64, 1.0, LARGEST as f64)?;
         let packet_bits = asked.packet_bytes as f64 * 8.0;
         let per_s = asked.rate_bps / packet_bits;
-        if per_s > MOST_PER_S {
+        if per_s > MAX_PER_S {
             return Err(LinkError::contradiction(
                 "cross_traffic",
-                format!("{per_s} packets/s; at most {MOST_PER_S} are allowed: ask for larger packets"),
+                format!("{per_s} packets/s; at most {MAX_PER_S} are allowed: ask for larger packets"),
             ));
         }
         let pauses = Pauses::new(asked, stream.nth(1))?;
         let mean_gap_ns = 1e9 / per_s;
-        let settle_ns = (1e9 + 2.0 * drain_ns).min(MOST_TO_SETTLE * mean_gap_ns);
+        let settle_ns = (1e9 + 2.0 * drain_ns).min(MAX_TO_SETTLE * mean_gap_ns);
         let mut cross = Self {
             packet_bytes: asked.packet_bytes as u64,
             mean_gap_ns,

@@ -21,7 +21,7 @@ use std::collections::VecDeque;
 
 use self::codel::Codel;
 use self::cross::Cross;
-pub(crate) use self::server::MOST_OPPORTUNITIES;
+pub(crate) use self::server::MAX_OPPORTUNITIES;
 use self::server::Server;
 use crate::random::Impairment;
 use crate::rule::{Rule, Streams};
@@ -34,13 +34,13 @@ pub(crate) const DEFAULT_QUEUE_PACKETS: usize = 1000;
 /// Packets that memory is taken for at once; a longer queue grows.
 const RESERVED_PACKETS: usize = 16_384;
 /// However it is bounded.
-const MOST_QUEUE_PACKETS: usize = 10_000_000;
+const MAX_QUEUE_PACKETS: usize = 10_000_000;
 /// Most bytes that may be asked to wait.
-const MOST_QUEUE_BYTES: usize = 1 << 40;
+const MAX_QUEUE_BYTES: usize = 1 << 40;
 /// Longest wait that may be asked for, in ms.
 const LONGEST_QUEUE_MS: f64 = 3.6e6;
 /// Most bytes of headers.
-const MOST_OVERHEAD: usize = 1000;
+const MAX_OVERHEAD: usize = 1000;
 
 /// Bounds of the queue; what none of them names is not bounded.
 #[derive(Clone, Copy, Debug)]
@@ -122,7 +122,7 @@ pub(crate) fn build(settings: &LinkSettings, streams: &Streams) -> Result<Option
         (Some(rate_bps), None) => Server::rate(rate_bps)?,
         (None, Some(opportunities)) => Server::opportunities(opportunities)?,
     };
-    check_size("overhead_bytes", settings.overhead_bytes, 0, MOST_OVERHEAD)?;
+    check_size("overhead_bytes", settings.overhead_bytes, 0, MAX_OVERHEAD)?;
     let bounds = bounds(settings)?;
     let cross = match &settings.cross_traffic {
         None => None,
@@ -170,13 +170,13 @@ fn refuse_strays(settings: &LinkSettings) -> Result<(), LinkError> {
 }
 
 fn bounds(settings: &LinkSettings) -> Result<Bounds, LinkError> {
-    let mut bounds = Bounds { packets: MOST_QUEUE_PACKETS, bytes: u64::MAX, wait_ns: u64::MAX };
+    let mut bounds = Bounds { packets: MAX_QUEUE_PACKETS, bytes: u64::MAX, wait_ns: u64::MAX };
     if let Some(packets) = settings.queue_packets {
-        check_size("queue_packets", packets, 1, MOST_QUEUE_PACKETS)?;
+        check_size("queue_packets", packets, 1, MAX_QUEUE_PACKETS)?;
         bounds.packets = packets;
     }
     if let Some(bytes) = settings.queue_bytes {
-        check_size("queue_bytes", bytes, 1, MOST_QUEUE_BYTES)?;
+        check_size("queue_bytes", bytes, 1, MAX_QUEUE_BYTES)?;
         bounds.bytes = bytes as u64;
     }
     if let Some(queue_ms) = settings.queue_ms {

@@ -10,7 +10,7 @@ const OPPORTUNITY_BYTES: u64 = 1500;
 /// Longest list of opportunities in ms, some thirty years.
 const LONGEST_MS: u64 = 1_000_000_000_000;
 /// Most opportunities in a list.
-pub(crate) const MOST_OPPORTUNITIES: usize = 10_000_000;
+pub(crate) const MAX_OPPORTUNITIES: usize = 10_000_000;
 const NS_PER_MS: u64 = 1_000_000;
 
 /// What carries packets, one after the other.
@@ -31,9 +31,9 @@ impl Server {
     pub(super) fn opportunities(asked: &Opportunities) -> Result<Self, LinkError> {
         let Opportunities { time_ms } = asked;
         let key = "opportunities.time_ms";
-        within(key, time_ms.len() as f64, 1.0, MOST_OPPORTUNITIES as f64).map_err(|_| {
+        within(key, time_ms.len() as f64, 1.0, MAX_OPPORTUNITIES as f64).map_err(|_| {
             let seen = time_ms.len();
-            LinkError::contradiction(key, format!("{seen} times; 1 to {MOST_OPPORTUNITIES} are allowed"))
+            LinkError::contradiction(key, format!("{seen} times; 1 to {MAX_OPPORTUNITIES} are allowed"))
         })?;
         for (position, pair) in time_ms.windows(2).enumerate() {
             if pair[1] < pair[0] {

@@ -86,7 +86,7 @@ pub(super) fn bursts(lost: &[bool]) -> Vec<usize> {
 
 /// Chi-square test of `P(length = k) = (1 - stay) stay^(k - 1)`, two-sided at 4 sigma.
 pub(super) fn check_geometric(lengths: &[usize], stay: f64) {
-    const LEAST_EXPECTED: f64 = 20.0;
+    const MIN_EXPECTED: f64 = 20.0;
     let n = lengths.len() as f64;
     let mean = lengths.iter().sum::<usize>() as f64 / n;
     let expected_mean = 1.0 / (1.0 - stay);
@@ -100,7 +100,7 @@ pub(super) fn check_geometric(lengths: &[usize], stay: f64) {
     let mut length = 1;
     let mut chi_square = 0.0;
     let mut bins = 0;
-    while tail * stay > LEAST_EXPECTED {
+    while tail * stay > MIN_EXPECTED {
         let expected = tail * (1.0 - stay);
         let seen = lengths.iter().filter(|&&seen| seen == length).count();
         chi_square += (seen as f64 - expected).powi(2) / expected;

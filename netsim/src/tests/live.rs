@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use super::{delay, rough};
 use crate::{
-    Direction, DropCause, LinkSettings, MAX_DATAGRAM, MOST_FLOWS, Packet, Proxy, ProxyControl, ProxyError,
+    Direction, DropCause, LinkSettings, MAX_DATAGRAM, MAX_FLOWS, Packet, Proxy, ProxyControl, ProxyError,
     ProxyMonitor, ProxySettings, ProxyStatistics, Source, Verdict,
 };
 
@@ -168,15 +168,15 @@ fn each_client_gets_its_own_answers() {
 fn no_more_clients_are_served_than_there_is_room_for() {
     let peer = socket();
     let proxy = Running::start(&settings(peer.local_addr().unwrap(), LinkSettings::default()));
-    let clients: Vec<_> = (0..=MOST_FLOWS).map(|_| socket()).collect();
+    let clients: Vec<_> = (0..=MAX_FLOWS).map(|_| socket()).collect();
     for client in &clients {
         client.send_to(b"hello", proxy.address).unwrap();
     }
     let mut buffer = [0; 16];
-    let sources: HashSet<_> = (0..MOST_FLOWS).map(|_| peer.recv_from(&mut buffer).unwrap().1).collect();
-    assert_eq!(sources.len(), MOST_FLOWS);
+    let sources: HashSet<_> = (0..MAX_FLOWS).map(|_| peer.recv_from(&mut buffer).unwrap().1).collect();
+    assert_eq!(sources.len(), MAX_FLOWS);
     let (statistics, _) = proxy.stop();
-    assert_eq!((statistics.flows, statistics.forward.refused), (MOST_FLOWS as u64, 1));
+    assert_eq!((statistics.flows, statistics.forward.refused), (MAX_FLOWS as u64, 1));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Delays in a CSV file.
 
-use super::MOST_RECORDS;
+use super::MAX_RECORDS;
 use super::error::ParseError;
 use super::text::{Field, lines};
 use crate::settings::{DelayTrace, MAX_DELAY_S, nanoseconds};
@@ -38,8 +38,8 @@ pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace,
                 record.time_s
             )));
         }
-        if time_s.len() == MOST_RECORDS {
-            return Err(line.error(format!("more than {MOST_RECORDS} records")));
+        if time_s.len() == MAX_RECORDS {
+            return Err(line.error(format!("more than {MAX_RECORDS} records")));
         }
         time_s.push(record.time_s);
         delay_s.push(record.delay_s);

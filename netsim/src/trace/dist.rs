@@ -4,7 +4,7 @@ use super::error::ParseError;
 use super::text::lines;
 
 /// Most values that netem takes.
-const MOST_VALUES: usize = 16_384;
+const MAX_VALUES: usize = 16_384;
 
 /// Reads a `.dist` table of iproute2: whole numbers from -32768 to 32767 between blanks, 2 to 16384 of them that
 /// are not all alike; lines that
@@ -27,8 +27,8 @@ pub fn parse_dist(bytes: &[u8]) -> Result<Vec<i16>, ParseError> {
                 let shown = word.shown();
                 return Err(word.error(format!("{shown}: must be a whole number from -32768 to 32767")));
             };
-            if table.len() == MOST_VALUES {
-                return Err(word.error(format!("more than {MOST_VALUES} values")));
+            if table.len() == MAX_VALUES {
+                return Err(word.error(format!("more than {MAX_VALUES} values")));
             }
             table.push(value);
         }

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Deserialize;
 use serde::de::{self, SeqAccess, Visitor};
 
-use super::MOST_RECORDS;
+use super::MAX_RECORDS;
 use super::error::ParseError;
 use crate::settings::{DelayTrace, MAX_DELAY_S};
 use crate::verdict::Direction;
@@ -342,8 +342,8 @@ impl Sent {
         if self.packets.last().is_some_and(|before| tick <= before.tick) {
             return Err("it was not sent after the one before it".into());
         }
-        if self.packets.len() == MOST_RECORDS {
-            return Err(format!("more than {MOST_RECORDS} round trips"));
+        if self.packets.len() == MAX_RECORDS {
+            return Err(format!("more than {MAX_RECORDS} round trips"));
         }
         self.packets.push(SentPacket { tick, outcome: round_trip.outcome()? });
         Ok(())

@@ -2,7 +2,7 @@
 
 use super::error::ParseError;
 use super::text::lines;
-use crate::rate::MOST_OPPORTUNITIES;
+use crate::rate::MAX_OPPORTUNITIES;
 use crate::settings::Opportunities;
 
 /// Latest time in ms.
@@ -35,8 +35,8 @@ pub fn parse_mahimahi(bytes: &[u8]) -> Result<Opportunities, ParseError> {
         {
             return Err(field.error(format!("{ms} ms comes after {before} ms; times must not decrease")));
         }
-        if time_ms.len() == MOST_OPPORTUNITIES {
-            return Err(field.error(format!("more than {MOST_OPPORTUNITIES} times")));
+        if time_ms.len() == MAX_OPPORTUNITIES {
+            return Err(field.error(format!("more than {MAX_OPPORTUNITIES} times")));
         }
         time_ms.push(ms);
     }

@@ -29,7 +29,7 @@ use crate::settings::{DelayTrace, LinkError, LinkSettings, MAX_DELAY_S, nanoseco
 use crate::verdict::{DropCause, Packet, Verdict};
 
 /// Most records of a recording.
-const MOST_RECORDS: usize = 10_000_000;
+const MAX_RECORDS: usize = 10_000_000;
 /// Latest time of a record in s.
 const LATEST_S: f64 = 1e9;
 
@@ -155,10 +155,10 @@ fn check(settings: &LinkSettings, asked: &DelayTrace) -> Result<(), LinkError> {
         return Err(LinkError::contradiction("trace", format!("given beside {key}; it takes its place")));
     }
     let (times, delays) = (asked.time_s.len(), asked.delay_s.len());
-    if times != delays || times == 0 || times > MOST_RECORDS {
+    if times != delays || times == 0 || times > MAX_RECORDS {
         return Err(LinkError::contradiction(
             "trace",
-            format!("{times} times and {delays} delays; as many of each, 1 to {MOST_RECORDS}, are needed"),
+            format!("{times} times and {delays} delays; as many of each, 1 to {MAX_RECORDS}, are needed"),
         ));
     }
     let mut before_ns = None;

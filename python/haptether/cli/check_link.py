@@ -14,8 +14,8 @@ HOLD_S = 0.02
 """Silence beyond the expected age after which the ladder holds."""
 PERIOD_S = 1e-3
 WALL_STIFFNESS = 100.0
-MOST_STIFFNESS = 1e7
-MOST_DURATION_S = 600.0
+MAX_STIFFNESS = 1e7
+MAX_DURATION_S = 600.0
 """A live run keeps the records of ten minutes."""
 
 
@@ -79,11 +79,11 @@ class CheckLink:
 
         check_target(self.json)
         key = session_key(self.key, insecure=self.insecure)
-        if self.wall_stiffness is not None and not 0.0 < self.wall_stiffness <= MOST_STIFFNESS:
-            message = f"wall-stiffness = {self.wall_stiffness:g}: must be above 0, at most {MOST_STIFFNESS:g} N/m"
+        if self.wall_stiffness is not None and not 0.0 < self.wall_stiffness <= MAX_STIFFNESS:
+            message = f"wall-stiffness = {self.wall_stiffness:g}: must be above 0, at most {MAX_STIFFNESS:g} N/m"
             raise ValueError(message)
-        if not 0.1 <= self.duration_s <= MOST_DURATION_S:
-            message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MOST_DURATION_S:g} s"
+        if not 0.1 <= self.duration_s <= MAX_DURATION_S:
+            message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MAX_DURATION_S:g} s"
             raise ValueError(message)
         scene = live_scene(self, self.scene, self.set, ("force_scale",))
         settings: MasterSettings | bytes

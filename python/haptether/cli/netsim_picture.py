@@ -7,7 +7,7 @@ import numpy as np
 from haptether.netsim import Verdicts
 from haptether.private_file import private_file
 
-MOST_POINTS = 5000
+MAX_POINTS = 5000
 
 
 def draw_sample(verdicts: Verdicts, path: Path) -> None:
@@ -20,7 +20,7 @@ def draw_sample(verdicts: Verdicts, path: Path) -> None:
     delay_ms = (packets.t_out_ns - packets.t_in_ns) * 1e-6
     figure = Figure(figsize=(9.0, 3.2), layout="constrained")
     over_time, often = figure.subplots(1, 2, width_ratios=(2, 1), sharey=True)
-    first = slice(0, MOST_POINTS)
+    first = slice(0, MAX_POINTS)
     over_time.plot(sent_s[first][arrived[first]], delay_ms[first][arrived[first]], ".", markersize=2)
     top = float(delay_ms[arrived].max()) if arrived.any() else 1.0
     lost = sent_s[first][~arrived[first]]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from haptether.netsim import LinkFigures, Verdicts
 
-MOST_PACKETS = 50_000_000
+MAX_PACKETS = 50_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +114,7 @@ def check_traffic(packets: int, rate_hz: float, size: int) -> None:
         ValueError: With the bounds.
     """
     for key, seen, least, most in (
-        ("packets", packets, 1, MOST_PACKETS),
+        ("packets", packets, 1, MAX_PACKETS),
         ("rate", rate_hz, 1e-3, 1e9),
         ("size", size, 0, 65_535),
     ):

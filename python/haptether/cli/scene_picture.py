@@ -25,7 +25,7 @@ PANELS = {
 """What is drawn below one another: signals and their labels."""
 TRIPPED = {1: "VFC", 2: "HSC", 4: "WSC", 8: "PC", 16: "held"}
 EVENTS_NAMED = 12
-LEAST_GAP = 0.012
+MIN_GAP = 0.012
 """Share of the width that two names of events stand apart at least."""
 SLAVE_SIGNAL = "slave_"
 """Prefix of the signals that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
@@ -75,7 +75,7 @@ def _name_events(panel: "Axes", told: list[tuple[float, str]], width_s: float) -
     """Names above the panel, each right of the one before."""
     place = -np.inf
     for time_s, text in told:
-        place = max(time_s, place + LEAST_GAP * width_s)
+        place = max(time_s, place + MIN_GAP * width_s)
         above = ("data", "axes fraction")
         panel.annotate(printable(text), (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,
                        parse_math=False, fontsize=7, ha="center", va="bottom", rotation=90)  # fmt: skip

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from haptether.cli.screen import Screen
 
 ROWS_SHOWN = 20
-MOST_ROWS = 10_000_000
+MAX_ROWS = 10_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +77,8 @@ class Sweep:
                 raise ValueError(message)
             grid[path] = values
         rows = prod(len(values) for values in grid.values())
-        if rows > MOST_ROWS:
-            message = f"{rows} rows: must be at most {MOST_ROWS}"
+        if rows > MAX_ROWS:
+            message = f"{rows} rows: must be at most {MAX_ROWS}"
             raise ValueError(message)
         bar = Progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=Screen(stderr=True))
         with bar:
@@ -149,7 +149,7 @@ def values_of(text: str) -> tuple[str, list[float]]:
     try:
         if ":" in values:
             first, last, count = values.split(":")
-            if not (math.isfinite(float(last) - float(first)) and int(count) <= MOST_ROWS):
+            if not (math.isfinite(float(last) - float(first)) and int(count) <= MAX_ROWS):
                 raise ValueError
             numbers: list[float] = np.linspace(float(first), float(last), int(count)).tolist()
         else:
@@ -158,7 +158,7 @@ def values_of(text: str) -> tuple[str, list[float]]:
             raise ValueError
     except ValueError:
         numbers = []
-    if not path or not numbers or len(numbers) > MOST_ROWS:
+    if not path or not numbers or len(numbers) > MAX_ROWS:
         message = f"--vary {text}: must be path=a:b:n with n of at least 1, or path=v1,v2,... of finite numbers"
         raise ValueError(message)
     return path, numbers

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator import ControlChannel, Controller, ToolEnvironment
 
 
-MOST_UNLOCK_S = 3600.0
+MAX_UNLOCK_S = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +81,8 @@ class UrEmulator:
         if not 0 <= self.seed < 2**64:
             message = f"seed = {self.seed}: must be 0 to 2^64 - 1"
             raise ValueError(message)
-        if not 0.0 <= self.unlock_after_s <= MOST_UNLOCK_S:
-            message = f"unlock_after_s = {self.unlock_after_s:g}: must be 0 to {MOST_UNLOCK_S:g} s"
+        if not 0.0 <= self.unlock_after_s <= MAX_UNLOCK_S:
+            message = f"unlock_after_s = {self.unlock_after_s:g}: must be 0 to {MAX_UNLOCK_S:g} s"
             raise ValueError(message)
         check_target(self.json)
         self._check_host()

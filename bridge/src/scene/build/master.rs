@@ -51,7 +51,7 @@ pub(crate) fn device_model<const N: usize>(spec: &MasterSpec) -> Result<DeviceMo
 }
 
 /// Most steps of an integrator in one run: minutes.
-const MOST_STEPS: f64 = 1e9;
+const MAX_STEPS: f64 = 1e9;
 
 /// The device advanced by its exact solution.
 pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec) -> Result<SimulatedMaster<N>, SceneError> {
@@ -76,9 +76,9 @@ pub(crate) fn stepped_master<const N: usize>(
         ));
     }
     let total = steps * scene.run.duration_s / scene.run.period_s;
-    if total > MOST_STEPS {
+    if total > MAX_STEPS {
         return contradiction(format!(
-            "run.step_s = {step_s}: makes {total:.3e} steps of the run, must be at most {MOST_STEPS:e}"
+            "run.step_s = {step_s}: makes {total:.3e} steps of the run, must be at most {MAX_STEPS:e}"
         ));
     }
     let (device, hand, walls) = (device(&scene.master)?, hand(scene)?, walls_on_device(scene)?);

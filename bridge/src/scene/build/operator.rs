@@ -59,7 +59,7 @@ pub(crate) fn driven_clutch(scene: &SceneSpec, simulated: bool) -> Result<Clutch
 }
 
 /// Shortest leg of a path in s; `bridge/scene_spec.py` lets no two points of a recording be closer.
-const LEAST_LEG_S: f64 = 1e-9;
+const MIN_LEG_S: f64 = 1e-9;
 
 fn path<const N: usize>(spec: &OperatorSpec) -> Result<Path<N>, SceneError> {
     let start = axes("operator.start", &spec.start)?;
@@ -84,7 +84,7 @@ fn path<const N: usize>(spec: &OperatorSpec) -> Result<Path<N>, SceneError> {
     let mut legs = Vec::with_capacity(rows.len());
     let mut before = 0.0;
     for (time, row) in time_s.iter().zip(&rows) {
-        if *time - before >= LEAST_LEG_S {
+        if *time - before >= MIN_LEG_S {
             legs.push(Leg { duration_s: time - before, end: *row, shape: LegShape::Linear });
             before = *time;
         }

@@ -18,13 +18,13 @@ pub(crate) fn period_ns(name: &str, seconds: f64) -> Result<u64, SceneError> {
 }
 
 /// Most ticks of one run.
-const MOST_TICKS: f64 = 2e7;
+const MAX_TICKS: f64 = 2e7;
 
 /// How many ticks of `period_s` a run of `duration_s` has.
 pub(crate) fn ticks(scene: &SceneSpec) -> Result<u64, SceneError> {
     let (duration, period) = (scene.run.duration_s, scene.run.period_s);
     let ticks = (duration / period).round();
-    if !(duration > 0.0 && (1.0..=MOST_TICKS).contains(&ticks)) {
+    if !(duration > 0.0 && (1.0..=MAX_TICKS).contains(&ticks)) {
         return contradiction(format!(
             "run: duration_s = {duration} of ticks of {period} s is {ticks} ticks, must be 1 to 2e7"
         ));
@@ -34,13 +34,13 @@ pub(crate) fn ticks(scene: &SceneSpec) -> Result<u64, SceneError> {
 }
 
 /// Most ticks by which an environment is late.
-const MOST_LATE: usize = 100_000;
+const MAX_LATE: usize = 100_000;
 
 /// By how many ticks the force of the environment is late.
 pub(crate) fn late(scene: &SceneSpec) -> Result<usize, SceneError> {
     let ticks = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
-    if ticks > MOST_LATE {
-        return contradiction(format!("environment.delay_ticks = {ticks}: must be at most {MOST_LATE}"));
+    if ticks > MAX_LATE {
+        return contradiction(format!("environment.delay_ticks = {ticks}: must be at most {MAX_LATE}"));
     }
     Ok(ticks)
 }
