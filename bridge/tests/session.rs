@@ -5,8 +5,8 @@ mod pair;
 
 use haptether_bridge::{
     session::{
-        Arrival, HANDSHAKE_LENGTH, HandshakeEvent, MAX_DATAGRAM, Received, Rejection, SealError, SessionEnd,
-        SessionEvent, SessionSettings, Verdict, sealed_length,
+        Arrival, HANDSHAKE_LENGTH, HandshakeDecision, HandshakeEvent, MAX_DATAGRAM, Received, Rejection,
+        SealError, SessionEnd, SessionEvent, SessionSettings, sealed_length,
     },
     wire::Role,
 };
@@ -292,7 +292,10 @@ fn the_holder_goes_on_after_its_keys_have_grown_too_old() {
         panic!("an authentic hello is answered");
     };
     second.receive(10, &mut answer, &mut entropy).unwrap();
-    assert!(matches!(second.poll_event(), Some(HandshakeEvent::Refused { verdict: Verdict::Leased, .. })));
+    assert!(matches!(
+        second.poll_event(),
+        Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, .. })
+    ));
     pair.run(20_000);
     assert!(pair.master.session.is_open(pair.now_ns) && pair.slave.session.is_open(pair.now_ns));
     assert!(matches!(epochs(&mut pair.slave)[0], SessionEvent::Rekeyed { .. }));
@@ -343,7 +346,10 @@ fn a_master_whose_lease_was_taken_over_is_told() {
     // The slave seals for the second, which this master cannot open.
     pair.run(12_000);
     let told = pair.master.poll_event();
-    assert!(matches!(told, Some(HandshakeEvent::Refused { verdict: Verdict::Leased, .. })), "{told:?}");
+    assert!(
+        matches!(told, Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, .. })),
+        "{told:?}"
+    );
     assert_eq!(pair.slave.session.session(), second.session.session());
 }
 
@@ -386,7 +392,7 @@ fn a_master_that_restarts_waits_for_a_person_at_the_slave() {
     assert!(pair.slave.session.is_leased());
     assert!(matches!(
         pair.master.poll_event(),
-        Some(HandshakeEvent::Refused { verdict: Verdict::Leased, .. })
+        Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, .. })
     ));
     assert!(matches!(pair.slave.poll_event(), Some(HandshakeEvent::SecondMaster { .. })));
     // One hello a second, answered each, and no more than that.
@@ -431,7 +437,7 @@ fn a_second_master_is_refused() {
     assert_eq!(second.receive(10, &mut answer, &mut entropy), Ok(Received::Nothing));
     assert_eq!(
         second.poll_event(),
-        Some(HandshakeEvent::Refused { verdict: Verdict::Leased, payload_length: 92 })
+        Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, payload_length: 92 })
     );
     assert!(!second.session.is_open(10));
     // A second later it asks again, with what the refusal gave it: it lives.
@@ -473,8 +479,8 @@ fn sides_of_different_payloads_are_told_so() {
     let longer = SessionSettings { payload_length: PAYLOAD + 24, ..settings(Role::Slave) };
     let mut pair = Pair::with(settings(Role::Master), longer);
     pair.run(50);
-    let verdict = Verdict::PayloadLength;
-    let told = |payload_length| Some(HandshakeEvent::Refused { verdict, payload_length });
+    let decision = HandshakeDecision::PayloadLength;
+    let told = |payload_length| Some(HandshakeEvent::Refused { decision, payload_length });
     assert_eq!(pair.master.poll_event(), told(116));
     assert_eq!(pair.slave.poll_event(), told(92));
     assert_eq!(pair.taken, []);

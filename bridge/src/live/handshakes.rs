@@ -13,9 +13,9 @@ use std::{
 
 use super::clock;
 use crate::session::{
-    Bucket, EndError, Handshake, HandshakeDatagram, HandshakeError, HandshakeEvent, Outcome, PreSharedKey,
-    Rejection, Rejections, Session, SessionEvent, SessionSettings, Shares, Standing, StillHeard,
-    SystemEntropy, Verdict, message_is_answer, session_and_epoch,
+    Bucket, EndError, Handshake, HandshakeDatagram, HandshakeDecision, HandshakeError, HandshakeEvent,
+    Outcome, PreSharedKey, Rejection, Rejections, Session, SessionEvent, SessionSettings, Shares, Standing,
+    StillHeard, SystemEntropy, message_is_answer, session_and_epoch,
 };
 
 /// What waits in either direction; more is dropped, as a network would.
@@ -286,7 +286,7 @@ impl std::fmt::Display for SecurityEvent {
                 "another master with the key was refused: one has the lease, until it ends or has been silent for 2 s \
                  and a person here allows another (SIGUSR1)",
             ),
-            Self::Handshake(HandshakeEvent::Refused { verdict: Verdict::Leased, .. }) => {
+            Self::Handshake(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, .. }) => {
                 formatter.write_str(
                 "refused: another master has the lease of this slave, or this one from before it lost its keys: \
                  SIGUSR1 of the slave frees it after 2 s of silence",

@@ -28,7 +28,7 @@ impl Bucket {
 
 /// At once, for all together, for one host, for one address.
 const BURSTS: [u64; 3] = [8, 6, 4];
-/// Hosts, and addresses, that are told apart; of more, that which has waited longest starts anew.
+/// Hosts, and addresses, that are kept apart; of more, that which has waited longest starts anew.
 const PLACES: usize = 32;
 
 /// A budget of which one host has half and one of its addresses a quarter, so that none takes it from the others.

@@ -3,15 +3,12 @@
 use std::net::SocketAddr;
 
 use super::{
-    entropy::Entropy,
+    epochs::Arrival,
     handshake::{Handshake, HandshakeDatagram, HandshakeEvent},
     keys::{KeyError, PreSharedKey},
-    noise::HandshakeError,
-    rejection::{Rejection, Rejections},
-    report::Incoming,
-    secure::Session,
-    settings::{SessionSettings, SettingsError},
-    window::Arrival,
+    noise::{Entropy, HandshakeError},
+    session::{Incoming, Session, SessionSettings, SettingsError},
+    wire::{Rejection, Rejections},
 };
 
 /// What came of a datagram.
@@ -26,7 +23,7 @@ pub enum Received<'a> {
     },
     /// A handshake goes on with this datagram, to be sent.
     Reply(HandshakeDatagram),
-    /// Nothing to do: events may tell more.
+    /// Nothing to do: see the events.
     Nothing,
 }
 

@@ -12,26 +12,27 @@
 //!
 //! Source: Perrin, *The Noise Protocol Framework*, rev. 34, 2018, sections 7.4 and 9.
 
+use ring::{
+    digest::{Context, SHA256},
+    rand::{SecureRandom, SystemRandom},
+};
 use snow::{
     Builder, HandshakeState,
     params::{CipherChoice, DHChoice, HashChoice, NoiseParams},
     resolvers::{CryptoResolver, DefaultResolver},
     types::{Cipher, Dh, Hash, Random},
 };
-
 use zeroize::Zeroizing;
 
 use super::{
-    aead::TAG,
-    entropy::{Entropy, NoEntropy},
-    header::{EPHEMERAL, TOLD},
-    keys::{Epoch, EpochId, PreSharedKey},
+    keys::{Epoch, EpochId, PreSharedKey, TAG},
+    wire::{EPHEMERAL, HANDSHAKE_PAYLOAD},
 };
 use crate::wire::Role;
 
 const PATTERN: &str = "Noise_NNpsk0_25519_ChaChaPoly_SHA256";
 /// Bytes of a handshake message behind the header.
-pub(super) const MESSAGE: usize = EPHEMERAL + TOLD + TAG;
+pub(super) const MESSAGE: usize = EPHEMERAL + HANDSHAKE_PAYLOAD + TAG;
 
 /// Why a handshake does not go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -139,20 +140,23 @@ impl Noise {
         Ok(self.state.set_psk(0, &[0; 32])?)
     }
 
-    /// Writes this side's message, which tells the peer `told` under encryption.
-    pub(super) fn write(&mut self, told: &[u8; TOLD]) -> Result<[u8; MESSAGE], HandshakeError> {
+    /// Writes this side's message with `payload` encrypted.
+    pub(super) fn write(
+        &mut self,
+        payload: &[u8; HANDSHAKE_PAYLOAD],
+    ) -> Result<[u8; MESSAGE], HandshakeError> {
         let mut message = [0; MESSAGE];
-        self.state.write_message(told, &mut message)?;
+        self.state.write_message(payload, &mut message)?;
         self.forget_key()?;
         Ok(message)
     }
 
     /// Reads the peer's message; one that does not fit leaves the handshake as it was.
-    pub(super) fn read(&mut self, message: &[u8]) -> Result<[u8; TOLD], HandshakeError> {
-        let mut told = [0; TOLD];
-        if self.state.read_message(message, &mut told)? == TOLD {
+    pub(super) fn read(&mut self, message: &[u8]) -> Result<[u8; HANDSHAKE_PAYLOAD], HandshakeError> {
+        let mut payload = [0; HANDSHAKE_PAYLOAD];
+        if self.state.read_message(message, &mut payload)? == HANDSHAKE_PAYLOAD {
             self.forget_key()?;
-            Ok(told)
+            Ok(payload)
         } else {
             Err(HandshakeError::Noise)
         }
@@ -170,9 +174,82 @@ impl Noise {
     }
 }
 
+/// No randomness was to be had.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the system gave no random bytes")]
+pub struct NoEntropy;
+
+/// A source of random bytes. Only handshakes draw from it, never a tick.
+pub trait Entropy {
+    /// Fills `bytes`, or leaves them unusable.
+    fn fill(&mut self, bytes: &mut [u8]) -> Result<(), NoEntropy>;
+
+    /// A random number, such as marks a run of a side.
+    fn number(&mut self) -> Result<u64, NoEntropy> {
+        let mut bytes = [0; 8];
+        self.fill(&mut bytes).map(|()| u64::from_le_bytes(bytes))
+    }
+}
+
+/// The operating system's generator, for all that is not a test.
+#[derive(Clone, Debug)]
+pub struct SystemEntropy(SystemRandom);
+
+impl SystemEntropy {
+    /// The generator of this system.
+    pub fn new() -> Self {
+        Self(SystemRandom::new())
+    }
+}
+
+impl Default for SystemEntropy {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Entropy for SystemEntropy {
+    fn fill(&mut self, bytes: &mut [u8]) -> Result<(), NoEntropy> {
+        self.0.fill(bytes).map_err(|_| NoEntropy)
+    }
+}
+
+/// A generator whose numbers a seed decides: for simulation, where the same seed must give the same bytes, and for
+/// nothing else.
+///
+/// Block n is SHA-256 of side, seed and n.
+#[derive(Clone, Debug)]
+pub struct SeededEntropy {
+    seed: u64,
+    side: u8,
+    drawn: u64,
+}
+
+impl SeededEntropy {
+    /// The numbers of one side of a run.
+    pub fn new(seed: u64, role: crate::wire::Role) -> Self {
+        Self { seed, side: role.byte(), drawn: 0 }
+    }
+}
+
+impl Entropy for SeededEntropy {
+    fn fill(&mut self, bytes: &mut [u8]) -> Result<(), NoEntropy> {
+        for chunk in bytes.chunks_mut(32) {
+            let mut context = Context::new(&SHA256);
+            context.update(&[self.side]);
+            context.update(&self.seed.to_le_bytes());
+            context.update(&self.drawn.to_le_bytes());
+            self.drawn += 1;
+            chunk.copy_from_slice(&context.finish().as_ref()[..chunk.len()]);
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::Role;
 
     struct Fixed(&'static str);
 
@@ -223,8 +300,8 @@ mod tests {
                  d6062704d5a9c422a8e834423f8c1feada7e8d0d910a1a2cd030fb584221e3"
             )
         );
-        let mut told = [0; TOLD];
-        assert_eq!(master.state.read_message(&answer[..length], &mut told), Ok(15));
+        let mut payload = [0; HANDSHAKE_PAYLOAD];
+        assert_eq!(master.state.read_message(&answer[..length], &mut payload), Ok(15));
         let hash = bytes("f4d03dc34495c95729ea6de9e1b59004b59733102488b3e24bc441e0be208eaf");
         assert_eq!(master.state.get_handshake_hash(), hash);
         assert_eq!(slave.state.get_handshake_hash(), hash);
@@ -269,5 +346,22 @@ mod tests {
         let mut bytes = [0; 32];
         assert_eq!(once.try_fill_bytes(&mut bytes), Ok(()));
         assert_eq!(once.try_fill_bytes(&mut bytes), Err(snow::Error::Rng));
+    }
+
+    /// SHA-256 of seventeen known bytes, from another implementation.
+    #[test]
+    fn a_seed_decides_the_numbers() {
+        let mut entropy = SeededEntropy::new(7, Role::Master);
+        let (mut bytes, mut again) = ([0; 40], [0; 40]);
+        entropy.fill(&mut bytes).unwrap();
+        SeededEntropy::new(7, Role::Master).fill(&mut again).unwrap();
+        assert_eq!(bytes, again);
+        assert_eq!(bytes[..8], [0x31, 0x85, 0x7D, 0xFD, 0x4A, 0x37, 0xA0, 0x8D]);
+        for (seed, role) in [(8, Role::Master), (7, Role::Slave)] {
+            SeededEntropy::new(seed, role).fill(&mut again).unwrap();
+            assert_ne!(bytes, again);
+        }
+        entropy.fill(&mut again).unwrap();
+        assert_ne!(bytes, again, "never the same twice");
     }
 }

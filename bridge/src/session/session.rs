@@ -3,15 +3,15 @@
 use std::collections::VecDeque;
 
 use super::{
-    epochs::{Epochs, Slot, Turn},
-    header::{Header, Kind, MAX_DATAGRAM, SESSION_HEADER, mac_fits, sealed_length},
-    keys::{Epoch, EpochId, MacKey, PreSharedKey},
-    rejection::{Rejection, Rejections},
-    report::{Incoming, Live, SealError, SessionEvent, Standing, StillHeard, is_renewal},
-    settings::{SessionSettings, SettingsError},
-    window::Arrival,
+    epochs::{Arrival, Epochs, KeyChange, Slot},
+    handshake::MAX_SKIPPED,
+    keys::{Chain, Epoch, EpochId, MacKey, PreSharedKey},
+    wire::{
+        HANDSHAKE_LENGTH, Header, Kind, MAX_DATAGRAM, Rejection, Rejections, SESSION_HEADER, mac_fits,
+        sealed_length,
+    },
 };
-use crate::wire::Role;
+use crate::wire::{MAX_FRAME, Role};
 
 /// Whom the slave obeys. It outlives the keys: a master that fell silent keeps it until a person says otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,7 +130,7 @@ impl Session {
         self.events.pop_front()
     }
 
-    fn tell(&mut self, event: SessionEvent) {
+    fn report(&mut self, event: SessionEvent) {
         if self.events.len() < MAX_EVENTS {
             self.events.push_back(event);
         }
@@ -253,8 +253,8 @@ impl Session {
         {
             return Err(Rejection::Leased);
         }
-        let turn = self.epochs.mark(now_ns, slot, header.counter, &self.settings);
-        self.turned(turn);
+        let change = self.epochs.mark(now_ns, slot, header.counter, &self.settings);
+        self.keys_changed(change);
         self.heard_ns = self.heard_ns.max(now_ns);
         if slot != Slot::Previous {
             self.renewal.confirmed = true;
@@ -284,10 +284,10 @@ impl Session {
         }
     }
 
-    fn turned(&mut self, turn: Option<Turn>) {
-        let (Some(turn), Some(epoch)) = (turn, &self.epochs.current) else { return };
-        let event = match turn {
-            Turn::Began => {
+    fn keys_changed(&mut self, change: Option<KeyChange>) {
+        let (Some(change), Some(epoch)) = (change, &self.epochs.current) else { return };
+        let event = match change {
+            KeyChange::Began => {
                 let (session, run) = (epoch.id.session, epoch.peer_run);
                 self.forged = 0;
                 if self.settings.role == Role::Slave {
@@ -295,17 +295,17 @@ impl Session {
                 }
                 SessionEvent::Began { session }
             }
-            Turn::Rekeyed(epoch) => SessionEvent::Rekeyed { epoch },
+            KeyChange::Rekeyed(epoch) => SessionEvent::Rekeyed { epoch },
         };
         self.renewal = Renewal::default();
-        self.tell(event);
+        self.report(event);
     }
 
     fn stop(&mut self, why: SessionEvent) {
         self.forged = 0;
         self.renewal = Renewal::default();
         if self.epochs.id().is_some() {
-            self.tell(why);
+            self.report(why);
         }
         self.epochs.clear();
     }
@@ -315,22 +315,22 @@ impl Session {
         if !self.is_secure() {
             return;
         }
-        let turn = self.epochs.install(now_ns, epoch, &self.settings);
-        if turn.is_some() {
+        let change = self.epochs.install(now_ns, epoch, &self.settings);
+        if change.is_some() {
             self.heard_ns = now_ns;
         }
-        self.turned(turn);
+        self.keys_changed(change);
     }
 
     /// Lets time pass; once a tick is enough.
     pub fn advance(&mut self, now_ns: u64) {
         if self.epochs.advance(now_ns, &self.settings) {
             self.renewal = Renewal::default();
-            self.tell(SessionEvent::Expired);
+            self.report(SessionEvent::Expired);
         }
         let age_ns = self.epochs.current.as_ref().map_or(0, |epoch| epoch.age_ns(now_ns));
         if age_ns >= self.settings.warn_ns() && !std::mem::replace(&mut self.renewal.warned, true) {
-            self.tell(SessionEvent::Aging { left_ns: self.settings.refuse_ns.saturating_sub(age_ns) });
+            self.report(SessionEvent::Aging { left_ns: self.settings.refuse_ns.saturating_sub(age_ns) });
         }
     }
 
@@ -384,6 +384,298 @@ impl Session {
             silent_ns: now_ns.saturating_sub(self.heard_ns),
             holder: self.lease.map(|lease| lease.run),
             due: self.renewal.asked_here || self.renewal.asked_there,
+        }
+    }
+}
+
+/// A datagram of the peer, opened.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Incoming<'a> {
+    /// What the peer sealed; authentic and not seen before.
+    Payload {
+        /// The bytes.
+        payload: &'a [u8],
+        /// [`Arrival::Newer`] or [`Arrival::Late`]; without security always the former.
+        arrival: Arrival,
+    },
+    /// A message for the handshake, of who has the shared key; perhaps recorded.
+    Handshake {
+        /// All of it.
+        datagram: &'a [u8],
+        /// Whether it is the first message for the next keys of the living session.
+        is_renewal: bool,
+    },
+    /// The peer has ended the session.
+    Release,
+}
+
+/// What happened to a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SessionEvent {
+    /// A session began: whatever was known of the peer is of another.
+    Began {
+        /// Its number.
+        session: u64,
+    },
+    /// The session goes on under new keys.
+    Rekeyed {
+        /// Their number, from 1.
+        epoch: u32,
+    },
+    /// The peer ended the session; the lease is free.
+    Released,
+    /// The newest keys should have been renewed and were not.
+    Aging {
+        /// Until nothing more is sent under them, in ns.
+        left_ns: u64,
+    },
+    /// The newest keys grew too old without others.
+    Expired,
+    /// More forgeries than the keys bear.
+    Forgeries,
+    /// A person at the slave ended the session of a silent master.
+    TakenOver,
+}
+
+/// Why nothing was sealed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SealError {
+    /// There are no keys (yet).
+    #[error("no session: the handshake has not ended")]
+    NoSession,
+    /// The newest keys are too old, or have sealed too much.
+    #[error("the keys are used up: {age_ns} ns old, {sealed} datagrams sealed")]
+    UsedUp {
+        /// Their age.
+        age_ns: u64,
+        /// Datagrams that they sealed.
+        sealed: u64,
+    },
+    /// All payloads have one length.
+    #[error("payload of {seen} bytes: must have {allowed}")]
+    Length {
+        /// As given.
+        seen: usize,
+        /// As set.
+        allowed: usize,
+    },
+}
+
+/// Why a lease was not freed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the master was heard {ago_ns} ns ago: a lease can be taken over after {silence_ns} ns of silence")]
+pub struct StillHeard {
+    /// When the master was last heard.
+    pub ago_ns: u64,
+    /// How long it must be silent.
+    pub silence_ns: u64,
+}
+
+/// What the handshake needs to know of the session; it may go to another thread.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Standing {
+    pub(super) live: Option<Live>,
+    /// Since the peer was heard, or since the master took its keys.
+    pub(super) silent_ns: u64,
+    /// The run of the master that holds the lease.
+    pub(super) holder: Option<u64>,
+    /// Whether either side asks for new keys before their time.
+    pub(super) due: bool,
+}
+
+impl Standing {
+    /// Whether a first message is for the next keys of the living session, not for a new one; refused if it is for
+    /// neither, or for keys that the peer has already.
+    pub(super) fn is_renewal(&self, id: EpochId) -> Result<bool, Rejection> {
+        is_renewal(self.live.as_ref().map(|live| live.id), id)
+    }
+}
+
+/// See [`Standing::is_renewal`].
+pub(super) fn is_renewal(living: Option<EpochId>, id: EpochId) -> Result<bool, Rejection> {
+    match living {
+        Some(living) if living.session == id.session => match id.epoch.checked_sub(living.epoch) {
+            None | Some(0) => Err(Rejection::Replayed),
+            Some(skipped) if skipped > MAX_SKIPPED => Err(Rejection::Epoch),
+            Some(_) => Ok(true),
+        },
+        _ if id.epoch == 0 => Ok(false),
+        _ => Err(Rejection::Session),
+    }
+}
+
+/// The newest keys, or, of a session that still has the lease, those that grew too old.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Live {
+    pub(super) id: EpochId,
+    pub(super) chain: Chain,
+    pub(super) age_ns: u64,
+    /// Whether the peer has used them.
+    pub(super) confirmed: bool,
+}
+
+const MS: u64 = 1_000_000;
+const SECOND: u64 = 1000 * MS;
+
+/// How a session goes. [`SessionSettings::new`] gives what all but tests want.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SessionSettings {
+    /// The side that this is. The master begins every handshake, the slave gives the lease.
+    pub role: Role,
+    /// Bytes of every payload, both ways.
+    pub payload_length: usize,
+    /// Time between two datagrams of the peer in ns.
+    pub peer_period_ns: u64,
+    /// How far behind the newest a datagram may be and still be told from a replay, in ns of the peer's rate.
+    pub window_ns: u64,
+    /// Age of a key at which the master begins the next handshake.
+    pub rekey_ns: u64,
+    /// Age of a key at which nothing more is sent under it.
+    pub refuse_ns: u64,
+    /// How long the keys before the newest still open what was under way; above the delay of the link.
+    pub overlap_ns: u64,
+    /// Silence of the peer after which the master begins anew, and a local act at the slave may free the lease.
+    pub silence_ns: u64,
+    /// Datagrams that one key seals at most.
+    pub most_sealed: u64,
+    /// Forgeries against one session, all its keys together, after which it ends.
+    pub most_forged: u64,
+}
+
+/// Settings that do not make a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SettingsError {
+    /// No datagram of that length can be.
+    #[error("payload_length = {0}: must be between 1 and {MAX_FRAME}, and not as long as a handshake")]
+    PayloadLength(usize),
+    /// The window cannot be reserved, or holds nothing.
+    #[error(
+        "window_ns = {window_ns} at peer_period_ns = {peer_period_ns}: must hold 1 to {MAX_WINDOW} datagrams"
+    )]
+    Window {
+        /// As given.
+        window_ns: u64,
+        /// As given.
+        peer_period_ns: u64,
+    },
+    /// Times out of their order.
+    #[error(
+        "overlap_ns = {overlap_ns}, rekey_ns = {rekey_ns}, refuse_ns = {refuse_ns}: must rise in this order"
+    )]
+    Order {
+        /// As given.
+        overlap_ns: u64,
+        /// As given.
+        rekey_ns: u64,
+        /// As given.
+        refuse_ns: u64,
+    },
+    /// A limit or a time of zero.
+    #[error("{0} = 0: must be above zero")]
+    Zero(&'static str),
+}
+
+/// Bits of a window at most: 512 KiB.
+const MAX_WINDOW: u64 = 1 << 22;
+/// Bits of a window at least.
+const MIN_WINDOW: u64 = 1024;
+
+impl SessionSettings {
+    /// The usual times, for payloads of `payload_length` bytes and a peer that sends one each `peer_period_ns`.
+    ///
+    /// 2 s of window; keys renewed after 120 s and dead after 180 s, as in `WireGuard` (section 6.1); 5 s of
+    /// overlap, above any delay that anybody teleoperates over; 2 s of silence; 2^32 datagrams under a key, 4.9 days
+    /// at 10 kHz, which the age comes long before; 2^36 forgeries.
+    ///
+    /// Source: Donenfeld, *`WireGuard`: Next Generation Kernel Network Tunnel*, 2017; RFC 9001, section 6.6 (the
+    /// integrity limit of ChaCha20-Poly1305).
+    pub const fn new(role: Role, payload_length: usize, peer_period_ns: u64) -> Self {
+        Self {
+            role,
+            payload_length,
+            peer_period_ns,
+            window_ns: 2 * SECOND,
+            rekey_ns: 120 * SECOND,
+            refuse_ns: 180 * SECOND,
+            overlap_ns: 5 * SECOND,
+            silence_ns: 2 * SECOND,
+            most_sealed: 1 << 32,
+            most_forged: 1 << 36,
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<(), SettingsError> {
+        let length = self.payload_length;
+        if length == 0 || length > MAX_FRAME || sealed_length(length) == HANDSHAKE_LENGTH {
+            return Err(SettingsError::PayloadLength(length));
+        }
+        let (window_ns, peer_period_ns) = (self.window_ns, self.peer_period_ns);
+        if peer_period_ns == 0 || window_ns == 0 || window_ns / peer_period_ns > MAX_WINDOW {
+            return Err(SettingsError::Window { window_ns, peer_period_ns });
+        }
+        let (overlap_ns, rekey_ns, refuse_ns) = (self.overlap_ns, self.rekey_ns, self.refuse_ns);
+        if overlap_ns >= rekey_ns || rekey_ns >= refuse_ns {
+            return Err(SettingsError::Order { overlap_ns, rekey_ns, refuse_ns });
+        }
+        for (name, value) in [
+            ("overlap_ns", overlap_ns),
+            ("silence_ns", self.silence_ns),
+            ("most_sealed", self.most_sealed),
+            ("most_forged", self.most_forged),
+        ] {
+            if value == 0 {
+                return Err(SettingsError::Zero(name));
+            }
+        }
+        Ok(())
+    }
+
+    /// Age of a key at which people are warned that no others have come: 60 s before it opens nothing more.
+    pub(super) const fn warn_ns(&self) -> u64 {
+        self.rekey_ns + (self.refuse_ns - self.rekey_ns) / 12
+    }
+
+    /// Age at which keys open nothing more: what was sealed last may still be under way when sealing ends.
+    pub(super) const fn open_ns(&self) -> u64 {
+        self.refuse_ns.saturating_add(self.overlap_ns)
+    }
+
+    /// Counters that the window reaches back.
+    pub(super) fn window(&self) -> u32 {
+        let datagrams = self.window_ns.div_ceil(self.peer_period_ns.max(1));
+        u32::try_from(datagrams.clamp(MIN_WINDOW, MAX_WINDOW)).unwrap_or(u32::MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_window_is_two_seconds_of_the_peer() {
+        for (period_ns, reach) in [(MS, 2000), (100_000, 20_000), (10_000, 200_000), (10 * MS, 1024)] {
+            let settings = SessionSettings::new(Role::Master, 92, period_ns);
+            assert_eq!(settings.check(), Ok(()));
+            assert_eq!(settings.window(), reach);
+        }
+    }
+
+    #[test]
+    fn what_makes_no_session_is_refused_by_name() {
+        let good = SessionSettings::new(Role::Slave, 92, MS);
+        for (bad, said) in [
+            (SessionSettings { payload_length: 0, ..good }, "payload_length = 0"),
+            (SessionSettings { payload_length: 80, ..good }, "payload_length = 80"),
+            (SessionSettings { payload_length: 4000, ..good }, "payload_length = 4000"),
+            (SessionSettings { peer_period_ns: 0, ..good }, "peer_period_ns = 0"),
+            (SessionSettings { window_ns: u64::MAX, ..good }, "window_ns = 18446744073709551615"),
+            (SessionSettings { rekey_ns: good.refuse_ns, ..good }, "rekey_ns = 180000000000"),
+            (SessionSettings { overlap_ns: good.rekey_ns, ..good }, "overlap_ns = 120000000000"),
+            (SessionSettings { silence_ns: 0, ..good }, "silence_ns = 0"),
+            (SessionSettings { most_forged: 0, ..good }, "most_forged = 0"),
+        ] {
+            let error = bad.check().unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
         }
     }
 }
