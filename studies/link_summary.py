@@ -50,8 +50,6 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
     offset_s: float | None
     offset_bound_s: float | None
     """The peer's clock less ours, and how wrong that may be; none before it is known."""
-    drift_ppm: float | None
-    """How much faster it runs."""
     clock_faults: int
     last_clock_fault: str | None
     """Exchanges that no healthy clocks make, and the last of them."""
@@ -104,7 +102,6 @@ def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s
         usual_age_s=path.usual_age_s,
         offset_s=path.offset_s,
         offset_bound_s=path.offset_bound_s,
-        drift_ppm=path.drift_ppm,
         clock_faults=path.clock_faults,
         last_clock_fault=path.last_clock_fault,
         recorded=None if recording is None else recording.written,

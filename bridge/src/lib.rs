@@ -5,7 +5,6 @@
 
 mod act;
 mod channel;
-pub mod clock;
 pub mod coupling;
 mod driven;
 mod endpoint;
@@ -16,7 +15,7 @@ mod link;
 pub mod live;
 mod local;
 mod pace;
-mod path;
+pub mod path;
 mod plant;
 pub mod playout;
 mod record;
@@ -42,7 +41,7 @@ pub use ladder::{
 };
 pub use link::{FrameLink, LinkStatistics, PortState, RejectReason, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
-pub use path::{PathReport, PathSettings, PeerPath};
+pub use path::{PathReport, PeerPath};
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
 pub use side::{MasterSide, Side, SideCounts, SlaveSide, TickTime};

@@ -5,7 +5,7 @@ use haptether_safety::Axes;
 use crate::{
     coupling::PortEnergy,
     fault_text::TextPiece,
-    path::{PathReport, PathSettings, PeerPath},
+    path::{PathReport, PeerPath},
     session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, MAX_FRAME, Role, WireError},
 };
@@ -165,7 +165,7 @@ impl<const N: usize> FrameLink<N> {
             missing_before: 0,
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
-            path: PeerPath::new(PathSettings::default()),
+            path: PeerPath::default(),
             late_ns: 0,
             lease_ns,
         }
@@ -224,7 +224,7 @@ impl<const N: usize> FrameLink<N> {
         self.newest = Some(Newest { frame, arrived_ns: now_ns, by_ns });
         self.count_missing();
         let echo = frame.echo.filter(|echo| echo.session == self.session);
-        self.path.news(frame.sent_ns, echo.as_ref(), now_ns, by_ns);
+        self.path.newest(frame.sent_ns, echo.as_ref(), now_ns, by_ns);
         if let Some(echo) = echo {
             let round_trip = by_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
             self.statistics.round_trip_ns = round_trip;
@@ -499,7 +499,7 @@ mod tests {
                 // A sequence within the window is one that the peer comes to.
                 let within = field == SEQUENCE && value.abs_diff(1000) <= 4048;
                 assert!(lost_ms <= if within { 2048 } else { 200 }, "{what}");
-                let over_ns = master.path().over_usual_ns(14_000 * MS);
+                let over_ns = master.path().over_baseline_ns(14_000 * MS);
                 assert!(over_ns.is_some_and(|over_ns| over_ns < 5 * MS), "{what}, {over_ns:?} older");
             }
         }

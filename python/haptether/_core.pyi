@@ -1953,10 +1953,6 @@ class PathReport:
         """Longest time in s without a frame, the end of the run included."""
 
     @property
-    def expected_age_s(self) -> float | None:
-        """Bound of the age in s that frames have on arrival, by our clock alone: the median; none before any echo."""
-
-    @property
     def usual_age_s(self) -> float | None:
         """Bound of the age in s that the link is used to, which the ladder measures against; none before any echo."""
 
@@ -1967,10 +1963,6 @@ class PathReport:
     @property
     def offset_bound_s(self) -> float | None:
         """How wrong `offset_s` may be, in s."""
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """How much faster the peer's clock runs, in parts per million; none in the first second."""
 
     @property
     def clock_steps(self) -> int:

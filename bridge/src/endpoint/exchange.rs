@@ -138,7 +138,7 @@ impl<const N: usize> Exchange<N> {
             }
         });
         // On arrival an age is what the link is used to; until the next frame it grows by what silence may.
-        let over = self.link.path().over_usual_ns(now_ns);
+        let over = self.link.path().over_baseline_ns(now_ns);
         let over_usual_ns = over.map(|over| over.saturating_sub(expected_age_ns));
         let next_sequence = self.link.next_sequence();
         let ended = self.peer_ended;

@@ -1,0 +1,266 @@
+//! How old the newest packet of the peer is, by our clock alone, and the level of ages that the ladder measures against.
+
+use super::{peer_clock::ClockFault, share_up};
+
+/// Our newest sending times that are kept: four seconds at 1 kHz. An echo of an older one says nothing.
+const SENT_KEPT: usize = 4096;
+
+/// Keeps our sending times and the age of the newest packet received.
+///
+/// A packet that echoes our counter `c` left the peer after that arrived there, so not before the time `T_c` of our
+/// clock at which `c` left here. So at `now` it is at most `now - T_c` old: whatever the ways take, and whatever the
+/// peer's clock shows. A
+/// packet never is older than one that the peer sent before it, so the bound does not fall back when an echo is missing.
+#[derive(Clone, Debug)]
+pub struct PacketAge {
+    /// Greatest drift of the peer's clock, with which it measures how long it held a packet.
+    max_drift_ppb: u64,
+    /// Counter and time, at the place of the counter modulo the length.
+    sent: Box<[Option<(u64, u64)>]>,
+    /// The newest packet left the peer no earlier.
+    sent_after_ns: Option<u64>,
+}
+
+impl PacketAge {
+    /// Nothing sent yet; healthy clocks part by at most `max_drift_ppb`.
+    pub fn new(max_drift_ppb: u64) -> Self {
+        Self { max_drift_ppb, sent: vec![None; SENT_KEPT].into_boxed_slice(), sent_after_ns: None }
+    }
+
+    /// Notes that our packet `counter` left at `now_ns`.
+    pub fn sent(&mut self, counter: u64, now_ns: u64) {
+        self.sent[slot(counter)] = Some((counter, now_ns));
+    }
+
+    /// Takes the echo of a packet newer than all before that arrived at `now_ns`: our counter, and for how long in ns the
+    /// peer says that it held it. One that is not known any more is passed over.
+    ///
+    /// The bound holds also where this fails: a time held longer than the exchange took is a fault of a clock.
+    pub fn received(&mut self, now_ns: u64, echo: (u64, u64)) -> Result<(), ClockFault> {
+        let (counter, held_ns) = echo;
+        let Some(sent_ns) = self.sent_at(counter) else { return Ok(()) };
+        self.sent_after_ns = Some(self.sent_after_ns.unwrap_or(0).max(sent_ns));
+        let took_ns = now_ns.saturating_sub(sent_ns);
+        // Both readings of the time held are whole ns: 1 ns of it may be rounding.
+        let unsure_ns = share_up(held_ns, self.max_drift_ppb).saturating_add(1);
+        if held_ns.saturating_sub(unsure_ns) > took_ns {
+            return Err(ClockFault::NegativeRoundTrip { by_ns: held_ns - took_ns });
+        }
+        Ok(())
+    }
+
+    /// When our packet `counter` left, in ns; none if it is not known any more.
+    pub fn sent_at(&self, counter: u64) -> Option<u64> {
+        self.sent[slot(counter)].and_then(|(kept, sent_ns)| (kept == counter).then_some(sent_ns))
+    }
+
+    /// Largest age in ns that the newest packet can have at `now_ns`; none until the peer has echoed anything that we still
+    /// know.
+    pub fn max_ns(&self, now_ns: u64) -> Option<u64> {
+        self.sent_after_ns.map(|sent_ns| now_ns.saturating_sub(sent_ns))
+    }
+
+    /// Clears what is known of the peer's packets: for a new session. Sending times are kept.
+    pub fn restart(&mut self) {
+        self.sent_after_ns = None;
+    }
+}
+
+fn slot(counter: u64) -> usize {
+    usize::try_from(counter % SENT_KEPT as u64).unwrap_or(0)
+}
+
+/// Time in ns over which mean and deviation reach back.
+const REACH_NS: f64 = 8e9;
+/// Time in ns within which the present mean follows.
+const PRESENT_NS: f64 = 0.1e9;
+/// Time in ns after an anchoring in which the level is still being learnt, and may rise.
+const LEARNT_NS: f64 = 2e9;
+/// Time in ns that a first sample counts for, and that any sample counts for at most.
+const SAMPLE_NS: u64 = 20_000_000;
+/// A deviation in ns counts as no more than this: what would hold is no jitter.
+const MAX_DEVIATION_NS: f64 = 20e6;
+/// Mean deviations above the mean that are baseline.
+const DEVIATIONS: f64 = 4.0;
+
+/// Level of the ages of a link, against which the ladder measures: mean and four mean deviations, anchored when the two sides engage.
+///
+/// `m += g (a - m)`, `d += g (|a - m| - d)`, level `m + 4 d`, where the gain `g` is the time that a sample stands for by
+/// the time known, at most 8 s. The mean begins at the anchoring with that of the last 0.1 s, the deviation with the
+/// session at half of the first age. Two seconds after the anchoring the level is learnt: from then on it only falls, within
+/// some 8 s, so that a delay that creeps up is measured against what it was, not against what it has become.
+///
+/// Source: RFC 6298, section 2 (`K = 4`, first deviation `R / 2`), with gains by time instead of by sample, since packets
+/// of one link are correlated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::struct_field_names, reason = "they are of one unit")]
+pub struct AgeBaseline {
+    last_ns: Option<u64>,
+    present_ns: f64,
+    mean_ns: f64,
+    deviation_ns: f64,
+    /// For how long each of the three has been known, in ns, to its reach.
+    present_known_ns: f64,
+    mean_known_ns: f64,
+    deviation_known_ns: f64,
+    level_ns: f64,
+}
+
+impl Default for AgeBaseline {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl AgeBaseline {
+    /// No age yet.
+    pub fn new() -> Self {
+        let known = SAMPLE_NS as f64;
+        Self {
+            last_ns: None,
+            present_ns: 0.0,
+            mean_ns: 0.0,
+            deviation_ns: 0.0,
+            present_known_ns: known,
+            mean_known_ns: known,
+            deviation_known_ns: known,
+            level_ns: 0.0,
+        }
+    }
+
+    /// Takes the age `age_ns` that a packet had when it arrived at `now_ns`.
+    pub fn take(&mut self, now_ns: u64, age_ns: u64) {
+        let age = age_ns as f64;
+        let Some(last_ns) = self.last_ns.replace(now_ns) else {
+            (self.present_ns, self.mean_ns) = (age, age);
+            self.deviation_ns = (0.5 * age).min(MAX_DEVIATION_NS);
+            self.level_ns = self.present_level_ns();
+            return;
+        };
+        let stands_ns = now_ns.saturating_sub(last_ns).min(SAMPLE_NS) as f64;
+        let deviation = (age - self.mean_ns).abs().min(MAX_DEVIATION_NS);
+        for (known, reach, value, seen) in [
+            (&mut self.present_known_ns, PRESENT_NS, &mut self.present_ns, age),
+            (&mut self.mean_known_ns, REACH_NS, &mut self.mean_ns, age),
+            (&mut self.deviation_known_ns, REACH_NS, &mut self.deviation_ns, deviation),
+        ] {
+            *known = (*known + stands_ns).min(reach);
+            *value += (seen - *value) * stands_ns / *known;
+        }
+        let higher_ns = self.present_level_ns() - self.level_ns;
+        if self.mean_known_ns < LEARNT_NS {
+            self.level_ns += higher_ns;
+        } else {
+            self.level_ns += higher_ns.min(0.0) * stands_ns / REACH_NS;
+        }
+    }
+
+    fn present_level_ns(&self) -> f64 {
+        self.mean_ns + DEVIATIONS * self.deviation_ns
+    }
+
+    /// What the ages are now is what they are measured against from here on: the two sides engage.
+    pub fn anchor(&mut self) {
+        self.mean_ns = self.present_ns;
+        self.mean_known_ns = SAMPLE_NS as f64;
+        self.level_ns = self.present_level_ns();
+    }
+
+    /// The level in ns; none before the first packet.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // finite, not negative: a mean of ages
+    pub fn level_ns(&self) -> Option<u64> {
+        self.last_ns.map(|_| self.level_ns as u64)
+    }
+
+    /// Clears all: for a new session of the peer.
+    pub fn restart(&mut self) {
+        *self = Self::new();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    /// Feeds an age in ms each ms, from `from_ms` on.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // whole ns of tens of ms
+    fn feed(baseline: &mut AgeBaseline, from_ms: u64, count: u64, age_ms: impl Fn(u64) -> f64) {
+        for n in from_ms..from_ms + count {
+            baseline.take(n * MS, (age_ms(n) * MS as f64) as u64);
+        }
+    }
+
+    fn level_ms(baseline: &AgeBaseline) -> f64 {
+        baseline.level_ns().unwrap() as f64 / MS as f64
+    }
+
+    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: of the first guess the share that 20 ms have of the time known is left.
+    #[test]
+    fn of_the_first_guess_the_share_of_its_time_is_left() {
+        for (age_ms, first_ms) in [(10.0, 5.0), (40.0, 20.0), (100.0, 20.0)] {
+            let mut baseline = AgeBaseline::new();
+            assert_eq!(baseline.level_ns(), None);
+            feed(&mut baseline, 0, 1, |_| age_ms);
+            assert_eq!(level_ms(&baseline), age_ms + 4.0 * first_ms);
+            for (from_ms, count, known_ms) in [(1, 80, 100.0), (81, 900, 1000.0), (981, 980, 1980.0)] {
+                feed(&mut baseline, from_ms, count, |_| age_ms);
+                let wanted = age_ms + 4.0 * first_ms * 20.0 / known_ms;
+                // Whole ns.
+                assert!(
+                    (level_ms(&baseline) - wanted).abs() < 2e-6,
+                    "{known_ms}: {} {wanted}",
+                    level_ms(&baseline)
+                );
+            }
+        }
+    }
+
+    /// Two ages in turn, 6 ms apart, deviate by 3 ms: 12 ms above the mean.
+    #[test]
+    fn jitter_is_part_of_the_level() {
+        let mut baseline = AgeBaseline::new();
+        feed(&mut baseline, 0, 30_000, |n| if n % 2 == 0 { 50.0 } else { 56.0 });
+        // A three hundredth of the first guess is left after as many ms, and each sample moves the mean.
+        assert!((level_ms(&baseline) - (53.0 + 12.0)).abs() < 0.5, "{}", level_ms(&baseline));
+    }
+
+    #[test]
+    fn what_creeps_up_is_not_followed_and_what_falls_is_within_8_s() {
+        let mut baseline = AgeBaseline::new();
+        feed(&mut baseline, 0, 3000, |_| 20.0);
+        let learnt = level_ms(&baseline);
+        feed(&mut baseline, 3000, 10_000, |n| 20.0 + 0.012 * (n - 3000) as f64);
+        assert!(level_ms(&baseline) <= learnt);
+        // Pressed anew at 140 ms: that is the level now, but for how far it is behind the creep within 0.1 s.
+        baseline.anchor();
+        let deviation_ms = (level_ms(&baseline) - 140.0) / 4.0;
+        assert!((-0.5..=20.0).contains(&deviation_ms), "{deviation_ms}");
+        feed(&mut baseline, 13_000, 60_000, |_| 140.0);
+        assert!((level_ms(&baseline) - 140.0).abs() < 0.5, "{}", level_ms(&baseline));
+        // Mean, deviation and level follow one another with 8 s. Once the mean is within 20 ms of the fallen age, after
+        // ln 5 of these, what is left of the level is at most (100 + 100 s + 40 s^2) exp(-s) ms.
+        feed(&mut baseline, 73_000, 80_000, |_| 40.0);
+        let left_ms = level_ms(&baseline) - 40.0;
+        let s = 10.0 - 5.0_f64.ln();
+        let most_ms = (100.0 + 100.0 * s + 40.0 * s * s) * (-s).exp();
+        assert!((0.0..most_ms).contains(&left_ms), "{left_ms} {most_ms}");
+        baseline.restart();
+        assert_eq!(baseline, AgeBaseline::new());
+    }
+
+    /// Whatever arrives, the level stays finite and within 80 ms of the greatest age.
+    #[test]
+    fn no_jitter_raises_the_level_by_more_than_80_ms() {
+        let mut baseline = AgeBaseline::new();
+        for n in 0..20_000_u64 {
+            let age_ns = n.wrapping_mul(6_364_136_223_846_793_005) >> 36;
+            baseline.take(n * MS, age_ns);
+            if n % 3000 == 0 {
+                baseline.anchor();
+            }
+            assert!(baseline.level_ns().unwrap() <= (1 << 28) + 80 * MS);
+        }
+    }
+}

@@ -1,0 +1,437 @@
+//! A buffer that makes the delay of the peer's packets constant, for couplings that need that.
+
+use crate::path::{BILLION, difference, share_up};
+
+/// Settings of a play-out. But for the delay they rarely need a change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlayoutSettings {
+    /// The wait in ns of a packet of least delay, so the jitter that is evened out.
+    pub delay_ns: u64,
+    /// Most sequences that wait, missing ones included: more than delay times rate.
+    pub capacity: usize,
+    /// Window in ns in which the least delay is sought.
+    pub window_ns: u64,
+    /// Time in ns after the first packet in which the play-out follows what it learns at once, not slowly.
+    pub warm_up_ns: u64,
+    /// The play-out stays as it is while it would move by less, in ns.
+    pub tolerance_ns: u64,
+    /// How fast the play-out moves otherwise, in parts per billion of time: below a whole, so that time played never
+    /// runs backwards.
+    pub slew_ppb: u64,
+    /// After this time in ns in which all packets came too late, the play-out begins anew: the path or a clock has
+    /// changed. So it does at once with a packet that would wait for longer than this beyond its delay.
+    pub relearn_ns: u64,
+}
+
+impl PlayoutSettings {
+    /// For a delay in ns: 1024 sequences, a window of 10 s after a warm-up of 1 s, moves of 0.5 percent beyond 0.5 ms, anew
+    /// after 200 ms of late packets.
+    pub const fn new(delay_ns: u64) -> Self {
+        Self {
+            delay_ns,
+            capacity: 1024,
+            window_ns: 10_000_000_000,
+            warm_up_ns: 1_000_000_000,
+            tolerance_ns: 500_000,
+            slew_ppb: 5_000_000,
+            relearn_ns: 200_000_000,
+        }
+    }
+
+    fn check(&self) -> Result<(), PlayoutError> {
+        if !(1..=1 << 20).contains(&self.capacity) {
+            return Err(PlayoutError::Capacity(self.capacity));
+        }
+        if self.slew_ppb >= BILLION {
+            return Err(PlayoutError::Slew(self.slew_ppb));
+        }
+        Ok(())
+    }
+}
+
+/// Settings with which nothing can be played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlayoutError {
+    /// Too few or too many to hold.
+    #[error("capacity = {0}: must be from 1 to 1048576 sequences")]
+    Capacity(usize),
+    /// Time would run backwards.
+    #[error("slew_ppb = {0}: must be below 1000000000, or time runs backwards")]
+    Slew(u64),
+}
+
+/// What became of a packet that arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// It waits.
+    Queued,
+    /// It waits, and the play-out begins anew with it: the path or a clock changed.
+    Anew,
+    /// Its time, or a later packet, has been played: it is not used.
+    Late,
+    /// It waits already.
+    Duplicate,
+    /// A time that no monotonic clock shows: it is not used.
+    Refused,
+}
+
+/// A packet whose time has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Played<T> {
+    /// Its sequence.
+    pub sequence: u64,
+    /// When it was sent, on the sender's clock, in ns.
+    pub sent_ns: u64,
+    /// When it was due, on our clock, in ns; not after the time at which it is taken.
+    pub play_ns: u64,
+    /// How many sequences between it and the one played before are missing.
+    pub gap: u64,
+    /// What it carries.
+    pub payload: T,
+}
+
+/// What became of the packets so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct PlayoutCounts {
+    /// Packets played.
+    pub played: u64,
+    /// Packets that came after their time, or after a later one was played.
+    pub late: u64,
+    /// Packets that waited already.
+    pub duplicate: u64,
+    /// Sequences passed over because they were not there in time.
+    pub missing: u64,
+    /// Packets passed over because a newer one was there, or that waited when the play-out began anew.
+    pub superseded: u64,
+    /// Packets passed over because more came than the capacity holds.
+    pub overflowed: u64,
+    /// How often the play-out began anew.
+    pub anew: u64,
+    /// Packets with impossible times.
+    pub refused: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Slot<T> {
+    sequence: u64,
+    sent_ns: u64,
+    payload: T,
+}
+
+/// Holds packets until their time and hands them out in order.
+///
+/// [`Self::arrived`] puts packets in, [`Self::next_due`] takes out one that is due; call it until none is left. Times of
+/// successive calls do not decrease. What is handed out only ever goes forward in sequence, and nothing is allocated
+/// after construction.
+#[derive(Clone, Debug)]
+pub struct Playout<T> {
+    timeline: Timeline,
+    /// At the place of the sequence modulo the length.
+    slots: Box<[Option<Slot<T>>]>,
+    /// The first sequence not yet passed; none before the first packet.
+    next: Option<u64>,
+    newest: u64,
+    missing_since_played: u64,
+    last_play_ns: u64,
+    counts: PlayoutCounts,
+}
+
+impl<T: Copy> Playout<T> {
+    /// Of settings.
+    pub fn new(settings: PlayoutSettings) -> Result<Self, PlayoutError> {
+        settings.check()?;
+        Ok(Self {
+            timeline: Timeline::new(settings),
+            slots: vec![None; settings.capacity].into_boxed_slice(),
+            next: None,
+            newest: 0,
+            missing_since_played: 0,
+            last_play_ns: 0,
+            counts: PlayoutCounts::default(),
+        })
+    }
+
+    /// Takes a packet that arrived at `now_ns` and was sent at `sent_ns` on the sender's clock.
+    pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64, payload: T) -> Arrival {
+        if sequence == u64::MAX || sent_ns.max(now_ns) > i64::MAX.cast_unsigned() {
+            self.counts.refused += 1;
+            return Arrival::Refused;
+        }
+        if self.next.is_some_and(|next| sequence < next) {
+            self.counts.late += 1;
+            return Arrival::Late;
+        }
+        if self.waits(sequence) {
+            self.counts.duplicate += 1;
+            return Arrival::Duplicate;
+        }
+        let placed = self.timeline.arrived(sent_ns, now_ns);
+        if placed == Placed::Late {
+            self.counts.late += 1;
+            return Arrival::Late;
+        }
+        if placed == Placed::Anew {
+            self.clear_waiting();
+        }
+        self.make_room(sequence);
+        let slot = self.slot(sequence);
+        self.slots[slot] = Some(Slot { sequence, sent_ns, payload });
+        self.newest = self.newest.max(sequence);
+        if placed == Placed::Anew {
+            self.counts.anew += 1;
+            return Arrival::Anew;
+        }
+        Arrival::Queued
+    }
+
+    /// Drops what waits for times of a timeline that has ended.
+    fn clear_waiting(&mut self) {
+        let Some(next) = self.next else { return };
+        let waiting = self.slots.iter_mut().filter(|slot| slot.is_some_and(|slot| slot.sequence >= next));
+        for slot in waiting {
+            *slot = None;
+            self.counts.superseded += 1;
+        }
+    }
+
+    /// Passes over what is too far behind a sequence to be held beside it.
+    fn make_room(&mut self, sequence: u64) {
+        let capacity = self.slots.len() as u64;
+        let next = *self.next.get_or_insert(sequence);
+        let oldest = (sequence + 1).saturating_sub(capacity);
+        if oldest > next {
+            self.counts.overflowed += self.pass(next, oldest);
+        }
+    }
+
+    /// Passes the sequences from `next` up to `until`; how many of them were there. The others are missing.
+    fn pass(&mut self, next: u64, until: u64) -> u64 {
+        let near = until.min(next.saturating_add(self.slots.len() as u64));
+        let there = (next..near).filter(|&sequence| self.waits(sequence)).count() as u64;
+        let missing = until - next - there;
+        self.counts.missing += missing;
+        self.missing_since_played += missing;
+        self.next = Some(until);
+        there
+    }
+
+    /// The next packet that is due at `now_ns`.
+    pub fn next_due(&mut self, now_ns: u64) -> Option<Played<T>> {
+        let next = self.next?;
+        let (position, shift) = self.timeline.advance(now_ns)?;
+        let sequence = (next..=self.newest).find(|&sequence| self.waits(sequence))?;
+        let Slot { sent_ns, payload, .. } = *self.at(sequence)?;
+        let sent = sent_ns.cast_signed();
+        if sent > position {
+            return None;
+        }
+        let play_ns = u64::try_from(sent.saturating_add(shift)).unwrap_or(0).min(now_ns);
+        let superseded = self.pass(next, sequence);
+        self.counts.superseded += superseded;
+        self.next = Some(sequence + 1);
+        self.counts.played += 1;
+        // A play-out that jumps ahead in its warm-up hands out at once what was due meanwhile.
+        self.last_play_ns = play_ns.max(self.last_play_ns);
+        let gap = std::mem::take(&mut self.missing_since_played);
+        Some(Played { sequence, sent_ns, play_ns: self.last_play_ns, gap, payload })
+    }
+
+    fn slot(&self, sequence: u64) -> usize {
+        usize::try_from(sequence % self.slots.len() as u64).unwrap_or(0)
+    }
+
+    fn at(&self, sequence: u64) -> Option<&Slot<T>> {
+        let next = self.next?;
+        self.slots[self.slot(sequence)].as_ref().filter(|slot| slot.sequence == sequence && sequence >= next)
+    }
+
+    fn waits(&self, sequence: u64) -> bool {
+        self.at(sequence).is_some()
+    }
+
+    /// How long in ns a packet of least delay waits now; none before the first.
+    pub fn wait_ns(&self) -> Option<u64> {
+        self.timeline.wait_ns()
+    }
+
+    /// What became of the packets so far.
+    pub fn counts(&self) -> PlayoutCounts {
+        self.counts
+    }
+
+    /// Clears all packets, not the counts: for a new run of the sender, whose sequences begin anew.
+    pub fn restart(&mut self, settings: PlayoutSettings) -> Result<(), PlayoutError> {
+        let counts = self.counts;
+        *self = Self::new(settings)?;
+        self.counts = counts;
+        Ok(())
+    }
+}
+
+/// The sender's time that is due, as `now - shift`.
+///
+/// The shift is the least transit in a window plus the delay asked for. A transit is the difference of
+/// two unrelated clocks: only its changes mean something, and only those are used. The shift rests while its target
+/// stays near it, so that what is played stays exactly as far apart as it was sent; otherwise it moves slowly.
+#[derive(Clone, Debug, PartialEq)]
+struct Timeline {
+    settings: PlayoutSettings,
+    least: WindowMinimum,
+    shift_ns: Option<i64>,
+    began_ns: u64,
+    moved_ns: u64,
+    moving: bool,
+    /// Since when all packets came too late.
+    late_since_ns: Option<u64>,
+    /// The latest of the sender's times that was due: it never falls within one timeline.
+    position_ns: Option<i64>,
+}
+
+/// How a packet lies on the timeline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Placed {
+    InTime,
+    Late,
+    /// It begins a new timeline.
+    Anew,
+}
+
+impl Timeline {
+    fn new(settings: PlayoutSettings) -> Self {
+        Self {
+            settings,
+            least: WindowMinimum::new(settings.window_ns),
+            shift_ns: None,
+            began_ns: 0,
+            moved_ns: 0,
+            moving: false,
+            late_since_ns: None,
+            position_ns: None,
+        }
+    }
+
+    /// Takes a packet sent at `sent_ns` on the sender's clock.
+    fn arrived(&mut self, sent_ns: u64, now_ns: u64) -> Placed {
+        if self.shift_ns.is_none() {
+            self.begin(sent_ns, now_ns);
+            return Placed::InTime;
+        }
+        let transit = difference(now_ns, sent_ns);
+        let earlier = self.least.least().map_or(0, |least| least.saturating_sub(transit));
+        if !self.is_warming(now_ns) && earlier > self.settings.relearn_ns.cast_signed() {
+            self.begin(sent_ns, now_ns);
+            return Placed::Anew;
+        }
+        self.learn(now_ns, transit);
+        if self.position_ns.is_none_or(|position| sent_ns.cast_signed() > position) {
+            self.late_since_ns = None;
+            return Placed::InTime;
+        }
+        let since = *self.late_since_ns.get_or_insert(now_ns);
+        if now_ns.saturating_sub(since) >= self.settings.relearn_ns {
+            self.begin(sent_ns, now_ns);
+            return Placed::Anew;
+        }
+        Placed::Late
+    }
+
+    fn begin(&mut self, sent_ns: u64, now_ns: u64) {
+        *self = Self::new(self.settings);
+        self.began_ns = now_ns;
+        self.moved_ns = now_ns;
+        self.learn(now_ns, difference(now_ns, sent_ns));
+    }
+
+    fn learn(&mut self, now_ns: u64, transit: i64) {
+        self.least.add(now_ns, transit);
+        if self.shift_ns.is_none() || self.is_warming(now_ns) {
+            self.shift_ns = self.target_ns();
+        }
+    }
+
+    fn is_warming(&self, now_ns: u64) -> bool {
+        now_ns.saturating_sub(self.began_ns) < self.settings.warm_up_ns
+    }
+
+    fn target_ns(&self) -> Option<i64> {
+        let delay = i64::try_from(self.settings.delay_ns).unwrap_or(i64::MAX);
+        Some(self.least.least()?.saturating_add(delay))
+    }
+
+    /// Moves on to `now_ns`; the sender's time that is due then, and the shift.
+    fn advance(&mut self, now_ns: u64) -> Option<(i64, i64)> {
+        let (mut shift, target) = (self.shift_ns?, self.target_ns()?);
+        let elapsed = now_ns.saturating_sub(self.moved_ns);
+        self.moved_ns = self.moved_ns.max(now_ns);
+        let away = target.saturating_sub(shift);
+        self.moving = away != 0 && (self.moving || away.unsigned_abs() > self.settings.tolerance_ns);
+        if self.moving {
+            // Rounded up, so that ticks of any length move; one ns at most is not backwards in a tick of more.
+            let most = share_up(elapsed, self.settings.slew_ppb).min(elapsed).cast_signed();
+            shift += away.clamp(-most, most);
+            self.shift_ns = Some(shift);
+        }
+        let due = now_ns.cast_signed().saturating_sub(shift);
+        let position = self.position_ns.map_or(due, |before| before.max(due));
+        self.position_ns = Some(position);
+        Some((position, shift))
+    }
+
+    /// The wait in ns of a packet of least transit, as it is now.
+    fn wait_ns(&self) -> Option<u64> {
+        let wait = self.shift_ns?.saturating_sub(self.least.least()?);
+        Some(u64::try_from(wait).unwrap_or(0))
+    }
+}
+
+const BLOCKS: usize = 8;
+
+/// The least key of a window of time, in bounded memory.
+///
+/// The window is cut into eight blocks of which each keeps its least; so it reaches back between seven and eight
+/// eighths of its length.
+#[derive(Clone, Debug, PartialEq)]
+struct WindowMinimum {
+    block_ns: u64,
+    newest: u64,
+    blocks: [Option<i64>; BLOCKS],
+    least: Option<i64>,
+}
+
+impl WindowMinimum {
+    fn new(window_ns: u64) -> Self {
+        Self { block_ns: (window_ns / BLOCKS as u64).max(1), newest: 0, blocks: [None; BLOCKS], least: None }
+    }
+
+    /// Adds what was seen at `now_ns`.
+    fn add(&mut self, now_ns: u64, key: i64) {
+        let block = (now_ns / self.block_ns).max(self.newest);
+        if block > self.newest {
+            for passed in (self.newest + 1..=block).take(self.blocks.len()) {
+                self.blocks[Self::slot(passed)] = None;
+            }
+            self.newest = block;
+            self.least = self.blocks.iter().flatten().min().copied();
+        }
+        let slot = &mut self.blocks[Self::slot(block)];
+        for kept in [slot, &mut self.least] {
+            if kept.is_none_or(|kept| key <= kept) {
+                *kept = Some(key);
+            }
+        }
+    }
+
+    /// The least of the window that ends at the newest addition.
+    fn least(&self) -> Option<i64> {
+        self.least
+    }
+
+    fn slot(block: u64) -> usize {
+        usize::try_from(block % BLOCKS as u64).unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests;
