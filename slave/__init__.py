@@ -15,12 +15,12 @@ if TYPE_CHECKING:
         WorkspacePlane,
         model_limits,
     )
-    from haptether.slave.ur import UrSlave
+    from haptether.slave.ur.driver import UrSlave
+    from haptether.slave.ur.options import UrOptions
     from haptether.slave.ur_calibration import UrCalibration, read_calibration
     from haptether.slave.ur_inverse import UrInverse
     from haptether.slave.ur_kinematics import Rates, UrKinematics
     from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
-    from haptether.slave.ur_options import UrOptions
     from haptether.slave.ur_streaming import UrStreaming
 
 __all__ = [
@@ -63,8 +63,8 @@ WHERE: Final = {
     "UrInverse": "ur_inverse",
     "UrKinematics": "ur_kinematics",
     "UrModel": "ur_models",
-    "UrOptions": "ur_options",
-    "UrSlave": "ur",
+    "UrOptions": "ur.options",
+    "UrSlave": "ur.driver",
     "UrStreaming": "ur_streaming",
     "WorkspacePlane": "streaming_limits",
     "WrenchSensor": "ur_models",

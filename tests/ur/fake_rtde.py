@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from haptether.slave.ur_probe import Probe
+from haptether.slave.ur.probe import Probe
 
 START_Q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 START_POSE = (-0.143195, -0.436400, 0.215901, 0.045165, 3.112182, -0.019942)
@@ -95,7 +95,7 @@ class Arm:
     def ask(self, _host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
         """Instead of `ur_dashboard.ask`."""
         del limit_s
-        from haptether.slave.ur_dashboard import DashboardError
+        from haptether.slave.ur.dashboard import DashboardError
 
         self.dashboard.extend(lines)
         if self.dashboard_gone:
@@ -189,10 +189,10 @@ class Receive:
 def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
     """Puts the arm where the driver looks for the library and for the controller."""
     module = SimpleNamespace(RTDEReceiveInterface=lambda *_: Receive(arm))
-    for place in ("ur_link", "ur"):
-        monkeypatch.setattr(f"haptether.slave.{place}.vendor_module", lambda: module)
-    monkeypatch.setattr("haptether.slave.ur_link.ControlProcess", lambda *_: Control(arm))
-    for place in ("ur_checks", "ur_recovery"):
-        monkeypatch.setattr(f"haptether.slave.{place}.probe", arm.probe)
-    monkeypatch.setattr("haptether.slave.ur_checks.resolved", lambda host: host)
-    monkeypatch.setattr("haptether.slave.ur_dashboard.ask", arm.ask)
+    for place in ("connection", "driver"):
+        monkeypatch.setattr(f"haptether.slave.ur.{place}.vendor_module", lambda: module)
+    monkeypatch.setattr("haptether.slave.ur.connection.ControlProcess", lambda *_: Control(arm))
+    for place in ("checks", "recovery"):
+        monkeypatch.setattr(f"haptether.slave.ur.{place}.probe", arm.probe)
+    monkeypatch.setattr("haptether.slave.ur.checks.resolved", lambda host: host)
+    monkeypatch.setattr("haptether.slave.ur.dashboard.ask", arm.ask)

@@ -8,8 +8,8 @@ take longer: `a = max(a_option, 2 |v| f)` for the watchdog's f in Hz, up to `HAR
 import math
 from typing import Final
 
-from haptether.slave.ur_options import UrOptions
-from haptether.slave.ur_state import UrState
+from haptether.slave.ur.options import UrOptions
+from haptether.slave.ur.state import UrState
 
 SHARE: Final = 0.5
 """Of the watchdog's period that braking may take: there is silence before, and a few cycles of words around it."""

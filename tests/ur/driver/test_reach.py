@@ -11,9 +11,10 @@ from typing import NoReturn
 import pytest
 from tests.ur.emulated import free_host
 
-from haptether.slave import ur_dashboard, ur_probe
-from haptether.slave.ur_dashboard import DashboardError
-from haptether.slave.ur_probe import ProbeError, probe, resolved
+from haptether.slave.ur import dashboard as ur_dashboard
+from haptether.slave.ur import probe as ur_probe
+from haptether.slave.ur.dashboard import DashboardError
+from haptether.slave.ur.probe import ProbeError, probe, resolved
 
 HOST = free_host()
 LIMIT_S = 0.3

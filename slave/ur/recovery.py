@@ -3,7 +3,7 @@
 import time
 from typing import Final
 
-from haptether.slave.ur_checks import (
+from haptether.slave.ur.checks import (
     NO_DASHBOARD_SINCE,
     REMOTE_SINCE,
     Checklist,
@@ -11,11 +11,11 @@ from haptether.slave.ur_checks import (
     check_remote,
     check_state,
 )
-from haptether.slave.ur_dashboard import unlock_protective_stop
-from haptether.slave.ur_link import LinkError, UrLink
-from haptether.slave.ur_options import UrOptions
-from haptether.slave.ur_probe import Probe, probe
-from haptether.slave.ur_state import PLAYING, PROTECTIVE_BIT, UrState
+from haptether.slave.ur.connection import LinkError, UrLink
+from haptether.slave.ur.dashboard import unlock_protective_stop
+from haptether.slave.ur.options import UrOptions
+from haptether.slave.ur.probe import Probe, probe
+from haptether.slave.ur.state import PLAYING, PROTECTIVE_BIT, UrState
 
 UNLOCK_AFTER_S: Final = 5.0
 """The controller refuses before."""

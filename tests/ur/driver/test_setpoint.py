@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptether.slave.ur_setpoint import SetPoint
+from haptether.slave.ur.setpoint import SetPoint
 
 PERIOD_S = 0.002
 coordinates = st.floats(-0.3, 0.3)

@@ -9,11 +9,11 @@ import pytest
 from tests.ur.fake_rtde import START_POSE, STOPPED, Arm, install
 
 from haptether.slave import SlaveSample, UrSlave
-from haptether.slave.ur_checks import UrRefusedError
-from haptether.slave.ur_halting import REST_S, STOP_S
-from haptether.slave.ur_link import END_S, LinkError
-from haptether.slave.ur_probe import Probe
-from haptether.slave.ur_recovery import UNLOCK_AFTER_S
+from haptether.slave.ur.checks import UrRefusedError
+from haptether.slave.ur.connection import END_S, LinkError
+from haptether.slave.ur.probe import Probe
+from haptether.slave.ur.recovery import UNLOCK_AFTER_S
+from haptether.slave.ur.stop import REST_S, STOP_S
 
 LONG_S = 20.0
 BLOCKED_S = 0.3
@@ -358,7 +358,7 @@ def test_an_arm_that_was_closed_while_it_opened_is_not_connected(arm: Arm, monke
         driver.close()
         return arm.probe(host, limit_s)
 
-    monkeypatch.setattr("haptether.slave.ur_checks.probe", slow)
+    monkeypatch.setattr("haptether.slave.ur.checks.probe", slow)
     with pytest.raises(LinkError, match="closed before it was open"):
         driver.open()
     assert arm.said == []
@@ -553,7 +553,7 @@ def test_a_fault_stops_an_arm_that_nothing_else_would_stop(arm: Arm) -> None:
 
 
 def test_a_process_that_does_not_connect_in_time_is_ended(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("haptether.slave.ur_link.CONNECT_S", 0.2)
+    monkeypatch.setattr("haptether.slave.ur.connection.CONNECT_S", 0.2)
     arm.blocks.add("connect")
     with pytest.raises(LinkError, match=r"connect \(control\): has not returned within 0.2 s"):
         Driven(arm)
@@ -587,7 +587,7 @@ def test_a_protective_stop_is_unlocked_by_a_person_and_not_at_once(arm: Arm, mon
     driven.driver.acknowledge()
     assert "can be unlocked in" in driven.fault()
     assert "unlock protective stop" not in arm.dashboard
-    monkeypatch.setattr("haptether.slave.ur_recovery.UNLOCK_AFTER_S", 0.0)
+    monkeypatch.setattr("haptether.slave.ur.recovery.UNLOCK_AFTER_S", 0.0)
     assert UNLOCK_AFTER_S == 5.0
     driven.ready()
     assert driven.turn().fault is None

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from haptether.slave.ur_priority import ask_little_realtime
+from haptether.slave.ur.priority import ask_little_realtime
 
 ABANDONED: list[object] = []
 """What a call still holds that never returned: to let go of it could block whoever does."""

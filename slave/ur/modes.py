@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from haptether.slave.ur_braking import of_joints, of_tool
-from haptether.slave.ur_joints import Joints
-from haptether.slave.ur_options import UrOptions
+from haptether.slave.ur.braking import of_joints, of_tool
+from haptether.slave.ur.joints import Joints
+from haptether.slave.ur.options import UrOptions
+from haptether.slave.ur.setpoint import SetPoint
+from haptether.slave.ur.state import Numbers, UrState
 from haptether.slave.ur_pose import matrix_from_rotvec, rotvec_from_matrix
-from haptether.slave.ur_setpoint import SetPoint
-from haptether.slave.ur_state import Numbers, UrState
 
 if TYPE_CHECKING:
     from haptether.slave.ur_models import UrModel

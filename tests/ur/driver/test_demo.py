@@ -21,6 +21,8 @@ from tests.ur.stalls import STALL_S, Stalls
 from haptether.bridge import load_scene
 from haptether.studies import DemoScene, run_demo
 
+pytestmark = pytest.mark.live
+
 pytest.importorskip("rtde_control", reason="the extra ur is not installed")
 
 Array = npt.NDArray[np.float64]

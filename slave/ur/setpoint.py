@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from haptether.slave.ur_options import Plane, Three
+from haptether.slave.ur.options import Plane, Three
 
 SETTLE_PERIODS = 3.0
 """Samples within which the set-point closes in on its target: smooths the jitter of the line; one would be a jump."""

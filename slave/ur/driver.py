@@ -7,9 +7,8 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from haptether.slave.device import SlaveSample
-from haptether.slave.ur_alive import SignsOfLife
-from haptether.slave.ur_bounded import Bounded, Call
-from haptether.slave.ur_checks import (
+from haptether.slave.ur.alive import SignsOfLife
+from haptether.slave.ur.checks import (
     NO_DASHBOARD_SINCE,
     REMOTE_SINCE,
     Checklist,
@@ -19,14 +18,15 @@ from haptether.slave.ur_checks import (
     check_model,
     check_workspace,
 )
-from haptether.slave.ur_halting import Halting
-from haptether.slave.ur_link import LinkError, UrLink, vendor_module
-from haptether.slave.ur_modes import check_mode, model_distance, ur_mode
-from haptether.slave.ur_motion import Motion, MotionError, along
-from haptether.slave.ur_options import UrOptions, ur_options
-from haptether.slave.ur_recovery import recover
-from haptether.slave.ur_state import UrState, safety_stop
-from haptether.slave.ur_wrench import UrWrench
+from haptether.slave.ur.connection import LinkError, UrLink, vendor_module
+from haptether.slave.ur.modes import check_mode, model_distance, ur_mode
+from haptether.slave.ur.motion import Motion, MotionError, along
+from haptether.slave.ur.options import UrOptions, ur_options
+from haptether.slave.ur.recovery import recover
+from haptether.slave.ur.state import UrState, safety_stop
+from haptether.slave.ur.stop import Halting
+from haptether.slave.ur.worker import Bounded, Call
+from haptether.slave.ur.wrench import UrWrench
 
 READ_S: Final = 0.025
 """Longest that `read` waits for a package: beyond the 20 ms that make the ladder hold."""

@@ -1,4 +1,4 @@
-"""The real ur_rtde at 500 Hz for a minute a mode: `python -m tests.ur_endurance --seconds 60 --json out/ur.json`.
+"""The real ur_rtde at 500 Hz for a minute a mode: `python -m tests.ur.endurance --seconds 60 --json out/ur.json`.
 
 Every call must be accepted, no state may go back, the arm may meet no stop, and the emulator must lose no time. Run
 nothing else meanwhile. A mode that the host of a virtual machine disturbed is measured anew.

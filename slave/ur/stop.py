@@ -4,13 +4,13 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from haptether.slave.ur_bounded import Bounded, Call
-from haptether.slave.ur_dashboard import DashboardError, stop_program
-from haptether.slave.ur_state import PLAYING, UrState
+from haptether.slave.ur.dashboard import DashboardError, stop_program
+from haptether.slave.ur.state import PLAYING, UrState
+from haptether.slave.ur.worker import Bounded, Call
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_link import UrLink
-    from haptether.slave.ur_modes import Mode
+    from haptether.slave.ur.connection import UrLink
+    from haptether.slave.ur.modes import Mode
 
 STOP_S: Final = 1.0
 """For a soft stop: the watchdog's longest period is a fifth of it."""

@@ -3,12 +3,12 @@
 import time
 from typing import TYPE_CHECKING, Final
 
-from haptether.slave.ur_dashboard import is_in_remote_control
+from haptether.slave.ur.dashboard import is_in_remote_control
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_bounded import Bounded, Call
-    from haptether.slave.ur_link import UrLink
-    from haptether.slave.ur_options import UrOptions
+    from haptether.slave.ur.connection import UrLink
+    from haptether.slave.ur.options import UrOptions
+    from haptether.slave.ur.worker import Bounded, Call
 
 ARMED_S: Final = 1.0
 KICKS: Final = 5.0

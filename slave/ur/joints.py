@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from haptether.slave.ur_options import Three, UrOptions
+from haptether.slave.ur.options import Three, UrOptions
+from haptether.slave.ur.setpoint import SetPoint
+from haptether.slave.ur.state import UrState
 from haptether.slave.ur_pose import rotvec_from_matrix
-from haptether.slave.ur_setpoint import SetPoint
-from haptether.slave.ur_state import UrState
 
 if TYPE_CHECKING:
     from haptether.slave.ur_kinematics import UrKinematics

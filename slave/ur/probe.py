@@ -14,7 +14,7 @@ import time
 from dataclasses import dataclass
 from typing import Final
 
-from haptether.slave.ur_bounded import Bounded
+from haptether.slave.ur.worker import Bounded
 
 PORT: Final = 30004
 RESOLVE_S: Final = 3.0

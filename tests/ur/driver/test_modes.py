@@ -8,12 +8,12 @@ import pytest
 from tests.ur.fake_rtde import START_Q
 
 from haptether.slave import UrKinematics, ur_model
-from haptether.slave.ur_joints import JOINT_SPEED_SHARE, Joints, UnreachableError
-from haptether.slave.ur_modes import check_mode, ur_mode
-from haptether.slave.ur_options import UrOptions, ur_options
+from haptether.slave.ur.joints import JOINT_SPEED_SHARE, Joints, UnreachableError
+from haptether.slave.ur.modes import check_mode, ur_mode
+from haptether.slave.ur.options import UrOptions, ur_options
+from haptether.slave.ur.setpoint import SetPoint
+from haptether.slave.ur.state import UrState
 from haptether.slave.ur_pose import matrix_from_rotvec, pose_from_transform
-from haptether.slave.ur_setpoint import SetPoint
-from haptether.slave.ur_state import UrState
 
 PERIOD_S = 0.002
 MODEL = ur_model("ur5e")

@@ -5,11 +5,11 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from haptether.slave.ur_dashboard import DashboardError, is_in_remote_control
-from haptether.slave.ur_link import LinkError, UrLink
-from haptether.slave.ur_options import UrOptions
-from haptether.slave.ur_probe import Probe, ProbeError, probe, resolved
-from haptether.slave.ur_state import (
+from haptether.slave.ur.connection import LinkError, UrLink
+from haptether.slave.ur.dashboard import DashboardError, is_in_remote_control
+from haptether.slave.ur.options import UrOptions
+from haptether.slave.ur.probe import Probe, ProbeError, probe, resolved
+from haptether.slave.ur.state import (
     FULL_SPEED,
     NORMAL,
     PLAYING,

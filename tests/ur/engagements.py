@@ -1,4 +1,4 @@
-"""Engagements of an emulated UR arm: `python -m tests.ur_engagements --count 100 --busy 2 --json out/engaged.json`.
+"""Engagements of an emulated UR arm: `python -m tests.ur.engagements --count 100 --busy 2 --json out/engaged.json`.
 
 Each start has a controller and a `haptether slave` of its own and a master that waits, so that the first engagement
 meets whatever a process does for the first time; further ones follow by the clutch. A frame is late where either side
@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from tests.ur.emulated import emulator
+from tests.ur.endurance import steal_s
 from tests.ur.machine_stalls import machine_stalls
-from tests.ur_endurance import steal_s
 
 from haptether.bridge import LiveMaster, ladder_state_name, load_scene, scene_json
 

@@ -4,17 +4,17 @@ import math
 import time
 from typing import TYPE_CHECKING, Final
 
-from haptether.slave.ur_bounded import Idle
-from haptether.slave.ur_halting import STOP_S, Halting
-from haptether.slave.ur_joints import UnreachableError
-from haptether.slave.ur_latency import Latency
-from haptether.slave.ur_link import STREAM_S, UrLink
-from haptether.slave.ur_options import Three, UrOptions
-from haptether.slave.ur_setpoint import SetPoint
-from haptether.slave.ur_state import UrState
+from haptether.slave.ur.connection import STREAM_S, UrLink
+from haptether.slave.ur.joints import UnreachableError
+from haptether.slave.ur.latency import Latency
+from haptether.slave.ur.options import Three, UrOptions
+from haptether.slave.ur.setpoint import SetPoint
+from haptether.slave.ur.state import UrState
+from haptether.slave.ur.stop import STOP_S, Halting
+from haptether.slave.ur.worker import Idle
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_modes import Mode
+    from haptether.slave.ur.modes import Mode
 
 SILENCE_S: Final = 0.02
 """After which an arm is stopped that would go on by itself and is not led."""

@@ -5,8 +5,8 @@ import math
 import pytest
 
 from haptether.bridge import load_slave
+from haptether.slave.ur.options import UrOptions, ur_options
 from haptether.slave.ur_models import MAX_PAYLOAD_KG, UR_MODELS
-from haptether.slave.ur_options import UrOptions, ur_options
 
 HOST = {"host": "192.168.1.10"}
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from tests.ur_endurance import attempted, is_disturbed
+from tests.ur.endurance import attempted, is_disturbed
 
 SECONDS, PROCESSORS = 60.0, 2
 

@@ -5,9 +5,11 @@ import threading
 
 import numpy as np
 import pytest
-from tests.ur_engagements import WINDOW_S, busy, engagements, measured
+from tests.ur.engagements import WINDOW_S, busy, engagements, measured
 
 from haptether.bridge import ladder_state_name
+
+pytestmark = pytest.mark.alone
 
 CODES = {ladder_state_name(code): code for code in range(7)}
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final
 
-from haptether.slave.ur_bounded import Bounded, OverdueError
-from haptether.slave.ur_dashboard import DashboardError, stop_program
-from haptether.slave.ur_options import UrOptions
-from haptether.slave.ur_process import ControlProcess
-from haptether.slave.ur_state import PLAYING, RAW_WRENCH, VARIABLES, UrState, read_state
+from haptether.slave.ur.dashboard import DashboardError, stop_program
+from haptether.slave.ur.options import UrOptions
+from haptether.slave.ur.process import ControlProcess
+from haptether.slave.ur.state import PLAYING, RAW_WRENCH, VARIABLES, UrState, read_state
+from haptether.slave.ur.worker import Bounded, OverdueError
 
 CONNECT_S: Final = 12.0
 """Upload and start of the control script are within the library's own 5 s each."""

@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from haptether.slave.ur_bounded import Bounded, OverdueError
+from haptether.slave.ur.worker import Bounded, OverdueError
 
 LONG_S = 20.0
 

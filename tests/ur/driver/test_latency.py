@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from haptether.slave.ur_latency import Latency
+from haptether.slave.ur.latency import Latency
 
 PERIOD_S = 0.002
 

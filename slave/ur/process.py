@@ -18,7 +18,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Final
 
-from haptether.slave.ur_priority import ask_little_realtime
+from haptether.slave.ur.priority import ask_little_realtime
 
 PARENT_EVERY_S: Final = 0.05
 LONGEST_LINE: Final = 1 << 16
@@ -45,7 +45,7 @@ class ControlProcess:
                 [
                     sys.executable,
                     "-m",
-                    "haptether.slave.ur_process",
+                    "haptether.slave.ur.process",
                     str(theirs.fileno()),
                     host,
                     repr(rate_hz),

@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from haptether.slave.ur_wrench import UrWrench
+from haptether.slave.ur.wrench import UrWrench
 
 POSE = (0.1, -0.4, 0.2, 0.3, -1.2, 0.7)
 TOOL = (0.0, 0.0, 0.15, 0.4, 0.1, -0.3)
