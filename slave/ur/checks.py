@@ -1,18 +1,30 @@
-"""What is gone through before a UR arm moves: each line says what was found, and what to do where it is refused."""
+"""The checklist before a UR arm moves, and the way back to it after a fault.
+
+Each line says what was found, and what to do where it is refused.
+"""
 
 import math
 import sys
+import time
 from collections.abc import Callable
 from typing import Final
 
-from haptether.slave.ur.connection import LinkError, UrLink
-from haptether.slave.ur.dashboard import DashboardError, is_in_remote_control
+from haptether.slave.ur.connection import LinkError, RtdeConnection
 from haptether.slave.ur.options import UrOptions
-from haptether.slave.ur.probe import Probe, ProbeError, probe, resolved
+from haptether.slave.ur.services import (
+    DashboardError,
+    Probe,
+    ProbeError,
+    is_in_remote_control,
+    probe,
+    resolved,
+    unlock_protective_stop,
+)
 from haptether.slave.ur.state import (
     FULL_SPEED,
     NORMAL,
     PLAYING,
+    PROTECTIVE_BIT,
     PROTECTIVE_STOP,
     ROBOT_MODES,
     RUNNING,
@@ -30,8 +42,11 @@ TOOL_M: Final = 1e-4
 """How far what was set as tool may be from what the controller says it has, in m and rad."""
 MODEL_M: Final = 0.03
 """Farthest that the chosen model's tool may be from the controller's: calibrations are millimetres."""
-ZEROED_N: Final = 5.0
-"""Most that a sensor may show just after it was zeroed; e-Series sensors are precise to 2 to 5 N."""
+UNLOCK_AFTER_S: Final = 5.0
+"""The controller refuses before."""
+UNLOCKED_WITHIN_S: Final = 3.0
+ENDED_WITHIN_S: Final = 0.5
+"""More than the watchdog's longest period."""
 
 
 class UrRefusedError(RuntimeError):
@@ -43,21 +58,21 @@ class Checklist:
 
     Args:
         host: The controller.
-        tell: Takes each line; by default they go to standard error.
+        report: Takes each line; by default they go to standard error.
     """
 
-    def __init__(self, host: str, tell: Callable[[str], None] | None = None) -> None:
+    def __init__(self, host: str, report: Callable[[str], None] | None = None) -> None:
         self._host = host
-        self._tell = tell or _to_stderr
+        self._report = report or _to_stderr
         self.refused: list[str] = []
 
     def ok(self, what: str, found: str) -> None:
         """It is as it should be."""
-        self._tell(f"ur {self._host}: ok       {what}: {found}")
+        self._report(f"ur {self._host}: ok       {what}: {found}")
 
     def refuse(self, what: str, found: str, remedy: str) -> None:
         """It is not."""
-        self._tell(f"ur {self._host}: REFUSED  {what}: {found}: {remedy}")
+        self._report(f"ur {self._host}: REFUSED  {what}: {found}: {remedy}")
         self.refused.append(f"{what}: {found}: {remedy}")
 
     def check(self, what: str, found: str, *, good: bool, remedy: str) -> None:
@@ -157,12 +172,14 @@ def check_state(seen: Probe, checklist: Checklist) -> None:
     )
 
 
-def check_after(options: UrOptions, link: UrLink, checklist: Checklist, *, sensor: bool = True) -> UrState:
+def check_after(
+    options: UrOptions, connection: RtdeConnection, checklist: Checklist, *, sensor: bool = True
+) -> UrState:
     """What needs the control script: payload, tool, watchdog, force sensor.
 
     Args:
         options: Of the driver.
-        link: Connected, its script playing.
+        connection: Connected, its script playing.
         checklist: Takes the lines.
         sensor: Whether to zero the force sensor: not where the tool may touch something.
 
@@ -171,15 +188,17 @@ def check_after(options: UrOptions, link: UrLink, checklist: Checklist, *, senso
     """
     steps: list[tuple[str, str, Callable[[], str]]] = []
     if options.payload_kg is not None:
-        steps.append(("payload", "is it within what the arm carries?", lambda: _payload(options, link)))
+        steps.append(("payload", "is it within what the arm carries?", lambda: _payload(options, connection)))
     else:
         checklist.ok("payload", "as set on the pendant")
-    steps.append(("tool", "set it on the pendant, or in the options", lambda: _tool(options, link)))
+    steps.append(("tool", "set it on the pendant, or in the options", lambda: _tool(options, connection)))
     if sensor and options.zero_ft_sensor:
         remedy = "the tool must touch nothing; zero_ft_sensor = false leaves it"
-        steps.append(("force sensor", remedy, lambda: _zero(link)))
+        steps.append(("force sensor", remedy, lambda: _zero(connection)))
     # Last: from then on this side must be heard.
-    steps.append(("watchdog", "without it nothing stops the arm when this side dies", lambda: _watchdog(options, link)))
+    steps.append(
+        ("watchdog", "without it nothing stops the arm when this side dies", lambda: _watchdog(options, connection))
+    )
     for what, remedy, step in steps:
         try:
             checklist.ok(what, step())
@@ -188,7 +207,7 @@ def check_after(options: UrOptions, link: UrLink, checklist: Checklist, *, senso
             # What follows would only wait for the same.
             break
     checklist.finish()
-    return link.state()
+    return connection.state()
 
 
 def check_model(distance_m: float, options: UrOptions, checklist: Checklist) -> None:
@@ -221,44 +240,98 @@ def check_workspace(beyond_m: float, options: UrOptions, checklist: Checklist) -
     checklist.finish()
 
 
-def _payload(options: UrOptions, link: UrLink) -> str:
-    control = link.control
+def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float) -> UrState:
+    """Unlocks a protective stop, connects again and uploads the script again, as far as each is needed.
+
+    It powers nothing on and leaves emergency and safeguard stops to people beside the arm. The force sensor stays as it
+    is: the tool may touch something.
+
+    Args:
+        options: Of the driver.
+        connection: Its connections, in whatever state.
+        stopped_at_s: When the fault was seen, on the monotonic clock.
+
+    Raises:
+        Exception: What still stands against it; the arm stays where it is.
+    """
+    seen = _unlocked(options.host, probe(options.host), stopped_at_s)
+    checklist = Checklist(options.host)
+    check_state(seen, checklist)
+    if REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE:
+        check_remote(options.host, checklist)
+    checklist.finish()
+    end_s = time.monotonic() + ENDED_WITHIN_S
+    while connection.control is None and seen.runtime_state == PLAYING and time.monotonic() < end_s:
+        # Ours may just be ending.
+        seen = probe(options.host)
+    if connection.control is None and seen.runtime_state == PLAYING:
+        # Ours has ended with its interface: to connect would stop what somebody has started meanwhile.
+        message = "a program plays that is not ours: stop it on the pendant, then acknowledge again"
+        raise LinkError(message)
+    connection.connect()
+    return check_after(options, connection, checklist, sensor=False)
+
+
+def _payload(options: UrOptions, connection: RtdeConnection) -> str:
+    control = connection.control
     cog = list(options.payload_cog or (0.0, 0.0, 0.0))
-    link.setting("payload", lambda: control.setPayload(options.payload_kg, cog))
+    connection.setting("payload", lambda: control.setPayload(options.payload_kg, cog))
     return f"{options.payload_kg:g} kg"
 
 
-def _tool(options: UrOptions, link: UrLink) -> str:
-    control = link.control
+def _tool(options: UrOptions, connection: RtdeConnection) -> str:
+    control = connection.control
     if options.tool is not None:
-        link.setting("tool", lambda: control.setTcp(list(options.tool or ())))
-    seen = link.setting("tool", control.getTCPOffset)
+        connection.setting("tool", lambda: control.setTcp(list(options.tool or ())))
+    seen = connection.setting("tool", control.getTCPOffset)
     if options.tool is not None and max(abs(a - b) for a, b in zip(seen, options.tool, strict=True)) > TOOL_M:
         message = f"is {_text(seen)} after {_text(options.tool)} was set"
         raise LinkError(message)
     return f"{_text(seen)} (m, rad)"
 
 
-def _watchdog(options: UrOptions, link: UrLink) -> str:
+def _watchdog(options: UrOptions, connection: RtdeConnection) -> str:
     period_s = 1.0 / options.watchdog_hz
     if not options.verify_watchdog:
         return f"{options.watchdog_hz:g} Hz, not tried"
-    link.setting("watchdog", lambda: link.control.setWatchdog(options.watchdog_hz))
+    connection.setting("watchdog", lambda: connection.control.setWatchdog(options.watchdog_hz))
     # Silence: the program must end.
     try:
-        link.await_state("the program ends in silence", lambda state: state.runtime_state != PLAYING, period_s + 1.0)
+        connection.await_state(
+            "the program ends in silence", lambda state: state.runtime_state != PLAYING, period_s + 1.0
+        )
     except LinkError as error:
         message = f"does not bite: {error}"
         raise LinkError(message) from None
     # The driver arms it again with its first sample, from when on it is heard.
-    link.upload()
+    connection.upload()
     return f"{options.watchdog_hz:g} Hz, tried: it ends the program"
 
 
-def _zero(link: UrLink) -> str:
-    before = math.hypot(*link.state().wrench[:3])
-    link.setting("zero_ftsensor", link.control.zeroFtSensor)
+def _zero(connection: RtdeConnection) -> str:
+    before = math.hypot(*connection.state().wrench[:3])
+    connection.setting("zero_ftsensor", connection.control.zeroFtSensor)
     return f"zeroed, showed {before:.1f} N"
+
+
+def _unlocked(host: str, seen: Probe, stopped_at_s: float) -> Probe:
+    if not seen.safety_bits & PROTECTIVE_BIT:
+        return seen
+    left_s = UNLOCK_AFTER_S - (time.monotonic() - stopped_at_s)
+    if left_s > 0.0:
+        message = f"protective stop: can be unlocked in {left_s:.1f} s: inspect its cause, then acknowledge again"
+        raise LinkError(message)
+    if seen.version[:2] >= NO_DASHBOARD_SINCE:
+        message = "protective stop: this software has no dashboard: unlock it on the pendant, then acknowledge again"
+        raise LinkError(message)
+    unlock_protective_stop(host)
+    end_s = time.monotonic() + UNLOCKED_WITHIN_S
+    while seen.safety_bits & PROTECTIVE_BIT:
+        if time.monotonic() > end_s:
+            message = f"protective stop: still there {UNLOCKED_WITHIN_S:g} s after it was unlocked: see the pendant"
+            raise LinkError(message)
+        seen = probe(host)
+    return seen
 
 
 def _text(pose: object) -> str:

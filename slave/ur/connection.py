@@ -5,13 +5,17 @@ import ctypes
 import time
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
-from haptether.slave.ur.dashboard import DashboardError, stop_program
 from haptether.slave.ur.options import UrOptions
-from haptether.slave.ur.process import ControlProcess
+from haptether.slave.ur.services import DashboardError, stop_program
 from haptether.slave.ur.state import PLAYING, RAW_WRENCH, VARIABLES, UrState, read_state
-from haptether.slave.ur.worker import Bounded, OverdueError
+from haptether.slave.ur.worker import Call, CallTimeoutError, ControlProcess, Idle, TimedWorker
+
+Control: TypeAlias = Any
+"""An `rtde_control.RTDEControlInterface`; the library has no types."""
+Order: TypeAlias = Callable[[Control], bool]
+"""Calls of the library, to be made on its thread."""
 
 CONNECT_S: Final = 12.0
 """Upload and start of the control script are within the library's own 5 s each."""
@@ -22,13 +26,13 @@ STREAM_S: Final = 0.1
 """For a command that is sent on and not acknowledged; 0.2 ms as a rule."""
 UPLOAD_S: Final = 8.0
 END_S: Final = 0.8
-"""For each of the farewells."""
+"""For `stopScript`, and for the disconnection."""
 STARTED_S: Final = 2.0
 POLL_S: Final = 0.005
 
 
 class LinkError(RuntimeError):
-    """The library or the controller did not do what it was asked to."""
+    """A call of the library failed or timed out, or the controller refused it."""
 
 
 def vendor_module() -> Any:  # noqa: ANN401  # it has no types
@@ -50,13 +54,7 @@ def vendor_module() -> Any:  # noqa: ANN401  # it has no types
     return module
 
 
-def _immortal(interface: Any) -> Any:  # noqa: ANN401  # rtde_receive.RTDEReceiveInterface
-    """One more reference than anybody lets go of: its destructor disconnects, and where that fails ends the process."""
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(interface))
-    return interface
-
-
-class UrLink:
+class RtdeConnection:
     """Control and receive interface of one controller. What moves the arm goes through `worker` alone.
 
     Args:
@@ -69,16 +67,22 @@ class UrLink:
         self._module = vendor_module()
         self._raw_wrench = options.force_source == "raw"
         self._default_rate = 500.0 if version[0] > 3 else 125.0
-        self.worker = Bounded("ur-control")
-        self._second = Bounded("ur-receive")
-        self.control: Any = None
+        self.worker = TimedWorker("ur-control")
+        self._receiver = TimedWorker("ur-receive")
+        self.control: Control = None
+        """None where it is not connected, or was cut."""
         self.receive: Any = None
-        self._ended = False
+        self._closed = False
 
     @property
     def rate_hz(self) -> float:
-        """Packages a second that were asked for."""
+        """Packages a second that were requested."""
         return float(self._options.frequency or self._default_rate)
+
+    @property
+    def broken(self) -> bool:
+        """Whether the control interface does not answer any more, so that it can only be cut."""
+        return self.worker.stuck is not None or not self.control.alive
 
     # -------------------------------------------------------------------------------------------------- connect
 
@@ -91,34 +95,29 @@ class UrLink:
         Raises:
             LinkError: No connection, inputs that another client has, or a script that does not start.
         """
-        self._check_wanted()
+        self._check_open()
         host, rate = self._options.host, self.rate_hz
-        if self.receive is None or not self.receive.isConnected() or not self._goes_on():
+        if self.receive is None or not self.receive.isConnected() or not self._receives():
             # Never the old one again: to reconnect it may hang, to disconnect it may end this process.
-            if self._second.stuck is not None:
-                self._second = Bounded("ur-receive")
+            if self._receiver.stuck is not None:
+                self._receiver = TimedWorker("ur-receive")
             names = [*VARIABLES, *([RAW_WRENCH] if self._raw_wrench else [])]
-            self.receive = self._done(
-                self._second, "connect (receive)",
-                lambda: _immortal(self._module.RTDEReceiveInterface(host, rate, names)), RECEIVE_S,
+            self.receive = self._run(
+                self._receiver, "connect (receive)",
+                lambda: _never_destroyed(self._module.RTDEReceiveInterface(host, rate, names)), RECEIVE_S,
             )  # fmt: skip
         if self.control is None:
-            self._check_wanted()
+            self._check_open()
             self.control = ControlProcess(host, rate)
             try:
-                # Ended just now, or from here on by whoever ends it.
-                self._check_wanted()
-                self._done(self.worker, "connect (control)", self.control.connect, CONNECT_S)
+                # Closed just now, or from here on by whoever closes it.
+                self._check_open()
+                self._run(self.worker, "connect (control)", self.control.connect, CONNECT_S)
             except LinkError:
                 # It would go on, and upload its script whenever that comes through.
                 self.cut()
                 raise
         self.upload()
-
-    def _check_wanted(self) -> None:
-        if self._ended:
-            message = "closed meanwhile"
-            raise LinkError(message)
 
     def upload(self) -> None:
         """Has the control script play, anew where it does not.
@@ -130,14 +129,12 @@ class UrLink:
             self.setting("upload of the control script", self.control.reuploadScript, UPLOAD_S)
         self.await_state("the control script plays", lambda state: state.runtime_state == PLAYING, STARTED_S)
 
-    def cut(self) -> None:
-        """Ends the control interface, whatever it does: nothing of this side leads the arm any more."""
-        if self.control is not None:
-            self.control.kill()
-            self.worker.end()
-            self.control, self.worker = None, Bounded("ur-control")
+    def _check_open(self) -> None:
+        if self._closed:
+            message = "closed meanwhile"
+            raise LinkError(message)
 
-    def _goes_on(self) -> bool:
+    def _receives(self) -> bool:
         """Whether packages come."""
         before, end_s = self.receive.getTimestamp(), time.monotonic() + 0.1
         while time.monotonic() < end_s:
@@ -146,7 +143,7 @@ class UrLink:
             time.sleep(POLL_S)
         return False
 
-    # ------------------------------------------------------------------------------------------------ commands
+    # -------------------------------------------------------------------------------------- packages and commands
 
     def state(self) -> UrState:
         """The newest package."""
@@ -167,27 +164,43 @@ class UrLink:
         return state
 
     def setting(self, name: str, function: Callable[[], Any], limit_s: float = SETTING_S) -> Any:  # noqa: ANN401
-        """Makes a call that the controller acknowledges, and gives what it gave.
+        """Makes a call that the controller acknowledges, and returns its result.
 
         Raises:
             LinkError: It failed or was refused.
         """
-        result = self._done(self.worker, name, function, limit_s)
+        result = self._run(self.worker, name, function, limit_s)
         if result is False:
             message = f"{name}: refused by the controller"
             raise LinkError(message)
         return result
 
-    def kick(self) -> None:
-        """Tells the watchdog that this side is there; leaves the arm as it is."""
-        self.worker.stream("kickWatchdog", self.control.kickWatchdog, STREAM_S)
+    def start(self, name: str, order: Order, limit_s: float) -> Call:
+        """Queues an order and drops what was streamed and has not started; does not wait."""
+        control = self.control
+        return self.worker.start(name, lambda: order(control), limit_s)
+
+    def stream(self, name: str, order: Order, idle: Idle | None = None) -> None:
+        """Has an order made as soon as the library is free, instead of the streamed one that has not started.
+
+        `idle` follows where nothing else is requested within its time.
+        """
+        control = self.control
+        self.worker.stream(name, lambda: order(control), STREAM_S, idle)
 
     # ----------------------------------------------------------------------------------------------------- end
 
-    def end(self) -> list[str]:
+    def cut(self) -> None:
+        """Ends the control interface, whatever it does: nothing of this side moves the arm any more."""
+        if self.control is not None:
+            self.control.kill()
+            self.worker.end()
+            self.control, self.worker = None, TimedWorker("ur-control")
+
+    def close(self) -> list[str]:
         """Ends the script and both connections, within a few seconds; what of that failed."""
         failed: list[str] = []
-        self._ended = True
+        self._closed = True
         control, receive = self.control, self.receive
         if control is not None:
             try:
@@ -204,16 +217,22 @@ class UrLink:
                 failed.append(str(error))
         if receive is not None and receive.isConnected():
             with contextlib.suppress(Exception):
-                self._second.run("disconnect (receive)", receive.disconnect, END_S)
+                self._receiver.run("disconnect (receive)", receive.disconnect, END_S)
         self.worker.end()
-        self._second.end(receive)
+        self._receiver.end(receive)
         return failed
 
-    def _done(self, worker: Bounded, name: str, function: Callable[[], Any], limit_s: float) -> Any:  # noqa: ANN401
+    def _run(self, worker: TimedWorker, name: str, function: Callable[[], Any], limit_s: float) -> Any:  # noqa: ANN401
         try:
             return worker.run(name, function, limit_s)
-        except OverdueError:
+        except CallTimeoutError:
             message = f"{name}: has not returned within {limit_s:g} s"
         except Exception as error:  # of the library
             message = f"{name}: {' '.join(str(error).split())}"
         raise LinkError(message)
+
+
+def _never_destroyed(interface: Any) -> Any:  # noqa: ANN401  # rtde_receive.RTDEReceiveInterface
+    """One more reference than anybody lets go of: its destructor disconnects, and where that fails ends the process."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(interface))
+    return interface

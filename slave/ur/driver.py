@@ -7,7 +7,6 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from haptether.slave.device import SlaveSample
-from haptether.slave.ur.alive import SignsOfLife
 from haptether.slave.ur.checks import (
     NO_DASHBOARD_SINCE,
     REMOTE_SINCE,
@@ -17,15 +16,15 @@ from haptether.slave.ur.checks import (
     check_before,
     check_model,
     check_workspace,
+    recover,
 )
-from haptether.slave.ur.connection import LinkError, UrLink, vendor_module
+from haptether.slave.ur.connection import LinkError, RtdeConnection, vendor_module
 from haptether.slave.ur.modes import check_mode, model_distance, ur_mode
 from haptether.slave.ur.motion import Motion, MotionError, along
 from haptether.slave.ur.options import UrOptions, ur_options
-from haptether.slave.ur.recovery import recover
 from haptether.slave.ur.state import UrState, safety_stop
-from haptether.slave.ur.stop import Halting
-from haptether.slave.ur.worker import Bounded, Call
+from haptether.slave.ur.stop import SoftStop, Watchdog
+from haptether.slave.ur.worker import Call, TimedWorker
 from haptether.slave.ur.wrench import UrWrench
 
 READ_S: Final = 0.025
@@ -67,17 +66,17 @@ class UrSlave:
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)
-        self._link: UrLink
-        self._halting: Halting
-        self._alive: SignsOfLife
+        self._connection: RtdeConnection
+        self._soft_stop: SoftStop
+        self._watchdog: Watchdog
         self._motion: Motion | None = None
         self._wrench: UrWrench
         self._state: UrState
         self._before: UrState | None = None
         """The last state in which the arm was allowed to move."""
         self._opened = False
-        self._unwanted = False
-        """Closed, maybe while it still opens."""
+        self._closed = False
+        """Maybe while it still opens."""
         self._period_s = 0.002
         self._arrived_s = self._read_s = 0.0
         self._fault: str | None = None
@@ -91,32 +90,32 @@ class UrSlave:
     def open(self) -> None:
         """Goes through the checklist and connects; the arm does not move."""
         vendor_module()
-        self._unwanted = False
+        self._closed = False
         checklist = Checklist(self.options.host)
         options = self.options = replace(self.options, host=check_address(self.options.host, checklist))
         seen = check_before(options, checklist)
         check_mode(options, seen.version)
-        self._link = UrLink(options, seen.version)
+        self._connection = RtdeConnection(options, seen.version)
         watches_remote = REMOTE_SINCE <= seen.version[:2] < NO_DASHBOARD_SINCE
-        self._alive = SignsOfLife(options, self._link, watches_remote=watches_remote)
-        self._period_s = 1.0 / self._link.rate_hz
-        self._aside = Bounded("ur-aside")
-        self._halting = Halting(self._link, options.host, self._tell)
-        if self._unwanted:
+        self._watchdog = Watchdog(options, self._connection, watches_remote=watches_remote)
+        self._period_s = 1.0 / self._connection.rate_hz
+        self._aside = TimedWorker("ur-aside")
+        self._soft_stop = SoftStop(self._connection, options.host, self._report)
+        if self._closed:
             message = "closed before it was open"
             raise LinkError(message)
         self._opened = True
-        self._link.connect()
-        x, y, z, rx, ry, rz = options.tool or (self._link.setting("tool", self._link.control.getTCPOffset))
+        self._connection.connect()
+        x, y, z, rx, ry, rz = options.tool or (self._connection.setting("tool", self._connection.control.getTCPOffset))
         offset = (x, y, z, rx, ry, rz)
         # With CasADi, which takes its time: before the watchdog listens.
         mode = ur_mode(options, self._period_s, offset)
-        self._motion = motion = Motion(options, self._link, self._halting, mode, self._period_s)
+        self._motion = motion = Motion(options, self._connection, self._soft_stop, mode, self._period_s)
         self._wrench = UrWrench(
             raw=options.force_source == "raw", tool=offset, filter_hz=options.force_filter_hz,
             deadband_n=options.force_deadband_n, payload_kg=options.payload_kg or 0.0,
         )  # fmt: skip
-        self._state = check_after(options, self._link, checklist)
+        self._state = check_after(options, self._connection, checklist)
         check_workspace(motion.outside(self._state), options, checklist)
         distance_m = model_distance(mode, self._state)
         if distance_m is not None:
@@ -138,24 +137,23 @@ class UrSlave:
             now_s = time.monotonic()
             self._look_for_faults(now_s)
             if self._fault is None:
-                led = self._motion is not None and self._motion.moving and not self._halting.busy
-                self._alive.give(now_s, self._aside, idle=not led and not self._halting.calls)
-        why = self._halting.failed(self._state, stale=time.monotonic() - self._arrived_s > STALE_S)
+                self._watchdog.service(now_s, self._aside, idle=not self._soft_stop.heard)
+        why = self._soft_stop.check(self._state, stale=time.monotonic() - self._arrived_s > STALE_S)
         if why is not None:
             text = f"a soft stop {why}: the program is ended; see the arm, then acknowledge"
             if self._fault is None:
                 self._latch(text)
             else:
                 # The fault that it was stopped for stands; this is graver.
-                self._tell(f"{text}; if it moves, press its emergency stop")
-            self._cut()
+                self._report(f"{text}; if it moves, press its emergency stop")
+            self._soft_stop.cut()
         return self._sample()
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
         """Sends the tool on, within its bounds; nothing where there is a fault or the watchdog is not armed."""
         if self._recovery is not None:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
-        if self._fault is not None or not self._alive.armed or self._motion is None:
+        if self._fault is not None or not self._watchdog.armed or self._motion is None:
             return
         try:
             self._motion.send(self._state, position, velocity)
@@ -164,9 +162,9 @@ class UrSlave:
 
     def stop(self) -> None:
         """Has the arm come to rest; returns at once, `read` sees to it that it does."""
-        # One that never opened has no state, and nothing to stop.
-        if self._motion is not None and self._motion.moving:
-            self._motion.stop(self._state)
+        # One that was never led may have no state yet.
+        if self._motion is not None and self._soft_stop.commanded:
+            self._soft_stop.stop(self._motion.mode.brake(self._state))
 
     def acknowledge(self) -> None:
         """A person has seen to the fault: unlocks, connects and uploads again, and says when the arm is ready."""
@@ -174,36 +172,33 @@ class UrSlave:
             # What it has met since the last sample nobody has seen.
             return
         self._fault = None
-        self._alive.forget()
-        on_its_way = self._halting.clear()
+        self._watchdog.reset()
+        under_way = self._soft_stop.acknowledge()
         if self._aside.stuck is not None:
             self._aside.end()
-            self._aside = Bounded("ur-aside")
-        self._link.worker.streamed = self._link.worker.idled = None
-        options, link, stopped_s = self.options, self._link, self._fault_s
+            self._aside = TimedWorker("ur-aside")
+        options, connection, stopped_s = self.options, self._connection, self._fault_s
 
         def recovered() -> UrState:
-            # What stops the arm, or ends the program.
-            for call in on_its_way:
+            for call in under_way:
                 call.wait(call.limit_s)
-            return recover(options, link, stopped_s)
+            return recover(options, connection, stopped_s)
 
         self._recovery = self._aside.start("recovery", recovered, 60.0)
 
     def close(self) -> None:
         """Ends the control script and disconnects, within 5 s."""
-        self._unwanted = True
+        self._closed = True
         if not self._opened:
             return
         self._opened = False
         self.stop()
-        self._halting.end()
-        for failed in self._link.end():
-            self._tell(f"at the end: {failed}")
+        self._soft_stop.close()
+        for failed in self._connection.close():
+            self._report(f"at the end: {failed}")
         self._aside.end()
-        self._halting.close()
         if (latency_s := self.latency_s) is not None:
-            self._tell(f"the arm followed {1e3 * latency_s:.0f} ms late")
+            self._report(f"the arm followed {1e3 * latency_s:.0f} ms late")
 
     # ------------------------------------------------------------------------------------------------- figures
 
@@ -215,7 +210,7 @@ class UrSlave:
     # ---------------------------------------------------------------------------------------------------- read
 
     def _await_package(self) -> None:
-        receive, before = self._link.receive, self._state.timestamp
+        receive, before = self._connection.receive, self._state.timestamp
         begun_s = time.monotonic()
         early_s = self._arrived_s + EARLY * self._period_s - begun_s
         if early_s > 0.0:
@@ -224,7 +219,7 @@ class UrSlave:
             if time.monotonic() - begun_s > (READ_S if self._fault is None else self._period_s):
                 return
             time.sleep(POLL_S)
-        state = self._link.state()
+        state = self._connection.state()
         self._arrived_s = time.monotonic()
         if state.finite:
             self._state = state
@@ -234,17 +229,17 @@ class UrSlave:
             self._latch("the controller has sent a number that is none: see its log, then acknowledge")
 
     def _look_for_faults(self, now_s: float) -> None:
-        lost = not self._link.receive.isConnected() or now_s - self._arrived_s > STALE_S
+        lost = not self._connection.receive.isConnected() or now_s - self._arrived_s > STALE_S
         if self._fault is not None:
-            if lost and self._link.control is not None:
+            if lost and self._connection.control is not None:
                 # The library would connect again by itself, and upload a script without a watchdog.
-                self._cut()
+                self._soft_stop.cut()
             return
         state = self._state
         stop = safety_stop(state, self._before)
         if stop is not None:
             self._latch(stop)
-        elif not self._link.receive.isConnected():
+        elif not self._connection.receive.isConnected():
             self._latch(
                 "the controller closed the connection: see that it is on and the cable is in, then acknowledge",
                 lost=True,
@@ -255,20 +250,20 @@ class UrSlave:
                 " then acknowledge",
                 lost=True,
             )
-        elif (trouble := self._alive.trouble()) is not None:
-            self._latch(trouble, lost=self._link.worker.stuck is not None or not self._link.control.alive)
+        elif (fault := self._watchdog.fault()) is not None:
+            self._latch(fault, lost=self._connection.broken)
         else:
             self._before = state
 
     def _look_at_recovery(self, recovery: Call) -> None:
-        if not recovery.over:
+        if not recovery.done:
             return
         self._recovery = None
         if recovery.error is not None:
             stopped_s, text = self._fault_s, " ".join(str(recovery.error).split())
             if self._fault is not None:
-                # Somebody has engaged too early; the cause is told all the same.
-                self._tell(f"not ready: {text}")
+                # Somebody has engaged too early; the cause is reported all the same.
+                self._report(f"not ready: {text}")
             # The next acknowledgement connects anew: what failed may be a connection that nothing else shows is gone.
             self._latch(text, lost=True)
             # Still the same stop.
@@ -277,7 +272,7 @@ class UrSlave:
         self._state = recovery.result
         self._before = None
         self._arrived_s = time.monotonic()
-        self._tell("ready: it may be engaged")
+        self._report("ready: it may be engaged")
 
     def _sample(self) -> SlaveSample:
         state, now_s, self._shown = self._state, time.monotonic(), self._fault
@@ -294,17 +289,12 @@ class UrSlave:
         """A fault stays until a person acknowledges it; the arm is stopped, or the connection cut where it is lost."""
         if self._fault is None:
             self._fault, self._fault_s = text, time.monotonic()
-            # First the arm: who reads what is told may be slow, or stopped.
+            # First the arm: whoever reads the report may be slow, or stopped.
             if lost:
-                self._cut()
+                self._soft_stop.cut()
             else:
                 self.stop()
-            self._tell(f"fault: {text}")
+            self._report(f"fault: {text}")
 
-    def _cut(self) -> None:
-        if self._motion is not None:
-            self._motion.moving = False
-        self._halting.cut()
-
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         print(f"ur {self.options.host}: {text}", file=sys.stderr, flush=True)

@@ -1,30 +1,37 @@
-"""The commands that can move a UR arm: each is given the same set-point and keeps the orientation it began with."""
+"""The commands that can move a UR arm: each follows the same set point and keeps the orientation it began with."""
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from haptether.slave.ur.braking import of_joints, of_tool
-from haptether.slave.ur.joints import Joints
-from haptether.slave.ur.options import UrOptions
-from haptether.slave.ur.setpoint import SetPoint
+from haptether.slave.ur.connection import Control, Order
+from haptether.slave.ur.options import Three, UrOptions
 from haptether.slave.ur.state import Numbers, UrState
+from haptether.slave.ur.stop import joint_deceleration, tool_deceleration
 from haptether.slave.ur_pose import matrix_from_rotvec, rotvec_from_matrix
 
 if TYPE_CHECKING:
+    from haptether.slave.ur_kinematics import UrKinematics
     from haptether.slave.ur_models import UrModel
 
-Control = Any
-"""An `rtde_control.RTDEControlInterface`; the library has no types."""
-Order = Callable[[Control], bool]
-
 DIRECT_TORQUE_SINCE: Final = (5, 26)
-TURN_SPEED: Final = 0.5
+ROTATION_SPEED: Final = 0.5
 """rad/s at most, to keep the orientation under speedl."""
 WRIST_SHARE: Final = 0.2
 """Stiffness and damping of the three wrists, of those of the large joints."""
+CORRECTION_PERIODS: Final = 4.0
+"""Periods in which the joints make up for what they are beside the set point."""
+MAX_BEHIND_M: Final = 0.02
+"""How far the joints may stay behind it: what more there is would be made up for at once, somewhere else."""
+JOINT_ACCELERATION: Final = 25.0
+"""rad/s² at most: what the bounds of the tool need over the shortest lever, not what makes it smooth."""
+JOINT_SPEED_SHARE: Final = 0.9
+"""Of the largest speed of a joint: what is commanded stays this far below."""
+
+
+class UnreachableError(ValueError):
+    """The arm cannot go on to where it is sent."""
 
 
 class Mode(Protocol):
@@ -38,8 +45,8 @@ class Mode(Protocol):
     def begin(self, state: UrState) -> None:
         """Motion begins where the arm is."""
 
-    def order(self, point: SetPoint, state: UrState, elapsed_s: float) -> Order:
-        """What sends the arm to the set-point, to be called on the thread of the library.
+    def order(self, position: Three, velocity: Three, state: UrState, elapsed_s: float) -> Order:
+        """What sends the arm to the set point after a time in s, in m and m/s along the axes of the base.
 
         Raises:
             UnreachableError: It cannot get there.
@@ -49,60 +56,62 @@ class Mode(Protocol):
         """What has the arm come to rest softly; returns once it is done."""
 
 
-class ServoJ:
+class _Servo:
+    """The controller follows each target with its lookahead and gain, and holds the last."""
+
+    goes_on = False
+
+    def __init__(self, options: UrOptions, period_s: float) -> None:
+        # Speed and acceleration, which the controller ignores, then time, lookahead and gain.
+        self._rest = (0.0, 0.0, period_s, options.lookahead_time, options.gain)
+        self._options = options
+
+    def brake(self, state: UrState) -> Order:
+        """See `Mode`."""
+        deceleration = joint_deceleration(self._options, state)
+        return lambda control: bool(control.servoStop(deceleration))
+
+
+class ServoJ(_Servo):
     """`servoJ` on joint angles that are found here: the least work for the controller."""
 
     name = "servoJ"
-    goes_on = False
 
-    def __init__(self, options: UrOptions, joints: Joints, period_s: float) -> None:
-        self._rest = (0.0, 0.0, period_s, options.lookahead_time, options.gain)
-        self._options = options
+    def __init__(self, options: UrOptions, joints: "JointTracking", period_s: float) -> None:
+        super().__init__(options, period_s)
         self.joints = joints
 
     def begin(self, state: UrState) -> None:
         """See `Mode`."""
         self.joints.begin(state)
 
-    def order(self, point: SetPoint, state: UrState, elapsed_s: float) -> Order:  # noqa: ARG002
+    def order(self, position: Three, velocity: Three, state: UrState, elapsed_s: float) -> Order:  # noqa: ARG002
         """See `Mode`."""
-        self.joints.follow(point, elapsed_s)
+        self.joints.follow(position, velocity, elapsed_s)
         q, rest = self.joints.q.tolist(), self._rest
         return lambda control: bool(control.servoJ(q, *rest))
 
-    def brake(self, state: UrState) -> Order:
-        """See `Mode`."""
-        deceleration = of_joints(self._options, state)
-        return lambda control: bool(control.servoStop(deceleration))
 
-
-class ServoL:
+class ServoL(_Servo):
     """`servoL`: the controller finds the joint angles, on its own calibrated chain.
 
     Where it finds none it ends the program.
     """
 
     name = "servoL"
-    goes_on = False
 
     def __init__(self, options: UrOptions, period_s: float) -> None:
-        self._rest = (0.0, 0.0, period_s, options.lookahead_time, options.gain)
-        self._options = options
-        self._turn: Numbers = (0.0, 0.0, 0.0)
+        super().__init__(options, period_s)
+        self._rotvec: Numbers = (0.0, 0.0, 0.0)
 
     def begin(self, state: UrState) -> None:
         """See `Mode`."""
-        self._turn = state.pose[3:]
+        self._rotvec = state.pose[3:]
 
-    def order(self, point: SetPoint, state: UrState, elapsed_s: float) -> Order:  # noqa: ARG002
+    def order(self, position: Three, velocity: Three, state: UrState, elapsed_s: float) -> Order:  # noqa: ARG002
         """See `Mode`."""
-        pose, rest = [*point.position, *self._turn], self._rest
+        pose, rest = [*position, *self._rotvec], self._rest
         return lambda control: bool(control.servoL(pose, *rest))
-
-    def brake(self, state: UrState) -> Order:
-        """See `Mode`."""
-        deceleration = of_joints(self._options, state)
-        return lambda control: bool(control.servoStop(deceleration))
 
 
 class SpeedL:
@@ -121,29 +130,26 @@ class SpeedL:
         self._acceleration = options.max_acceleration
         self._options = options
         self._period_s = period_s
-        self._turn = np.eye(3)
+        self._rotation = np.eye(3)
 
     def begin(self, state: UrState) -> None:
         """See `Mode`."""
-        self._turn = matrix_from_rotvec(state.pose[3:])
+        self._rotation = matrix_from_rotvec(state.pose[3:])
 
-    def order(self, point: SetPoint, state: UrState, elapsed_s: float) -> Order:  # noqa: ARG002
+    def order(self, position: Three, velocity: Three, state: UrState, elapsed_s: float) -> Order:  # noqa: ARG002
         """See `Mode`."""
-        wanted = [
-            v + self._gain * (x_set - x)
-            for v, x_set, x in zip(point.velocity, point.position, state.pose[:3], strict=True)
-        ]
-        away = rotvec_from_matrix(self._turn @ matrix_from_rotvec(state.pose[3:]).T)
+        wanted = [v + self._gain * (x_set - x) for v, x_set, x in zip(velocity, position, state.pose[:3], strict=True)]
+        away = rotvec_from_matrix(self._rotation @ matrix_from_rotvec(state.pose[3:]).T)
         xd = [
             *_at_most(wanted, self._max_speed),
-            *_at_most([self._gain * part for part in away], TURN_SPEED),
+            *_at_most([self._gain * part for part in away], ROTATION_SPEED),
         ]
         acceleration, time_s = self._acceleration, self._period_s
         return lambda control: bool(control.speedL(xd, acceleration, time_s))
 
     def brake(self, state: UrState) -> Order:
         """See `Mode`."""
-        deceleration = of_tool(self._options, state)
+        deceleration = tool_deceleration(self._options, state)
         return lambda control: bool(control.speedStop(deceleration))
 
 
@@ -156,11 +162,11 @@ class DirectTorque:
     name = "directTorque"
     goes_on = True
 
-    def __init__(self, options: UrOptions, joints: Joints, model: "UrModel") -> None:
+    def __init__(self, options: UrOptions, joints: "JointTracking", model: "UrModel") -> None:
         shares = (1.0, 1.0, 1.0, WRIST_SHARE, WRIST_SHARE, WRIST_SHARE)
         self._stiffness = [options.joint_stiffness * share for share in shares]
         self._damping = [options.joint_damping * share for share in shares]
-        self._most = [options.torque_share * torque for torque in model.max_torque]
+        self._max_torque = [options.torque_share * torque for torque in model.max_torque]
         self._options = options
         self.joints = joints
 
@@ -168,16 +174,16 @@ class DirectTorque:
         """See `Mode`."""
         self.joints.begin(state)
 
-    def order(self, point: SetPoint, state: UrState, elapsed_s: float) -> Order:
+    def order(self, position: Three, velocity: Three, state: UrState, elapsed_s: float) -> Order:
         """See `Mode`."""
         joints = self.joints
-        joints.follow(point, elapsed_s)
+        joints.follow(position, velocity, elapsed_s)
         torque = [
-            min(max(k * (q_set - q) + d * (qd_set - qd), -most), most)
-            for k, d, most, q_set, q, qd_set, qd in zip(
+            min(max(k * (q_set - q) + d * (qd_set - qd), -limit), limit)
+            for k, d, limit, q_set, q, qd_set, qd in zip(
                 self._stiffness,
                 self._damping,
-                self._most,
+                self._max_torque,
                 joints.q.tolist(),
                 state.q,
                 joints.qd.tolist(),
@@ -189,7 +195,7 @@ class DirectTorque:
 
     def brake(self, state: UrState) -> Order:
         """See `Mode`."""
-        deceleration = of_joints(self._options, state)
+        deceleration = joint_deceleration(self._options, state)
 
         def order(control: Control) -> bool:
             # It has no stop of its own; this one returns nothing. Whether the arm rests is seen in what it does.
@@ -197,6 +203,79 @@ class DirectTorque:
             return True
 
         return order
+
+
+class JointTracking:
+    """From a set point of the tool to joint angles, orientation kept, within the limits of the joints.
+
+    Each period the joint velocities are those that follow `v_set + (x_set - x)/T` best within the limits
+    (`UrStreaming`): near a singularity, or at the end of a joint, the tool stays behind instead of a joint
+    going faster than it may. The set point is fed forward, so this smooths nothing: `(x_set - x)/T` takes out what
+    joint velocities that are even over a period miss of a straight line, and what the limits have kept the tool from.
+    Bounds of speed, acceleration and workspace are those of the set point.
+
+    The unit's chain is only nearly that of its model, so motion is counted from where both have the tool at the begin:
+    what they differ by stays where it was, and the first command is exactly where the joints are.
+
+    Args:
+        kinematics: The arm with its tool.
+        options: Of the driver.
+        period_s: Between two commands, in s.
+    """
+
+    def __init__(self, kinematics: "UrKinematics", options: UrOptions, period_s: float) -> None:
+        from haptether.slave.streaming_limits import StreamingLimits  # noqa: PLC0415  # with CasADi
+        from haptether.slave.ur_streaming import UrStreaming  # noqa: PLC0415
+
+        model = kinematics.model
+        speeds = [JOINT_SPEED_SHARE * speed for speed in model.max_speed]
+        limits = StreamingLimits(
+            position_min=model.position_min,
+            position_max=model.position_max,
+            max_speed=(speeds[0], speeds[1], speeds[2], speeds[3], speeds[4], speeds[5]),
+            max_acceleration=(JOINT_ACCELERATION,) * 6,
+        )
+        self._kinematics = kinematics
+        self._streaming = UrStreaming(kinematics, limits, period_s=period_s)
+        self._period_s = period_s
+        self._rate_hz = 1.0 / (CORRECTION_PERIODS * period_s)
+        self._max_behind_m = max(options.max_jump, MAX_BEHIND_M)
+        self._rotation = np.eye(3)
+        self._twist = np.zeros(6)
+        self.offset = np.zeros(3)
+        """From the controller's tool to that of the model, in m."""
+        self.q = np.zeros(6)
+        self.qd = np.zeros(6)
+
+    def begin(self, state: UrState) -> None:
+        """Motion begins where the arm is."""
+        transform = self._kinematics.forward(state.q)
+        self._rotation = np.array(transform[:3, :3])
+        self.offset = transform[:3, 3] - np.array(state.pose[:3])
+        self.q, self.qd = np.array(state.q), np.zeros(6)
+
+    def follow(self, position: Three, velocity: Three, elapsed_s: float) -> None:
+        """Goes on for a time in s, in whole periods.
+
+        Raises:
+            UnreachableError: The tool stays far behind.
+        """
+        target = np.array(position) + self.offset
+        feed_forward = np.array(velocity)
+        for _ in range(max(1, round(elapsed_s / self._period_s))):
+            transform = self._kinematics.forward(self.q)
+            behind = target - transform[:3, 3]
+            # From where the target was a period ago: else the joints would run ahead by v times a period.
+            self._twist[:3] = feed_forward + (behind - feed_forward * self._period_s) * self._rate_hz
+            self._twist[3:] = rotvec_from_matrix(self._rotation @ transform[:3, :3].T)
+            self._twist[3:] *= self._rate_hz
+            self.qd = np.array(self._streaming.velocity(self.q, self.qd, self._twist))
+            self.q = self.q + self.qd * self._period_s
+        away = float(np.linalg.norm(behind))
+        if away > self._max_behind_m:
+            why = self._streaming.reason or "its joints are at their limits, or the arm is near a singularity"
+            message = f"the tool cannot follow: {1e3 * away:.0f} mm behind {_text(position)} m: {why}"
+            raise UnreachableError(message)
 
 
 def check_mode(options: UrOptions, version: tuple[int, ...]) -> None:
@@ -215,11 +294,10 @@ def check_mode(options: UrOptions, version: tuple[int, ...]) -> None:
 
 def model_distance(mode: Mode, state: UrState) -> float | None:
     """How far the tool of the model is from where the controller has it, in m; none for a mode without a model."""
-    joints = getattr(mode, "joints", None)
-    if joints is None:
+    if not isinstance(mode, ServoJ | DirectTorque):
         return None
-    joints.begin(state)
-    return math.hypot(*joints.offset)
+    mode.joints.begin(state)
+    return math.hypot(*mode.joints.offset)
 
 
 def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
@@ -242,12 +320,16 @@ def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
     model = ur_model(options.model)
     calibration = read_calibration(options.calibration, model) if options.calibration is not None else None
     flange_from_tool = transform_from_pose(tool)
-    joints = Joints(UrKinematics(model, calibration, flange_from_tool), options, period_s)
+    joints = JointTracking(UrKinematics(model, calibration, flange_from_tool), options, period_s)
     if options.mode == "servoj":
         return ServoJ(options, joints, period_s)
     return DirectTorque(options, joints, model)
 
 
-def _at_most(vector: list[float], most: float) -> list[float]:
+def _at_most(vector: list[float], limit: float) -> list[float]:
     length = math.hypot(*vector)
-    return [part * most / length for part in vector] if length > most else vector
+    return [part * limit / length for part in vector] if length > limit else vector
+
+
+def _text(position: Three) -> str:
+    return ", ".join(f"{part:.4f}" for part in position)

@@ -8,11 +8,12 @@ import msgspec
 from msgspec import Meta
 
 from haptether.slave.allowed import allowed
+from haptether.slave.streaming_limits import WorkspacePlane
 from haptether.slave.ur_models import MAX_PAYLOAD_KG, UR_MODELS, ur_model
 
 Three: TypeAlias = tuple[float, float, float]
 Six: TypeAlias = tuple[float, float, float, float, float, float]
-Plane: TypeAlias = tuple[float, float, float, float]
+Four: TypeAlias = tuple[float, float, float, float]
 Mode: TypeAlias = Literal["servoj", "servol", "speedl", "direct-torque"]
 
 FARTHEST_M: Final = 10.0
@@ -71,7 +72,7 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Of a soft stop: m/s² of the tool (speedl), rad/s² of the joints (the others)."""
     max_jump: Annotated[float, Meta(gt=0.0, le=0.1, extra={"unit": "m"})] = 0.005
     """How far from the tool a first command may be, in m."""
-    workspace: tuple[Plane, ...] = ()
+    workspace: tuple[Four, ...] = ()
     """Planes nx, ny, nz, d: the tool's point is sent to where n . p >= d, n of any length."""
     watchdog_hz: Annotated[float, Meta(ge=5.0, le=100.0, extra={"unit": "Hz"})] = 10.0
     """The controller ends the program where it hears less often than this."""
@@ -84,6 +85,11 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         length = math.hypot(*self.axis)
         x, y, z = self.axis
         return x / length, y / length, z / length
+
+    @property
+    def planes(self) -> tuple[WorkspacePlane, ...]:
+        """Those of `workspace`, their normals of length 1."""
+        return tuple(_plane(*numbers) for numbers in self.workspace)
 
 
 def ur_options(given: Mapping[str, Any]) -> UrOptions:
@@ -121,9 +127,9 @@ def _check(options: UrOptions) -> None:
     model = ur_model(options.model)
     if math.hypot(*options.axis) < MIN_NORM:
         raise _wrong("axis", options.axis, "must have a length")
-    most_kg = MAX_PAYLOAD_KG[model.name]
-    if options.payload_kg is not None and options.payload_kg > most_kg:
-        raise _wrong("payload_kg", options.payload_kg, f"must be 0 to {most_kg:g} kg: a {model.name} carries no more")
+    max_kg = MAX_PAYLOAD_KG[model.name]
+    if options.payload_kg is not None and options.payload_kg > max_kg:
+        raise _wrong("payload_kg", options.payload_kg, f"must be 0 to {max_kg:g} kg: a {model.name} carries no more")
     if options.payload_cog is not None and options.payload_kg is None:
         raise _wrong("payload_cog", options.payload_cog, "needs payload_kg")
     for key in ("tool", "payload_cog"):
@@ -135,6 +141,11 @@ def _check(options: UrOptions) -> None:
             raise _wrong("workspace", plane, "must have a normal of some length")
     if options.force_source == "raw" and not model.wrench.measured:
         raise _wrong("force_source", "raw", f"a {model.name} has no sensor in its flange: must be tcp")
+
+
+def _plane(x: float, y: float, z: float, d: float) -> WorkspacePlane:
+    length = math.hypot(x, y, z)
+    return WorkspacePlane(normal=(x / length, y / length, z / length), offset_m=d / length)
 
 
 def _numbers(value: object) -> Iterator[float]:

@@ -1,90 +1,183 @@
-"""How a UR arm is stopped: by its mode, else through the dashboard, else by its watchdog."""
+"""How a UR arm is brought to rest, and how the two sides notice that the other is gone.
 
+An arm is stopped by its mode, else through the dashboard, else by the watchdog of the controller. What it does about
+motion is one state, that of `SoftStop`; whoever moves the arm asks it, and nobody else changes it.
+"""
+
+import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from enum import Enum
+from typing import Final
 
-from haptether.slave.ur.dashboard import DashboardError, stop_program
+from haptether.slave.ur.connection import Order, RtdeConnection
+from haptether.slave.ur.options import UrOptions
+from haptether.slave.ur.services import DashboardError, is_in_remote_control, stop_program
 from haptether.slave.ur.state import PLAYING, UrState
-from haptether.slave.ur.worker import Bounded, Call
-
-if TYPE_CHECKING:
-    from haptether.slave.ur.connection import UrLink
-    from haptether.slave.ur.modes import Mode
+from haptether.slave.ur.worker import Call, Idle, TimedWorker
 
 STOP_S: Final = 1.0
 """For a soft stop: the watchdog's longest period is a fifth of it."""
 REST_S: Final = 1.2
-"""After which the joints must rest, whatever the controller has said."""
+"""After which the joints must rest, whatever the controller has answered."""
 RESTING: Final = 0.05
 """rad/s; what sensors show of joints at rest is a tenth of it."""
 STILL_S: Final = 0.05
 """For which joints must rest: at a reversal they do for a package."""
-LAST_WAY_S: Final = 1.0
+SILENCE_S: Final = 0.02
+"""After which an arm is stopped that would go on by itself and is not commanded."""
+PROGRAM_STOP_S: Final = 1.0
+
+# ------------------------------------------------------------------------------------------------------- soft stop
 
 
-class Halting:
-    """Stops without waiting for it.
+class Phase(Enum):
+    """What the driver does about motion.
 
-    Args:
-        link: The connections.
-        host: The controller.
-        tell: Takes lines for people.
+    ```
+    AT_REST --begin--> MOVING --stop--> STOPPING --rests--> AT_REST
+                       MOVING --silence--> PAUSING --rests--> PAUSED --begin--> MOVING
+    PAUSING, PAUSED --stop--> STOPPING
+    any --cut--> CUT --acknowledge--> AT_REST
+    ```
     """
 
-    def __init__(self, link: "UrLink", host: str, tell: Callable[[str], None]) -> None:
-        self._link = link
+    AT_REST = "at rest"
+    """What moves the arm now is somebody else; a first command must be near the tool."""
+    MOVING = "moving"
+    """Commands lead it."""
+    PAUSING = "pausing"
+    """No command came in time, so that it is stopped."""
+    PAUSED = "paused"
+    """It was seen at rest after that; the next command leads it on from there."""
+    STOPPING = "stopping"
+    """It is stopped, and was not seen at rest yet."""
+    CUT = "cut"
+    """The connection is cut."""
+
+
+class SoftStop:
+    """Stops the arm without waiting for it.
+
+    Args:
+        connection: The connections.
+        host: The controller.
+        report: Takes lines for people.
+    """
+
+    def __init__(self, connection: RtdeConnection, host: str, report: Callable[[str], None]) -> None:
+        self._connection = connection
         self._host = host
-        self._tell = tell
-        self._aside = Bounded("ur-stopper")
-        self._halt: Call | None = None
-        self._rested: Call | None = None
-        """The stop after which the arm was seen at rest: what moves it later is somebody else."""
+        self._report = report
+        self._dashboard = TimedWorker("ur-stopper")
+        self._phase = Phase.AT_REST
+        self._call: Call | None = None
+        """The last soft stop, be it because nothing more was commanded."""
+        self._before: Call | None = None
+        """What the worker's last pause was when motion began."""
         self._still_since: float | None = None
         """Time stamp of the package since which the joints rest; at first of the one before."""
-        self._last_way: Call | None = None
+        self._program_stop: Call | None = None
 
     @property
-    def calls(self) -> bool:
-        """Whether the library is told to stop the arm just now."""
-        return self._halt is not None and not self._halt.over
+    def phase(self) -> Phase:
+        """Of the motion; the thread of the library pauses it where commands stay away."""
+        if self._phase is Phase.MOVING:
+            idled = self._connection.worker.idled
+            if idled is not None and idled is not self._before:
+                self._phase, self._call, self._still_since = Phase.PAUSING, idled, None
+        return self._phase
 
     @property
-    def busy(self) -> bool:
+    def commanded(self) -> bool:
+        """Whether the arm is led: from an accepted first command until it is stopped or cut."""
+        return self.phase in {Phase.MOVING, Phase.PAUSING, Phase.PAUSED}
+
+    @property
+    def ready(self) -> bool:
+        """Whether a command may move the arm: not while it comes to rest, nor once it is cut."""
+        return self.phase in {Phase.AT_REST, Phase.MOVING, Phase.PAUSED}
+
+    @property
+    def stopping(self) -> bool:
         """Whether the arm comes to rest: until it was seen to."""
-        halt = self._newest
-        return halt is not None and halt is not self._rested
+        return self.phase in {Phase.STOPPING, Phase.PAUSING}
 
     @property
-    def _newest(self) -> Call | None:
-        """The last soft stop, be it because nothing more was commanded."""
-        return self._halt or self._link.worker.idled
+    def heard(self) -> bool:
+        """Whether the watchdog hears a command or a stop just now, so that it needs no kick."""
+        if self.phase is Phase.STOPPING:
+            return self._call is not None and not self._call.done
+        return self._phase in {Phase.MOVING, Phase.PAUSED}
 
-    def stop(self, mode: "Mode", state: UrState) -> None:
-        """Begins a soft stop."""
-        control, brake = self._link.control, mode.brake(state)
-        if control is not None:
-            self._halt = self._link.worker.start("stop", lambda: brake(control), STOP_S)
-            self._still_since = None
+    def begin(self) -> None:
+        """Commands lead the arm from where it rests."""
+        self._phase, self._call, self._still_since = Phase.MOVING, None, None
+        self._before = self._connection.worker.idled
 
-    def failed(self, state: UrState, *, stale: bool) -> str | None:
-        """Looks at a package: why a soft stop did not succeed, where the program may still play."""
-        halt = self._newest
-        if halt is None or halt is self._rested or self._link.control is None:
+    def after_silence(self, brake: Order) -> Idle:
+        """The stop that the thread of the library makes by itself where commands stay away."""
+        control = self._connection.control
+        return Idle(SILENCE_S, "stop", lambda: brake(control), STOP_S)
+
+    def stop(self, brake: Order) -> None:
+        """Begins a soft stop of an arm that is led; does not wait for it."""
+        if self.commanded:
+            self._phase, self._still_since = Phase.STOPPING, None
+            self._call = self._connection.start("stop", brake, STOP_S)
+
+    def check(self, state: UrState, *, stale: bool) -> str | None:
+        """Looks at a package: why a soft stop did not succeed, where the program may still play.
+
+        Args:
+            state: The newest.
+            stale: Whether it is too old to show that the program has ended.
+        """
+        if not self.stopping or self._connection.control is None:
             return None
-        since_s = 0.0 if halt.begun_s is None else time.monotonic() - halt.begun_s
-        stuck = self._link.worker.stuck is not None
-        if halt.failed is not None or (not halt.over and (since_s > STOP_S or stuck)):
+        call = self._call
+        assert call is not None
+        since_s = 0.0 if call.started_s is None else time.monotonic() - call.started_s
+        stuck = self._connection.worker.stuck is not None
+        why: str | None
+        if call.failure is not None or (not call.done and (since_s > STOP_S or stuck)):
             why = "was not acknowledged"
-        elif halt.over and self._rests(state):
-            self._rested = halt
-            return None
+        elif call.done and self._rests(state):
+            why = None
         elif since_s > REST_S:
             why = "was acknowledged, and the arm still moves"
         else:
             return None
-        self._halt = self._link.worker.idled = None
+        self._phase = Phase.AT_REST if self._phase is Phase.STOPPING else Phase.PAUSED
         return why if state.runtime_state == PLAYING or stale else None
+
+    def cut(self) -> None:
+        """Cuts the connection, so that nothing leads the arm any more, and has the dashboard end the program.
+
+        Where that does not come through either, the watchdog ends it.
+        """
+        self._phase, self._call = Phase.CUT, None
+        self._connection.cut()
+        self._program_stop = self._dashboard.start("dashboard stop", self._end_program, PROGRAM_STOP_S)
+
+    def acknowledge(self) -> list[Call]:
+        """A person has seen to the fault; the stops that are still under way."""
+        under_way = self._under_way
+        self._phase, self._call, self._still_since = Phase.AT_REST, None, None
+        if self._dashboard.stuck is not None:
+            self._dashboard.end()
+            self._dashboard = TimedWorker("ur-stopper")
+        return under_way
+
+    def close(self) -> None:
+        """Waits for the stops that are under way, within their limits."""
+        for call in self._under_way:
+            call.wait(call.limit_s)
+        self._dashboard.end()
+
+    @property
+    def _under_way(self) -> list[Call]:
+        return [call for call in (self._call, self._program_stop) if call is not None]
 
     def _rests(self, state: UrState) -> bool:
         """Whether the joints have rested for a while since the stop was acknowledged."""
@@ -93,40 +186,114 @@ class Halting:
             self._still_since = state.timestamp
         return state.timestamp - self._still_since >= STILL_S
 
-    def go_on(self) -> None:
-        """Motion begins again: the stop before it is over."""
-        self._halt = self._link.worker.idled = self._still_since = None
-
-    def cut(self) -> None:
-        """Nothing leads the arm any more: the connection is cut, and the dashboard asked to end the program.
-
-        Where that does not come through either, the watchdog ends it.
-        """
-        self._halt = None
-        self._link.cut()
-        self._last_way = self._aside.start("dashboard stop", self._end_program, LAST_WAY_S)
-
-    def clear(self) -> list[Call]:
-        """A person has seen to it; gives what is still on its way."""
-        on_its_way = [call for call in (self._halt, self._last_way) if call is not None]
-        self._halt = self._still_since = None
-        if self._aside.stuck is not None:
-            self._aside.end()
-            self._aside = Bounded("ur-stopper")
-        return on_its_way
-
-    def end(self) -> None:
-        """Waits for what is on its way, within its limits."""
-        for call in (self._halt, self._last_way):
-            if call is not None:
-                call.wait(call.limit_s)
-
-    def close(self) -> None:
-        """Ends its thread."""
-        self._aside.end()
-
     def _end_program(self) -> None:
         try:
             stop_program(self._host)
         except DashboardError as error:
-            self._tell(f"{error}: its watchdog ends the program; if the arm moves, press its emergency stop")
+            self._report(f"{error}: its watchdog ends the program; if the arm moves, press its emergency stop")
+
+
+# --------------------------------------------------------------------------------------------------------- braking
+#
+# While the controller brakes, the vendor's library waits and says nothing, and the watchdog would end the program in
+# the middle of a stop that takes longer than its period. So a stop is as hard as the options want it, and harder where
+# it would take longer: `a = max(a_option, 2 |v| f)` for the watchdog's f in Hz, up to `MAX_DECELERATION`.
+
+BRAKING_SHARE: Final = 0.5
+"""Of the watchdog's period that braking may take: there is silence before, and a few cycles of messages around it."""
+MAX_DECELERATION: Final = 20.0
+"""m/s² or rad/s²; the most that the options allow, too. What is too fast for that the watchdog stops."""
+
+
+def joint_deceleration(options: UrOptions, state: UrState) -> float:
+    """Deceleration in rad/s² of the fastest joint."""
+    return _deceleration(options, max(map(abs, state.qd)))
+
+
+def tool_deceleration(options: UrOptions, state: UrState) -> float:
+    """Deceleration of the tool, in m/s² of its point and rad/s² of its rotation."""
+    return _deceleration(options, max(math.hypot(*state.speed[:3]), math.hypot(*state.speed[3:])))
+
+
+def _deceleration(options: UrOptions, speed: float) -> float:
+    return max(options.stop_deceleration, min(speed * options.watchdog_hz / BRAKING_SHARE, MAX_DECELERATION))
+
+
+# -------------------------------------------------------------------------------------------------------- watchdog
+
+ARMED_S: Final = 1.0
+KICKS: Final = 5.0
+"""In each period of the watchdog, while nothing is commanded."""
+REMOTE_PERIOD_S: Final = 1.0
+REFUSED_S: Final = 0.05
+"""For how long commands may fail before that is a fault: a stop of the controller's has its own reason by then."""
+
+
+class Watchdog:
+    """The controller's watchdog: armed, kicked while nothing is commanded; and whether commands are still taken.
+
+    Args:
+        options: Of the driver.
+        connection: Its connections.
+        watches_remote: Whether the controller can say whether it is in remote control.
+    """
+
+    def __init__(self, options: UrOptions, connection: RtdeConnection, *, watches_remote: bool) -> None:
+        self._options = options
+        self._connection = connection
+        self._watches_remote = watches_remote
+        self._arming: Call | None = None
+        self._remote: Call | None = None
+        self._acknowledged: Call | None = None
+        """The last command that was streamed before a person acknowledged a fault."""
+        self._kicked_s = self._remote_s = self._taken_s = 0.0
+
+    @property
+    def armed(self) -> bool:
+        """Whether the watchdog listens."""
+        return self._arming is not None and self._arming.done and self._arming.failure is None
+
+    def service(self, now_s: float, aside: TimedWorker, *, idle: bool) -> None:
+        """Makes the calls that are due.
+
+        Args:
+            now_s: The time of the monotonic clock in s.
+            aside: Makes calls that may take long; not the thread that commands.
+            idle: Whether the watchdog hears nothing else.
+        """
+        hz = self._options.watchdog_hz
+        if self._arming is None:
+            self._arming = self._connection.start("setWatchdog", lambda control: control.setWatchdog(hz), ARMED_S)
+        elif idle and self._arming.done and now_s - self._kicked_s > 1.0 / (KICKS * hz):
+            self._connection.stream("kickWatchdog", lambda control: control.kickWatchdog())
+            self._kicked_s = now_s
+        if self._watches_remote and now_s - self._remote_s > REMOTE_PERIOD_S:
+            self._remote_s = now_s
+            if self._remote is None or self._remote.done:
+                host = self._options.host
+                self._remote = aside.start("remote control", lambda: is_in_remote_control(host), 2.0)
+
+    def fault(self) -> str | None:
+        """What is wrong with the calls of the library, and what to do about it."""
+        worker = self._connection.worker
+        if (stuck := worker.stuck) is not None:
+            return f"{stuck.name} has not returned: the controller does not answer: see the network, then acknowledge"
+        if (arming := self._arming) is not None and arming.failure is not None:
+            return f"the watchdog was not armed: {arming.failure}"
+        streamed = worker.streamed
+        if streamed is None or streamed is self._acknowledged or streamed.failure is None:
+            self._taken_s = time.monotonic()
+        elif time.monotonic() - self._taken_s > REFUSED_S:
+            return f"the controller takes no commands: {streamed.failure}: see the pendant, then acknowledge"
+        remote = self._remote
+        if remote is not None and remote.done:
+            if remote.error is None and remote.result is False:
+                return "remote control was switched off on the pendant: switch it on there, then acknowledge"
+            if remote.error is not None:
+                return f"{remote.error}: remote control cannot be looked after"
+        return None
+
+    def reset(self) -> None:
+        """A person has seen to it: the watchdog is armed anew."""
+        self._arming = self._remote = None
+        self._acknowledged = self._connection.worker.streamed

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from haptether.slave.ur.probe import Probe
+from haptether.slave.ur.services import Probe
 
 START_Q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 START_POSE = (-0.143195, -0.436400, 0.215901, 0.045165, 3.112182, -0.019942)
@@ -77,7 +77,7 @@ class Arm:
         return [call[0] for call in self.said]
 
     def probe(self, _host: str, limit_s: float = 5.0) -> Probe:
-        """Instead of `ur_probe.probe`."""
+        """Instead of `services.probe`."""
         del limit_s
         if "probe" in self.blocks:
             self.released.wait(30.0)
@@ -92,10 +92,10 @@ class Arm:
         self.safety_mode, self.safety_bits, self.runtime_state = 3, 1 << 2 | 1 << 10, STOPPED
         self.watchdog_hz = None
 
-    def ask(self, _host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
-        """Instead of `ur_dashboard.ask`."""
+    def query_dashboard(self, _host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
+        """Instead of `services.query_dashboard`."""
         del limit_s
-        from haptether.slave.ur.dashboard import DashboardError
+        from haptether.slave.ur.services import DashboardError
 
         self.dashboard.extend(lines)
         if self.dashboard_gone:
@@ -192,7 +192,6 @@ def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
     for place in ("connection", "driver"):
         monkeypatch.setattr(f"haptether.slave.ur.{place}.vendor_module", lambda: module)
     monkeypatch.setattr("haptether.slave.ur.connection.ControlProcess", lambda *_: Control(arm))
-    for place in ("checks", "recovery"):
-        monkeypatch.setattr(f"haptether.slave.ur.{place}.probe", arm.probe)
+    monkeypatch.setattr("haptether.slave.ur.checks.probe", arm.probe)
     monkeypatch.setattr("haptether.slave.ur.checks.resolved", lambda host: host)
-    monkeypatch.setattr("haptether.slave.ur.dashboard.ask", arm.ask)
+    monkeypatch.setattr("haptether.slave.ur.services.query_dashboard", arm.query_dashboard)

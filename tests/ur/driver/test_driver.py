@@ -9,10 +9,9 @@ import pytest
 from tests.ur.fake_rtde import START_POSE, STOPPED, Arm, install
 
 from haptether.slave import SlaveSample, UrSlave
-from haptether.slave.ur.checks import UrRefusedError
+from haptether.slave.ur.checks import UNLOCK_AFTER_S, UrRefusedError
 from haptether.slave.ur.connection import END_S, LinkError
-from haptether.slave.ur.probe import Probe
-from haptether.slave.ur.recovery import UNLOCK_AFTER_S
+from haptether.slave.ur.services import Probe
 from haptether.slave.ur.stop import REST_S, STOP_S
 
 LONG_S = 20.0
@@ -168,7 +167,7 @@ def test_without_the_library_the_error_names_the_remedy(monkeypatch: pytest.Monk
 
 def test_a_first_command_elsewhere_is_refused(arm: Arm) -> None:
     driven = Driven(arm)
-    driven.until(lambda _: driven.driver._alive.armed)
+    driven.until(lambda _: driven.driver._watchdog.armed)
     driven.turn(moving=True, at=0.012)
     assert "12.0 mm away from where the tool is" in driven.fault()
     assert "speedL" not in arm.names
@@ -233,7 +232,7 @@ def test_a_stop_returns_at_once_and_is_done_once(arm: Arm) -> None:
     driven.driver.stop()
     assert time.monotonic() - begun_s < BLOCKED_S
     arm.released.set()
-    driven.until(lambda _: not driven.driver._halting.busy)
+    driven.until(lambda _: not driven.driver._soft_stop.stopping)
     assert arm.names.count("speedStop") == 1
     assert driven.turn().fault is None
     driven.driver.close()
@@ -271,7 +270,7 @@ def test_an_arm_that_rests_for_one_package_does_not_rest(arm: Arm) -> None:
     driven = Driven(arm)
     driven.moves()
     driven.driver.stop()
-    driven.until(lambda _: not driven.driver._halting.calls)
+    driven.until(lambda _: not driven.driver._soft_stop.heard)
     # At a reversal.
     driven.turn()
     arm.qd[2] = 0.3
@@ -300,7 +299,7 @@ def test_an_arm_that_rested_may_be_moved_by_somebody_else(arm: Arm) -> None:
     driven = Driven(arm)
     driven.moves()
     driven.driver.stop()
-    driven.until(lambda _: not driven.driver._halting.busy)
+    driven.until(lambda _: not driven.driver._soft_stop.stopping)
     arm.qd[2] = 0.3
     end_s = time.monotonic() + REST_S + 0.3
     while time.monotonic() < end_s:
@@ -340,7 +339,7 @@ def test_a_stop_behind_a_call_that_hangs_ends_the_program(arm: Arm) -> None:
 
 def test_an_acknowledgement_clears_no_fault_that_was_not_shown(arm: Arm) -> None:
     driven = Driven(arm)
-    driven.until(lambda _: driven.driver._alive.armed)
+    driven.until(lambda _: driven.driver._watchdog.armed)
     driven.driver.write((driven.home + 0.012,), (0.0,))
     driven.driver.acknowledge()
     fault = driven.turn().fault
@@ -396,7 +395,7 @@ def test_a_stop_ends_before_the_watchdog_would(arm: Arm, mode: str, qd: float, a
 @pytest.mark.parametrize("mode", ["servoj", "servol", "speedl"])
 def test_an_arm_that_does_not_follow_is_a_fault(arm: Arm, mode: str) -> None:
     driven = Driven(arm, mode=mode, max_speed=0.1)
-    driven.until(lambda _: driven.driver._alive.armed)
+    driven.until(lambda _: driven.driver._watchdog.armed)
     # It accepts every command and stands still. 20 mm, and 0.3 s and the lookahead at 0.1 m/s.
     begun_s = time.monotonic()
     fault, at = None, 0.0
@@ -587,7 +586,7 @@ def test_a_protective_stop_is_unlocked_by_a_person_and_not_at_once(arm: Arm, mon
     driven.driver.acknowledge()
     assert "can be unlocked in" in driven.fault()
     assert "unlock protective stop" not in arm.dashboard
-    monkeypatch.setattr("haptether.slave.ur.recovery.UNLOCK_AFTER_S", 0.0)
+    monkeypatch.setattr("haptether.slave.ur.checks.UNLOCK_AFTER_S", 0.0)
     assert UNLOCK_AFTER_S == 5.0
     driven.ready()
     assert driven.turn().fault is None

@@ -1,4 +1,4 @@
-"""How late an arm follows, from what was told and measured."""
+"""How late an arm follows, from what was commanded and measured."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from haptether.slave.ur.latency import Latency
+from haptether.slave.ur.motion import Latency
 
 PERIOD_S = 0.002
 
@@ -29,10 +29,10 @@ def test_a_second_order_lag_is_its_delay_for_slow_motion() -> None:
     """The servoj model `q'' = gain (q_set - q - lookahead q')`: its lag on a ramp is the lookahead."""
     gain, lookahead_s = 1000.0, 0.05
     times = np.arange(0.0, 8.0, PERIOD_S)
-    told = 0.05 * np.sin(1.0 * times)
-    _, measured, _ = signal.lsim(([gain], [1.0, gain * lookahead_s, gain]), told, times)
+    commanded = 0.05 * np.sin(1.0 * times)
+    _, measured, _ = signal.lsim(([gain], [1.0, gain * lookahead_s, gain]), commanded, times)
     latency = Latency(PERIOD_S)
-    for row in zip(times, told, measured, strict=True):
+    for row in zip(times, commanded, measured, strict=True):
         latency.add(*map(float, row))
     # Phase of the system at 1 rad/s, over 1 rad/s.
     phase = math.atan2(gain * lookahead_s, gain - 1.0)

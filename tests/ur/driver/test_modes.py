@@ -8,10 +8,9 @@ import pytest
 from tests.ur.fake_rtde import START_Q
 
 from haptether.slave import UrKinematics, ur_model
-from haptether.slave.ur.joints import JOINT_SPEED_SHARE, Joints, UnreachableError
-from haptether.slave.ur.modes import check_mode, ur_mode
+from haptether.slave.ur.modes import JOINT_SPEED_SHARE, JointTracking, UnreachableError, check_mode, ur_mode
+from haptether.slave.ur.motion import SetPoint
 from haptether.slave.ur.options import UrOptions, ur_options
-from haptether.slave.ur.setpoint import SetPoint
 from haptether.slave.ur.state import UrState
 from haptether.slave.ur_pose import matrix_from_rotvec, pose_from_transform
 
@@ -33,7 +32,7 @@ def state_at(q: tuple[float, ...], off: tuple[float, ...] = (0.0, 0.0, 0.0)) -> 
 def test_the_tool_follows_and_keeps_its_orientation() -> None:
     off = (0.002, -0.001, 0.0005)
     state = state_at(START_Q, off)
-    joints, point = Joints(UrKinematics(MODEL), options(), PERIOD_S), SetPoint(0.25, 5.0, PERIOD_S)
+    joints, point = JointTracking(UrKinematics(MODEL), options(), PERIOD_S), SetPoint(0.25, 5.0, PERIOD_S)
     joints.begin(state)
     # The first command is where the joints are.
     assert joints.q.tolist() == list(START_Q)
@@ -47,7 +46,7 @@ def test_the_tool_follows_and_keeps_its_orientation() -> None:
         away = 0.04 * (1 - math.cos(2.0 * t))
         rate = 0.08 * math.sin(2.0 * t)
         point.step((home[0] + away, home[1] - away, home[2] + away), (rate, -rate, rate), PERIOD_S)
-        joints.follow(point, PERIOD_S)
+        joints.follow(point.position, point.velocity, PERIOD_S)
         transform = np.array(kinematics.forward(joints.q))
         there = transform[:3, 3] + off
         worst_m = max(worst_m, float(np.abs(there - point.position).max()))
@@ -62,7 +61,7 @@ def test_near_a_singularity_the_tool_stays_behind_and_no_joint_runs_away() -> No
     # The elbow almost straight: outwards there is nothing left.
     q = (0.0, -1.0, 0.15, -0.5, 1.2, 0.0)
     state = state_at(q)
-    joints, point = Joints(UrKinematics(MODEL), options(), PERIOD_S), SetPoint(0.25, 5.0, PERIOD_S)
+    joints, point = JointTracking(UrKinematics(MODEL), options(), PERIOD_S), SetPoint(0.25, 5.0, PERIOD_S)
     joints.begin(state)
     home = (state.pose[0], state.pose[1], state.pose[2])
     point.begin(home)
@@ -74,7 +73,7 @@ def test_near_a_singularity_the_tool_stays_behind_and_no_joint_runs_away() -> No
         x, y, z = (np.array(home) + outward * 0.2 * tick * PERIOD_S).tolist()
         point.step((x, y, z), tuple((0.2 * outward).tolist()), PERIOD_S)
         try:
-            joints.follow(point, PERIOD_S)
+            joints.follow(point.position, point.velocity, PERIOD_S)
         except UnreachableError as error:
             message = str(error)
             break
@@ -112,16 +111,16 @@ class Said:
 )
 def test_each_mode_begins_at_rest_where_the_arm_is(mode: str, call: str) -> None:
     state = state_at(START_Q)
-    way = ur_mode(options(mode=mode, gain=700, lookahead_time=0.04), PERIOD_S, (0.0,) * 6)
+    motion = ur_mode(options(mode=mode, gain=700, lookahead_time=0.04), PERIOD_S, (0.0,) * 6)
     point = SetPoint(0.25, 5.0, PERIOD_S)
     home = (state.pose[0], state.pose[1], state.pose[2])
     point.begin(home)
-    way.begin(state)
+    motion.begin(state)
     point.step(home, (0.0, 0.0, 0.0), PERIOD_S)
     said = Said()
-    assert way.order(point, state, PERIOD_S)(said)
+    assert motion.order(point.position, point.velocity, state, PERIOD_S)(said)
     name, numbers, *rest = said.calls[0]
-    assert name == way.name == call
+    assert name == motion.name == call
     nowhere = {"servoj": START_Q, "servol": state.pose}.get(mode, (0.0,) * 6)
     assert numbers == pytest.approx(nowhere, abs=1e-9)
     if mode in {"servoj", "servol"}:
@@ -130,14 +129,14 @@ def test_each_mode_begins_at_rest_where_the_arm_is(mode: str, call: str) -> None
 
 def test_torques_are_bounded() -> None:
     state = state_at(START_Q)
-    way = ur_mode(options(mode="direct-torque", torque_share=0.1), PERIOD_S, (0.0,) * 6)
+    motion = ur_mode(options(mode="direct-torque", torque_share=0.1), PERIOD_S, (0.0,) * 6)
     point = SetPoint(3.0, 20.0, PERIOD_S)
     point.begin((state.pose[0], state.pose[1], state.pose[2]))
-    way.begin(state)
+    motion.begin(state)
     said = Said()
     for _ in range(40):
         point.step((state.pose[0], state.pose[1], state.pose[2] + 0.1), (0.0, 0.0, 0.0), PERIOD_S)
-        way.order(point, state, PERIOD_S)(said)
+        motion.order(point.position, point.velocity, state, PERIOD_S)(said)
     torques = np.array([call[1] for call in said.calls])
     assert (np.abs(torques) <= 0.1 * np.array(MODEL.max_torque) + 1e-12).all()
     assert np.abs(torques).max() > 1.0

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptether.slave.ur.setpoint import SetPoint
+from haptether.slave.ur.motion import SetPoint
+from haptether.slave.ur.options import ur_options
 
 PERIOD_S = 0.002
 coordinates = st.floats(-0.3, 0.3)
@@ -63,7 +64,7 @@ def test_it_never_leaves_the_workspace(target: tuple[float, float, float], norma
     # A plane 50 mm behind the start, its normal of any length.
     length = math.hypot(*normal)
     plane = (*normal, -0.05 * length)
-    point = SetPoint(0.25, 5.0, PERIOD_S, [plane])
+    point = SetPoint(0.25, 5.0, PERIOD_S, ur_options({"host": "fake", "workspace": [plane]}).planes)
     point.begin((0.0, 0.0, 0.0))
     for _ in range(1000):
         point.step(target, (-1.0, 1.0, -1.0), PERIOD_S)

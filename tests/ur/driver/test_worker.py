@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 
-from haptether.slave.ur.worker import Bounded, OverdueError
+from haptether.slave.ur.worker import CallTimeoutError, TimedWorker
 
 LONG_S = 20.0
 
@@ -29,7 +29,7 @@ def until(holds: Callable[[], bool]) -> bool:
 
 
 def test_a_call_gives_what_it_gave_or_raised() -> None:
-    worker = Bounded("worker")
+    worker = TimedWorker("worker")
     assert worker.run("one", lambda: 1, LONG_S) == 1
     with pytest.raises(ZeroDivisionError):
         worker.run("divide", lambda: 1 / 0, LONG_S)
@@ -38,17 +38,17 @@ def test_a_call_gives_what_it_gave_or_raised() -> None:
 
 
 def test_a_call_that_does_not_return_is_never_waited_for_again(gate: threading.Event) -> None:
-    worker = Bounded("worker")
+    worker = TimedWorker("worker")
     begun_s = time.monotonic()
-    with pytest.raises(OverdueError, match=r"stopScript: has not returned within 0.05 s"):
+    with pytest.raises(CallTimeoutError, match=r"stopScript: has not returned within 0.05 s"):
         worker.run("stopScript", lambda: gate.wait(LONG_S), 0.05)
     assert worker.stuck is not None
     # Neither of these waits for it.
     later = worker.start("later", lambda: 1, LONG_S)
-    assert later.over
-    assert later.failed == "later: worker: does not answer"
+    assert later.done
+    assert later.failure == "later: worker: does not answer"
     worker.stream("newest", lambda: True, LONG_S)
-    with pytest.raises(OverdueError):
+    with pytest.raises(CallTimeoutError):
         worker.run("again", lambda: 1, LONG_S)
     worker.end()
     assert time.monotonic() - begun_s < LONG_S / 2
@@ -58,7 +58,7 @@ def test_a_call_that_does_not_return_is_never_waited_for_again(gate: threading.E
 
 
 def test_a_streamed_call_that_blocks_is_seen_without_waiting_for_it(gate: threading.Event) -> None:
-    worker = Bounded("worker")
+    worker = TimedWorker("worker")
     worker.stream("servoJ", lambda: gate.wait(LONG_S), 0.02)
     assert until(lambda: worker.stuck is not None)
     assert worker.stuck is not None
@@ -67,7 +67,7 @@ def test_a_streamed_call_that_blocks_is_seen_without_waiting_for_it(gate: thread
 
 
 def test_of_what_is_streamed_only_the_newest_counts(gate: threading.Event) -> None:
-    worker = Bounded("worker")
+    worker = TimedWorker("worker")
     seen: list[int] = []
     worker.start("first", lambda: gate.wait(LONG_S), LONG_S)
 
@@ -81,12 +81,12 @@ def test_of_what_is_streamed_only_the_newest_counts(gate: threading.Event) -> No
     assert until(lambda: worker.streamed is not None)
     assert seen == [4]
     assert worker.streamed is not None
-    assert worker.streamed.failed == "order was refused"
+    assert worker.streamed.failure == "order was refused"
     worker.end()
 
 
 def test_a_command_that_is_queued_takes_the_place_of_what_was_streamed(gate: threading.Event) -> None:
-    worker = Bounded("worker")
+    worker = TimedWorker("worker")
     seen: list[str] = []
     worker.start("first", lambda: gate.wait(LONG_S), LONG_S)
     worker.stream("move", lambda: seen.append("move"), LONG_S)

@@ -11,10 +11,8 @@ from typing import NoReturn
 import pytest
 from tests.ur.emulated import free_host
 
-from haptether.slave.ur import dashboard as ur_dashboard
-from haptether.slave.ur import probe as ur_probe
-from haptether.slave.ur.dashboard import DashboardError
-from haptether.slave.ur.probe import ProbeError, probe, resolved
+from haptether.slave.ur import services
+from haptether.slave.ur.services import DashboardError, ProbeError, probe, resolved
 
 HOST = free_host()
 LIMIT_S = 0.3
@@ -86,7 +84,7 @@ def endless(connection: socket.socket) -> None:
 
 @pytest.mark.parametrize("handle", [silent, closing, web, nonsense, endless])
 def test_the_probe_ends_in_time_with_whoever_is_there(serve: Serve, handle: Callable[[socket.socket], None]) -> None:
-    serve(ur_probe.PORT, handle)
+    serve(services.RTDE_PORT, handle)
     begun_s = time.monotonic()
     with pytest.raises(ProbeError, match=f"{HOST}:30004: protocol version 2: "):
         probe(HOST, LIMIT_S)
@@ -98,15 +96,15 @@ def test_nobody_there(serve: Serve) -> None:
     with pytest.raises(ProbeError, match=f"{HOST}:30004: connect: "):
         probe(HOST, LIMIT_S)
     with pytest.raises(DashboardError, match=f"dashboard {HOST}:29999: "):
-        ur_dashboard.ask(HOST, "stop", limit_s=LIMIT_S)
+        services.query_dashboard(HOST, "stop", limit_s=LIMIT_S)
 
 
 @pytest.mark.parametrize("handle", [silent, closing, endless])
 def test_the_dashboard_is_not_waited_for(serve: Serve, handle: Callable[[socket.socket], None]) -> None:
-    serve(ur_dashboard.PORT, handle)
+    serve(services.DASHBOARD_PORT, handle)
     begun_s = time.monotonic()
     with pytest.raises(DashboardError):
-        ur_dashboard.ask(HOST, "stop", limit_s=LIMIT_S)
+        services.query_dashboard(HOST, "stop", limit_s=LIMIT_S)
     assert time.monotonic() - begun_s < LIMIT_S + 1.0
 
 
@@ -124,14 +122,14 @@ def dashboard(answers: dict[str, str]) -> Callable[[socket.socket], None]:
 
 
 def test_what_the_dashboard_says(serve: Serve) -> None:
-    serve(ur_dashboard.PORT, dashboard({
+    serve(services.DASHBOARD_PORT, dashboard({
         "is in remote control": "true", "stop": "Stopped", "close safety popup": "closing safety popup",
         "unlock protective stop": "Cannot unlock protective stop until 5s after occurrence.",
     }))  # fmt: skip
-    assert ur_dashboard.is_in_remote_control(HOST)
-    ur_dashboard.stop_program(HOST)
+    assert services.is_in_remote_control(HOST)
+    services.stop_program(HOST)
     with pytest.raises(DashboardError, match="unlock protective stop: Cannot unlock protective stop until 5s"):
-        ur_dashboard.unlock_protective_stop(HOST)
+        services.unlock_protective_stop(HOST)
 
 
 @pytest.mark.parametrize(("host", "address"), [("127.0.3.77", "127.0.3.77"), ("localhost", "127.0.0.1")])

@@ -1,12 +1,14 @@
-"""A look at a controller over RTDE before the vendor's library meets it.
+"""What a UR controller answers without the vendor's library: a look over RTDE, and its dashboard server.
 
 The constructors of ur_rtde wait for replies without a limit and hold Python's interpreter meanwhile: from a controller
 that accepts connections and says nothing they never come back, and no other thread runs any more. So whether it answers
-is found out here, with time limits, and what it says about itself with it.
+is found out here, with time limits, and what it says about itself with it. Of the dashboard server the vendor's client
+has no `unlock protective stop` in Python, and its `isProgramSaved` is always false.
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2.
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2; "Dashboard Server e-Series".
 """
 
+import contextlib
 import ipaddress
 import socket
 import struct
@@ -14,9 +16,11 @@ import time
 from dataclasses import dataclass
 from typing import Final
 
-from haptether.slave.ur.worker import Bounded
+from haptether.slave.ur.state import Numbers
+from haptether.slave.ur.worker import TimedWorker
 
-PORT: Final = 30004
+RTDE_PORT: Final = 30004
+DASHBOARD_PORT: Final = 29999
 RESOLVE_S: Final = 3.0
 REQUEST_VERSION, CONTROLLER_VERSION, TEXT, PACKAGE, OUTPUTS, START = b"VvMUOS"
 FRAME: Final = struct.Struct(">HB")
@@ -33,8 +37,8 @@ NAMES: Final = (
 FORMATS: Final = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", "VECTOR6D": "6d"}
 PACKAGES: Final = 5
 """How many are waited for: whether time goes on there."""
-
-Six = tuple[float, ...]
+UNLOCKED: Final = "Protective stop releasing"
+STOPPED: Final = "Stopped"
 
 
 class ProbeError(RuntimeError):
@@ -51,9 +55,9 @@ class Probe:
     safety_mode: int
     safety_bits: int
     runtime_state: int
-    q: Six
+    q: Numbers
     """Joint angles in rad."""
-    pose: Six
+    pose: Numbers
     """Of the tool, x y z rx ry rz in m and rad."""
     rate_hz: float
     """Of its packages, by its own clock."""
@@ -76,7 +80,7 @@ def resolved(host: str, limit_s: float = RESOLVE_S) -> str:
         return str(ipaddress.IPv4Address(host))
     except ValueError:
         pass
-    resolver = Bounded("ur-resolver")
+    resolver = TimedWorker("ur-resolver")
     try:
         found = resolver.run(
             "look-up", lambda: socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM), limit_s
@@ -90,17 +94,17 @@ def resolved(host: str, limit_s: float = RESOLVE_S) -> str:
 
 
 def probe(host: str, limit_s: float = 5.0) -> Probe:
-    """Asks the controller at `host`, within a time in s.
+    """What the controller at `host` says about itself, within a time in s.
 
     Raises:
         ProbeError: There is none, or it does not answer as one.
     """
     wire = _Wire(host, time.monotonic() + limit_s)
     try:
-        return _ask(wire)
+        return _query(wire)
     except (OSError, struct.error) as error:
         seen = getattr(error, "strerror", None) or str(error)
-        message = f"{host}:{PORT}: {wire.doing}: {seen}"
+        message = f"{host}:{RTDE_PORT}: {wire.doing}: {seen}"
         raise ProbeError(message) from None
     finally:
         wire.close()
@@ -112,10 +116,10 @@ class _Wire:
         self.doing = "connect"
         self._end_s = end_s
         self._socket: socket.socket | None = None
-        self._came = b""
+        self._received = b""
 
     def open(self) -> None:
-        self._socket = socket.create_connection((self.host, PORT), timeout=self._left_s())
+        self._socket = socket.create_connection((self.host, RTDE_PORT), timeout=self._left_s())
 
     def request(self, doing: str, kind: int, payload: bytes = b"") -> bytes:
         self.doing = doing
@@ -139,13 +143,13 @@ class _Wire:
 
     def _bytes(self, count: int) -> bytes:
         assert self._socket is not None
-        while len(self._came) < count:
+        while len(self._received) < count:
             self._socket.settimeout(self._left_s())
             part = self._socket.recv(4096)
             if not part:
                 raise OSError("the connection was closed")
-            self._came += part
-        taken, self._came = self._came[:count], self._came[count:]
+            self._received += part
+        taken, self._received = self._received[:count], self._received[count:]
         return taken
 
     def _left_s(self) -> float:
@@ -155,7 +159,7 @@ class _Wire:
         return left
 
 
-def _ask(wire: _Wire) -> Probe:
+def _query(wire: _Wire) -> Probe:
     wire.open()
     if wire.request("protocol version 2", REQUEST_VERSION, struct.pack(">H", 2)) != b"\x01":
         raise OSError("is refused")
@@ -188,3 +192,72 @@ def _ask(wire: _Wire) -> Probe:
         rate_hz=(PACKAGES - 1) / elapsed_s,
         speed_fraction=values[17],
     )
+
+
+class DashboardError(RuntimeError):
+    """The dashboard did not answer, or refused."""
+
+
+def query_dashboard(host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
+    """The answers to some lines, over a connection of their own; all of it within a time in s.
+
+    Raises:
+        DashboardError: There is nobody, or no answer in time.
+    """
+    end_s = time.monotonic() + limit_s
+    try:
+        with socket.create_connection((host, DASHBOARD_PORT), timeout=limit_s) as connection:
+            received = b""
+            answers: list[str] = []
+            # The first line is its greeting.
+            for line in ("", *lines):
+                if line:
+                    connection.sendall(f"{line}\n".encode())
+                while b"\n" not in received:
+                    connection.settimeout(max(1e-3, end_s - time.monotonic()))
+                    part = connection.recv(4096)
+                    if not part:
+                        raise ConnectionError("closed")
+                    received += part
+                answer, _, received = received.partition(b"\n")
+                answers.append(answer.decode("utf-8", "replace").strip())
+            with contextlib.suppress(OSError):
+                connection.sendall(b"quit\n")
+    except OSError as error:
+        message = f"dashboard {host}:{DASHBOARD_PORT}: {error.strerror or error}"
+        raise DashboardError(message) from None
+    return answers[1:]
+
+
+def stop_program(host: str, limit_s: float = 0.5) -> None:
+    """Ends the program that plays: the second way to stop an arm.
+
+    Raises:
+        DashboardError: It did not.
+    """
+    (answer,) = query_dashboard(host, "stop", limit_s=limit_s)
+    if answer != STOPPED:
+        message = f"dashboard: stop: {answer}"
+        raise DashboardError(message)
+
+
+def unlock_protective_stop(host: str) -> None:
+    """Unlocks a protective stop and closes what the pendant shows of it.
+
+    Raises:
+        DashboardError: The controller refuses.
+    """
+    answer, _ = query_dashboard(host, "unlock protective stop", "close safety popup")
+    if answer != UNLOCKED:
+        message = f"dashboard: unlock protective stop: {answer}"
+        raise DashboardError(message)
+
+
+def is_in_remote_control(host: str) -> bool:
+    """Whether the controller takes scripts from outside; e-Series from 5.6 on.
+
+    Raises:
+        DashboardError: No answer.
+    """
+    (answer,) = query_dashboard(host, "is in remote control")
+    return "true" in answer.lower()
