@@ -1,4 +1,4 @@
-"""What an option of a driver may be, in words, from the annotation of its field."""
+"""What an option of a driver may be, as text, from the annotation of its field."""
 
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -11,26 +11,26 @@ def allowed(options: type[Struct], key: str) -> str:
 
     The unit is that of the annotation, `Meta(extra={"unit": "kg"})`.
     """
-    return _words(get_type_hints(options, include_extras=True)[key], Meta())
+    return _text(get_type_hints(options, include_extras=True)[key], Meta())
 
 
-def _words(kind: Any, meta: Meta) -> str:  # noqa: ANN401  # a type as typing writes it
+def _text(kind: Any, meta: Meta) -> str:  # noqa: ANN401  # a type as typing writes it
     origin, parts = get_origin(kind), get_args(kind)
     unit = f" {meta.extra['unit']}" if meta.extra else ""
     if origin is Annotated:
-        words = _words(parts[0], parts[1])
+        text = _text(parts[0], parts[1])
     elif origin in {UnionType, Union}:
         # A scene cannot write the none that stands for a default.
-        words = " or ".join(_words(part, meta) for part in parts if part is not NoneType)
+        text = " or ".join(_text(part, meta) for part in parts if part is not NoneType)
     elif origin is Literal:
-        words = f"one of {', '.join(parts)}" if isinstance(parts[0], str) else " or ".join(map(str, parts)) + unit
+        text = f"one of {', '.join(parts)}" if isinstance(parts[0], str) else " or ".join(map(str, parts)) + unit
     elif origin is tuple and parts[-1] is Ellipsis:
-        words = f"a list of {_words(parts[0], meta)} each"
+        text = f"a list of {_text(parts[0], meta)} each"
     elif origin is tuple:
-        words = f"{len(parts)} numbers"
+        text = f"{len(parts)} numbers"
     else:
-        words = {bool: "true or false", str: "a string"}.get(kind) or f"{_range(meta)}{unit}"
-    return words
+        text = {bool: "true or false", str: "a string"}.get(kind) or f"{_range(meta)}{unit}"
+    return text
 
 
 def _range(meta: Meta) -> str:

@@ -22,8 +22,8 @@ class SlaveSample(NamedTuple):
 class SlaveDevice(Protocol):
     """An arm: `read -> tick -> write` at each sample, on one thread.
 
-    An exception ends the run: the arm is stopped, and the peer is told of a fault. A `read` or `write` that blocks for
-    more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.slaves`, which is
+    An exception ends the run: the arm is stopped, and the peer is notified. A `read` or `write` that blocks for more
+    than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.slaves`, which is
     called with the options of the command line as keywords.
 
     A driver may have `acknowledge()`, called when a person at this side says that a fault is mended; `axes`, held
@@ -49,7 +49,7 @@ class SlaveDevice(Protocol):
         """Comes to rest softly and stays until the next `write`; never an emergency stop. May be called again."""
 
     def close(self) -> None:
-        """Disconnects; called once, also after an exception, when the arm was told to stop.
+        """Disconnects; called once, also after an exception, when the arm was commanded to stop.
 
         Where the command is ended while `open` blocks, it is called on another thread, after 1 s.
         """

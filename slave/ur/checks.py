@@ -35,7 +35,7 @@ from haptether.slave.ur.state import (
 )
 
 OLDEST: Final = ((3, 15), (5, 4))
-"""Before these, registers or status words that the library needs are missing."""
+"""Before these, registers or status bits that the library needs are missing."""
 REMOTE_SINCE: Final = (5, 6)
 NO_DASHBOARD_SINCE: Final = (10, 0)
 TOOL_M: Final = 1e-4

@@ -169,7 +169,7 @@ class UrSlave:
     def acknowledge(self) -> None:
         """A person has seen to the fault: unlocks, connects and uploads again, and says when the arm is ready."""
         if self._fault is None or self._fault is not self._shown or self._recovery is not None:
-            # What it has met since the last sample nobody has seen.
+            # A fault since the last sample was not shown to anybody.
             return
         self._fault = None
         self._watchdog.reset()

@@ -35,7 +35,7 @@ class UnreachableError(ValueError):
 
 
 class Mode(Protocol):
-    """One way to move the arm."""
+    """A command that moves the arm, and the one that stops it."""
 
     name: str
     """Of the call of the library."""

@@ -230,7 +230,7 @@ def query_dashboard(host: str, *lines: str, limit_s: float = 1.0) -> list[str]:
 
 
 def stop_program(host: str, limit_s: float = 0.5) -> None:
-    """Ends the program that plays: the second way to stop an arm.
+    """Ends the program that plays: the second means to stop an arm.
 
     Raises:
         DashboardError: It did not.

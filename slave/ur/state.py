@@ -156,7 +156,7 @@ def safety_stop(state: UrState, before: UrState | None = None) -> str | None:
 
 
 def _last_seen(states: list[UrState]) -> str:
-    """What stood out around a stop: RTDE has no word for its cause."""
+    """What stood out around a stop: RTDE does not name its cause."""
     deviation, joint = max(
         (abs(target - actual), joint)
         for state in states

@@ -1,7 +1,7 @@
 """How a UR arm is brought to rest, and how the two sides notice that the other is gone.
 
 An arm is stopped by its mode, else through the dashboard, else by the watchdog of the controller. What it does about
-motion is one state, that of `SoftStop`; whoever moves the arm asks it, and nobody else changes it.
+motion is one state, that of `SoftStop`; what moves the arm reads it and calls its methods, and changes nothing else.
 """
 
 import math
@@ -230,7 +230,7 @@ REFUSED_S: Final = 0.05
 
 
 class Watchdog:
-    """The controller's watchdog: armed, kicked while nothing is commanded; and whether commands are still taken.
+    """The controller's watchdog: armed, kicked while nothing is commanded; and whether commands are still accepted.
 
     Args:
         options: Of the driver.

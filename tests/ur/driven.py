@@ -1,7 +1,7 @@
 """A hand and a UR arm of the real driver, in one process that can be killed: `python -m tests.ur.driven OPTIONS SCENE`.
 
-Lines on standard input act (`ack`, `press`, `end`); each line on standard output is an event with its time on the
-system's monotonic clock, which the process that watches has as well.
+Lines on standard input are commands (`ack`, `press`, `end`); each line on standard output is an event with its time on
+the system's monotonic clock, which the process that watches has as well.
 """
 
 import json
@@ -25,7 +25,7 @@ MIN_M = 1e-7
 
 
 class Watched:
-    """Both sides, and what of them has been told."""
+    """Both sides, and what of them has been reported."""
 
     def __init__(self, options: dict[str, Any], overrides: list[str]) -> None:
         self.begun_s = time.monotonic()
@@ -41,21 +41,21 @@ class Watched:
         self._seen: dict[str, object] = {}
 
     def look(self) -> None:
-        """Tells what is new."""
+        """Reports what is new."""
         for key, value in (
             ("slave", self.slave.state), ("master", self.master.state), ("fault", self.slave.notes.fault),
             ("recovering", self.device._recovery is not None), ("error", str(self.slave.error or "")),
         ):  # fmt: skip
             if self._seen.get(key) != value:
                 self._seen[key] = value
-                tell({key: value})
+                emit({key: value})
 
-    def act(self, line: str) -> bool:
+    def command(self, line: str) -> bool:
         """Does what a line says; whether to go on."""
-        acts: dict[str, Callable[[], None]] = {
+        commands: dict[str, Callable[[], None]] = {
             "ack": self.slave.acknowledge, "press": self.master.press_clutch, "end": lambda: None
         }  # fmt: skip
-        acts[line]()
+        commands[line]()
         return line != "end"
 
     def end(self) -> dict[str, Any]:
@@ -81,29 +81,31 @@ class Watched:
 
 def reaction_s(trace: Any) -> float | None:  # noqa: ANN401  # SlaveTrace of one axis
     """From the first command off the place to the first state off it, in s; none where either stays."""
-    told, moved = (np.flatnonzero(np.abs(x - x[:1]) > MIN_M) for x in (trace.command.ravel(), trace.position.ravel()))
-    return float(trace.time_s[moved[0]] - trace.time_s[told[0]]) if len(told) and len(moved) else None
+    commanded, moved = (
+        np.flatnonzero(np.abs(x - x[:1]) > MIN_M) for x in (trace.command.ravel(), trace.position.ravel())
+    )
+    return float(trace.time_s[moved[0]] - trace.time_s[commanded[0]]) if len(commanded) and len(moved) else None
 
 
-def tell(event: dict[str, Any]) -> None:
+def emit(event: dict[str, Any]) -> None:
     """A line for who watches."""
     print(json.dumps({"at_s": time.monotonic(), **event}), flush=True)
 
 
 def main() -> None:
-    """Runs until told to end, or until nobody is there any more."""
+    """Runs until commanded to end, or until nobody is there any more."""
     watched = Watched(json.loads(sys.argv[1]), sys.argv[2:])
     going, waiting, end_s = True, b"", time.monotonic() + LONGEST_S
     while going and time.monotonic() < end_s:
         watched.look()
         if select.select([sys.stdin], [], [], LOOK_S)[0]:
-            came = os.read(sys.stdin.fileno(), 4096)
-            if not came:
+            received = os.read(sys.stdin.fileno(), 4096)
+            if not received:
                 break
-            *lines, waiting = (waiting + came).split(b"\n")
+            *lines, waiting = (waiting + received).split(b"\n")
             for line in lines:
-                going = watched.act(line.decode()) and going
-    tell({"end": watched.end()})
+                going = watched.command(line.decode()) and going
+    emit({"end": watched.end()})
     # Threads that never came back and the library's destructors are not waited for.
     sys.stdout.flush()
     os._exit(0)

@@ -1,4 +1,4 @@
-"""A process with the real driver, and what it has told."""
+"""A process with the real driver, and what it has reported."""
 
 import json
 import os
@@ -14,29 +14,29 @@ START_S = 40.0
 
 
 class Watching:
-    """Events of `tests.ur.driven`, and lines that act in it."""
+    """Events of `tests.ur.driven`, and lines that command it."""
 
     def __init__(self, process: "subprocess.Popen[bytes]") -> None:
         self.process = process
         self.events: list[dict[str, Any]] = []
         self._waiting = b""
 
-    def act(self, line: str) -> None:
-        """Has a person do something: `ack`, `press`, `end`."""
+    def command(self, line: str) -> None:
+        """Has an operator do something: `ack`, `press`, `end`."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n".encode())
         self.process.stdin.flush()
 
     def look(self, patience_s: float) -> bool:
-        """Takes in what is told; whether the process is still there."""
+        """Takes in what is reported; whether the process is still there."""
         assert self.process.stdout is not None
         if not select.select([self.process.stdout], [], [], patience_s)[0]:
             return True
-        came = os.read(self.process.stdout.fileno(), 1 << 16)
-        *lines, self._waiting = (self._waiting + came).split(b"\n")
+        received = os.read(self.process.stdout.fileno(), 1 << 16)
+        *lines, self._waiting = (self._waiting + received).split(b"\n")
         # The library prints between.
         self.events += [json.loads(line) for line in lines if line.startswith(b"{")]
-        return bool(came)
+        return bool(received)
 
     def wait_for(self, key: str, *values: object, since_s: float = 0.0, patience_s: float = 10.0) -> dict[str, Any]:
         """The first event since a time in which something becomes one of some values; any, if none are given."""
@@ -51,7 +51,7 @@ class Watching:
 
     def end(self) -> dict[str, Any]:
         """Ends it in good order; figures of the run."""
-        self.act("end")
+        self.command("end")
         result: dict[str, Any] = self.wait_for("end", patience_s=20.0)["end"]
         self.process.wait(10.0)
         return result

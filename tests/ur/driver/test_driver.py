@@ -28,7 +28,7 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Iterator[Arm]:
 
 
 class Driven:
-    """A driver turned as the loop turns it."""
+    """A driver, stepped as the loop steps it."""
 
     def __init__(self, arm: Arm, **options: Any) -> None:  # noqa: ANN401
         self.arm = arm
@@ -36,7 +36,7 @@ class Driven:
         self.driver.open()
         self.home = START_POSE[0]
 
-    def turn(self, *, moving: bool = False, at: float = 0.0) -> SlaveSample:
+    def step(self, *, moving: bool = False, at: float = 0.0) -> SlaveSample:
         sample = self.driver.read()
         if moving and sample.fault is None:
             self.driver.write((self.home + at,), (0.0,))
@@ -44,7 +44,7 @@ class Driven:
 
     def until(self, holds: Callable[[SlaveSample], bool], *, moving: bool = False) -> SlaveSample:
         end_s = time.monotonic() + LONG_S
-        while not holds(sample := self.turn(moving=moving)):
+        while not holds(sample := self.step(moving=moving)):
             assert time.monotonic() < end_s, (sample, self.arm.names[-20:])
         return sample
 
@@ -116,7 +116,7 @@ def test_it_is_heard_while_it_waits(arm: Arm) -> None:
     driven = Driven(arm)
     end_s = time.monotonic() + 0.5
     while time.monotonic() < end_s:
-        assert driven.turn().fault is None
+        assert driven.step().fault is None
     assert arm.names.count("kickWatchdog") >= 5
     driven.driver.close()
 
@@ -168,18 +168,18 @@ def test_without_the_library_the_error_names_the_remedy(monkeypatch: pytest.Monk
 def test_a_first_command_elsewhere_is_refused(arm: Arm) -> None:
     driven = Driven(arm)
     driven.until(lambda _: driven.driver._watchdog.armed)
-    driven.turn(moving=True, at=0.012)
+    driven.step(moving=True, at=0.012)
     assert "12.0 mm away from where the tool is" in driven.fault()
     assert "speedL" not in arm.names
     driven.driver.close()
 
 
-def test_speed_is_bounded_whatever_is_told(arm: Arm) -> None:
+def test_speed_is_bounded_whatever_is_commanded(arm: Arm) -> None:
     driven = Driven(arm, max_speed=0.1, axis=[0, 2, 0])
     driven.home = START_POSE[1]
     driven.moves()
     for tick in range(100):
-        driven.turn(moving=True, at=0.1 * tick)
+        driven.step(moving=True, at=0.1 * tick)
     orders = [call[1] for call in arm.said if call[0] == "speedL"]
     assert max(sum(part**2 for part in xd[:3]) ** 0.5 for xd in orders) <= 0.1 + 1e-12
     # Along the axis alone.
@@ -200,8 +200,8 @@ def test_an_arm_that_would_go_on_is_stopped_in_silence(arm: Arm) -> None:
     arm.kicked_s = time.monotonic()
     arm.runtime_state = 2
     driven.moves()
-    driven.turn(moving=True, at=0.02)
-    assert driven.turn().fault is None
+    driven.step(moving=True, at=0.02)
+    assert driven.step().fault is None
     driven.driver.close()
 
 
@@ -234,7 +234,7 @@ def test_a_stop_returns_at_once_and_is_done_once(arm: Arm) -> None:
     arm.released.set()
     driven.until(lambda _: not driven.driver._soft_stop.stopping)
     assert arm.names.count("speedStop") == 1
-    assert driven.turn().fault is None
+    assert driven.step().fault is None
     driven.driver.close()
 
 
@@ -272,7 +272,7 @@ def test_an_arm_that_rests_for_one_package_does_not_rest(arm: Arm) -> None:
     driven.driver.stop()
     driven.until(lambda _: not driven.driver._soft_stop.heard)
     # At a reversal.
-    driven.turn()
+    driven.step()
     arm.qd[2] = 0.3
     assert driven.fault().startswith("a soft stop was acknowledged, and the arm still moves")
     driven.driver.close()
@@ -286,7 +286,7 @@ def test_nothing_moves_an_arm_that_still_comes_to_rest(arm: Arm) -> None:
     sent = len(arm.said)
     end_s = time.monotonic() + 0.3
     while time.monotonic() < end_s:
-        assert driven.turn(moving=True).fault is None
+        assert driven.step(moving=True).fault is None
     assert "speedL" not in arm.names[sent:]
     # It is heard all the while: the watchdog waits for 0.1 s.
     assert "kickWatchdog" in arm.names[sent:]
@@ -303,11 +303,11 @@ def test_an_arm_that_rested_may_be_moved_by_somebody_else(arm: Arm) -> None:
     arm.qd[2] = 0.3
     end_s = time.monotonic() + REST_S + 0.3
     while time.monotonic() < end_s:
-        assert driven.turn().fault is None
+        assert driven.step().fault is None
     driven.driver.close()
 
 
-def test_a_stop_that_fails_is_told_beside_the_fault_that_it_was_for(
+def test_a_stop_that_fails_is_reported_beside_the_fault_that_it_was_for(
     arm: Arm, capsys: pytest.CaptureFixture[str]
 ) -> None:
     driven = Driven(arm)
@@ -319,7 +319,7 @@ def test_a_stop_that_fails_is_told_beside_the_fault_that_it_was_for(
     driven.until(lambda _: "kill" in arm.names)
     assert "a soft stop was not acknowledged: the program is ended" in capsys.readouterr().err
     driven.until(lambda _: "stop" in arm.dashboard)
-    assert driven.turn().fault == fault
+    assert driven.step().fault == fault
     driven.driver.close()
 
 
@@ -328,7 +328,9 @@ def test_a_stop_behind_a_call_that_hangs_ends_the_program(arm: Arm) -> None:
     driven.moves()
     arm.watchdog_bites = False
     arm.blocks.add("speedL")
-    driven.turn(moving=True)
+    sent = len(arm.said)
+    # A machine that stalls has paused the arm, which then goes on once it rested.
+    driven.until(lambda _: "speedL" in arm.names[sent:], moving=True)
     # Before the call is overdue something else stops the arm.
     slowed(arm)
     assert driven.fault().startswith("speed slider")
@@ -342,11 +344,11 @@ def test_an_acknowledgement_clears_no_fault_that_was_not_shown(arm: Arm) -> None
     driven.until(lambda _: driven.driver._watchdog.armed)
     driven.driver.write((driven.home + 0.012,), (0.0,))
     driven.driver.acknowledge()
-    fault = driven.turn().fault
+    fault = driven.step().fault
     assert fault is not None
     assert "12.0 mm away from where the tool is" in fault
     driven.ready()
-    assert driven.turn().fault is None
+    assert driven.step().fault is None
     driven.driver.close()
 
 
@@ -384,7 +386,7 @@ def test_a_stop_ends_before_the_watchdog_would(arm: Arm, mode: str, qd: float, a
     }[mode]  # fmt: skip
     driven.until(lambda _: arm.names[-1] == order, moving=True)
     arm.qd[1], arm.speed[0] = -qd, 0.2
-    driven.turn(moving=True)
+    driven.step(moving=True)
     driven.driver.stop()
     arm.qd[1] = 0.0
     driven.until(lambda _: call in arm.names)
@@ -401,7 +403,7 @@ def test_an_arm_that_does_not_follow_is_a_fault(arm: Arm, mode: str) -> None:
     fault, at = None, 0.0
     while fault is None:
         at = min(at + 0.0002, 0.5)
-        fault = driven.turn(moving=True, at=at).fault
+        fault = driven.step(moving=True, at=at).fault
         assert time.monotonic() - begun_s < LONG_S
     assert "the arm does not follow: 5" in fault
     assert "(allowed 55 mm)" in fault
@@ -429,7 +431,7 @@ def test_a_call_that_hangs_is_a_fault_and_nothing_waits_for_it(arm: Arm, name: s
     end_s = time.monotonic() + LONG_S
     while True:
         begun_s = time.monotonic()
-        sample = driven.turn(moving=name == "speedL")
+        sample = driven.step(moving=name == "speedL")
         slowest = max(slowest, time.monotonic() - begun_s)
         if sample.fault is not None:
             break
@@ -535,7 +537,7 @@ def test_each_fault_is_latched_with_its_reason(arm: Arm, cause: Callable[[Arm], 
     arm.runtime_state, arm.safety_mode, arm.safety_bits, arm.robot_mode = 2, 1, 1, 7
     arm.connected, arm.frozen_at, arm.remote, arm.slider = True, None, True, 1.0
     for _ in range(20):
-        assert driven.turn().fault == fault
+        assert driven.step().fault == fault
         driven.driver.write((driven.home,), (0.0,))
     assert len([name for name in arm.names if name == "speedL"]) == sent
     driven.driver.close()
@@ -567,7 +569,7 @@ def test_an_acknowledgement_makes_it_ready_and_leaves_it_disengaged(arm: Arm) ->
     driven.fault()
     sent = len(arm.said)
     driven.ready()
-    assert driven.turn().fault is None
+    assert driven.step().fault is None
     again = arm.names[sent:]
     assert "reuploadScript" in again
     assert "zeroFtSensor" not in again
@@ -589,7 +591,7 @@ def test_a_protective_stop_is_unlocked_by_a_person_and_not_at_once(arm: Arm, mon
     monkeypatch.setattr("haptether.slave.ur.checks.UNLOCK_AFTER_S", 0.0)
     assert UNLOCK_AFTER_S == 5.0
     driven.ready()
-    assert driven.turn().fault is None
+    assert driven.step().fault is None
     assert "unlock protective stop" in arm.dashboard
     driven.driver.close()
 
@@ -611,7 +613,7 @@ def test_a_lost_connection_is_made_anew(arm: Arm) -> None:
     closed(arm)
     driven.fault()
     driven.ready()
-    assert driven.turn().fault is None
+    assert driven.step().fault is None
     # The old one, which would connect again by itself, is gone before.
     assert [name for name in arm.names if name in {"kill", "connect"}] == ["connect", "kill", "connect"]
     driven.driver.close()
@@ -625,7 +627,7 @@ def test_a_library_that_hangs_is_left_and_replaced(arm: Arm) -> None:
     arm.blocks.clear()
     arm.watchdog_bites = True
     driven.ready()
-    assert driven.turn().fault is None
+    assert driven.step().fault is None
     assert arm.names.count("connect") == 2
     driven.driver.close()
 
@@ -636,7 +638,7 @@ def test_whoever_engages_too_early_begins_again(arm: Arm) -> None:
     driven.fault()
     arm.blocks.add("reuploadScript")
     driven.driver.acknowledge()
-    assert driven.turn().fault is None
+    assert driven.step().fault is None
     driven.driver.write((driven.home,), (0.0,))
     assert "engaged before the arm was ready" in driven.fault()
     arm.released.set()
@@ -647,12 +649,12 @@ def test_positions_forces_and_axes(arm: Arm) -> None:
     arm.force = [1.0, -2.0, 3.0, 0.0, 0.0, 0.0]
     arm.speed = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0]
     one = Driven(arm, axis=[0, 0, -2], force_filter_hz=None, zero_ft_sensor=False)
-    sample = one.turn()
+    sample = one.step()
     assert sample[:3] == pytest.approx((-START_POSE[2], -0.3, -3.0))
     one.driver.close()
     arm.runtime_state = STOPPED
     three = Driven(arm, axes=3, force_filter_hz=None, zero_ft_sensor=False)
-    sample = three.turn()
+    sample = three.step()
     assert sample.position == pytest.approx(START_POSE[:3])
     assert sample.velocity == pytest.approx((0.1, 0.2, 0.3))
     assert sample.force == pytest.approx((1.0, -2.0, 3.0))

@@ -41,7 +41,7 @@ def engaged(watching: Watching, since_s: float = 0.0) -> float:
 
 
 class ModeRow(NamedTuple):
-    """A way to move, and the latency that it may have: ramp lag and transport, with room for a busy machine."""
+    """A mode, and the latency that it may have: ramp lag and transport, with room for a busy machine."""
 
     mode: str
     version: str
@@ -70,7 +70,7 @@ def test_a_hand_leads_the_arm_into_a_wall_and_feels_it(row: ModeRow) -> None:
             figures = watching.end()
         status = emulated.status()
     assert not [event for event in watching.events if event.get("fault")], watching.events
-    # 65 mm of the hand, with what contact bends: the arm has come along with all of what it was told.
+    # 65 mm of the hand, with what contact bends: the arm has come along with all of what was commanded.
     assert figures["travel_m"] > 0.02
     assert figures["arm_travel_m"] > 0.02
     assert figures["environment_force_n"] > 0.5
@@ -80,11 +80,11 @@ def test_a_hand_leads_the_arm_into_a_wall_and_feels_it(row: ModeRow) -> None:
     assert status["runtime_state"] == "STOPPED"
     assert math.hypot(*status["tcp_speed"][:3]) < 1e-3
     assert status["safety_mode"] == "NORMAL"
-    # The velocity that is told along makes up for transport in speedl and direct-torque: 0 is the least that is found.
+    # The velocity that is sent along makes up for transport in speedl and direct-torque: 0 is the least that is found.
     low, high = row.latency_s
     assert figures["latency_s"] is not None
     assert low <= figures["latency_s"] <= high + SHARED_S / 5, figures
-    # Whatever is told along, nothing moves before it is told.
+    # Whatever is sent along, nothing moves before it is commanded.
     assert FASTEST_S <= figures["reaction_s"] <= SLOWEST_S, figures
 
 
@@ -123,8 +123,8 @@ def full_speed(emulated: Emulated) -> None:
     emulated.do("slider 1")
 
 
-# What RTDE tells is known within a package, that is at any time; silence after 100 ms, of which the package before it
-# may be as old as that of an engaged loop; remote control is asked for once a second, that is at any time.
+# What RTDE reports is known within a package, that is at any time; silence after 100 ms, of which the package before it
+# may be as old as that of an engaged loop; remote control is queried once a second, that is at any time.
 FAULTS = [
     FaultRow("emergency stop", "emergency-stop", "emergency stop: find its cause", (0.0, 0.05), released),
     FaultRow("program stopped", "stop-program", "the control script is stopped", (0.0, 0.05), nothing),
@@ -153,7 +153,7 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
         assert 0.02 - PERIOD_S <= took_s <= 0.06 + SHARED_S, took_s
         time.sleep(0.1)
         press_s = time.monotonic()
-        watching.act("press")
+        watching.command("press")
         engaged(watching, since_s=press_s)
         assert not [event for event in watching.events if event.get("fault")]
         for row in FAULTS:
@@ -176,7 +176,7 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
             time.sleep(0.3)
             ack_s = recover(watching)
             watching.wait_for("slave", "disengaged", since_s=ack_s)
-            watching.act("press")
+            watching.command("press")
             begun_s = engaged(watching, since_s=ack_s)
             assert begun_s > ack_s
             assert emulated.status()["watchdog_hz"] == CALM["watchdog_hz"], row.name
@@ -193,11 +193,11 @@ def until_said(watching: Watching, said: str, since_s: float, key: str = "fault"
 
 
 def recover(watching: Watching) -> float:
-    """Acknowledges until the arm is ready; when that was asked for."""
+    """Acknowledges until the arm is ready; when that was requested."""
     end_s = time.monotonic() + MEND_S
     while True:
         ack_s = time.monotonic()
-        watching.act("ack")
+        watching.command("ack")
         watching.wait_for("recovering", True, since_s=ack_s)
         done_s = watching.wait_for("recovering", False, since_s=ack_s, patience_s=MEND_S)["at_s"]
         for _ in range(3):
@@ -264,14 +264,14 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
         assert event["at_s"] - at_s < 0.1 + SHARED_S
         said = watching.wait_for("fault", since_s=at_s)["fault"]
         assert said.startswith("protective stop (seen: ")
-        watching.act("ack")
+        watching.command("ack")
         until_said(watching, "protective stop: can be unlocked in", at_s)
         assert emulated.status()["safety_mode"] == "PROTECTIVE_STOP"
         # Fully 5 s after the stop, and the emulator refuses before as a real one does.
         time.sleep(max(0.0, at_s + 5.3 - time.monotonic()))
         ack_s = recover(watching)
         assert emulated.status()["safety_mode"] == "NORMAL"
-        watching.act("press")
+        watching.command("press")
         engaged(watching, since_s=ack_s)
         watching.end()
 
@@ -291,7 +291,7 @@ def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> 
         assert event["at_s"] - at_s < 0.125 + SHARED_S
         said = watching.wait_for("fault", since_s=at_s)["fault"]
         assert said.startswith("the controller closed the connection"), said
-        watching.act("ack")
+        watching.command("ack")
         # It looks before it meets the library again: 5 s at most, and an error of the network at once.
         until_said(watching, f"{host}:30004: connect: ", event["at_s"])
         assert watching.end()["end_s"] < 5.0
@@ -307,7 +307,7 @@ def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
             # A machine that stalls has made it hold before the hand moved.
             watching.look(0.01)
             if [event["slave"] for event in watching.events if "slave" in event][-1] == "hold":
-                watching.act("press")
+                watching.command("press")
             assert time.monotonic() < end_s, watching.events
         at_s = time.monotonic()
         watching.process.kill()
