@@ -163,10 +163,10 @@ class DirectTorque:
     goes_on = True
 
     def __init__(self, options: UrOptions, joints: "JointTracking", model: "UrModel") -> None:
-        shares = (1.0, 1.0, 1.0, WRIST_SHARE, WRIST_SHARE, WRIST_SHARE)
-        self._stiffness = [options.joint_stiffness * share for share in shares]
-        self._damping = [options.joint_damping * share for share in shares]
-        self._max_torque = [options.torque_share * torque for torque in model.max_torque]
+        shares = np.array((1.0, 1.0, 1.0, WRIST_SHARE, WRIST_SHARE, WRIST_SHARE))
+        self._stiffness = options.joint_stiffness * shares
+        self._damping = options.joint_damping * shares
+        self._max_torque = options.torque_share * np.array(model.max_torque)
         self._options = options
         self.joints = joints
 
@@ -178,19 +178,8 @@ class DirectTorque:
         """See `Mode`."""
         joints = self.joints
         joints.follow(position, velocity, elapsed_s)
-        torque = [
-            min(max(k * (q_set - q) + d * (qd_set - qd), -limit), limit)
-            for k, d, limit, q_set, q, qd_set, qd in zip(
-                self._stiffness,
-                self._damping,
-                self._max_torque,
-                joints.q.tolist(),
-                state.q,
-                joints.qd.tolist(),
-                state.qd,
-                strict=True,
-            )
-        ]
+        spring = self._stiffness * (joints.q - state.q) + self._damping * (joints.qd - state.qd)
+        torque = np.clip(spring, -self._max_torque, self._max_torque).tolist()
         return lambda control: bool(control.directTorque(torque))
 
     def brake(self, state: UrState) -> Order:

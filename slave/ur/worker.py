@@ -215,16 +215,9 @@ class ControlProcess:
     def __init__(self, host: str, rate_hz: float) -> None:
         self._socket, theirs = socket.socketpair()
         with theirs:
+            arguments = str(theirs.fileno()), host, repr(rate_hz), str(os.getpid())
             self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "haptether.slave.ur.worker",
-                    str(theirs.fileno()),
-                    host,
-                    repr(rate_hz),
-                    str(os.getpid()),
-                ],
+                [sys.executable, "-m", "haptether.slave.ur.worker", *arguments],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 stdout=2,

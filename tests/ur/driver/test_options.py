@@ -5,6 +5,7 @@ import math
 import pytest
 
 from haptether.bridge import load_slave
+from haptether.slave import WorkspacePlane
 from haptether.slave.ur.options import UrOptions, ur_options
 from haptether.slave.ur_models import MAX_PAYLOAD_KG, UR_MODELS
 
@@ -79,3 +80,8 @@ def test_defaults_are_cautious() -> None:
     assert options.zero_ft_sensor
     assert options.verify_watchdog
     assert ur_options(HOST | {"axis": [0, 3, 4]}).axis_unit == pytest.approx((0.0, 0.6, 0.8))
+
+
+def test_the_planes_of_the_workspace_have_normals_of_length_1() -> None:
+    (plane,) = ur_options(HOST | {"workspace": [[0, 0, 2, 0.2]]}).planes
+    assert plane == WorkspacePlane(normal=(0.0, 0.0, 1.0), offset_m=0.1)
