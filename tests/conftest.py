@@ -25,13 +25,12 @@ for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
 
 LIVE = (
     "test_docs", "test_examples", "test_faults", "test_live", "test_netsim_cli_live", "test_netsim_control",
-    "test_presses_in_vain", "test_soak", "test_stop", "test_ur_demo", "test_ur_emulator_bounds",
-    "test_ur_emulator_letter", "test_ur_emulator_process",
+    "test_presses_in_vain", "test_soak", "test_stop", "test_ur_demo",
 )  # fmt: skip
 """Processes and sockets that mostly wait: several at once."""
 ALONE = (
     "test_device_loop", "test_engine_stress", "test_live_realtime", "test_netsim_live", "test_packaging",
-    "test_safety_speed", "test_true_cause", "test_ur_emulator_calls", "test_ur_emulator_live",
+    "test_safety_speed", "test_true_cause",
     "test_ur_engagements", "test_ur_live", "test_work_unit",
 )  # fmt: skip
 """Lateness, speed, busy processors, or cargo."""

@@ -3,27 +3,27 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from haptether.slave.ur_emulator.control import ControlLine
     from haptether.slave.ur_emulator.control_channel import ControlChannel
-    from haptether.slave.ur_emulator.control_line import ControlLine
     from haptether.slave.ur_emulator.controller import Controller, ControllerSettings
-    from haptether.slave.ur_emulator.environment import ToolEnvironment
     from haptether.slave.ur_emulator.faults import Faults
+    from haptether.slave.ur_emulator.robot.contact import ToolEnvironment
     from haptether.slave.ur_emulator.safety_limits import SafetyLimits
     from haptether.slave.ur_emulator.scheduling import realtime
-    from haptether.slave.ur_emulator.serve import Server
+    from haptether.slave.ur_emulator.server import Server
     from haptether.slave.ur_emulator.version import ControllerVersion
     from haptether.slave.ur_emulator.wrench_sensor import WrenchSensing
 
 _PLACES = {
     "ControlChannel": "control_channel",
-    "ControlLine": "control_line",
+    "ControlLine": "control",
     "Controller": "controller",
     "ControllerSettings": "controller",
     "ControllerVersion": "version",
     "Faults": "faults",
     "SafetyLimits": "safety_limits",
-    "Server": "serve",
-    "ToolEnvironment": "environment",
+    "Server": "server",
+    "ToolEnvironment": "robot.contact",
     "WrenchSensing": "wrench_sensor",
     "realtime": "scheduling",
 }

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from haptether.slave.ur_emulator.dashboard import BANNER, Dashboard
 from haptether.slave.ur_emulator.robot_messages import runtime_exception
-from haptether.slave.ur_emulator.rtde_session import RtdeSession
-from haptether.slave.ur_emulator.script_port import ScriptBudget, ScriptReader
+from haptether.slave.ur_emulator.rtde.session import RtdeSession
+from haptether.slave.ur_emulator.script.port import ScriptBudget, ScriptReader
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.controller import Controller

@@ -2,17 +2,17 @@
 
 from typing import TYPE_CHECKING
 
-from haptether.slave.ur_emulator.motions import MoveJoints, MoveTool, Torque
 from haptether.slave.ur_emulator.registers import Registers, Six
+from haptether.slave.ur_emulator.robot.motions import MoveJoints, MoveTool, Torque
+from haptether.slave.ur_emulator.script.functions import ScriptFunctions
 from haptether.slave.ur_emulator.script_error import ScriptError
-from haptether.slave.ur_emulator.script_functions import ScriptFunctions
 from haptether.slave.ur_emulator.setup import Setup
 from haptether.slave.ur_pose import pose_trans
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from haptether.slave.ur_emulator.program import Steps
+    from haptether.slave.ur_emulator.script.program import Steps
 
 MATRIX_REGISTERS = (*range(24), *range(36, 48))
 """Where the 36 numbers of a matrix go, column after column."""

@@ -10,7 +10,7 @@ from typing import Final
 
 from haptether.printable import printable
 from haptether.slave.ur_emulator.connections import LONGEST_LINE
-from haptether.slave.ur_emulator.control_line import ControlLine
+from haptether.slave.ur_emulator.control import ControlLine
 
 STDIN: Final = "-"
 PATIENCE_S: Final = 1.0

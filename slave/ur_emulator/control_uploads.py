@@ -10,8 +10,8 @@ from haptether.slave.ur_emulator.script_arguments import MAX_SHOWN
 from haptether.slave.ur_emulator.script_error import ScriptError
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_emulator.program import Steps
-    from haptether.slave.ur_emulator.script_functions import ScriptFunctions
+    from haptether.slave.ur_emulator.script.functions import ScriptFunctions
+    from haptether.slave.ur_emulator.script.program import Steps
 
 MARKS: Final = ("def process_cmd(", "def rtde_cmd(", "read_input_integer_reg(0)")
 """What only this script has."""

@@ -5,23 +5,23 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from haptether.slave.ur_emulator.control_program import ControlProgram
 from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT, CONTROL_SCRIPT_NAME, Upload, recognised
 from haptether.slave.ur_emulator.digital_outputs import DigitalOutputs
 from haptether.slave.ur_emulator.joint_tracking import Joints
 from haptether.slave.ur_emulator.output_values import OutputValues
-from haptether.slave.ur_emulator.program import Program, Steps, Thread
 from haptether.slave.ur_emulator.registers import Registers
-from haptether.slave.ur_emulator.robot import Robot
+from haptether.slave.ur_emulator.robot.robot import Robot
+from haptether.slave.ur_emulator.robot.safety import SafetySystem
 from haptether.slave.ur_emulator.robot_state import RobotMode, RuntimeState
+from haptether.slave.ur_emulator.rtde.variables import inputs_of, outputs_of
 from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
-from haptether.slave.ur_emulator.rtde_variables import inputs_of, outputs_of
 from haptether.slave.ur_emulator.safety_limits import SafetyLimits
-from haptether.slave.ur_emulator.safety_system import SafetySystem
+from haptether.slave.ur_emulator.script.calls import ScriptLines
+from haptether.slave.ur_emulator.script.control_script import ControlProgram
+from haptether.slave.ur_emulator.script.functions import ScriptFunctions
+from haptether.slave.ur_emulator.script.port import Submitted, nobody
+from haptether.slave.ur_emulator.script.program import Program, Steps, Thread
 from haptether.slave.ur_emulator.script_error import ScriptError
-from haptether.slave.ur_emulator.script_functions import ScriptFunctions
-from haptether.slave.ur_emulator.script_lines import ScriptLines
-from haptether.slave.ur_emulator.script_port import Submitted, nobody
 from haptether.slave.ur_emulator.setup import Setup
 from haptether.slave.ur_emulator.version import ControllerVersion
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from haptether.slave.ur_emulator.arm_kinematics import Array, Six, six
+from haptether.slave.ur_emulator.robot.kinematics import Array, Six, six
 from haptether.slave.ur_pose import matrix_from_rotvec
 
 BASE, TOOL, FEATURE = 0, 1, 2

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from haptether.slave.ur_emulator.arm_kinematics import Six, six
+from haptether.slave.ur_emulator.robot.kinematics import Six, six
 from haptether.slave.ur_emulator.robot_state import (
     JOINT_MODES,
     JOINT_POWER_OFF,

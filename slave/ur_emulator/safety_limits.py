@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from haptether.slave.ur_emulator.robot import Robot
+from haptether.slave.ur_emulator.robot.robot import Robot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Final
 
-from haptether.slave.ur_emulator.force_mode import ForceMode
+from haptether.slave.ur_emulator.robot.force_mode import ForceMode
 from haptether.slave.ur_emulator.script_error import ScriptError
 from haptether.slave.ur_emulator.version import ControllerVersion
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from tests.ur.plain_rtde import frame
 
 from haptether.slave.ur_emulator import ControllerVersion
+from haptether.slave.ur_emulator.rtde.session import RtdeSession
+from haptether.slave.ur_emulator.rtde.variables import inputs_of, outputs_of
 from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
-from haptether.slave.ur_emulator.rtde_session import RtdeSession
-from haptether.slave.ur_emulator.rtde_variables import inputs_of, outputs_of
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.rtde_types import Value

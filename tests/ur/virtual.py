@@ -15,7 +15,7 @@ from haptether.slave.ur_emulator import (
     WrenchSensing,
 )
 from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT
-from haptether.slave.ur_emulator.script_port import Submitted
+from haptether.slave.ur_emulator.script.port import Submitted
 
 START = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 UP = (0.0, 0.0, 0.05, 0.0, 0.0, 0.0)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from haptether.slave.ur_emulator.arm_kinematics import ArmKinematics, Array, Six, six
-from haptether.slave.ur_emulator.force_mode import ForceMode
 from haptether.slave.ur_emulator.joint_tracking import JointLoop, Joints
-from haptether.slave.ur_emulator.motions import Motion, StopJoints, Target, Torque
+from haptether.slave.ur_emulator.robot.force_mode import ForceMode
+from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Array, Six, six
+from haptether.slave.ur_emulator.robot.motions import Motion, StopJoints, Target, Torque
 from haptether.slave.ur_emulator.script_error import ScriptError
 from haptether.slave.ur_emulator.touch import Nothing, Touch
 from haptether.slave.ur_emulator.wrench_sensor import WrenchSensing

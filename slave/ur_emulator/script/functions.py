@@ -4,9 +4,9 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from haptether.slave.ur_emulator.arm_kinematics import Six
 from haptether.slave.ur_emulator.joint_tracking import Joints
-from haptether.slave.ur_emulator.motions import (
+from haptether.slave.ur_emulator.robot.kinematics import Six
+from haptether.slave.ur_emulator.robot.motions import (
     Motion,
     MoveJoints,
     MoveTool,
@@ -16,8 +16,8 @@ from haptether.slave.ur_emulator.motions import (
     StopJoints,
     StopTool,
 )
-from haptether.slave.ur_emulator.program import Program, Steps
-from haptether.slave.ur_emulator.robot import Robot
+from haptether.slave.ur_emulator.robot.robot import Robot
+from haptether.slave.ur_emulator.script.program import Program, Steps
 from haptether.slave.ur_emulator.script_error import ScriptError
 
 LOOKAHEAD_S: Final = (0.03, 0.2)

@@ -13,10 +13,10 @@ from tests.ur.plain_rtde import frame
 from tests.ur.virtual import START, World
 
 from haptether.slave.ur_emulator.dashboard import Dashboard
-from haptether.slave.ur_emulator.rtde_frames import FrameReader, FramingError
-from haptether.slave.ur_emulator.rtde_session import RtdeSession
-from haptether.slave.ur_emulator.script_lines import SIGNATURES
-from haptether.slave.ur_emulator.script_port import ScriptReader
+from haptether.slave.ur_emulator.rtde.frames import FrameReader, FramingError
+from haptether.slave.ur_emulator.rtde.session import RtdeSession
+from haptether.slave.ur_emulator.script.calls import SIGNATURES
+from haptether.slave.ur_emulator.script.port import ScriptReader
 
 WORLD: list[World] = []
 """One controller for all examples: each begins with a reset."""

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from haptether.slave.ur_emulator.faults import KINDS
 from haptether.slave.ur_emulator.robot_state import MOVES, SafetyMode
-from haptether.slave.ur_emulator.rtde_variables import REGISTERS
+from haptether.slave.ur_emulator.rtde.variables import REGISTERS
 from haptether.slave.ur_emulator.version import ControllerVersion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from haptether.slave.ur_emulator.controller import Controller
-    from haptether.slave.ur_emulator.environment import ToolEnvironment
     from haptether.slave.ur_emulator.faults import Faults
+    from haptether.slave.ur_emulator.robot.contact import ToolEnvironment
 
 MAX_FORCE_N = 10_000.0
 SHOWN_LINES = 20

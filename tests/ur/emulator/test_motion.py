@@ -8,16 +8,16 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptether.slave.ur_emulator.force_mode import ForceMode
 from haptether.slave.ur_emulator.joint_tracking import JointLoop, servo_step, transition
-from haptether.slave.ur_emulator.motions import (
+from haptether.slave.ur_emulator.pose_paths import PosePath
+from haptether.slave.ur_emulator.robot.force_mode import ForceMode
+from haptether.slave.ur_emulator.robot.motions import (
     Motion,
     MoveJoints,
     SpeedJoints,
     StopJoints,
     Target,
 )
-from haptether.slave.ur_emulator.pose_paths import PosePath
 from haptether.slave.ur_emulator.trajectory import Trapezoid
 from haptether.slave.ur_pose import matrix_from_rotvec
 

@@ -27,9 +27,9 @@ from haptether.slave.ur_emulator.script_error import ScriptError
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.digital_outputs import DigitalOutputs
-    from haptether.slave.ur_emulator.program import Steps
     from haptether.slave.ur_emulator.registers import Registers
-    from haptether.slave.ur_emulator.script_functions import ScriptFunctions
+    from haptether.slave.ur_emulator.script.functions import ScriptFunctions
+    from haptether.slave.ur_emulator.script.program import Steps
     from haptether.slave.ur_emulator.setup import Setup
 
 POSE_LITERAL: Final = re.compile(r"\bp\s*\[")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from haptether.slave.ur_emulator import rtde_frames as frames
+from haptether.slave.ur_emulator.rtde import frames
 from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
 from haptether.slave.ur_emulator.rtde_types import NOT_FOUND, Number, Value, WireType
 from haptether.slave.ur_emulator.version import ControllerVersion

@@ -12,12 +12,12 @@ from tests.ur.virtual import START, UP, World
 from haptether.slave import ur_model
 from haptether.slave.ur_chain import DhRows, chain_transform, dh_rows
 from haptether.slave.ur_emulator import ControllerVersion, SafetyLimits
-from haptether.slave.ur_emulator.arm_kinematics import ArmKinematics
 from haptether.slave.ur_emulator.connections import SCRIPT, Reception
 from haptether.slave.ur_emulator.dashboard import Dashboard
-from haptether.slave.ur_emulator.rtde_variables import MISSING, ZERO, outputs_of
+from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics
+from haptether.slave.ur_emulator.rtde.variables import MISSING, ZERO, outputs_of
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "ur_emulator.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "ur_emulator.md"
 GUIDE = """
 timestamp target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current
 actual_current_window actual_current_as_torque joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force

@@ -11,8 +11,8 @@ from tests.ur.sessions import CB3, Controller, inputs_request, outputs_request
 
 from haptether.slave.ur_emulator import ControllerVersion
 from haptether.slave.ur_emulator.outbox import PATIENCE_S, Outbox
-from haptether.slave.ur_emulator.rtde_frames import FramingError, text_message
-from haptether.slave.ur_emulator.rtde_variables import outputs_of
+from haptether.slave.ur_emulator.rtde.frames import FramingError, text_message
+from haptether.slave.ur_emulator.rtde.variables import outputs_of
 
 # ----------------------------------------------------------------------------------------------------- framing
 

@@ -15,10 +15,10 @@ from haptether.slave.ur_emulator.async_progress import AsyncProgress
 from haptether.slave.ur_emulator.control_answers import Answers
 from haptether.slave.ur_emulator.control_uploads import Upload
 from haptether.slave.ur_emulator.jogging import JogSpeed
-from haptether.slave.ur_emulator.program import Steps, Thread
 from haptether.slave.ur_emulator.registers import Registers, Six
+from haptether.slave.ur_emulator.script.functions import ScriptFunctions
+from haptether.slave.ur_emulator.script.program import Steps, Thread
 from haptether.slave.ur_emulator.script_error import ScriptError
-from haptether.slave.ur_emulator.script_functions import ScriptFunctions
 from haptether.slave.ur_emulator.setup import Setup
 
 READY, DONE = 1, 2

@@ -14,6 +14,8 @@ from tests.ur.virtual import START
 
 from haptether.slave.ur_emulator.joint_tracking import transition
 
+pytestmark = pytest.mark.alone
+
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 
 CYCLE_S = 0.002

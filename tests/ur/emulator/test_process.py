@@ -12,6 +12,8 @@ from tests.ur.emulated import emulator, free_host
 
 from haptether.cli import main
 
+pytestmark = pytest.mark.live
+
 
 @pytest.mark.parametrize("way", ["SIGINT", "SIGTERM", "end of input"])
 def test_it_ends_cleanly(way: str) -> None:

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from haptether.slave.ur_emulator.arm_kinematics import ArmKinematics, Six
 from haptether.slave.ur_emulator.joint_tracking import Joints, servo_step
 from haptether.slave.ur_emulator.pose_paths import PosePath
+from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Six
 from haptether.slave.ur_emulator.script_error import ScriptError
 from haptether.slave.ur_emulator.trajectory import Trapezoid
 

@@ -19,11 +19,13 @@ from haptether.slave.ur_emulator.connections import Reception
 from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT, MAX_WAYPOINTS, recognised
 from haptether.slave.ur_emulator.controller import LOG_LINES, MAX_LOG_LINE
 from haptether.slave.ur_emulator.robot_messages import HEAD, MAX_TEXT, runtime_exception
-from haptether.slave.ur_emulator.rtde_frames import FrameReader, controller_version, text_message
-from haptether.slave.ur_emulator.rtde_session import MAX_INPUT_FIELDS
+from haptether.slave.ur_emulator.rtde.frames import FrameReader, controller_version, text_message
+from haptether.slave.ur_emulator.rtde.session import MAX_INPUT_FIELDS
+from haptether.slave.ur_emulator.script.calls import CALLS_PER_CYCLE, MAX_CALLS
+from haptether.slave.ur_emulator.script.port import ScriptBudget, ScriptReader, Submitted
 from haptether.slave.ur_emulator.script_error import ScriptError
-from haptether.slave.ur_emulator.script_lines import CALLS_PER_CYCLE, MAX_CALLS
-from haptether.slave.ur_emulator.script_port import ScriptBudget, ScriptReader, Submitted
+
+pytestmark = pytest.mark.live
 
 FLOOD_S = 1.0
 CLIENTS = 8
@@ -211,7 +213,7 @@ def test_the_log_keeps_no_long_texts() -> None:
 
 def test_a_connection_keeps_no_more_fields_than_it_may() -> None:
     world = World(upload=False)
-    from haptether.slave.ur_emulator.rtde_session import RtdeSession
+    from haptether.slave.ur_emulator.rtde.session import RtdeSession
 
     of = world.of
     session = RtdeSession(1, 500.0, lambda: of.version, of.inputs, of.outputs, of.output_types, of.tell, protocol=2)

@@ -7,7 +7,7 @@ from tests.ur.virtual import DONE, READY, START, UP, World, lifted, shifted
 from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.async_progress import RUNNING
 from haptether.slave.ur_emulator.control_uploads import PathMove, recognised
-from haptether.slave.ur_emulator.script_port import Submitted
+from haptether.slave.ur_emulator.script.port import Submitted
 
 
 @pytest.fixture

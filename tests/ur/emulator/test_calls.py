@@ -8,6 +8,8 @@ from tests.ur.emulated import Emulated, client, emulator
 from tests.ur.plain_rtde import Client
 from tests.ur.virtual import START
 
+pytestmark = pytest.mark.alone
+
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 
 CYCLE_S = 0.002

@@ -14,6 +14,8 @@ from tests.ur.virtual import START
 
 from haptether.slave.ur_emulator.outbox import PATIENCE_S
 
+pytestmark = pytest.mark.live
+
 LATE_S = 0.1
 """More than any stall that a shared machine was seen to have while these ran."""
 

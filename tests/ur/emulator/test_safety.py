@@ -7,7 +7,7 @@ from tests.ur.virtual import START, UP, World, lifted, shifted
 
 from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.dashboard import Dashboard
-from haptether.slave.ur_emulator.script_port import ScriptReader, Submitted
+from haptether.slave.ur_emulator.script.port import ScriptReader, Submitted
 
 
 @pytest.fixture

@@ -1,0 +1,1 @@
+"""RTDE of the emulated controller: frames of the protocol, sessions of its clients, variables."""
