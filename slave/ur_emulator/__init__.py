@@ -3,29 +3,26 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_emulator.control import ControlLine
-    from haptether.slave.ur_emulator.control_channel import ControlChannel
+    from haptether.slave.ur_emulator.connections import Faults
+    from haptether.slave.ur_emulator.control import ControlChannel, ControlLine
     from haptether.slave.ur_emulator.controller import Controller, ControllerSettings
-    from haptether.slave.ur_emulator.faults import Faults
-    from haptether.slave.ur_emulator.robot.contact import ToolEnvironment
-    from haptether.slave.ur_emulator.safety_limits import SafetyLimits
-    from haptether.slave.ur_emulator.scheduling import realtime
-    from haptether.slave.ur_emulator.server import Server
-    from haptether.slave.ur_emulator.version import ControllerVersion
-    from haptether.slave.ur_emulator.wrench_sensor import WrenchSensing
+    from haptether.slave.ur_emulator.robot.contact import ToolEnvironment, WrenchSensing
+    from haptether.slave.ur_emulator.robot.safety import SafetyLimits
+    from haptether.slave.ur_emulator.rtde.variables import ControllerVersion
+    from haptether.slave.ur_emulator.server import Server, realtime
 
-_PLACES = {
-    "ControlChannel": "control_channel",
+_MODULES = {
+    "ControlChannel": "control",
     "ControlLine": "control",
     "Controller": "controller",
     "ControllerSettings": "controller",
-    "ControllerVersion": "version",
-    "Faults": "faults",
-    "SafetyLimits": "safety_limits",
+    "ControllerVersion": "rtde.variables",
+    "Faults": "connections",
+    "SafetyLimits": "robot.safety",
     "Server": "server",
     "ToolEnvironment": "robot.contact",
-    "WrenchSensing": "wrench_sensor",
-    "realtime": "scheduling",
+    "WrenchSensing": "robot.contact",
+    "realtime": "server",
 }
 
 __all__ = [
@@ -44,10 +41,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    # The kinematics behind most of these are CasADi's, which takes its time.
-    if name in _PLACES:
+    # Most of these import CasADi, which is slow.
+    if name in _MODULES:
         from importlib import import_module  # noqa: PLC0415
 
-        return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
     message = f"module {__name__!r} has no attribute {name!r}"
     raise AttributeError(message)

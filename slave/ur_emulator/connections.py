@@ -1,45 +1,51 @@
-"""Connections of clients: each takes bytes and gives bytes; none of them owns a socket."""
+"""Connections of clients without their sockets: protocols, what waits to be sent, and faults of the network."""
 
+import math
+import random
 from collections import deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Protocol
 
 from haptether.slave.ur_emulator.dashboard import BANNER, Dashboard
-from haptether.slave.ur_emulator.robot_messages import runtime_exception
 from haptether.slave.ur_emulator.rtde.session import RtdeSession
-from haptether.slave.ur_emulator.script.port import ScriptBudget, ScriptReader
+from haptether.slave.ur_emulator.script.port import ScriptBudget, ScriptReader, runtime_exception
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.controller import Controller
 
-LONGEST_LINE: Final = 4096
+MAX_LINE: Final = 4096
+"""Bytes."""
 MAX_MESSAGES: Final = 100
-"""That wait for a client; of more only the newest."""
+"""Robot messages that wait for a client; of more only the newest are kept."""
+READ_TIMEOUT_S: Final = 1.0
+"""How long a client may read nothing before its connection is closed."""
 
 RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
 PORTS: Final = {30004: RTDE, 29999: DASHBOARD, 30001: SCRIPT, 30002: SCRIPT, 30003: SCRIPT}
 """Fixed by the protocol: clients have no setting for them."""
+KINDS: Final = frozenset({RTDE, DASHBOARD, SCRIPT})
 
 
 class Peer(Protocol):
-    """One connection."""
+    """The protocol of one connection."""
 
     kind: str
 
     def greeting(self) -> bytes:
-        """What is sent first."""
+        """Bytes that are sent first."""
 
-    def receive(self, came: bytes) -> tuple[bytes, bool]:
-        """The answer to what arrived, and whether the connection stays open.
+    def receive(self, received: bytes) -> tuple[bytes, bool]:
+        """The answer to bytes that arrived, and whether the connection stays open.
 
         Raises:
-            ValueError: It is not what this port speaks.
+            ValueError: Bytes that break the protocol.
         """
 
     def package(self, cycles: int) -> bytes | None:
-        """What is to be sent after so many control cycles."""
+        """The data package or message that is due after so many control cycles, if any."""
 
     def close(self) -> None:
-        """It has ended."""
+        """Frees what the connection holds."""
 
 
 class RtdePeer:
@@ -55,16 +61,16 @@ class RtdePeer:
             controller.inputs,
             controller.outputs,
             controller.output_types,
-            lambda text: controller.tell(f"RTDE client: {text}"),
+            lambda text: controller.write_log(f"RTDE client: {text}"),
         )
 
     def greeting(self) -> bytes:
         """Nothing: clients take the first frame for the answer to their first request."""
         return b""
 
-    def receive(self, came: bytes) -> tuple[bytes, bool]:
+    def receive(self, received: bytes) -> tuple[bytes, bool]:
         """See `Peer`."""
-        return self._session.receive(came), True
+        return self._session.receive(received), True
 
     def package(self, cycles: int) -> bytes | None:
         """See `Peer`."""
@@ -88,17 +94,17 @@ class DashboardPeer:
         """See `Peer`."""
         return f"{BANNER}\n".encode()
 
-    def receive(self, came: bytes) -> tuple[bytes, bool]:
+    def receive(self, received: bytes) -> tuple[bytes, bool]:
         """See `Peer`."""
-        *lines, self._waiting = (self._waiting + came).split(b"\n")
-        if len(self._waiting) > LONGEST_LINE:
-            message = f"line of {len(self._waiting)} bytes: must be at most {LONGEST_LINE}"
+        *lines, self._waiting = (self._waiting + received).split(b"\n")
+        if len(self._waiting) > MAX_LINE:
+            message = f"line of {len(self._waiting)} bytes: must be at most {MAX_LINE}"
             raise ValueError(message)
         answers = bytearray()
         for line in lines:
-            said, stays = self._dashboard.answer(line.decode("utf-8", "replace"))
-            answers += f"{said}\n".encode()
-            if not stays:
+            answer, stays_open = self._dashboard.answer(line.decode("utf-8", "replace"))
+            answers += f"{answer}\n".encode()
+            if not stays_open:
                 return bytes(answers), False
         return bytes(answers), True
 
@@ -111,7 +117,7 @@ class DashboardPeer:
 
 
 class ScriptPeer:
-    """A client of one of the script interfaces; it is sent what stopped its scripts, and nothing else."""
+    """A client of one of the script interfaces; it is sent the errors of its scripts, and nothing else."""
 
     kind = SCRIPT
 
@@ -124,9 +130,9 @@ class ScriptPeer:
         """See `Peer`."""
         return b""
 
-    def receive(self, came: bytes) -> tuple[bytes, bool]:
+    def receive(self, received: bytes) -> tuple[bytes, bool]:
         """See `Peer`."""
-        for submitted in self._reader.receive(came):
+        for submitted in self._reader.receive(received):
             self._controller.submit(submitted)
         return b"", True
 
@@ -136,14 +142,14 @@ class ScriptPeer:
 
     def close(self) -> None:
         """See `Peer`."""
-        self._reader.close()
+        self._reader.clear()
 
     def _failed(self, error: str) -> None:
         self._messages.append(runtime_exception(error, self._controller.timestamp))
 
 
-class Reception:
-    """Makes a peer for each connection that is accepted."""
+class PeerFactory:
+    """Creates the peer of each connection that is accepted."""
 
     def __init__(self, controller: "Controller") -> None:
         self._controller = controller
@@ -158,3 +164,101 @@ class Reception:
         if kind == RTDE:
             return RtdePeer(self._controller, self._accepted)
         return DashboardPeer(self._dashboard) if kind == DASHBOARD else ScriptPeer(self._controller, self._held)
+
+
+class Outbox:
+    """Bytes that wait to be sent on one connection; data packages may be held back, and are skipped while others wait.
+
+    Time is an argument, in s.
+    """
+
+    def __init__(self) -> None:
+        self.ready = bytearray()
+        self.skipped = 0
+        """Data packages that were never sent."""
+        self._held: deque[tuple[float, bytes]] = deque()
+        self._stalled_at_s: float | None = None
+
+    def answer(self, packed: bytes) -> None:
+        """Adds bytes that must be sent, at once."""
+        self.ready += packed
+
+    def package(self, packed: bytes, due_s: float, now_s: float) -> None:
+        """Adds a data package that is to leave at `due_s`; it is skipped where an older one still waits."""
+        if due_s > now_s or self._held:
+            self._held.append((due_s, packed))
+        elif self.ready:
+            self.skipped += 1
+        else:
+            self.ready += packed
+
+    def release(self, now_s: float) -> None:
+        """Makes ready what was held back until now."""
+        while self._held and self._held[0][0] <= now_s:
+            self.ready += self._held.popleft()[1]
+
+    def sent(self, count: int, now_s: float) -> None:
+        """Removes bytes that the socket has taken."""
+        del self.ready[:count]
+        if not self.ready or count:
+            self._stalled_at_s = None if not self.ready else now_s
+        elif self._stalled_at_s is None:
+            self._stalled_at_s = now_s
+
+    def is_stalled(self, now_s: float) -> bool:
+        """Whether the client has read nothing for too long."""
+        return self._stalled_at_s is not None and now_s - self._stalled_at_s > READ_TIMEOUT_S
+
+
+@dataclass(slots=True)
+class Faults:
+    """Faults of the network on command; those of the arm are the controller's. Time is an argument, in s."""
+
+    seed: int = 0
+    refusing: bool = False
+    """Whether new connections are closed at once."""
+    late_s: float = 0.0
+    """By which data packages are late."""
+    jitter_s: float = 0.0
+    """Largest further lateness, uniform; packages keep their order."""
+    dropping: set[str] = field(default_factory=set)
+    """Kinds of connections that are to be closed."""
+    _frozen_until_s: float = -math.inf
+    _random: random.Random = field(init=False)
+    _last_due_s: dict[int, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._random = random.Random(self.seed)
+
+    def reset(self) -> None:
+        """Ends all faults."""
+        self.refusing = False
+        self.late_s = self.jitter_s = 0.0
+        self.thaw()
+
+    def freeze(self, now_s: float, duration_s: float = math.inf) -> None:
+        """Nothing is read, sent or accepted for a time, as if the network were gone; the arm goes on."""
+        self._frozen_until_s = now_s + duration_s
+
+    def thaw(self) -> None:
+        """Ends `freeze`."""
+        self._frozen_until_s = -math.inf
+
+    def is_frozen(self, now_s: float) -> bool:
+        """Whether nothing is read, sent or accepted."""
+        return now_s < self._frozen_until_s
+
+    def due_s(self, connection: int, now_s: float) -> float:
+        """When a package of now may leave."""
+        if self.late_s == 0.0 and self.jitter_s == 0.0:
+            # Packages that are late already stay before it: the outbox keeps the order.
+            return now_s
+        due = now_s + self.late_s + self.jitter_s * self._random.random()
+        due = max(due, self._last_due_s.get(connection, due))
+        self._last_due_s[connection] = due
+        return due
+
+    def take_dropping(self) -> set[str]:
+        """The kinds of connections to close now."""
+        kinds, self.dropping = self.dropping, set()
+        return kinds

@@ -1,45 +1,54 @@
-"""The control line: one line of text comes in, one line goes out."""
+"""The control line: commands to the emulator, each a line and answered by a line, and the channel that carries them."""
 
+import contextlib
 import json
 import math
+import os
 import re
-from typing import TYPE_CHECKING, Any, Protocol
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from haptether.slave.ur_emulator.faults import KINDS
-from haptether.slave.ur_emulator.robot_state import MOVES, SafetyMode
-from haptether.slave.ur_emulator.rtde.variables import REGISTERS
-from haptether.slave.ur_emulator.version import ControllerVersion
+from haptether.printable import printable
+from haptether.slave.ur_emulator.connections import KINDS, MAX_LINE
+from haptether.slave.ur_emulator.robot.safety import MOVING_MODES, SafetyMode
+from haptether.slave.ur_emulator.rtde.variables import REGISTERS, ControllerVersion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from haptether.slave.ur_emulator.connections import Faults
     from haptether.slave.ur_emulator.controller import Controller
-    from haptether.slave.ur_emulator.faults import Faults
     from haptether.slave.ur_emulator.robot.contact import ToolEnvironment
 
-MAX_FORCE_N = 10_000.0
-SHOWN_LINES = 20
+MAX_FORCE_N: Final = 10_000.0
+SHOWN_LINES: Final = 20
 """Lines of the log where no number is given."""
+STDIN: Final = "-"
+SEND_TIMEOUT_S: Final = 1.0
+"""Of an answer: a client that does not read must not stop the arm for longer."""
 
 
 class Process(Protocol):
     """What runs the controller."""
 
     def figures(self) -> dict[str, Any]:
-        """How it does."""
+        """Timing and connections."""
 
-    def forget_lateness(self) -> None:
-        """Begins to measure its lateness anew."""
+    def reset_lateness(self) -> None:
+        """Resets the figures of lateness."""
 
 
 class ControlLine:
-    """What a person or a test does to the controller from outside.
+    """Commands of an operator or a test to the emulator.
 
     Args:
         controller: The controller.
         environment: What its tool touches.
-        faults: What lies between it and its clients.
-        process: The process that all this runs in, if any.
+        faults: Faults of the network to its clients.
+        process: The process that the controller runs in, if any.
     """
 
     def __init__(
@@ -49,35 +58,35 @@ class ControlLine:
         faults: "Faults",
         process: "Process | None" = None,
     ) -> None:
-        self._of = controller
+        self._controller = controller
         self._environment = environment
         self._faults = faults
         self._process = process
         self.quit = False
         """Whether the process is to end."""
         self._commands: dict[str, Callable[[list[str], float], str | None]] = {
-            "help": lambda _w, _t: " ".join(sorted(self._commands)),
-            "status": lambda _w, _t: json.dumps(self._status()),
+            "help": lambda _a, _t: " ".join(sorted(self._commands)),
+            "status": lambda _a, _t: json.dumps(self._status()),
             "log": self._log,
             "quit": self._quit,
             "reset": self._reset,
-            "forget-lateness": lambda _w, _t: self._process.forget_lateness() if self._process else None,
+            "forget-lateness": lambda _a, _t: self._process.reset_lateness() if self._process else None,
             "push": self._push,
-            "engage": lambda _w, _t: self._environment.engage(),
-            "anchor": lambda _w, _t: self._environment.anchor(self._of.robot.measured.pose[:3]),
+            "engage": lambda _a, _t: self._environment.engage(),
+            "anchor": lambda _a, _t: self._environment.anchor(self._controller.robot.measured.pose[:3]),
             "protective-stop": self._protective_stop,
             "unlock": self._unlock,
-            "emergency-stop": lambda _w, _t: self._of.safety.emergency_stop(self._of.now_s),
+            "emergency-stop": lambda _a, _t: self._controller.safety.emergency_stop(self._controller.now_s),
             "release-emergency-stop": self._release,
-            "safety-fault": lambda _w, _t: self._of.safety.fault("on command", self._of.now_s),
-            "stop-program": lambda _w, _t: self._of.stop_program(),
-            "pause-program": lambda _w, _t: None if self._of.pause() else _refuse("no program is playing"),
-            "play": lambda _w, _t: None if self._of.play() else _refuse("no program is paused or loaded"),
+            "safety-fault": lambda _a, _t: self._controller.safety.fault("on command", self._controller.now_s),
+            "stop-program": lambda _a, _t: self._controller.stop_program(),
+            "pause-program": lambda _a, _t: None if self._controller.pause() else _refuse("no program is playing"),
+            "play": lambda _a, _t: None if self._controller.play() else _refuse("no program is paused or loaded"),
             "power": self._power,
             "remote-control": self._remote_control,
             "slider": self._slider,
             "freeze": self._freeze,
-            "thaw": lambda _w, _t: self._faults.thaw(),
+            "thaw": lambda _a, _t: self._faults.thaw(),
             "late": self._late,
             "drop": self._drop,
             "refuse": self._refuse_connections,
@@ -89,173 +98,278 @@ class ControlLine:
         """The answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
 
         Args:
-            line: What came.
+            line: The command with its arguments.
             now_s: Time of the process in s.
         """
-        name, *words = line.split() or [""]
+        name, *arguments = line.split() or [""]
         command = self._commands.get(name)
         if command is None:
-            seen = repr(name) if name else "an empty line"
-            return f"error: {seen}: must be one of {' '.join(sorted(self._commands))}"
+            shown = repr(name) if name else "an empty line"
+            return f"error: {shown}: must be one of {' '.join(sorted(self._commands))}"
         try:
-            said = command(words, now_s)
+            result = command(arguments, now_s)
         except ValueError as error:
             return f"error: {name}: {error}"
-        return f"ok {said}" if said else "ok"
+        return f"ok {result}" if result else "ok"
 
     # ------------------------------------------------------------------------------------------------- answers
 
     def status_json(self) -> bytes:
-        """State and figures, as the line `status` gives them."""
+        """State and figures of the line `status`."""
         return json.dumps(self._status(), indent=2).encode()
 
     def _status(self) -> dict[str, Any]:
-        of, measured = self._of, self._of.robot.measured
+        controller, measured = self._controller, self._controller.robot.measured
         return {
-            "model": of.settings.model.name,
-            "version": str(of.version),
-            "time_s": of.now_s,
-            "runtime_state": of.runtime.name,
-            "program": of.program_name,
-            "robot_mode": of.safety.robot_mode.name,
-            "safety_mode": of.safety.mode.name,
-            "reason": of.safety.reason,
-            "remote_control": of.remote_control,
+            "model": controller.settings.model.name,
+            "version": str(controller.version),
+            "time_s": controller.now_s,
+            "runtime_state": controller.runtime.name,
+            "program": controller.program_name,
+            "robot_mode": controller.safety.robot_mode.name,
+            "safety_mode": controller.safety.mode.name,
+            "reason": controller.safety.reason,
+            "remote_control": controller.remote_control,
             "engaged": self._environment.engaged,
             "q": measured.q,
             "tcp_pose": measured.pose,
             "tcp_speed": measured.velocity,
             "tcp_force": measured.force,
             "sensed_force": measured.sensed,
-            "tcp_offset": of.robot.arm.tcp_offset,
-            "payload_kg": of.setup.payload_kg,
-            "watchdog_hz": of.setup.watchdog_hz,
-            "digital_outputs": of.digital.bits,
-            "refused_packages": of.inputs.refused,
+            "tcp_offset": controller.robot.arm.tcp_offset,
+            "payload_kg": controller.setup.payload_kg,
+            "watchdog_hz": controller.setup.watchdog_hz,
+            "digital_outputs": controller.digital.bits,
+            "refused_packages": controller.inputs.refused,
             **(self._process.figures() if self._process is not None else {}),
         }
 
-    def _log(self, words: list[str], _now_s: float) -> str:
-        (count,) = _numbers(words or [str(SHOWN_LINES)], 1)
+    def _log(self, arguments: list[str], _now_s: float) -> str:
+        (count,) = _numbers(arguments or [str(SHOWN_LINES)], 1)
         if count < 1.0 or count != int(count):
             _refuse(f"{count:g}: must be a whole number of lines, 1 or more")
-        return json.dumps(list(self._of.log)[-int(count) :])
+        return json.dumps(list(self._controller.log)[-int(count) :])
 
-    def _quit(self, _words: list[str], _now_s: float) -> None:
+    def _quit(self, _arguments: list[str], _now_s: float) -> None:
         self.quit = True
 
-    def _reset(self, _words: list[str], _now_s: float) -> None:
+    def _reset(self, _arguments: list[str], _now_s: float) -> None:
         self._environment.reset()
-        self._of.inputs.blocked = frozenset()
-        self._of.reset()
+        self._controller.inputs.blocked = frozenset()
+        self._controller.reset()
         self._faults.reset()
 
     # ---------------------------------------------------------------------------------------------- arm and force
 
-    def _push(self, words: list[str], _now_s: float) -> None:
-        if not 1 <= len(words) <= 2:
+    def _push(self, arguments: list[str], _now_s: float) -> None:
+        if not 1 <= len(arguments) <= 2:
             _refuse("must be FX or FX,FY,FZ in N, and for how long in s")
-        parts = words[0].split(",")
+        parts = arguments[0].split(",")
         force = [*_numbers(parts, len(parts)), 0.0, 0.0][:3]
         if len(parts) not in {1, 3} or max(map(abs, force)) > MAX_FORCE_N:
-            _refuse(f"force {words[0]}: must be one or three numbers of at most {MAX_FORCE_N:g} N")
-        duration_s = _positive(words[1:], math.inf)
+            _refuse(f"force {arguments[0]}: must be one or three numbers of at most {MAX_FORCE_N:g} N")
+        duration_s = _positive(arguments[1:], math.inf)
         self._environment.push((force[0], force[1], force[2]), duration_s)
 
-    def _protective_stop(self, words: list[str], _now_s: float) -> None:
-        self._of.safety.protective_stop(" ".join(words) or "on command", self._of.now_s)
+    def _protective_stop(self, arguments: list[str], _now_s: float) -> None:
+        self._controller.safety.protective_stop(" ".join(arguments) or "on command", self._controller.now_s)
 
-    def _unlock(self, _words: list[str], _now_s: float) -> str:
-        safety = self._of.safety
+    def _unlock(self, _arguments: list[str], _now_s: float) -> str:
+        safety = self._controller.safety
         if safety.mode != SafetyMode.PROTECTIVE_STOP:
             _refuse(f"is in no protective stop but in {safety.mode.name}")
-        said = safety.unlock(self._of.now_s)
+        answer = safety.unlock(self._controller.now_s)
         if safety.mode == SafetyMode.PROTECTIVE_STOP:
-            _refuse(said)
-        return said
+            _refuse(answer)
+        return answer
 
-    def _release(self, _words: list[str], _now_s: float) -> None:
-        if not self._of.safety.release_emergency_stop():
+    def _release(self, _arguments: list[str], _now_s: float) -> None:
+        if not self._controller.safety.release_emergency_stop():
             _refuse("is not pressed")
 
-    def _power(self, words: list[str], _now_s: float) -> None:
-        safety = self._of.safety
-        if words == ["off"]:
+    def _power(self, arguments: list[str], _now_s: float) -> None:
+        safety = self._controller.safety
+        if arguments == ["off"]:
             safety.power_off()
-        elif words == ["on"]:
-            if safety.mode not in MOVES:
+        elif arguments == ["on"]:
+            if safety.mode not in MOVING_MODES:
                 _refuse(f"is in {safety.mode.name}: that must end first")
-            safety.release_brakes(self._of.now_s)
+            safety.release_brakes(self._controller.now_s)
         else:
             _refuse("must be on (with the brakes released) or off")
 
-    def _remote_control(self, words: list[str], _now_s: float) -> None:
-        self._of.remote_control = _switch(words)
+    def _remote_control(self, arguments: list[str], _now_s: float) -> None:
+        self._controller.remote_control = _switch(arguments)
 
-    def _slider(self, words: list[str], _now_s: float) -> None:
-        (fraction,) = _numbers(words, 1)
+    def _slider(self, arguments: list[str], _now_s: float) -> None:
+        (fraction,) = _numbers(arguments, 1)
         if not 0.0 <= fraction <= 1.0:
-            _refuse(f"{words[0]}: must be between 0 and 1")
-        self._of.slider = fraction
+            _refuse(f"{arguments[0]}: must be between 0 and 1")
+        self._controller.slider = fraction
 
     # ------------------------------------------------------------------------------------------------- network
 
-    def _freeze(self, words: list[str], now_s: float) -> None:
-        self._faults.freeze(now_s, _positive(words, math.inf))
+    def _freeze(self, arguments: list[str], now_s: float) -> None:
+        self._faults.freeze(now_s, _positive(arguments, math.inf))
 
-    def _late(self, words: list[str], _now_s: float) -> None:
-        late_s, jitter_s = _numbers(([*words, "0"])[:2] if len(words) == 1 else words, 2)
+    def _late(self, arguments: list[str], _now_s: float) -> None:
+        late_s, jitter_s = _numbers(([*arguments, "0"])[:2] if len(arguments) == 1 else arguments, 2)
         if not (0.0 <= late_s <= 60.0 and 0.0 <= jitter_s <= 60.0):
             _refuse("must be between 0 and 60 s")
         self._faults.late_s, self._faults.jitter_s = late_s, jitter_s
 
-    def _drop(self, words: list[str], _now_s: float) -> None:
-        kinds = KINDS if not words or words == ["all"] else set(words)
+    def _drop(self, arguments: list[str], _now_s: float) -> None:
+        kinds = KINDS if not arguments or arguments == ["all"] else set(arguments)
         if not kinds <= KINDS:
             _refuse(f"must be all or some of {' '.join(sorted(KINDS))}")
         self._faults.dropping |= kinds
 
-    def _refuse_connections(self, words: list[str], _now_s: float) -> None:
-        self._faults.refusing = _switch(words)
+    def _refuse_connections(self, arguments: list[str], _now_s: float) -> None:
+        self._faults.refusing = _switch(arguments)
 
-    def _version(self, words: list[str], _now_s: float) -> None:
-        if words == ["real"]:
-            self._of.claimed_version = None
+    def _version(self, arguments: list[str], _now_s: float) -> None:
+        if arguments == ["real"]:
+            self._controller.claimed_version = None
             return
-        numbers = words[0].split(".") if len(words) == 1 else []
+        numbers = arguments[0].split(".") if len(arguments) == 1 else []
         if not (2 <= len(numbers) <= 4 and all(re.fullmatch(r"[0-9]{1,9}", part) for part in numbers)):
             _refuse("must be real, or like 5.8 or 5.8.0.10253")
-        self._of.claimed_version = ControllerVersion(*map(int, numbers))
+        self._controller.claimed_version = ControllerVersion(*map(int, numbers))
 
-    def _in_use(self, words: list[str], _now_s: float) -> None:
+    def _in_use(self, arguments: list[str], _now_s: float) -> None:
         names = [f"input_{kind}_register_{number}" for kind in ("int", "double") for number in range(REGISTERS)]
-        self._of.inputs.blocked = frozenset(names if _switch(words) else ())
+        self._controller.inputs.blocked = frozenset(names if _switch(arguments) else ())
+
+
+class ControlChannel:
+    """Standard input, or connections to a socket of this machine; `readers` and `serve` are for a loop over `select`.
+
+    Args:
+        place: `-` for standard input and output, `127.0.0.1:PORT`, or the path of a Unix socket.
+        line: Answers the lines. The end of standard input is `quit`: the process that started this one is gone.
+
+    Raises:
+        ValueError: Another form of address.
+        OSError: An address that cannot be used.
+    """
+
+    def __init__(self, place: str, line: ControlLine) -> None:
+        self.address = place
+        self._line = line
+        self._path: Path | None = None
+        self._waiting: dict[int, bytes] = {}
+        self._clients: list[socket.socket] = []
+        self._listening: socket.socket | None = None
+        if place != STDIN:
+            self._listening = self._listen(place)
+
+    def readers(self) -> list[int]:
+        """Descriptors to wait for."""
+        if self._listening is None:
+            return [] if sys.stdin.closed else [sys.stdin.fileno()]
+        return [self._listening.fileno(), *(client.fileno() for client in self._clients)]
+
+    def serve(self, descriptor: int) -> None:
+        """Reads lines of a descriptor and answers them."""
+        if self._listening is None:
+            self._serve_stdin()
+        elif descriptor == self._listening.fileno():
+            with contextlib.suppress(OSError):
+                client, _ = self._listening.accept()
+                client.settimeout(SEND_TIMEOUT_S)
+                self._clients.append(client)
+        else:
+            for client in [client for client in self._clients if client.fileno() == descriptor]:
+                self._serve_client(client)
+
+    def close(self) -> None:
+        """Closes all sockets, and removes the file of a Unix socket."""
+        for endpoint in (*self._clients, *((self._listening,) if self._listening else ())):
+            endpoint.close()
+        self._clients = []
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    def _serve_stdin(self) -> None:
+        received = os.read(sys.stdin.fileno(), MAX_LINE)
+        if not received:
+            sys.stdin.close()
+            self._line.quit = True
+            return
+        for answer in self._answers(-1, received):
+            print(answer, flush=True)
+
+    def _serve_client(self, client: socket.socket) -> None:
+        key = client.fileno()
+        try:
+            received = client.recv(MAX_LINE)
+            for answer in self._answers(key, received):
+                client.sendall(f"{answer}\n".encode("utf-8", "backslashreplace"))
+        except OSError:
+            received = b""
+        if not received:
+            self._waiting.pop(key, None)
+            self._clients.remove(client)
+            client.close()
+
+    def _answers(self, key: int, received: bytes) -> list[str]:
+        *lines, rest = (self._waiting.get(key, b"") + received).split(b"\n")
+        # Too long a line is dropped.
+        self._waiting[key] = rest if len(rest) <= MAX_LINE else b""
+        # Standard output may be a terminal, which would execute escapes that an answer repeats.
+        return [
+            printable(self._line.answer(line.decode("utf-8", "replace").strip(), time.monotonic())) for line in lines
+        ]
+
+    def _listen(self, place: str) -> socket.socket:
+        host, colon, port = place.rpartition(":")
+        if colon and port.isdigit():
+            if not host.startswith("127."):
+                message = f"control = {place!r}: must be -, 127.0.0.1:PORT or the path of a socket"
+                raise ValueError(message)
+            listening = socket.create_server((host, int(port)))
+            self.address = f"{host}:{listening.getsockname()[1]}"
+        else:
+            listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            # Accessible by this user only, from the first moment.
+            before = os.umask(0o177)
+            try:
+                listening.bind(place)
+            except OSError:
+                listening.close()
+                raise
+            finally:
+                os.umask(before)
+            listening.listen()
+            self._path = Path(place)
+        listening.setblocking(False)
+        return listening
 
 
 def _refuse(message: str) -> None:
     raise ValueError(message)
 
 
-def _numbers(words: list[str], count: int) -> list[float]:
+def _numbers(arguments: list[str], count: int) -> list[float]:
     try:
-        numbers = [float(word) for word in words]
+        numbers = [float(argument) for argument in arguments]
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        _refuse(f"{' '.join(words)!r}: must be {count} finite number{'s' if count > 1 else ''}")
+        _refuse(f"{' '.join(arguments)!r}: must be {count} finite number{'s' if count > 1 else ''}")
     return numbers
 
 
-def _positive(words: list[str], default: float) -> float:
-    if not words:
+def _positive(arguments: list[str], default: float) -> float:
+    if not arguments:
         return default
-    (number,) = _numbers(words, 1)
+    (number,) = _numbers(arguments, 1)
     if number <= 0.0:
         _refuse(f"{number:g}: must be positive")
     return number
 
 
-def _switch(words: list[str]) -> bool:
-    if words not in (["on"], ["off"]):
+def _switch(arguments: list[str]) -> bool:
+    if arguments not in (["on"], ["off"]):
         _refuse("must be on or off")
-    return words == ["on"]
+    return arguments == ["on"]

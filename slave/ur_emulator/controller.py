@@ -1,40 +1,50 @@
-"""The controller: one control cycle after another, with what clients wrote and what they will read."""
+"""The controller: in each control cycle it takes the inputs of RTDE, moves the arm, runs programs, sets the outputs."""
 
 import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT, CONTROL_SCRIPT_NAME, Upload, recognised
-from haptether.slave.ur_emulator.digital_outputs import DigitalOutputs
-from haptether.slave.ur_emulator.joint_tracking import Joints
-from haptether.slave.ur_emulator.output_values import OutputValues
-from haptether.slave.ur_emulator.registers import Registers
+import numpy as np
+
+from haptether.slave.ur_emulator.robot.kinematics import Joints, Six, six
 from haptether.slave.ur_emulator.robot.robot import Robot
-from haptether.slave.ur_emulator.robot.safety import SafetySystem
-from haptether.slave.ur_emulator.robot_state import RobotMode, RuntimeState
-from haptether.slave.ur_emulator.rtde.variables import inputs_of, outputs_of
-from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
-from haptether.slave.ur_emulator.safety_limits import SafetyLimits
-from haptether.slave.ur_emulator.script.calls import ScriptLines
-from haptether.slave.ur_emulator.script.control_script import ControlProgram
+from haptether.slave.ur_emulator.robot.safety import (
+    JOINT_MODES,
+    JOINT_POWER_OFF,
+    RobotMode,
+    SafetyLimits,
+    SafetySystem,
+    safety_status_bits,
+)
+from haptether.slave.ur_emulator.rtde.variables import (
+    ControllerVersion,
+    DigitalOutputs,
+    RtdeInputs,
+    inputs_of,
+    outputs_of,
+)
+from haptether.slave.ur_emulator.script.calls import CallProgram
+from haptether.slave.ur_emulator.script.control_script import (
+    CONTROL_SCRIPT,
+    CONTROL_SCRIPT_NAME,
+    ControlProgram,
+    recognised,
+)
 from haptether.slave.ur_emulator.script.functions import ScriptFunctions
-from haptether.slave.ur_emulator.script.port import Submitted, nobody
-from haptether.slave.ur_emulator.script.program import Program, Steps, Thread
-from haptether.slave.ur_emulator.script_error import ScriptError
-from haptether.slave.ur_emulator.setup import Setup
-from haptether.slave.ur_emulator.version import ControllerVersion
+from haptether.slave.ur_emulator.script.port import Submitted, ignored
+from haptether.slave.ur_emulator.script.program import Program, Registers, RuntimeState, ScriptError, Setup, Thread
+from haptether.slave.ur_pose import pose_from_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Generator
 
-    from haptether.slave.ur_emulator.rtde_types import Value
-    from haptether.slave.ur_emulator.touch import Touch
-    from haptether.slave.ur_emulator.wrench_sensor import WrenchSensing
+    from haptether.slave.ur_emulator.robot.contact import Touch, WrenchSensing
+    from haptether.slave.ur_emulator.rtde.variables import Value
     from haptether.slave.ur_models import UrModel
 
 START_UP_S: Final = 0.02
-"""How long the controller takes from a program's last line to its first step."""
+"""Time from the arrival of a program's last line to its first step."""
 STOP_DECELERATION: Final = 20.0
 """rad/s² of a stop by the safety system."""
 UPTIME_S: Final = 100.0
@@ -44,14 +54,14 @@ MAX_LOG_LINE: Final = 500
 """Characters; a client's text may have a million."""
 MAX_NAME: Final = 80
 MAX_SECONDARY: Final = 5_000
-"""Characters of a secondary program, which is read at once."""
+"""Characters of a secondary program, which is parsed at once."""
 MAX_WRENCH: Final = 1e5
 """N and N m of a client's force sensor; larger numbers overflow in squares."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerSettings:
-    """What a controller is."""
+    """Arm, software version and initial state of a controller."""
 
     model: "UrModel"
     version: ControllerVersion
@@ -69,7 +79,7 @@ class Controller:
     """A pure state machine: `cycle` advances it by one control cycle.
 
     Args:
-        settings: What it is.
+        settings: Arm, software version, initial state.
         touch: What the tool touches.
         sensing: The force sensor.
 
@@ -94,46 +104,48 @@ class Controller:
         self.runtime = RuntimeState.STOPPED
         self.program_name = ""
         self.loaded = ""
-        self.safety = SafetySystem(settings.unlock_after_s, self._safety_stop, self.tell)
+        self.safety = SafetySystem(settings.unlock_after_s, self._safety_stop, self.write_log)
         self.setup = Setup(settings.version, self.protective_stop, self._engaged)
         self.digital = DigitalOutputs(self.inputs)
-        self.on_engaged: Callable[[], None] = _nothing
-        """Is called when the first servo or speed command has come."""
+        self.on_engaged: Callable[[], None] = lambda: None
+        """Is called at the first servo or speed command."""
         self.slider = 1.0
         self.limiter = 1.0
         """Share of the speed that the limit of tool speed leaves, beside the slider: RTDE's `speed_scaling`."""
         self.operational_mode: str | None = None
-        """What the dashboard has set; none while it controls no mode."""
+        """Set by the dashboard; None while it controls no mode."""
         self.claimed_version: ControllerVersion | None = None
-        """Another version to tell clients, whatever it is."""
+        """A version that clients see in place of the true one."""
         self._program: Program | None = None
         self._starts: tuple[int, Submitted] | None = None
-        self._reading: Iterator[bool] | None = None
-        """The program that is being read, and then begins."""
-        self._failed: Callable[[str], None] = nobody
-        """Of the program that runs: told what stopped it."""
-        self._stop_wanted = ""
+        self._reading: Generator[None, None, None] | None = None
+        """Parses the program that is to start."""
+        self._failed: Callable[[str], None] = ignored
+        """Takes the error that stops the running program."""
+        self._stop_reason = ""
         self._watched = (0, 0)
+        """Writes of the input that the watchdog monitors, and the control cycle of the last one."""
         self._has_engaged = False
-        self._values = OutputValues(self)
-        self._values.update()
+        self._tool_velocities: tuple[Six, Six] = ((0.0,) * 6, (0.0,) * 6)
+        """Of the control cycle before: of the target and as measured."""
+        self._update_outputs()
 
     @property
     def now_s(self) -> float:
-        """Time in s since it began."""
+        """Time in s since the controller started."""
         return self.cycles * self.period_s
 
     @property
     def timestamp(self) -> float:
-        """Its age in s, as RTDE tells it."""
+        """RTDE's `timestamp`, in s."""
         return UPTIME_S + self.now_s
 
     @property
     def reported_version(self) -> ControllerVersion:
-        """The version that it says it has."""
+        """The version that clients see."""
         return self.claimed_version or self.version
 
-    def tell(self, text: str) -> None:
+    def write_log(self, text: str) -> None:
         """Writes a line to the log."""
         self.log.append(f"{self.now_s:.3f} {text[:MAX_LOG_LINE]}")
 
@@ -143,80 +155,71 @@ class Controller:
         """One control cycle."""
         self.cycles += 1
         self.safety.advance(self.now_s)
-        self._slide()
+        self._scale_speed()
         self.digital.update()
         wrench = self.inputs.values["external_force_torque"]
         self.robot.sensing.external = _within(wrench) if self.setup.external_sensor else None  # type: ignore[arg-type]
-        # What was commanded in the cycle before has moved the arm until now; what is commanded now moves it after.
+        # The commands of the cycle before have moved the arm until now.
         self._move()
-        self._look_at_limits()
+        self._check_limits()
         self._start_program()
         self._run_programs()
-        self._values.update()
+        self._update_outputs()
 
-    def _slide(self) -> None:
+    def _scale_speed(self) -> None:
         values = self.inputs.values
         if values["speed_slider_mask"]:
             self.slider = min(max(float(values["speed_slider_fraction"]), 0.0), 1.0)  # type: ignore[arg-type]
         speed = max(1e-9, self.robot.tool_speed)
         # The controller slows its own moves down rather than breaking the limit of tool speed.
-        room = max(0.9 * self.settings.limits.tool_speed / speed * self.robot.share, 0.01)
-        self.robot.share = min(self.slider, room)
-        # Clients multiply it by the slider's share, which RTDE tells as target_speed_fraction.
+        room = max(0.9 * self.settings.limits.tool_speed / speed * self.robot.speed_scaling, 0.01)
+        self.robot.speed_scaling = min(self.slider, room)
+        # Clients multiply it by target_speed_fraction, which is the slider.
         self.limiter = min(1.0, room / self.slider) if self.slider > 0.0 else 1.0
 
     def _start_program(self) -> None:
         if self._starts is None or self.cycles < self._starts[0]:
             return
         submitted = self._starts[1]
-        self._reading = self._reading or self._read(submitted)
+        self._reading = self._reading or self._started(submitted)
         try:
-            if next(self._reading):
+            if next(self._reading, True):
                 self._starts = self._reading = None
         except ScriptError as error:
             self._starts = self._reading = None
             self._fail(submitted.failed, f"{_name(submitted)}: {error}")
 
-    def _read(self, submitted: Submitted) -> "Iterator[bool]":
-        """Reads a program, a part of it in each control cycle, then begins it; whether it has begun.
+    def _started(self, submitted: Submitted) -> "Generator[None, None, None]":
+        """Parses a program, a part of it in each control cycle, then starts it.
 
         Raises:
-            ScriptError: It cannot be read.
+            ScriptError: It cannot be parsed.
         """
-        program = Program(_name(submitted))
-        functions = ScriptFunctions(self.robot, program, self.settings.limits.jump, self.protective_stop)
+        program, functions = self._program_of(submitted)
         upload = recognised(submitted.text)
         if upload is not None:
-            steps = self._control_program(upload, functions)
+            registers = Registers(self.inputs.values, self.outputs, upload.offset)
+            steps = ControlProgram(upload, functions, registers, self.setup).main()
         else:
-            reading = self._lines(functions).read(submitted.text)
-            while True:
-                try:
-                    next(reading)
-                except StopIteration as read:
-                    steps = read.value
-                    break
-                yield False
+            steps = yield from self._calls(functions).read(submitted.text)
         program.main = Thread(steps)
         self._program, self._failed = program, submitted.failed
         self.program_name = program.name
         self.runtime = RuntimeState.PLAYING
-        yield True
 
     def _fail(self, failed: "Callable[[str], None]", text: str) -> None:
-        """Says what stopped a program, in the log and to who sent it."""
-        self.tell(text)
+        """Reports the error of a program, in the log and to its sender."""
+        self.write_log(text)
         failed(text)
 
     def _run_secondary(self, submitted: Submitted) -> None:
         """Runs a program beside the one that runs; it may take no time."""
-        program = Program(_name(submitted))
-        functions = ScriptFunctions(self.robot, program, self.settings.limits.jump, self.protective_stop)
+        program, functions = self._program_of(submitted)
         try:
             if len(submitted.text) > MAX_SECONDARY:
                 message = f"{len(submitted.text)} characters: a secondary program must have at most {MAX_SECONDARY}"
                 raise ScriptError(message)
-            program.main = Thread(self._lines(functions).steps(submitted.text))
+            program.main = Thread(self._calls(functions).steps(submitted.text))
             if program.cycle():
                 program.kill()
                 message = "a secondary program must not take time"
@@ -224,13 +227,13 @@ class Controller:
         except ScriptError as error:
             self._fail(submitted.failed, f"{program.name}: {error}")
 
-    def _lines(self, functions: ScriptFunctions) -> ScriptLines:
-        registers = Registers(self.inputs.values, self.outputs)
-        return ScriptLines(functions, registers, self.setup, self.digital, self.tell)
+    def _program_of(self, submitted: Submitted) -> tuple[Program, ScriptFunctions]:
+        program = Program(_name(submitted))
+        return program, ScriptFunctions(self.robot, program, self.settings.limits.jump, self.protective_stop)
 
-    def _control_program(self, upload: Upload, functions: ScriptFunctions) -> Steps:
-        registers = Registers(self.inputs.values, self.outputs, upload.offset)
-        return ControlProgram(upload, functions, registers, self.setup, self.tell).main()
+    def _calls(self, functions: ScriptFunctions) -> CallProgram:
+        registers = Registers(self.inputs.values, self.outputs)
+        return CallProgram(functions, registers, self.setup, self.digital, self.write_log)
 
     def _run_programs(self) -> None:
         program = self._program
@@ -243,8 +246,8 @@ class Controller:
         except ScriptError as error:
             self._fail(self._failed, f"{program.name}: {error}")
             goes_on = False
-        if self._stop_wanted:
-            reason, self._stop_wanted = self._stop_wanted, ""
+        if self._stop_reason:
+            reason, self._stop_reason = self._stop_reason, ""
             self.safety.protective_stop(reason, self.now_s)
         if not goes_on:
             self.stop_program()
@@ -259,7 +262,7 @@ class Controller:
             return False
         if (self.cycles - seen[1]) * self.period_s <= 1.0 / self.setup.watchdog_hz:
             return False
-        self.tell(f"{program.name}: watchdog of {self.setup.watched} at {self.setup.watchdog_hz:g} Hz")
+        self.write_log(f"{program.name}: watchdog of {self.setup.watched} at {self.setup.watchdog_hz:g} Hz")
         self.stop_program()
         return True
 
@@ -270,16 +273,79 @@ class Controller:
             self._fail(self._failed, f"{self.program_name}: {error}")
             self.stop_program()
 
-    def _look_at_limits(self) -> None:
-        if self.safety.may_move and (broken := self.settings.limits.broken(self.robot)) is not None:
-            self.safety.protective_stop(broken, self.now_s)
+    def _check_limits(self) -> None:
+        if self.safety.may_move and (violation := self.settings.limits.violation(self.robot)) is not None:
+            self.safety.protective_stop(violation, self.now_s)
+
+    # -------------------------------------------------------------------------------------------------- outputs
+
+    def _update_outputs(self) -> None:
+        """Sets the outputs that the emulator models; all others stay zero."""
+        outputs, robot = self.outputs, self.robot
+        measured, target = robot.measured, robot.target
+        tool, jacobian = robot.arm.transform_and_jacobian(target.q)
+        robot.tool_speed = math.hypot(*(target_velocity := six(jacobian @ np.array(target.qd)))[:3])
+        elbow, elbow_velocity = robot.arm.elbow(measured.q, measured.qd)
+        velocities = target_velocity, measured.velocity
+        target_acceleration, acceleration = (
+            tuple([(new - old) / self.period_s for new, old in zip(now, before, strict=True)])
+            for now, before in zip(velocities, self._tool_velocities, strict=True)
+        )
+        self._tool_velocities = velocities
+        powered, playing = self.is_powered, self.runtime == RuntimeState.PLAYING
+        values: dict[str, Value] = {
+            "timestamp": self.timestamp,
+            "speed_scaling": self.limiter,
+            "target_speed_fraction": self.slider,
+            "tcp_force_scalar": math.hypot(*measured.sensed[:3]),
+            "target_q": target.q,
+            "target_qd": target.qd,
+            "target_qdd": target.qdd,
+            "actual_q": measured.q,
+            "actual_qd": measured.qd,
+            "actual_TCP_pose": measured.pose,
+            "actual_TCP_speed": measured.velocity,
+            "actual_TCP_force": measured.sensed,
+            "target_TCP_pose": six(pose_from_transform(tool)),
+            "target_TCP_speed": target_velocity,
+            "target_TCP_acceleration": target_acceleration,
+            "actual_TCP_acceleration": acceleration,
+            "elbow_position": elbow,
+            "elbow_velocity": elbow_velocity,
+            "control_step": self.cycles,
+            "tcp_offset": robot.arm.tcp_offset,
+            "ft_raw_wrench": robot.sensing.raw(
+                robot.arm.flange_rotation(measured.tool),
+                robot.arm.lever(measured.tool),
+                # `set_gravity` takes the acceleration that holds the base up.
+                np.array(self.setup.gravity) * -self.setup.payload_kg,
+                self.setup.payload_cog,
+            ),
+            "payload": self.setup.payload_kg,
+            "payload_cog": self.setup.payload_cog,
+            "payload_inertia": self.setup.payload_inertia,
+            "actual_digital_output_bits": self.digital.bits,
+            "standard_analog_output0": self.digital.analog[0],
+            "standard_analog_output1": self.digital.analog[1],
+            "robot_mode": int(self.safety.robot_mode),
+            "safety_mode": int(self.safety.mode),
+            "safety_status": int(self.safety.mode),
+            "runtime_state": int(self.runtime),
+            # Power on, program running, teach button, power button.
+            "robot_status_bits": powered << 0 | playing << 1 | self.setup.freedrive << 2 | powered << 3,
+            "safety_status_bits": safety_status_bits(self.safety.mode),
+            "joint_mode": (JOINT_MODES.get(self.safety.robot_mode, JOINT_POWER_OFF),) * 6,
+        }
+        outputs.update((name, value) for name, value in values.items() if name in outputs)
+        changed, self.inputs.changed = self.inputs.changed, set()
+        outputs.update((name, self.inputs.values[name]) for name in changed if name in outputs)
 
     # ------------------------------------------------------------------------------------------------- programs
 
     def submit(self, submitted: Submitted) -> bool:
-        """Takes a program from a script interface; it starts soon. Whether it is taken."""
+        """Takes a program from a script interface, which starts after START_UP_S; returns whether it is accepted."""
         if not self.may_run:
-            self._fail(submitted.failed, f"script {_name(submitted)!r} refused: {self._why_not()}")
+            self._fail(submitted.failed, f"script {_name(submitted)!r} refused: {self._refusal()}")
             return False
         if submitted.secondary:
             self._run_secondary(submitted)
@@ -293,13 +359,13 @@ class Controller:
         """Whether programs from outside may run."""
         return self.safety.may_move and (self.remote_control or self.version.is_cb3)
 
-    def _why_not(self) -> str:
+    def _refusal(self) -> str:
         if not (self.remote_control or self.version.is_cb3):
             return "not in remote control"
         return f"robot mode {self.safety.robot_mode.name}, safety mode {self.safety.mode.name}"
 
     def reset(self) -> None:
-        """Everything as at the begin, but for time, log and the registers: the arm is back at its start at once."""
+        """Resets all but time, log and registers; the arm is back at its start at once."""
         self.safety.reset()
         self.stop_program()
         self.remote_control = self.settings.remote_control
@@ -309,22 +375,22 @@ class Controller:
         self.operational_mode = None
         self.setup.reset()
         self.digital.reset()
-        self.robot.place(self.settings.start, self.settings.tcp)
-        self._stop_wanted = ""
+        self.robot.reset(self.settings.start, self.settings.tcp)
+        self._stop_reason = ""
         self._has_engaged = False
 
     def stop_program(self) -> None:
-        """Ends the program that runs; the arm comes to rest."""
+        """Ends the running program; the arm comes to rest."""
         self._starts = self._reading = None
         if self._program is not None:
             self._program.kill()
-            self._program, self._failed = None, nobody
+            self._program, self._failed = None, ignored
         self.robot.end_force_mode()
         self.setup.program_ended()
         self.runtime = RuntimeState.STOPPED
 
     def pause(self) -> bool:
-        """Pauses the program; whether one was running."""
+        """Pauses the program; returns whether one was running."""
         if self.runtime != RuntimeState.PLAYING:
             return False
         self.runtime = RuntimeState.PAUSED
@@ -332,7 +398,7 @@ class Controller:
         return True
 
     def play(self) -> bool:
-        """Goes on with a paused program, or starts the one that is loaded; whether there was one."""
+        """Resumes a paused program, or starts the one that is loaded; returns whether there was one."""
         if not self.safety.may_move:
             return False
         if self.runtime == RuntimeState.PAUSED:
@@ -343,10 +409,10 @@ class Controller:
     # --------------------------------------------------------------------------------------------------- safety
 
     def protective_stop(self, reason: str) -> None:
-        """Stops the arm at the end of the program's turn: a program cannot end itself in its middle."""
-        self._stop_wanted = self._stop_wanted or reason
+        """Stops the arm, of a program at the end of its control cycle: a program cannot end itself within its step."""
+        self._stop_reason = self._stop_reason or reason
         if self._program is None or self.runtime != RuntimeState.PLAYING:
-            self._stop_wanted = ""
+            self._stop_reason = ""
             self.safety.protective_stop(reason, self.now_s)
 
     def _safety_stop(self, reason: str) -> None:  # noqa: ARG002
@@ -380,7 +446,3 @@ def _name(submitted: Submitted) -> str:
 
 def _within(wrench: tuple[float, ...]) -> tuple[float, ...]:
     return tuple([min(max(part, -MAX_WRENCH), MAX_WRENCH) for part in wrench])
-
-
-def _nothing() -> None:
-    """Nobody waits for it."""

@@ -1,46 +1,49 @@
-"""The process of an emulated controller: its sockets and its clock. Nothing else of it has either."""
+"""The process of an emulated controller: its sockets, its clock and its scheduling; no other module has them."""
 
+import contextlib
 import gc
+import os
 import select
 import socket
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
-from haptether.slave.ur_emulator.connections import PORTS, Peer, Reception
-from haptether.slave.ur_emulator.outbox import Outbox
+from haptether.slave.ur_emulator.connections import PORTS, Outbox, Peer, PeerFactory
 
 if TYPE_CHECKING:
+    from haptether.slave.ur_emulator.connections import Faults
     from haptether.slave.ur_emulator.controller import Controller
-    from haptether.slave.ur_emulator.faults import Faults
 
 MAX_CONNECTIONS: Final = 64
 SEND_BUFFER: Final = 1 << 16
-"""Bytes in the system's hands: so much is old at most when a slow reader comes back."""
+"""Bytes of a socket's buffer: at most so much is old when a slow reader reads again."""
 SERVING_SHARE: Final = 0.4
-"""Of a control period that clients get; a process that never sleeps under SCHED_FIFO is stopped for 50 ms a second."""
+"""Of a control period, for clients: a process that never sleeps under SCHED_FIFO is stopped for 50 ms a second."""
 RECEIVE: Final = 512
-"""Bytes taken of a connection at once: their answer takes less than a millisecond, whatever they are."""
+"""Bytes read of a connection at once: their answer takes less than a millisecond, whatever they are."""
 MAX_OUTBOX: Final = 1 << 16
-"""Bytes that may wait for a client before nothing more is taken of it."""
-WORTH_SENDING_S: Final = 0.02
-"""Age of a state from which on it is skipped where a newer one is there: a stall of the machine costs packages."""
+"""Bytes that may wait for a client before nothing more is read of it."""
+MAX_PACKAGE_AGE_S: Final = 0.02
+"""Age of a state above which it is skipped for a newer one: a stall of the machine costs packages."""
 MAX_CATCH_UP_S: Final = 0.5
-"""Time that is made up for after a stall; what was lost beyond it is lost."""
+"""Time that is made up for after a stall."""
+PRIORITY: Final = 80
+"""Under SCHED_FIFO: that of a bridge, so that a client that spins cannot hold the controller up."""
 
 
 class Channel(Protocol):
-    """Something else that this loop reads from."""
+    """A further source of input of this loop: the control channel."""
 
     def readers(self) -> list[int]:
         """Descriptors to wait for."""
 
     def serve(self, descriptor: int) -> None:
-        """Reads what has come."""
+        """Reads and answers input."""
 
 
 class Connection:
-    """A socket, what it speaks, and what waits to be sent."""
+    """A socket with its protocol and outbox."""
 
     def __init__(self, endpoint: socket.socket, peer: Peer, number: int) -> None:
         self.socket = endpoint
@@ -61,11 +64,11 @@ class Server:
 
     Args:
         controller: What is served.
-        faults: What is to go wrong.
+        faults: Faults of the network.
         host: An address of this machine.
 
     Raises:
-        OSError: A port that cannot be used, with which.
+        OSError: A port that cannot be used; the message names it.
     """
 
     def __init__(self, controller: "Controller", faults: "Faults", host: str) -> None:
@@ -74,20 +77,20 @@ class Server:
         self.host = host
         self.channel: Channel | None = None
         self.lost_s = 0.0
-        """Time that was never made up for."""
+        """Time that was not made up for."""
         self.late_cycles = 0
         """Control cycles that began more than a period late."""
         self.worst_late_s = 0.0
         self.busiest_s = 0.0
         """Longest that one control cycle took, packages included."""
-        self._reception = Reception(controller)
+        self._peers = PeerFactory(controller)
         self._connections: list[Connection] = []
         self._accepted = 0
         self._skipped = 0
         self._served_s = 0.0
-        """Time that clients have had in this control cycle."""
+        """Time that clients were served in this control cycle."""
         self._first = 0
-        """Counts turns: which connection is served first changes, so that each is where there is not time for all."""
+        """Counts rounds: another connection is served first in each, where there is not time for all."""
         self._listening: dict[socket.socket, int] = {}
         try:
             for port in PORTS:
@@ -97,7 +100,7 @@ class Server:
             raise
 
     def figures(self) -> dict[str, Any]:
-        """How the process does."""
+        """Timing and connections, for `status`."""
         return {
             "connections": [connection.peer.kind for connection in self._connections],
             "late_cycles": self.late_cycles,
@@ -107,15 +110,15 @@ class Server:
             "skipped_packages": self._skipped + sum(c.outbox.skipped for c in self._connections),
         }
 
-    def forget_lateness(self) -> None:
-        """Begins to measure lateness anew."""
+    def reset_lateness(self) -> None:
+        """Resets the figures of lateness."""
         self.lost_s = self.worst_late_s = self.busiest_s = 0.0
         self.late_cycles = 0
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Serves until it is told to stop."""
+        """Serves until `stopped`."""
         gc.collect()
-        # What exists now lives as long as the process: no collection need look at it again.
+        # Objects of now live as long as the process: no collection need visit them.
         gc.freeze()
         period_s = self.controller.period_s
         due_s = time.monotonic() + period_s
@@ -137,13 +140,13 @@ class Server:
     # ---------------------------------------------------------------------------------------------------- cycle
 
     def _cycles(self, due_s: float, now_s: float) -> float:
-        """Runs the control cycles that are due; when the next one is."""
+        """Runs the control cycles that are due; returns when the next one is."""
         controller, period_s = self.controller, self.controller.period_s
         late_s = now_s - due_s
         self.worst_late_s = max(self.worst_late_s, late_s)
         self.late_cycles += late_s > period_s
         if late_s > MAX_CATCH_UP_S:
-            # Whole periods, so that the rhythm stays.
+            # Whole periods, so that the phase stays.
             lost = int((late_s - MAX_CATCH_UP_S) / period_s) * period_s
             self.lost_s += lost
             due_s += lost
@@ -154,8 +157,8 @@ class Server:
             cycles += 1
             unsent += 1
             due_s += period_s
-            # Of what is long past, only the newest is worth sending.
-            if now_s - due_s < WORTH_SENDING_S:
+            # Of old states only the newest is sent.
+            if now_s - due_s < MAX_PACKAGE_AGE_S:
                 if not self.faults.is_frozen(now_s):
                     self._send_packages(unsent, now_s)
                 unsent = 0
@@ -175,7 +178,7 @@ class Server:
             if outbox.ready:
                 self._flush(connection, now_s)
             if outbox.is_stalled(now_s):
-                self.controller.tell(f"{connection.peer.kind} client reads nothing: connection closed")
+                self.controller.write_log(f"{connection.peer.kind} client reads nothing: connection closed")
                 self._drop(connection)
 
     # -------------------------------------------------------------------------------------------------- sockets
@@ -188,21 +191,21 @@ class Server:
             return
         channel = self.channel.readers() if self.channel is not None else []
         frozen = self.faults.is_frozen(now_s)
-        # Who does not read its answers is heard no further.
-        heard = [c for c in self._connections if len(c.outbox.ready) < MAX_OUTBOX]
-        sockets: list[socket.socket | Connection] = [] if frozen else [*self._listening, *heard]
+        # A client that does not read its answers is not read either.
+        served = [c for c in self._connections if len(c.outbox.ready) < MAX_OUTBOX]
+        sockets: list[socket.socket | Connection] = [] if frozen else [*self._listening, *served]
         blocked = [] if frozen else [c for c in self._connections if c.outbox.ready]
         readable, writable, _ = select.select([*channel, *sockets], blocked, [], max(0.0, due_s - now_s))
         if not (readable or writable):
             return
         begun_s = time.monotonic()
         self._first += 1
-        turned = self._first % len(readable) if readable else 0
-        for ready in (*readable[turned:], *readable[:turned]):
+        first = self._first % len(readable) if readable else 0
+        for ready in (*readable[first:], *readable[:first]):
             now_s = time.monotonic()
             spent_s = self._served_s + now_s - begun_s
-            if spent_s > SERVING_SHARE * self.controller.period_s and ready is not readable[turned]:
-                # The others in the next turn.
+            if spent_s > SERVING_SHARE * self.controller.period_s and ready is not readable[first]:
+                # The others in the next round.
                 break
             if isinstance(ready, int):
                 if self.channel is not None:
@@ -219,7 +222,7 @@ class Server:
         try:
             endpoint, _ = listening.accept()
         except OSError:
-            # It went away again.
+            # The client is gone already.
             return
         if self.faults.refusing or len(self._connections) >= MAX_CONNECTIONS:
             endpoint.close()
@@ -228,7 +231,7 @@ class Server:
         endpoint.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self._accepted += 1
-        connection = Connection(endpoint, self._reception.peer(self._listening[listening]), self._accepted)
+        connection = Connection(endpoint, self._peers.peer(self._listening[listening]), self._accepted)
         self._connections.append(connection)
         connection.outbox.answer(connection.peer.greeting())
         self._flush(connection, time.monotonic())
@@ -237,22 +240,22 @@ class Server:
         if connection not in self._connections:
             return
         try:
-            came = connection.socket.recv(RECEIVE)
+            received = connection.socket.recv(RECEIVE)
         except BlockingIOError:
             return
         except OSError:
-            came = b""
-        if not came:
+            received = b""
+        if not received:
             self._drop(connection)
             return
         try:
-            answer, stays = connection.peer.receive(came)
+            answer, stays_open = connection.peer.receive(received)
         except ValueError as error:
-            self.controller.tell(f"{connection.peer.kind} client: {error}")
+            self.controller.write_log(f"{connection.peer.kind} client: {error}")
             self._drop(connection)
             return
         connection.outbox.answer(answer)
-        connection.closing = not stays
+        connection.closing = not stays_open
         self._flush(connection, now_s)
 
     def _flush(self, connection: Connection, now_s: float) -> None:
@@ -290,3 +293,29 @@ def _listen(host: str, port: int) -> socket.socket:
         raise OSError(message) from None
     listening.setblocking(False)
     return listening
+
+
+@contextlib.contextmanager
+def realtime(wanted: Literal["auto", "off", "require"]) -> Iterator[str]:
+    """Runs under SCHED_FIFO where the system grants it, until the end; yields what was granted, for the screen.
+
+    Raises:
+        OSError: It is required and was not granted.
+    """
+    if wanted == "off":
+        yield "not asked for"
+        return
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except (OSError, AttributeError) as error:
+        reason = getattr(error, "strerror", None) or "this system has no SCHED_FIFO"
+        if wanted == "require":
+            message = f"real time: not granted: {reason}"
+            raise OSError(message) from None
+        yield f"not granted: {reason}"
+        return
+    try:
+        yield f"SCHED_FIFO {PRIORITY}"
+    finally:
+        os.sched_setscheduler(0, *before)

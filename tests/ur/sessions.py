@@ -8,11 +8,10 @@ from tests.ur.plain_rtde import frame
 
 from haptether.slave.ur_emulator import ControllerVersion
 from haptether.slave.ur_emulator.rtde.session import RtdeSession
-from haptether.slave.ur_emulator.rtde.variables import inputs_of, outputs_of
-from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
+from haptether.slave.ur_emulator.rtde.variables import RtdeInputs, inputs_of, outputs_of
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_emulator.rtde_types import Value
+    from haptether.slave.ur_emulator.rtde.variables import Value
 
 E_SERIES = ControllerVersion(5, 11, 10, 108)
 CB3 = ControllerVersion(3, 15, 8, 106339)

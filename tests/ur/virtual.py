@@ -14,7 +14,8 @@ from haptether.slave.ur_emulator import (
     ToolEnvironment,
     WrenchSensing,
 )
-from haptether.slave.ur_emulator.control_uploads import CONTROL_SCRIPT
+from haptether.slave.ur_emulator.rtde.session import RtdeSession
+from haptether.slave.ur_emulator.script.control_script import CONTROL_SCRIPT
 from haptether.slave.ur_emulator.script.port import Submitted
 
 START = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
@@ -50,7 +51,7 @@ class World:
     ) -> None:
         touch = None if scene is None else SceneTouch(scene_json(load_scene(scene, overrides)))
         self.environment = ToolEnvironment(touch)
-        self.of = Controller(
+        self.controller = Controller(
             ControllerSettings(
                 model=ur_model("ur5e"),
                 version=ControllerVersion.parsed(version),
@@ -61,8 +62,8 @@ class World:
             self.environment,
             WrenchSensing(noise_n=noise_n, seed=1),
         )
-        self.of.on_engaged = self.environment.engage
-        self.line = ControlLine(self.of, self.environment, Faults())
+        self.controller.on_engaged = self.environment.engage
+        self.line = ControlLine(self.controller, self.environment, Faults())
         self.offset = offset
         if upload:
             self.upload()
@@ -73,7 +74,7 @@ class World:
         """Uploads the control script and waits until it is ready."""
         text = f"{CONTROL_SCRIPT.removesuffix('end')}  # int register offset\n{self.offset}\nend"
         self.write(0)
-        self.of.submit(Submitted("rtde_control", text))
+        self.controller.submit(Submitted("rtde_control", text))
         self.until(lambda: self.playing and self.answer == READY)
 
     def write(self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = ()) -> None:
@@ -81,7 +82,7 @@ class World:
         values: dict[str, float | int] = {f"input_int_register_{self.offset}": command}
         values |= {f"input_double_register_{self.offset + n}": v for n, v in enumerate(doubles)}
         values |= {f"input_int_register_{self.offset + 1 + n}": v for n, v in enumerate(integers)}
-        self.of.inputs.write(values)
+        self.controller.inputs.write(values)
 
     def realtime(self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = ()) -> None:
         """A command of the real-time class: it is written once the script is ready."""
@@ -93,10 +94,10 @@ class World:
     ) -> int:
         """A whole handshake; how many control cycles it took from the command to its answer."""
         self.realtime(command, doubles, integers)
-        begin = self.of.cycles
+        begin = self.controller.cycles
         self.until(lambda: self.answer == DONE or not self.playing, limit_s)
-        assert self.answer == DONE, self.of.log
-        took = self.of.cycles - begin
+        assert self.answer == DONE, self.controller.log
+        took = self.controller.cycles - begin
         self.write(0)
         return took
 
@@ -104,32 +105,39 @@ class World:
         """One call of servoJ."""
         self.realtime(11, [*q, 0.0, 0.0, time_s, lookahead_s, gain])
 
+    def rtde(self, protocol: int = 2) -> RtdeSession:
+        """A session of RTDE with the controller."""
+        of = self.controller
+        return RtdeSession(
+            99, 500.0, lambda: of.version, of.inputs, of.outputs, of.output_types, of.write_log, protocol=protocol
+        )
+
     # ---------------------------------------------------------------------------------------------------- time
 
     def cycles(self, count: int) -> None:
         """Lets control cycles pass."""
         for _ in range(count):
-            self.of.cycle()
+            self.controller.cycle()
 
     def seconds(self, seconds: float) -> None:
         """Lets time pass."""
-        self.cycles(round(seconds / self.of.period_s))
+        self.cycles(round(seconds / self.controller.period_s))
 
     def until(self, holds: "object", limit_s: float = 1.0) -> None:
         """Lets time pass until something holds."""
         assert callable(holds)
-        for _ in range(round(limit_s / self.of.period_s)):
+        for _ in range(round(limit_s / self.controller.period_s)):
             if holds():
                 return
-            self.of.cycle()
-        assert holds(), self.of.log
+            self.controller.cycle()
+        assert holds(), self.controller.log
 
     # --------------------------------------------------------------------------------------------------- outputs
 
     @property
     def playing(self) -> bool:
         """Whether the program runs."""
-        return self.of.runtime.name == "PLAYING"
+        return self.controller.runtime.name == "PLAYING"
 
     @property
     def answer(self) -> int:
@@ -138,23 +146,23 @@ class World:
 
     def integer(self, number: int) -> int:
         """An output register of the script."""
-        value = self.of.outputs[f"output_int_register_{self.offset + number}"]
+        value = self.controller.outputs[f"output_int_register_{self.offset + number}"]
         assert isinstance(value, int)
         return value
 
     def six(self, first: int = 0) -> tuple[float, ...]:
         """Six output registers of the script."""
         names = [f"output_double_register_{self.offset + first + n}" for n in range(6)]
-        return tuple(float(self.of.outputs[name]) for name in names)  # type: ignore[arg-type]
+        return tuple(float(self.controller.outputs[name]) for name in names)  # type: ignore[arg-type]
 
     def vector(self, name: str) -> tuple[float, ...]:
         """An output that is a vector."""
-        value = self.of.outputs[name]
+        value = self.controller.outputs[name]
         assert isinstance(value, tuple)
         return value
 
     def number(self, name: str) -> float:
         """An output that is a number."""
-        value = self.of.outputs[name]
+        value = self.controller.outputs[name]
         assert isinstance(value, float | int)
         return value

@@ -1,18 +1,48 @@
-"""What the tool touches: the environment of a scene, and pushes that are asked for while the emulator runs."""
+"""What the tool touches, and what the force sensor in the flange measures of it."""
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+from haptether._core import ForceSensor
+from haptether.slave.ur_emulator.robot.kinematics import Array, Six, Three
 
 if TYPE_CHECKING:
     from haptether._core import SceneTouch
-    from haptether.slave.ur_emulator.touch import Vector
+
+Vector = tuple[float, float, float]
+
+TORQUE_SHARE: Final = 0.1
+"""Noise of a torque in N m, of that of a force in N."""
+
+
+class Touch(Protocol):
+    """Something that exerts a force on the tool."""
+
+    def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:
+        """Force in N on the tool, in the frame of the base."""
+
+    def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
+        """Moves what gives way over a step."""
+
+
+class FreeSpace:
+    """A `Touch` without contact."""
+
+    def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:  # noqa: ARG002
+        """See `Touch`."""
+        return 0.0, 0.0, 0.0
+
+    def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
+        """See `Touch`."""
 
 
 class ToolEnvironment:
-    """A scene around the tool, at rest until `engage`, and extra pushes.
+    """A `Touch`: a scene around the tool, at rest until `engage`, and pushes on command.
 
-    The scene's coordinates run along the axes of the base; the tool's place when the scene is anchored is where the
+    The scene's coordinates run along the axes of the base; the tool's position when the scene is anchored is where the
     scene's arm starts. Before `engage` the scene's time stands still at its begin and its pushers do not push.
 
     Args:
@@ -33,14 +63,14 @@ class ToolEnvironment:
         return self._engaged_at_s <= self._now_s
 
     def engage(self) -> None:
-        """The scene's time begins now, once."""
+        """Begins the scene's time, once."""
         if not self.engaged:
             self._engaged_at_s = self._now_s
             if self._scene is not None:
                 self._scene.start_pushers(0.0)
 
     def reset(self) -> None:
-        """The scene as at first, not engaged, anchored anew where the tool is next; no push."""
+        """The scene as at the begin, not engaged, anchored anew where the tool is next; no push."""
         if self._scene is not None:
             self._scene.reset()
         self._origin = None
@@ -48,32 +78,88 @@ class ToolEnvironment:
         self._push_until_s = -math.inf
 
     def anchor(self, position: Sequence[float]) -> None:
-        """The tool's place in m, in the frame of the base, is where the scene's arm starts."""
+        """Anchors the scene: its arm starts at this position in m, in the frame of the base."""
         start = (0.0,) * 3 if self._scene is None else self._scene.start
         self._origin = tuple(p - s for p, s in zip(position, start, strict=True))
 
-    def push(self, force: "Vector", duration_s: float) -> None:
-        """An extra force in N on the tool from now on, for a time; it takes the place of the one before."""
+    def push(self, force: Vector, duration_s: float) -> None:
+        """A further force in N on the tool from now on, for a time; it replaces the one before."""
         self._push, self._push_until_s = force, self._now_s + duration_s
 
-    def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> "Vector":
+    def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:
         """See `Touch`."""
         self._now_s = time_s
         push = self._push if time_s < self._push_until_s else (0.0, 0.0, 0.0)
         if self._scene is None:
             return push
-        fx, fy, fz = self._scene.force(self._scene_time(time_s), self._placed(position), velocity)
+        fx, fy, fz = self._scene.force(self._scene_time(time_s), self._in_scene(position), velocity)
         return fx + push[0], fy + push[1], fz + push[2]
 
     def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
         """See `Touch`."""
         if self._scene is not None and self._engaged_at_s <= time_s:
-            self._scene.advance(self._scene_time(time_s), step_s, self._placed(position), velocity)
+            self._scene.advance(self._scene_time(time_s), step_s, self._in_scene(position), velocity)
 
     def _scene_time(self, time_s: float) -> float:
         return max(0.0, time_s - self._engaged_at_s) if math.isfinite(self._engaged_at_s) else 0.0
 
-    def _placed(self, position: Sequence[float]) -> tuple[float, ...]:
+    def _in_scene(self, position: Sequence[float]) -> tuple[float, ...]:
         if self._origin is None:
             self.anchor(position)
         return tuple(p - o for p, o in zip(position, self._origin or (), strict=True))
+
+
+class WrenchSensing:
+    """The force and torque sensor: bias, noise, and the offset that zero_ftsensor sets.
+
+    Args:
+        noise_n: Standard deviation of the forces in N; torques have a tenth of it, in N m.
+        bias: Three offsets in N, three in N m.
+        seed: Of the noise: the same seed gives the same.
+
+    Raises:
+        ValueError: A number that is not finite, or a negative deviation.
+    """
+
+    def __init__(self, noise_n: float = 0.0, bias: Six = (0.0,) * 6, seed: int = 0) -> None:
+        self._force = ForceSensor(noise_n=noise_n, bias_n=list(bias[:3]), seed=seed)
+        self._torque = ForceSensor(noise_n=TORQUE_SHARE * noise_n, bias_n=list(bias[3:]), seed=seed ^ 1 << 63)
+        self.offset: Six = (0.0,) * 6
+        self.external: Six | None = None
+        """The wrench of a client's sensor, which replaces this one; None without."""
+        self._last: Six = (0.0,) * 6
+        self._samples = 0
+
+    def sample(self, wrench: Six) -> Six:
+        """The next sample of a wrench in N and N m at the tool, in the frame of the base, less the offset."""
+        if self.external is None:
+            force = self._force.sample(wrench[:3], self._samples)
+            self._last = (*force, *self._torque.sample(wrench[3:], self._samples))
+            self._samples += 1
+        else:
+            self._last = self.external
+        return tuple([w - o for w, o in zip(self._last, self.offset, strict=True)])
+
+    def raw(self, flange_rotation: Array, lever: Array, weight: Array, cog: Three) -> Six:
+        """The last sample at the flange and in its frame, with the payload and without the offset: ft_raw_wrench.
+
+        Args:
+            flange_rotation: base_from_flange, (3, 3).
+            lever: From the flange to the tool in m, in the frame of the base, (3,).
+            weight: Of the payload in N, in the frame of the base, (3,).
+            cog: The payload's centre of gravity in m, in the frame of the flange.
+        """
+        force, torque = self._last[:3], self._last[3:]
+        gravity = weight @ flange_rotation
+        # np.cross takes longer than all the rest.
+        about_flange = np.array(_cross(lever.tolist(), force)) + torque
+        about_cog = _cross(cog, gravity.tolist())
+        return (*(force @ flange_rotation + gravity).tolist(), *(about_flange @ flange_rotation + about_cog).tolist())
+
+    def zero(self) -> None:
+        """zero_ftsensor: the last sample becomes zero."""
+        self.offset = self._last
+
+
+def _cross(a: Three, b: Three) -> Three:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -1,17 +1,14 @@
-"""Force mode: compliant axes move until the force on them is what was asked for."""
+"""Force mode: compliant axes move until the tool exerts the commanded wrench."""
 
 import math
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from haptether.slave.ur_emulator.script_error import ScriptError
+from haptether.slave.ur_emulator.robot.kinematics import Array, Six
+from haptether.slave.ur_emulator.script.program import ScriptError
 from haptether.slave.ur_pose import matrix_from_rotvec
-
-Six = tuple[float, ...]
-Array = npt.NDArray[np.float64]
 
 MASS_KG: Final = 50.0
 """Virtual mass at a gain scaling of 1."""
@@ -19,8 +16,8 @@ INERTIA_KGM2: Final = 2.0
 """Virtual inertia at a gain scaling of 1."""
 DAMPING_RATE: Final = 400.0
 """Rate in 1/s at which speed decays at a damping of 1."""
-STOPPED: Final = 1e-4
-"""Speed in m/s below which the tool gives no direction to a frame of type 3."""
+MIN_SPEED: Final = 1e-4
+"""Speed in m/s below which a frame of type 3 does not follow the tool."""
 
 
 @dataclass(slots=True)
@@ -49,10 +46,10 @@ class ForceMode:
     _velocity: Six = field(default=(0.0,) * 6)
 
     def begin(self, frame: Six, selection: tuple[bool, ...], wrench: Six, kind: int, limits: Six) -> None:
-        """force_mode: begins, or goes on with other numbers.
+        """force_mode: begins, or continues with other arguments.
 
         Raises:
-            ScriptError: A type that there is not.
+            ScriptError: An unknown type.
         """
         if kind not in {1, 2, 3}:
             message = f"force_mode: type = {kind}: must be 1, 2 or 3"
@@ -71,7 +68,7 @@ class ForceMode:
         self.gain_scaling = min(max(scaling, 0.0), 2.0)
 
     def reset(self) -> None:
-        """As at the begin."""
+        """Ends it, with the defaults of gain scaling and damping."""
         self.end()
         self.gain_scaling, self.damping = 1.0, 0.025
 
@@ -80,11 +77,11 @@ class ForceMode:
         self.active = False
         self._velocity = (0.0,) * 6
 
-    def velocity(self, wanted: Array, measured: Six, tool: Array, actual: Array, step_s: float) -> Array:
+    def velocity(self, commanded: Array, measured: Six, tool: Array, actual: Array, step_s: float) -> Array:
         """Tool velocity in the frame of the base, (6,).
 
         Args:
-            wanted: The program's tool velocity in the frame of the base.
+            commanded: The program's tool velocity in the frame of the base.
             measured: F_e in the frame of the base, in N and N m.
             tool: base_from_tool, (4, 4).
             actual: The tool's velocity in the frame of the base.
@@ -92,12 +89,12 @@ class ForceMode:
         """
         base_from_task = self._base_from_task(tool, actual)
         force = np.array(measured).reshape(2, 3) @ base_from_task
-        follow = wanted.reshape(2, 3) @ base_from_task
+        follow = commanded.reshape(2, 3) @ base_from_task
         wrench_task = force.ravel().tolist()
         velocity = follow.ravel().tolist()
         rate = DAMPING_RATE * self.damping
         decay = math.exp(-rate * step_s)
-        # What is gained over the step under a constant force; step_s without damping.
+        # Velocity gained over the step per unit of acceleration; step_s without damping.
         gain_s = -math.expm1(-rate * step_s) / rate if rate > 0.0 else step_s
         new = []
         for axis, compliant in enumerate(self.selection):
@@ -118,10 +115,10 @@ class ForceMode:
             return frame
         if self.kind == 1:
             # y points from the tool to the origin of the frame.
-            way = np.array(self.frame[:3]) - tool[:3, 3]
-            if (length := float(np.linalg.norm(way))) < 1e-9:
+            direction = np.array(self.frame[:3]) - tool[:3, 3]
+            if (length := float(np.linalg.norm(direction))) < 1e-9:
                 return frame
-            y = way / length
+            y = direction / length
             x = frame[:, 0] - y * float(y @ frame[:, 0])
             if (size := float(np.linalg.norm(x))) < 1e-9:
                 return frame
@@ -130,7 +127,7 @@ class ForceMode:
         # x is the velocity of the tool, projected on the plane of x and y.
         z = frame[:, 2]
         x = actual[:3] - z * float(z @ actual[:3])
-        if (speed := float(np.linalg.norm(x))) < STOPPED:
+        if (speed := float(np.linalg.norm(x))) < MIN_SPEED:
             return frame
         x /= speed
         return np.column_stack((x, np.cross(z, x), z))

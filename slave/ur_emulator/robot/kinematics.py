@@ -1,4 +1,4 @@
-"""Kinematics as the controller uses them: with the tool that is set."""
+"""Kinematics of the arm with the tool that is set."""
 
 import math
 from typing import TYPE_CHECKING
@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.slave.ur_chain import cos_sin, dh_rows
-from haptether.slave.ur_emulator.joint_tracking import Joints
 from haptether.slave.ur_inverse import UrInverse
 from haptether.slave.ur_kinematics import UrKinematics
 from haptether.slave.ur_pose import pose_from_transform, transform_from_pose
@@ -16,15 +15,17 @@ if TYPE_CHECKING:
     from haptether.slave.ur_models import UrModel
 
 Array = npt.NDArray[np.float64]
+Joints = tuple[float, ...]
+"""One number a joint."""
 Six = tuple[float, ...]
 Three = tuple[float, ...]
 
-SINGULAR = 1e-6
-"""Least singular value of the Jacobian, in m and rad per rad, below which a tool velocity has no joint velocity."""
+MIN_SINGULAR_VALUE = 1e-6
+"""Of the Jacobian, in m and rad per rad: below it a tool velocity has no joint velocity."""
 
 
 def six(values: Array) -> Six:
-    """Six plain numbers."""
+    """Six numbers of Python's own."""
     return tuple(values.tolist())
 
 
@@ -59,15 +60,15 @@ class ArmKinematics:
         tool = self._tool if offset is None else transform_from_pose(offset)
         return six(pose_from_transform(self._forward.forward(q) @ tool))
 
-    def flange_turn(self, tool: Array) -> Array:
+    def flange_rotation(self, tool: Array) -> Array:
         """Rotation base_from_flange, (3, 3), from base_from_tool, (4, 4)."""
-        turn: Array = tool[:3, :3] @ self._tool[:3, :3].T
-        return turn
+        rotation: Array = tool[:3, :3] @ self._tool[:3, :3].T
+        return rotation
 
     def lever(self, tool: Array) -> Array:
         """From the flange to the tool in m, in the frame of the base, (3,), from base_from_tool, (4, 4)."""
-        arm: Array = self.flange_turn(tool) @ self._tool[:3, 3]
-        return arm
+        lever: Array = self.flange_rotation(tool) @ self._tool[:3, 3]
+        return lever
 
     def elbow(self, q: Joints, qd: Joints) -> tuple[Three, Three]:
         """Where the upper arm ends, in m, and its velocity in m/s, in the frame of the base: `p_2` of the DH chain.
@@ -87,8 +88,8 @@ class ArmKinematics:
         z = sa * v + ca * w
         px, py, pz = x + rows.a[0] * c1, y + rows.a[0] * s1, z + rows.d[0]
         ax, ay, az = qd[1] * s1 * sa, -qd[1] * c1 * sa, qd[1] * ca
-        turning = (ay * z - az * y - qd[0] * py, az * x - ax * z + qd[0] * px, ax * y - ay * x)
-        return (px, py, pz), turning
+        velocity = (ay * z - az * y - qd[0] * py, az * x - ax * z + qd[0] * px, ax * y - ay * x)
+        return (px, py, pz), velocity
 
     def transform_and_jacobian(self, q: Joints) -> tuple[Array, Array]:
         """base_from_tool, (4, 4), and the Jacobian of the tool: velocity over angular velocity, (6, 6)."""
@@ -101,7 +102,7 @@ class ArmKinematics:
         return flange @ self._tool, moved
 
     def jacobian_rate(self, q: Joints, qd: Joints) -> Array:
-        """How the Jacobian of the tool changes with time, (6, 6), by central differences.
+        """Time derivative of the Jacobian of the tool, (6, 6), by central differences.
 
         The step leaves an error of some 1e-9 of the rate: of the third derivative 1e-10, of rounding 1e-11.
         """
@@ -118,22 +119,22 @@ class ArmKinematics:
         return six(jacobian @ np.array(qd))
 
     def joint_velocity(self, q: Joints, velocity: Six) -> Joints | None:
-        """Joint velocities in rad/s with which the tool has a velocity; None where no finite ones have."""
+        """Joint velocities in rad/s for a velocity of the tool; None at a singularity."""
         _, jacobian = self.transform_and_jacobian(q)
         try:
             rates = np.linalg.solve(jacobian, np.array(velocity))
         except np.linalg.LinAlgError:
             return None
-        return six(rates) if float(np.abs(rates).max()) < 1.0 / SINGULAR else None
+        return six(rates) if float(np.abs(rates).max()) < 1.0 / MIN_SINGULAR_VALUE else None
 
     def inverse(self, pose: Six, near: Joints) -> Joints | None:
-        """Joint angles nearest to others with which the tool has a pose; None where no angles have."""
+        """Joint angles for a pose of the tool, those nearest to `near`; None where it is out of reach."""
         flange = transform_from_pose(pose) @ self._tool_inverse
         found = self._inverse.nearest(flange, np.array(near))
         return None if found is None else six(found)
 
     def is_within_limits(self, q: Joints) -> bool:
-        """Whether every joint may be there."""
+        """Whether every joint is within its position limits."""
         model = self._model
         return all(
             low <= angle <= high for low, angle, high in zip(model.position_min, q, model.position_max, strict=True)

@@ -1,14 +1,13 @@
-"""What the controller can be doing with its joint target; each is asked once a control cycle where that is next."""
+"""Motions of the joint target: profiles, paths, the law of servoj. A motion is stepped once a control cycle."""
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Protocol
 
-from haptether.slave.ur_emulator.joint_tracking import Joints, servo_step
-from haptether.slave.ur_emulator.pose_paths import PosePath
-from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Six
-from haptether.slave.ur_emulator.script_error import ScriptError
-from haptether.slave.ur_emulator.trajectory import Trapezoid
+from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Joints, Six
+from haptether.slave.ur_emulator.script.program import ScriptError
+from haptether.slave.ur_pose import Quaternion, quat_wxyz_from_rotvec, rotvec_from_quat_wxyz
 
 AT_REST = 1e-9
 """Joint speed in rad/s of a target that rests."""
@@ -18,51 +17,64 @@ BRAKING = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where the controller wants the joints: rad, rad/s, rad/s²."""
+    """Joint target: rad, rad/s, rad/s²."""
 
     q: Joints
     qd: Joints = (0.0,) * 6
     qdd: Joints = (0.0,) * 6
 
     @property
-    def rests(self) -> bool:
-        """Whether it does not move."""
+    def at_rest(self) -> bool:
+        """Whether all joint velocities are zero but for rounding."""
         return max(map(abs, self.qd)) < AT_REST
 
 
 class Motion(Protocol):
-    """One way of moving."""
+    """What moves the joint target."""
 
     done: bool
     """Whether the command that began it returns."""
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:
-        """The target after a step in s; the controller's own moves go at a share of their speed."""
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:
+        """The target after a step in s; `scaling` is the share of their speed that the controller's own moves have."""
 
 
-def towards(target: Target, qd: Joints, acceleration: float, step_s: float) -> tuple[Target, bool]:
+# ------------------------------------------------------------------------------------------------------ one step
+
+
+def ramped(target: Target, qd: Joints, acceleration: float, step_s: float) -> tuple[Target, bool]:
     """Joint velocities changed at `acceleration` on the leading joint: the target after the step, and whether reached.
 
     The position follows by the trapezoidal rule, which is exact for a constant acceleration.
     """
     gap = [wanted - now for wanted, now in zip(qd, target.qd, strict=True)]
     largest = max(map(abs, gap))
-    most = acceleration * step_s
-    reached = largest <= most
-    new = qd if reached else tuple(now + d * most / largest for now, d in zip(target.qd, gap, strict=True))
-    return moved(target, new, step_s), reached
+    max_change = acceleration * step_s
+    reached = largest <= max_change
+    new = qd if reached else tuple(now + d * max_change / largest for now, d in zip(target.qd, gap, strict=True))
+    return integrated(target, new, step_s), reached
 
 
-def ahead(target: Target, step_s: float) -> Joints:
-    """Where the joints will be after a step, to its first order: where velocities at its end are looked for."""
+def predicted(target: Target, step_s: float) -> Joints:
+    """Joint angles after a step, to first order: the velocities at its end are solved for there."""
     return tuple(at + rate * step_s for at, rate in zip(target.q, target.qd, strict=True))
 
 
-def moved(target: Target, qd: Joints, step_s: float) -> Target:
-    """The target after a step over which its velocity changes linearly."""
+def integrated(target: Target, qd: Joints, step_s: float) -> Target:
+    """The target after a step over which its velocity changes linearly to qd."""
     q = tuple(at + 0.5 * (old + new) * step_s for at, old, new in zip(target.q, target.qd, qd, strict=True))
     qdd = tuple((new - old) / step_s for new, old in zip(qd, target.qd, strict=True))
     return Target(q, qd, qdd)
+
+
+def differentiated(target: Target, q: Joints, step_s: float) -> Target:
+    """The target at q after a step, its velocity being the mean one."""
+    qd = tuple((new - old) / step_s for new, old in zip(q, target.q, strict=True))
+    qdd = tuple((new - old) / step_s for new, old in zip(qd, target.qd, strict=True))
+    return Target(q, qd, qdd)
+
+
+# --------------------------------------------------------------------------------------------------------- stops
 
 
 @dataclass(slots=True)
@@ -72,42 +84,43 @@ class StopJoints:
     deceleration: float
     done: bool = False
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:  # noqa: ARG002
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
-        new, self.done = towards(target, (0.0,) * 6, self.deceleration, step_s)
+        new, self.done = ramped(target, (0.0,) * 6, self.deceleration, step_s)
         return new
 
 
 @dataclass(slots=True)
 class StopTool:
-    """Stopl: brakes the tool at a deceleration in m/s² on the way that it goes; rad/s² where it only turns."""
+    """Stopl: brakes the tool at a deceleration in m/s² along its path; rad/s² where it only rotates."""
 
     arm: ArmKinematics
     deceleration: float
     done: bool = False
     _velocity: Six | None = None
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
         velocity = self._velocity or self.arm.tool_velocity(target.q, target.qd)
         speed = max(math.hypot(*velocity[:3]), math.hypot(*velocity[3:]))
         left = speed - self.deceleration * step_s
         if left > 0.0:
             self._velocity = tuple(v * left / speed for v in velocity)
-            qd = self.arm.joint_velocity(ahead(target, step_s), self._velocity)
+            qd = self.arm.joint_velocity(predicted(target, step_s), self._velocity)
             if qd is not None:
-                return moved(target, qd, step_s)
-        # At rest, but for what the joints do that the tool does not show; or where the tool cannot be led.
+                return integrated(target, qd, step_s)
+        # At rest, but for joint motion that the tool does not show; or at a singularity.
         self._velocity = (0.0,) * 6
-        stop = StopJoints(self.deceleration)
-        new = stop.step(target, step_s, share)
-        self.done = stop.done
+        new, self.done = ramped(target, (0.0,) * 6, self.deceleration, step_s)
         return new
+
+
+# -------------------------------------------------------------------------------------------------- servo, speed
 
 
 @dataclass(slots=True)
 class Servo:
-    """Servoj: follows a joint target by a second-order law."""
+    """Servoj: follows a joint target by a second-order law, see `servo_step`."""
 
     goal: Joints
     lookahead_s: float
@@ -115,7 +128,7 @@ class Servo:
     max_speed: Joints
     done: bool = True
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:  # noqa: ARG002
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
         q, qd, qdd = servo_step(
             target.q,
@@ -129,6 +142,65 @@ class Servo:
         return Target(q, qd, qdd)
 
 
+def servo_step(
+    q: Joints,
+    qd: Joints,
+    target: Joints,
+    *,
+    lookahead_s: float,
+    gain: float,
+    max_speed: Joints,
+    step_s: float,
+) -> tuple[Joints, Joints, Joints]:
+    """One step of servoj, exact under a target that is held: position, velocity and mean acceleration at its end.
+
+    `q'' = gain (q_target - q - lookahead q')`, so a target that moves at v is followed by `lookahead v`, at
+    `sqrt(gain)` rad/s with a damping ratio of `lookahead sqrt(gain) / 2`. A joint goes no faster than it may.
+
+    Source: second-order model of servoj with the tracking delays that are reported for it (34 ms with a lookahead of
+    0.03 s and a gain of 1200 on a UR10e).
+    """
+    a, b, c, d = transition(gain, gain * lookahead_s, step_s)
+    new_q, new_qd = [], []
+    for now, rate, goal, limit in zip(q, qd, target, max_speed, strict=True):
+        error = now - goal
+        speed = c * error + d * rate
+        if -limit <= speed <= limit:
+            new_q.append(goal + a * error + b * rate)
+            new_qd.append(speed)
+        else:
+            speed = math.copysign(limit, speed)
+            new_q.append(now + 0.5 * (rate + speed) * step_s)
+            new_qd.append(speed)
+    qdd = tuple((new - old) / step_s for new, old in zip(new_qd, qd, strict=True))
+    return tuple(new_q), tuple(new_qd), qdd
+
+
+@lru_cache(maxsize=64)
+def transition(stiffness: float, damping: float, step_s: float) -> tuple[float, float, float, float]:
+    """`e^{A h}` of `e'' = -stiffness e - damping e'`, in closed form, row by row.
+
+    Args:
+        stiffness: In 1/s² (> 0).
+        damping: In 1/s (>= 0).
+        step_s: h in s.
+
+    Source: any text on linear systems; the test holds it to `scipy.linalg.expm`.
+    """
+    half = 0.5 * damping
+    decay = math.exp(-half * step_s)
+    inside = half * half - stiffness
+    if abs(inside) * step_s * step_s < 1e-12:
+        c, s = 1.0, step_s
+    elif inside > 0.0:
+        root = math.sqrt(inside)
+        c, s = math.cosh(root * step_s), math.sinh(root * step_s) / root
+    else:
+        root = math.sqrt(-inside)
+        c, s = math.cos(root * step_s), math.sin(root * step_s) / root
+    return decay * (c + half * s), decay * s, -decay * stiffness * s, decay * (c - half * s)
+
+
 @dataclass(slots=True)
 class SpeedJoints:
     """Speedj: joint velocities in rad/s, reached at an acceleration in rad/s² and kept."""
@@ -137,9 +209,9 @@ class SpeedJoints:
     acceleration: float
     done: bool = False
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:  # noqa: ARG002
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
-        new, self.done = towards(target, self.qd, self.acceleration, step_s)
+        new, self.done = ramped(target, self.qd, self.acceleration, step_s)
         return new
 
 
@@ -152,21 +224,127 @@ class SpeedTool:
     acceleration: float
     done: bool = False
     now: Six | None = None
-    """The velocity that it has come to; that of the joints, when it begins."""
+    """The velocity that it has reached; that of the joints, when it begins."""
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:  # noqa: ARG002
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
         now = self.now or self.arm.tool_velocity(target.q, target.qd)
-        most = self.acceleration * step_s
+        max_change = self.acceleration * step_s
         gap = [wanted - v for wanted, v in zip(self.velocity, now, strict=True)]
         largest = max(math.hypot(*gap[:3]), math.hypot(*gap[3:]))
-        self.done = largest <= most
-        self.now = self.velocity if self.done else tuple(v + d * most / largest for v, d in zip(now, gap, strict=True))
-        qd = self.arm.joint_velocity(ahead(target, step_s), self.now)
+        self.done = largest <= max_change
+        self.now = (
+            self.velocity if self.done else tuple(v + d * max_change / largest for v, d in zip(now, gap, strict=True))
+        )
+        qd = self.arm.joint_velocity(predicted(target, step_s), self.now)
         if qd is None:
             message = "speedl: the arm is singular, no joint velocities move the tool so"
             raise ScriptError(message)
-        return moved(target, qd, step_s)
+        return integrated(target, qd, step_s)
+
+
+@dataclass(slots=True)
+class Torque:
+    """Direct_torque: `I q'' = tau + tau_external - b q'` on every joint, gravity being compensated."""
+
+    torque: Joints
+    inertia: Joints
+    friction: Joints
+    external: Joints = (0.0,) * 6
+    done: bool = True
+
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
+        """See `Motion`."""
+        qd = []
+        for rate, tau, external, inertia, b in zip(
+            target.qd, self.torque, self.external, self.inertia, self.friction, strict=True
+        ):
+            final = (tau + external) / b
+            qd.append(final + (rate - final) * math.exp(-b * step_s / inertia))
+        return integrated(target, tuple(qd), step_s)
+
+
+# --------------------------------------------------------------------------------------------------------- moves
+
+
+@dataclass(frozen=True, slots=True)
+class Trapezoid:
+    """Distance along a path from rest to rest: speeds up at a, goes at v, slows down at a; in m or rad.
+
+    Where the path is shorter than `v²/a`, the top speed is `sqrt(a length)`.
+    """
+
+    length: float
+    speed: float
+    acceleration: float
+
+    @property
+    def top_speed(self) -> float:
+        """The largest speed that is reached."""
+        return min(self.speed, math.sqrt(self.acceleration * self.length))
+
+    @property
+    def rise_s(self) -> float:
+        """Time to the top speed, in s."""
+        return self.top_speed / self.acceleration
+
+    @property
+    def duration_s(self) -> float:
+        """Time from rest to rest, in s."""
+        return self.rise_s + self.length / self.top_speed if self.length > 0.0 else 0.0
+
+    def at(self, time_s: float) -> float:
+        """Distance after a time in s."""
+        if self.length <= 0.0:
+            return 0.0
+        left = self.duration_s - time_s
+        if time_s <= 0.0:
+            return 0.0
+        if left <= 0.0:
+            return self.length
+        rise = self.rise_s
+        if time_s < rise:
+            return 0.5 * self.acceleration * time_s * time_s
+        if left < rise:
+            return self.length - 0.5 * self.acceleration * left * left
+        return self.top_speed * (time_s - 0.5 * rise)
+
+
+@dataclass(slots=True)
+class PosePath:
+    """A straight line from one pose to another, rotating about a fixed axis of the first one's frame."""
+
+    start: Six
+    end: Six
+    _first: Quaternion = field(init=False)
+    _rotation: tuple[float, float, float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        w, x, y, z = self._first = quat_wxyz_from_rotvec(self.start[3:])
+        self._rotation = rotvec_from_quat_wxyz(quat_product((w, -x, -y, -z), quat_wxyz_from_rotvec(self.end[3:])))
+
+    @property
+    def length(self) -> float:
+        """Its length in m, or its angle in rad where that is more."""
+        return max(math.dist(self.start[:3], self.end[:3]), math.hypot(*self._rotation))
+
+    def at(self, share: float) -> Six:
+        """The pose at a share of the path, from 0 to 1."""
+        position = tuple(a + share * (b - a) for a, b in zip(self.start[:3], self.end[:3], strict=True))
+        rotated = quat_product(self._first, quat_wxyz_from_rotvec([share * angle for angle in self._rotation]))
+        return (*position, *rotvec_from_quat_wxyz(rotated))
+
+
+def quat_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Hamilton's product of two quaternions, `quat_wxyz`."""
+    pw, px, py, pz = p
+    qw, qx, qy, qz = q
+    return (
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+    )
 
 
 @dataclass(slots=True)
@@ -181,26 +359,26 @@ class MoveJoints:
     _profile: Trapezoid = field(default=Trapezoid(0.0, 1.0, 1.0))
     _time_s: float = 0.0
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:
         """See `Motion`."""
         if self._from is None:
-            if not target.rests:
-                return towards(target, (0.0,) * 6, self.acceleration, step_s)[0]
+            if not target.at_rest:
+                return ramped(target, (0.0,) * 6, self.acceleration, step_s)[0]
             self._from = Target(target.q)
             length = max(abs(goal - start) for goal, start in zip(self.goal, target.q, strict=True))
             self._profile = Trapezoid(length, self.speed, self.acceleration)
-        self._time_s += share * step_s
+        self._time_s += scaling * step_s
         self.done = self._time_s >= self._profile.duration_s
         if self.done:
             return Target(self.goal)
         at = self._profile.at(self._time_s) / self._profile.length
         q = tuple(start + at * (goal - start) for start, goal in zip(self._from.q, self.goal, strict=True))
-        return placed(target, q, step_s)
+        return differentiated(target, q, step_s)
 
 
 @dataclass(slots=True)
 class MoveTool:
-    """Movel: the tool on a straight line, turning about one axis, from rest to rest; brakes first."""
+    """Movel: the tool on a straight line, rotating about one axis, from rest to rest; brakes first."""
 
     arm: ArmKinematics
     goal: Six
@@ -211,14 +389,14 @@ class MoveTool:
     _profile: Trapezoid = field(default=Trapezoid(0.0, 1.0, 1.0))
     _time_s: float = 0.0
 
-    def step(self, target: Target, step_s: float, share: float) -> Target:
+    def step(self, target: Target, step_s: float, scaling: float) -> Target:
         """See `Motion`."""
         if self._path is None:
-            if not target.rests:
-                return towards(target, (0.0,) * 6, BRAKING, step_s)[0]
+            if not target.at_rest:
+                return ramped(target, (0.0,) * 6, BRAKING, step_s)[0]
             self._path = PosePath(self.arm.pose(target.q), self.goal)
             self._profile = Trapezoid(self._path.length, self.speed, self.acceleration)
-        self._time_s += share * step_s
+        self._time_s += scaling * step_s
         self.done = self._time_s >= self._profile.duration_s
         at = self._profile.at(self._time_s) / self._profile.length if self._profile.length > 0.0 else 1.0
         pose = self.goal if self.done else self._path.at(at)
@@ -226,32 +404,4 @@ class MoveTool:
         if q is None:
             message = "movel: no joint angles for a pose on the way"
             raise ScriptError(message)
-        return Target(q) if self.done else placed(target, q, step_s)
-
-
-@dataclass(slots=True)
-class Torque:
-    """Direct_torque: `I q'' = tau + tau_external - b q'` on every joint, gravity being compensated."""
-
-    torque: Joints
-    inertia: Joints
-    friction: Joints
-    external: Joints = (0.0,) * 6
-    done: bool = True
-
-    def step(self, target: Target, step_s: float, share: float) -> Target:  # noqa: ARG002
-        """See `Motion`."""
-        qd = []
-        for rate, tau, pull, inertia, b in zip(
-            target.qd, self.torque, self.external, self.inertia, self.friction, strict=True
-        ):
-            rest = (tau + pull) / b
-            qd.append(rest + (rate - rest) * math.exp(-b * step_s / inertia))
-        return moved(target, tuple(qd), step_s)
-
-
-def placed(target: Target, q: Joints, step_s: float) -> Target:
-    """The target at q after a step, its velocity being the mean one."""
-    qd = tuple((new - old) / step_s for new, old in zip(q, target.q, strict=True))
-    qdd = tuple((new - old) / step_s for new, old in zip(qd, target.qd, strict=True))
-    return Target(q, qd, qdd)
+        return Target(q) if self.done else differentiated(target, q, step_s)

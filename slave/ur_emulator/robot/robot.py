@@ -1,4 +1,4 @@
-"""The arm under its controller: the joint target, the joints behind it, and what the tool touches."""
+"""The arm under its controller: the joint target, the joints that follow it, and what the tool touches."""
 
 import math
 from collections import deque
@@ -7,45 +7,43 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from haptether.slave.ur_emulator.joint_tracking import JointLoop, Joints
+from haptether.slave.ur_emulator.robot.contact import FreeSpace, Touch, WrenchSensing
 from haptether.slave.ur_emulator.robot.force_mode import ForceMode
-from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Array, Six, six
-from haptether.slave.ur_emulator.robot.motions import Motion, StopJoints, Target, Torque
-from haptether.slave.ur_emulator.script_error import ScriptError
-from haptether.slave.ur_emulator.touch import Nothing, Touch
-from haptether.slave.ur_emulator.wrench_sensor import WrenchSensing
+from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Array, Joints, Six, six
+from haptether.slave.ur_emulator.robot.motions import Motion, StopJoints, Target, Torque, transition
+from haptether.slave.ur_emulator.script.program import ScriptError
 from haptether.slave.ur_pose import pose_from_transform
 
 if TYPE_CHECKING:
     from haptether.slave.ur_models import UrModel
 
-ACCELERATES_AT: Final = 50.0
-"""Acceleration in rad/s² that the motors can give a joint: the inertia is the torque over this."""
+MAX_ACCELERATION: Final = 50.0
+"""rad/s² of a joint at its largest torque: its inertia is that torque over this."""
 BANDWIDTH: Final = 2.0 * math.pi * 30.0
 """Of the loops that hold the joints to their targets, in rad/s."""
 IDLE_DECELERATION: Final = 10.0
-"""rad/s² at which a joint target stops that nothing commands any more."""
+"""rad/s² at which the joint target stops once nothing commands it."""
 FREEDRIVE_LIMITS: Final = (0.25, 0.25, 0.25, 0.5, 0.5, 0.5)
-"""m/s and rad/s at which an arm goes at most that a push moves."""
+"""m/s and rad/s of an arm that is pushed by hand."""
 FRICTION_SHARE: Final = 0.05
 """Of its largest torque, what friction takes of a joint at its largest speed."""
 NO_TORQUE: Final = (0.0,) * 6
-LONGEST_TOOL_M: Final = 10.0
-ABSURD: Final = 3.0
-"""Of the largest speed of a joint, what no target gets to: what is between is for the safety system."""
+MAX_TOOL_M: Final = 10.0
+MAX_TARGET_SPEED: Final = 3.0
+"""Of the largest speed of a joint: a faster target ends the program, a slower one is left to the safety system."""
 HISTORY: Final = 2000
-"""Control cycles that the joint positions are remembered for."""
+"""Control cycles whose joint positions are kept."""
 
 
 class Commander(Protocol):
-    """Who commands a motion: a thread of a program."""
+    """What commands a motion: a thread of a program."""
 
     alive: bool
 
 
 @dataclass(slots=True)
 class Measured:
-    """What the controller measures in a control cycle."""
+    """Measurements of a control cycle."""
 
     q: Joints
     qd: Joints
@@ -57,7 +55,7 @@ class Measured:
     force: Six
     """The true wrench on the tool at its point, in the frame of the base, in N and N m."""
     sensed: Six
-    """As the sensor has it, with its offset taken away."""
+    """As the sensor shows it, less its offset."""
     torque: Joints
     """External torque on each joint in N m."""
 
@@ -71,7 +69,7 @@ class Robot:
         tcp: Its tool in the frame of the flange, in m and rad.
         period_s: Duration of a control cycle in s.
         touch: What the tool touches.
-        sensing: What the force sensor makes of it.
+        sensing: Its force sensor.
     """
 
     def __init__(
@@ -88,22 +86,22 @@ class Robot:
         self.period_s = period_s
         self.arm = ArmKinematics(model)
         self.arm.set_tcp(tcp)
-        self.touch = touch or Nothing()
+        self.touch = touch or FreeSpace()
         self.sensing = sensing or WrenchSensing()
         self.loop = JointLoop(
-            tuple(torque / ACCELERATES_AT for torque in model.max_torque), tuple(model.max_torque), BANDWIDTH
+            tuple(torque / MAX_ACCELERATION for torque in model.max_torque), tuple(model.max_torque), BANDWIDTH
         )
         self.target = Target(q)
         self._plan = self.target
-        """The target as the program's motions go on from it: without the velocity that force mode adds."""
+        """The target that the program's motions continue from: without the velocity that force mode adds."""
         self.force_mode = ForceMode()
         self.friction: Joints = tuple(
             FRICTION_SHARE * torque / speed for torque, speed in zip(model.max_torque, model.max_speed, strict=True)
         )
-        """Viscous friction of each joint in N m s/rad, which only direct torque feels."""
+        """Viscous friction of each joint in N m s/rad, which acts under direct torque only."""
         self._time_s = 0.0
-        self.share = 1.0
-        """At which the controller's own moves go: the speed slider, and what the limit of tool speed leaves of it."""
+        self.speed_scaling = 1.0
+        """Of the controller's own moves: the speed slider, and what the limit of tool speed leaves of it."""
         self.tool_speed = 0.0
         """Of the target, in m/s."""
         self.motion: Motion | None = None
@@ -113,8 +111,8 @@ class Robot:
 
     # ------------------------------------------------------------------------------------------------ commands
 
-    def take(self, motion: Motion, commander: Commander) -> None:
-        """Begins a motion in the name of a thread; when that ends, the motion does.
+    def begin(self, motion: Motion, commander: Commander) -> None:
+        """Begins a motion on behalf of a thread; when that ends, the motion does.
 
         Raises:
             ScriptError: Another thread moves the arm.
@@ -125,45 +123,45 @@ class Robot:
             raise ScriptError(message)
         self.motion, self._commander = motion, commander
 
-    def leave(self, commander: Commander) -> None:
-        """The thread moves the arm no more; what moves still comes to rest."""
+    def release(self, commander: Commander) -> None:
+        """Ends the thread's command of the arm, which comes to rest."""
         if self._commander is commander:
             self.motion, self._commander = None, None
 
     def set_tcp(self, offset: Six) -> None:
-        """Sets the tool in the frame of the flange; what it touches now is touched there.
+        """Sets the tool in the frame of the flange; the contact is then at its point.
 
         Raises:
             ScriptError: A tool of more than 10 m.
         """
-        if not max(map(abs, offset[:3])) <= LONGEST_TOOL_M:
-            message = f"set_tcp: {list(offset)}: must be within {LONGEST_TOOL_M:g} m of the flange"
+        if not max(map(abs, offset[:3])) <= MAX_TOOL_M:
+            message = f"set_tcp: {list(offset)}: must be within {MAX_TOOL_M:g} m of the flange"
             raise ScriptError(message)
         self.arm.set_tcp(offset)
         self.measured = self._measure(self._time_s)
 
     def end_force_mode(self) -> None:
-        """What moves goes on, whatever made it move."""
+        """Ends force mode; the arm goes on at the velocity that it has."""
         if self.force_mode.active:
             self.force_mode.end()
             self._plan = self.target
 
-    def release(self, *, on: bool) -> None:
-        """Lets a push move the arm (freedrive, teach mode), or holds it again."""
+    def set_freedrive(self, *, on: bool) -> None:
+        """Whether a push moves the arm (freedrive, teach mode)."""
         if on:
             self.force_mode.begin((0.0,) * 6, (True,) * 6, (0.0,) * 6, 2, FREEDRIVE_LIMITS)
         else:
             self.end_force_mode()
 
     def brake(self, deceleration: float) -> None:
-        """Stops, whatever commands it."""
+        """Stops the arm, whatever commands it."""
         self.end_force_mode()
         self.motion, self._commander = StopJoints(deceleration), None
 
-    def place(self, q: Joints, tcp: Six) -> None:
-        """Puts the arm somewhere at rest, at once, with a tool and without what was set up."""
+    def reset(self, q: Joints, tcp: Six) -> None:
+        """Puts the arm to q at once, at rest, with a tool and without any other setting."""
         self.target = self._plan = Target(q)
-        self.loop.rest()
+        self.loop.reset()
         self.force_mode.reset()
         self.sensing.offset = (0.0,) * 6
         self.motion, self._commander = None, None
@@ -172,8 +170,8 @@ class Robot:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the arm rests and nobody commands it to move."""
-        return self.target.rests and max(map(abs, self.loop.rate)) < 1e-4
+        """Whether target and joints are at rest."""
+        return self.target.at_rest and max(map(abs, self.loop.rate)) < 1e-4
 
     # ---------------------------------------------------------------------------------------------------- step
 
@@ -194,7 +192,8 @@ class Robot:
             # Under direct torque the external torque moves the target itself.
             free = isinstance(self.motion, Torque)
             self.loop.step(self.target.qdd, NO_TORQUE if free else self.measured.torque, self.period_s)
-            self.touch.advance(time_s - self.period_s, self.period_s, *self._tool_motion())
+            measured = self.measured
+            self.touch.advance(time_s - self.period_s, self.period_s, measured.pose[:3], measured.velocity[:3])
             self.measured = self._measure(time_s)
             self.history.append((self.measured.q, self.measured.sensed))
 
@@ -202,11 +201,11 @@ class Robot:
         motion, commander = self.motion, self._commander
         now = self._plan
         if motion is None or (commander is not None and not commander.alive):
-            motion = self.motion = None if now.rests else StopJoints(IDLE_DECELERATION)
+            motion = self.motion = None if now.at_rest else StopJoints(IDLE_DECELERATION)
             self._commander = None
         if isinstance(motion, Torque):
             motion.external = self.measured.torque
-        plan = Target(now.q) if motion is None else motion.step(now, self.period_s, self.share)
+        plan = Target(now.q) if motion is None else motion.step(now, self.period_s, self.speed_scaling)
         if not self.force_mode.active:
             self._check(plan)
             self._plan = plan
@@ -217,15 +216,15 @@ class Robot:
         return new
 
     def _check(self, target: Target) -> None:
-        for joint, (rate, most) in enumerate(zip(target.qd, self.model.max_speed, strict=True), start=1):
-            # Written such that what is not a number fails too.
-            if not abs(rate) <= ABSURD * most:
+        for joint, (rate, max_speed) in enumerate(zip(target.qd, self.model.max_speed, strict=True), start=1):
+            # Written such that NaN fails too.
+            if not abs(rate) <= MAX_TARGET_SPEED * max_speed:
                 message = f"the target of joint {joint} would move at {rate:.3g} rad/s"
                 raise ScriptError(message)
 
     def _compliant(self, now: Target, new: Target) -> Target:
         _, jacobian = self.arm.transform_and_jacobian(now.q)
-        # What the program moves the joints by, rather than its speed at the end: positions stay together.
+        # The mean speed of the step, not that at its end: positions of program and target stay together.
         mean = [(b - a) / self.period_s for a, b in zip(now.q, new.q, strict=True)]
         velocity = self.force_mode.velocity(
             jacobian @ np.array(mean),
@@ -242,16 +241,62 @@ class Robot:
         qdd = tuple((v - old) / self.period_s for v, old in zip(qd, now.qd, strict=True))
         return Target(q, qd, qdd)
 
-    def _tool_motion(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        return self.measured.pose[:3], self.measured.velocity[:3]
-
     def _measure(self, time_s: float) -> Measured:
         q = tuple(a + d for a, d in zip(self.target.q, self.loop.deflection, strict=True))
         qd = tuple(a + d for a, d in zip(self.target.qd, self.loop.rate, strict=True))
         tool, jacobian = self.arm.transform_and_jacobian(q)
-        # The kinematics lend their memory until the next call.
+        # The kinematics reuse their memory in the next call.
         velocity = six(jacobian @ np.array(qd))
         pose = six(pose_from_transform(tool))
         force = (*self.touch.force(time_s, pose[:3], velocity[:3]), 0.0, 0.0, 0.0)
         torque = six(jacobian.T @ np.array(force))
         return Measured(q, qd, tool, pose, velocity, force, self.sensing.sample(force), torque)
+
+
+@dataclass(slots=True)
+class JointLoop:
+    """The joints as they follow their target: stiff, damped critically, with motors that saturate.
+
+    With `delta = q - q_target` the loop is `delta'' = u - q_target'' + tau / I`, where
+    `u = q_target'' - w² delta - 2 w delta'` is what the motor does and `|I u| <= tau_max`. A joint that has enough
+    torque follows exactly and gives way to an external torque by `tau / (I w²)`.
+
+    Args:
+        inertia: I of each joint in kg m².
+        max_torque: `tau_max` in N m.
+        bandwidth: w in rad/s.
+    """
+
+    inertia: Joints
+    max_torque: Joints
+    bandwidth: float
+    deflection: Joints = (0.0,) * 6
+    rate: Joints = (0.0,) * 6
+    saturated: bool = False
+    """Whether a motor had too little torque in the last step."""
+
+    def step(self, target_qdd: Joints, torque: Joints, step_s: float) -> None:
+        """Advances by a step in s under an external torque in N m that is held."""
+        w = self.bandwidth
+        a, b, c, d = transition(w * w, 2.0 * w, step_s)
+        deflections, rates = [], []
+        self.saturated = False
+        for delta, rate, inertia, max_torque, qdd, tau in zip(
+            self.deflection, self.rate, self.inertia, self.max_torque, target_qdd, torque, strict=True
+        ):
+            motor = qdd - w * w * delta - 2.0 * w * rate
+            limit = max_torque / inertia
+            if -limit <= motor <= limit:
+                settled = tau / (inertia * w * w)
+                deflections.append(settled + a * (delta - settled) + b * rate)
+                rates.append(c * (delta - settled) + d * rate)
+                continue
+            self.saturated = True
+            acceleration = math.copysign(limit, motor) - qdd + tau / inertia
+            deflections.append(delta + rate * step_s + 0.5 * acceleration * step_s * step_s)
+            rates.append(rate + acceleration * step_s)
+        self.deflection, self.rate = tuple(deflections), tuple(rates)
+
+    def reset(self) -> None:
+        """At rest on the target."""
+        self.deflection = self.rate = (0.0,) * 6

@@ -1,9 +1,65 @@
-"""Modes of robot and safety system, and what leads from one to another."""
+"""The safety system: modes of the robot and what leads from one to another, and the limits that stop the arm.
 
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of modes, states and status bits.
+"""
+
+import math
 from collections.abc import Callable
-from typing import Final
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final
 
-from haptether.slave.ur_emulator.robot_state import MOVES, RobotMode, SafetyMode
+if TYPE_CHECKING:
+    from haptether.slave.ur_emulator.robot.robot import Robot
+
+
+class RobotMode(IntEnum):
+    """Power and brakes of the arm."""
+
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+    UPDATING_FIRMWARE = 8
+
+
+class SafetyMode(IntEnum):
+    """State of the safety system."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+JOINT_MODES: Final = {RobotMode.RUNNING: 253, RobotMode.IDLE: 255, RobotMode.BACKDRIVE: 238, RobotMode.BOOTING: 247}
+"""Mode of every joint by mode of the robot; power off (239) in all others."""
+JOINT_POWER_OFF: Final = 239
+
+STATUS_BITS: Final = {
+    SafetyMode.NORMAL: 1 << 0,
+    SafetyMode.REDUCED: 1 << 1,
+    SafetyMode.PROTECTIVE_STOP: 1 << 2,
+    SafetyMode.RECOVERY: 1 << 3,
+    SafetyMode.SAFEGUARD_STOP: 1 << 4,
+    SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7,
+    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7,
+    SafetyMode.VIOLATION: 1 << 8,
+    SafetyMode.FAULT: 1 << 9,
+}
+STOPPED_DUE_TO_SAFETY: Final = 1 << 10
+MOVING_MODES: Final = frozenset({SafetyMode.NORMAL, SafetyMode.REDUCED})
+"""Safety modes in which the arm may move."""
 
 POWER_ON_S: Final = 1.0
 BRAKE_RELEASE_S: Final = 1.0
@@ -13,62 +69,62 @@ class SafetySystem:
     """Time is an argument, in s since the controller started.
 
     Args:
-        unlock_after_s: How long after a protective stop nobody can unlock it.
-        stop: Is told when the arm must stop; its argument says why.
-        tell: Takes lines for the log.
+        unlock_after_s: How long a protective stop cannot be unlocked.
+        stop: Is called when the arm must stop, with the reason.
+        log: Takes lines for the log.
     """
 
-    def __init__(self, unlock_after_s: float, stop: Callable[[str], None], tell: Callable[[str], None]) -> None:
+    def __init__(self, unlock_after_s: float, stop: Callable[[str], None], log: Callable[[str], None]) -> None:
         self.mode = SafetyMode.NORMAL
         self.robot_mode = RobotMode.RUNNING
         self.reason = ""
         """Of the last stop."""
         self._unlock_after_s = unlock_after_s
         self._stop = stop
-        self._tell = tell
+        self._log = log
         self._stopped_at_s = 0.0
         self._next_mode: tuple[float, RobotMode] | None = None
 
     @property
     def may_move(self) -> bool:
         """Whether the arm may move."""
-        return self.mode in MOVES and self.robot_mode == RobotMode.RUNNING
+        return self.mode in MOVING_MODES and self.robot_mode == RobotMode.RUNNING
 
     def advance(self, now_s: float) -> None:
-        """Goes on with what takes time."""
+        """Changes of mode that take time."""
         if self._next_mode is not None and now_s >= self._next_mode[0]:
             self.robot_mode = self._next_mode[1]
             self._next_mode = None
 
     def protective_stop(self, reason: str, now_s: float) -> None:
         """Stops the arm; it stays powered."""
-        if self.mode in MOVES:
-            self._stopped(SafetyMode.PROTECTIVE_STOP, reason, now_s)
+        if self.mode in MOVING_MODES:
+            self._enter_stop(SafetyMode.PROTECTIVE_STOP, reason, now_s)
 
     def emergency_stop(self, now_s: float) -> None:
         """The button of the robot: stops the arm and takes its power."""
         if self.mode != SafetyMode.ROBOT_EMERGENCY_STOP:
-            self._stopped(SafetyMode.ROBOT_EMERGENCY_STOP, "emergency stop", now_s)
+            self._enter_stop(SafetyMode.ROBOT_EMERGENCY_STOP, "emergency stop", now_s)
             self.robot_mode = RobotMode.POWER_OFF
             self._next_mode = None
 
     def release_emergency_stop(self) -> bool:
-        """Turns the button back; the arm stays without power. Whether it was pressed."""
+        """Releases the button; the arm stays without power. Whether it was pressed."""
         pressed = self.mode == SafetyMode.ROBOT_EMERGENCY_STOP
         if pressed:
             self.mode = SafetyMode.NORMAL
         return pressed
 
     def fault(self, reason: str, now_s: float) -> None:
-        """Something of the robot is broken: only `restart` helps."""
-        self._stopped(SafetyMode.FAULT, reason, now_s)
+        """A fault of the robot, which only `restart` or `reset` clears."""
+        self._enter_stop(SafetyMode.FAULT, reason, now_s)
 
     def reset(self) -> None:
-        """As at the begin: ready to move."""
+        """Ready to move, without stops and faults."""
         self.mode, self.robot_mode, self.reason, self._next_mode = SafetyMode.NORMAL, RobotMode.RUNNING, "", None
 
     def unlock(self, now_s: float) -> str:
-        """Unlocks a protective stop: the dashboard's answer."""
+        """Unlocks a protective stop; returns the dashboard's answer."""
         if self.mode != SafetyMode.PROTECTIVE_STOP:
             return "Protective stop releasing"
         if now_s - self._stopped_at_s < self._unlock_after_s:
@@ -80,7 +136,7 @@ class SafetySystem:
         return "Protective stop releasing"
 
     def restart(self, now_s: float) -> None:
-        """Restarts the safety system: all stops are gone, and the power is off."""
+        """Restarts the safety system: clears all stops, power is off."""
         self.power_off()
         self.mode = SafetyMode.NORMAL
         self._stop("the safety system restarts")
@@ -88,13 +144,13 @@ class SafetySystem:
 
     def power_on(self, now_s: float) -> None:
         """Powers the arm; its brakes stay closed."""
-        if self.robot_mode == RobotMode.POWER_OFF and self.mode in MOVES:
+        if self.robot_mode == RobotMode.POWER_OFF and self.mode in MOVING_MODES:
             self.robot_mode = RobotMode.POWER_ON
             self._next_mode = (now_s + POWER_ON_S, RobotMode.IDLE)
 
     def release_brakes(self, now_s: float) -> None:
-        """Makes the arm ready to move; powers it first, if need be."""
-        if self.mode not in MOVES or self.robot_mode == RobotMode.RUNNING:
+        """Makes the arm ready to move; powers it first where it is off."""
+        if self.mode not in MOVING_MODES or self.robot_mode == RobotMode.RUNNING:
             return
         off = self.robot_mode in {RobotMode.POWER_OFF, RobotMode.POWER_ON}
         self.robot_mode = RobotMode.POWER_ON if off else RobotMode.IDLE
@@ -106,9 +162,52 @@ class SafetySystem:
         self._next_mode = None
         self._stop("power off")
 
-    def _stopped(self, mode: SafetyMode, reason: str, now_s: float) -> None:
+    def _enter_stop(self, mode: SafetyMode, reason: str, now_s: float) -> None:
         self.mode = mode
         self.reason = reason
         self._stopped_at_s = now_s
-        self._tell(f"{mode.name.lower().replace('_', ' ')}: {reason}")
+        self._log(f"{mode.name.lower().replace('_', ' ')}: {reason}")
         self._stop(reason)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafetyLimits:
+    """Limits of the teach pendant's safety settings, and two of the controller's own.
+
+    Beyond one of them the arm goes into a protective stop. Those of force and speed are the defaults of e-Series arms;
+    the vendor does not publish those of deviations and jumps.
+    """
+
+    tool_force_n: float = 150.0
+    tool_speed: float = 1.5
+    """m/s."""
+    joint_speed_share: float = 1.05
+    """Of the largest speed of a joint."""
+    deviation: float = 0.1
+    """rad between a joint and its target."""
+    jump: float = 0.3
+    """rad by which a servoj target may change at once."""
+
+    def violation(self, robot: "Robot") -> str | None:
+        """Which limit the arm exceeds, and by what; None if none."""
+        measured = robot.measured
+        force = math.hypot(*measured.force[:3])
+        if force > self.tool_force_n:
+            return f"tool force {force:.1f} N: above {self.tool_force_n:g} N"
+        speed = math.hypot(*measured.velocity[:3])
+        if speed > self.tool_speed:
+            return f"tool speed {speed:.3f} m/s: above {self.tool_speed:g} m/s"
+        model = robot.model
+        for joint in range(6):
+            if abs(measured.qd[joint]) > self.joint_speed_share * model.max_speed[joint]:
+                return f"speed of joint {joint + 1} {measured.qd[joint]:.3f} rad/s: above {model.max_speed[joint]:.3f}"
+            if not model.position_min[joint] <= robot.target.q[joint] <= model.position_max[joint]:
+                return f"position of joint {joint + 1} {robot.target.q[joint]:.3f} rad: beyond its limit"
+            if abs(robot.loop.deflection[joint]) > self.deviation:
+                return f"joint {joint + 1} is {robot.loop.deflection[joint]:.3f} rad away from its path"
+        return None
+
+
+def safety_status_bits(mode: SafetyMode) -> int:
+    """RTDE's `safety_status_bits` of a safety mode."""
+    return STATUS_BITS[mode] | (0 if mode in MOVING_MODES else STOPPED_DUE_TO_SAFETY)

@@ -1,4 +1,4 @@
-"""One RTDE connection: what it was promised, and what it is sent."""
+"""RTDE of one connection: its recipes, answers and data packages."""
 
 import math
 import struct
@@ -7,27 +7,32 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from haptether.slave.ur_emulator.rtde import frames
-from haptether.slave.ur_emulator.rtde_inputs import RtdeInputs
-from haptether.slave.ur_emulator.rtde_types import NOT_FOUND, Number, Value, WireType
-from haptether.slave.ur_emulator.version import ControllerVersion
+from haptether.slave.ur_emulator.rtde.variables import (
+    NOT_FOUND,
+    ControllerVersion,
+    Number,
+    RtdeInputs,
+    Value,
+    WireType,
+)
 
 MAX_RECIPES: Final = 255
 MAX_INPUT_FIELDS: Final = 4096
 """Over all input recipes of a connection; ur_rtde's have some 300."""
 PROTOCOLS: Final = frozenset({1, 2})
-SLOWEST_HZ: Final = 1.0
+MIN_RATE_HZ: Final = 1.0
 
 
 @dataclass(slots=True)
 class InputRecipe:
-    """Inputs that travel together."""
+    """Inputs of one data package."""
 
     names: tuple[str, ...]
     kinds: tuple[WireType, ...]
     layout: struct.Struct
 
     def values(self, packed: bytes) -> dict[str, Value] | None:
-        """What a package of them says; None if it is too short. What is too long has a tail that nobody reads."""
+        """Values of a package; None if it is too short. The tail of one that is too long is ignored."""
         if len(packed) < self.layout.size:
             return None
         numbers = self.layout.unpack_from(packed)
@@ -41,7 +46,7 @@ class InputRecipe:
 
 @dataclass(slots=True)
 class OutputRecipe:
-    """Outputs that travel together, and how often."""
+    """Outputs of one data package, and its rate."""
 
     names: tuple[str, ...]
     scalar: tuple[bool, ...]
@@ -63,7 +68,7 @@ class OutputRecipe:
         return self.head + self.layout.pack(*numbers)
 
     def is_due(self, cycles: int) -> bool:
-        """Whether one is to be sent after so many control cycles; of several that are due only the newest is."""
+        """Whether a package is due after so many control cycles; of several only the newest is sent."""
         self.due += self.share * cycles
         # A share such as 1/3 must not lose a package to rounding.
         whole = math.floor(self.due + 1e-9)
@@ -75,33 +80,34 @@ class OutputRecipe:
 class RtdeSession:
     """The protocol of one connection; it owns no socket.
 
-    Call `receive` with what arrived and send what it gives; call `package` once a control cycle and send that.
+    Call `receive` with bytes that arrived and send what it returns; call `package` once a control cycle and send that.
     """
 
     number: int
     rate_hz: float
     """Of the control cycle."""
     version: Callable[[], ControllerVersion]
-    """What it says the controller's version is."""
+    """The version that clients see."""
     inputs: RtdeInputs
     outputs: Mapping[str, Value]
     output_types: Mapping[str, WireType]
-    tell: Callable[[str], None]
+    log: Callable[[str], None]
+    """Takes text messages of the client."""
     protocol: int = 1
     started: bool = False
     _reader: frames.FrameReader = field(default_factory=frames.FrameReader)
     _recipes: dict[int, InputRecipe] = field(default_factory=dict)
     _output: OutputRecipe | None = None
 
-    def receive(self, came: bytes) -> bytes:
+    def receive(self, received: bytes) -> bytes:
         """Answers to what arrived.
 
         Raises:
             FramingError: It cannot be RTDE.
         """
         answer = bytearray()
-        for kind, payload in self._reader.frames(came):
-            answer += self._answer(frames.request_of(kind, payload, self.protocol))
+        for kind, payload in self._reader.frames(received):
+            answer += self._answer(frames.parsed(kind, payload, self.protocol))
         return bytes(answer)
 
     def package(self, cycles: int = 1) -> bytes | None:
@@ -111,36 +117,36 @@ class RtdeSession:
         return self._output.packed(self.outputs)
 
     def close(self) -> None:
-        """Gives back what it owned."""
+        """Frees the inputs of the connection."""
         self.inputs.release(self.number)
 
     def _answer(self, request: frames.Request) -> bytes:  # noqa: PLR0911
         match request:
-            case frames.Written(number, packed):
+            case frames.DataPackage(number, packed):
                 self._write(number, packed)
                 return b""
-            case frames.ProtocolAsked(version):
+            case frames.ProtocolRequest(version):
                 return self._negotiated(version)
-            case frames.ControllerAsked():
+            case frames.VersionRequest():
                 return frames.controller_version(self.version())
-            case frames.OutputsAsked(rate_hz, names):
+            case frames.OutputsRequest(rate_hz, names):
                 return self._set_up_outputs(rate_hz, names)
-            case frames.InputsAsked(names):
+            case frames.InputsRequest(names):
                 return self._set_up_inputs(names)
-            case frames.StartAsked():
+            case frames.StartRequest():
                 return self._start()
-            case frames.PauseAsked():
+            case frames.PauseRequest():
                 self.started = False
-                return frames.accepted(frames.PAUSE, yes=True)
-            case frames.Told(text):
-                self.tell(text)
+                return frames.acceptance(frames.PAUSE, yes=True)
+            case frames.TextMessage(text):
+                self.log(text)
         return b""
 
     def _negotiated(self, version: int) -> bytes:
         fits = version in PROTOCOLS
         if fits:
             self.protocol = version
-        return frames.accepted(frames.PROTOCOL_VERSION, yes=fits)
+        return frames.acceptance(frames.PROTOCOL_VERSION, yes=fits)
 
     def _set_up_outputs(self, rate_hz: float, names: tuple[str, ...]) -> bytes:
         self.started = False
@@ -151,7 +157,7 @@ class RtdeSession:
             return frames.recipe(frames.SETUP_OUTPUTS, number, [])
         types = [kind.name if (kind := self.output_types.get(name)) else NOT_FOUND for name in names]
         kinds = [kind for name in names if (kind := self.output_types.get(name))]
-        fits = names and NOT_FOUND not in types and rate_hz >= SLOWEST_HZ
+        fits = names and NOT_FOUND not in types and rate_hz >= MIN_RATE_HZ
         if fits:
             layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
             body = b"\x01" if self.protocol != 1 else b""
@@ -178,20 +184,20 @@ class RtdeSession:
         if fits and kinds is not None:
             number = len(self._recipes) + 1
             layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
-            # The names of the table: what a client sent need not be kept.
+            # The names of the table, not those that the client sent: one copy in memory.
             self._recipes[number] = InputRecipe(self.inputs.known(names), kinds, layout)
         return frames.recipe(frames.SETUP_INPUTS, number, types)
 
     def _refuse_list(self, names: tuple[str, ...]) -> None:
-        self.tell(f"list of {len(names)} names refused: must have at most {frames.LONGEST_NAMES} bytes")
+        self.log(f"list of {len(names)} names refused: must have at most {frames.MAX_NAME_LIST} bytes")
 
     def _start(self) -> bytes:
         if self._output is None:
-            return frames.accepted(frames.START, yes=False)
+            return frames.acceptance(frames.START, yes=False)
         self.started = True
         self._output.due = 0.0
-        # Clients wait for the first package without a time limit, so it goes with the answer.
-        return frames.accepted(frames.START, yes=True) + self._output.packed(self.outputs)
+        # Clients wait for the first package without a timeout, so it goes with the answer.
+        return frames.acceptance(frames.START, yes=True) + self._output.packed(self.outputs)
 
     def _write(self, number: int, packed: bytes) -> None:
         # ur_rtde writes to recipes that it has not set up yet while it reconnects: not an error.
@@ -201,4 +207,4 @@ class RtdeSession:
 
 
 def _fits(names: tuple[str, ...]) -> bool:
-    return sum(len(name) + 1 for name in names) <= frames.LONGEST_NAMES
+    return sum(len(name) + 1 for name in names) <= frames.MAX_NAME_LIST

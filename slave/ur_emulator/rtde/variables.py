@@ -1,25 +1,114 @@
-"""Variables of RTDE with their types, and from which version on a controller has them.
+"""Variables of RTDE: their types, the versions of the controller that have them, and the values of the inputs.
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of robot controller inputs and outputs.
+All types are big-endian on the wire, packed without padding.
+
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", field types, tables of robot controller inputs and
+outputs.
 """
 
-from collections.abc import Iterator
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
-from typing import Final
+from typing import Final, Self
 
-from haptether.slave.ur_emulator.rtde_types import (
-    BOOL,
-    DOUBLE,
-    INT32,
-    UINT8,
-    UINT32,
-    UINT64,
-    VECTOR3D,
-    VECTOR6D,
-    VECTOR6INT32,
-    WireType,
-)
-from haptether.slave.ur_emulator.version import ControllerVersion
+Number = float | int | bool
+Value = Number | tuple[Number, ...]
+"""A scalar, or the components of a vector."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireType:
+    """A field type: its name in recipes, its `struct` code and how many of these it has."""
+
+    name: str
+    code: str
+    count: int = 1
+
+    @property
+    def format(self) -> str:
+        """Its part of a `struct` format."""
+        return self.code * self.count
+
+    @property
+    def zero(self) -> Value:
+        """Value of a variable before the first write."""
+        number: Number = {"d": 0.0, "?": False}.get(self.code, 0)
+        return number if self.count == 1 else (number,) * self.count
+
+
+BOOL: Final = WireType("BOOL", "?")
+UINT8: Final = WireType("UINT8", "B")
+UINT32: Final = WireType("UINT32", "I")
+UINT64: Final = WireType("UINT64", "Q")
+INT32: Final = WireType("INT32", "i")
+DOUBLE: Final = WireType("DOUBLE", "d")
+VECTOR3D: Final = WireType("VECTOR3D", "d", 3)
+VECTOR6D: Final = WireType("VECTOR6D", "d", 6)
+VECTOR6INT32: Final = WireType("VECTOR6INT32", "i", 6)
+VECTOR6UINT32: Final = WireType("VECTOR6UINT32", "I", 6)
+
+NOT_FOUND: Final = "NOT_FOUND"
+"""In place of a type: the controller has no such variable."""
+IN_USE: Final = "IN_USE"
+"""In place of a type: another client writes this input."""
+
+
+# ------------------------------------------------------------------------------------------------------ versions
+
+OLDEST_CB3, NEWEST_CB3 = (3, 15), (3, 15)
+OLDEST_E, NEWEST_E = (5, 4), (5, 26)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class ControllerVersion:
+    """Software version of a controller: CB3 has major 3, e-Series and UR-Series have major 5."""
+
+    major: int
+    minor: int
+    bugfix: int = 0
+    build: int = 0
+
+    @classmethod
+    def parsed(cls, text: str) -> Self:
+        """A version from `5.11` or `5.11.10.108`.
+
+        Raises:
+            ValueError: Another form, or a series that is not emulated.
+        """
+        found = re.fullmatch(r"(\d{1,3})\.(\d{1,3})(?:\.(\d{1,9}))?(?:\.(\d{1,9}))?", text)
+        if not found:
+            message = f"version = {text!r}: must be like 5.11 or 5.11.10.108"
+            raise ValueError(message)
+        version = cls(*(int(part or 0) for part in found.groups()))
+        short = (version.major, version.minor)
+        if not (OLDEST_CB3 <= short <= NEWEST_CB3 or OLDEST_E <= short <= NEWEST_E):
+            message = f"version = {text}: must be 3.15 (CB3) or 5.4 to 5.26 (e-Series and UR-Series)"
+            raise ValueError(message)
+        return version
+
+    @property
+    def is_cb3(self) -> bool:
+        """Whether it is a controller of the third generation."""
+        return self.major == 3
+
+    @property
+    def rate_hz(self) -> int:
+        """Control cycles per second: 125 (CB3) or 500."""
+        return 125 if self.is_cb3 else 500
+
+    def has(self, cb3: tuple[int, ...] | None, e_series: tuple[int, ...] | None) -> bool:
+        """Whether it is as new as the version of its series; None stands for never."""
+        since = cb3 if self.is_cb3 else e_series
+        return since is not None and (self.major, self.minor, self.bugfix) >= since
+
+    def __str__(self) -> str:
+        return f"{self.major}.{self.minor}.{self.bugfix}.{self.build}"
+
+
+# -------------------------------------------------------------------------------------------------------- tables
 
 Since = tuple[tuple[int, ...] | None, tuple[int, ...] | None]
 """First version of CB3 and of e-Series controllers."""
@@ -118,13 +207,13 @@ _LOWER_DOUBLES: Final[Since] = ((3, 4), (5,))
 _UPPER: Final[Since] = ((3, 9), (5, 3))
 
 
-def _registers(way: str) -> Iterator[tuple[str, WireType, Since]]:
+def _registers(direction: str) -> Iterator[tuple[str, WireType, Since]]:
     for number in range(REGISTERS):
         upper = number >= UPPER_FROM
-        yield f"{way}_int_register_{number}", INT32, _UPPER if upper else _LOWER_DOUBLES
-        yield f"{way}_double_register_{number}", DOUBLE, _UPPER if upper else _LOWER_DOUBLES
+        yield f"{direction}_int_register_{number}", INT32, _UPPER if upper else _LOWER_DOUBLES
+        yield f"{direction}_double_register_{number}", DOUBLE, _UPPER if upper else _LOWER_DOUBLES
     for number in range(64, 128):
-        yield f"{way}_bit_register_{number}", BOOL, _UPPER
+        yield f"{direction}_bit_register_{number}", BOOL, _UPPER
 
 
 def _table(
@@ -137,11 +226,121 @@ def _table(
 
 @cache
 def outputs_of(version: ControllerVersion) -> dict[str, WireType]:
-    """What a controller of this version can send."""
+    """Outputs of a controller of this version, with their types."""
     return _table(version, _OUTPUTS, "output", "input")
 
 
 @cache
 def inputs_of(version: ControllerVersion) -> dict[str, WireType]:
-    """What a controller of this version can be told."""
+    """Inputs of a controller of this version, with their types."""
     return _table(version, _INPUTS, "input")
+
+
+# -------------------------------------------------------------------------------------------------------- inputs
+
+NO_OWNER = 0
+
+
+class RtdeInputs:
+    """Values of the inputs, and which connection may write which.
+
+    Values persist until they are overwritten; a variable belongs to one connection, until that ends.
+    """
+
+    def __init__(self, types: Mapping[str, WireType]) -> None:
+        self.types = types
+        self.values: dict[str, Value] = {name: kind.zero for name, kind in types.items()}
+        self.writes: Counter[str] = Counter()
+        """How often each has been written, whatever its value."""
+        self.refused = 0
+        """Packages that held a number that is not finite."""
+        self.blocked: frozenset[str] = frozenset()
+        """Inputs that no client gets, as if another one had them."""
+        self.changed: set[str] = set()
+        """Inputs that were written since this was last emptied."""
+        self._owners: dict[str, int] = {}
+        self._names = {name: name for name in types}
+
+    def claim(
+        self, owner: int, names: tuple[str, ...], *, wanted: bool = True
+    ) -> tuple[list[str], tuple[WireType, ...] | None]:
+        """Assigns variables to a connection: the answer for each, and their types, or None if it gets none of them."""
+        answers = [self._answer(owner, name) for name in names]
+        if not wanted or NOT_FOUND in answers or IN_USE in answers:
+            return answers, None
+        for name in self.known(names):
+            self._owners[name] = owner
+        return answers, tuple(self.types[name] for name in names)
+
+    def known(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The same names, as the objects of the table."""
+        return tuple(self._names[name] for name in names)
+
+    def release(self, owner: int) -> None:
+        """Frees the variables of a connection."""
+        self._owners = {name: other for name, other in self._owners.items() if other != owner}
+
+    def write(self, values: Mapping[str, Value]) -> None:
+        """Sets values; a package with a number that is not finite is refused as a whole."""
+        for value in values.values():
+            if not (math.isfinite(value) if isinstance(value, float | int) else all(map(math.isfinite, value))):
+                self.refused += 1
+                return
+        self.values.update(values)
+        self.changed.update(values)
+        self.writes.update(values.keys())
+
+    def _answer(self, owner: int, name: str) -> str:
+        kind = self.types.get(name)
+        if kind is None:
+            return NOT_FOUND
+        mine = self._owners.get(name, NO_OWNER if name in self.blocked else owner) == owner
+        return kind.name if mine else IN_USE
+
+
+DIGITAL_GROUPS = (("standard_digital_output", 0), ("configurable_digital_output", 8), ("tool_digital_output", 16))
+"""Inputs that set digital outputs, and the bit of the controller's outputs where theirs begin."""
+
+DIGITAL_OUTPUTS = 18
+
+
+class DigitalOutputs:
+    """Digital outputs as bits and two analog outputs from 0 to 1, which clients set by inputs."""
+
+    def __init__(self, inputs: RtdeInputs) -> None:
+        self.bits = 0
+        self.analog = [0.0, 0.0]
+        self._inputs = inputs
+        self._writes = dict.fromkeys((*(name for name, _ in DIGITAL_GROUPS), "standard_analog_output_mask"), 0)
+
+    def update(self) -> None:
+        """Applies what was written to the inputs since the last call."""
+        values, writes = self._inputs.values, self._inputs.writes
+        for name, first in DIGITAL_GROUPS:
+            if writes[name] != self._writes[name]:
+                self._writes[name] = writes[name]
+                mask = int(values[f"{name}_mask"]) << first  # type: ignore[arg-type]  # UINT8
+                self.bits = self.bits & ~mask | int(values[name]) << first & mask  # type: ignore[arg-type]
+        name = "standard_analog_output_mask"
+        if writes[name] != self._writes[name]:
+            self._writes[name] = writes[name]
+            for output in range(2):
+                if int(values[name]) >> output & 1:  # type: ignore[arg-type]  # UINT8
+                    share = float(values[f"standard_analog_output_{output}"])  # type: ignore[arg-type]  # DOUBLE
+                    self.analog[output] = min(max(share, 0.0), 1.0)
+
+    def reset(self) -> None:
+        """All off."""
+        self.bits = 0
+        self.analog = [0.0, 0.0]
+
+    def set(self, output: int, *, on: bool) -> None:
+        """Sets one bit: set_digital_out.
+
+        Raises:
+            ValueError: No such output.
+        """
+        if not 0 <= output < DIGITAL_OUTPUTS:
+            message = f"digital output {output}: must be between 0 and {DIGITAL_OUTPUTS - 1}"
+            raise ValueError(message)
+        self.bits = self.bits & ~(1 << output) | on << output

@@ -1,44 +1,194 @@
-"""Programs that are no control script: calls with literal arguments, one line after another, without control flow."""
+"""Programs of calls with literal arguments, one a line, without control flow: all but the control script.
+
+Source: Universal Robots, "The URScript Programming Language".
+"""
 
 import ast
+import math
+import operator
 import re
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from haptether.slave.ur_emulator.script_arguments import (
-    ANYTHING,
-    BOOLEAN,
-    INTEGER,
-    MAX_LINE,
-    MAX_SHOWN,
-    NUMBER,
-    POSE,
-    SIX,
-    TARGET,
-    THREE,
-    Kind,
-    Pose,
-    Signature,
-    Six,
-    literal,
-)
-from haptether.slave.ur_emulator.script_error import ScriptError
+from haptether.slave.ur_emulator.script.program import ScriptError, Six
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_emulator.digital_outputs import DigitalOutputs
-    from haptether.slave.ur_emulator.registers import Registers
+    from haptether.slave.ur_emulator.rtde.variables import DigitalOutputs
     from haptether.slave.ur_emulator.script.functions import ScriptFunctions
-    from haptether.slave.ur_emulator.script.program import Steps
-    from haptether.slave.ur_emulator.setup import Setup
+    from haptether.slave.ur_emulator.script.program import Registers, Setup, Steps
 
 POSE_LITERAL: Final = re.compile(r"\bp\s*\[")
 MAX_CALLS: Final = 5000
 """Of a program."""
 CALLS_PER_CYCLE: Final = 8
-"""That are read in a control cycle: some 0.3 ms of it."""
+"""That are parsed in a control cycle: some 0.3 ms of it."""
+MAX_LINE: Final = 4096
+"""Characters of a call: its syntax tree takes 1000 times as much memory."""
+MAX_SHOWN: Final = 80
+"""Characters of a line or of an argument in a message."""
+ARITHMETIC: Final[dict[type[ast.operator], Callable[[Any, Any], object]]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+POSE: Final = "_pose"
+"""Replaces the `p` of a literal `p[...]`, which Python does not have."""
 
 Call = Callable[[], "Steps | None"]
+
+
+# ------------------------------------------------------------------------------------------------------ arguments
+
+
+class Pose:
+    """A literal `p[...]`."""
+
+    def __init__(self, numbers: Six) -> None:
+        self.numbers = numbers
+
+    def __iter__(self) -> Iterator[float]:
+        return iter(self.numbers)
+
+    def __str__(self) -> str:
+        return f"p{list(self.numbers)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """The kind of an argument: its name, and its conversion."""
+
+    name: str
+    converted: Callable[[object], object]
+    """Raises `ValueError` or `TypeError` for what is not of the kind."""
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    return float(value)
+
+
+def _integer(value: object) -> int:
+    number = _number(value)
+    if number != int(number):
+        raise ValueError
+    return int(number)
+
+
+def _boolean(value: object) -> bool:
+    if not isinstance(value, bool | int | float):
+        raise TypeError
+    return bool(value)
+
+
+def _numbers(value: object, count: int) -> Six:
+    if not isinstance(value, list | Pose):
+        raise TypeError
+    numbers = tuple(map(_number, value))
+    if len(numbers) != count:
+        raise ValueError
+    return numbers
+
+
+def _target(value: object) -> "Pose | Six":
+    return value if isinstance(value, Pose) else _numbers(value, 6)
+
+
+NUMBER: Final = Kind("a finite number", _number)
+INTEGER: Final = Kind("a whole number", _integer)
+BOOLEAN: Final = Kind("True or False", _boolean)
+THREE: Final = Kind("three numbers", lambda value: _numbers(value, 3))
+SIX: Final = Kind("six numbers", lambda value: _numbers(value, 6))
+TARGET: Final = Kind("six numbers or a pose", _target)
+ANYTHING: Final = Kind("a literal", lambda value: value)
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """Parameters of a function, in order; those with a default may be left out."""
+
+    kinds: Mapping[str, Kind]
+    optional: frozenset[str] = frozenset()
+
+    def bound(self, name: str, arguments: Sequence[object], named: Mapping[str, object]) -> dict[str, Any]:
+        """The arguments by name, each converted to its kind.
+
+        Raises:
+            ScriptError: Too many, too few, unknown, given twice, or of another kind.
+        """
+        takes = ", ".join(self.kinds) or "nothing"
+        if len(arguments) > len(self.kinds):
+            message = f"{name}: {len(arguments)} arguments: takes {takes}"
+            raise ScriptError(message)
+        given = dict(zip(self.kinds, arguments, strict=False))
+        for key, value in named.items():
+            if key not in self.kinds or key in given:
+                message = f"{name}: {key}: {'is given twice' if key in given else 'is unknown'}: takes {takes}"
+                raise ScriptError(message)
+            given[key] = value
+        missing = [key for key in self.kinds if key not in given and key not in self.optional]
+        if missing:
+            message = f"{name}: {', '.join(missing)} missing: takes {takes}"
+            raise ScriptError(message)
+        return {key: self._converted(name, key, value) for key, value in given.items()}
+
+    def _converted(self, name: str, key: str, value: object) -> object:
+        kind = self.kinds[key]
+        try:
+            return kind.converted(value)
+        except (TypeError, ValueError, OverflowError):
+            message = f"{name}: {key} = {str(value)[:MAX_SHOWN]}: must be {kind.name}"
+            raise ScriptError(message) from None
+
+
+def literal(node: ast.expr) -> object:
+    """The value of a literal, or of sums, differences, products and quotients of numbers.
+
+    Raises:
+        ValueError: No literal, a number that is not finite, or a text without an encoding in UTF-8.
+    """
+    if isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float | str):
+        return _encodable(_finite(node.value))
+    if isinstance(node, ast.Constant) and node.value is None:
+        return None
+    if isinstance(node, ast.List):
+        return [literal(part) for part in node.elts]
+    if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == POSE:
+        inside = node.slice
+        return Pose(_numbers([literal(part) for part in inside.elts] if isinstance(inside, ast.Tuple) else [], 6))
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        value = _operand(node.operand)
+        return -value if isinstance(node.op, ast.USub) else value
+    if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
+        # Of numbers only: a text times a number would take any amount of memory.
+        return _finite(ARITHMETIC[type(node.op)](_operand(node.left), _operand(node.right)))
+    raise ValueError
+
+
+def _operand(node: ast.expr) -> float:
+    value = literal(node)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    return value
+
+
+def _encodable(value: object) -> object:
+    if isinstance(value, str):
+        # Of an escape such as `\ud800`; it raises a ValueError.
+        value.encode()
+    return value
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, int | float) and not math.isfinite(value):
+        raise ValueError
+    return value
+
+
+# ------------------------------------------------------------------------------------------------------- programs
 
 
 def _takes(optional: str = "", **kinds: Kind) -> Signature:
@@ -73,47 +223,47 @@ SIGNATURES: Final = {
     "write_output_integer_register": _takes(number=INTEGER, value=INTEGER),
     "write_output_float_register": _takes(number=INTEGER, value=NUMBER),
 }
-"""What each function takes."""
+"""Parameters of each function."""
 
 
-class ScriptLines:
-    """Runs such a program.
+class CallProgram:
+    """Reads and runs a program of calls.
 
     Args:
-        do: What URScript can do.
-        registers: Those without an offset.
-        setup: What a program sets up.
+        functions: Functions of URScript.
+        registers: Registers without an offset.
+        setup: Settings by the program.
         digital: The digital outputs.
-        tell: Takes lines for the log.
+        log: Takes lines for the log.
     """
 
     def __init__(
         self,
-        do: "ScriptFunctions",
+        functions: "ScriptFunctions",
         registers: "Registers",
         setup: "Setup",
         digital: "DigitalOutputs",
-        tell: Callable[[str], None],
+        log: Callable[[str], None],
     ) -> None:
-        self._do = do
+        self._script = functions
         self._functions: dict[str, Callable[..., Steps | None]] = {
             "movej": self._movej,
             "movel": self._movel,
-            "stopj": lambda a=2.0: do.stopj(a),
-            "stopl": lambda a=20.0: do.stopl(a),
-            "speedj": lambda qd, a=0.5, t=0.0: do.speedj(qd, a, t),
-            "speedl": lambda xd, a=0.5, t=0.0: do.speedl(xd, a, t),
-            "servoj": lambda q, a=0.0, v=0.0, t=0.002, lookahead_time=0.1, gain=300.0: do.servoj(  # noqa: ARG005
+            "stopj": lambda a=2.0: functions.stopj(a),
+            "stopl": lambda a=20.0: functions.stopl(a),
+            "speedj": lambda qd, a=0.5, t=0.0: functions.speedj(qd, a, t),
+            "speedl": lambda xd, a=0.5, t=0.0: functions.speedl(xd, a, t),
+            "servoj": lambda q, a=0.0, v=0.0, t=0.002, lookahead_time=0.1, gain=300.0: functions.servoj(  # noqa: ARG005
                 q, t, lookahead_time, gain
             ),
-            "sleep": do.sleep,
-            "sync": lambda: do.sleep(0.0),
-            "textmsg": lambda s1, s2="": tell(f"textmsg: {s1}{s2}"),
-            "popup": lambda s, **_: tell(f"popup: {s}"),
-            "set_tcp": lambda pose, tcp_name="": do.robot.set_tcp(pose),  # noqa: ARG005
+            "sleep": functions.sleep,
+            "sync": lambda: functions.sleep(0.0),
+            "textmsg": lambda s1, s2="": log(f"textmsg: {s1}{s2}"),
+            "popup": lambda s, **_: log(f"popup: {s}"),
+            "set_tcp": lambda pose, tcp_name="": functions.robot.set_tcp(pose),  # noqa: ARG005
             "set_payload": lambda m, cog=(0.0, 0.0, 0.0): setup.set_payload(m, cog),
-            "zero_ftsensor": do.robot.sensing.zero,
-            "end_force_mode": do.robot.end_force_mode,
+            "zero_ftsensor": functions.robot.sensing.zero,
+            "end_force_mode": functions.robot.end_force_mode,
             "protective_stop": lambda: setup.protective_stop("protective_stop() of the program"),
             "set_digital_out": lambda n, b: digital.set(n, on=b),
             "set_standard_digital_out": lambda n, b: digital.set(n, on=b),
@@ -124,7 +274,7 @@ class ScriptLines:
         }
 
     def read(self, text: str) -> "Generator[None, None, Steps]":
-        """Reads a program, a few calls at each step; gives what runs it.
+        """Parses a program, a few calls at each step; returns what runs it.
 
         Raises:
             ScriptError: A line that is none of these calls, or too many of them.
@@ -176,10 +326,10 @@ class ScriptLines:
         return call
 
     def _movej(self, q: "Pose | Six", a: float = 1.4, v: float = 1.05, t: float = 0.0, r: float = 0.0) -> "Steps":  # noqa: ARG002
-        return self._do.movej(self._do.inverse(q.numbers) if isinstance(q, Pose) else q, a, v)
+        return self._script.movej(self._script.inverse(q.numbers) if isinstance(q, Pose) else q, a, v)
 
     def _movel(self, pose: "Pose | Six", a: float = 1.2, v: float = 0.25, t: float = 0.0, r: float = 0.0) -> "Steps":  # noqa: ARG002
-        return self._do.movel(pose.numbers if isinstance(pose, Pose) else self._do.arm.pose(pose), a, v)
+        return self._script.movel(pose.numbers if isinstance(pose, Pose) else self._script.arm.pose(pose), a, v)
 
 
 def _statements(text: str) -> Iterator[str]:
@@ -196,7 +346,7 @@ def _parsed(line: str) -> tuple[str, list[object], dict[str, object]]:
     """Name, arguments and named arguments of a call.
 
     Raises:
-        ScriptError: It is none, or its arguments are no literals.
+        ScriptError: No call, or arguments that are no literals.
     """
     if len(line) > MAX_LINE:
         message = f"{line[:MAX_SHOWN]!r}: line of {len(line)} characters: must have at most {MAX_LINE}"
@@ -205,11 +355,11 @@ def _parsed(line: str) -> tuple[str, list[object], dict[str, object]]:
         with warnings.catch_warnings():
             # Python would print the client's escapes to the screen.
             warnings.simplefilter("ignore")
-            # `p[...]` is a list to Python; the movements that care see which it was.
+            # `p[...]` becomes a subscript, which `literal` reads as a `Pose`.
             call = ast.parse(POSE_LITERAL.sub(f"{POSE}[", line), mode="eval").body
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
             raise ValueError
-        named = {word.arg: literal(word.value) for word in call.keywords if word.arg is not None}
+        named = {keyword.arg: literal(keyword.value) for keyword in call.keywords if keyword.arg is not None}
         if len(named) != len(call.keywords):
             raise ValueError
         return call.func.id, [literal(node) for node in call.args], named

@@ -1,11 +1,10 @@
-"""Functions of URScript that move the arm or ask where it is."""
+"""Functions of URScript that move the arm or query its state."""
 
 import math
 from collections.abc import Callable
 from typing import Final
 
-from haptether.slave.ur_emulator.joint_tracking import Joints
-from haptether.slave.ur_emulator.robot.kinematics import Six
+from haptether.slave.ur_emulator.robot.kinematics import Joints, Six
 from haptether.slave.ur_emulator.robot.motions import (
     Motion,
     MoveJoints,
@@ -17,25 +16,24 @@ from haptether.slave.ur_emulator.robot.motions import (
     StopTool,
 )
 from haptether.slave.ur_emulator.robot.robot import Robot
-from haptether.slave.ur_emulator.script.program import Program, Steps
-from haptether.slave.ur_emulator.script_error import ScriptError
+from haptether.slave.ur_emulator.script.program import Program, ScriptError, Steps
 
 LOOKAHEAD_S: Final = (0.03, 0.2)
 GAIN: Final = (100.0, 2000.0)
 CONTACT_N: Final = 5.0
-"""Force in N against the direction of contact from which tool_contact tells of one."""
+"""Force in N against the direction from which tool_contact detects a contact."""
 CONTACT_BEGINS_N: Final = 1.0
-"""Force in N at which it says that the contact began."""
+"""Force in N at which the contact began."""
 
 
 class ScriptFunctions:
-    """What a thread of a program may call; a generator blocks until it is through.
+    """Functions for the threads of a program; a generator blocks until the function returns.
 
     Args:
-        robot: What moves.
-        program: Whose thread calls.
-        jump: rad by which a target of servoj may jump.
-        protective_stop: Is told why, where it jumps by more.
+        robot: The arm.
+        program: The program whose threads call.
+        jump: rad by which a target of servoj may change at once.
+        protective_stop: Is called with the reason where it changes by more.
     """
 
     def __init__(self, robot: Robot, program: Program, jump: float, protective_stop: Callable[[str], None]) -> None:
@@ -62,7 +60,7 @@ class ScriptFunctions:
         return self._until_done(StopJoints(_positive("stopj", "a", deceleration)))
 
     def stopl(self, deceleration: float) -> Steps:
-        """Stops, along the way of the tool."""
+        """Stops, along the path of the tool."""
         return self._until_done(StopTool(self.arm, _positive("stopl", "a", deceleration)))
 
     def servoj(self, q: Joints, time_s: float, lookahead_s: float, gain: float) -> Steps:
@@ -75,8 +73,8 @@ class ScriptFunctions:
             )
             raise ScriptError(message)
         before = self.robot.motion
-        seen = before.goal if isinstance(before, Servo) else self.robot.target.q
-        if max(abs(new - old) for new, old in zip(q, seen, strict=True)) > self._jump:
+        last = before.goal if isinstance(before, Servo) else self.robot.target.q
+        if max(abs(new - old) for new, old in zip(q, last, strict=True)) > self._jump:
             self._protective_stop("C204 path sanity check: sudden change in target position")
         self.begin(Servo(q, lookahead_s, gain, tuple(self.robot.model.max_speed)))
         yield from self.sleep(time_s)
@@ -90,7 +88,7 @@ class ScriptFunctions:
         motion = SpeedTool(self.arm, velocity, _positive("speedl", "a", acceleration))
         before = self.robot.motion
         if isinstance(before, SpeedTool):
-            # Goes on from the velocity that it has, which the joints show only approximately.
+            # Continues from the exact velocity, which the joints have only approximately.
             motion.now = before.now
         yield from self._speeding(motion, time_s)
 
@@ -114,30 +112,30 @@ class ScriptFunctions:
         while not motion.done:
             yield
         if self.program.running is not None:
-            self.robot.leave(self.program.running)
+            self.robot.release(self.program.running)
 
     def begin(self, motion: Motion) -> None:
-        """Begins a motion in the name of the thread that runs.
+        """Begins a motion on behalf of the running thread.
 
         Raises:
             ScriptError: Another thread moves the arm.
         """
         if self.program.running is None:
             raise AssertionError
-        self.robot.take(motion, self.program.running)
+        self.robot.begin(motion, self.program.running)
 
     def _check_joints(self, name: str, q: Joints) -> None:
         if not self.arm.is_within_limits(q):
             message = f"{name}: {list(q)} is beyond the limits of the joints"
             raise ScriptError(message)
 
-    # ----------------------------------------------------------------------------------------------- questions
+    # ----------------------------------------------------------------------------------------------- queries
 
     def inverse(self, pose: Six, near: Joints | None = None) -> Joints:
         """get_inverse_kin: joint angles in rad nearest to others, by default to those of the arm.
 
         Raises:
-            ScriptError: No joint angles have this pose.
+            ScriptError: The pose is out of reach.
         """
         q = self.arm.inverse(pose, near or self.robot.measured.q)
         if q is None or not self.arm.is_within_limits(q):
@@ -151,7 +149,7 @@ class ScriptFunctions:
         return q is not None and self.arm.is_within_limits(q)
 
     def tool_contact(self, direction: Six) -> int:
-        """tool_contact: for how many control cycles the tool has touched something on its way; 0 if it does not.
+        """tool_contact: for how many control cycles the tool has been in contact; 0 without.
 
         The direction is that of the tool, in the frame of the base; the zero vector stands for every direction.
         """
@@ -176,7 +174,7 @@ class ScriptFunctions:
         """get_actual_joint_positions_history: joint angles so many control cycles ago.
 
         Raises:
-            ScriptError: So long ago nobody remembers.
+            ScriptError: Longer ago than the history goes.
         """
         history = self.robot.history
         if not 0 <= steps < len(history):

@@ -1,17 +1,40 @@
-"""A program of the controller: a main thread and others, each a generator that yields once a control cycle."""
+"""A program of the controller: its threads, its registers, the settings that it makes."""
 
-from collections.abc import Generator
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Generator, Mapping, MutableMapping
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from typing import Final
 
-from haptether.slave.ur_emulator.script_error import ScriptError
+from haptether.slave.ur_emulator.rtde.variables import ControllerVersion, Value
 
+Six = tuple[float, ...]
+Three = tuple[float, ...]
 Steps = Generator[None, None, None]
 """Runs until the end of the control cycle at each `yield`."""
+
+MAX_COG_M: Final = 10.0
+MAX_GRAVITY: Final = 100.0
+
+
+class ScriptError(Exception):
+    """A runtime error of URScript: the program ends, and the message goes to the log and to its sender."""
+
+
+class RuntimeState(IntEnum):
+    """State of the program, as RTDE carries it."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
 
 
 @dataclass(slots=True, eq=False)
 class Thread:
-    """A thread of URScript."""
+    """A thread of URScript, run until the end of a control cycle at each call."""
 
     steps: Steps
     alive: bool = True
@@ -20,47 +43,47 @@ class Thread:
         """Runs until its next `yield`.
 
         Raises:
-            ScriptError: What it did stops the program.
+            ScriptError: An error that stops the program.
         """
         if self.alive and next(self.steps, self) is self:
             self.alive = False
 
     def kill(self) -> None:
-        """Ends it where it stands."""
+        """Ends the thread where it is."""
         self.alive = False
         self.steps.close()
 
 
 @dataclass(slots=True, eq=False)
 class Program:
-    """Threads that live and end together."""
+    """A main thread and others, which start and end together."""
 
     name: str
     main: Thread | None = None
     others: list[Thread] = field(default_factory=list)
     running: Thread | None = None
-    """The thread that runs now."""
+    """The thread that is being run."""
 
     def spawn(self, steps: Steps) -> Thread:
-        """Begins a thread besides the main one; it runs first in the next control cycle."""
+        """Begins a further thread; it runs first in the next control cycle."""
         thread = Thread(steps)
         self.others.append(thread)
         return thread
 
     def cycle(self) -> bool:
-        """Runs every thread until the end of the control cycle; whether the program goes on.
+        """Runs every thread until the end of the control cycle; returns whether the program goes on.
 
         The main thread comes last: what it writes for the others reaches them in the next control cycle.
 
         Raises:
-            ScriptError: What a thread did stops the program.
+            ScriptError: An error of a thread, which stops the program.
         """
         for thread in (*self.others, *((self.main,) if self.main else ())):
             self.running = thread
             try:
                 thread.run()
             except (ValueError, ArithmeticError, TypeError) as error:
-                # Numbers that a function cannot do with, a pose of 1e300 m say.
+                # Arguments outside the domain of a function, a pose of 1e300 m say.
                 raise ScriptError(str(error)) from None
         self.others = [thread for thread in self.others if thread.alive]
         return self.main is not None and self.main.alive
@@ -70,3 +93,132 @@ class Program:
         for thread in (*self.others, *((self.main,) if self.main else ())):
             thread.kill()
         self.others = []
+
+
+class Registers:
+    """Input and output registers from an offset on: 0, or 24 for the range of external clients.
+
+    Args:
+        inputs: Values of the inputs, by name.
+        outputs: Values of the outputs, by name.
+        offset: Added to every number of a register.
+    """
+
+    def __init__(self, inputs: Mapping[str, Value], outputs: MutableMapping[str, Value], offset: int = 0) -> None:
+        self._inputs = inputs
+        self._outputs = outputs
+        numbers = range(offset, 48)
+        self._ints = [f"input_int_register_{number}" for number in numbers]
+        self._doubles = [f"input_double_register_{number}" for number in numbers]
+        self._offset = offset
+
+    @property
+    def command(self) -> str:
+        """Name of the input register that holds the command."""
+        return self._ints[0]
+
+    def integer(self, number: int) -> int:
+        """An integer input register."""
+        return self._inputs[self._ints[number]]  # type: ignore[return-value]  # the table says that it is an integer
+
+    def double(self, number: int) -> float:
+        """A double input register."""
+        return self._inputs[self._doubles[number]]  # type: ignore[return-value]  # the table says that it is a number
+
+    def six(self, first: int) -> Six:
+        """Six double input registers."""
+        inputs = self._inputs
+        return tuple([inputs[name] for name in self._doubles[first : first + 6]])  # type: ignore[misc]
+
+    def write_integer(self, number: int, value: int) -> None:
+        """Writes an output register.
+
+        Raises:
+            ScriptError: No such register, or a number that it does not hold.
+        """
+        if not -(2**31) <= value < 2**31:
+            message = f"output integer register {number} = {value}: must have 32 bits"
+            raise ScriptError(message)
+        self._write(f"output_int_register_{number + self._offset}", value)
+
+    def write_double(self, number: int, value: float) -> None:
+        """Writes an output register.
+
+        Raises:
+            ScriptError: No such register, or a number that is not finite.
+        """
+        if not math.isfinite(value):
+            message = f"output double register {number} = {value}: must be finite"
+            raise ScriptError(message)
+        self._write(f"output_double_register_{number + self._offset}", value)
+
+    def _write(self, name: str, value: float) -> None:
+        if name not in self._outputs:
+            message = f"{name}: there is no such register"
+            raise ScriptError(message)
+        self._outputs[name] = value
+
+    def write_six(self, first: int, values: Six) -> None:
+        """Writes six double output registers."""
+        for number, value in enumerate(values, start=first):
+            self.write_double(number, value)
+
+
+@dataclass(slots=True)
+class Setup:
+    """Settings of the controller by programs; those of payload and gravity outlive the program."""
+
+    version: ControllerVersion
+    protective_stop: Callable[[str], None]
+    """Requests a protective stop, with its reason."""
+    engage: Callable[[], None]
+    """Is called at each servo or speed command."""
+    payload_kg: float = 0.0
+    payload_cog: Three = (0.0, 0.0, 0.0)
+    payload_inertia: Six = (0.0,) * 6
+    gravity: Three = (0.0, 0.0, 9.82)
+    watchdog_hz: float | None = None
+    """Minimum rate in Hz at which the command register must be written; None without a watchdog."""
+    watched: str = ""
+    """The input that the watchdog monitors."""
+    watchdog_is_new: bool = False
+    freedrive: bool = False
+    external_sensor: bool = False
+    """Whether the input external_force_torque replaces the force sensor."""
+
+    def set_payload(self, mass_kg: float, cog: Three) -> None:
+        """set_payload; a centre of gravity of zeros keeps the one before (e-Series)."""
+        if not 0.0 <= mass_kg <= 100.0:
+            message = f"set_payload: m = {mass_kg:g}: must be between 0 and 100 kg"
+            raise ScriptError(message)
+        if not max(map(abs, cog)) <= MAX_COG_M:
+            message = f"set_payload: cog = {list(cog)}: must be within {MAX_COG_M:g} m of the flange"
+            raise ScriptError(message)
+        self.payload_kg = mass_kg
+        if any(cog) or self.version.is_cb3:
+            self.payload_cog = cog
+
+    def set_gravity(self, gravity: Three) -> None:
+        """set_gravity: the acceleration in m/s² that holds the base up."""
+        if not max(map(abs, gravity)) <= MAX_GRAVITY:
+            message = f"set_gravity: {list(gravity)}: must be at most {MAX_GRAVITY:g} m/s^2"
+            raise ScriptError(message)
+        self.gravity = gravity
+
+    def set_watchdog(self, name: str, min_frequency: float) -> None:
+        """rtde_set_watchdog with action "stop"."""
+        if not 0.0 < min_frequency <= self.version.rate_hz or not math.isfinite(min_frequency):
+            message = f"rtde_set_watchdog: min_frequency = {min_frequency:g}: must be above 0, at most the control rate"
+            raise ScriptError(message)
+        self.watchdog_hz, self.watched, self.watchdog_is_new = min_frequency, name, True
+
+    def reset(self) -> None:
+        """All settings at their defaults."""
+        fresh = Setup(self.version, self.protective_stop, self.engage)
+        for setting in fields(self):
+            setattr(self, setting.name, getattr(fresh, setting.name))
+
+    def program_ended(self) -> None:
+        """Resets the settings that end with a program."""
+        self.watchdog_hz = None
+        self.freedrive = False

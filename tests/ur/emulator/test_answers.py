@@ -7,7 +7,7 @@ import pytest
 from tests.ur.virtual import DONE, START, UP, World, lifted, shifted
 
 from haptether.slave.ur_emulator import SafetyLimits
-from haptether.slave.ur_emulator.async_progress import RUNNING
+from haptether.slave.ur_emulator.script.control_script import RUNNING
 from haptether.slave.ur_pose import pose_trans
 
 
@@ -82,14 +82,14 @@ def test_jacobians_fill_the_registers_column_after_column() -> None:
     world = World("5.23")
     world.realtime(70)
     world.cycles(1)
-    columns = [float(world.of.outputs[f"output_double_register_{n}"]) for n in (*range(24), *range(36, 48))]  # type: ignore[arg-type]
+    columns = [float(world.controller.outputs[f"output_double_register_{n}"]) for n in (*range(24), *range(36, 48))]  # type: ignore[arg-type]
     jacobian = np.array(columns).reshape(6, 6).T
-    _, expected = world.of.robot.arm.transform_and_jacobian(START)
+    _, expected = world.controller.robot.arm.transform_and_jacobian(START)
     assert jacobian == pytest.approx(expected, abs=1e-12)
     world.realtime(67)
     world.cycles(1)
     assert not world.playing
-    assert "get_mass_matrix" in world.of.log[-1]
+    assert "get_mass_matrix" in world.controller.log[-1]
 
 
 def test_what_a_version_does_not_have_changes_nothing() -> None:
@@ -134,10 +134,10 @@ def test_a_watchdog_stops_the_program_and_the_arm(offset: int) -> None:
     assert world.playing
     world.seconds(0.008)
     assert not world.playing
-    assert "watchdog" in world.of.log[-1]
+    assert "watchdog" in world.controller.log[-1]
     world.seconds(0.2)
     assert world.vector("target_qd") == (0.0,) * 6
-    assert world.of.safety.mode.name == "NORMAL"
+    assert world.controller.safety.mode.name == "NORMAL"
     # It does not outlive the program.
     world.upload()
     world.seconds(1.0)
@@ -156,15 +156,15 @@ def test_zero_ftsensor_takes_away_what_is_there(world: World) -> None:
     world.cycles(1)
     assert world.vector("actual_TCP_force") == (0.0,) * 6
     # At the flange, in its frame and without the offset.
-    turn = world.of.robot.measured.tool[:3, :3]
+    turn = world.controller.robot.measured.tool[:3, :3]
     assert world.vector("ft_raw_wrench")[:3] == pytest.approx(turn.T @ (3.0, -4.0, 12.0))
 
 
 def test_the_sensor_carries_the_payload_and_the_force_at_the_tool_does_not(world: World) -> None:
     cog = (0.01, -0.02, 0.05)
-    world.of.setup.set_payload(1.5, cog)
+    world.controller.setup.set_payload(1.5, cog)
     world.cycles(2)
-    turn = world.of.robot.measured.tool[:3, :3]
+    turn = world.controller.robot.measured.tool[:3, :3]
     weight = turn.T @ (0.0, 0.0, -1.5 * 9.82)
     assert world.vector("ft_raw_wrench") == pytest.approx([*weight, *np.cross(cog, weight)])
     assert world.vector("actual_TCP_force")[:3] == (0.0, 0.0, 0.0)
@@ -249,7 +249,7 @@ def test_direct_torque_turns_a_joint_against_its_friction() -> None:
     for _ in range(250):
         world.realtime(66, [3.0, 0.0, 0.0, 0.0, 0.0, 0.0, *(0.0,) * 12])
         world.cycles(1)
-    inertia, friction = world.of.robot.loop.inertia[0], world.of.robot.friction[0]
+    inertia, friction = world.controller.robot.loop.inertia[0], world.controller.robot.friction[0]
     assert (inertia, friction) == pytest.approx((150.0 / 50.0, 0.05 * 150.0 / math.pi))
     # I q'' = tau - b q', from rest.
     t = 249 * 0.002
@@ -265,7 +265,7 @@ def test_direct_torque_turns_a_joint_against_its_friction() -> None:
 
 
 def test_a_sensor_of_the_client_can_take_the_place_of_the_flange(world: World) -> None:
-    world.of.inputs.write({"external_force_torque": (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)})
+    world.controller.inputs.write({"external_force_torque": (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)})
     world.cycles(2)
     assert world.vector("actual_TCP_force") == (0.0,) * 6
     world.call(56, [0.5, *(0.0,) * 6], [1])

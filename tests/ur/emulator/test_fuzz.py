@@ -14,7 +14,6 @@ from tests.ur.virtual import START, World
 
 from haptether.slave.ur_emulator.dashboard import Dashboard
 from haptether.slave.ur_emulator.rtde.frames import FrameReader, FramingError
-from haptether.slave.ur_emulator.rtde.session import RtdeSession
 from haptether.slave.ur_emulator.script.calls import SIGNATURES
 from haptether.slave.ur_emulator.script.port import ScriptReader
 
@@ -41,19 +40,13 @@ def all_finite(of: World) -> bool:
     def finite(value: object) -> bool:
         return all(map(finite, value)) if isinstance(value, tuple) else math.isfinite(value)  # type: ignore[arg-type]
 
-    return all(map(finite, of.of.outputs.values()))
-
-
-def session_of(of: World, protocol: int = 2) -> RtdeSession:
-    return RtdeSession(
-        99, 500.0, lambda: of.of.version, of.of.inputs, of.of.outputs, of.of.output_types, of.of.tell, protocol=protocol
-    )
+    return all(map(finite, of.controller.outputs.values()))
 
 
 def packed(of: World) -> bool:
     """Whether every output there is can be sent by RTDE."""
-    for names in batched(of.of.output_types, 60):
-        session = session_of(of, protocol=1)
+    for names in batched(of.controller.output_types, 60):
+        session = of.rtde(protocol=1)
         session.receive(frame("O", ",".join(names).encode()))
         session.receive(frame("S"))
         if not session.package(10):
@@ -120,7 +113,7 @@ def lines(calls: Iterable[tuple[str, list[str]]]) -> str:
 def test_whatever_the_script_says(calls: list[tuple[str, list[str]]], kind: str) -> None:
     of = world()
     for submitted in ScriptReader().receive(f"{kind} fuzz():\n{lines(calls)}end\n".encode()):
-        of.of.submit(submitted)
+        of.controller.submit(submitted)
     of.cycles(30)
     assert all_finite(of)
     assert packed(of)
@@ -129,10 +122,10 @@ def test_whatever_the_script_says(calls: list[tuple[str, list[str]]], kind: str)
 @given(st.lists(st.binary(max_size=60), max_size=5))
 def test_whatever_comes_on_the_other_ports(pieces: list[bytes]) -> None:
     of = world()
-    reader, dashboard = ScriptReader(), Dashboard(of.of)
+    reader, dashboard = ScriptReader(), Dashboard(of.controller)
     for piece in pieces:
         for submitted in reader.receive(piece):
-            of.of.submit(submitted)
+            of.controller.submit(submitted)
         text = piece.decode("utf-8", "replace")
         assert dashboard.answer(text)[0]
         assert "\n" not in of.line.answer(text.replace("quit", ""), 0.0)
@@ -161,7 +154,7 @@ def test_every_function_with_every_number_of_arguments(name: str) -> None:
     for count in range(len(SIGNATURES[name].kinds) + 2):
         for value in (*WRONG, "1", repr(list(START)), f"p{list(START)!r}"):
             for submitted in ScriptReader().receive(f"{name}({', '.join([value] * count)})\n".encode()):
-                of.of.submit(submitted)
+                of.controller.submit(submitted)
             of.cycles(14)
             assert all_finite(of), (name, count, value)
     assert packed(of)
@@ -186,7 +179,7 @@ requests = st.one_of(
 @given(st.lists(requests, max_size=5), st.sampled_from([1, 2]), st.integers(1, 64))
 def test_whatever_an_rtde_client_asks(asked: list[tuple[str, bytes]], protocol: int, piece: int) -> None:
     of = world()
-    session = session_of(of, protocol)
+    session = of.rtde(protocol)
     stream = b"".join(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload for kind, payload in asked)
     for begin in range(0, len(stream), 1009 * piece):
         whole_frames(session.receive(stream[begin : begin + 1009 * piece]))
@@ -199,15 +192,15 @@ def test_whatever_an_rtde_client_asks(asked: list[tuple[str, bytes]], protocol: 
 def test_whatever_a_clients_sensor_measures(wrench: list[float]) -> None:
     of = world()
     of.upload()
-    of.of.setup.external_sensor = True
-    of.of.inputs.write({"external_force_torque": tuple(wrench)})
+    of.controller.setup.external_sensor = True
+    of.controller.inputs.write({"external_force_torque": tuple(wrench)})
     of.cycles(5)
     assert all_finite(of)
 
 
 @given(st.binary(max_size=200))
 def test_what_is_no_frame_ends_the_connection_and_nothing_else(stream: bytes) -> None:
-    session = session_of(world())
+    session = world().rtde()
     try:
         whole_frames(session.receive(stream))
     except FramingError:
@@ -216,11 +209,11 @@ def test_what_is_no_frame_ends_the_connection_and_nothing_else(stream: bytes) ->
 
 def test_a_list_of_names_that_is_too_long_gets_no_types() -> None:
     of = world()
-    session = session_of(of)
+    session = of.rtde()
     names = b",".join([b"x"] * 7000)
     assert session.receive(frame("O", struct.pack(">d", 125.0) + names)) == frame("O", b"\x00")
     assert session.receive(frame("I", names)) == frame("I", b"\x00")
-    assert session_of(of, 1).receive(frame("O", names)) == frame("O")
+    assert of.rtde(1).receive(frame("O", names)) == frame("O")
     # The longest that is allowed has an answer of its own.
     known: Any = session.receive(frame("O", struct.pack(">d", 125.0) + b",".join([b"actual_q"] * 227)))
     assert known[3:4] == b"\x01"

@@ -12,7 +12,7 @@ from tests.ur.emulated import Emulated, emulator
 from tests.ur.plain_rtde import Client
 from tests.ur.virtual import START
 
-from haptether.slave.ur_emulator.outbox import PATIENCE_S
+from haptether.slave.ur_emulator.connections import READ_TIMEOUT_S
 
 pytestmark = pytest.mark.live
 
@@ -85,7 +85,7 @@ def test_a_client_that_reads_nothing_is_dropped_and_others_are_not(arm: Emulated
         while arm.status()["connections"].count("rtde") == 2:
             assert other.package()["timestamp"] - begin < 10.0
         # Nobody is dropped before the end of patience.
-        assert time.monotonic() - begun_s > PATIENCE_S
+        assert time.monotonic() - begun_s > READ_TIMEOUT_S
         # What else is missing, a machine that stalls takes.
         gaps = np.diff([other.package()["timestamp"] for _ in range(100)])
         assert np.median(gaps) == pytest.approx(0.002, abs=1e-6)

@@ -12,7 +12,7 @@ from tests.ur.emulated import Emulated, client, emulator
 from tests.ur.plain_rtde import Client
 from tests.ur.virtual import START
 
-from haptether.slave.ur_emulator.joint_tracking import transition
+from haptether.slave.ur_emulator.robot.motions import transition
 
 pytestmark = pytest.mark.alone
 

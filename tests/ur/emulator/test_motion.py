@@ -8,17 +8,19 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptether.slave.ur_emulator.joint_tracking import JointLoop, servo_step, transition
-from haptether.slave.ur_emulator.pose_paths import PosePath
 from haptether.slave.ur_emulator.robot.force_mode import ForceMode
 from haptether.slave.ur_emulator.robot.motions import (
     Motion,
     MoveJoints,
+    PosePath,
     SpeedJoints,
     StopJoints,
     Target,
+    Trapezoid,
+    servo_step,
+    transition,
 )
-from haptether.slave.ur_emulator.trajectory import Trapezoid
+from haptether.slave.ur_emulator.robot.robot import JointLoop
 from haptether.slave.ur_pose import matrix_from_rotvec
 
 STEP_S = 0.002
@@ -171,7 +173,7 @@ def test_stopj_brakes_in_step() -> None:
     path, end = run(StopJoints(2.0), Target(SIX, (1.0, -0.5, 0.0, 0.0, 0.0, 0.0)))
     assert len(path) * STEP_S == pytest.approx(0.5, abs=STEP_S)
     assert end.q[:2] == pytest.approx((0.25, -0.125), abs=1e-3)
-    assert end.rests
+    assert end.at_rest
 
 
 def test_speedj_ramps_and_keeps_its_speed() -> None:

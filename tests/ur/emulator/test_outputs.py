@@ -12,7 +12,7 @@ from tests.ur.virtual import START, UP, World
 from haptether.slave import ur_model
 from haptether.slave.ur_chain import DhRows, chain_transform, dh_rows
 from haptether.slave.ur_emulator import ControllerVersion, SafetyLimits
-from haptether.slave.ur_emulator.connections import SCRIPT, Reception
+from haptether.slave.ur_emulator.connections import SCRIPT, PeerFactory
 from haptether.slave.ur_emulator.dashboard import Dashboard
 from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics
 from haptether.slave.ur_emulator.rtde.variables import MISSING, ZERO, outputs_of
@@ -62,9 +62,9 @@ def test_the_document_names_what_is_missing_and_what_stays_0() -> None:
 def test_what_is_said_to_stay_0_does_and_all_else_does_not() -> None:
     world = World("5.26", scene="three_axis_box", noise_n=0.1, tcp=(0.0, 0.01, 0.1, 0.2, 0.0, 0.0))
     seen: set[str] = set()
-    world.of.setup.set_payload(1.0, (0.0, 0.0, 0.1))
-    world.of.setup.payload_inertia = (0.1,) * 6
-    world.of.inputs.write({
+    world.controller.setup.set_payload(1.0, (0.0, 0.0, 0.1))
+    world.controller.setup.payload_inertia = (0.1,) * 6
+    world.controller.inputs.write({
         "speed_slider_mask": 1, "speed_slider_fraction": 0.9, "standard_digital_output_mask": 1,
         "standard_digital_output": 1, "standard_analog_output_mask": 3, "standard_analog_output_0": 0.5,
         "standard_analog_output_1": 0.5, "input_bit_registers0_to_31": 5, "input_bit_registers32_to_63": 6,
@@ -72,7 +72,7 @@ def test_what_is_said_to_stay_0_does_and_all_else_does_not() -> None:
     world.realtime(10, [*UP, 0.5, 0.1])
     for _ in range(60):
         world.cycles(1)
-        for name, value in world.of.outputs.items():
+        for name, value in world.controller.outputs.items():
             if any(value) if isinstance(value, tuple) else value:
                 seen.add(name)
     assert not seen & ZERO
@@ -82,9 +82,11 @@ def test_what_is_said_to_stay_0_does_and_all_else_does_not() -> None:
 
 def test_inputs_can_be_read_back() -> None:
     world = World("5.11", upload=False)
-    world.of.inputs.write({"input_int_register_47": -3, "input_double_register_0": 2.5, "input_bit_register_127": True})
+    world.controller.inputs.write(
+        {"input_int_register_47": -3, "input_double_register_0": 2.5, "input_bit_register_127": True}
+    )
     world.cycles(1)
-    outputs = world.of.outputs
+    outputs = world.controller.outputs
     assert outputs["input_int_register_47"] == -3
     assert outputs["input_double_register_0"] == 2.5
     assert outputs["input_bit_register_127"] is True
@@ -114,7 +116,7 @@ def test_the_elbow_in_the_stream_is_that_of_the_arm() -> None:
     places = []
     for _ in range(200):
         world.cycles(1)
-        places.append((world.of.outputs["elbow_position"], world.of.outputs["elbow_velocity"]))
+        places.append((world.controller.outputs["elbow_position"], world.controller.outputs["elbow_velocity"]))
     (before, _), (_, velocity), (after, _) = places[-3:]
     rate = (np.array(after) - np.array(before)) / 0.004
     assert np.linalg.norm(rate) > 0.005
@@ -126,31 +128,35 @@ def test_accelerations_of_the_tool_are_those_of_its_velocities() -> None:
     world.realtime(10, [*UP, 0.5, 0.1])
     world.cycles(20)
     # speedl at 0.5 m/s² along z.
-    assert world.of.outputs["target_TCP_acceleration"] == pytest.approx((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), abs=0.02)
-    assert world.of.outputs["actual_TCP_acceleration"] == pytest.approx((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), abs=0.02)
+    assert world.controller.outputs["target_TCP_acceleration"] == pytest.approx(
+        (0.0, 0.0, 0.5, 0.0, 0.0, 0.0), abs=0.02
+    )
+    assert world.controller.outputs["actual_TCP_acceleration"] == pytest.approx(
+        (0.0, 0.0, 0.5, 0.0, 0.0, 0.0), abs=0.02
+    )
 
 
 @pytest.mark.parametrize("slider", [1.0, 0.4, 0.0])
 def test_the_slider_is_told_once(slider: float) -> None:
     world = World()
-    world.of.slider = slider
+    world.controller.slider = slider
     world.cycles(3)
     # Clients multiply both.
-    assert world.of.outputs["speed_scaling"] == 1.0
-    assert world.of.outputs["target_speed_fraction"] == slider
+    assert world.controller.outputs["speed_scaling"] == 1.0
+    assert world.controller.outputs["target_speed_fraction"] == slider
 
 
 def test_the_limiter_is_told_beside_the_slider() -> None:
     world = World(limits=SafetyLimits(tool_speed=0.5))
-    world.of.slider = 0.8
+    world.controller.slider = 0.8
     world.cycles(1)
     q = (START[0] + 1.5, *START[1:])
     world.realtime(1, [*q, 3.1, 3.0], [1])
     shares: list[float] = []
     for _ in range(400):
         world.cycles(1)
-        scaling, fraction = (world.of.outputs[name] for name in ("speed_scaling", "target_speed_fraction"))
-        assert scaling * fraction == pytest.approx(world.of.robot.share)  # type: ignore[operator]
+        scaling, fraction = (world.controller.outputs[name] for name in ("speed_scaling", "target_speed_fraction"))
+        assert scaling * fraction == pytest.approx(world.controller.robot.speed_scaling)  # type: ignore[operator]
         assert isinstance(scaling, float)
         shares.append(scaling)
     # 3.1 rad/s at 0.4 m and more from the base are more than the limit.
@@ -178,14 +184,14 @@ def test_the_limiter_is_told_beside_the_slider() -> None:
     ],
 )  # fmt: skip
 def test_the_dashboard_answers_as_universal_robots_own_client_expects(line: str, answer: str) -> None:
-    said, stays = Dashboard(World("5.11", upload=False).of).answer(line)
+    said, stays = Dashboard(World("5.11", upload=False).controller).answer(line)
     assert re.fullmatch(answer, said), said
     assert stays
 
 
 def test_the_operational_mode_is_kept_until_it_is_cleared() -> None:
     world = World(upload=False)
-    dashboard = Dashboard(world.of)
+    dashboard = Dashboard(world.controller)
     for mode in ("manual", "automatic"):
         dashboard.answer(f"set operational mode {mode}")
         assert dashboard.answer("get operational mode")[0] == mode.upper()
@@ -196,7 +202,7 @@ def test_the_operational_mode_is_kept_until_it_is_cleared() -> None:
 
 def test_after_load_the_state_has_the_name_of_the_file() -> None:
     world = World()
-    dashboard = Dashboard(world.of)
+    dashboard = Dashboard(world.controller)
     dashboard.answer("stop")
     assert dashboard.answer("load /programs/rtde_control.urp")[0] == "Loading program: /programs/rtde_control.urp"
     assert dashboard.answer("programState")[0] == "STOPPED rtde_control.urp"
@@ -222,7 +228,7 @@ def robot_message(packed: bytes) -> tuple[int, int, str]:
 )
 def test_who_sent_a_script_is_told_what_stopped_it(port: int, script: str, said: str) -> None:
     world = World(upload=False)
-    reception = Reception(world.of)
+    reception = PeerFactory(world.controller)
     sender, other = reception.peer(port), reception.peer(port)
     assert sender.kind == SCRIPT
     sender.receive(script.encode())
@@ -238,8 +244,8 @@ def test_who_sent_a_script_is_told_what_stopped_it(port: int, script: str, said:
 
 def test_a_script_that_is_refused_is_told() -> None:
     world = World(upload=False)
-    world.of.remote_control = False
-    sender = Reception(world.of).peer(30002)
+    world.controller.remote_control = False
+    sender = PeerFactory(world.controller).peer(30002)
     sender.receive(b"stopj(2)\n")
     package = sender.package(1)
     assert package is not None

@@ -5,8 +5,7 @@ import pytest
 from tests.ur.virtual import DONE, READY, START, UP, World, lifted, shifted
 
 from haptether.slave.ur_emulator import SafetyLimits
-from haptether.slave.ur_emulator.async_progress import RUNNING
-from haptether.slave.ur_emulator.control_uploads import PathMove, recognised
+from haptether.slave.ur_emulator.script.control_script import RUNNING, PathMove, recognised
 from haptether.slave.ur_emulator.script.port import Submitted
 
 
@@ -34,9 +33,9 @@ def test_a_command_is_done_once_and_answered_until_it_is_taken_back(version: str
 
 def test_the_script_starts_a_while_after_its_upload() -> None:
     world = World(upload=False)
-    assert world.of.runtime.name == "STOPPED"
+    assert world.controller.runtime.name == "STOPPED"
     world.upload()
-    assert world.of.now_s == pytest.approx(0.02)
+    assert world.controller.now_s == pytest.approx(0.02)
 
 
 def test_commands_of_the_realtime_class_are_answered_by_ready(world: World) -> None:
@@ -55,7 +54,7 @@ def test_a_program_ends_by_its_command_and_is_replaced_by_the_next(world: World)
     world.upload()
     assert world.playing
     # An upload stops what runs, at once.
-    world.of.submit(Submitted("other", "def other():\n  sleep(0.1)\nend"))
+    world.controller.submit(Submitted("other", "def other():\n  sleep(0.1)\nend"))
     assert not world.playing
     world.cycles(11)
     assert world.playing
@@ -113,7 +112,7 @@ def test_servol_solves_the_inverse_kinematics(world: World) -> None:
     world.realtime(24, [2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.002, 0.1, 300.0])
     world.cycles(2)
     assert not world.playing
-    assert "no solution" in world.of.log[-1]
+    assert "no solution" in world.controller.log[-1]
 
 
 @pytest.mark.parametrize(("lookahead_s", "gain"), [(0.02, 300.0), (0.3, 300.0), (0.1, 50.0), (0.1, 3000.0)])
@@ -123,7 +122,7 @@ def test_servoj_with_numbers_that_it_does_not_take_stops_the_program(
     world.servo(START, lookahead_s=lookahead_s, gain=gain)
     world.cycles(3)
     assert not world.playing
-    assert "servoj: lookahead_time" in world.of.log[-1]
+    assert "servoj: lookahead_time" in world.controller.log[-1]
 
 
 def test_speedl_goes_on_until_it_is_stopped(world: World) -> None:
@@ -168,7 +167,7 @@ def test_a_move_while_the_servo_thread_runs_is_an_error(world: World) -> None:
     world.write(1, [*shifted(0, 0.1), 1.0, 1.0], [0])
     world.cycles(2)
     assert not world.playing
-    assert "another thread is already controlling the robot" in world.of.log[-1]
+    assert "another thread is already controlling the robot" in world.controller.log[-1]
 
 
 # ------------------------------------------------------------------------------------------------------------ moves
@@ -238,7 +237,7 @@ def test_an_asynchronous_stop_goes_on_by_itself(world: World) -> None:
 
 
 def test_moves_slow_down_with_the_speed_slider(world: World) -> None:
-    world.of.inputs.write({"speed_slider_mask": 1, "speed_slider_fraction": 0.5})
+    world.controller.inputs.write({"speed_slider_mask": 1, "speed_slider_fraction": 0.5})
     took = world.call(1, [*shifted(0, 0.5), 1.0, 2.0], [0])
     assert took * 0.002 == pytest.approx(2.0, abs=0.01)
     assert world.number("target_speed_fraction") == 0.5
@@ -247,7 +246,7 @@ def test_moves_slow_down_with_the_speed_slider(world: World) -> None:
 def test_the_controller_slows_its_own_moves_to_the_limit_of_tool_speed() -> None:
     world = World(limits=SafetyLimits(tool_speed=0.25))
     world.call(1, [*shifted(0, 1.0), 2.0, 2.0], [0])
-    assert world.of.safety.mode.name == "NORMAL"
+    assert world.controller.safety.mode.name == "NORMAL"
     assert world.vector("actual_q") == pytest.approx(shifted(0, 1.0), abs=1e-9)
 
 

@@ -10,8 +10,8 @@ from tests.ur.plain_rtde import frame
 from tests.ur.sessions import CB3, Controller, inputs_request, outputs_request
 
 from haptether.slave.ur_emulator import ControllerVersion
-from haptether.slave.ur_emulator.outbox import PATIENCE_S, Outbox
-from haptether.slave.ur_emulator.rtde.frames import FramingError, text_message
+from haptether.slave.ur_emulator.connections import READ_TIMEOUT_S, Outbox
+from haptether.slave.ur_emulator.rtde.frames import FramingError
 from haptether.slave.ur_emulator.rtde.variables import outputs_of
 
 # ----------------------------------------------------------------------------------------------------- framing
@@ -63,11 +63,6 @@ def test_unknown_frames_and_messages_are_not_answered() -> None:
     assert session.receive(frame("M", b"\x05hello\x02me\x03")) == b""
     assert controller.log == ["hello"]
     assert session.receive(frame("M", b"\xffshort") + frame("U") + frame("V", b"\x02")) == b""
-
-
-def test_text_messages_have_the_layout_of_each_version() -> None:
-    assert text_message("warning", "hot", 1) == frame("M", b"\x02hot")
-    assert text_message("info", "hot", 2) == frame("M", b"\x03hot\x04RTDE\x03")
 
 
 # ------------------------------------------------------------------------------------------------------ versions
@@ -136,10 +131,10 @@ def test_who_reads_nothing_is_stalled_after_a_while() -> None:
     outbox = Outbox()
     outbox.answer(b"much")
     outbox.sent(0, 1.0)
-    assert not outbox.is_stalled(1.0 + PATIENCE_S)
+    assert not outbox.is_stalled(1.0 + READ_TIMEOUT_S)
     outbox.sent(1, 1.5)
     outbox.sent(0, 1.6)
-    assert not outbox.is_stalled(1.5 + PATIENCE_S)
-    assert outbox.is_stalled(1.7 + PATIENCE_S)
+    assert not outbox.is_stalled(1.5 + READ_TIMEOUT_S)
+    assert outbox.is_stalled(1.7 + READ_TIMEOUT_S)
     outbox.sent(3, 3.0)
     assert not outbox.is_stalled(99.0)

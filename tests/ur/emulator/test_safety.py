@@ -24,12 +24,12 @@ def test_a_protective_stop_of_the_program(world: World) -> None:
     world.write(31)
     world.cycles(1)
     assert not world.playing
-    assert world.of.safety.mode.name == "PROTECTIVE_STOP"
+    assert world.controller.safety.mode.name == "PROTECTIVE_STOP"
     assert world.number("safety_status_bits") == 1 << 2 | 1 << 10
     world.seconds(0.2)
     assert world.vector("target_qd") == (0.0,) * 6
     # Nothing starts until it is unlocked, and that takes its time.
-    assert not world.of.submit(Submitted("x", "def x():\nend"))
+    assert not world.controller.submit(Submitted("x", "def x():\nend"))
     assert "Cannot unlock" in world.line.answer("unlock", 0.0)
     world.seconds(5.0)
     assert world.line.answer("unlock", 0.0) == "ok Protective stop releasing"
@@ -44,8 +44,8 @@ def test_a_protective_stop_of_the_program(world: World) -> None:
 def test_a_forceful_push_is_a_protective_stop(world: World, push: tuple[float, float, float], reason: str) -> None:
     world.environment.push(push, 0.1)
     world.cycles(2)
-    assert world.of.safety.mode.name == "PROTECTIVE_STOP"
-    assert world.of.safety.reason.startswith(reason)
+    assert world.controller.safety.mode.name == "PROTECTIVE_STOP"
+    assert world.controller.safety.reason.startswith(reason)
 
 
 def test_a_target_that_jumps_is_a_protective_stop(world: World) -> None:
@@ -54,7 +54,7 @@ def test_a_target_that_jumps_is_a_protective_stop(world: World) -> None:
     world.servo(shifted(2, 0.31))
     world.cycles(3)
     assert not world.playing
-    assert world.of.safety.reason == "C204 path sanity check: sudden change in target position"
+    assert world.controller.safety.reason == "C204 path sanity check: sudden change in target position"
     assert max(abs(a - b) for a, b in zip(world.vector("actual_q"), START, strict=True)) < 1e-3
 
 
@@ -62,7 +62,7 @@ def test_too_fast_a_tool_is_a_protective_stop() -> None:
     world = World(limits=SafetyLimits(tool_speed=0.1))
     world.realtime(10, [0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 1.0, 0.0])
     world.seconds(0.5)
-    assert world.of.safety.reason.startswith("tool speed 0.1")
+    assert world.controller.safety.reason.startswith("tool speed 0.1")
     assert world.vector("target_qd") == (0.0,) * 6
 
 
@@ -70,14 +70,14 @@ def test_a_push_beyond_the_motors_is_a_deviation_from_the_path() -> None:
     world = World(limits=SafetyLimits(tool_force_n=1e4, tool_speed=10.0))
     world.environment.push((0.0, 0.0, -600.0), 1.0)
     world.seconds(0.5)
-    assert "away from its path" in world.of.safety.reason
+    assert "away from its path" in world.controller.safety.reason
 
 
 def test_the_end_of_a_joint_is_a_protective_stop(world: World) -> None:
     world.call(1, [*shifted(5, 6.2), 3.0, 3.0], [0])
     world.realtime(9, [0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 5.0, 0.0])
     world.seconds(1.0)
-    assert world.of.safety.reason.startswith("position of joint 6")
+    assert world.controller.safety.reason.startswith("position of joint 6")
 
 
 def test_the_same_seed_gives_the_same_noise() -> None:
@@ -99,7 +99,7 @@ def test_the_end_of_force_mode_lets_nothing_jump() -> None:
     world.realtime(24, [*goal, 0.0, 0.0, 0.002, 0.1, 300.0])
     world.seconds(1.0)
     assert world.vector("actual_TCP_pose")[2] == pytest.approx(goal[2] - 0.05, abs=1e-3)
-    world.of.robot.end_force_mode()
+    world.controller.robot.end_force_mode()
     world.write(0)
     world.cycles(3)
     assert abs(world.vector("actual_TCP_speed")[2]) < 0.1
@@ -132,23 +132,23 @@ def test_the_end_of_force_mode_lets_nothing_jump() -> None:
     ],
 )
 def test_the_dashboard_answers(world: World, said: str, answer: str) -> None:
-    assert Dashboard(world.of).answer(said) == (answer, True)
+    assert Dashboard(world.controller).answer(said) == (answer, True)
 
 
 def test_the_dashboard_in_local_control_and_of_a_cb3() -> None:
     world = World(upload=False)
-    world.of.remote_control = False
+    world.controller.remote_control = False
     for line in ("play", "power off", "load rtde_control.urp", "unlock protective stop"):
-        assert Dashboard(world.of).answer(line)[0] == "Command is not allowed due to safety reasons"
-    assert Dashboard(world.of).answer("is in remote control")[0] == "false"
-    assert Dashboard(world.of).answer("quit") == ("Disconnected", False)
+        assert Dashboard(world.controller).answer(line)[0] == "Command is not allowed due to safety reasons"
+    assert Dashboard(world.controller).answer("is in remote control")[0] == "false"
+    assert Dashboard(world.controller).answer("quit") == ("Disconnected", False)
     cb3 = World("3.15", upload=False)
-    assert Dashboard(cb3.of).answer("is in remote control")[0].startswith("could not understand")
+    assert Dashboard(cb3.controller).answer("is in remote control")[0].startswith("could not understand")
 
 
 def test_a_program_on_the_disk_can_be_played() -> None:
     world = World(upload=False)
-    dashboard = Dashboard(world.of)
+    dashboard = Dashboard(world.controller)
     dashboard.answer("load rtde_control.urp")
     assert dashboard.answer("play")[0] == "Starting program"
     world.seconds(0.1)
@@ -157,10 +157,10 @@ def test_a_program_on_the_disk_can_be_played() -> None:
 
 
 def test_power_comes_and_goes(world: World) -> None:
-    dashboard = Dashboard(world.of)
+    dashboard = Dashboard(world.controller)
     dashboard.answer("power off")
     assert not world.playing
-    assert world.of.submit(Submitted("", "stopj(2)")) is False
+    assert world.controller.submit(Submitted("", "stopj(2)")) is False
     for line, seconds, mode in [("power on", 0.5, "POWER_ON"), ("", 0.6, "IDLE"), ("brake release", 1.1, "RUNNING")]:
         dashboard.answer(line)
         world.seconds(seconds)
@@ -196,11 +196,11 @@ def test_power_comes_and_goes(world: World) -> None:
     ],
 )
 def test_lines_that_are_refused_say_why(world: World, line: str, said: str) -> None:
-    before = world.of.runtime
+    before = world.controller.runtime
     answer = world.line.answer(line, 0.0)
     assert answer.startswith("error: ")
     assert said in answer
-    assert world.of.runtime == before
+    assert world.controller.runtime == before
 
 
 def test_power_stays_off_in_an_emergency_stop(world: World) -> None:
@@ -213,10 +213,10 @@ def test_power_stays_off_in_an_emergency_stop(world: World) -> None:
 
 def test_the_log_shows_the_lines_that_are_asked_for(world: World) -> None:
     for number in range(30):
-        world.of.tell(f"line {number}")
-    for line, count in (("log", 20), ("log 1", 1), ("log 3", 3), ("log 1e3", len(world.of.log))):
+        world.controller.write_log(f"line {number}")
+    for line, count in (("log", 20), ("log 1", 1), ("log 3", 3), ("log 1e3", len(world.controller.log))):
         shown = json.loads(world.line.answer(line, 0.0).removeprefix("ok "))
-        assert shown == list(world.of.log)[-count:], line
+        assert shown == list(world.controller.log)[-count:], line
 
 
 def test_reset_brings_everything_back(world: World) -> None:
@@ -245,27 +245,27 @@ def test_reset_brings_everything_back(world: World) -> None:
 @pytest.mark.parametrize(
     ("line", "holds"),
     [
-        ("stopj(2)", lambda w: not w.of.log),
+        ("stopj(2)", lambda w: not w.controller.log),
         ("movej([-1.5, -1.7, -2.2, -0.8, 1.6, 0.0], a=1.4, v=1.05)", lambda w: w.vector("actual_q")[0] == -1.5),
         ("set_tcp(p[0, 0, 0.1, 0, 0, 0])", lambda w: w.vector("tcp_offset")[2] == 0.1),
         ("set_standard_digital_out(2, True)", lambda w: w.number("actual_digital_output_bits") == 4),
         ("write_output_integer_register(0 + 12, 3*4)", lambda w: w.integer(12) == 12),
-        ('textmsg("hello ", 5)', lambda w: w.of.log[-1].endswith("hello 5")),
-        ("protective_stop()", lambda w: w.of.safety.mode.name == "PROTECTIVE_STOP"),
-        ("__import__('os')", lambda w: "knows only calls" in w.of.log[-1]),
-        ("movej(", lambda w: "knows only calls" in w.of.log[-1]),
-        ("movej([1, 2])", lambda w: "must be six numbers" in w.of.log[-1]),
-        ("movej([9, 9, 9, 9, 9, 9])", lambda w: "beyond the limits" in w.of.log[-1]),
-        ("movej()", lambda w: "missing" in w.of.log[-1]),
+        ('textmsg("hello ", 5)', lambda w: w.controller.log[-1].endswith("hello 5")),
+        ("protective_stop()", lambda w: w.controller.safety.mode.name == "PROTECTIVE_STOP"),
+        ("__import__('os')", lambda w: "knows only calls" in w.controller.log[-1]),
+        ("movej(", lambda w: "knows only calls" in w.controller.log[-1]),
+        ("movej([1, 2])", lambda w: "must be six numbers" in w.controller.log[-1]),
+        ("movej([9, 9, 9, 9, 9, 9])", lambda w: "beyond the limits" in w.controller.log[-1]),
+        ("movej()", lambda w: "missing" in w.controller.log[-1]),
     ],
 )
 def test_single_lines_are_run_at_once(line: str, holds: object) -> None:
     world = World(upload=False)
     (submitted,) = ScriptReader().receive(f"{line}\n".encode())
-    assert world.of.submit(submitted)
+    assert world.controller.submit(submitted)
     world.seconds(1.0)
     assert callable(holds)
-    assert holds(world), world.of.log
+    assert holds(world), world.controller.log
     assert not world.playing
 
 
@@ -287,19 +287,21 @@ def test_a_program_without_an_end_is_refused() -> None:
 
 def test_scripts_are_refused_in_local_control() -> None:
     world = World(upload=False)
-    world.of.remote_control = False
-    assert not world.of.submit(Submitted("", "stopj(2)"))
-    assert "not in remote control" in world.of.log[-1]
+    world.controller.remote_control = False
+    assert not world.controller.submit(Submitted("", "stopj(2)"))
+    assert "not in remote control" in world.controller.log[-1]
     cb3 = World("3.15", upload=False)
-    cb3.of.remote_control = False
-    assert cb3.of.submit(Submitted("", "stopj(2)"))
+    cb3.controller.remote_control = False
+    assert cb3.controller.submit(Submitted("", "stopj(2)"))
 
 
 def test_a_secondary_program_runs_beside_the_one_that_runs(world: World) -> None:
-    assert world.of.submit(Submitted("beside", "sec beside():\n  set_digital_out(1, True)\nend", secondary=True))
+    assert world.controller.submit(
+        Submitted("beside", "sec beside():\n  set_digital_out(1, True)\nend", secondary=True)
+    )
     world.cycles(1)
     assert world.playing
     assert world.number("actual_digital_output_bits") == 2
-    assert world.of.submit(Submitted("slow", "sec slow():\n  sleep(1)\nend", secondary=True))
-    assert "must not take time" in world.of.log[-1]
+    assert world.controller.submit(Submitted("slow", "sec slow():\n  sleep(1)\nend", secondary=True))
+    assert "must not take time" in world.controller.log[-1]
     assert world.playing
