@@ -48,7 +48,6 @@ DOUBLE: Final = WireType("DOUBLE", "d")
 VECTOR3D: Final = WireType("VECTOR3D", "d", 3)
 VECTOR6D: Final = WireType("VECTOR6D", "d", 6)
 VECTOR6INT32: Final = WireType("VECTOR6INT32", "i", 6)
-VECTOR6UINT32: Final = WireType("VECTOR6UINT32", "I", 6)
 
 NOT_FOUND: Final = "NOT_FOUND"
 """In place of a type: the controller has no such variable."""

@@ -10,12 +10,6 @@ from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.script.control_script import RUNNING
 from haptether.slave.ur_pose import pose_trans
 
-
-@pytest.fixture
-def world() -> World:
-    return World()
-
-
 # -------------------------------------------------------------------------------------------------- asked and set up
 
 

@@ -1,10 +1,8 @@
 """Every call of the unmodified ur_rtde once, on an emulated controller in real time; time bounds are loose."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-from tests.ur.emulated import Emulated, client, emulator
+from tests.ur.emulated import Emulated, client
 from tests.ur.plain_rtde import Client
 from tests.ur.virtual import START
 
@@ -16,17 +14,7 @@ CYCLE_S = 0.002
 LATE_S = 0.1
 """More than any stall that a shared machine was seen to have while these ran."""
 
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Emulated]:
-    with emulator("--unlock-after-s", "0.5") as running:
-        yield running
-
-
-@pytest.fixture
-def arm(shared: Emulated) -> Emulated:
-    shared.do("reset")
-    return shared
+EMULATOR = ("--unlock-after-s", "0.5")
 
 
 def test_moves(arm: Emulated) -> None:

@@ -7,12 +7,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.ur.emulated import Emulated, client, emulator, result_of
+from tests.ur.emulated import Emulated, client, result_of
 from tests.ur.plain_rtde import Client
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
@@ -20,17 +19,7 @@ pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python
 LATE_S = 0.1
 """More than any stall that a shared machine was seen to have while these ran."""
 
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Emulated]:
-    with emulator("--unlock-after-s", "0.5") as running:
-        yield running
-
-
-@pytest.fixture
-def arm(shared: Emulated) -> Emulated:
-    shared.do("reset")
-    return shared
+EMULATOR = ("--unlock-after-s", "0.5")
 
 
 # -------------------------------------------------------------------------------------------------------- faults

@@ -3,12 +3,11 @@
 import socket
 import struct
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from tests.ur.emulated import Emulated, emulator
+from tests.ur.emulated import Emulated
 from tests.ur.plain_rtde import Client
 from tests.ur.virtual import START
 
@@ -18,18 +17,6 @@ pytestmark = pytest.mark.live
 
 LATE_S = 0.1
 """More than any stall that a shared machine was seen to have while these ran."""
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Emulated]:
-    with emulator() as running:
-        yield running
-
-
-@pytest.fixture
-def arm(shared: Emulated) -> Emulated:
-    shared.do("reset")
-    return shared
 
 
 @pytest.mark.parametrize("protocol", [1, 2])

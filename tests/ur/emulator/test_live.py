@@ -3,7 +3,6 @@
 Time bounds are loose: the machine may be shared. What is exact is tested in virtual time.
 """
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -25,17 +24,7 @@ TRANSPORT_S = 0.008
 """What a command needs until the law has it: a cycle at most until it is read, one for the servo thread, and one for
 the age of the freshest state, with what a client is held up between a call and the look at its clock."""
 
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Emulated]:
-    with emulator("--scene", "three_axis_box") as running:
-        yield running
-
-
-@pytest.fixture
-def arm(shared: Emulated) -> Emulated:
-    shared.do("reset")
-    return shared
+EMULATOR = ("--scene", "three_axis_box")
 
 
 def accepted(result: dict[str, Any]) -> None:

@@ -8,12 +8,6 @@ from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.script.control_script import RUNNING, PathMove, recognised
 from haptether.slave.ur_emulator.script.port import Submitted
 
-
-@pytest.fixture
-def world() -> World:
-    return World()
-
-
 # --------------------------------------------------------------------------------------------------- the handshake
 
 

@@ -9,12 +9,6 @@ from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.dashboard import Dashboard
 from haptether.slave.ur_emulator.script.port import ScriptReader, Submitted
 
-
-@pytest.fixture
-def world() -> World:
-    return World()
-
-
 # ------------------------------------------------------------------------------------------------------- the safety
 
 
