@@ -4,7 +4,7 @@ import math
 import random
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from haptether.slave.ur_emulator.dashboard import BANNER, Dashboard
 from haptether.slave.ur_emulator.rtde.session import RtdeSession
@@ -26,13 +26,14 @@ PORTS: Final = {30004: RTDE, 29999: DASHBOARD, 30001: SCRIPT, 30002: SCRIPT, 300
 KINDS: Final = frozenset({RTDE, DASHBOARD, SCRIPT})
 
 
-class Peer(Protocol):
+class Peer:
     """The protocol of one connection."""
 
     kind: str
 
     def greeting(self) -> bytes:
-        """Bytes that are sent first."""
+        """Bytes that are sent first: none, where clients take them for the answer to their first request."""
+        return b""
 
     def receive(self, received: bytes) -> tuple[bytes, bool]:
         """The answer to bytes that arrived, and whether the connection stays open.
@@ -40,15 +41,17 @@ class Peer(Protocol):
         Raises:
             ValueError: Bytes that break the protocol.
         """
+        raise NotImplementedError
 
-    def package(self, cycles: int) -> bytes | None:
+    def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
         """The data package or message that is due after so many control cycles, if any."""
+        return None
 
     def close(self) -> None:
         """Frees what the connection holds."""
 
 
-class RtdePeer:
+class RtdePeer(Peer):
     """A client of RTDE."""
 
     kind = RTDE
@@ -64,10 +67,6 @@ class RtdePeer:
             lambda text: controller.write_log(f"RTDE client: {text}"),
         )
 
-    def greeting(self) -> bytes:
-        """Nothing: clients take the first frame for the answer to their first request."""
-        return b""
-
     def receive(self, received: bytes) -> tuple[bytes, bool]:
         """See `Peer`."""
         return self._session.receive(received), True
@@ -81,7 +80,7 @@ class RtdePeer:
         self._session.close()
 
 
-class DashboardPeer:
+class DashboardPeer(Peer):
     """A client of the dashboard server."""
 
     kind = DASHBOARD
@@ -108,15 +107,8 @@ class DashboardPeer:
                 return bytes(answers), False
         return bytes(answers), True
 
-    def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
-        """See `Peer`."""
-        return None
 
-    def close(self) -> None:
-        """See `Peer`."""
-
-
-class ScriptPeer:
+class ScriptPeer(Peer):
     """A client of one of the script interfaces; it is sent the errors of its scripts, and nothing else."""
 
     kind = SCRIPT
@@ -125,10 +117,6 @@ class ScriptPeer:
         self._controller = controller
         self._reader = ScriptReader(held, self._failed)
         self._messages: deque[bytes] = deque(maxlen=MAX_MESSAGES)
-
-    def greeting(self) -> bytes:
-        """See `Peer`."""
-        return b""
 
     def receive(self, received: bytes) -> tuple[bytes, bool]:
         """See `Peer`."""

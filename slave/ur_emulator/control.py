@@ -9,7 +9,7 @@ import socket
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from haptether.printable import printable
 from haptether.slave.ur_emulator.connections import KINDS, MAX_LINE
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.connections import Faults
     from haptether.slave.ur_emulator.controller import Controller
     from haptether.slave.ur_emulator.robot.contact import ToolEnvironment
+    from haptether.slave.ur_emulator.server import Server
 
 MAX_FORCE_N: Final = 10_000.0
 SHOWN_LINES: Final = 20
@@ -29,16 +30,6 @@ SHOWN_LINES: Final = 20
 STDIN: Final = "-"
 SEND_TIMEOUT_S: Final = 1.0
 """Of an answer: a client that does not read must not stop the arm for longer."""
-
-
-class Process(Protocol):
-    """What runs the controller."""
-
-    def figures(self) -> dict[str, Any]:
-        """Timing and connections."""
-
-    def reset_lateness(self) -> None:
-        """Resets the figures of lateness."""
 
 
 class ControlLine:
@@ -56,7 +47,7 @@ class ControlLine:
         controller: "Controller",
         environment: "ToolEnvironment",
         faults: "Faults",
-        process: "Process | None" = None,
+        process: "Server | None" = None,
     ) -> None:
         self._controller = controller
         self._environment = environment

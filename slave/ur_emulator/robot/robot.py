@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from haptether.slave.ur_emulator.robot.contact import FreeSpace, Touch, WrenchSe
 from haptether.slave.ur_emulator.robot.force_mode import ForceMode
 from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Array, Joints, Six, six
 from haptether.slave.ur_emulator.robot.motions import Motion, StopJoints, Target, Torque, transition
-from haptether.slave.ur_emulator.script.program import ScriptError
+from haptether.slave.ur_emulator.script.program import ScriptError, Thread
 from haptether.slave.ur_pose import pose_from_transform
 
 if TYPE_CHECKING:
@@ -33,12 +33,6 @@ MAX_TARGET_SPEED: Final = 3.0
 """Of the largest speed of a joint: a faster target ends the program, a slower one is left to the safety system."""
 HISTORY: Final = 2000
 """Control cycles whose joint positions are kept."""
-
-
-class Commander(Protocol):
-    """What commands a motion: a thread of a program."""
-
-    alive: bool
 
 
 @dataclass(slots=True)
@@ -105,28 +99,28 @@ class Robot:
         self.tool_speed = 0.0
         """Of the target, in m/s."""
         self.motion: Motion | None = None
-        self._commander: Commander | None = None
+        self._thread: Thread | None = None
         self.measured = self._measure(0.0)
         self.history: deque[tuple[Joints, Six]] = deque([(q, self.measured.force)], maxlen=HISTORY)
 
     # ------------------------------------------------------------------------------------------------ commands
 
-    def begin(self, motion: Motion, commander: Commander) -> None:
+    def begin(self, motion: Motion, thread: Thread) -> None:
         """Begins a motion on behalf of a thread; when that ends, the motion does.
 
         Raises:
             ScriptError: Another thread moves the arm.
         """
-        other = self._commander
-        if other is not None and other is not commander and other.alive:
+        other = self._thread
+        if other is not None and other is not thread and other.alive:
             message = "another thread is already controlling the robot"
             raise ScriptError(message)
-        self.motion, self._commander = motion, commander
+        self.motion, self._thread = motion, thread
 
-    def release(self, commander: Commander) -> None:
+    def release(self, thread: Thread) -> None:
         """Ends the thread's command of the arm, which comes to rest."""
-        if self._commander is commander:
-            self.motion, self._commander = None, None
+        if self._thread is thread:
+            self.motion, self._thread = None, None
 
     def set_tcp(self, offset: Six) -> None:
         """Sets the tool in the frame of the flange; the contact is then at its point.
@@ -156,7 +150,7 @@ class Robot:
     def brake(self, deceleration: float) -> None:
         """Stops the arm, whatever commands it."""
         self.end_force_mode()
-        self.motion, self._commander = StopJoints(deceleration), None
+        self.motion, self._thread = StopJoints(deceleration), None
 
     def reset(self, q: Joints, tcp: Six) -> None:
         """Puts the arm to q at once, at rest, with a tool and without any other setting."""
@@ -164,7 +158,7 @@ class Robot:
         self.loop.reset()
         self.force_mode.reset()
         self.sensing.offset = (0.0,) * 6
-        self.motion, self._commander = None, None
+        self.motion, self._thread = None, None
         self.arm.set_tcp(tcp)
         self.measured = self._measure(self._time_s)
 
@@ -198,11 +192,11 @@ class Robot:
             self.history.append((self.measured.q, self.measured.sensed))
 
     def _next_target(self) -> Target:
-        motion, commander = self.motion, self._commander
+        motion, thread = self.motion, self._thread
         now = self._plan
-        if motion is None or (commander is not None and not commander.alive):
+        if motion is None or (thread is not None and not thread.alive):
             motion = self.motion = None if now.at_rest else StopJoints(IDLE_DECELERATION)
-            self._commander = None
+            self._thread = None
         if isinstance(motion, Torque):
             motion.external = self.measured.torque
         plan = Target(now.q) if motion is None else motion.step(now, self.period_s, self.speed_scaling)

@@ -25,13 +25,14 @@ from haptether.slave.ur_pose import matrix_from_rotvec, pose_trans
 
 READY, DONE = 1, 2
 REALTIME: Final = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, *range(66, 72)})
-STOP_SCRIPT, DIRECT_TORQUE = 255, 66
+STOP_SCRIPT: Final = 255
 FORCE_STOP_DECELERATION, JOG_STOP_DECELERATION, CONTACT_STOP_DECELERATION = 10.0, 1.2, 3.0
 JOG_TIME_S: Final = 0.01
 RUNNING: Final = 1 << 15
 MAX_PROGRESS: Final = RUNNING - 1
 COUNT_MODULUS: Final = 128
-BASE, TOOL, FEATURE = 0, 1, 2
+BASE, TOOL = 0, 1
+"""Frames of jogging; any other number is a feature."""
 MATRIX_REGISTERS = (*range(24), *range(36, 48))
 """Registers of the 36 numbers of a matrix, column after column."""
 
@@ -155,13 +156,7 @@ class ControlProgram:
         setup: Settings by the program.
     """
 
-    def __init__(
-        self,
-        upload: Upload,
-        functions: ScriptFunctions,
-        registers: Registers,
-        setup: Setup,
-    ) -> None:
+    def __init__(self, upload: Upload, functions: ScriptFunctions, registers: Registers, setup: Setup) -> None:
         self.upload = upload
         self.program = functions.program
         self.functions = functions
@@ -422,15 +417,17 @@ class ControlProgram:
         self._stop_async_move()
         for name in ("speed", "servo", "jog"):
             self._kill(name)
-        q = self.functions.positions_before(self._step_back)
-        yield from self.functions.stopl(CONTACT_STOP_DECELERATION)
-        yield from self.functions.movel(self.functions.arm.pose(q), 1.2, 0.25)
+        yield from self._go_back(self._step_back)
 
     def _move_until_contact(self) -> Steps:
         registers = self.registers
         velocity, direction, acceleration = registers.six(0), registers.six(6), registers.double(12)
         while (step_back := self.functions.tool_contact(direction)) <= 0:
             yield from self.functions.speedl(velocity, acceleration, self.functions.robot.period_s)
+        yield from self._go_back(step_back)
+
+    def _go_back(self, step_back: int) -> Steps:
+        """Stops, then moves to where the arm was so many control cycles ago."""
         q = self.functions.positions_before(step_back)
         yield from self.functions.stopl(CONTACT_STOP_DECELERATION)
         yield from self.functions.movel(self.functions.arm.pose(q), 1.2, 0.25)

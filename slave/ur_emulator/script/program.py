@@ -78,7 +78,7 @@ class Program:
         Raises:
             ScriptError: An error of a thread, which stops the program.
         """
-        for thread in (*self.others, *((self.main,) if self.main else ())):
+        for thread in self._threads():
             self.running = thread
             try:
                 thread.run()
@@ -90,9 +90,12 @@ class Program:
 
     def kill(self) -> None:
         """Ends all threads."""
-        for thread in (*self.others, *((self.main,) if self.main else ())):
+        for thread in self._threads():
             thread.kill()
         self.others = []
+
+    def _threads(self) -> tuple[Thread, ...]:
+        return (*self.others, *((self.main,) if self.main else ()))
 
 
 class Registers:
