@@ -60,7 +60,7 @@ lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the 
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(PYTHON_CODE)
 	$(BIN)/python -m mypy.stubtest haptether._core
-	$(BIN)/python -m pytest --quiet tests/test_licences.py
+	$(BIN)/python -m pytest --quiet tests/packaging/test_licences.py
 
 .PHONY: bench
 bench: $(EXTENSION) .venv/.bench ## run benches/*.py, one after the other
@@ -82,7 +82,7 @@ fuzz: $(EXTENSION) $(CARGO_FUZZ) ## fuzz every target for FUZZ_SECONDS (60) each
 	    $(CARGO_FUZZ) fuzz run --sanitizer none $$target out/fuzz/$$target fuzz/corpus/$$target -- \
 	        -max_total_time=$(FUZZ_SECONDS) -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 || exit 1; \
 	done
-	HAPTETHER_HYPOTHESIS_PROFILE=slow $(BIN)/python -m pytest --timeout 0 tests/test_scene_corpus.py
+	HAPTETHER_HYPOTHESIS_PROFILE=slow $(BIN)/python -m pytest --timeout 0 tests/scene/test_corpus.py
 
 $(CARGO_FUZZ):
 	@echo "installing cargo-fuzz into .tools"

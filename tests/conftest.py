@@ -10,6 +10,7 @@ other, and all others two at a time.
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -23,15 +24,18 @@ for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
 
+TESTS = Path(__file__).parent
 LIVE = (
-    "test_docs", "test_examples", "test_faults", "test_live", "test_netsim_cli_live", "test_netsim_control",
-    "test_presses_in_vain", "test_soak", "test_stop", "test_ur_demo",
+    "packaging/test_docs", "packaging/test_examples", "faults/test_faults", "live/test_live",
+    "test_netsim_cli_live", "test_netsim_control",
+    "live/test_presses_in_vain", "soak/test_soak", "live/test_stop", "test_ur_demo",
+   
 )  # fmt: skip
 """Processes and sockets that mostly wait: several at once."""
 ALONE = (
-    "test_device_loop", "test_engine_stress", "test_live_realtime", "test_netsim_live", "test_packaging",
-    "test_safety_speed", "test_true_cause",
-    "test_ur_engagements", "test_ur_live", "test_work_unit",
+    "live/test_device_loop", "models/test_stress", "live/test_realtime", "test_netsim_live", "packaging/test_packaging",
+    "safety/test_speed", "live/test_true_cause",
+    "test_ur_engagements", "test_ur_live", "models/test_work_unit",
 )  # fmt: skip
 """Lateness, speed, busy processors, or cargo."""
 
@@ -39,7 +43,7 @@ ALONE = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         for marker, modules in (("live", LIVE), ("alone", ALONE)):
-            if item.path.stem in modules:
+            if item.path.relative_to(TESTS).with_suffix("").as_posix() in modules:
                 item.add_marker(marker)
 
 

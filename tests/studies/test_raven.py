@@ -12,7 +12,7 @@ from haptether.studies import RAVEN_ATTACKS, RavenReport, RavenRow, raven_suite
 from haptether.studies.raven import COASTING_S, COMMAND_SPEED, SECURITY
 from haptether.studies.raven_attacks import Security
 
-SCENES = Path(__file__).resolve().parents[1] / "bridge" / "scenes"
+SCENES = Path(__file__).resolve().parents[2] / "bridge" / "scenes"
 
 
 @pytest.fixture(scope="module")

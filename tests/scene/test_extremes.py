@@ -7,7 +7,7 @@ import time
 from pathlib import Path as FilePath
 
 import pytest
-from tests.scene_extremes import BASES, changed, extremes, numbers
+from tests.scene.extremes import BASES, changed, extremes, numbers
 
 from haptether.bridge import SceneError, simulate
 from haptether.bridge.scene import scene_from_plain

@@ -73,7 +73,7 @@ LINK_TABLES = (
     Slots, Target,
 )  # fmt: skip
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SPEC = ROOT / "bridge" / "src" / "scene" / "spec.rs"
 LINK_SETTINGS = sorted((ROOT / "netsim" / "src" / "settings").glob("*.rs"))
 

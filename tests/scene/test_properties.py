@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, example, given, seed, settings
 from hypothesis import strategies as st
-from tests.scene_strategies import Plain, plain_scenes, real, scenes
+from tests.scene.strategies import Plain, plain_scenes, real, scenes
 
 from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 

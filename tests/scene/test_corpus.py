@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from haptether.bridge import SceneError, load_scene, scene_names
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 CORPUS = ROOT / "fuzz" / "corpus" / "toml"
 FILES = sorted(CORPUS.iterdir())
 GOOD = [ROOT / "bridge" / "scenes" / f"{name}.toml" for name in scene_names()]

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from tests.test_scene_properties import check
+from tests.scene.test_properties import check
 
 from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 
