@@ -3,14 +3,13 @@
 HAPTETHER_HYPOTHESIS_PROFILE chooses. `fast` tries the same examples each time, so that a change is
 judged and not the luck of a draw; `slow` draws new ones.
 
-`make test` runs the modules of the list LIVE (marker `live`) three at a time, those of ALONE (`alone`) one after the
-other, and all others two at a time.
+`make test` runs modules with the marker `live` three at a time, those with `alone` one after the other, and all others
+two at a time.
 """
 
 import os
 import signal
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -23,28 +22,6 @@ settings.load_profile(os.environ.get("HAPTETHER_HYPOTHESIS_PROFILE", "fast"))
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
-
-TESTS = Path(__file__).parent
-LIVE = (
-    "packaging/test_docs", "packaging/test_examples", "faults/test_faults", "live/test_live",
-    "test_netsim_cli_live", "test_netsim_control",
-    "live/test_presses_in_vain", "soak/test_soak", "live/test_stop", "test_ur_demo",
-   
-)  # fmt: skip
-"""Processes and sockets that mostly wait: several at once."""
-ALONE = (
-    "live/test_device_loop", "models/test_stress", "live/test_realtime", "test_netsim_live", "packaging/test_packaging",
-    "safety/test_speed", "live/test_true_cause",
-    "test_ur_engagements", "test_ur_live", "models/test_work_unit",
-)  # fmt: skip
-"""Lateness, speed, busy processors, or cargo."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        for marker, modules in (("live", LIVE), ("alone", ALONE)):
-            if item.path.relative_to(TESTS).with_suffix("").as_posix() in modules:
-                item.add_marker(marker)
 
 
 @pytest.fixture(autouse=True)

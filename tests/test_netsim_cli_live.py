@@ -17,6 +17,8 @@ import pytest
 
 from haptether.cli.entry import main
 
+pytestmark = pytest.mark.live
+
 COMMAND = [sys.executable, "-m", "haptether", "netsim"]
 PATIENCE_S = 30.0
 # On a machine that does much else, p99 may be anything.

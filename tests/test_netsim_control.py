@@ -11,6 +11,8 @@ import pytest
 
 from haptether.netsim import Controlled, ControlSocket, DelayTrace, LinkSettings, Proxy, ProxyStatistics, ask_control
 
+pytestmark = pytest.mark.live
+
 PATIENCE_S = 10.0
 
 

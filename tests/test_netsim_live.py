@@ -11,6 +11,8 @@ import pytest
 
 from haptether.netsim import Echo, LinkSettings, Proxy, record
 
+pytestmark = pytest.mark.alone
+
 PATIENCE_S = 5.0
 
 

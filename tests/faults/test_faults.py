@@ -9,6 +9,8 @@ from tests.faults.rows import Row
 from tests.faults.running import Recorded
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
 
+pytestmark = pytest.mark.live
+
 LOOSE = processes.Limits(hold_s=0.15, fade_s=0.2)
 """Of single runs beside other work."""
 

@@ -39,6 +39,8 @@ from haptether.bridge import (
 from haptether.master import MasterDevice, MasterSample
 from haptether.slave import SlaveDevice, SlaveSample
 
+pytestmark = pytest.mark.alone
+
 THREE = scene_json(load_scene("three_axis_box", ["link.forward={}", "link.backward={}", "safety.controllers=[]"]))
 ONE = scene_json(load_scene("remote_push", ["environment.pushers=[]"]))
 

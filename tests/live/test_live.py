@@ -26,6 +26,8 @@ from haptether.bridge import (
 from haptether.master import Hand, HapticDevice
 from haptether.slave import Arm, Wall
 
+pytestmark = pytest.mark.live
+
 COMMAND = [sys.executable, "-m", "haptether"]
 START_TIMEOUT_S = 30.0
 

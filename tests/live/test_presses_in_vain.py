@@ -14,6 +14,8 @@ from haptether.bridge import LiveMaster, LiveSlave, MasterLoop, MasterRun, load_
 from haptether.cli.process_start import started_s
 from haptether.master import MasterSample
 
+pytestmark = pytest.mark.live
+
 SCENE = scene_json(load_scene("remote_push", ["environment.pushers=[]", "link.forward={}", "link.backward={}"]))
 OLD_S = 5.5
 """Beyond the 5 s for which a start is a press, docs/ladder.md."""

@@ -27,6 +27,8 @@ from haptether.bridge import (
 )
 from haptether.master import Hand, HapticDevice
 
+pytestmark = pytest.mark.alone
+
 PERIOD_S = 1e-3
 BUSY_S = 4.0
 HAND = Hand(stiffness=300, damping=8, strength_n=12, start=0.0)

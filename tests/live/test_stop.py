@@ -22,6 +22,8 @@ from haptether.bridge import LiveSlave, SlaveSettings, read_recording
 from haptether.cli.live import FlightFile
 from haptether.slave import Arm, Wall
 
+pytestmark = pytest.mark.live
+
 BESIDE_OTHERS = {
     stopping.stop_name("master", "pipe", signal.SIGTERM),
     stopping.stop_name("master", "pty", signal.SIGHUP),

@@ -33,6 +33,8 @@ from haptether.bridge import (
 from haptether.master import MasterSample
 from haptether.slave import SlaveSample
 
+pytestmark = pytest.mark.alone
+
 ONE = scene_json(load_scene("remote_push", ["environment.pushers=[]"]))
 COMMAND = [sys.executable, "-m", "haptether"]
 TIMEOUT_S = 30.0

@@ -10,6 +10,8 @@ from tests.scene.test_properties import check
 
 from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 
+pytestmark = pytest.mark.alone
+
 INTEGRATORS = ("exact", "semi-implicit-euler", "velocity-verlet", "rk4")
 STIFF = 1e7
 """In N/m: four orders above a wall that a hand can tell from steel."""

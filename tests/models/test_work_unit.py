@@ -9,6 +9,8 @@ import pytest
 import haptether
 from haptether.bridge import load_scene, scene_json
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "benches" / "work_unit.toml"
 

@@ -7,6 +7,8 @@ import pytest
 
 from haptether.safety import DeviceModel, SafetyController, SafetySettings
 
+pytestmark = pytest.mark.alone
+
 SAMPLES = 1_000_000
 REQUIRED_S = 0.1
 

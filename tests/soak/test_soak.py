@@ -4,6 +4,8 @@ import pytest
 from tests.soak.__main__ import soak, table
 from tests.soak.memory import ALLOWED_BYTES, growth
 
+pytestmark = pytest.mark.live
+
 KIB = 1024
 
 
