@@ -21,9 +21,9 @@ from haptether._core import (
     ladder_state_name,
     run_local,
 )
-from haptether.bridge.device_loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
-from haptether.bridge.device_opening import DeviceError
-from haptether.bridge.devices import MASTERS, SLAVES, device_names, load_master, load_slave
+from haptether.bridge.devices.find import MASTERS, SLAVES, device_names, load_master, load_slave
+from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
+from haptether.bridge.devices.open import DeviceError
 from haptether.bridge.recording import RecordedCause, RecordedStep, Recording, read_recording
 from haptether.bridge.scene import load_scene, override_scene, scene_json, scene_names
 from haptether.bridge.scene_error import SceneError

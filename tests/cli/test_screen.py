@@ -22,16 +22,16 @@ from haptether.bridge import Metrics, Run, Sweep
 from haptether.bridge.scene_run import Signals
 from haptether.cli import main
 from haptether.cli.entry import COMMANDS
-from haptether.cli.explain import Explain
 from haptether.cli.link_table import link_table
-from haptether.cli.live import Stopped, tell, wait
+from haptether.cli.live.explain import Explain
+from haptether.cli.live.push_table import print_push
+from haptether.cli.live.run import Stopped, tell, wait
 from haptether.cli.netsim_proxy_report import _print as print_proxy
 from haptether.cli.netsim_record import Record
 from haptether.cli.netsim_sample import figures_table
-from haptether.cli.push_table import print_push
-from haptether.cli.screen import Screen, folded, tables
-from haptether.cli.simulate import Simulate
-from haptether.cli.sweep import Sweep as SweepCommand
+from haptether.cli.scene.simulate import Simulate
+from haptether.cli.scene.sweep import Sweep as SweepCommand
+from haptether.cli.shared.screen import Screen, folded, tables
 from haptether.netsim import LinkFigures
 from haptether.printable import printable
 from haptether.studies import LinkSummary, PushResult
@@ -365,7 +365,7 @@ def test_an_error_is_one_line_that_acts_on_no_terminal(capsys: pytest.CaptureFix
 
 def test_only_the_screen_makes_a_console() -> None:
     folder = Path(sys.modules["haptether.cli"].__file__ or "").parent
-    for path in folder.glob("*.py"):
+    for path in folder.rglob("*.py"):
         if path.name != "screen.py":
             assert not re.search(r"\bConsole\(|from_markup|import print\b", path.read_text()), path
 

@@ -15,7 +15,7 @@ import pytest
 import haptether
 from haptether.cli import main
 from haptether.cli.entry import with_overrides
-from haptether.cli.sweep import values_of
+from haptether.cli.scene.sweep import values_of
 
 
 class Played:
@@ -273,7 +273,7 @@ def test_a_folder_that_cannot_be_is_refused_before_the_run(
 
 def test_what_chatters_is_told_once() -> None:
     from haptether.bridge import Event
-    from haptether.cli.simulate import told_events
+    from haptether.cli.scene.simulate import told_events
 
     chatter = [Event(n * 0.001, ("trip", "recover")[n % 2], ("wsc", "")[n % 2]) for n in range(100)]
     around = [Event(-0.1, "contact", ""), *chatter, Event(0.2, "free", ""), Event(0.3, "trip", "hsc")]
@@ -288,8 +288,8 @@ def test_the_examples_in_the_help_work(
     import inspect
     import shlex
 
-    from haptether.cli.simulate import Simulate
-    from haptether.cli.sweep import Sweep
+    from haptether.cli.scene.simulate import Simulate
+    from haptether.cli.scene.sweep import Sweep
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my").mkdir()

@@ -427,7 +427,7 @@ def declare(monkeypatch: pytest.MonkeyPatch, group: str, **values: str) -> None:
     def found(**asked: Any) -> EntryPoints:  # noqa: ANN401  # as of entry_points
         return points.select(**asked)
 
-    monkeypatch.setattr("haptether.bridge.devices.entry_points", found)
+    monkeypatch.setattr("haptether.bridge.devices.find.entry_points", found)
 
 
 def test_drivers_are_found_by_name_and_called_with_their_options(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from haptether.bridge.device_opening import DeviceNotes, opened
+from haptether.bridge.devices.open import DeviceNotes, opened
 from haptether.bridge.interpreter import HOLDER_PRIORITY, QUIET
 
 YOUNG = 100_000

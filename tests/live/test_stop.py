@@ -19,7 +19,7 @@ from tests.faults.running import HAPTETHER
 from tests.soak.memory import anonymous_bytes
 
 from haptether.bridge import LiveSlave, SlaveSettings, read_recording
-from haptether.cli.live import FlightFile
+from haptether.cli.live.run import FlightFile
 from haptether.slave import Arm, Wall
 
 pytestmark = pytest.mark.live

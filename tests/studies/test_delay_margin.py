@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from haptether.bridge import Scene, load_scene, override_scene, run_bridge, simulate
-from haptether.cli.check_link import scene_loops, scene_times, simulated_loop
+from haptether.cli.live.check_link import scene_loops, scene_times, simulated_loop
 from haptether.studies import ContactLoop, Follower, LinkSummary, judge_link, largest_delay_s
 
 DELAYS_S = (1e-3, 10e-3, 20e-3, 50e-3, 100e-3, 200e-3, 500e-3)
@@ -84,7 +84,7 @@ def test_a_soft_wall_under_a_firm_hand_bears_any_delay() -> None:
 
 
 def test_the_arm_of_check_link_is_the_simulated_one() -> None:
-    from haptether.cli.check_link import simulated_arm
+    from haptether.cli.live.check_link import simulated_arm
     from haptether.slave import Arm
 
     assert simulated_arm().stiffness == pytest.approx(Arm().stiffness, rel=1e-12)
@@ -94,7 +94,7 @@ def test_the_arm_of_check_link_is_the_simulated_one() -> None:
 def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bool) -> None:
     """The same loop, sampled, with a hand that holds: calm below what it bears, growing above."""
     from haptether.bridge import MasterSettings, SlaveSettings
-    from haptether.cli.options import START_M
+    from haptether.cli.shared.options import START_M
     from haptether.master import Hand, HapticDevice
     from haptether.netsim import LinkSettings
     from haptether.safety import LimiterSettings

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.cli.screen import Screen
+    from haptether.cli.shared.screen import Screen
     from haptether.studies import DemoScene, PushResult
 
 
@@ -49,10 +49,10 @@ class Demo:
         """Runs all controllers; 0 if protection held, 1 if not, 130 on Ctrl-C."""
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        from haptether.cli.live import Stopped
-        from haptether.cli.options import check_seed
-        from haptether.cli.output import check_target, require_matplotlib
-        from haptether.cli.screen import screen
+        from haptether.cli.live.run import Stopped
+        from haptether.cli.shared.options import check_seed
+        from haptether.cli.shared.output import check_target, require_matplotlib
+        from haptether.cli.shared.screen import screen
         from haptether.netsim import LinkSettings, link_spec
         from haptether.studies import DEMO_CONTROLLERS, DemoScene, Interrupted, run_demo
 
@@ -95,8 +95,8 @@ class Demo:
     def _report(self, console: "Screen", scene: "DemoScene", results: "list[PushResult]") -> int:
         import msgspec
 
-        from haptether.cli.output import write_json
-        from haptether.cli.push_table import print_push
+        from haptether.cli.live.push_table import print_push
+        from haptether.cli.shared.output import write_json
         from haptether.studies import draw_demo
 
         print_push(console, results)

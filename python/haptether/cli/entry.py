@@ -20,24 +20,24 @@ from typing import Annotated, Any, Protocol, Union
 import tyro
 
 from haptether import __version__
-from haptether.cli.check_link import CheckLink
 from haptether.cli.demo import Demo
-from haptether.cli.explain import Explain
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
 from haptether.cli.list import List
-from haptether.cli.master import Master
+from haptether.cli.live.check_link import CheckLink
+from haptether.cli.live.explain import Explain
+from haptether.cli.live.master import Master
+from haptether.cli.live.slave import Slave
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
 from haptether.cli.netsim_echo import Echo
 from haptether.cli.netsim_proxy import Proxy
 from haptether.cli.netsim_record import Record
-from haptether.cli.numbers import NUMBERS
 from haptether.cli.paper import Paper
-from haptether.cli.queued_output import QueuedOutput, queued_output
 from haptether.cli.raven import Raven
-from haptether.cli.simulate import Simulate
-from haptether.cli.slave import Slave
-from haptether.cli.sweep import Sweep
+from haptether.cli.scene.simulate import Simulate
+from haptether.cli.scene.sweep import Sweep
+from haptether.cli.shared.numbers import NUMBERS
+from haptether.cli.shared.queued_output import QueuedOutput, queued_output
 from haptether.cli.ur_emulator import UrEmulator
 from haptether.printable import printable
 

@@ -30,8 +30,8 @@ class List:
         from rich.padding import Padding
 
         from haptether.bridge import MASTERS, SLAVES, device_names, scene_names
-        from haptether.cli.output import check_target, write_json
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.screen import screen
         from haptether.master import DEVICE_PRESETS
         from haptether.netsim import PRESETS
 

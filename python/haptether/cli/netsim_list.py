@@ -30,8 +30,8 @@ class List:
         from rich.box import SIMPLE_HEAD
         from rich.table import Table
 
-        from haptether.cli.output import check_target, write_json
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.screen import screen
         from haptether.netsim import PRESETS
 
         check_target(self.json)

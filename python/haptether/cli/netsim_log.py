@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from haptether.cli.output import check_target
+from haptether.cli.shared.output import check_target
 from haptether.private_file import begin_private
 
 

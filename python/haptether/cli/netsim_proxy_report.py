@@ -45,8 +45,8 @@ def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None)
     """Prints what the proxy did and gives the exit status: a run that was not what was asked for has failed."""
     import msgspec
 
-    from haptether.cli.output import write_json
-    from haptether.cli.screen import screen
+    from haptether.cli.shared.output import write_json
+    from haptether.cli.shared.screen import screen
 
     console = screen(json)
     _print(console, statistics)

@@ -51,7 +51,7 @@ class Record:
         """Measures, and says what was found."""
         import msgspec
 
-        from haptether.cli.output import check_target, write_json
+        from haptether.cli.shared.output import check_target, write_json
         from haptether.netsim import record
         from haptether.private_file import begin_private
 
@@ -75,7 +75,7 @@ class Record:
     def _print(self, figures: "dict[str, float | int | None]") -> None:
         from rich.table import Table
 
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.screen import screen
 
         def ms(name: str) -> str:
             value = figures[name]
@@ -149,7 +149,7 @@ def _progress(peer: str, duration_s: float) -> Iterator[None]:
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from haptether.cli.screen import Screen
+    from haptether.cli.shared.screen import Screen
 
     text = TextColumn("{task.description}", markup=False)
     bar = Progress(text, BarColumn(), TimeRemainingColumn(), console=Screen(stderr=True))

@@ -58,8 +58,8 @@ class Sample(LinkOptions):
 
     def run(self) -> int:
         """Judges all packets."""
-        from haptether.cli.output import check_target, require_matplotlib, table_goes_to_stderr
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import check_target, require_matplotlib, table_goes_to_stderr
+        from haptether.cli.shared.screen import screen
         from haptether.netsim import asked, judge_all, realised
 
         self._check()
@@ -94,7 +94,7 @@ class Sample(LinkOptions):
     def _write_json(self, target: Path, figures: "dict[str, LinkFigures]", seed: int) -> None:
         import msgspec
 
-        from haptether.cli.output import write_json
+        from haptether.cli.shared.output import write_json
 
         report = {
             "packets": self.packets,

@@ -35,7 +35,7 @@ class Set:
         """Sends the request and says what was answered."""
         import msgspec
 
-        from haptether.cli.output import check_target, write_json
+        from haptether.cli.shared.output import check_target, write_json
         from haptether.netsim import ask_control
 
         check_target(self.json)
@@ -54,7 +54,7 @@ class Set:
         return 0
 
     def _print(self, answer: dict[str, Any]) -> None:
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
         for way, changes in answer.get("changed", {}).items():

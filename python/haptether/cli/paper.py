@@ -37,8 +37,8 @@ class Paper:
 
     def run(self) -> int:
         """Runs the experiments (under a second) and prints them."""
-        from haptether.cli.output import check_target, require_matplotlib, write_json
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import check_target, require_matplotlib, write_json
+        from haptether.cli.shared.screen import screen
         from haptether.studies import draw_paper, reproduce_paper
 
         check_target(self.json)

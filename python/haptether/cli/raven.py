@@ -36,8 +36,8 @@ class Raven:
 
     def run(self) -> int:
         """Runs every attack (a second or two) and prints what it did; 0, or 1 if that is not what is expected."""
-        from haptether.cli.output import check_target, write_json
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.screen import screen
         from haptether.studies import raven_suite
 
         check_target(self.json)

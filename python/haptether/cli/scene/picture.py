@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from haptether.cli.simulate import told_events
+from haptether.cli.scene.simulate import told_events
 from haptether.printable import printable
 from haptether.private_file import private_file
 

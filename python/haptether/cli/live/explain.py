@@ -8,7 +8,7 @@ import msgspec
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.cli.screen import Screen
+    from haptether.cli.shared.screen import Screen
 
 
 class Transition(msgspec.Struct, frozen=True, kw_only=True):
@@ -113,8 +113,8 @@ class Explain:
         Raises:
             ValueError: The file is none of a flight recorder.
         """
-        from haptether.cli.output import check_target, write_json
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.screen import screen
 
         check_target(self.json)
         if self.ticks < 0:
@@ -129,7 +129,7 @@ class Explain:
     def _print(self, flight: Flight, console: "Screen") -> None:
         from rich.table import Table
 
-        from haptether.cli.screen import tables
+        from haptether.cli.shared.screen import tables
 
         steps = Table(pad_edge=False, title=f"{flight.side}: steps of the ladder")
         steps.add_column("time [s]", justify="right", no_wrap=True)

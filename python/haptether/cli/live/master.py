@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from haptether.cli.live_options import LiveOptions
-from haptether.cli.options import Controller
+from haptether.cli.live.options import LiveOptions
+from haptether.cli.shared.options import Controller
 
 if TYPE_CHECKING:
     from haptether.bridge import LiveMaster, MasterRun, MasterTrace, Scene
-    from haptether.cli.live import Cause, Stopped
+    from haptether.cli.live.run import Cause, Stopped
     from haptether.studies import LinkSummary, PushResult
 
 
@@ -81,7 +81,7 @@ class Master(LiveOptions):
         """Runs until told to stop; fails if the slave never answered."""
         import numpy as np
 
-        from haptether.cli.live import (
+        from haptether.cli.live.run import (
             FlightFile,
             Steps,
             Stopped,
@@ -91,10 +91,10 @@ class Master(LiveOptions):
             tell,
             wait,
         )
-        from haptether.cli.live_scene import fault_text, live_scene, raise_error, with_clutch
-        from haptether.cli.options import check_duration, new_session
-        from haptether.cli.output import check_distinct, check_target
-        from haptether.cli.security import handed_over, marked, session_key
+        from haptether.cli.live.security import handed_over, marked, session_key
+        from haptether.cli.live.sides import fault_text, live_scene, raise_error, with_clutch
+        from haptether.cli.shared.options import check_duration, new_session
+        from haptether.cli.shared.output import check_distinct, check_target
         from haptether.studies import measure_push, save_master_trace, summarise_link
 
         check_duration("duration_s", self.duration_s)
@@ -166,9 +166,9 @@ class Master(LiveOptions):
 
     def _start(self, scene: "Scene | None", stopped: "Stopped", how: dict[str, Any]) -> "LiveMaster | MasterRun":
         from haptether.bridge import LiveMaster
-        from haptether.cli.live_scene import start_master
-        from haptether.cli.options import master_settings
-        from haptether.cli.process_start import started_s
+        from haptether.cli.live.process_start import started_s
+        from haptether.cli.live.sides import start_master
+        from haptether.cli.shared.options import master_settings
 
         how["started_s"] = started_s()
         if scene is not None:
@@ -217,9 +217,9 @@ class Master(LiveOptions):
         import msgspec
 
         from haptether.cli.link_table import link_table
-        from haptether.cli.output import write_json
-        from haptether.cli.push_table import print_push
-        from haptether.cli.screen import screen
+        from haptether.cli.live.push_table import print_push
+        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
         # A table of what was not measured is no table.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 if TYPE_CHECKING:
     from haptether.bridge import DeviceRun, LiveMaster, LiveSlave, MasterRun, Scene, SlaveRun
-    from haptether.cli.live import Stopped
+    from haptether.cli.live.run import Stopped
     from haptether.slave import SlaveDevice
 
 READY_S = 60.0
@@ -138,8 +138,8 @@ Run = TypeVar("Run", bound="DeviceRun")
 
 def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     """Waits until the device is open."""
-    from haptether.cli.queued_output import deliver_output
-    from haptether.cli.screen import Screen
+    from haptether.cli.shared.queued_output import deliver_output
+    from haptether.cli.shared.screen import Screen
 
     end = time.monotonic() + READY_S
     with Screen(stderr=True).status(f"opening {name}   (Ctrl-C ends)"):

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 PERIOD_SHARE = 0.01
 """How far the period of a device may be from that of its loop; no clock of one is off by as much."""
 
-
-LOOP = Path(__file__).parent
-"""Where the loop of a driver is: no line of it says what is wrong with a driver."""
+BRIDGE = Path(__file__).parents[1]
+"""Whose lines led to an exception of a driver, and say nothing about what is wrong with the driver."""
 
 
 class DeviceError(RuntimeError):
@@ -125,7 +124,7 @@ def _place(device: "MasterDevice | SlaveDevice", error: BaseException) -> str:
     """File, line and function of an exception: the innermost of the driver's own file, else of whatever it called."""
     own = getattr(sys.modules.get(type(device).__module__), "__file__", None)
     steps = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]
-    steps = [(code, line) for code, line in steps if Path(code.co_filename).parent != LOOP]
+    steps = [(code, line) for code, line in steps if BRIDGE not in Path(code.co_filename).parents]
     if steps:
         code, line = next((step for step in reversed(steps) if step[0].co_filename == own), steps[-1])
     elif (read := getattr(getattr(type(device), "read", None), "__code__", None)) is not None:

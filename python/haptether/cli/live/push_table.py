@@ -7,7 +7,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from haptether.cli.screen import Screen
+    from haptether.cli.shared.screen import Screen
     from haptether.studies import PushResult
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
 import msgspec
 
 from haptether.cli.interrupts import INTERRUPTS
-from haptether.cli.queued_output import QueuedWriter
+from haptether.cli.shared.queued_output import QueuedWriter
 from haptether.printable import printable
 from haptether.private_file import refuse_link, write_private
 
@@ -139,7 +139,7 @@ def wait(
     duration_s: float | None,
 ) -> None:
     """Says `headline`, then shows `status` until the run has finished, is stopped, or `duration_s` is over."""
-    from haptether.cli.screen import Screen, plain
+    from haptether.cli.shared.screen import Screen, plain
 
     console = Screen(stderr=True)
     # A person or a parent process reads this line to learn that the socket is open.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from haptether._core import LoopReport, MasterLoop, MasterTrace, RecordingReport, SlaveLoop, SlaveTrace
-from haptether.bridge.device_opening import DeviceNotes, close_once, encodable, failure, opened
+from haptether.bridge.devices.open import DeviceNotes, close_once, encodable, failure, opened
 from haptether.bridge.interpreter import QUIET
 
 if TYPE_CHECKING:

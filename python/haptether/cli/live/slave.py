@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from haptether.cli.live_options import LiveOptions
+from haptether.cli.live.options import LiveOptions
 
 if TYPE_CHECKING:
     from haptether.bridge import LoopReport, SlaveRun, SlaveTrace
-    from haptether.cli.live import Cause
+    from haptether.cli.live.run import Cause
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class Slave(LiveOptions):
         import numpy as np
 
         from haptether.bridge import LiveSlave
-        from haptether.cli.live import (
+        from haptether.cli.live.run import (
             FlightFile,
             Steps,
             Stopped,
@@ -75,10 +75,10 @@ class Slave(LiveOptions):
             tell,
             wait,
         )
-        from haptether.cli.live_scene import fault_text, live_scene, raise_error, start_slave
-        from haptether.cli.options import new_session, slave_settings
-        from haptether.cli.output import check_distinct, check_target
-        from haptether.cli.security import handed_over, marked, session_key
+        from haptether.cli.live.security import handed_over, marked, session_key
+        from haptether.cli.live.sides import fault_text, live_scene, raise_error, start_slave
+        from haptether.cli.shared.options import new_session, slave_settings
+        from haptether.cli.shared.output import check_distinct, check_target
         from haptether.safety import fault_message
 
         check_target(self.json)
@@ -150,8 +150,8 @@ class Slave(LiveOptions):
 
         from haptether.bridge import ladder_state_name
         from haptether.cli.link_table import link_table
-        from haptether.cli.output import write_json
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.screen import screen
         from haptether.studies import summarise_link
 
         state = ladder_state_name(int(trace.state[-1])) if len(trace) else "disengaged"

@@ -10,7 +10,7 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
-from haptether.cli.output import table_goes_to_stderr
+from haptether.cli.shared.output import table_goes_to_stderr
 from haptether.printable import printable
 
 MAX_HEADER_LINES = 4

@@ -34,7 +34,7 @@ class LiveOptions:
         Raises:
             ValueError: A number out of its bounds.
         """
-        from haptether.cli.output import check_target
+        from haptether.cli.shared.output import check_target
 
         check_target(self.record)
         if str(self.record) == "-":

@@ -70,11 +70,11 @@ class CheckLink:
         import numpy as np
 
         from haptether.bridge import LiveMaster, override_scene, scene_json
-        from haptether.cli.live import Stopped, tell, wait
-        from haptether.cli.live_scene import live_scene
-        from haptether.cli.options import master_settings, new_session
-        from haptether.cli.output import check_target
-        from haptether.cli.security import handed_over, marked, session_key
+        from haptether.cli.live.run import Stopped, tell, wait
+        from haptether.cli.live.security import handed_over, marked, session_key
+        from haptether.cli.live.sides import live_scene
+        from haptether.cli.shared.options import master_settings, new_session
+        from haptether.cli.shared.output import check_target
         from haptether.studies import judge_link, largest_delay_s, summarise_link
 
         check_target(self.json)
@@ -142,8 +142,8 @@ class CheckLink:
         import msgspec
 
         from haptether.cli.link_table import link_table
-        from haptether.cli.output import write_json
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
         console.print(link_table(summary))
@@ -184,7 +184,7 @@ def simulated_arm() -> "Follower":
 
 def simulated_loop(wall_stiffness: float, force_scale: float) -> "ContactLoop":
     """The device and hand of `haptether master` that press a wall through the arm of `haptether slave`."""
-    from haptether.cli.options import HAND_DAMPING, HAND_STIFFNESS
+    from haptether.cli.shared.options import HAND_DAMPING, HAND_STIFFNESS
     from haptether.master import HapticDevice
     from haptether.studies import ContactLoop
 

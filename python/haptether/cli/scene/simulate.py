@@ -55,8 +55,8 @@ class Simulate:
     def run(self) -> int:
         """Runs the scene; 0, or 1 if it diverged."""
         from haptether.bridge import SceneError, load_scene, simulate
-        from haptether.cli.output import check_target, make_folder, require_matplotlib
-        from haptether.cli.screen import screen
+        from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
+        from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
         if self.list:
@@ -94,7 +94,7 @@ class Simulate:
     def _report(self, console: "Console", run: "Run") -> int:
         import msgspec
 
-        from haptether.cli.output import write_json
+        from haptether.cli.shared.output import write_json
 
         self._print(console, run)
         if self.json is not None:
@@ -110,7 +110,7 @@ class Simulate:
             run.save(self.out)
             console.print(f"signals: {self.out}")
         if self.plot is not None:
-            from haptether.cli.scene_picture import draw_run
+            from haptether.cli.scene.picture import draw_run
 
             picture = self.plot / f"{Path(run.scene).stem}.png"
             draw_run(run, picture)
@@ -205,7 +205,7 @@ def spinner(text: str) -> Iterator[None]:
     """Says on standard error that something goes on, once it takes longer than two seconds."""
     import threading
 
-    from haptether.cli.screen import Screen
+    from haptether.cli.shared.screen import Screen
 
     status = Screen(stderr=True).status(text)
     timer = threading.Timer(SPINNER_AFTER_S, status.start)

@@ -8,7 +8,7 @@ import tyro
 
 if TYPE_CHECKING:
     from haptether.bridge import Sweep as SweepResult
-    from haptether.cli.screen import Screen
+    from haptether.cli.shared.screen import Screen
 
 ROWS_SHOWN = 20
 MAX_ROWS = 10_000_000
@@ -58,8 +58,8 @@ class Sweep:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
         from haptether.bridge import sweep
-        from haptether.cli.output import check_target
-        from haptether.cli.screen import Screen, screen
+        from haptether.cli.shared.output import check_target
+        from haptether.cli.shared.screen import Screen, screen
 
         check_target(self.json)
         check_target(self.out)
@@ -100,8 +100,8 @@ class Sweep:
         import msgspec
 
         from haptether import __version__
-        from haptether.cli.output import write_json
-        from haptether.cli.simulate import shown
+        from haptether.cli.scene.simulate import shown
+        from haptether.cli.shared.output import write_json
 
         shows = self._columns(result)
         rows = [row for row, _ in zip(result.rows(), range(ROWS_SHOWN), strict=False)]

@@ -1,0 +1,1 @@
+"""Drivers of devices in Python: found, opened, and led by a loop."""

@@ -1,0 +1,1 @@
+"""Commands that run scenes in virtual time: `simulate` and `sweep`."""

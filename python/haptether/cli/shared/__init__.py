@@ -1,0 +1,1 @@
+"""What commands of every kind share: numbers and their bounds, output, the screen."""
