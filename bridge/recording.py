@@ -8,32 +8,20 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from haptether.bridge.flight import Cause, Step
+
 SCHEMA = "1"
 
 
-class RecordedStep(msgspec.Struct, frozen=True, kw_only=True):
-    """Something that was to be done before the two sides coupled again."""
-
-    at: str
-    """"master", "slave" or "link"."""
-    remedy: str
-    """"acknowledge", "start", "wait" or "press"."""
-    text: str
-
-
-class RecordedCause(msgspec.Struct, frozen=True, kw_only=True):
+class RecordedCause(Cause, frozen=True):
     """Why the two sides were not coupled, as the recorded side knew it."""
 
     time_ns: int
     """Since the run began."""
-    state: str
-    """Of its ladder."""
-    at: str
-    """Where it happened: "master", "slave" or "link"."""
-    text: str
-    """What, in the driver's own words where there are any."""
-    steps: list[RecordedStep]
-    """What to do, in this order."""
+
+
+RecordedStep = Step
+"""Its public name."""
 
 
 class Recording(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,7 +61,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     meanings: dict[str, str] = {}
     topics: set[int] = set()
     messages: list[dict[str, Any]] = []
-    told: set[int] = set()
+    cause_topics: set[int] = set()
     causes: list[RecordedCause] = []
     whole = False
     with Path(path).open("rb") as file:
@@ -86,10 +74,10 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
                         properties = msgspec.json.decode(record.data)["properties"]
                         meanings = {name: field["description"] for name, field in properties.items()}
                     case Channel(message_encoding="json", topic=topic):
-                        (told if topic.endswith("/cause") else topics).add(record.id)
+                        (cause_topics if topic.endswith("/cause") else topics).add(record.id)
                     case Message(channel_id=channel) if channel in topics:
                         messages.append(msgspec.json.decode(record.data))
-                    case Message(channel_id=channel) if channel in told:
+                    case Message(channel_id=channel) if channel in cause_topics:
                         causes.append(msgspec.json.decode(record.data, type=RecordedCause))
                     case Footer():
                         whole = True

@@ -11,8 +11,8 @@ import msgspec
 import pytest
 
 from haptether.bridge import DeviceError, load_scene
-from haptether.cli.live.run import Stopped
 from haptether.cli.live.sides import _opened, with_clutch
+from haptether.cli.shared.stop import Stopped
 
 PROXY = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9"]
 COMMAND = [sys.executable, "-m", "haptether"]

@@ -24,14 +24,15 @@ from haptether.cli import main
 from haptether.cli.entry import COMMANDS
 from haptether.cli.link_table import link_table
 from haptether.cli.live.explain import Explain
-from haptether.cli.live.push_table import print_push
-from haptether.cli.live.run import Stopped, tell, wait
+from haptether.cli.live.master import print_push
+from haptether.cli.live.run import print_security
 from haptether.cli.netsim_proxy_report import _print as print_proxy
 from haptether.cli.netsim_record import Record
 from haptether.cli.netsim_sample import figures_table
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep as SweepCommand
 from haptether.cli.shared.screen import Screen, folded, tables
+from haptether.cli.shared.stop import Stopped, wait
 from haptether.netsim import LinkFigures
 from haptether.printable import printable
 from haptether.studies import LinkSummary, PushResult
@@ -346,7 +347,7 @@ def test_a_line_of_a_run_and_its_events_act_on_no_terminal(
     finished: Callable[[], bool] = lambda: next(ends)  # noqa: E731
     monkeypatch.setattr(Stopped, "sleep", lambda _self, _seconds: None)
     wait("master", lambda: HOSTILE, finished, Stopped(), None)
-    tell([HOSTILE])
+    print_security([HOSTILE])
     assert not FORBIDDEN.search(capsys.readouterr().err.replace("\x1b", ""))
 
 

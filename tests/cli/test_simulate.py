@@ -273,11 +273,11 @@ def test_a_folder_that_cannot_be_is_refused_before_the_run(
 
 def test_what_chatters_is_told_once() -> None:
     from haptether.bridge import Event
-    from haptether.cli.scene.simulate import told_events
+    from haptether.cli.scene.simulate import merged_events
 
     chatter = [Event(n * 0.001, ("trip", "recover")[n % 2], ("wsc", "")[n % 2]) for n in range(100)]
     around = [Event(-0.1, "contact", ""), *chatter, Event(0.2, "free", ""), Event(0.3, "trip", "hsc")]
-    assert told_events(around) == [
+    assert merged_events(around) == [
         (-0.1, "contact"), (0.0, "trip  wsc  50 times, until 0.0990 s"), (0.2, "free"), (0.3, "trip  hsc")
     ]  # fmt: skip
 

@@ -13,7 +13,7 @@ from tests.faults.signals import NAMES, Ticks
 from tests.faults.virtual import CLEAN, DELAY_S, FADE_S, PERIOD_S
 
 from haptether.bridge import LadderSettings, LiveMaster, LiveSlave, MasterSettings, SlaveSettings, run_bridge
-from haptether.cli.shared.options import master_settings, slave_settings
+from haptether.cli.live.sides import master_settings, slave_settings
 from haptether.master import Hand, HapticDevice
 from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySettings, SafetyTicks, fault_message
 from haptether.slave import Arm, Pusher, Wall

@@ -252,7 +252,7 @@ def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: l
 def test_live_and_virtual_time_run_the_same_scene(key: Path, children: list[Child], tmp_path: Path) -> None:
     """Parity: the same press, push and release, over loopback and in virtual time."""
     from haptether.bridge import run_bridge
-    from haptether.cli.shared.options import master_settings, slave_settings
+    from haptether.cli.live.sides import master_settings, slave_settings
     from haptether.netsim import LinkSettings
 
     slave = Child(

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from haptether.bridge import LiveMaster, LiveSlave, MasterLoop, MasterRun, load_scene, scene_json
-from haptether.cli.live.process_start import started_s
+from haptether.cli.live.sides import started_s
 from haptether.master import MasterSample
 
 pytestmark = pytest.mark.live
@@ -166,7 +166,7 @@ def test_the_start_of_a_process_is_its_own_and_not_of_its_loading() -> None:
 import time
 time.sleep(1.0)
 from haptether.cli.interrupts import INTERRUPTS
-from haptether.cli.live.process_start import started_s
+from haptether.cli.live.sides import started_s
 INTERRUPTS.begun = True
 print(time.monotonic() - started_s())
 """

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from haptether.bridge import LiveSlave, read_key, wipe_key, write_key
-from haptether.cli.shared.options import slave_settings
+from haptether.cli.live.sides import slave_settings
 
 PUSH: dict[str, Any] = {"wall_stiffness": 100.0, "push_at_s": None, "push_force_n": 3.5, "push_duration_s": 2.0}
 
@@ -89,7 +89,7 @@ HELD = (
 import base64, ctypes, resource, sys, time
 from pathlib import Path
 from haptether.bridge import LiveMaster, LiveSlave, read_key, wipe_key
-from haptether.cli.shared.options import master_settings, slave_settings
+from haptether.cli.live.sides import master_settings, slave_settings
 
 def settled(port):
     key = read_key(Path(sys.argv[1]))

@@ -94,7 +94,7 @@ def test_the_arm_of_check_link_is_the_simulated_one() -> None:
 def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bool) -> None:
     """The same loop, sampled, with a hand that holds: calm below what it bears, growing above."""
     from haptether.bridge import MasterSettings, SlaveSettings
-    from haptether.cli.shared.options import START_M
+    from haptether.cli.live.sides import START_M
     from haptether.master import Hand, HapticDevice
     from haptether.netsim import LinkSettings
     from haptether.safety import LimiterSettings

@@ -1,4 +1,8 @@
-"""The command line: `haptether demo | paper | simulate | sweep | master | slave | netsim`, one file a command."""
+"""The command line: `haptether demo | paper | simulate | sweep | master | slave | netsim | ...`, one file a command.
+
+`entry.py` lists the commands. Those of one kind share a folder with what only they need: `scene/`, `live/`,
+`netsim/`; what commands of every kind need is in `shared/`.
+"""
 
 from haptether.cli.interrupts import INTERRUPTS, open_standard_streams
 
@@ -10,7 +14,7 @@ __all__ = ["main"]
 
 
 def main(arguments: "Sequence[str] | None" = None) -> int:
-    """Runs one command and gives its exit status."""
+    """Runs one command and returns its exit status."""
     if arguments is None:
         # A process of its own: in somebody else's, signals and streams are theirs.
         INTERRUPTS.begin()

@@ -49,10 +49,10 @@ class Demo:
         """Runs all controllers; 0 if protection held, 1 if not, 130 on Ctrl-C."""
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        from haptether.cli.live.run import Stopped
-        from haptether.cli.shared.options import check_seed
+        from haptether.cli.shared.numbers import check_seed
         from haptether.cli.shared.output import check_target, require_matplotlib
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.stop import Stopped
         from haptether.netsim import LinkSettings, link_spec
         from haptether.studies import DEMO_CONTROLLERS, DemoScene, Interrupted, run_demo
 
@@ -93,10 +93,8 @@ class Demo:
         return self._report(console, scene, results)
 
     def _report(self, console: "Screen", scene: "DemoScene", results: "list[PushResult]") -> int:
-        import msgspec
-
-        from haptether.cli.live.push_table import print_push
-        from haptether.cli.shared.output import write_json
+        from haptether.cli.live.master import print_push
+        from haptether.cli.shared.output import write_report
         from haptether.studies import draw_demo
 
         print_push(console, results)
@@ -119,14 +117,7 @@ class Demo:
         if broken:
             console.print(f"the link did not last in: {', '.join(broken)} (see holds and the final state)")
         picture = self.out / "demo.png"
-        if self.json is not None:
-            report = {
-                "scene": scene,
-                "protected": protected,
-                "picture": str(picture),
-                "results": results,
-            }
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        write_report(self.json, {"scene": scene, "protected": protected, "picture": str(picture), "results": results})
         draw_demo(scene, results, picture)
         console.print(f"picture: {picture}", highlight=False)
         return 0 if protected else 1

@@ -37,7 +37,7 @@ from haptether.cli.raven import Raven
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep
 from haptether.cli.shared.numbers import NUMBERS
-from haptether.cli.shared.queued_output import QueuedOutput, queued_output
+from haptether.cli.shared.output import QueuedOutput, queued_output
 from haptether.cli.ur_emulator import UrEmulator
 from haptether.printable import printable
 
@@ -46,7 +46,7 @@ class Command(Protocol):
     """What one command is."""
 
     def run(self) -> int:
-        """Does it and gives the exit status."""
+        """Does it and returns the exit status."""
 
 
 COMMANDS: dict[str, type[Any]] = {
@@ -89,7 +89,7 @@ NEVER_WAITS = (Master, Slave, Demo, UrEmulator, CheckLink, Proxy, Echo, Record)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command and gives its exit status."""
+    """Runs one command and returns its exit status."""
     arguments = sys.argv[1:] if arguments is None else arguments
     # What a command writes is its user's alone: recordings say what a hand did.
     before = os.umask(0o077)
@@ -181,7 +181,7 @@ def _let_go_of_output() -> None:
 
 
 def parse(arguments: Sequence[str]) -> Command:
-    """The command that the arguments ask for.
+    """The command that the arguments request.
 
     Raises:
         SystemExit: With 2 for arguments that do not fit, and with 0 once help was given.
@@ -198,11 +198,11 @@ def parse(arguments: Sequence[str]) -> Command:
 def _parsed(
     commands: "dict[str, type[Command]]", prog: str, group: "type[object] | None", arguments: Sequence[str]
 ) -> Command:
-    said = io.StringIO()
+    printed = io.StringIO()
     # The parser repeats arguments as they are.
     safe = all(argument.isprintable() for argument in arguments)
     try:
-        with contextlib.nullcontext() if safe else contextlib.redirect_stderr(said):
+        with contextlib.nullcontext() if safe else contextlib.redirect_stderr(printed):
             command: Command = tyro.cli(
                 union_of(commands),
                 prog=prog,
@@ -212,14 +212,14 @@ def _parsed(
                 registry=NUMBERS,
             )
     except SystemExit as ended:
-        for line in said.getvalue().split("\n"):
+        for line in printed.getvalue().split("\n"):
             if line:
                 print(printable(line), file=sys.stderr)
-        told = commands[arguments[0]] if arguments and arguments[0] in commands else group
-        if ended.code == 0 and told is not None:
+        described = commands[arguments[0]] if arguments and arguments[0] in commands else group
+        if ended.code == 0 and described is not None:
             # The parser would fold the examples into one paragraph.
-            print(f"\n{folded((inspect.getdoc(told) or '').partition(chr(10))[2].strip())}")
-        # Here, where somebody is told that it cannot be written.
+            print(f"\n{folded((inspect.getdoc(described) or '').partition(chr(10))[2].strip())}")
+        # Here, where it is reported if it cannot be written.
         sys.stdout.flush()
         raise
     return command
@@ -272,22 +272,8 @@ def complete(arguments: Sequence[str]) -> int:
 
 
 def with_backward(arguments: Sequence[str]) -> list[str]:
-    """The arguments with each `--backward.key value` as `--backward-set key=value`."""
-    plain: list[str] = []
-    waiting = list(arguments)
-    while waiting:
-        argument = waiting.pop(0)
-        name, equals, value = argument.partition("=")
-        if name.startswith("--backward."):
-            if not equals:
-                value = waiting.pop(0) if waiting else ""
-            plain += ["--backward-set", f"{name.removeprefix('--backward.')}={value}"]
-        else:
-            plain.append(argument)
-    return plain
-
-
-SCENE_COMMANDS = {"simulate", "sweep"}
+    """The arguments of a command of netsim with each `--backward.key value` as `--backward-set key=value`."""
+    return _with_assignments(arguments, BACKWARD, "--backward-set", ())
 
 
 def with_overrides(arguments: Sequence[str]) -> list[str]:
@@ -297,26 +283,34 @@ def with_overrides(arguments: Sequence[str]) -> list[str]:
     """
     if not arguments or arguments[0] not in SCENE_COMMANDS:
         return list(arguments)
-    plain: list[str] = []
+    return _with_assignments(arguments, TABLE_KEY, "--set", ("--set", "--vary"))
+
+
+SCENE_COMMANDS = {"simulate", "sweep"}
+TABLE_KEY = re.compile(r"--(.*\..*)", re.DOTALL)
+BACKWARD = re.compile(r"--backward\.(.*)", re.DOTALL)
+
+
+def _with_assignments(
+    arguments: Sequence[str], key: re.Pattern[str], option: str, repeated: Sequence[str]
+) -> list[str]:
+    """Each option of the form `key` as an assignment after `option`; one of `repeated` before each of its values."""
+    changed: list[str] = []
     waiting = list(arguments)
     while waiting:
         argument = waiting.pop(0)
         name, equals, value = argument.partition("=")
-        if name.startswith("--") and "." in name:
+        if found := key.fullmatch(name):
             if not equals:
                 value = waiting.pop(0) if waiting else ""
-            plain += ["--set", f"{name.removeprefix('--')}={value}"]
-        elif argument in {"--set", "--vary"} and waiting:
-            plain += [argument, waiting.pop(0)]
-            while waiting and _is_assignment(waiting[0]):
-                plain += [argument, waiting.pop(0)]
+            changed += [option, f"{found[1]}={value}"]
+        elif argument in repeated and waiting:
+            changed += [argument, waiting.pop(0)]
+            while waiting and "=" in waiting[0] and not waiting[0].startswith("-"):
+                changed += [argument, waiting.pop(0)]
         else:
-            plain.append(argument)
-    return plain
-
-
-def _is_assignment(argument: str) -> bool:
-    return "=" in argument and not argument.startswith("-")
+            changed.append(argument)
+    return changed
 
 
 def summary(command: type[object]) -> str:
@@ -337,7 +331,7 @@ def folded(text: str) -> str:
 
 
 def complain(error: Exception, status: int, *, debug: bool = False) -> int:
-    """Says what is wrong in one line, whatever it repeats; before it the traceback, if asked for."""
+    """Says what is wrong in one line, whatever it repeats; before it the traceback, if requested."""
     if debug:
         lines = "".join(traceback.format_exception(error)).splitlines()
         print("\n".join(printable(line) for line in lines), file=sys.stderr)

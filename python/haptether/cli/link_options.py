@@ -60,7 +60,7 @@ class LinkOptions:
             SceneError: A scene, flag or setting that cannot be.
         """
         from haptether.bridge.scene import overridden
-        from haptether.cli.shared.options import check_seed
+        from haptether.cli.shared.numbers import check_seed
 
         plain, seed, folder = _read(scene)
         flags = {name: value for name in FLAGS if (value := getattr(self, name)) is not None}

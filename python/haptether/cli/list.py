@@ -26,11 +26,10 @@ class List:
 
     def run(self) -> int:
         """Prints the names of each kind."""
-        import msgspec
         from rich.padding import Padding
 
         from haptether.bridge import MASTERS, SLAVES, device_names, scene_names
-        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.master import DEVICE_PRESETS
         from haptether.netsim import PRESETS
@@ -47,7 +46,5 @@ class List:
         for key, (what, names) in kinds.items():
             console.print(f"{key}: {what}", style="bold")
             console.print(Padding(", ".join(names) or "-", (0, 0, 0, 2)))
-        if self.json is not None:
-            report = {key: list(names) for key, (_, names) in kinds.items()}
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        write_report(self.json, {key: list(names) for key, (_, names) in kinds.items()})
         return 0

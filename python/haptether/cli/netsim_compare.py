@@ -39,7 +39,7 @@ class Compare:
         import msgspec
 
         from haptether.cli.netsim_sample import check_traffic, figures_table, sending_times
-        from haptether.cli.shared.options import check_seed
+        from haptether.cli.shared.numbers import check_seed
         from haptether.cli.shared.output import check_target, write_json
         from haptether.cli.shared.screen import screen
         from haptether.netsim import compare_netem

@@ -29,10 +29,10 @@ class Echo:
         """Answers until told to stop."""
         import msgspec
 
-        from haptether.cli.live.run import Stopped, wait
-        from haptether.cli.shared.options import check_duration
+        from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target, write_json
         from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.stop import Stopped, wait
         from haptether.netsim import Echo as LiveEcho
 
         check_duration("duration_s", self.duration_s)

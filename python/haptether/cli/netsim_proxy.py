@@ -10,7 +10,7 @@ import tyro
 from haptether.cli.link_options import LinkOptions, Links
 
 if TYPE_CHECKING:
-    from haptether.cli.live.run import Stopped
+    from haptether.cli.shared.stop import Stopped
     from haptether.netsim import ControlSocket
     from haptether.netsim import Proxy as LiveProxy
 
@@ -59,11 +59,11 @@ class Proxy(LinkOptions):
 
     def run(self) -> int:
         """Forwards until told to stop."""
-        from haptether.cli.live.run import Stopped
         from haptether.cli.netsim_log import Log
         from haptether.cli.netsim_proxy_report import report
-        from haptether.cli.shared.options import check_duration
+        from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target
+        from haptether.cli.shared.stop import Stopped
         from haptether.netsim import ControlSocket
         from haptether.netsim import Proxy as LiveProxy
         from haptether.private_file import begin_private
@@ -99,8 +99,8 @@ class Proxy(LinkOptions):
         return report(statistics, self.max_error_s, self.json)
 
     def _wait(self, proxy: "LiveProxy", control: "ControlSocket | None", links: Links, stopped: "Stopped") -> None:
-        from haptether.cli.live.run import wait
         from haptether.cli.netsim_proxy_report import statistics_report
+        from haptether.cli.shared.stop import wait
         from haptether.netsim import Controlled
 
         headline = f"netsim listens on {proxy.address}, forwards to {self.forward}"

@@ -72,9 +72,9 @@ class UrEmulator:
         import sys
         import time
 
-        from haptether.cli.live.run import Stopped
-        from haptether.cli.shared.options import check_duration
+        from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_json
+        from haptether.cli.shared.stop import Stopped
         from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server, realtime
 
         check_duration("duration_s", self.duration_s)

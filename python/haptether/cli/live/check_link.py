@@ -67,14 +67,16 @@ class CheckLink:
             RuntimeError: No slave answered.
             ValueError: A number out of its bounds.
         """
+        import secrets
+
         import numpy as np
 
         from haptether.bridge import LiveMaster, override_scene, scene_json
-        from haptether.cli.live.run import Stopped, tell, wait
-        from haptether.cli.live.security import handed_over, marked, session_key
-        from haptether.cli.live.sides import live_scene
-        from haptether.cli.shared.options import master_settings, new_session
+        from haptether.cli.live.options import handed_over, marked, session_key
+        from haptether.cli.live.run import print_security
+        from haptether.cli.live.sides import live_scene, master_settings
         from haptether.cli.shared.output import check_target
+        from haptether.cli.shared.stop import Stopped, wait
         from haptether.studies import judge_link, largest_delay_s, summarise_link
 
         check_target(self.json)
@@ -85,7 +87,7 @@ class CheckLink:
         if not 0.1 <= self.duration_s <= MAX_DURATION_S:
             message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MAX_DURATION_S:g} s"
             raise ValueError(message)
-        scene = live_scene(self, self.scene, self.set, ("force_scale",))
+        scene = live_scene(self, ("force_scale",))
         settings: MasterSettings | bytes
         if scene is None:
             stiffness = WALL_STIFFNESS if self.wall_stiffness is None else self.wall_stiffness
@@ -104,7 +106,7 @@ class CheckLink:
                 LiveMaster(
                     settings,
                     peer=self.peer,
-                    session=new_session(),
+                    session=secrets.randbits(64),
                     key=key,
                     insecure=self.insecure,
                     # Never engages, so this is when it ends.
@@ -116,16 +118,16 @@ class CheckLink:
 
             def status() -> str:
                 master.poll()
-                tell(master.security_events())
+                print_security(master.security_events())
                 return f"measuring, {master.ticks} ticks"
 
             headline = marked(f"check-link on {master.address} talks to {self.peer}", insecure=self.insecure)
             headline += f"\nreal time: {master.realtime}"
             wait(headline, status, lambda: master.finished, stopped, None)
             trace, report = master.finish()
-            tell(master.security_events())
+            print_security(master.security_events())
         if stopped:
-            # Of a part of what was asked for there is no verdict.
+            # Of a part of what was requested there is no verdict.
             raise KeyboardInterrupt
         if not np.isfinite(trace.age_s).any():
             message = (
@@ -139,10 +141,8 @@ class CheckLink:
         return 0 if verdict.good else 1
 
     def _report(self, summary: "LinkSummary", verdict: "LinkVerdict", loop: "ContactLoop") -> None:
-        import msgspec
-
         from haptether.cli.link_table import link_table
-        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
@@ -167,9 +167,7 @@ class CheckLink:
             lines.append("good enough")
         for line in lines:
             console.print(line, soft_wrap=True)
-        if self.json is not None:
-            report = {"peer": self.peer, "verdict": verdict, "link": summary}
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        write_report(self.json, {"peer": self.peer, "verdict": verdict, "link": summary})
 
 
 def simulated_arm() -> "Follower":
@@ -184,7 +182,7 @@ def simulated_arm() -> "Follower":
 
 def simulated_loop(wall_stiffness: float, force_scale: float) -> "ContactLoop":
     """The device and hand of `haptether master` that press a wall through the arm of `haptether slave`."""
-    from haptether.cli.shared.options import HAND_DAMPING, HAND_STIFFNESS
+    from haptether.cli.live.sides import HAND_DAMPING, HAND_STIFFNESS
     from haptether.master import HapticDevice
     from haptether.studies import ContactLoop
 
@@ -217,9 +215,9 @@ def scene_loops(scene: "Scene", wall_stiffness: float | None = None) -> list["Co
         max(state[key] for state in states if state[key] is not None) for key in ("force_scale", "position_scale")
     )
     limiter = spec["safety"]["limiter"]
-    most_force_n = DEFAULT_FORCE_N if limiter is None else limiter["max_force_n"]
+    max_force_n = DEFAULT_FORCE_N if limiter is None else limiter["max_force_n"]
     stiffness, damping = (
-        _contact(spec["environment"], most_force_n / force_scale) if wall_stiffness is None else (wall_stiffness, 0.0)
+        _contact(spec["environment"], max_force_n / force_scale) if wall_stiffness is None else (wall_stiffness, 0.0)
     )
     # What is locked from the first to the last change is never felt.
     locked = set.intersection(*(set(state["locked_axes"]) for state in states if state["locked_axes"] is not None))

@@ -4,86 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import msgspec
 import tyro
 
 if TYPE_CHECKING:
+    from haptether.bridge.flight import Flight, Tick, Trip
     from haptether.cli.shared.screen import Screen
-
-
-class Transition(msgspec.Struct, frozen=True, kw_only=True):
-    """A step of the ladder."""
-
-    time_s: float
-    from_: str = msgspec.field(name="from")
-    to: str
-    reason: str
-
-
-class Trip(msgspec.Struct, frozen=True, kw_only=True):
-    """A controller that intervened, and what its observer saw when it tripped."""
-
-    controller: str
-    observer: str
-    observed: float | None
-    threshold: float | None
-
-
-class Intervention(msgspec.Struct, frozen=True, kw_only=True):
-    """Ticks that lie together at which controllers acted."""
-
-    time_s: float
-    until_s: float
-    trips: list[Trip]
-
-
-class Step(msgspec.Struct, frozen=True, kw_only=True):
-    """Something that was to be done before the two sides coupled again."""
-
-    at: str
-    remedy: str
-    text: str
-
-
-class Cause(msgspec.Struct, frozen=True, kw_only=True):
-    """Why the two sides were not coupled: where it happened, in the driver's own words, and what to do in order."""
-
-    time_s: float
-    state: str
-    at: str
-    text: str
-    steps: list[Step]
-
-
-class Tick(msgspec.Struct, frozen=True, kw_only=True):
-    """A tick of a side; null stands for what is no finite number."""
-
-    time_s: float
-    state: str
-    peer: str | None
-    age_s: float | None
-    clutch: bool
-    gain: float
-    tripped: list[str] = []
-    position: list[float | None]
-    command: list[float | None]
-    force: list[float | None]
-
-
-class Flight(msgspec.Struct, frozen=True, kw_only=True):
-    """What a flight recorder wrote."""
-
-    schema: int
-    side: str
-    transitions: list[Transition]
-    interventions: list[Intervention] = []
-    interventions_seen: int = 0
-    causes: list[Cause] = []
-    at_hold: list[Tick]
-    latest: list[Tick]
-
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,20 +38,20 @@ class Explain:
         Raises:
             ValueError: The file is none of a flight recorder.
         """
-        from haptether.cli.shared.output import check_target, write_json
+        from haptether.bridge.flight import read_flight
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
 
         check_target(self.json)
         if self.ticks < 0:
             message = f"ticks = {self.ticks}: must be 0 or more"
             raise ValueError(message)
-        flight = load_flight(self.file)
+        flight = read_flight(self.file)
         self._print(flight, screen(self.json))
-        if self.json is not None:
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(flight), indent=2))
+        write_report(self.json, flight)
         return 0
 
-    def _print(self, flight: Flight, console: "Screen") -> None:
+    def _print(self, flight: "Flight", console: "Screen") -> None:
         from rich.table import Table
 
         from haptether.cli.shared.screen import tables
@@ -155,7 +80,7 @@ class Explain:
                 console.print_columns({TIME: ladder[TIME]} | values, 1)
 
 
-def _intervention_lines(flight: Flight) -> list[str]:
+def _intervention_lines(flight: "Flight") -> list[str]:
     """Who intervened when, and by what."""
     if not flight.interventions:
         # A slave has no controllers.
@@ -169,7 +94,7 @@ def _intervention_lines(flight: Flight) -> list[str]:
     return lines
 
 
-def _trip(trip: Trip) -> str:
+def _trip(trip: "Trip") -> str:
     if trip.observed is None or trip.threshold is None:
         return trip.controller
     side = "above" if trip.observed > trip.threshold else "below"
@@ -179,7 +104,7 @@ def _trip(trip: Trip) -> str:
 TIME = "time [s]"
 
 
-def _ladder_columns(side: str, ticks: list[Tick]) -> dict[str, list[str]]:
+def _ladder_columns(side: str, ticks: "list[Tick]") -> dict[str, list[str]]:
     columns = {
         TIME: [f"{tick.time_s:.4f}" for tick in ticks],
         "state": [tick.state for tick in ticks],
@@ -193,7 +118,7 @@ def _ladder_columns(side: str, ticks: list[Tick]) -> dict[str, list[str]]:
     return columns
 
 
-def _value_columns(side: str, ticks: list[Tick]) -> dict[str, list[str]]:
+def _value_columns(side: str, ticks: "list[Tick]") -> dict[str, list[str]]:
     """Position, command and force, one column for each axis."""
     columns = {}
     command = "device force [N]" if side == "master" else "command [m]"
@@ -214,7 +139,7 @@ def _number(value: float | None) -> str:
     return "none" if value is None else f"{value:.4g}"
 
 
-def _print_causes(flight: Flight, console: "Screen") -> None:
+def _print_causes(flight: "Flight", console: "Screen") -> None:
     """Each cause with its steps."""
     if flight.causes:
         console.print(f"{flight.side}: why the two sides were not coupled", style="italic")
@@ -222,21 +147,3 @@ def _print_causes(flight: Flight, console: "Screen") -> None:
         console.print(f"{cause.time_s:.4f} s, {cause.state}: {cause.text}", soft_wrap=True)
         for number, step in enumerate(cause.steps, start=1):
             console.print(f"  {number}. {step.text}", soft_wrap=True)
-
-
-def load_flight(path: Path) -> Flight:
-    """Reads what a flight recorder wrote.
-
-    Raises:
-        ValueError: The file is none, or of another version.
-        OSError: It cannot be read.
-    """
-    try:
-        flight = msgspec.json.decode(path.read_bytes(), type=Flight)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        message = f"{path}: is no file of a flight recorder ({error})"
-        raise ValueError(message) from None
-    if flight.schema != SCHEMA:
-        message = f"{path}: schema = {flight.schema}, must be {SCHEMA}"
-        raise ValueError(message)
-    return flight

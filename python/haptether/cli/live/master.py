@@ -2,18 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from haptether.cli.live.options import LiveOptions
-from haptether.cli.shared.options import Controller
 
 if TYPE_CHECKING:
-    from haptether.bridge import LiveMaster, MasterRun, MasterTrace, Scene
-    from haptether.cli.live.run import Cause, Stopped
+    from collections.abc import Callable, Sequence
+
+    from haptether.bridge import MasterTrace, Scene
+    from haptether.bridge.flight import Cause
+    from haptether.cli.shared.screen import Screen
     from haptether.studies import LinkSummary, PushResult
 
+Controller = Literal["none", "vfc", "hsc", "wsc"]
 
 ALONE_S = 0.2
 """A slave that ends no longer before the master than this has ended with it."""
@@ -78,110 +81,43 @@ class Master(LiveOptions):
     """Write every tick as NumPy arrays (.npz)."""
 
     def run(self) -> int:
-        """Runs until told to stop; fails if the slave never answered."""
+        """Runs until it is stopped; fails if the slave never answered."""
         import numpy as np
 
-        from haptether.cli.live.run import (
-            FlightFile,
-            Steps,
-            Stopped,
-            acknowledge,
-            check_memory,
-            recording_status,
-            tell,
-            wait,
-        )
-        from haptether.cli.live.security import handed_over, marked, session_key
-        from haptether.cli.live.sides import fault_text, live_scene, raise_error, with_clutch
-        from haptether.cli.shared.options import check_duration, new_session
+        from haptether.cli.live.options import handed_over, live_arguments, session_key
+        from haptether.cli.live.run import FlightFile, SideWatch
+        from haptether.cli.live.sides import live_scene, start_master, with_clutch
+        from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_distinct, check_target
+        from haptether.cli.shared.stop import Stopped
         from haptether.studies import measure_push, save_master_trace, summarise_link
 
         check_duration("duration_s", self.duration_s)
-        check_target(self.json)
-        check_target(self.trace)
-        check_target(self.flight)
+        check_target(self.json, self.trace, self.flight)
         check_distinct(key=self.key, json=self.json, trace=self.trace, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
-        live = self.live()
-        scene = live_scene(
-            self, self.scene, self.set,
-            ("controller", "depth", "release_at_s", "force_scale", "encoder_quantum"),
-        )  # fmt: skip
+        arguments = live_arguments(self, key)
+        scene = live_scene(self, ("controller", "depth", "release_at_s", "force_scale", "encoder_quantum"))
         if scene is not None:
             scene = with_clutch(scene, self.clutch)
-        how: dict[str, Any] = {
-            "peer": self.peer,
-            "listen": self.listen,
-            "session": new_session(),
-            "key": key,
-            "insecure": self.insecure,
-            "duration_s": self.duration_s,
-            "patience_s": self.patience_s,
-            "keep_s": self.keep_s,
-            **live,
-        }
         controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
         with Stopped() as stopped:
-            master = self._start(scene, stopped, how)
+            master = start_master(self, scene, stopped, arguments)
             handed_over(key)
-            steps = Steps("master")
-            refused: str | None = None
-
-            def status() -> str:
-                nonlocal refused
-                master.poll()
-                acknowledge(master, stopped)
-                refused = refused or tell(master.security_events())
-                steps.show(master)
-                flight.write(master.flight())
-                said = fault_text(master) + recording_status(master.recording)
-                answer = "" if master.is_answered else ", no answer yet"
-                shown = f"master {master.state}{answer}, {master.ticks} ticks{said}"
-                return marked(shown, insecure=self.insecure)
-
-            wait(
-                marked(f"master on {master.address} talks to {self.peer}", insecure=self.insecure)
-                + f"\nreal time: {master.realtime}",
-                status,
-                lambda: master.finished,
-                stopped,
-                None,
-            )
+            watch = SideWatch("master", master, stopped, flight, insecure=self.insecure)
+            watch.until_end(f"master on {master.address} talks to {self.peer}")
             trace, report = master.finish()
-            check_memory(report)
-            refused = refused or tell(master.security_events())
-            flight.write(master.flight())
-            cause = steps.cause_at_end(master)
+            cause = watch.after_end(report)
         result = measure_push(controller, trace, report, release_at_s)
         self._report(result, summarise_link(trace, report), cause, answered=bool(np.isfinite(trace.age_s).any()))
         if self.trace is not None:
             save_master_trace(trace, self.trace)
-        raise_error(master)
+        watch.raise_error()
         alone = result.final_state == "disengaged" and _uncoupled_s(trace) < ALONE_S
         answered = report.link.fresh > 0
-        self._judge(result, answered=answered, stopped=bool(stopped) or alone, refused=refused, cause=cause)
+        self._judge(result, answered=answered, stopped=bool(stopped) or alone, refused=watch.refused, cause=cause)
         return 0
-
-    def _start(self, scene: "Scene | None", stopped: "Stopped", how: dict[str, Any]) -> "LiveMaster | MasterRun":
-        from haptether.bridge import LiveMaster
-        from haptether.cli.live.process_start import started_s
-        from haptether.cli.live.sides import start_master
-        from haptether.cli.shared.options import master_settings
-
-        how["started_s"] = started_s()
-        if scene is not None:
-            return start_master(scene, stopped, clutch=self.clutch, **how)
-        settings = master_settings(
-            self.controller,
-            depth=self.depth,
-            release_at_s=self.release_at_s,
-            force_scale=self.force_scale,
-            encoder_quantum=self.encoder_quantum,
-            clutch=self.clutch,
-        )
-        return stopped.attached(LiveMaster(settings, **how))
 
     def _judge(
         self, result: "PushResult", *, answered: bool, stopped: bool, refused: str | None, cause: "Cause | None"
@@ -217,8 +153,7 @@ class Master(LiveOptions):
         import msgspec
 
         from haptether.cli.link_table import link_table
-        from haptether.cli.live.push_table import print_push
-        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
@@ -227,9 +162,7 @@ class Master(LiveOptions):
             print_push(console, [result])
         if answered:
             console.print(link_table(link))
-        if self.json is not None:
-            report = {**msgspec.to_builtins(result), "cause": cause, "link": link}
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        write_report(self.json, {**msgspec.to_builtins(result), "cause": cause, "link": link})
 
 
 def _uncoupled_s(trace: "MasterTrace") -> float:
@@ -248,3 +181,46 @@ def _protection(scene: "Scene") -> tuple[str, float | None]:
     operator = scene.operator
     released = operator.release.at_s if operator is not None and operator.release is not None else None
     return ", ".join(scene.safety.controllers) or "none", released if scene.master.driver is None else None
+
+
+# ----------------------------------------------------------------------------------------- the table of this and `demo`
+
+
+def print_push(console: "Screen", results: "Sequence[PushResult]") -> None:
+    """One column a run, and below them faults in their words, which fit no column."""
+    from rich.table import Table
+
+    table = Table(header_style="bold", pad_edge=False)
+    table.add_column("controller")
+    for result in results:
+        table.add_column(result.controller, justify="right", no_wrap=True)
+    for name, show in ROWS.items():
+        table.add_row(name, *(show(result) for result in results))
+    console.print(table)
+    for result in results:
+        if result.fault is not None:
+            console.print(f"fault, {result.controller}: {result.fault}", soft_wrap=True)
+
+
+def _figure(value: float | None, digits: int, scale: float = 1.0) -> str:
+    return "-" if value is None else f"{value * scale:.{digits}f}"
+
+
+ROWS: "dict[str, Callable[[PushResult], str]]" = {
+    "peak hand speed away from the wall [m/s]": lambda of: _figure(of.peak_hand_speed, 3),
+    "peak force on the hand [N]": lambda of: _figure(of.peak_force_n, 2),
+    "force on the hand when it lets go [N]": lambda of: _figure(of.force_at_release_n, 2),
+    "time to trip after the release [ms]": lambda of: _figure(of.time_to_trip_s, 0, 1e3),
+    "interventions before the release": lambda of: _figure(of.trips_before_release, 0),
+    "time under intervention [s]": lambda of: _figure(of.intervention_s, 2),
+    "packets sent": lambda of: str(of.sent),
+    "packets lost on the way here": lambda of: str(of.lost),
+    "session": lambda of: "secure" if of.security == "secure" else "INSECURE",
+    "packets refused": lambda of: str(of.refused),
+    "packets overtaken, not used": lambda of: str(of.late),
+    "newest round trip [ms]": lambda of: _figure(of.round_trip_s, 1, 1e3),
+    "loop wakes late, p50 [ms]": lambda of: f"{of.overshoot_p50_s * 1e3:.3f}",
+    "loop wakes late, p99 [ms]": lambda of: f"{of.overshoot_p99_s * 1e3:.3f}",
+    "holds (slave silent > 20 ms)": lambda of: str(of.holds),
+    "state at the end": lambda of: of.final_state,
+}

@@ -1,10 +1,17 @@
-"""What both live commands are asked for beside their side: a scene, real time and a recording."""
+"""Options of the live commands, and what they become: keyword arguments of a side, and the key of its session."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+
+if TYPE_CHECKING:
+    from haptether.cli.live.master import Master
+    from haptether.cli.live.slave import Slave
+
+INSECURE = "INSECURE: frames are neither encrypted nor authenticated, anybody who can send can steer"
+"""What the screen says of a run in the clear."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,30 +35,82 @@ class LiveOptions:
     min_free_bytes: Annotated[int, tyro.conf.arg(metavar="N")] = 1_000_000_000
     """End the recording, and nothing else, when fewer bytes than this are free on its disk."""
 
-    def live(self) -> dict[str, Any]:
-        """As arguments of `LiveMaster` and `LiveSlave`.
 
-        Raises:
-            ValueError: A number out of its bounds.
-        """
-        from haptether.cli.shared.output import check_target
+def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str, Any]:
+    """The options that both sides have, as keyword arguments of `LiveMaster` and `LiveSlave`.
 
-        check_target(self.record)
-        if str(self.record) == "-":
-            message = "record = -: must be a file"
+    Raises:
+        ValueError: A number out of its bounds.
+    """
+    import secrets
+
+    from haptether.cli.shared.output import check_target
+
+    check_target(command.record)
+    if str(command.record) == "-":
+        message = "record = -: must be a file"
+        raise ValueError(message)
+    for name, value, minimum, maximum in (
+        ("priority", command.priority, 1, 99),
+        ("cpu", command.cpu, 0, 1023),
+        ("min-free-bytes", command.min_free_bytes, 0, 2**63),
+    ):
+        if value is not None and not minimum <= value <= maximum:
+            message = f"{name} = {value}: must be {minimum} to {maximum}"
             raise ValueError(message)
-        for name, value, least, most in (
-            ("priority", self.priority, 1, 99),
-            ("cpu", self.cpu, 0, 1023),
-            ("min-free-bytes", self.min_free_bytes, 0, 2**63),
-        ):
-            if value is not None and not least <= value <= most:
-                message = f"{name} = {value}: must be {least} to {most}"
-                raise ValueError(message)
-        return {
-            "realtime": self.realtime,
-            "priority": self.priority,
-            "cpu": self.cpu,
-            "record": self.record,
-            "min_free_bytes": self.min_free_bytes,
-        }
+    return {
+        "session": secrets.randbits(64),
+        "key": key,
+        "insecure": command.insecure,
+        "listen": command.listen,
+        "duration_s": command.duration_s,
+        "patience_s": command.patience_s,
+        "keep_s": command.keep_s,
+        "realtime": command.realtime,
+        "priority": command.priority,
+        "cpu": command.cpu,
+        "record": command.record,
+        "min_free_bytes": command.min_free_bytes,
+    }
+
+
+def session_key(key: Path | None, *, insecure: bool) -> bytearray | None:
+    """The key of a secure session, or none for a run in the clear.
+
+    Raises:
+        ValueError: Both or neither were given, or the file cannot be read or holds no key.
+    """
+    from haptether.bridge import read_key
+
+    if insecure and key is not None:
+        message = "--key, --insecure: give one of the two"
+        raise ValueError(message)
+    if insecure:
+        return None
+    if key is None:
+        message = (
+            "--key PATH is missing: `haptether keygen PATH` makes a key, which both sides need; "
+            "--insecure goes without, in the clear"
+        )
+        raise ValueError(message)
+    try:
+        return read_key(key)
+    except OSError as error:
+        message = (
+            f"--key {key}: cannot be read: {error.strerror}: must be a key file, the same at both sides; "
+            "`haptether keygen PATH` makes one"
+        )
+        raise ValueError(message) from None
+
+
+def handed_over(key: bytearray | None) -> None:
+    """Wipes a key that the live side has its copy of."""
+    from haptether.bridge import wipe_key
+
+    if key is not None:
+        wipe_key(key)
+
+
+def marked(headline: str, *, insecure: bool) -> str:
+    """A headline that says so if the run is in the clear."""
+    return f"{headline} ({INSECURE})" if insecure else headline

@@ -1,223 +1,28 @@
-"""What the live commands share: waiting, Ctrl-C, and the end of a run."""
+"""The main thread of a side that runs: what it shows, why nothing is coupled, the flight recorder's file."""
 
 import contextlib
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
-from haptether.cli.interrupts import INTERRUPTS
-from haptether.cli.shared.queued_output import QueuedWriter
+from haptether.bridge import DeviceRun
+from haptether.bridge.flight import Cause, Step
+from haptether.cli.live.options import marked
+from haptether.cli.shared.output import QueuedWriter
+from haptether.cli.shared.stop import Stopped, wait
 from haptether.printable import printable
 from haptether.private_file import refuse_link, write_private
 
 if TYPE_CHECKING:
-    from haptether.bridge import (
-        DeviceRun,
-        LiveMaster,
-        LiveSlave,
-        LoopReport,
-        MasterLoop,
-        RecordingReport,
-        SignalRelay,
-        SlaveLoop,
-    )
-
-Loop = TypeVar("Loop", "LiveMaster", "LiveSlave", "MasterLoop", "SlaveLoop")
-
-POLL_S = 0.05
+    from haptether.bridge import LiveMaster, LiveSlave, LoopReport
 
 
-class Handlers:
-    """Handlers of signals that are put back at the end."""
-
-    def __init__(self) -> None:
-        self._before: dict[int, object] = {}
-
-    def handle(self, number: int, handler: "Callable[[int, FrameType | None], None] | signal.Handlers") -> None:
-        """Sets one."""
-        self._before[number] = signal.signal(number, handler)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal gave
-
-
-class Stopped(Handlers):
-    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once.
-
-    Its loops end by themselves, whatever this thread waits for; so are they pressed by SIGUSR1. A second Ctrl-C ends
-    the process.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._signals: SignalRelay | None = None
-        self._wakeup = -1
-
-    def __enter__(self) -> Self:
-        from haptether.bridge import SignalRelay
-
-        self._signals = SignalRelay()
-        # Python's handler in C writes to it, whatever Python itself does; the one in Python has nothing to add.
-        self._wakeup = signal.set_wakeup_fd(self._signals.fileno(), warn_on_full_buffer=False)
-        # SIGINT even where it was ignored, as in a background job of a script: whoever sends it wants the arm to stop.
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
-            self.handle(number, _nothing)
-        # Of nohup, which outlives its terminal.
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            self.handle(signal.SIGHUP, _nothing)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._signals is not None:
-            if kind is not None:
-                # Whatever became of this thread: no loop goes on without it.
-                self._signals.stop()
-            if self:
-                # What is left is a report: the next Ctrl-C ends that at once.
-                INTERRUPTS.raising = False
-            super().__exit__(kind, error, traceback)
-            signal.set_wakeup_fd(self._wakeup)
-            self._signals.close()
-
-    def attached(self, loop: Loop) -> Loop:
-        """A loop that signals reach: to stop it, and as the button of its side."""
-        if self._signals is not None:
-            self._signals.attach(loop)
-        return loop
-
-    def take_acknowledgement(self) -> bool:
-        """Whether SIGUSR2 has come within the last 0.5 s, and was not taken before."""
-        return self._signals is not None and self._signals.take_acknowledgement()
-
-    def spend_reserve(self) -> None:
-        """No memory is left: the loops end, with what was set aside for that."""
-        if self._signals is not None:
-            self._signals.spend_reserve()
-
-    @property
-    def out_of_memory(self) -> bool:
-        """Whether the loops were ended because no memory was left."""
-        return self._signals is not None and self._signals.out_of_memory
-
-    def __bool__(self) -> bool:
-        return self._signals is not None and self._signals.stopped
-
-    def sleep(self, seconds: float) -> None:
-        """Waits, but not beyond a stop."""
-        end = time.monotonic() + seconds
-        while not self and (left := end - time.monotonic()) > 0.0:
-            time.sleep(min(left, POLL_S))
-
-
-def _nothing(_number: int, _frame: FrameType | None) -> None:
-    """`SignalRelay` has it."""
-
-
-def wait(
-    headline: str,
-    status: Callable[[], str],
-    finished: Callable[[], bool],
-    stopped: Stopped,
-    duration_s: float | None,
-) -> None:
-    """Says `headline`, then shows `status` until the run has finished, is stopped, or `duration_s` is over."""
-    from haptether.cli.shared.screen import Screen, plain
-
-    console = Screen(stderr=True)
-    # A person or a parent process reads this line to learn that the socket is open.
-    print(headline, file=sys.stderr, flush=True)
-    end = time.monotonic() + duration_s if duration_s is not None else float("inf")
-    with contextlib.suppress(MemoryError), console.status("starting") as shown:
-        while not (finished() or stopped or stopped.out_of_memory or time.monotonic() >= end):
-            try:
-                shown.update(plain(f"{status()}   (Ctrl-C ends)"))
-            except MemoryError:
-                stopped.spend_reserve()
-            stopped.sleep(POLL_S)
-
-
-def recording_status(recording: "RecordingReport | None") -> str:
-    """What the line of a run that goes on says of its recording: that it has ended, or nothing."""
-    if recording is None or recording.end is None:
-        return ""
-    return f", recording ended: {recording.end}"
-
-
-def tell(events: list[str]) -> str | None:
-    """Says on standard error what has happened; gives why the slave refused, if it did."""
-    refused = None
-    for event in events:
-        print(printable(event), file=sys.stderr, flush=True)
-        refused = event if event.startswith("refused") else refused
-    return refused
-
-
-def acknowledge(side: "LiveMaster | LiveSlave | DeviceRun", stopped: Stopped) -> None:
-    """Hands SIGUSR2 to a side; to one that has ended meanwhile it says nothing."""
-    if stopped.take_acknowledgement():
-        with contextlib.suppress(RuntimeError):
-            side.acknowledge()
-
-
-def check_memory(report: "LoopReport") -> None:
-    """Refuses to go on with what needs much of it.
-
-    Raises:
-        MemoryError: The loop was ended because none was left.
-    """
-    if report.out_of_memory:
-        message = "no memory was left: the run was ended, without force, and the other side was sent the end"
-        raise MemoryError(message)
-
-
-class Step(msgspec.Struct, frozen=True, kw_only=True):
-    """Something to be done before two sides couple again."""
-
-    at: str
-    """"master", "slave" or "link"."""
-    remedy: str
-    """"acknowledge", "start", "wait" or "press"."""
-    text: str
-
-
-class Cause(msgspec.Struct, frozen=True, kw_only=True):
-    """Why two sides are not coupled."""
-
-    state: str
-    """Of the ladder of the side that knows it."""
-    at: str
-    """Where it happened: "master", "slave" or "link"."""
-    text: str
-    steps: list[Step]
-    """What to do, in this order."""
-
-
-def cause_of(side: "LiveMaster | LiveSlave | DeviceRun") -> Cause | None:
-    """Why a side is not coupled; none where all is well."""
-    cause = side.cause()
-    return None if cause is None else msgspec.json.decode(cause, type=Cause)
-
-
-class Steps:
-    """What a person must know of why two sides are not coupled, and what to do about it, in order."""
+class SideWatch:
+    """Shows how a side stands until its loop ends, and afterwards why it was not coupled."""
 
     SIGNALS: ClassVar = {
         ("master", "press"): "USR1",
@@ -226,46 +31,115 @@ class Steps:
     }
     HELD: ClassVar = {"hold", "stop", "fault"}
 
-    def __init__(self, side: str) -> None:
+    def __init__(
+        self,
+        name: str,
+        side: "LiveMaster | LiveSlave | DeviceRun",
+        stopped: Stopped,
+        flight: "FlightFile",
+        *,
+        insecure: bool,
+    ) -> None:
+        self.refused: str | None = None
+        """Why the slave refused this master, if it did."""
+        self._name = name
         self._side = side
-        self._shown: Cause | None = None
+        self._stopped = stopped
+        self._flight = flight
+        self._insecure = insecure
+        self._cause: Cause | None = None
         self._ineffective_presses = 0
         self._is_engaged = False
 
-    def show(self, side: "LiveMaster | LiveSlave | DeviceRun") -> None:
-        """Says on standard error where something has happened, what, and what to do; and why a press does nothing."""
-        cause, before = cause_of(side), self._shown
-        self._shown = cause
+    def until_end(self, headline: str) -> None:
+        """Says `headline` and what real time there is, then shows the side until its loop has ended or is stopped."""
+        headline = f"{marked(headline, insecure=self._insecure)}\nreal time: {self._side.realtime}"
+        wait(headline, self._status, lambda: self._side.finished, self._stopped, None)
+
+    def after_end(self, report: "LoopReport") -> Cause | None:
+        """Why a side that has ended is not coupled; said if a driver ended it, maybe before anybody looked.
+
+        Raises:
+            MemoryError: The loop was ended because no memory was left: what needs much of it must not follow.
+        """
+        if report.out_of_memory:
+            message = "no memory was left: the run was ended, without force, and the other side was sent the end"
+            raise MemoryError(message)
+        self._print_security()
+        self._flight.write(self._side.flight())
+        if isinstance(self._side, DeviceRun) and self._side.error is not None:
+            self._print_changes()
+        return self._current_cause()
+
+    def raise_error(self) -> None:
+        """Raises what ended the loop of a driver, if anything did."""
+        if isinstance(self._side, DeviceRun) and self._side.error is not None:
+            raise self._side.error
+
+    def _status(self) -> str:
+        side = self._side
+        side.poll()
+        if self._stopped.take_acknowledgement():
+            # One that has ended meanwhile has nothing to acknowledge.
+            with contextlib.suppress(RuntimeError):
+                side.acknowledge()
+        self._print_security()
+        self._print_changes()
+        self._flight.write(side.flight())
+        answer = "" if side.is_answered or self._name == "slave" else ", no answer yet"
+        fault = side.notes.fault if isinstance(side, DeviceRun) else None
+        fault = "" if fault is None else f", {printable(fault)}"
+        end = None if side.recording is None else side.recording.end
+        recording = "" if end is None else f", recording ended: {end}"
+        status = f"{self._name} {side.state}{answer}, {side.ticks} ticks{fault}{recording}"
+        return marked(status, insecure=self._insecure)
+
+    def _print_security(self) -> None:
+        # A master that is refused tries again, and is refused again.
+        if self._name == "slave" or self.refused is None:
+            self.refused = print_security(self._side.security_events())
+
+    def _print_changes(self) -> None:
+        """Says on standard error what is new: why nothing is coupled, what to do, and why a press does nothing."""
+        cause, before = self._current_cause(), self._cause
+        self._cause = cause
         if cause is not None and cause != before:
             self._print(f"{cause.state}: {cause.text}" if cause.state in self.HELD else cause.text, cause)
-        presses, why = side.ineffective_presses
+        presses, why = self._side.ineffective_presses
         if presses != self._ineffective_presses:
             self._ineffective_presses = presses
             if why is not None:
                 print(f"the clutch was pressed for nothing: {why}", file=sys.stderr, flush=True)
             elif cause is not None:
                 self._print(f"the clutch does nothing yet: {cause.text}", cause)
-        is_engaged = side.state == "engaged"
+        is_engaged = self._side.state == "engaged"
         if is_engaged and not self._is_engaged:
-            print(f"{self._side}: engaged", file=sys.stderr, flush=True)
+            print(f"{self._name}: engaged", file=sys.stderr, flush=True)
         self._is_engaged = is_engaged
 
-    def cause_at_end(self, side: "LiveMaster | LiveSlave | DeviceRun") -> Cause | None:
-        """Why a side that has ended is not coupled; said if a driver ended it, maybe before anybody looked."""
-        if getattr(side, "error", None) is not None:
-            self.show(side)
-        return cause_of(side)
+    def _current_cause(self) -> Cause | None:
+        cause = self._side.cause()
+        return None if cause is None else msgspec.json.decode(cause, type=Cause)
 
     def _print(self, headline: str, cause: Cause) -> None:
-        lines = [headline, *(f"  {number}. {self._words(step)}" for number, step in enumerate(cause.steps, start=1))]
+        lines = [headline, *(f"  {number}. {self._text(step)}" for number, step in enumerate(cause.steps, start=1))]
         print("\n".join(printable(line) for line in lines), file=sys.stderr, flush=True)
 
-    def _words(self, step: Step) -> str:
+    def _text(self, step: Step) -> str:
         name = self.SIGNALS.get((step.at, step.remedy))
         if name is None:
             return step.text
-        where = f"here: kill -{name} {os.getpid()}" if step.at == self._side else f"there: kill -{name} PID"
+        where = f"here: kill -{name} {os.getpid()}" if step.at == self._name else f"there: kill -{name} PID"
         return f"{step.text} ({where})"
+
+
+def print_security(events: list[str]) -> str | None:
+    """Says on standard error what has happened to the session; returns why the slave refused, if it did."""
+    refused = None
+    for event in events:
+        print(printable(event), file=sys.stderr, flush=True)
+        refused = event if event.startswith("refused") else refused
+    return refused
 
 
 class FlightFile:

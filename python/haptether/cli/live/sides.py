@@ -1,44 +1,60 @@
-"""Live sides as a scene says: whose device is a model, or real with a driver."""
+"""Live sides, begun as a scene or the options say: their device is a model, or real with a driver."""
 
 import os
 import sys
 import time
 from collections.abc import Iterable
 from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+from haptether.cli.interrupts import INTERRUPTS
+
 if TYPE_CHECKING:
-    from haptether.bridge import DeviceRun, LiveMaster, LiveSlave, MasterRun, Scene, SlaveRun
-    from haptether.cli.live.run import Stopped
+    from haptether.bridge import (
+        DeviceRun,
+        LiveMaster,
+        LiveSlave,
+        MasterRun,
+        MasterSettings,
+        Scene,
+        SlaveRun,
+        SlaveSettings,
+    )
+    from haptether.cli.live.check_link import CheckLink
+    from haptether.cli.live.master import Controller, Master
+    from haptether.cli.live.slave import Slave
+    from haptether.cli.shared.stop import Stopped
     from haptether.slave import SlaveDevice
 
 READY_S = 60.0
 """How long a driver may take to open its device."""
+LOADED_S = time.monotonic()
+"""Where the system does not say when this process began: when this was loaded."""
 
 
-def live_scene(options: Any, name: str | None, overrides: Iterable[str], instead: Iterable[str]) -> "Scene | None":  # noqa: ANN401  # a command
-    """The scene of a live command, if one is named; then the flags that say the same must not be given.
+def live_scene(command: "Master | Slave | CheckLink", instead: Iterable[str]) -> "Scene | None":
+    """The scene of a live command, if it names one; then its options `instead`, which say the same, must not be given.
 
     Raises:
         SceneError: A scene that cannot be.
-        ValueError: Flags beside it, changes without it, or a scene of one side only.
+        ValueError: Options beside it, changes without it, or a scene of one side only.
     """
     from haptether.bridge import load_scene
 
-    overrides = tuple(overrides)
-    if name is None:
-        if overrides:
-            message = f"set = {overrides[0]}: changes a scene: --scene must name one"
+    if command.scene is None:
+        if command.set:
+            message = f"set = {command.set[0]}: changes a scene: --scene must name one"
             raise ValueError(message)
         return None
-    default = {field.name: field.default for field in fields(options)}
-    if given := [flag for flag in instead if getattr(options, flag) != default[flag]]:
+    default = {field.name: field.default for field in fields(command)}
+    if given := [flag for flag in instead if getattr(command, flag) != default[flag]]:
         flags = ", ".join(f"--{flag.replace('_', '-')}" for flag in given)
         message = f"{flags}: the scene says that: change it by --set KEY=VALUE"
         raise ValueError(message)
-    scene = load_scene(name, overrides)
+    scene = load_scene(command.scene, command.set)
     if scene.slave is None:
-        message = f"scene = {name}: has no [slave]: a live scene has two sides"
+        message = f"scene = {command.scene}: has no [slave]: a live scene has two sides"
         raise ValueError(message)
     return scene
 
@@ -65,13 +81,15 @@ def with_clutch(scene: "Scene", clutch: str) -> "Scene":
 
 
 def start_master(
-    scene: "Scene",
-    stopped: "Stopped",
-    *,
-    clutch: Literal["once", "auto"],
-    **how: Any,  # noqa: ANN401  # of LiveMaster
+    command: "Master", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
 ) -> "LiveMaster | MasterRun":
-    """The master of a scene, begun; `clutch` is that of a real device without a button.
+    """The master of a scene, or of the command's options without one, begun.
+
+    Args:
+        command: Its `clutch` is that of a real device without a button.
+        scene: What `with_clutch` returned.
+        stopped: What its loop is attached to.
+        arguments: Of `live_arguments`.
 
     Raises:
         ValueError: A driver or an option that there is not.
@@ -81,38 +99,68 @@ def start_master(
     """
     from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_master, scene_json
 
+    arguments = {**arguments, "peer": command.peer, "started_s": started_s()}
+    if scene is None:
+        settings = master_settings(
+            command.controller,
+            depth=command.depth,
+            release_at_s=command.release_at_s,
+            force_scale=command.force_scale,
+            encoder_quantum=command.encoder_quantum,
+            clutch=command.clutch,
+        )
+        return stopped.attached(LiveMaster(settings, **arguments))
     spec = scene_json(scene)
     if scene.master.driver is None:
-        return stopped.attached(LiveMaster(spec, **how))
+        return stopped.attached(LiveMaster(spec, **arguments))
     # The loop first: without a time of its own the start counts from here, and a driver may take its time to be loaded.
-    loop = stopped.attached(MasterLoop(spec, clutch=clutch, **how))
+    loop = stopped.attached(MasterLoop(spec, clutch=command.clutch, **arguments))
     device = load_master(scene.master.driver, scene.master.options)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
-    if clutch == "auto":
+    if command.clutch == "auto":
         message = "--clutch auto: a simulated person presses the clutch of this device: it couples anew after each hold"
         print(message, file=sys.stderr, flush=True)
     return _opened(run, f"[master] driver = {scene.master.driver}", stopped)
 
 
-def start_slave(scene: "Scene", stopped: "Stopped", **how: Any) -> "LiveSlave | SlaveRun":  # noqa: ANN401  # of LiveSlave
-    """The slave of a scene, begun.
-
-    Raises:
-        ValueError: A driver or an option that there is not.
-        OSError: An address that cannot be used.
-        KeyboardInterrupt: Ctrl-C while the device opened; it is closed.
-        RuntimeError: The device did not open in time; it is closed.
-    """
+def start_slave(
+    command: "Slave", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
+) -> "LiveSlave | SlaveRun":
+    """The slave of a scene, or of the command's options without one, begun; see `start_master`."""
     from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_slave, scene_json
 
+    if scene is None:
+        settings = slave_settings(
+            wall_stiffness=command.wall_stiffness,
+            push_at_s=command.push_at_s,
+            push_force_n=command.push_force_n,
+            push_duration_s=command.push_duration_s,
+        )
+        return stopped.attached(LiveSlave(settings, **arguments))
     assert scene.slave is not None
     if scene.slave.device == "simulated":
-        return stopped.attached(LiveSlave(scene_json(scene), **how))
+        return stopped.attached(LiveSlave(scene_json(scene), **arguments))
     device = load_slave(scene.slave.device, scene.slave.options)
     spec = scene_json(_within(scene, device))
     period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
-    loop = stopped.attached(SlaveLoop(spec, **how))
+    loop = stopped.attached(SlaveLoop(spec, **arguments))
     return _opened(SlaveRun(device, loop, period_s=period_s), f"[slave] device = {scene.slave.device}", stopped)
+
+
+def started_s() -> float | None:
+    """When a person started this process, by `time.monotonic()`; none where the command is not the process's own.
+
+    A process that was stopped while it loaded, or a machine that slept, does not make the start younger.
+    """
+    if not INTERRUPTS.begun:
+        return None
+    try:
+        # Field 22, in ticks since the machine started, its sleep included; the name before it may have any characters.
+        values = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(values[19]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, AttributeError, ValueError, IndexError):
+        return LOADED_S
+    return max(0.0, min(LOADED_S, time.monotonic() - age_s))
 
 
 def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
@@ -123,14 +171,11 @@ def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
     if axes is not None and axes != scene.master.axes:
         message = f"slave.options: the arm has {axes} axes, the scene {scene.master.axes}: must be as many"
         raise ValueError(message)
-    most = getattr(device, "max_speed", None)
-    if most is None or (scene.coupling is not None and _speed(scene.coupling.command_speed) <= most):
+    max_speed = getattr(device, "max_speed", None)
+    bound = None if scene.coupling is None else scene.coupling.command_speed
+    if max_speed is None or (bound if isinstance(bound, int | float) else float("inf")) <= max_speed:
         return scene
-    return override_scene(scene, [f"coupling.command_speed={most}"])
-
-
-def _speed(bound: object) -> float:
-    return float(bound) if isinstance(bound, int | float) else float("inf")
+    return override_scene(scene, [f"coupling.command_speed={max_speed}"])
 
 
 Run = TypeVar("Run", bound="DeviceRun")
@@ -138,7 +183,7 @@ Run = TypeVar("Run", bound="DeviceRun")
 
 def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     """Waits until the device is open."""
-    from haptether.cli.shared.queued_output import deliver_output
+    from haptether.cli.shared.output import deliver_output
     from haptether.cli.shared.screen import Screen
 
     end = time.monotonic() + READY_S
@@ -162,17 +207,79 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     raise RuntimeError(message)
 
 
-def fault_text(run: "LiveMaster | LiveSlave | DeviceRun") -> str:
-    """What the line of a run says of a device that has failed, or nothing."""
-    from haptether.bridge import DeviceRun
-    from haptether.printable import printable
+# -------------------------------------------------------------------------------------- simulated sides without a scene
 
-    return f", {printable(run.notes.fault)}" if isinstance(run, DeviceRun) and run.notes.fault is not None else ""
+START_M = 0.02
+"""Where hand and arm begin, in m in front of the wall."""
+PRESS_S = 1.2
+"""Time in s in which the hand reaches its target in the wall."""
+HAND_STIFFNESS = 300.0
+HAND_DAMPING = 8.0
+GRIP_STRENGTH_N = 12.0
+RELEASE_DURATION_S = 0.05
+STOPS_M = (-0.08, 0.08)
+"""Mechanical stops of a PHANTOM Desktop, whose workspace is 0.16 m wide."""
+HSC_FORCE_THRESHOLD_N = 1.0
+"""F_t of HSC in N on an encoder of 0.023 mm: below it, quantisation decides what S_h is."""
+HOLD_OFF_S = 0.1
+RELEASE_RAMP_S = 0.2
+"""An intervention lasts at least 0.1 s and hands the force back over 0.2 s, not as a step."""
+PUSH_RISE_S = 0.5
 
 
-def raise_error(run: "LiveMaster | LiveSlave | DeviceRun") -> None:
-    """Raises what ended the loop of a driver, if anything did."""
-    from haptether.bridge import DeviceRun
+def master_settings(
+    controller: "Controller",
+    *,
+    depth: float,
+    release_at_s: float | None,
+    force_scale: float = 1.0,
+    encoder_quantum: float = 2.3e-5,
+    clutch: Literal["once", "auto", "never"] = "once",
+) -> "MasterSettings":
+    """A PHANTOM Desktop in a hand that presses `depth` m deep and lets go at `release_at_s` (never if none).
 
-    if isinstance(run, DeviceRun) and run.error is not None:
-        raise run.error
+    Raises:
+        ValueError: A parameter out of its bounds.
+    """
+    from haptether.bridge import MasterSettings
+    from haptether.master import Hand, HapticDevice
+    from haptether.safety import SafetySettings
+
+    if release_at_s is not None and not release_at_s >= 0.0:
+        message = f"release_at_s = {release_at_s:g}: must be at least 0 s"
+        raise ValueError(message)
+    hand = Hand(
+        stiffness=HAND_STIFFNESS,
+        damping=HAND_DAMPING,
+        strength_n=GRIP_STRENGTH_N,
+        start=START_M,
+        legs=[(PRESS_S, -depth, "minimum-jerk")],
+        release=None if release_at_s is None else (release_at_s, RELEASE_DURATION_S),
+    )
+    safety = SafetySettings(
+        [] if controller == "none" else [controller],
+        hsc_force_threshold_n=HSC_FORCE_THRESHOLD_N,
+        hold_off_s=HOLD_OFF_S,
+        release_ramp_s=RELEASE_RAMP_S,
+    )
+    device = HapticDevice.phantom_desktop(encoder_quantum=encoder_quantum, stops=STOPS_M)
+    return MasterSettings(
+        device, hand, safety=safety, force_scale=force_scale, clutch=[] if clutch == "never" else clutch
+    )
+
+
+def slave_settings(
+    *, wall_stiffness: float, push_at_s: float | None, push_force_n: float, push_duration_s: float
+) -> "SlaveSettings":
+    """A position-controlled arm in front of a wall at x = 0 that is shoved at `push_at_s` (never if none).
+
+    Raises:
+        ValueError: A parameter out of its bounds.
+    """
+    from haptether.bridge import SlaveSettings
+    from haptether.slave import Arm, Pusher, Wall
+
+    # Also where there is none: what cannot be is refused all the same.
+    push = Pusher(at_s=push_at_s or 0.0, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S)
+    pusher = None if push_at_s is None else push
+    return SlaveSettings(Arm(), Wall(stiffness=wall_stiffness), pusher=pusher, position=START_M)

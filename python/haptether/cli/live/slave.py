@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from haptether.cli.live.options import LiveOptions
 
 if TYPE_CHECKING:
-    from haptether.bridge import LoopReport, SlaveRun, SlaveTrace
-    from haptether.cli.live.run import Cause
+    from haptether.bridge import LoopReport, SlaveTrace
+    from haptether.bridge.flight import Cause
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,96 +61,44 @@ class Slave(LiveOptions):
     """Write the result as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Runs until told to stop."""
+        """Runs until it is stopped."""
         import numpy as np
 
-        from haptether.bridge import LiveSlave
-        from haptether.cli.live.run import (
-            FlightFile,
-            Steps,
-            Stopped,
-            acknowledge,
-            check_memory,
-            recording_status,
-            tell,
-            wait,
-        )
-        from haptether.cli.live.security import handed_over, marked, session_key
-        from haptether.cli.live.sides import fault_text, live_scene, raise_error, start_slave
-        from haptether.cli.shared.options import new_session, slave_settings
+        from haptether.cli.live.options import handed_over, live_arguments, session_key
+        from haptether.cli.live.run import FlightFile, SideWatch
+        from haptether.cli.live.sides import live_scene, start_slave
         from haptether.cli.shared.output import check_distinct, check_target
+        from haptether.cli.shared.stop import Stopped
         from haptether.safety import fault_message
 
-        check_target(self.json)
-        check_target(self.flight)
+        check_target(self.json, self.flight)
         check_distinct(key=self.key, json=self.json, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
-        live = self.live()
-        scene = live_scene(
-            self, self.scene, self.set, ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s")
-        )
-        how: dict[str, Any] = {
-            "listen": self.listen,
-            "session": new_session(),
-            "key": key,
-            "insecure": self.insecure,
-            "duration_s": self.duration_s,
-            "patience_s": self.patience_s,
-            "keep_s": self.keep_s,
-            **live,
-        }
+        arguments = live_arguments(self, key)
+        scene = live_scene(self, ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s"))
         with Stopped() as stopped:
-            slave: LiveSlave | SlaveRun
-            if scene is not None:
-                slave = start_slave(scene, stopped, **how)
-            else:
-                settings = slave_settings(
-                    wall_stiffness=self.wall_stiffness,
-                    push_at_s=self.push_at_s,
-                    push_force_n=self.push_force_n,
-                    push_duration_s=self.push_duration_s,
-                )
-                slave = stopped.attached(LiveSlave(settings, **how))
+            slave = start_slave(self, scene, stopped, arguments)
             handed_over(key)
-
-            steps = Steps("slave")
-
-            def status() -> str:
-                slave.poll()
-                acknowledge(slave, stopped)
-                tell(slave.security_events())
-                steps.show(slave)
-                flight.write(slave.flight())
-                shown = (
-                    f"slave {slave.state}, {slave.ticks} ticks{fault_text(slave)}{recording_status(slave.recording)}"
-                )
-                return marked(shown, insecure=self.insecure)
-
-            headline = marked(f"slave listens on {slave.address}", insecure=self.insecure)
-            headline += f"\nreal time: {slave.realtime}"
-            wait(headline, status, lambda: slave.finished, stopped, None)
+            watch = SideWatch("slave", slave, stopped, flight, insecure=self.insecure)
+            watch.until_end(f"slave listens on {slave.address}")
             trace, report = slave.finish()
-            check_memory(report)
-            tell(slave.security_events())
-            flight.write(slave.flight())
-            cause = steps.cause_at_end(slave)
+            cause = watch.after_end(report)
         state = self._report(trace, report, cause)
-        raise_error(slave)
+        watch.raise_error()
         if state == "fault":
-            said = cause.text if cause is not None else fault_message(int(trace.fault[-1]))
-            raise RuntimeError(f"the run ended in fault: {said}")
+            reason = cause.text if cause is not None else fault_message(int(trace.fault[-1]))
+            raise RuntimeError(f"the run ended in fault: {reason}")
         if not np.isfinite(report.engaged_s) and not stopped:
             raise RuntimeError(f"no master came within {self.patience_s} s")
         return 0
 
     def _report(self, trace: "SlaveTrace", report: "LoopReport", cause: "Cause | None") -> str:
-        import msgspec
         import numpy as np
 
         from haptether.bridge import ladder_state_name
         from haptether.cli.link_table import link_table
-        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
         from haptether.studies import summarise_link
 
@@ -183,6 +131,5 @@ class Slave(LiveOptions):
         )
         if np.isfinite(trace.age_s).any():
             console.print(link_table(link))
-        if self.json is not None:
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(result), indent=2))
+        write_report(self.json, result)
         return state

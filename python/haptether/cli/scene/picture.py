@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from haptether.cli.scene.simulate import told_events
 from haptether.printable import printable
 from haptether.private_file import private_file
 
@@ -31,8 +30,13 @@ SLAVE_SIGNAL = "slave_"
 """Prefix of the signals that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
 
 
-def draw_run(run: "Run", path: Path) -> None:
+def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
     """Draws positions, velocity, forces and interventions over time, with the events marked.
+
+    Args:
+        run: With its signals.
+        events: Times in s and what is written there.
+        path: Of the PNG file.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
@@ -42,7 +46,6 @@ def draw_run(run: "Run", path: Path) -> None:
     time_s = run.signals["time_s"]
     # What a scene of one loop renders ticks with its master.
     slave_time_s = run.signals.get("slave_time_s", time_s)
-    told = told_events(run.events)
     figure = Figure(figsize=(10.0, 9.0), layout="constrained")
     # Names of files and reasons are no formulas.
     figure.suptitle(printable(f"{Path(run.scene).stem}, seed {run.seed}"), parse_math=False)
@@ -61,20 +64,20 @@ def draw_run(run: "Run", path: Path) -> None:
                 along = f", {AXIS_NAMES[axis] if axis < 3 else axis}" if values.ndim > 1 else ""
                 panel.plot(times, values_of_axis, lw=1.2, label=f"{described}{along}")
             panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        for time_of_event, _ in told:
+        for time_of_event, _ in events:
             panel.axvline(time_of_event, color="k", lw=0.6, ls=":")
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
-    _name_events(panels[0], told[:EVENTS_NAMED], float(time_s[-1] - time_s[0]))
+    _name_events(panels[0], events[:EVENTS_NAMED], float(time_s[-1] - time_s[0]))
     panels[-1].set_xlabel("time [s]")
     with private_file(path) as file:
         figure.savefig(file, dpi=120)
 
 
-def _name_events(panel: "Axes", told: list[tuple[float, str]], width_s: float) -> None:
+def _name_events(panel: "Axes", events: list[tuple[float, str]], width_s: float) -> None:
     """Names above the panel, each right of the one before."""
     place = -np.inf
-    for time_s, text in told:
+    for time_s, text in events:
         place = max(time_s, place + MIN_GAP * width_s)
         above = ("data", "axes fraction")
         panel.annotate(printable(text), (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,

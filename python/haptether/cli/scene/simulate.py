@@ -65,8 +65,7 @@ class Simulate:
         if self.scene is None:
             message = "which scene? Name one of `haptether simulate --list`, or give the path of a TOML file"
             raise SceneError(message)
-        check_target(self.json)
-        check_target(self.out)
+        check_target(self.json, self.out)
         if self.out is not None and self.out.suffix != ".npz":
             message = f"{self.out}: must end in .npz"
             raise ValueError(message)
@@ -92,20 +91,17 @@ class Simulate:
         return self._report(console, run)
 
     def _report(self, console: "Console", run: "Run") -> int:
-        import msgspec
-
-        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.output import write_report
 
         self._print(console, run)
-        if self.json is not None:
-            report = {
-                "scene": run.scene,
-                "seed": run.seed,
-                "version": run.version,
-                "events": run.events,
-                "metrics": run.metrics,
-            }
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        report = {
+            "scene": run.scene,
+            "seed": run.seed,
+            "version": run.version,
+            "events": run.events,
+            "metrics": run.metrics,
+        }
+        write_report(self.json, report)
         if self.out is not None:
             run.save(self.out)
             console.print(f"signals: {self.out}")
@@ -113,7 +109,7 @@ class Simulate:
             from haptether.cli.scene.picture import draw_run
 
             picture = self.plot / f"{Path(run.scene).stem}.png"
-            draw_run(run, picture)
+            draw_run(run, merged_events(run.events), picture)
             console.print(f"picture: {picture}")
         if run.metrics.diverged:
             last = next((event for event in run.events if event.kind == "diverged"), None)
@@ -132,11 +128,11 @@ class Simulate:
         for name, value in msgspec.to_builtins(run.metrics).items():
             table.add_row(METRICS.get(name, name), shown(value))
         console.print(table)
-        told = told_events(run.events)
-        for time_s, text in told[:EVENTS_SHOWN]:
+        events = merged_events(run.events)
+        for time_s, text in events[:EVENTS_SHOWN]:
             console.print(f"  {time_s:9.4f} s  {text}")
-        if len(told) > EVENTS_SHOWN:
-            console.print(f"  and {len(told) - EVENTS_SHOWN} more; --json has all events")
+        if len(events) > EVENTS_SHOWN:
+            console.print(f"  and {len(events) - EVENTS_SHOWN} more; --json has all events")
 
     def _list(self, console: "Console") -> None:
         from rich.table import Table
@@ -155,9 +151,9 @@ REPEATED = {"trip", "recover"}, {"contact", "free"}
 """Events that chatter: the same two over and over."""
 
 
-def told_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
-    """Events for people, with a time in s each: what chatters is told once, with how often and until when."""
-    told: list[tuple[float, str]] = []
+def merged_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
+    """Events for people, with a time in s each: what chatters is one line, with how often and until when."""
+    merged: list[tuple[float, str]] = []
     waiting = list(events)
     while waiting:
         first = waiting[0]
@@ -166,12 +162,12 @@ def told_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
         times = sum(event.kind == first.kind for event in same)
         text = f"{first.kind}  {first.detail}".rstrip()
         if times > 2:
-            told.append((first.time_s, f"{text}  {times} times, until {same[-1].time_s:.4f} s"))
+            merged.append((first.time_s, f"{text}  {times} times, until {same[-1].time_s:.4f} s"))
         else:
             same = same[:1] or [first]
-            told.append((first.time_s, text))
+            merged.append((first.time_s, text))
         del waiting[: len(same)]
-    return told
+    return merged
 
 
 METRICS = {

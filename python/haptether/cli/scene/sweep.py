@@ -61,8 +61,7 @@ class Sweep:
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.screen import Screen, screen
 
-        check_target(self.json)
-        check_target(self.out)
+        check_target(self.json, self.out)
         if self.out is not None and self.out.suffix not in {".csv", ".npz"}:
             message = f"{self.out}: must end in .csv or .npz"
             raise ValueError(message)
@@ -97,11 +96,9 @@ class Sweep:
     def _report(self, console: "Screen", result: "SweepResult", keys: int) -> None:
         from collections import Counter
 
-        import msgspec
-
         from haptether import __version__
         from haptether.cli.scene.simulate import shown
-        from haptether.cli.shared.output import write_json
+        from haptether.cli.shared.output import write_report
 
         shows = self._columns(result)
         rows = [row for row, _ in zip(result.rows(), range(ROWS_SHOWN), strict=False)]
@@ -121,13 +118,13 @@ class Sweep:
         console.print(f"{len(result)} rows: {counts}")
         if self.json is not None:
             report = {"scene": self.scene, "version": __version__, "rows": list(result.rows())}
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+            write_report(self.json, report)
         if self.out is not None:
             result.save(self.out)
             console.print(f"rows: {self.out}")
 
     def _columns(self, result: "SweepResult") -> list[str]:
-        """What the table has: a metric that no row has is no news, and ticks are shown as time."""
+        """What the table has: a metric that no row has is left out, and ticks are shown as time."""
         import numpy as np
 
         floats = {name: column for name, column in result.columns.items() if column.dtype.kind == "f"}

@@ -1,35 +1,44 @@
-"""How a word of the command line becomes the value of an option; one that may be left out takes the same words."""
+"""Numbers of the command line: how text becomes the value of an option, and bounds that several commands share."""
 
 import types
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Union, get_args
 
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 
-def _float(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        message = f"{word!r}: must be a number"
-        raise ValueError(message) from None
+def check_seed(seed: int) -> None:
+    """Refuses a seed that is no 64-bit number.
+
+    Raises:
+        ValueError: With the bounds.
+    """
+    if not 0 <= seed < 2**64:
+        message = f"seed = {seed}: must be between 0 and 2^64 - 1"
+        raise ValueError(message)
 
 
-def _int(word: str) -> int:
-    try:
-        return int(word)
-    except ValueError:
-        message = f"{word!r}: must be a whole number"
-        raise ValueError(message) from None
+def check_duration(key: str, seconds: float | None) -> None:
+    """Refuses a time that no run can last.
+
+    Raises:
+        ValueError: With the bounds.
+    """
+    if seconds is not None and not 0.0 <= seconds <= 1e9:
+        message = f"{key} = {seconds}: must be between 0 and 1e9 s"
+        raise ValueError(message)
 
 
-KINDS: dict[type, Callable[[str], Any]] = {float: _float, int: _int, Path: Path, str: str}
+# ------------------------------------------------------------------------------------------------- rules of the parser
+
+EXPECTED: dict[type, str] = {float: "a number", int: "a whole number", Path: "a path", str: "text"}
+"""Types of an option whose value is one argument, and what that must be; an option that may be left out takes the same.
+"""
 NUMBERS = ConstructorRegistry()
 
 
 @NUMBERS.primitive_rule
-def _one_word(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+def _one_argument(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     kinds = [kind for kind in get_args(info.type) if kind is not type(None)]
     if info.type in {float, int}:
         kinds = [info.type]
@@ -40,17 +49,25 @@ def _one_word(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
         return PrimitiveConstructorSpec(
             nargs=count,
             metavar=" ".join(["FLOAT"] * count),
-            instance_from_str=lambda words: tuple(map(_float, words)),
+            instance_from_str=lambda texts: tuple(_value(float, text) for text in texts),
             is_instance=lambda value: isinstance(value, tuple),
             str_from_instance=lambda values: list(map(str, values)),
         )
-    if info.type_origin is tuple or len(kinds) != 1 or kinds[0] not in KINDS:
+    if info.type_origin is tuple or len(kinds) != 1 or kinds[0] not in EXPECTED:
         return None
     (kind,) = kinds
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=kind.__name__.upper(),
-        instance_from_str=lambda words: KINDS[kind](words[0]),
+        instance_from_str=lambda texts: _value(kind, texts[0]),
         is_instance=lambda value: value is None or isinstance(value, (kind, int) if kind is float else kind),
         str_from_instance=lambda value: [str(value)],
     )
+
+
+def _value(kind: type, text: str) -> Any:  # noqa: ANN401  # of that type
+    try:
+        return kind(text)
+    except ValueError:
+        message = f"{text!r}: must be {EXPECTED[kind]}"
+        raise ValueError(message) from None

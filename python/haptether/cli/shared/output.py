@@ -1,12 +1,29 @@
-"""Where results go: a table for people, JSON for machines."""
+"""Where results go: files, JSON for machines, and streams of a command that nobody's reading may hold up."""
 
+import contextlib
 import importlib.util
+import io
 import os
+import queue
+import select
 import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 from json import dumps as _dumps
 from pathlib import Path
+from typing import BinaryIO, TextIO, cast
 
 from haptether.private_file import is_stream, refuse_link, write_private
+
+
+def write_report(target: Path | None, report: object) -> None:
+    """Writes what msgspec can encode as indented JSON; nothing without a target."""
+    import msgspec
+
+    if target is not None:
+        write_json(target, msgspec.json.format(msgspec.json.encode(report), indent=2))
 
 
 def write_json(target: Path, text: bytes) -> None:
@@ -42,23 +59,24 @@ def require_matplotlib() -> None:
         raise ImportError(message)
 
 
-def check_target(target: Path | None) -> None:
-    """Refuses a file that cannot be written, before the run rather than after it.
+def check_target(*targets: Path | None) -> None:
+    """Refuses files that cannot be written, before the run rather than after it.
 
     Raises:
         OSError: With the path and what is in the way.
         ValueError: A symbolic link: whoever may make one would choose what is overwritten.
     """
-    if target is None or str(target) == "-":
-        return
-    if target.is_dir():
-        message = f"{target}: is a folder, must be a file"
-        raise OSError(message)
-    refuse_link(target)
-    # A file that is there is replaced.
-    if not os.access(target if is_stream(target) else target.parent, os.W_OK):
-        message = f"{target}: cannot be written: is the folder there, and yours?"
-        raise OSError(message)
+    for target in targets:
+        if target is None or str(target) == "-":
+            continue
+        if target.is_dir():
+            message = f"{target}: is a folder, must be a file"
+            raise OSError(message)
+        refuse_link(target)
+        # A file that is there is replaced.
+        if not os.access(target if is_stream(target) else target.parent, os.W_OK):
+            message = f"{target}: cannot be written: is the folder there, and yours?"
+            raise OSError(message)
 
 
 def check_distinct(**files: Path | None) -> None:
@@ -92,3 +110,167 @@ def make_folder(folder: Path) -> None:
     if not os.access(folder, os.W_OK):
         message = f"{folder}: cannot be written into; give another folder"
         raise OSError(message)
+
+
+# ------------------------------------------------------------- streams of a command that must go on, and end, unread
+
+MAX_WAITING = 1 << 16
+"""Bytes that wait for a reader; what comes then is dropped and counted. One message may be larger."""
+CHUNK = 4096
+"""Bytes at a time: that a reader is slow shows before all is written."""
+STUCK_S = 1.0
+"""A reader that takes nothing for so long at the end of a command is given up."""
+
+
+class QueuedWriter:
+    """Bytes for a descriptor, written by a thread of their own: whoever hands them over never waits."""
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        self.error: OSError | None = None
+        """Why nothing is written any more."""
+        self.dropped = 0
+        """Messages that found no room."""
+        self._descriptor = descriptor
+        self._messages: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._waiting = 0
+        self._taken_s = 0.0
+        threading.Thread(target=self._run, name=f"haptether-{name}", daemon=True).start()
+
+    def put(self, message: bytes) -> None:
+        """Hands a message over."""
+        with self._lock:
+            if self._waiting >= MAX_WAITING:
+                self.dropped += 1
+                return
+            self._waiting += len(message)
+        self._messages.put(message)
+
+    def end(self, requested_s: float) -> bool:
+        """Waits until all is written, but not for a reader that takes nothing for 1 s; returns whether it is.
+
+        Args:
+            requested_s: When the end was requested, in s of the monotonic clock.
+        """
+        self._messages.put(None)
+        while self._waiting > 0:
+            if time.monotonic() >= max(requested_s, self._taken_s) + STUCK_S:
+                return False
+            time.sleep(0.005)
+        return True
+
+    def _run(self) -> None:
+        reported = 0
+        while True:
+            try:
+                message = self._messages.get()
+                if message is None:
+                    return
+                if (dropped := self.dropped) != reported:
+                    self._write(b"[%d messages were dropped: nobody read them in time]\n" % (dropped - reported))
+                    reported = dropped
+                self._write(message)
+                with self._lock:
+                    self._waiting -= len(message)
+            except MemoryError:
+                # A message is lost, the thread is not.
+                continue
+
+    def _write(self, message: bytes) -> None:
+        left = memoryview(message)
+        while left and self.error is None:
+            try:
+                count = os.write(self._descriptor, left[:CHUNK])
+            except BlockingIOError:
+                # Whoever started this process wants it so.
+                select.select([], [self._descriptor], [])
+                continue
+            except OSError as error:
+                self.error = error
+                return
+            left = left[count:]
+            self._taken_s = time.monotonic()
+
+
+class QueuedBuffer(io.RawIOBase):
+    """The bytes of a queued stream."""
+
+    def __init__(self, writer: QueuedWriter, descriptor: int) -> None:
+        super().__init__()
+        self._writer = writer
+        self._descriptor = descriptor
+
+    def writable(self) -> bool:
+        """It is."""
+        return True
+
+    def fileno(self) -> int:
+        """Of what it is written to in the end."""
+        return self._descriptor
+
+    def deliver(self) -> None:
+        """Waits until all is written, within the bounds of `QueuedWriter.end`."""
+        self._writer.end(time.monotonic())
+
+    def isatty(self) -> bool:
+        """Whether that is a terminal."""
+        return os.isatty(self._descriptor)
+
+    def write(self, message: object) -> int:
+        """Hands bytes over."""
+        held = bytes(message)  # type: ignore[call-overload]  # whatever has bytes
+        self._writer.put(held)
+        return len(held)
+
+
+@dataclass
+class QueuedOutput:
+    """What became of standard output; known at its end."""
+
+    delivered: bool = True
+    """Whether all of it was taken."""
+    error: OSError | None = None
+    """Why it was not written to its end."""
+
+
+def _queued(stream: TextIO, name: str) -> tuple[QueuedWriter | None, TextIO]:
+    try:
+        descriptor = stream.fileno()
+    except (OSError, ValueError):
+        # No file, and nothing that blocks: somebody in this process wants it.
+        return None, stream
+    stream.flush()
+    writer = QueuedWriter(descriptor, name)
+    buffer = cast("BinaryIO", QueuedBuffer(writer, descriptor))
+    # Nothing is held back: what is written is handed over at once.
+    return writer, io.TextIOWrapper(buffer, encoding=stream.encoding, errors=stream.errors, write_through=True)
+
+
+@contextlib.contextmanager
+def queued_output() -> Iterator[QueuedOutput]:
+    """Within it nothing that is printed waits; at its end what was printed is waited for, within bounds."""
+    before = sys.stdout, sys.stderr
+    out, stdout = _queued(before[0], "stdout")
+    err, stderr = _queued(before[1], "stderr")
+    sys.stdout, sys.stderr = stdout, stderr
+    output = QueuedOutput()
+    try:
+        yield output
+    finally:
+        sys.stdout, sys.stderr = before
+        requested_s = time.monotonic()
+        if err is not None:
+            err.end(requested_s)
+        if out is not None:
+            output.delivered = out.end(requested_s) and not out.dropped
+            output.error = out.error
+
+
+def deliver_output() -> None:
+    """Waits, within bounds, until what was printed is written: before an exit that waits for nothing."""
+    for stream in (sys.stdout, sys.stderr):
+        buffer = getattr(stream, "buffer", None)
+        if isinstance(buffer, QueuedBuffer):
+            buffer.deliver()
+        else:
+            stream.flush()

@@ -1,0 +1,121 @@
+"""Commands that run until somebody stops them: Ctrl-C and the other signals, and waiting."""
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Self, TypeVar
+
+from haptether.cli.interrupts import INTERRUPTS
+
+if TYPE_CHECKING:
+    from haptether.bridge import LiveMaster, LiveSlave, MasterLoop, SignalRelay, SlaveLoop
+
+Loop = TypeVar("Loop", "LiveMaster", "LiveSlave", "MasterLoop", "SlaveLoop")
+
+POLL_S = 0.05
+
+
+class Stopped:
+    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once.
+
+    Its loops end by themselves, whatever this thread waits for; so are they pressed by SIGUSR1. A second Ctrl-C ends
+    the process.
+    """
+
+    def __init__(self) -> None:
+        self._handlers: dict[int, object] = {}
+        """Those of before, which are put back."""
+        self._signals: SignalRelay | None = None
+        self._wakeup = -1
+
+    def __enter__(self) -> Self:
+        from haptether.bridge import SignalRelay
+
+        self._signals = SignalRelay()
+        # Python's handler in C writes to it, whatever Python itself does; the one in Python has nothing to add.
+        self._wakeup = signal.set_wakeup_fd(self._signals.fileno(), warn_on_full_buffer=False)
+        # SIGINT even where it was ignored, as in a background job of a script: whoever sends it wants the arm to stop.
+        handled = [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2]
+        # Of nohup, which outlives its terminal.
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            handled.append(signal.SIGHUP)
+        for number in handled:
+            self._handlers[number] = signal.signal(number, _nothing)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._signals is not None:
+            if kind is not None:
+                # Whatever became of this thread: no loop goes on without it.
+                self._signals.stop()
+            if self:
+                # What is left is a report: the next Ctrl-C ends that at once.
+                INTERRUPTS.raising = False
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal returned
+            signal.set_wakeup_fd(self._wakeup)
+            self._signals.close()
+
+    def attached(self, loop: Loop) -> Loop:
+        """A loop that signals reach: to stop it, and as the button of its side."""
+        if self._signals is not None:
+            self._signals.attach(loop)
+        return loop
+
+    def take_acknowledgement(self) -> bool:
+        """Whether SIGUSR2 has come within the last 0.5 s, and was not taken before."""
+        return self._signals is not None and self._signals.take_acknowledgement()
+
+    def spend_reserve(self) -> None:
+        """No memory is left: the loops end, with what was set aside for that."""
+        if self._signals is not None:
+            self._signals.spend_reserve()
+
+    @property
+    def out_of_memory(self) -> bool:
+        """Whether the loops were ended because no memory was left."""
+        return self._signals is not None and self._signals.out_of_memory
+
+    def __bool__(self) -> bool:
+        return self._signals is not None and self._signals.stopped
+
+    def sleep(self, seconds: float) -> None:
+        """Waits, but not beyond a stop."""
+        end = time.monotonic() + seconds
+        while not self and (left := end - time.monotonic()) > 0.0:
+            time.sleep(min(left, POLL_S))
+
+
+def _nothing(_number: int, _frame: FrameType | None) -> None:
+    """`SignalRelay` has it."""
+
+
+def wait(
+    headline: str,
+    status: Callable[[], str],
+    finished: Callable[[], bool],
+    stopped: Stopped,
+    duration_s: float | None,
+) -> None:
+    """Says `headline`, then shows `status` until the run has finished, is stopped, or `duration_s` is over."""
+    from haptether.cli.shared.screen import Screen, plain
+
+    console = Screen(stderr=True)
+    # A person or a parent process reads this line to learn that the socket is open.
+    print(headline, file=sys.stderr, flush=True)
+    end = time.monotonic() + duration_s if duration_s is not None else float("inf")
+    with contextlib.suppress(MemoryError), console.status("starting") as shown:
+        while not (finished() or stopped or stopped.out_of_memory or time.monotonic() >= end):
+            try:
+                shown.update(plain(f"{status()}   (Ctrl-C ends)"))
+            except MemoryError:
+                stopped.spend_reserve()
+            stopped.sleep(POLL_S)
