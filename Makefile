@@ -52,6 +52,13 @@ test: $(EXTENSION) ## cargo test and pytest
 	$(BIN)/python -m pytest --numprocesses 3 -m live
 	$(BIN)/python -m pytest -m alone
 
+.PHONY: quick
+quick: $(EXTENSION) ## after a change of Python, in about a minute: ruff, mypy, the quick tests
+	$(BIN)/ruff check --quiet .
+	$(BIN)/ruff format --check --quiet .
+	$(BIN)/mypy $(PYTHON_CODE)
+	$(BIN)/python -m pytest --quiet --exitfirst --numprocesses 2 -m 'not live and not alone and not slow'
+
 .PHONY: lint
 lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the licences
 	cargo fmt --all --check

@@ -15,7 +15,7 @@ HOLDER_PRIORITY = 1
 
 @dataclass
 class Quiet:
-    """No collector that strikes in a tick and short turns of other threads, from the first loop to the last.
+    """No garbage collection in a tick, and other threads switched out early, from the first loop to the last.
 
     Loops of one process share it: who ends first must not bring back what another still has to be without.
     """

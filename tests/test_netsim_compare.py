@@ -9,6 +9,8 @@ import pytest
 from haptether.cli.entry import main
 from haptether.netsim import GilbertElliott, LinkError, compare_netem, translate_netem
 
+pytestmark = pytest.mark.slow
+
 PACKETS = 200_000
 
 

@@ -8,6 +8,8 @@ import pytest
 
 from haptether.netsim import PRESETS, Figure, LinkSettings, Verdicts, burst_lengths, judge_all, link_spec, realised
 
+pytestmark = pytest.mark.slow
+
 PACKETS, PERIOD_NS = 1_000_000, 10_000_000
 """Nearly three hours at 100 Hz: gaps and slots are rare, and their share has to settle."""
 

@@ -27,19 +27,19 @@ GIVE_UP_S = 1.0
 def drive_master(
     device: "MasterDevice", loop: MasterLoop, notes: DeviceNotes | None = None, *, period_s: float | None = None
 ) -> None:
-    """Turns the loop of a master with its device until the run is over.
+    """Runs the loop of a master with its device to its end.
 
     The device is opened here, exerts no force at the end, and is closed.
 
     Args:
         device: What is driven.
         loop: What leads it.
-        notes: What the device and a person beside it say to each other.
+        notes: Faults of the device, and acknowledgements by a person beside it.
         period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
 
     Raises:
-        DeviceError: The device has another period, or the driver raised an exception: no force, and the slave has been
-            told.
+        DeviceError: The device has another period, or the driver raised an exception: no force, and the slave was
+            notified.
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
@@ -82,19 +82,19 @@ def drive_master(
 def drive_slave(
     device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | None = None, *, period_s: float | None = None
 ) -> None:
-    """Turns the loop of a slave with its arm until the run is over.
+    """Runs the loop of a slave with its arm to its end.
 
     The arm is opened here, is stopped at the end, and closed.
 
     Args:
         device: What is driven.
         loop: What leads it.
-        notes: What the device and a person beside it say to each other.
+        notes: Faults of the device, and acknowledgements by a person beside it.
         period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
 
     Raises:
-        DeviceError: The device has another period, or the driver raised an exception: the arm was told to stop, and the
-            master has been told.
+        DeviceError: The device has another period, or the driver raised an exception: the arm was stopped, and the
+            master was notified.
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
@@ -180,7 +180,7 @@ class DeviceRun:
     def _run(self) -> None:
         try:
             self._drive(self.notes)
-        except Exception as error:  # told at the end of the run
+        except Exception as error:  # raised by whoever reads it at the end of the run
             self.error = error
         except BaseException as error:  # a driver's own KeyboardInterrupt or SystemExit, of which nobody else hears
             self.error = failure(self._device, error)
@@ -189,7 +189,7 @@ class DeviceRun:
             self._unquiet()
 
     def ready(self) -> bool:
-        """Whether the device is open and its loop turns, or it has ended."""
+        """Whether the device is open and its loop runs, or it has ended."""
         return bool(self.notes.realtime) or self.finished
 
     def poll(self) -> int:
@@ -233,7 +233,7 @@ class DeviceRun:
         return self._loop.recording
 
     def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, in words."""
+        """What has happened to the session since the last call, as text."""
         return self._loop.security_events()
 
     def flight(self) -> str | None:
@@ -246,7 +246,7 @@ class DeviceRun:
 
     @property
     def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time; none where `cause` has the words."""
+        """How often the clutch was pressed for nothing, and why the last time; none where `cause` says it."""
         return self._loop.ineffective_presses
 
     def stop(self) -> None:

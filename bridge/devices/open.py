@@ -29,12 +29,12 @@ class DeviceError(RuntimeError):
 
 @dataclass
 class DeviceNotes:
-    """What the device and a person beside it say to each other."""
+    """Faults of a device, and acknowledgements by a person beside it."""
 
     fault: str | None = None
-    """What the device said last that is wrong with it."""
+    """The last one that the device reported."""
     acknowledged_s: float | None = None
-    """When a person said that it is mended, by `time.monotonic`; none once the device and the loop have heard it."""
+    """When a person acknowledged it, by `time.monotonic`; none once the loop has passed that on to the device."""
     realtime: str = ""
     """What the loop's thread got of the system, once it has begun."""
     closing: threading.Lock = field(default_factory=threading.Lock)
@@ -51,7 +51,7 @@ def opened(
         device: What is driven.
         notes: Of its loop.
         key: Of the scene, that has the period.
-        period_s: Of the loop in s; none where nobody has said it.
+        period_s: Of the loop in s; none where it is not known.
 
     Raises:
         DeviceError: It could not be opened, or paces the loop by another period.
@@ -108,11 +108,11 @@ def failure(device: "MasterDevice | SlaveDevice", error: BaseException) -> Devic
     """An exception of a driver, with the driver's name and the line of it that led there."""
     name, kind = type(device).__name__, type(error).__name__
     try:
-        said = str(error)
+        text = str(error)
     except Exception:  # a driver's own class: the other side must learn of it all the same
-        said = ""
+        text = ""
     place = _place(device, error)
-    return DeviceError(f"{name}: {kind}" + (f": {said}" if said else "") + (f" ({place})" if place else ""))
+    return DeviceError(f"{name}: {kind}" + (f": {text}" if text else "") + (f" ({place})" if place else ""))
 
 
 def encodable(text: str) -> str:

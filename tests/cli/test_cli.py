@@ -14,6 +14,8 @@ from haptether.bridge import DeviceError, load_scene
 from haptether.cli.live.sides import _opened, with_clutch
 from haptether.cli.shared.stop import Stopped
 
+pytestmark = pytest.mark.slow
+
 PROXY = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9"]
 COMMAND = [sys.executable, "-m", "haptether"]
 LISTEN = ["--listen", "127.0.0.1:0"]

@@ -17,6 +17,8 @@ from haptether.cli.netsim_log import Log
 from haptether.cli.shared.output import write_json
 from haptether.private_file import begin_private, private_file, write_private
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 

@@ -16,6 +16,8 @@ from stability import (
     wall_cases,
 )
 
+pytestmark = pytest.mark.slow
+
 TOLERANCE = 0.01
 """Of the simulated against the closed form; what is measured is within 0.5 %."""
 

@@ -12,6 +12,8 @@ from tests.scene.extremes import BASES, changed, extremes, numbers
 from haptether.bridge import SceneError, simulate
 from haptether.bridge.scene import scene_from_plain
 
+pytestmark = pytest.mark.slow
+
 LONGEST_S = 20.0
 """Of processor time for 20 ticks, on a busy machine; what loops or steps without end takes for ever."""
 MAX_BYTES = 3 << 30

@@ -12,6 +12,8 @@ from tests.scene.strategies import Plain, plain_scenes, real, scenes
 
 from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = 1000
 SEED = 20260
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much])

@@ -12,6 +12,8 @@ import pytest
 
 from haptether.bridge import Sweep, scene_names, simulate, sweep
 
+pytestmark = pytest.mark.slow
+
 STEPPED = ["run.integrator=semi-implicit-euler", "run.duration_s=1.9", "operator.release.at_s=1.4"]
 ROWS = 21
 """Not a multiple of the lanes."""

@@ -11,6 +11,8 @@ from haptether.bridge import Run, load_scene, scene_names, simulate
 from haptether.cli import main
 from haptether.studies import RAVEN_ATTACKS
 
+pytestmark = pytest.mark.slow
+
 Bounds: TypeAlias = tuple[float, float]
 Shown: TypeAlias = tuple[str, list[str], Bounds, Bounds, Bounds | None, int]
 

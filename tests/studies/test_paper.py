@@ -6,6 +6,8 @@ import pytest
 
 from haptether.studies import Operator, PaperReport, PaperRow, reproduce_paper
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def report() -> PaperReport:

@@ -68,7 +68,7 @@ class UrEmulator:
     """Write state and figures as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Serves until told to stop."""
+        """Serves until it is stopped."""
         import sys
         import time
 
@@ -102,8 +102,8 @@ class UrEmulator:
                         raise ValueError(message) from None
                 with realtime(self.realtime) as granted:
                     # Whoever started this process reads the line to learn that the ports are open.
-                    said_to = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                    print(f"{self._headline(channel)}, real time: {granted}", file=said_to, flush=True)
+                    stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
+                    print(f"{self._headline(channel)}, real time: {granted}", file=stream, flush=True)
                     server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
             finally:
                 server.close()

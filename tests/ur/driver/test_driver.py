@@ -14,6 +14,8 @@ from haptether.slave.ur.connection import END_S, LinkError
 from haptether.slave.ur.services import Probe
 from haptether.slave.ur.stop import REST_S, STOP_S
 
+pytestmark = pytest.mark.slow
+
 LONG_S = 20.0
 BLOCKED_S = 0.3
 """What a call into the driver may take on a busy machine, while the library hangs for 30 s."""

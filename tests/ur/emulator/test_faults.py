@@ -14,6 +14,8 @@ import pytest
 from tests.ur.emulated import Emulated, client, result_of
 from tests.ur.plain_rtde import Client
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 
 LATE_S = 0.1

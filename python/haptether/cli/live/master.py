@@ -187,7 +187,7 @@ def _protection(scene: "Scene") -> tuple[str, float | None]:
 
 
 def print_push(console: "Screen", results: "Sequence[PushResult]") -> None:
-    """One column a run, and below them faults in their words, which fit no column."""
+    """One column a run, and below them the texts of faults, which fit no column."""
     from rich.table import Table
 
     table = Table(header_style="bold", pad_edge=False)

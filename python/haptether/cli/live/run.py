@@ -57,7 +57,7 @@ class SideWatch:
         wait(headline, self._status, lambda: self._side.finished, self._stopped, None)
 
     def after_end(self, report: "LoopReport") -> Cause | None:
-        """Why a side that has ended is not coupled; said if a driver ended it, maybe before anybody looked.
+        """Why a side that has ended is not coupled; printed if a driver ended it, maybe before it was last shown.
 
         Raises:
             MemoryError: The loop was ended because no memory was left: what needs much of it must not follow.
