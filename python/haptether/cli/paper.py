@@ -97,10 +97,10 @@ class Paper:
 
 def _conditions(row: "PaperRow") -> str:
     numbers = {"w": row.window, "K": row.stiffness, "D": row.depth, "a": row.amplitude_n}
-    usual = {"K": STIFFNESS, "D": DEPTH}
+    common = {"K": STIFFNESS, "D": DEPTH}
     parts = [row.controller or ""]
     for key, value in numbers.items():
-        if value is not None and value != usual.get(key):
+        if value is not None and value != common.get(key):
             parts.append(f"{key}={value:.5g}")
     return ", ".join(part for part in parts if part)
 
