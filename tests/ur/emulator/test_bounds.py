@@ -33,7 +33,6 @@ from haptether.slave.ur_emulator.script.program import ScriptError
 
 pytestmark = pytest.mark.live
 
-pytestmark = pytest.mark.live
 
 FLOOD_S = 1.0
 CLIENTS = 8

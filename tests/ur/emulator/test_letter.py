@@ -15,7 +15,6 @@ from haptether.slave.ur_emulator.connections import READ_TIMEOUT_S
 
 pytestmark = pytest.mark.live
 
-pytestmark = pytest.mark.live
 
 LATE_S = 0.1
 """More than any stall that a shared machine was seen to have while these ran."""

@@ -15,7 +15,6 @@ from haptether.slave.ur_emulator.robot.motions import transition
 
 pytestmark = pytest.mark.alone
 
-pytestmark = pytest.mark.alone
 
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 
