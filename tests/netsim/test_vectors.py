@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-VECTORS = Path(__file__).resolve().parents[1] / "netsim" / "src" / "tests" / "verdicts.txt"
+VECTORS = Path(__file__).resolve().parents[2] / "netsim" / "src" / "tests" / "verdicts.txt"
 SEED = 0x0123_4567_89AB_CDEF
 PACKETS = 256
 SPACING_NS = 1_000_000
