@@ -1,11 +1,10 @@
 """Network impairment, decided once for virtual time and for live sockets."""
 
 from haptether._core import DirectionStatistics, Echo, ProxyStatistics, Recording, record
-from haptether.netsim.control import ControlSocket, ask_control
-from haptether.netsim.controlled import Controlled
-from haptether.netsim.link_error import LinkError
-from haptether.netsim.link_files import with_files
-from haptether.netsim.link_parts import (
+from haptether.netsim.figures import LinkFigures, asked, burst_lengths, realised
+from haptether.netsim.link.errors import LinkError
+from haptether.netsim.link.files import with_files
+from haptether.netsim.link.parts import (
     Alter,
     Attack,
     BitFlip,
@@ -33,12 +32,13 @@ from haptether.netsim.link_parts import (
     Slots,
     Target,
 )
-from haptether.netsim.link_settings import LinkSettings
-from haptether.netsim.link_spec import link_json, link_spec
+from haptether.netsim.link.resolve import link_json, link_spec
+from haptether.netsim.link.settings import LinkSettings
+from haptether.netsim.live.control_socket import ControlSocket, ask_control
+from haptether.netsim.live.controlled import Controlled
+from haptether.netsim.live.proxy import Proxy
 from haptether.netsim.netem import NetemComparison, compare_netem, translate_netem
 from haptether.netsim.presets import PRESETS, Figure, Preset
-from haptether.netsim.proxy import Proxy
-from haptether.netsim.statistics import LinkFigures, asked, burst_lengths, realised
 from haptether.netsim.verdicts import VERDICT_CAUSES, Verdicts, judge, judge_all, link_bounds
 
 __all__ = [

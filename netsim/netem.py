@@ -10,10 +10,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from haptether import _core
-from haptether.netsim.link_error import LinkError, of_rules
-from haptether.netsim.link_parts import FourState, GilbertElliott
-from haptether.netsim.link_settings import LinkSettings
-from haptether.netsim.statistics import LinkFigures, asked, realised
+from haptether.netsim.figures import LinkFigures, asked, realised
+from haptether.netsim.link.errors import LinkError, of_rules
+from haptether.netsim.link.parts import FourState, GilbertElliott
+from haptether.netsim.link.settings import LinkSettings
 from haptether.netsim.verdicts import Times, Verdicts, judge_all
 
 _P99_NORMAL = 2.3263478740408408

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether import _core
-from haptether.netsim.link_settings import Direction, LinkSettings
-from haptether.netsim.link_spec import link_json
+from haptether.netsim.link.resolve import link_json
+from haptether.netsim.link.settings import Direction, LinkSettings
 
 Times: TypeAlias = npt.NDArray[np.int64]
 

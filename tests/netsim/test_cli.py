@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from haptether.cli.entry import main
-from haptether.cli.link_options import LinkOptions
+from haptether.cli.netsim.link_options import LinkOptions
 from haptether.netsim import PRESETS, judge_all, link_spec
 
 

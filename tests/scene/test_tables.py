@@ -65,7 +65,7 @@ from haptether.netsim import (
     Target,
     link_spec,
 )
-from haptether.netsim.link_settings import DISTRIBUTIONS
+from haptether.netsim.link.settings import DISTRIBUTIONS
 
 LINK_TABLES = (
     Alter, Attack, BitFlip, ByteRange, CrossTraffic, DelayChange, DelayTrace, Drop, EditF64, EditU64, Forge, FourState,

@@ -29,9 +29,9 @@ from haptether.cli.live.explain import Explain
 from haptether.cli.live.master import Master
 from haptether.cli.live.slave import Slave
 from haptether.cli.netsim import NETSIM_COMMANDS, Netsim
-from haptether.cli.netsim_echo import Echo
-from haptether.cli.netsim_proxy import Proxy
-from haptether.cli.netsim_record import Record
+from haptether.cli.netsim.echo import Echo
+from haptether.cli.netsim.proxy import Proxy
+from haptether.cli.netsim.record import Record
 from haptether.cli.paper import Paper
 from haptether.cli.raven import Raven
 from haptether.cli.scene.simulate import Simulate

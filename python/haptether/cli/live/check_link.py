@@ -141,7 +141,7 @@ class CheckLink:
         return 0 if verdict.good else 1
 
     def _report(self, summary: "LinkSummary", verdict: "LinkVerdict", loop: "ContactLoop") -> None:
-        from haptether.cli.link_table import link_table
+        from haptether.cli.shared.link_table import link_table
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
 

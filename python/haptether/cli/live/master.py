@@ -152,7 +152,7 @@ class Master(LiveOptions):
     def _report(self, result: "PushResult", link: "LinkSummary", cause: "Cause | None", *, answered: bool) -> None:
         import msgspec
 
-        from haptether.cli.link_table import link_table
+        from haptether.cli.shared.link_table import link_table
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
 

@@ -97,7 +97,7 @@ class Slave(LiveOptions):
         import numpy as np
 
         from haptether.bridge import ladder_state_name
-        from haptether.cli.link_table import link_table
+        from haptether.cli.shared.link_table import link_table
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
         from haptether.studies import summarise_link

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-from haptether.cli.netsim_compare import Compare
-from haptether.cli.netsim_echo import Echo
-from haptether.cli.netsim_list import List
-from haptether.cli.netsim_proxy import Proxy
-from haptether.cli.netsim_record import Record
-from haptether.cli.netsim_sample import Sample
-from haptether.cli.netsim_set import Set
+from haptether.cli.netsim.compare import Compare
+from haptether.cli.netsim.echo import Echo
+from haptether.cli.netsim.list import List
+from haptether.cli.netsim.proxy import Proxy
+from haptether.cli.netsim.record import Record
+from haptether.cli.netsim.sample import Sample
+from haptether.cli.netsim.set import Set
 
 NETSIM_COMMANDS = {
     "list": List,

@@ -11,9 +11,9 @@ from typing import Any, Self
 
 import msgspec
 
-from haptether.netsim.control_address import LONGEST_LINE, ControlAddress, control_address
-from haptether.netsim.controlled import Controlled, refused_line
-from haptether.netsim.link_error import refuse_infinite
+from haptether.netsim.link.errors import refuse_infinite
+from haptether.netsim.live.control_address import LONGEST_LINE, ControlAddress, control_address
+from haptether.netsim.live.controlled import Controlled, refused_line
 
 MAX_CONNECTIONS = 4
 _POLL_S = 0.1

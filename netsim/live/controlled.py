@@ -8,9 +8,9 @@ import msgspec
 from msgspec.structs import replace
 
 from haptether._core import ProxyStatistics
-from haptether.netsim.link_error import LinkError, of_types, refuse_infinite
-from haptether.netsim.link_settings import DISTRIBUTIONS, Direction, LinkSettings
-from haptether.netsim.link_spec import link_json
+from haptether.netsim.link.errors import LinkError, of_types, refuse_infinite
+from haptether.netsim.link.resolve import link_json
+from haptether.netsim.link.settings import DISTRIBUTIONS, Direction, LinkSettings
 
 _LONGEST_LIST = 100
 """Values of a list that are told; a recording may have millions."""

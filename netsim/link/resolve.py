@@ -8,10 +8,10 @@ import msgspec
 from msgspec.structs import replace
 
 from haptether import _core
-from haptether.netsim.link_error import LinkError, of_rules, of_types, refuse_infinite, wrong
-from haptether.netsim.link_files import with_files
-from haptether.netsim.link_parts import DelayTrace, Opportunities
-from haptether.netsim.link_settings import DISTRIBUTIONS, LINK_DEFAULTS, Direction, LinkSettings
+from haptether.netsim.link.errors import LinkError, of_rules, of_types, refuse_infinite, wrong
+from haptether.netsim.link.files import with_files
+from haptether.netsim.link.parts import DelayTrace, Opportunities
+from haptether.netsim.link.settings import DISTRIBUTIONS, LINK_DEFAULTS, Direction, LinkSettings
 from haptether.netsim.presets import PRESETS
 
 _LOSSES = ("loss", "mean_burst", "mean_burst_s", "gilbert_elliott", "four_state")

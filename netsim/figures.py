@@ -4,8 +4,8 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
 
-from haptether.netsim.link_settings import Direction, LinkSettings
-from haptether.netsim.link_spec import link_spec
+from haptether.netsim.link.resolve import link_spec
+from haptether.netsim.link.settings import Direction, LinkSettings
 from haptether.netsim.verdicts import Verdicts
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from haptether.cli.link_options import LinkOptions, Links
+from haptether.cli.netsim.link_options import LinkOptions, Links
 
 if TYPE_CHECKING:
     from haptether.cli.shared.stop import Stopped
@@ -59,8 +59,8 @@ class Proxy(LinkOptions):
 
     def run(self) -> int:
         """Forwards until told to stop."""
-        from haptether.cli.netsim_log import Log
-        from haptether.cli.netsim_proxy_report import report
+        from haptether.cli.netsim.log import Log
+        from haptether.cli.netsim.proxy_report import report
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.stop import Stopped
@@ -99,7 +99,7 @@ class Proxy(LinkOptions):
         return report(statistics, self.max_error_s, self.json)
 
     def _wait(self, proxy: "LiveProxy", control: "ControlSocket | None", links: Links, stopped: "Stopped") -> None:
-        from haptether.cli.netsim_proxy_report import statistics_report
+        from haptether.cli.netsim.proxy_report import statistics_report
         from haptether.cli.shared.stop import wait
         from haptether.netsim import Controlled
 

@@ -4,7 +4,7 @@ from typing import Literal, TypeAlias
 
 from msgspec import Struct
 
-from haptether.netsim.link_parts import (
+from haptether.netsim.link.parts import (
     Attack,
     CrossTraffic,
     DelayChange,
@@ -16,7 +16,7 @@ from haptether.netsim.link_parts import (
     Outage,
     Slots,
 )
-from haptether.netsim.link_ranges import Burst, Bytes, Count, Delay, Rate, Shape, Share, Time
+from haptether.netsim.link.ranges import Burst, Bytes, Count, Delay, Rate, Shape, Share, Time
 
 
 class LinkSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -4,7 +4,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from haptether.netsim.link_ranges import Bytes, Count, Delay, Edited, Length, Level, Operation, Rate, Share, Time
+from haptether.netsim.link.ranges import Bytes, Count, Delay, Edited, Length, Level, Operation, Rate, Share, Time
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -6,8 +6,8 @@ from typing import Literal
 
 from haptether import _core
 from haptether._core import ProxyStatistics
-from haptether.netsim.link_settings import LinkSettings
-from haptether.netsim.link_spec import link_json
+from haptether.netsim.link.resolve import link_json
+from haptether.netsim.link.settings import LinkSettings
 
 
 class Proxy:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from haptether.cli.link_options import LinkOptions
+from haptether.cli.netsim.link_options import LinkOptions
 
 if TYPE_CHECKING:
     from typing import TextIO
@@ -79,7 +79,7 @@ class Sample(LinkOptions):
         if self.json is not None:
             self._write_json(self.json, figures, links.seed)
         if self.plot is not None:
-            from haptether.cli.netsim_picture import draw_sample
+            from haptether.cli.netsim.picture import draw_sample
 
             draw_sample(verdicts, self.plot)
             console.print(f"picture: {self.plot}")

@@ -7,9 +7,9 @@ import msgspec
 from msgspec.structs import replace
 
 from haptether import _core
-from haptether.netsim.link_error import LinkError, wrong
-from haptether.netsim.link_parts import DelayTrace, DistributionTable, Opportunities
-from haptether.netsim.link_settings import DISTRIBUTIONS, Direction, LinkSettings
+from haptether.netsim.link.errors import LinkError, wrong
+from haptether.netsim.link.parts import DelayTrace, DistributionTable, Opportunities
+from haptether.netsim.link.settings import DISTRIBUTIONS, Direction, LinkSettings
 
 LARGEST_FILE = 256 * 2**20
 """In bytes; a longer recording needs to be cut or thinned out."""

@@ -1,0 +1,1 @@
+"""Settings of one direction of a network, and how they become what the Rust side takes."""
