@@ -3,8 +3,8 @@
 from haptether._core import DirectionStatistics, Echo, ProxyStatistics, Recording, record
 from haptether.netsim.figures import LinkFigures, asked, burst_lengths, realised
 from haptether.netsim.link.errors import LinkError
-from haptether.netsim.link.files import with_files
-from haptether.netsim.link.parts import (
+from haptether.netsim.link.resolve import link_json, link_spec, with_files
+from haptether.netsim.link.settings import (
     Alter,
     Attack,
     BitFlip,
@@ -20,6 +20,7 @@ from haptether.netsim.link.parts import (
     FourState,
     GilbertElliott,
     HoldBack,
+    LinkSettings,
     Mirror,
     Once,
     Opportunities,
@@ -32,8 +33,6 @@ from haptether.netsim.link.parts import (
     Slots,
     Target,
 )
-from haptether.netsim.link.resolve import link_json, link_spec
-from haptether.netsim.link.settings import LinkSettings
 from haptether.netsim.live.control_socket import ControlSocket, ask_control
 from haptether.netsim.live.controlled import Controlled
 from haptether.netsim.live.proxy import Proxy

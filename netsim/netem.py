@@ -12,8 +12,7 @@ from msgspec.structs import replace
 from haptether import _core
 from haptether.netsim.figures import LinkFigures, asked, realised
 from haptether.netsim.link.errors import LinkError, of_rules
-from haptether.netsim.link.parts import FourState, GilbertElliott
-from haptether.netsim.link.settings import LinkSettings
+from haptether.netsim.link.settings import FourState, GilbertElliott, LinkSettings
 from haptether.netsim.verdicts import Times, Verdicts, judge_all
 
 _P99_NORMAL = 2.3263478740408408

@@ -12,8 +12,7 @@ from typing import Literal, TypeAlias
 
 from msgspec import Struct
 
-from haptether.netsim.link.parts import Outage, Random, Slots
-from haptether.netsim.link.settings import LinkSettings
+from haptether.netsim.link.settings import LinkSettings, Outage, Random, Slots
 
 Quantity: TypeAlias = Literal[
     "round-trip-p50", "round-trip-p90", "round-trip-p99", "one-way-p50", "one-way-p90",

@@ -38,19 +38,19 @@ def of_rules(error: ValueError) -> LinkError:
     return LinkError(found["key"], found["problem"]) if found else LinkError("link", f": {error}")
 
 
-def of_types(error: ValidationError, plain: dict[str, Any], root: type[Struct]) -> LinkError:
+def of_types(error: ValidationError, raw: dict[str, Any], root: type[Struct]) -> LinkError:
     """What the types of the settings refused."""
-    said, _, where = str(error).partition(" - at `$")
+    message, _, where = str(error).partition(" - at `$")
     steps = [int(step[1:-1]) if step[0] == "[" else step[1:] for step in re.findall(r"\.[^.\[`]+|\[\d+\]", where)]
     key = ".".join(map(str, steps))
-    if found := re.search(r"unknown field `(.*)`", said):
+    if found := re.search(r"unknown field `(.*)`", message):
         return LinkError(f"{key}.{found[1]}".lstrip("."), ": there is no such setting")
-    if found := re.search(r"missing required field `(.*)`", said):
+    if found := re.search(r"missing required field `(.*)`", message):
         return LinkError(f"{key}.{found[1]}".lstrip("."), ": is missing")
-    seen: Any = plain
+    seen: Any = raw
     for step in steps:
         seen = seen[step]
-    allowed = " or ".join(dict.fromkeys(word for kind in _types_at(root, steps) if (word := _words(kind))))
+    allowed = " or ".join(dict.fromkeys(text for kind in _types_at(root, steps) if (text := _range_text(kind))))
     return wrong(key or "link", seen, allowed or "left out")
 
 
@@ -73,7 +73,7 @@ def _types_at(root: type[Struct], steps: list[str | int]) -> tuple[inspect.Type,
     return kinds
 
 
-def _words(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each type
+def _range_text(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each type
     match kind:
         case inspect.FloatType() | inspect.IntType():
             number = "a whole number" if isinstance(kind, inspect.IntType) else "a number"
@@ -94,14 +94,14 @@ def _words(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each type
             return ""
 
 
-def refuse_infinite(plain: object, key: str = "") -> None:
+def refuse_infinite(raw: object, key: str = "") -> None:
     """Refuses numbers that are not finite, which JSON cannot write.
 
     Raises:
         LinkError: With the place of the first.
     """
-    if isinstance(plain, float) and not math.isfinite(plain):
-        raise wrong(key, plain, "a finite number")
-    items = plain.items() if isinstance(plain, dict) else enumerate(plain) if isinstance(plain, list | tuple) else ()
+    if isinstance(raw, float) and not math.isfinite(raw):
+        raise wrong(key, raw, "a finite number")
+    items = raw.items() if isinstance(raw, dict) else enumerate(raw) if isinstance(raw, list | tuple) else ()
     for step, value in items:
         refuse_infinite(value, f"{key}.{step}" if key else f"{step}")

@@ -1,18 +1,29 @@
-"""A link as the Rust side takes it: preset and defaults filled in, every number held against its range."""
+"""A link as the Rust side takes it: preset, files and defaults filled in, every number checked against its range."""
 
 import difflib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from msgspec.structs import replace
 
 from haptether import _core
 from haptether.netsim.link.errors import LinkError, of_rules, of_types, refuse_infinite, wrong
-from haptether.netsim.link.files import with_files
-from haptether.netsim.link.parts import DelayTrace, Opportunities
-from haptether.netsim.link.settings import DISTRIBUTIONS, LINK_DEFAULTS, Direction, LinkSettings
+from haptether.netsim.link.settings import (
+    DISTRIBUTIONS,
+    LINK_DEFAULTS,
+    DelayTrace,
+    Direction,
+    DistributionTable,
+    LinkSettings,
+    Opportunities,
+)
 from haptether.netsim.presets import PRESETS
+
+MAX_FILE_BYTES = 256 * 2**20
+"""A longer recording needs to be cut or thinned out."""
+
+_Setting = TypeVar("_Setting")
 
 _LOSSES = ("loss", "mean_burst", "mean_burst_s", "gilbert_elliott", "four_state")
 _DELAYS = ("delay_s", "jitter_s", "distribution", "distribution_shape", "jitter_correlation_s", "timeline", "slots")
@@ -29,7 +40,99 @@ _INSTEAD = {
 """Settings of a preset that do not count once another way to say the same is given."""
 
 
-def filled(settings: LinkSettings, direction: Direction) -> LinkSettings:
+def link_spec(settings: LinkSettings, direction: Direction) -> dict[str, Any]:
+    """Exactly the fields of Rust's `LinkSettings`: preset and defaults filled in; files have been read.
+
+    Raises:
+        LinkError: A number out of its range, or settings that do not go together.
+    """
+    settings = _with_preset(_checked(settings), direction)
+    spec = {
+        name: LINK_DEFAULTS.get(name) if (value := getattr(settings, name)) is None else value
+        for name in settings.__struct_fields__
+        if name != "preset"
+    }
+    distribution = spec["distribution"]
+    if isinstance(distribution, str) and distribution not in DISTRIBUTIONS:
+        raise wrong("distribution", distribution, f"one of {', '.join(DISTRIBUTIONS)}, or a .dist file that was read")
+    spec = {name: _spelled_out(value, name) for name, value in spec.items()}
+    try:
+        _core.check_link(_json(spec))
+    except ValueError as error:
+        raise of_rules(error) from None
+    return spec
+
+
+def link_json(settings: LinkSettings, direction: Direction) -> str:
+    """As `link_spec`, written; files that the settings name are read from the working folder.
+
+    Raises:
+        LinkError: As `link_spec`, or a file that cannot be read, with its line.
+    """
+    return _json(link_spec(with_files(settings, Path(), direction), direction))
+
+
+def with_files(settings: LinkSettings, folder: Path, direction: Direction) -> LinkSettings:
+    """The settings with the contents of the files that they name, relative to `folder`.
+
+    Raises:
+        LinkError: A file that cannot be read, with line and column, or one that is named beside numbers.
+    """
+    trace, opportunities, distribution = settings.trace, settings.opportunities, settings.distribution
+    if trace is not None and trace.file is not None:
+        if trace.time_s is not None or trace.delay_s is not None:
+            raise LinkError("trace.file", ": either file, or time_s and delay_s")
+        form = trace.format or ("irtt" if trace.file.endswith(".json") else "csv")
+        read = _read("trace.file", folder / trace.file, form, trace.direction or direction, DelayTrace)
+        trace = replace(read, interpolate=trace.interpolate, repeat=trace.repeat)
+    if opportunities is not None and opportunities.file is not None:
+        if opportunities.time_ms is not None:
+            raise LinkError("opportunities.file", ": either file, or time_ms")
+        file = folder / opportunities.file
+        opportunities = _read("opportunities.file", file, "mahimahi", direction, Opportunities)
+    if isinstance(distribution, str) and distribution not in DISTRIBUTIONS:
+        if not distribution.endswith(".dist"):
+            raise wrong("distribution", distribution, f"one of {', '.join(DISTRIBUTIONS)}, or a .dist file")
+        distribution = _read("distribution", folder / distribution, "dist", direction, DistributionTable)
+    return replace(settings, trace=trace, opportunities=opportunities, distribution=distribution)
+
+
+def _read(key: str, file: Path, form: str, direction: Direction, setting: type[_Setting]) -> _Setting:
+    try:
+        size = file.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise LinkError(key, f": {file}: {size} bytes: must be at most {MAX_FILE_BYTES}")
+        if not file.is_file():
+            raise LinkError(key, f": {file}: is no file")
+        return msgspec.json.decode(_core.read_link_file(form, file.read_bytes(), direction), type=setting)
+    except OSError as error:
+        raise LinkError(key, f": {file}: cannot be read: {error.strerror}") from None
+    except LinkError:
+        raise
+    except ValueError as error:
+        raise LinkError(key, f": {file}: {error}") from None
+
+
+def _checked(settings: LinkSettings) -> LinkSettings:
+    """The settings, checked against their types and ranges: a struct that was built in Python was not yet.
+
+    Raises:
+        LinkError: The first that does not fit.
+    """
+    raw = msgspec.to_builtins(settings, enc_hook=_of_numpy)
+    refuse_infinite(raw)
+    try:
+        return msgspec.convert(raw, LinkSettings)
+    except msgspec.ValidationError as error:
+        raise of_types(error, raw, LinkSettings) from None
+
+
+def _of_numpy(value: object) -> object:
+    """Numbers of NumPy as such of Python."""
+    return value.item() if hasattr(value, "item") else value
+
+
+def _with_preset(settings: LinkSettings, direction: Direction) -> LinkSettings:
     """The settings with those of their preset, which what is given overrides.
 
     Raises:
@@ -53,65 +156,10 @@ def filled(settings: LinkSettings, direction: Direction) -> LinkSettings:
     return replace(base, **(dict.fromkeys(instead) | given | {"preset": None}))
 
 
-def link_spec(settings: LinkSettings, direction: Direction) -> dict[str, Any]:
-    """Exactly the fields of `netsim/src/settings/`: preset and defaults filled in; files have been read.
-
-    Raises:
-        LinkError: A number out of its range, or settings that do not go together.
-    """
-    settings = filled(checked(settings), direction)
-    spec = {
-        name: LINK_DEFAULTS.get(name) if (value := getattr(settings, name)) is None else value
-        for name in settings.__struct_fields__
-        if name != "preset"
-    }
-    distribution = spec["distribution"]
-    if isinstance(distribution, str) and distribution not in DISTRIBUTIONS:
-        raise wrong("distribution", distribution, f"one of {', '.join(DISTRIBUTIONS)}, or a .dist file that was read")
-    spec = {name: _plain(value, name) for name, value in spec.items()}
-    try:
-        _core.check_link(_json(spec))
-    except ValueError as error:
-        raise of_rules(error) from None
-    return spec
-
-
-def link_json(settings: LinkSettings, direction: Direction) -> str:
-    """As `link_spec`, written; files that the settings name are read from the working folder.
-
-    Raises:
-        LinkError: As `link_spec`, or a file that cannot be read, with its line.
-    """
-    return _json(link_spec(with_files(settings, Path(), direction), direction))
-
-
-def checked(settings: LinkSettings) -> LinkSettings:
-    """The settings, held against their types and ranges: a struct that was built in Python was not yet.
-
-    Raises:
-        LinkError: The first that does not fit.
-    """
-    plain = msgspec.to_builtins(settings, enc_hook=_of_numpy)
-    refuse_infinite(plain)
-    try:
-        return msgspec.convert(plain, LinkSettings)
-    except msgspec.ValidationError as error:
-        raise of_types(error, plain, LinkSettings) from None
-
-
-def _of_numpy(value: object) -> object:
-    """Numbers of NumPy as such of Python."""
-    return value.item() if hasattr(value, "item") else value
-
-
-def _json(spec: dict[str, Any]) -> str:
-    return msgspec.json.encode(spec).decode()
-
-
-def _plain(value: object, key: str) -> Any:  # noqa: ANN401  # as different as the settings are
+def _spelled_out(value: object, key: str) -> Any:  # noqa: ANN401  # as different as the settings are
     """A value with all its fields, also those that have their defaults."""
     if isinstance(value, tuple):
-        return [_plain(item, f"{key}.{index}") for index, item in enumerate(value)]
+        return [_spelled_out(item, f"{key}.{index}") for index, item in enumerate(value)]
     if not isinstance(value, msgspec.Struct):
         return value
     hidden: tuple[str, ...] = ()
@@ -124,7 +172,9 @@ def _plain(value: object, key: str) -> Any:  # noqa: ANN401  # as different as t
     config = value.__struct_config__
     tag = {} if config.tag_field is None else {config.tag_field: config.tag}
     fields = {
-        name: _plain(getattr(value, name), f"{key}.{name}") for name in value.__struct_fields__ if name not in hidden
+        name: _spelled_out(getattr(value, name), f"{key}.{name}")
+        for name in value.__struct_fields__
+        if name not in hidden
     }
     return {**tag, **fields}
 
@@ -136,3 +186,7 @@ def _embedded(key: str, file: str | None, series: dict[str, tuple[Any, ...] | No
         raise LinkError(f"{key}.file", f": either file, or {names}")
     if any(values is None for values in series.values()):
         raise LinkError(key, f": needs file, or {names}")
+
+
+def _json(spec: dict[str, Any]) -> str:
+    return msgspec.json.encode(spec).decode()

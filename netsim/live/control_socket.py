@@ -1,7 +1,9 @@
 """The control socket of a proxy that runs, and its client."""
 
 import contextlib
+import ipaddress
 import os
+import re
 import selectors
 import socket
 import threading
@@ -10,15 +12,17 @@ from types import TracebackType
 from typing import Any, Self
 
 import msgspec
+from msgspec import Struct
 
 from haptether.netsim.link.errors import refuse_infinite
-from haptether.netsim.live.control_address import LONGEST_LINE, ControlAddress, control_address
 from haptether.netsim.live.controlled import Controlled, refused_line
 
 MAX_CONNECTIONS = 4
+MAX_LINE_BYTES = 2**16
+"""Of a request, its end included."""
 _POLL_S = 0.1
-_PATIENCE_S = 1.0
-"""How long an answer waits for a client that does not read."""
+_SEND_TIMEOUT_S = 1.0
+"""For a client that does not read its answer."""
 
 
 class ControlSocket:
@@ -94,12 +98,82 @@ class ControlSocket:
             client, _ = self._listening.accept()
         except OSError:
             return None
-        client.settimeout(_PATIENCE_S)
+        client.settimeout(_SEND_TIMEOUT_S)
         if already < MAX_CONNECTIONS:
             return client
         with client:
             _send(client, refused_line(f"{already} connections are open, there may be no more"))
         return None
+
+
+def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.0) -> dict[str, Any]:
+    """Sends one request to the control socket of a proxy and returns its answer.
+
+    Args:
+        address: Path of a Unix socket, or `127.0.0.1:PORT`.
+        request: As `Controlled` takes it.
+        patience_s: Timeout of the answer, in s.
+
+    Raises:
+        ValueError: Another address, or a request that is too long.
+        OSError: Nobody answers there.
+    """
+    at = control_address(address)
+    # JSON has no such numbers: they would arrive as null, which puts a setting back.
+    refuse_infinite(request)
+    line = msgspec.json.encode(request) + b"\n"
+    if len(line) > MAX_LINE_BYTES:
+        message = f"request: {len(line)} bytes, must be at most {MAX_LINE_BYTES}"
+        raise ValueError(message)
+    try:
+        with socket.socket(at.family, socket.SOCK_STREAM) as client:
+            client.settimeout(patience_s)
+            client.connect(at.place)
+            client.sendall(line)
+            with client.makefile("rb") as answers:
+                answer = answers.readline()
+        decoded: dict[str, Any] = msgspec.json.decode(answer, type=dict[str, Any])
+    except (OSError, msgspec.DecodeError) as error:
+        why = error.strerror or error if isinstance(error, OSError) else "no proxy answers there"
+        message = (
+            f'control = "{address}": {why}; nothing is known to have changed: it may be busy with others, try again'
+        )
+        raise OSError(message) from None
+    return decoded
+
+
+class ControlAddress(Struct, frozen=True):
+    """A Unix socket by its path, or TCP of this machine."""
+
+    family: socket.AddressFamily
+    place: str | tuple[str, int]
+    text: str
+
+
+def control_address(text: str) -> ControlAddress:
+    """Reads `PATH` or `127.0.0.1:PORT`; a path that looks like an address begins with `./`.
+
+    Raises:
+        ValueError: Neither, or an address that others could reach.
+    """
+    found = re.fullmatch(r"\[?(?P<host>[^/\[\]]+)\]?:(?P<port>\d{1,5})", text)
+    if found is None:
+        if not text or "\0" in text:
+            raise _refused(text)
+        return ControlAddress(socket.AF_UNIX, str(Path(text)), text)
+    try:
+        host = ipaddress.ip_address(found["host"])
+    except ValueError:
+        raise _refused(text) from None
+    port = int(found["port"])
+    if not host.is_loopback or port > 65_535:
+        raise _refused(text)
+    family = socket.AF_INET if host.version == 4 else socket.AF_INET6
+    return ControlAddress(family, (str(host), port), text)
+
+
+def _refused(text: str) -> ValueError:
+    return ValueError(f'control = "{text}": must be the path of a Unix socket, or 127.0.0.1:PORT of this machine')
 
 
 def _listen(at: ControlAddress) -> socket.socket:
@@ -148,28 +222,28 @@ def _identity(at: ControlAddress) -> tuple[int, int] | None:
 
 
 class _Client:
-    """A connection, and what has come of its next request."""
+    """A connection, and the part of its next request that has arrived."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.socket = connection
         self._waiting = bytearray()
 
     def is_served(self, controlled: Controlled) -> bool:
-        """Answers the requests that have come; whether there may be more."""
+        """Answers the requests that have arrived; whether there may be more."""
         try:
-            came = self.socket.recv(LONGEST_LINE)
+            received = self.socket.recv(MAX_LINE_BYTES)
         except OSError:
             return False
-        self._waiting += came
-        while (end := self._waiting.find(b"\n")) >= 0 or len(self._waiting) >= LONGEST_LINE:
-            if not 0 <= end < LONGEST_LINE:
-                _send(self.socket, refused_line(f"request: longer than {LONGEST_LINE} bytes"))
+        self._waiting += received
+        while (end := self._waiting.find(b"\n")) >= 0 or len(self._waiting) >= MAX_LINE_BYTES:
+            if not 0 <= end < MAX_LINE_BYTES:
+                _send(self.socket, refused_line(f"request: longer than {MAX_LINE_BYTES} bytes"))
                 return False
             answer, goes_on = controlled.answer(bytes(self._waiting[:end]))
             del self._waiting[: end + 1]
             if not _send(self.socket, answer) or not goes_on:
                 return False
-        return bool(came)
+        return bool(received)
 
 
 def _send(client: socket.socket, answer: dict[str, Any]) -> bool:
@@ -178,39 +252,3 @@ def _send(client: socket.socket, answer: dict[str, Any]) -> bool:
     except OSError:
         return False
     return True
-
-
-def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.0) -> dict[str, Any]:
-    """Sends one request to the control socket of a proxy and gives its answer.
-
-    Args:
-        address: Path of a Unix socket, or `127.0.0.1:PORT`.
-        request: As `Controlled` takes it.
-        patience_s: How long to wait for the answer, in s.
-
-    Raises:
-        ValueError: Another address, or a request that is too long.
-        OSError: Nobody answers there.
-    """
-    at = control_address(address)
-    # JSON has no such numbers: they would arrive as null, which puts a setting back.
-    refuse_infinite(request)
-    line = msgspec.json.encode(request) + b"\n"
-    if len(line) > LONGEST_LINE:
-        message = f"request: {len(line)} bytes, must be at most {LONGEST_LINE}"
-        raise ValueError(message)
-    try:
-        with socket.socket(at.family, socket.SOCK_STREAM) as client:
-            client.settimeout(patience_s)
-            client.connect(at.place)
-            client.sendall(line)
-            with client.makefile("rb") as answers:
-                answer = answers.readline()
-        decoded: dict[str, Any] = msgspec.json.decode(answer, type=dict[str, Any])
-    except (OSError, msgspec.DecodeError) as error:
-        why = error.strerror or error if isinstance(error, OSError) else "no proxy answers there"
-        message = (
-            f'control = "{address}": {why}; nothing is known to have changed: it may be busy with others, try again'
-        )
-        raise OSError(message) from None
-    return decoded

@@ -1,7 +1,7 @@
 """Requests to a proxy that runs, and what it answers."""
 
 import difflib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import msgspec
@@ -12,8 +12,8 @@ from haptether.netsim.link.errors import LinkError, of_types, refuse_infinite
 from haptether.netsim.link.resolve import link_json
 from haptether.netsim.link.settings import DISTRIBUTIONS, Direction, LinkSettings
 
-_LONGEST_LIST = 100
-"""Values of a list that are told; a recording may have millions."""
+_MAX_LISTED = 100
+"""Values of a list that an answer repeats; a recording may have millions."""
 
 
 class _Changing(Protocol):
@@ -28,7 +28,7 @@ class Controlled:
     """A running proxy whose links change by requests, each a line of JSON.
 
     `{"forward": {"delay_s": 0.1}, "backward": {...}}` changes these settings and leaves the others; `null` puts one
-    back to what it is if it is left out. `{"show": true}`, also beside a change, asks for settings and statistics. A
+    back to what it is if it is left out. `{"show": true}`, also beside a change, requests settings and statistics. A
     request counts as a whole or not at all.
 
     Args:
@@ -50,40 +50,38 @@ class Controlled:
         self._report = report
 
     def answer(self, line: bytes) -> tuple[dict[str, Any], bool]:
-        """Does what a request says and gives the answer, and whether whoever sent it may go on.
+        """Carries out a request; returns the answer, and whether the connection may go on.
 
         The answer has `ok`, with `error` where that is false; `changed` has the old and the new value of each setting
         that was named, by direction. A line that is no JSON may come from a browser that was sent here: what follows
         it is not to count.
         """
         try:
-            return {"ok": True, **self._done(line)}, True
+            return {"ok": True, **self._carried_out(line)}, True
         except ValueError as error:
             return refused_line(str(error)), not isinstance(error, _NotJsonError)
 
-    def _done(self, line: bytes) -> dict[str, Any]:
+    def _carried_out(self, line: bytes) -> dict[str, Any]:
         request = _read(line)
-        changed = {way: _changed(link, request[way], way) for way, link in self._links.items() if way in request}
+        links = {name: link for name, link in self._links.items() if name in request}
+        changed = {name: _changed(link, request[name], name) for name, link in links.items()}
         # Only once all of it is known to be right.
-        for way, settings in changed.items():
-            self._proxy.change(way, settings)
-        before = dict(self._links)
+        for name, settings in changed.items():
+            self._proxy.change(name, settings)
         self._links |= changed
-        changes = {way: _change(before[way], link, request[way]) for way, link in changed.items()}
+        changes = {
+            name: {key: {"old": _value(link, key), "new": _value(changed[name], key)} for key in request[name]}
+            for name, link in links.items()
+        }
         answer: dict[str, Any] = {"changed": changes} if changes else {}
         if not request.get("show", False):
             return answer
-        links: dict[str, Any] = {way: _told(msgspec.to_builtins(link)) for way, link in self._links.items()}
-        return {**answer, **links, "statistics": self._report(self._proxy.statistics())}
+        shown: dict[str, Any] = {name: _abridged(msgspec.to_builtins(link)) for name, link in self._links.items()}
+        return {**answer, **shown, "statistics": self._report(self._proxy.statistics())}
 
 
-def _change(before: LinkSettings, after: LinkSettings, keys: Iterable[str]) -> dict[str, Any]:
-    """What the settings that a request names were and are; none for one that nobody gives."""
-
-    def value(link: LinkSettings, key: str) -> Any:  # noqa: ANN401  # as different as the settings are
-        return _told(msgspec.to_builtins(getattr(link, key)))
-
-    return {key: {"old": value(before, key), "new": value(after, key)} for key in keys}
+def _value(link: LinkSettings, key: str) -> Any:  # noqa: ANN401  # as different as the settings are
+    return _abridged(msgspec.to_builtins(getattr(link, key)))
 
 
 def _read(line: bytes) -> dict[str, Any]:
@@ -116,8 +114,8 @@ def refused_line(why: str) -> dict[str, Any]:
     return {"ok": False, "error": " ".join(why.split())}
 
 
-def _changed(link: LinkSettings, request: dict[str, Any], way: Direction) -> LinkSettings:
-    """The link with other settings, all held against their rules.
+def _changed(link: LinkSettings, request: dict[str, Any], direction: Direction) -> LinkSettings:
+    """The link with other settings, all checked.
 
     Raises:
         LinkError: With the first setting that does not fit.
@@ -129,30 +127,32 @@ def _changed(link: LinkSettings, request: dict[str, Any], way: Direction) -> Lin
                 raise LinkError(name, f": there is no such setting{f': did you mean {near[0]}?' if near else ''}")
         refuse_infinite(request)
         try:
-            asked = msgspec.convert(request, LinkSettings)
+            requested = msgspec.convert(request, LinkSettings)
         except msgspec.ValidationError as error:
             raise of_types(error, request, LinkSettings) from None
-        _refuse_files(asked)
-        settings = replace(link, **{name: getattr(asked, name) for name in request})
-        link_json(settings, way)
+        _refuse_files(requested)
+        settings = replace(link, **{name: getattr(requested, name) for name in request})
+        link_json(settings, direction)
     except LinkError as error:
-        raise LinkError(f"{way}.{error.key}", error.problem) from None
+        raise LinkError(f"{direction}.{error.key}", error.problem) from None
     return settings
 
 
-def _refuse_files(asked: LinkSettings) -> None:
-    """Whoever asks is not to learn what files of the proxy's user say."""
+def _refuse_files(requested: LinkSettings) -> None:
+    """A client is not to learn what files of the proxy's user contain."""
     for name in ("trace", "opportunities"):
-        if getattr(getattr(asked, name), "file", None) is not None:
+        if getattr(getattr(requested, name), "file", None) is not None:
             raise LinkError(f"{name}.file", ": a running proxy reads no files; give the numbers")
-    if isinstance(asked.distribution, str) and asked.distribution not in DISTRIBUTIONS:
-        raise LinkError("distribution", f' = "{asked.distribution[:80]}": must be one of {", ".join(DISTRIBUTIONS)}')
+    if isinstance(requested.distribution, str) and requested.distribution not in DISTRIBUTIONS:
+        raise LinkError(
+            "distribution", f' = "{requested.distribution[:80]}": must be one of {", ".join(DISTRIBUTIONS)}'
+        )
 
 
-def _told(value: Any) -> Any:  # noqa: ANN401  # as different as the settings are
+def _abridged(value: Any) -> Any:  # noqa: ANN401  # as different as the settings are
     """Settings without what would fill the answer."""
     if isinstance(value, dict):
-        return {name: _told(item) for name, item in value.items()}
+        return {name: _abridged(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_told(item) for item in value] if len(value) <= _LONGEST_LIST else f"{len(value)} values"
+        return [_abridged(item) for item in value] if len(value) <= _MAX_LISTED else f"{len(value)} values"
     return value

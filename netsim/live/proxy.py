@@ -13,8 +13,8 @@ from haptether.netsim.link.settings import LinkSettings
 class Proxy:
     """A live UDP proxy between clients and one peer, which does to their datagrams what the links say.
 
-    It runs on its own thread, forwards to the peer only, and serves clients of this machine and those that it is told
-    of, up to 64 at a time. All share the link of their direction.
+    It runs on its own thread, forwards to the peer only, and serves clients of this machine and those that
+    `allow` names, up to 64 at a time. All share the link of their direction.
 
     Args:
         listen: Where the clients send to, `HOST:PORT`; port 0 lets the system choose.
@@ -23,7 +23,7 @@ class Proxy:
         backward_link: Network from the peer to the client.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
         allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`.
-        realtime: Whether to ask for real-time scheduling; the statistics say what was got.
+        realtime: Whether to request real-time scheduling; the statistics say what was granted.
         max_error_s: Largest p99 of its scheduling error in s with which a run is valid.
         log: CSV file for what became of each datagram.
 

@@ -13,7 +13,7 @@ from tests.faults.running import HAPTETHER
 
 from haptether.bridge import simulate, sweep
 from haptether.cli import main
-from haptether.cli.netsim.log import Log
+from haptether.cli.netsim.proxy import Log
 from haptether.cli.shared.output import write_json
 from haptether.private_file import begin_private, private_file, write_private
 

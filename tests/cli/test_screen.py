@@ -22,15 +22,15 @@ from haptether.bridge import Metrics, Run, Sweep
 from haptether.bridge.scene_run import Signals
 from haptether.cli import main
 from haptether.cli.entry import COMMANDS
-from haptether.cli.shared.link_table import link_table
 from haptether.cli.live.explain import Explain
 from haptether.cli.live.master import print_push
 from haptether.cli.live.run import print_security
-from haptether.cli.netsim.proxy_report import _print as print_proxy
+from haptether.cli.netsim.proxy import _print as print_proxy
 from haptether.cli.netsim.record import Record
-from haptether.cli.netsim.sample import figures_table
+from haptether.cli.netsim.traffic import figures_table
 from haptether.cli.scene.simulate import Simulate
 from haptether.cli.scene.sweep import Sweep as SweepCommand
+from haptether.cli.shared.link_table import link_table
 from haptether.cli.shared.screen import Screen, folded, tables
 from haptether.cli.shared.stop import Stopped, wait
 from haptether.netsim import LinkFigures

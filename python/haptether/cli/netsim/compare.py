@@ -38,7 +38,7 @@ class Compare:
         """Sends the packets through both."""
         import msgspec
 
-        from haptether.cli.netsim.sample import check_traffic, figures_table, sending_times
+        from haptether.cli.netsim.traffic import check_traffic, figures_table, sending_times
         from haptether.cli.shared.numbers import check_seed
         from haptether.cli.shared.output import check_target, write_json
         from haptether.cli.shared.screen import screen

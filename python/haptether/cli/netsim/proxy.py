@@ -1,17 +1,20 @@
 """`haptether netsim proxy`."""
 
 import contextlib
+import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import tyro
 
 from haptether.cli.netsim.link_options import LinkOptions, Links
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from haptether.cli.shared.stop import Stopped
-    from haptether.netsim import ControlSocket
+    from haptether.netsim import ControlSocket, DirectionStatistics, ProxyStatistics
     from haptether.netsim import Proxy as LiveProxy
 
 
@@ -59,8 +62,6 @@ class Proxy(LinkOptions):
 
     def run(self) -> int:
         """Forwards until told to stop."""
-        from haptether.cli.netsim.log import Log
-        from haptether.cli.netsim.proxy_report import report
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.stop import Stopped
@@ -99,7 +100,6 @@ class Proxy(LinkOptions):
         return report(statistics, self.max_error_s, self.json)
 
     def _wait(self, proxy: "LiveProxy", control: "ControlSocket | None", links: Links, stopped: "Stopped") -> None:
-        from haptether.cli.netsim.proxy_report import statistics_report
         from haptether.cli.shared.stop import wait
         from haptether.netsim import Controlled
 
@@ -113,3 +113,158 @@ class Proxy(LinkOptions):
             return f"forwarded {now.forward.released} there, {now.backward.released} back"
 
         wait(headline, status, lambda: proxy.finished, stopped, self.duration_s)
+
+
+@dataclass(frozen=True)
+class Log:
+    """The ground truth of a run: CSV, or Parquet made of it at the end."""
+
+    target: Path
+    """Where the user wants it."""
+    csv: Path
+    """What the proxy writes while it runs: the same, or for Parquet a file beside it."""
+
+    @classmethod
+    def checked(cls, target: Path) -> Self:
+        """Refuses early what could not be written after the run.
+
+        Raises:
+            ValueError: Neither .csv nor .parquet.
+            ImportError: Parquet without polars.
+            OSError: No place to write to.
+        """
+        from haptether.cli.shared.output import check_target
+
+        if target.suffix not in {".csv", ".parquet"}:
+            message = f"log = {target}: must end in .csv or .parquet"
+            raise ValueError(message)
+        if target.suffix == ".csv":
+            check_target(target)
+            return cls(target, target)
+        if importlib.util.find_spec("polars") is None:
+            message = f"log = {target}: Parquet needs polars: install haptether[analysis], or give a .csv"
+            raise ImportError(message)
+        check_target(target)
+        csv = target.with_name(f"{target.name}.csv")
+        if csv.exists():
+            message = f"{csv}: is there already; the log is written there until it is converted"
+            raise OSError(message)
+        return cls(target, csv)
+
+    def end(self) -> None:
+        """Converts what was written, in pieces, and leaves only the target.
+
+        Raises:
+            OSError: No place to write to; the CSV stays.
+        """
+        if self.csv == self.target:
+            return
+        import polars as pl
+
+        from haptether.private_file import begin_private
+
+        # Named, because a column that is empty at the top would be taken for text.
+        numbers = dict.fromkeys(("index", "t_in_ns", "t_due_ns", "t_out_ns", "error_ns", "size"), pl.Int64)
+        texts = dict.fromkeys(("direction", "kind", "cause"), pl.String)
+        try:
+            begin_private(self.target)
+            rows = pl.scan_csv(self.csv, schema_overrides={**numbers, **texts})
+            rows.with_columns(pl.col(*texts).fill_null("")).sink_parquet(self.target)
+        except (OSError, ValueError, pl.exceptions.PolarsError) as error:
+            message = f"{self.target}: cannot be written: {error}; the log is in {self.csv}"
+            raise OSError(message) from None
+        self.csv.unlink()
+
+
+COUNTS = (
+    "received", "released", "lost", "queue_full", "damaged", "extras", "overtaking", "refused", "oversize", "unsent",
+)  # fmt: skip
+OVERALL = (
+    "flows", "peer_unreachable", "early", "log_lost", "log_failed", "scheduling", "receive_buffer_bytes",
+    "send_buffer_bytes",
+    "scheduling_error_p50_s", "scheduling_error_p99_s", "scheduling_error_p999_s", "scheduling_error_max_s", "valid",
+)  # fmt: skip
+
+
+def statistics_report(statistics: "ProxyStatistics") -> dict[str, Any]:
+    """All counts, as JSON has them."""
+    directions = {"forward": statistics.forward, "backward": statistics.backward}
+    return {
+        **{direction: {**_counts(of), "dropped": _dropped(of)} for direction, of in directions.items()},
+        **{name: getattr(statistics, name) for name in OVERALL},
+        # An error of nothing is none.
+        **({} if _released(statistics) else {name: None for name in OVERALL if name.startswith("scheduling_error")}),
+    }
+
+
+def _released(statistics: "ProxyStatistics") -> int:
+    return statistics.forward.released + statistics.backward.released
+
+
+def _counts(of: "DirectionStatistics") -> dict[str, int]:
+    return {name: getattr(of, name) for name in COUNTS}
+
+
+def _dropped(of: "DirectionStatistics") -> dict[str, int]:
+    return {cause: count for cause, count in of.dropped.items() if count}
+
+
+def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None) -> int:
+    """Prints what the proxy did and returns the exit status: an invalid run has failed."""
+    import msgspec
+
+    from haptether.cli.shared.output import write_json
+    from haptether.cli.shared.screen import screen
+
+    console = screen(json)
+    _print(console, statistics)
+    if statistics.log_failed:
+        console.print("INVALID: the log could not be written to its end: is the disk full?", soft_wrap=True)
+    elif not statistics.valid:
+        early = f", {statistics.early} left early" if statistics.early else ""
+        console.print(
+            f"INVALID: p99 of the scheduling error is {statistics.scheduling_error_p99_s * 1e3:.3f} ms, "
+            f"must be at most {max_error_s * 1e3:g} ms{early}: the delays were not those that were asked for",
+            soft_wrap=True,
+        )
+    if json is not None:
+        body = {**statistics_report(statistics), "max_error_s": max_error_s}
+        write_json(json, msgspec.json.format(msgspec.json.encode(body), indent=2))
+    return 0 if statistics.valid else 1
+
+
+def _print(console: "Console", statistics: "ProxyStatistics") -> None:
+    from rich.table import Table
+
+    table = Table(header_style="bold", pad_edge=False)
+    table.add_column("datagrams")
+    directions = {"forward": _counts(statistics.forward), "backward": _counts(statistics.backward)}
+    for direction in directions:
+        table.add_column(direction, justify="right")
+    for name in COUNTS:
+        table.add_row(name.replace("_", " "), *(str(counts[name]) for counts in directions.values()))
+    console.print(table)
+
+    def say(text: str) -> None:
+        console.print(text, soft_wrap=True)
+
+    for direction, of in (("forward", statistics.forward), ("backward", statistics.backward)):
+        if dropped := _dropped(of):
+            say(f"dropped {direction}: {', '.join(f'{cause} {count}' for cause, count in dropped.items())}")
+    shown = {
+        "p50": statistics.scheduling_error_p50_s,
+        "p99": statistics.scheduling_error_p99_s,
+        "p99.9": statistics.scheduling_error_p999_s,
+        "max": statistics.scheduling_error_max_s,
+    }
+    if _released(statistics):
+        say(f"released late by {', '.join(f'{name} {error_s * 1e3:.3f} ms' for name, error_s in shown.items())}")
+    say(
+        f"{statistics.flows} flows, {statistics.forward.refused + statistics.backward.refused} datagrams refused, "
+        f"scheduling class {statistics.scheduling}, socket buffers {statistics.receive_buffer_bytes} bytes for "
+        f"receiving and {statistics.send_buffer_bytes} for sending"
+    )
+    if statistics.peer_unreachable:
+        say(f"{statistics.peer_unreachable} times the network said that nobody is where they are forwarded to")
+    if statistics.log_lost:
+        say(f"the log lacks {statistics.log_lost} records: its writer was behind")

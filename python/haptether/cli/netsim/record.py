@@ -13,8 +13,8 @@ import tyro
 if TYPE_CHECKING:
     from haptether.netsim import Recording
 
-UNTOLD_S = 2.0
-"""A measurement no longer than this needs no progress bar."""
+MIN_PROGRESS_S = 2.0
+"""A measurement no longer than this shows no progress bar."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +81,8 @@ class Record:
             value = figures[name]
             return "-" if value is None else f"{value * 1e3:.3f} ms"
 
-        def lost(way: str) -> str:
-            count, sent = figures[f"lost_{way}"] or 0, figures[f"sent_{way}"] or 0
+        def lost(direction: str) -> str:
+            count, sent = figures[f"lost_{direction}"] or 0, figures[f"sent_{direction}"] or 0
             return f"{count} of {sent}" + (f" ({count / sent:.2%})" if sent else "")
 
         console = screen(self.json)
@@ -91,8 +91,8 @@ class Record:
         for name in ("round trip", "forward (estimated)", "backward (estimated)"):
             table.add_column(name, justify="right")
         for percent in ("p50", "p99"):
-            ways = ("round_trip", "forward", "backward")
-            table.add_row(percent, *(ms(f"{way}_{percent}_s") for way in ways))
+            paths = ("round_trip", "forward", "backward")
+            table.add_row(percent, *(ms(f"{path}_{percent}_s") for path in paths))
         table.add_row("lost", "", lost("forward"), lost("backward"))
         table.add_row("worst gap", ms("worst_gap_s"), "", "")
         console.print(table)
@@ -115,7 +115,7 @@ def summarised(recording: "Recording") -> "dict[str, float | int | None]":
 
     forward, backward = recording.forward_delay_s, recording.backward_delay_s
     answered = ~(np.isnan(forward) | np.isnan(backward))
-    of_ways = {
+    of_paths = {
         "round_trip": (forward + backward)[answered],
         "forward": forward[answered],
         "backward": backward[answered],
@@ -125,8 +125,8 @@ def summarised(recording: "Recording") -> "dict[str, float | int | None]":
     return {
         "probes": sent,
         **{
-            f"{way}_{name}_s": float(np.quantile(delays, share)) if delays.size else None
-            for way, delays in of_ways.items()
+            f"{path}_{name}_s": float(np.quantile(delays, share)) if delays.size else None
+            for path, delays in of_paths.items()
             for name, share in (("p50", 0.5), ("p99", 0.99))
         },
         "sent_forward": sent,
@@ -144,7 +144,7 @@ def summarised(recording: "Recording") -> "dict[str, float | int | None]":
 @contextlib.contextmanager
 def _progress(peer: str, duration_s: float) -> Iterator[None]:
     """Shows how far a measurement is, which goes on in this thread."""
-    if not UNTOLD_S < duration_s < float("inf"):
+    if not MIN_PROGRESS_S < duration_s < float("inf"):
         yield
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from haptether.cli.netsim.link_options import LinkOptions
+from haptether.cli.netsim.traffic import check_traffic, figures_table, sending_times
 
 if TYPE_CHECKING:
     from typing import TextIO
 
-    import numpy as np
-    import numpy.typing as npt
-    from rich.table import Table
-
     from haptether.netsim import LinkFigures, Verdicts
 
-MAX_PACKETS = 50_000_000
+MAX_POINTS = 5000
+"""Of the picture over time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +77,7 @@ class Sample(LinkOptions):
         if self.json is not None:
             self._write_json(self.json, figures, links.seed)
         if self.plot is not None:
-            from haptether.cli.netsim.picture import draw_sample
-
-            draw_sample(verdicts, self.plot)
+            _draw(verdicts, self.plot)
             console.print(f"picture: {self.plot}")
         return 0
 
@@ -105,56 +101,6 @@ class Sample(LinkOptions):
             **figures,
         }
         write_json(target, msgspec.json.format(msgspec.json.encode(report), indent=2))
-
-
-def check_traffic(packets: int, rate_hz: float, size: int) -> None:
-    """Refuses packets that nobody can send.
-
-    Raises:
-        ValueError: With the bounds.
-    """
-    for key, seen, least, most in (
-        ("packets", packets, 1, MAX_PACKETS),
-        ("rate", rate_hz, 1e-3, 1e9),
-        ("size", size, 0, 65_535),
-    ):
-        if not least <= seen <= most:
-            message = f"{key} = {seen:g}: must be {least:g} to {most:g}"
-            raise ValueError(message)
-
-
-def sending_times(packets: int, rate_hz: float) -> "npt.NDArray[np.int64]":
-    """When packets are sent at a constant rate, in ns."""
-    import numpy as np
-
-    times: npt.NDArray[np.int64] = np.rint(np.arange(packets) * (1e9 / rate_hz)).astype(np.int64)
-    return times
-
-
-MILLISECONDS = {"mean_s": "mean delay", "sigma_s": "sigma", "p50_s": "p50", "p99_s": "p99"}
-SHARES = {"loss": "loss", "reordered": "reordered", "duplicates": "duplicates", "damaged": "damaged"}
-
-
-def shown(name: str, value: float | None) -> str:
-    """A figure for people."""
-    if value is None:
-        return "-"
-    if name in MILLISECONDS:
-        return f"{value * 1e3:.3f} ms"
-    return f"{value * 100:.4g} %" if name in SHARES else f"{value:.3f}"
-
-
-def figures_table(title: str, columns: "dict[str, LinkFigures]") -> "Table":
-    """Figures beside each other."""
-    from rich.table import Table
-
-    table = Table(header_style="bold", pad_edge=False)
-    table.add_column(title)
-    for name in columns:
-        table.add_column(name, justify="right")
-    for name, words in {**MILLISECONDS, "loss": "loss", "mean_burst": "mean burst", **SHARES}.items():
-        table.add_row(words, *(shown(name, getattr(figures, name)) for figures in columns.values()))
-    return table
 
 
 def _write_csv(target: Path, verdicts: "Verdicts") -> None:
@@ -182,3 +128,29 @@ def _write_csv(target: Path, verdicts: "Verdicts") -> None:
                     for index, t_in, t_out, cause in rows
                 )
             )
+
+
+def _draw(verdicts: "Verdicts", path: Path) -> None:
+    """Delays over time with what was lost, and how often each delay occurs."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from haptether.private_file import private_file
+
+    packets = verdicts.packets
+    arrived = packets.t_out_ns >= 0
+    sent_s = packets.t_in_ns * 1e-9
+    delay_ms = (packets.t_out_ns - packets.t_in_ns) * 1e-6
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    over_time, often = figure.subplots(1, 2, width_ratios=(2, 1), sharey=True)
+    first = slice(0, MAX_POINTS)
+    over_time.plot(sent_s[first][arrived[first]], delay_ms[first][arrived[first]], ".", markersize=2)
+    top = float(delay_ms[arrived].max()) if arrived.any() else 1.0
+    lost = sent_s[first][~arrived[first]]
+    over_time.plot(lost, np.full(lost.size, 1.04 * top), "|", color="tab:red", label=f"lost ({(~arrived).mean():.2%})")
+    over_time.set(xlabel="sent [s]", ylabel="one-way delay [ms]")
+    over_time.legend(loc="center right")
+    often.hist(delay_ms[arrived], bins=100, orientation="horizontal")
+    often.set(xlabel="packets", xscale="log")
+    with private_file(path) as file:
+        figure.savefig(file, dpi=120, format=path.suffix[1:] or "png")

@@ -57,18 +57,18 @@ class Set:
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
-        for way, changes in answer.get("changed", {}).items():
+        for direction, changes in answer.get("changed", {}).items():
             for key, change in changes.items():
-                console.print(f"{way}.{key}: {_shown(change['old'])} -> {_shown(change['new'])}", soft_wrap=True)
+                console.print(f"{direction}.{key}: {_shown(change['old'])} -> {_shown(change['new'])}", soft_wrap=True)
         if not self.show:
             return
-        for way in ("forward", "backward"):
-            settings = ", ".join(f"{key} = {value}" for key, value in answer[way].items()) or "a perfect network"
-            console.print(f"{way}: {settings}", soft_wrap=True)
-        for way in ("forward", "backward"):
-            counts = answer["statistics"][way]
-            told = ", ".join(f"{counts[name]} {name}" for name in ("received", "released", "lost"))
-            console.print(f"so far {way}: {told}", soft_wrap=True)
+        for direction in ("forward", "backward"):
+            settings = ", ".join(f"{key} = {value}" for key, value in answer[direction].items()) or "a perfect network"
+            console.print(f"{direction}: {settings}", soft_wrap=True)
+        for direction in ("forward", "backward"):
+            counts = answer["statistics"][direction]
+            text = ", ".join(f"{counts[name]} {name}" for name in ("received", "released", "lost"))
+            console.print(f"so far {direction}: {text}", soft_wrap=True)
 
 
 def _shown(value: object) -> str:
@@ -88,12 +88,14 @@ def requested(settings: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     for setting in settings:
         name, equals, text = setting.partition("=")
         first, dot, key = name.strip().partition(".")
-        ways, key = ((first,), key) if dot and first in {"forward", "backward"} else (("forward", "backward"), name)
+        directions, key = (
+            ((first,), key) if dot and first in {"forward", "backward"} else (("forward", "backward"), name)
+        )
         key = key.strip().replace("-", "_")
         if not equals or not key or "." in key:
             message = f"{setting[:80]}: must be KEY=VALUE, forward.KEY=VALUE or backward.KEY=VALUE"
             raise SceneError(message)
-        for way in ways:
-            path = path_of(f"link.{way}.{key}")
-            request.setdefault(way, {})[key] = toml_value(text.strip(), path) if text.strip() else None
+        for direction in directions:
+            path = path_of(f"link.{direction}.{key}")
+            request.setdefault(direction, {})[key] = toml_value(text.strip(), path) if text.strip() else None
     return request

@@ -1,0 +1,62 @@
+"""What `sample` and `compare` share: packets at a constant rate, and a table of what became of them."""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    from rich.table import Table
+
+    from haptether.netsim import LinkFigures
+
+MAX_PACKETS = 50_000_000
+
+
+def check_traffic(packets: int, rate_hz: float, size: int) -> None:
+    """Refuses packets that nobody can send.
+
+    Raises:
+        ValueError: With the bounds.
+    """
+    for key, seen, low, high in (
+        ("packets", packets, 1, MAX_PACKETS),
+        ("rate", rate_hz, 1e-3, 1e9),
+        ("size", size, 0, 65_535),
+    ):
+        if not low <= seen <= high:
+            message = f"{key} = {seen:g}: must be {low:g} to {high:g}"
+            raise ValueError(message)
+
+
+def sending_times(packets: int, rate_hz: float) -> "npt.NDArray[np.int64]":
+    """When packets are sent at a constant rate, in ns."""
+    import numpy as np
+
+    times: npt.NDArray[np.int64] = np.rint(np.arange(packets) * (1e9 / rate_hz)).astype(np.int64)
+    return times
+
+
+MILLISECONDS = {"mean_s": "mean delay", "sigma_s": "sigma", "p50_s": "p50", "p99_s": "p99"}
+SHARES = {"loss": "loss", "reordered": "reordered", "duplicates": "duplicates", "damaged": "damaged"}
+
+
+def shown(name: str, value: float | None) -> str:
+    """A figure with its unit, "-" for one that is not known."""
+    if value is None:
+        return "-"
+    if name in MILLISECONDS:
+        return f"{value * 1e3:.3f} ms"
+    return f"{value * 100:.4g} %" if name in SHARES else f"{value:.3f}"
+
+
+def figures_table(title: str, columns: "dict[str, LinkFigures]") -> "Table":
+    """A row per figure, a column per set of them."""
+    from rich.table import Table
+
+    table = Table(header_style="bold", pad_edge=False)
+    table.add_column(title)
+    for name in columns:
+        table.add_column(name, justify="right")
+    for name, label in {**MILLISECONDS, "loss": "loss", "mean_burst": "mean burst", **SHARES}.items():
+        table.add_row(label, *(shown(name, getattr(figures, name)) for figures in columns.values()))
+    return table
