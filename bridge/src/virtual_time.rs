@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 
 use haptether_netsim::{
-    Damage, Direction, EndpointClock, ExtraCause, InFlight, Judgement, Link, LinkError, LinkSettings, Packet,
-    Verdict,
+    Damage, Direction, EndpointClock, ExtraCause, InFlight, Judgement, Link, LinkSettings, LinkSettingsError,
+    Packet, Verdict,
 };
 
 use crate::{
@@ -46,7 +46,7 @@ const MAX_IN_FLIGHT: usize = 1 << 22;
 pub enum VirtualError {
     /// Settings that describe no link.
     #[error(transparent)]
-    Link(#[from] LinkError),
+    Link(#[from] LinkSettingsError),
     /// There is no session.
     #[error(transparent)]
     Session(#[from] EndError),
@@ -71,7 +71,7 @@ struct Way {
 }
 
 impl Way {
-    fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
+    fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         let link = Link::new(direction, seed, settings)?;
         Ok(Self { link, in_flight: InFlight::growing(MAX_IN_FLIGHT), index: 0, direction })
     }

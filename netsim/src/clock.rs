@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use crate::settings::{ClockSettings, LinkError, within};
+use crate::checks::{LinkSettingsError, within};
 
 /// Largest offset and step in s: 127 years, as between a clock that was never set and one that was.
 const MAX_OFFSET_S: f64 = 4e9;
@@ -13,6 +13,20 @@ const MAX_DRIFT_PPM: f64 = 10_000.0;
 /// Parts of the drift as an integer: 1e-6 ppm, which is 0.3 ms in ten years.
 const PARTS: i128 = 1_000_000_000_000;
 const PARTS_PER_PPM: f64 = 1e6;
+
+/// What is wrong with the clock of an endpoint. The default is a clock that is right.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClockSettings {
+    /// What it reads at true time 0, in s.
+    pub offset_s: f64,
+    /// By how much it runs fast, in parts per million; below 0 slow.
+    pub drift_ppm: f64,
+    /// By how much it is set forward, in s; below 0 back.
+    pub step_s: f64,
+    /// When it is set, in s of true time.
+    pub step_at_s: f64,
+}
 
 /// The clock of an endpoint as a function of true time, in integers:
 /// `reading(t) = offset + floor(t (1 + drift)) + (step, if t >= step_at)`.
@@ -27,7 +41,7 @@ pub struct EndpointClock {
 
 impl EndpointClock {
     /// Checks the settings.
-    pub fn new(settings: &ClockSettings) -> Result<Self, LinkError> {
+    pub fn new(settings: &ClockSettings) -> Result<Self, LinkSettingsError> {
         let &ClockSettings { offset_s, drift_ppm, step_s, step_at_s } = settings;
         within("offset_s", offset_s, -MAX_OFFSET_S, MAX_OFFSET_S)?;
         within("drift_ppm", drift_ppm, -MAX_DRIFT_PPM, MAX_DRIFT_PPM)?;
@@ -77,9 +91,9 @@ impl EndpointClock {
 }
 
 impl TryFrom<ClockSettings> for EndpointClock {
-    type Error = LinkError;
+    type Error = LinkSettingsError;
 
-    fn try_from(settings: ClockSettings) -> Result<Self, LinkError> {
+    fn try_from(settings: ClockSettings) -> Result<Self, LinkSettingsError> {
         Self::new(&settings)
     }
 }

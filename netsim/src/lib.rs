@@ -9,44 +9,30 @@
 //! which the virtual-time runner empties at simulated times and the [`Proxy`] at real ones, between two
 //! processes that know nothing of it.
 
-mod adversary;
-mod alteration;
-mod bound;
+mod checks;
 mod clock;
-mod corrupt;
 mod damage;
-mod delay;
-mod duplicate;
+mod impairments;
 mod in_flight;
-mod jitter;
-mod law;
 mod link;
-mod loss;
-mod mtu;
-pub mod netem;
 mod on_off;
-mod outage;
+mod packet;
 mod probe;
 mod proxy;
 mod random;
-mod rate;
-mod reorder;
 mod rule;
-mod settings;
-mod slots;
-mod timeline;
-mod trace;
-mod truncate;
 mod verdict;
 
 #[cfg(test)]
 mod tests;
 
-pub use clock::EndpointClock;
-pub use damage::Damage;
+pub use checks::{LinkSettingsError, MAX_DELAY_S};
+pub use clock::{ClockSettings, EndpointClock};
+pub use damage::{Checksum, Damage, Edit, Operation};
+pub use impairments::*;
 pub use in_flight::{DEFAULT_CAPACITY, InFlight};
-pub use law::DelayLaw;
 pub use link::{Link, LinkCounters, Rules};
+pub use packet::{Direction, Packet};
 pub use probe::{
     Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, Probe, ProbeError, RecordSettings, Recording, record,
 };
@@ -54,12 +40,4 @@ pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, MAX_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
     ProxySettings, ProxyStatistics, ScheduleBefore, Scheduling, SchedulingError, Source, schedule_fifo,
 };
-pub use settings::{
-    Action, Attack, ByteRange, Checksum, ClockSettings, CrossTraffic, DelayChange, DelayTrace, Discipline,
-    Distribution, Edit, FourState, GilbertElliott, LinkError, LinkSettings, MAX_DELAY_S, Operation,
-    Opportunities, Outage, OutageEffect, OutageTimes, Slots, Target,
-};
-pub use trace::{
-    IrttDelay, IrttRecording, ParseError, parse_delay_csv, parse_dist, parse_irtt, parse_mahimahi,
-};
-pub use verdict::{Direction, DropCause, Extra, ExtraCause, Judgement, Packet, Verdict};
+pub use verdict::{DropCause, Extra, ExtraCause, Judgement, Verdict};

@@ -1,33 +1,12 @@
 //! One direction of the network: settings, and the rules they stand for in a fixed order.
 
+use crate::checks::LinkSettingsError;
 use crate::damage::Damage;
-use crate::rule::{BuildEnding, BuildRule, Ending, Extras, Rule, Streams};
-use crate::settings::{LinkError, LinkSettings};
-use crate::verdict::{Direction, Judgement, Packet, Verdict};
-use crate::{
-    adversary, corrupt, delay, duplicate, jitter, loss, mtu, netem, outage, rate, reorder, slots, timeline,
-    trace, truncate,
-};
+use crate::impairments::{ARRIVAL_RULES, LinkSettings, PATH_RULES, REORDER_RULE, Streams};
+use crate::rule::{ArrivalRule, Extras, Rule};
 
-/// What a packet meets on its way, in this order: what is lost takes no place in the bottleneck, and what waits there
-/// is delayed afterwards. Then the link keeps the order, and reordering comes after that.
-const WAY: &[BuildRule] = &[
-    mtu::build,
-    loss::build,
-    outage::build_dropping,
-    trace::build_loss,
-    rate::build,
-    delay::build,
-    timeline::build,
-    slots::build,
-    trace::build_delay,
-    jitter::build,
-    outage::build_holding,
-];
-
-/// What happens at the end of the way, in this order.
-const ENDINGS: &[BuildEnding] =
-    &[netem::build, duplicate::build, corrupt::build, truncate::build, adversary::build];
+use crate::packet::{Direction, Packet};
+use crate::verdict::{Judgement, Verdict};
 
 /// What a link has decided so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,43 +25,47 @@ pub struct LinkCounters {
     pub overtaking: u64,
 }
 
-/// The rules that settings ask for, built and checked, for a link to take up.
+/// The rules that settings describe, built and checked, for a link to take up.
 #[derive(Debug)]
 pub struct Rules {
     direction: Direction,
-    way: Vec<Box<dyn Rule>>,
+    path: Vec<Box<dyn Rule>>,
     /// After what keeps the order.
     reorder: Option<Box<dyn Rule>>,
-    endings: Vec<Box<dyn Ending>>,
+    arrival_rules: Vec<Box<dyn ArrivalRule>>,
     keeps_order: bool,
 }
 
 impl Rules {
-    /// Builds the rules that the settings ask for: an impairment that is absent costs nothing.
-    pub fn build(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
+    /// Builds the rules that the settings describe: an impairment that is absent costs nothing.
+    pub fn build(
+        direction: Direction,
+        seed: u64,
+        settings: &LinkSettings,
+    ) -> Result<Self, LinkSettingsError> {
         let streams = Streams { seed, direction };
-        let mut way = Vec::new();
-        for build in WAY {
-            way.extend(build(settings, &streams)?);
+        let mut path = Vec::new();
+        for build in PATH_RULES {
+            path.extend(build(settings, &streams)?);
         }
-        let mut endings = Vec::new();
-        for build in ENDINGS {
-            endings.extend(build(settings, &streams)?);
+        let mut arrival_rules = Vec::new();
+        for build in ARRIVAL_RULES {
+            arrival_rules.extend(build(settings, &streams)?);
         }
-        let reorder = reorder::build(settings, &streams)?;
+        let reorder = REORDER_RULE(settings, &streams)?;
         Ok(Self {
             direction,
-            way,
+            path,
             reorder,
-            endings,
+            arrival_rules,
             keeps_order: settings.keep_order && settings.netem.is_none(),
         })
     }
 
-    /// The same with something else at the end.
+    /// The same with one more rule on arrival.
     #[cfg(test)]
-    pub(crate) fn with_ending(mut self, ending: impl Ending + 'static) -> Self {
-        self.endings.push(Box::new(ending));
+    pub(crate) fn with_arrival_rule(mut self, rule: impl ArrivalRule + 'static) -> Self {
+        self.arrival_rules.push(Box::new(rule));
         self
     }
 }
@@ -97,15 +80,15 @@ pub struct Link {
     rules: Rules,
     counters: LinkCounters,
     latest_due_ns: u64,
-    /// The latest arrival without what reordering and endings add. Where the order is kept, as through a queue that is
+    /// The latest arrival without what reordering and the rules on arrival add. Where the order is kept, as through a queue that is
     /// served in turn, no packet arrives earlier.
     latest_in_turn_ns: u64,
     extras: Extras,
 }
 
 impl Link {
-    /// A link with the rules that the settings ask for.
-    pub fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkError> {
+    /// A link with the rules that the settings describe.
+    pub fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         Ok(Self {
             seed,
             rules: Rules::build(direction, seed, settings)?,
@@ -117,7 +100,7 @@ impl Link {
     }
 
     /// Takes other settings for the packets from now on, as [`swap`](Self::swap) does.
-    pub fn change(&mut self, settings: &LinkSettings) -> Result<(), LinkError> {
+    pub fn change(&mut self, settings: &LinkSettings) -> Result<(), LinkSettingsError> {
         let mut rules = Rules::build(self.rules.direction, self.seed, settings)?;
         self.swap(&mut rules);
         Ok(())
@@ -145,7 +128,7 @@ impl Link {
 
     fn pass(&mut self, packet: &Packet, damage: &mut Damage) -> Verdict {
         let mut at_ns = packet.sent_ns;
-        for rule in &mut self.rules.way {
+        for rule in &mut self.rules.path {
             match rule.judge(packet, at_ns) {
                 Verdict::Deliver { at_ns: later } => at_ns = later,
                 drop @ Verdict::Drop { .. } => return drop,
@@ -161,8 +144,8 @@ impl Link {
                 drop @ Verdict::Drop { .. } => return drop,
             }
         }
-        for ending in &mut self.rules.endings {
-            match ending.end(packet, at_ns, damage, &mut self.extras) {
+        for rule in &mut self.rules.arrival_rules {
+            match rule.end(packet, at_ns, damage, &mut self.extras) {
                 Verdict::Deliver { at_ns: later } => at_ns = later,
                 drop @ Verdict::Drop { .. } => return drop,
             }
@@ -197,7 +180,7 @@ impl Link {
 
 impl LinkSettings {
     /// Checks every number and what goes together, by building the rules.
-    pub fn validate(&self) -> Result<(), LinkError> {
+    pub fn validate(&self) -> Result<(), LinkSettingsError> {
         Rules::build(Direction::Forward, 0, self).map(drop)
     }
 }
@@ -235,7 +218,9 @@ mod tests {
         let mut link = Link::new(Direction::Backward, 0, &LinkSettings::default()).unwrap();
         let packet = Packet { direction: Direction::Backward, sent_ns: 42, size: 64, index: 0 };
         assert_eq!(link.judge(&packet).verdict, Verdict::Deliver { at_ns: 42 });
-        assert!(link.rules.way.is_empty() && link.rules.reorder.is_none() && link.rules.endings.is_empty());
+        assert!(
+            link.rules.path.is_empty() && link.rules.reorder.is_none() && link.rules.arrival_rules.is_empty()
+        );
     }
 
     #[test]

@@ -8,8 +8,8 @@
 //!
 //! Source: A. Jensen, "Markoff chains as an aid in the study of Markoff processes", Skand. Aktuarietidskr. 36, 1953.
 
+use crate::checks::nanoseconds;
 use crate::random::{Chance, Stream, unit};
-use crate::settings::nanoseconds;
 
 /// Least mean time between two draws of the state in s: a time is counted in whole ns.
 pub(crate) const MIN_GAP_S: f64 = 5e-7;
@@ -147,11 +147,11 @@ impl OnOff {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Impairment;
-    use crate::verdict::Direction;
+    use crate::impairments::Impairment;
+    use crate::packet::Direction;
 
     fn process(mean_on_s: f64, mean_off_s: f64) -> OnOff {
-        OnOff::by_means(mean_on_s, mean_off_s, Stream::new(11, Direction::Forward, Impairment::Outage))
+        OnOff::by_means(mean_on_s, mean_off_s, Stream::new(11, Direction::Forward, Impairment::Outage as u16))
     }
 
     #[test]

@@ -7,38 +7,12 @@
 //! Source: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3",
 //! SC 2011, Philox4x32-10.
 
-use crate::verdict::Direction;
+use crate::packet::Direction;
 
 /// Multipliers and Weyl key increments of Philox4x32 (Salmon et al. 2011).
 const MULTIPLIER: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
 const ROUNDS: usize = 10;
-
-/// What a stream of draws is used for.
-///
-/// The numbers are part of the recorded results: a new impairment takes a new number, an old one keeps its
-/// own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u16)]
-pub(crate) enum Impairment {
-    Unused = 0,
-    Loss = 1,
-    /// Delay by packet index.
-    Jitter = 2,
-    /// Delay by bin of time.
-    Wander = 3,
-    /// State of a Markov chain of losses.
-    LossState = 4,
-    Outage = 5,
-    CrossTraffic = 6,
-    Reorder = 7,
-    Duplicate = 8,
-    Corrupt = 9,
-    Truncate = 10,
-    Slots = 11,
-    Attack = 12,
-    Netem = 13,
-}
 
 /// The draws of one impairment in one direction.
 ///
@@ -50,15 +24,15 @@ pub(crate) struct Stream {
 }
 
 impl Stream {
-    /// Of no impairment.
-    pub(crate) const UNUSED: Self = Self { seed: 0, id: Impairment::Unused as u64 };
+    /// Of no impairment: number 0.
+    pub(crate) const UNUSED: Self = Self { seed: 0, id: 0 };
 
-    pub(crate) fn new(seed: u64, direction: Direction, impairment: Impairment) -> Self {
+    pub(crate) fn new(seed: u64, direction: Direction, impairment: u16) -> Self {
         let side = match direction {
             Direction::Forward => 0,
             Direction::Backward => 1,
         };
-        Self { seed, id: (u64::from(impairment as u16) << 1) | side }
+        Self { seed, id: (u64::from(impairment) << 1) | side }
     }
 
     /// The `position`-th stream beside this one, 0 being itself: of the second outage, say, or for another use of
@@ -211,6 +185,7 @@ fn join(low: u32, high: u32) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::impairments::Impairment;
 
     /// Source: Random123, `tests/kat_vectors`, lines `philox4x32 10`.
     #[test]
@@ -237,7 +212,7 @@ mod tests {
 
     #[test]
     fn an_integer_reaches_both_ends_of_its_range_and_no_further() {
-        let stream = Stream::new(7, Direction::Forward, Impairment::Jitter);
+        let stream = Stream::new(7, Direction::Forward, Impairment::Jitter as u16);
         let mut seen = [0_u32; 5];
         for index in 0..1000 {
             seen[usize::try_from(scale(stream.bits(index), 4)).unwrap()] += 1;
@@ -249,7 +224,7 @@ mod tests {
 
     #[test]
     fn every_direction_and_impairment_has_its_own_stream() {
-        let first = |direction, impairment| Stream::new(1, direction, impairment).bits(0);
+        let first = |direction, impairment: Impairment| Stream::new(1, direction, impairment as u16).bits(0);
         let draws = [
             first(Direction::Forward, Impairment::Loss),
             first(Direction::Forward, Impairment::Jitter),

@@ -5,11 +5,10 @@ use std::fmt::Debug;
 use arrayvec::ArrayVec;
 
 use crate::damage::Damage;
-use crate::random::{Impairment, Stream};
-use crate::settings::{LinkError, LinkSettings};
-use crate::verdict::{Direction, Extra, ExtraCause, Packet, Verdict};
+use crate::packet::Packet;
+use crate::verdict::{Extra, ExtraCause, Verdict};
 
-/// What happens to a packet on its way.
+/// What happens to a packet on its path.
 ///
 /// A link applies its rules in order: each is handed the arrival that the rules before it settled, and moves it
 /// or drops the packet, which ends the matter. A rule may keep state over the packets it has seen, but draws only
@@ -32,28 +31,8 @@ pub(crate) fn add_extra(extras: &mut Extras, at_ns: u64, cause: ExtraCause, dama
     let _ = extras.try_push(Extra { at_ns, cause, damage });
 }
 
-/// What happens to a packet at the end of its way: its bytes change, it is copied, somebody takes it.
-pub(crate) trait Ending: Debug + Send {
+/// What happens to a packet on arrival: its bytes change, it is copied, an attacker takes it.
+pub(crate) trait ArrivalRule: Debug + Send {
     /// Changes what becomes of a packet that arrives at `at_ns`, and of what arrives beside it.
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict;
 }
-
-/// Where a rule takes its randomness from.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Streams {
-    pub(crate) seed: u64,
-    pub(crate) direction: Direction,
-}
-
-impl Streams {
-    /// The draws of one impairment.
-    pub(crate) fn of(&self, impairment: Impairment) -> Stream {
-        Stream::new(self.seed, self.direction, impairment)
-    }
-}
-
-/// Builds the rule that the settings ask for, if they do, or says what is wrong with its settings.
-pub(crate) type BuildRule = fn(&LinkSettings, &Streams) -> Result<Option<Box<dyn Rule>>, LinkError>;
-
-/// As [`BuildRule`].
-pub(crate) type BuildEnding = fn(&LinkSettings, &Streams) -> Result<Option<Box<dyn Ending>>, LinkError>;

@@ -15,8 +15,6 @@ mod live_options;
 mod live_watch;
 mod local;
 mod netsim;
-mod netsim_live;
-mod netsim_probe;
 mod reserve;
 mod safety;
 mod scene;
@@ -32,8 +30,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     local::register(module)?;
     ur::register(module)?;
     netsim::register(module)?;
-    netsim_live::register(module)?;
-    netsim_probe::register(module)?;
     scene::register(module)?;
     ur_environment::register(module)?;
     bridge_trace::register(module)?;

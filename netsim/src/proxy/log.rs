@@ -1,18 +1,18 @@
 //! The ground truth: what became of every datagram, through a bounded ring to a thread that writes it down.
 
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::sync::atomic::AtomicU64;
-use std::thread::JoinHandle;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use super::statistics::count;
-use super::writer::write_while_open;
-use crate::verdict::Direction;
+use crate::packet::Direction;
 
 /// Datagrams whose records wait to be written; more are not recorded.
 const MAX_WAITING: usize = 1 << 17;
 
 /// First line of the log.
-pub(super) const HEADER: &str = "direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,error_ns,size";
+const HEADER: &str = "direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,error_ns,size";
 
 /// What became of one datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,7 +61,7 @@ impl Log {
     /// Begins a log, and the thread that writes it.
     pub(super) fn begin(out: impl Write + Send + 'static) -> io::Result<Self> {
         let (records, waiting) = rtrb::RingBuffer::new(MAX_WAITING);
-        let writer = std::thread::Builder::new()
+        let writer = thread::Builder::new()
             .name("haptether-log".into())
             .spawn(move || write_while_open(out, waiting))?;
         Ok(Self { records, writer })
@@ -78,5 +78,85 @@ impl Log {
     pub(super) fn end(self) -> io::Result<()> {
         drop(self.records);
         self.writer.join().unwrap_or_else(|_| Err(io::Error::other("the log's writer panicked")))
+    }
+}
+
+/// How long an empty ring is left alone: a small part of the time in which it fills.
+const PAUSE: Duration = Duration::from_millis(5);
+
+/// The reading end of a ring.
+pub(super) trait Waiting<R> {
+    /// Whether the writing end is gone.
+    fn is_abandoned(&self) -> bool;
+
+    /// Takes the oldest record.
+    fn take(&mut self) -> Option<R>;
+}
+
+impl<R> Waiting<R> for rtrb::Consumer<R> {
+    fn is_abandoned(&self) -> bool {
+        self.is_abandoned()
+    }
+
+    fn take(&mut self) -> Option<R> {
+        self.pop().ok()
+    }
+}
+
+/// What the writing thread does: it may wait for a disk, the proxy may not. Writes records until the other end of the ring is gone and all are written.
+fn write_while_open(out: impl Write, mut records: rtrb::Consumer<Record>) -> io::Result<()> {
+    let mut out = BufWriter::with_capacity(1 << 16, out);
+    writeln!(out, "{HEADER}")?;
+    take_while_open(&mut records, |record| record.write(&mut out), || thread::sleep(PAUSE))?;
+    out.flush()
+}
+
+/// Gives each record to `write` until the other end of the ring is gone and all are given; rests when there is none.
+pub(super) fn take_while_open<R>(
+    records: &mut impl Waiting<R>,
+    mut write: impl FnMut(R) -> io::Result<()>,
+    rest: impl Fn(),
+) -> io::Result<()> {
+    loop {
+        // Looked at first: what was pushed before the end is seen below.
+        let is_last = records.is_abandoned();
+        while let Some(record) = records.take() {
+            write(record)?;
+        }
+        if is_last {
+            return Ok(());
+        }
+        rest();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::packet::Direction;
+
+    #[test]
+    fn a_line_has_empty_cells_for_what_there_is_not() {
+        let left = Record {
+            direction: Direction::Forward,
+            index: 7,
+            kind: "",
+            in_ns: 10,
+            due_ns: Some(30),
+            out_ns: Some(34),
+            cause: "",
+            size: 64,
+        };
+        let lost = Record { kind: "replay", due_ns: None, out_ns: None, cause: "in-flight", ..left };
+        let (mut ring, records) = rtrb::RingBuffer::new(2);
+        ring.push(left).unwrap();
+        ring.push(Record { direction: Direction::Backward, ..lost }).unwrap();
+        drop(ring);
+        let mut out = Vec::new();
+        write_while_open(&mut out, records).unwrap();
+        assert_eq!(
+            String::from_utf8(out).unwrap(),
+            format!("{HEADER}\nforward,7,,10,30,34,,4,64\nbackward,7,replay,10,,,in-flight,,64\n")
+        );
     }
 }

@@ -1,26 +1,20 @@
 //! The live driver: a UDP proxy that does to real datagrams what two links decide.
 //!
 //! One thread serves both directions and all clients. It sleeps in `ppoll` until a datagram comes or the next one in
-//! flight is nearly due, and spends the last part awake (see [`rest`]). Deadlines are absolute times of the monotonic
+//! flight is nearly due, and spends the last part awake (see [`spin`]). Deadlines are absolute times of the monotonic
 //! clock, so errors do not add up. While it spins it goes on receiving, so that arrivals are stamped when they happen.
 //! Datagrams come and go many at a call; nothing is allocated for one.
 
 mod batch;
-mod buffers;
-mod control;
-mod flows;
-mod histogram;
-mod lane;
 mod log;
+mod pipeline;
 mod ports;
 mod realtime;
-mod rest;
 #[cfg(test)]
 mod ring_model;
 mod settings;
-mod socket;
+mod spin;
 mod statistics;
-mod writer;
 
 use std::fs::File;
 use std::io;
@@ -31,23 +25,24 @@ use std::time::{Duration, Instant};
 
 use rustix::event::Timespec;
 
-use crate::settings::{LinkSettings, nanoseconds};
-use crate::verdict::{Direction, Judgement, Packet};
+use crate::checks::nanoseconds;
+use crate::impairments::LinkSettings;
+use crate::packet::{Direction, Packet};
+use crate::verdict::Judgement;
 use batch::{Receiver, Sender};
-use lane::{Books, Lane};
 use log::Log;
-use ports::{Entrance, Exit, Exits, Ports, Ready};
+use pipeline::{DirectionPipeline, Metrics};
+use ports::{Egress, Ingress, Ports, Ready, Routes};
 pub(crate) use realtime::prepare_thread;
-use rest::Rest;
+use spin::SpinBudget;
 use statistics::{Recorder, count};
 
-pub use buffers::MAX_DATAGRAM;
-pub use control::ProxyControl;
-pub use flows::MAX_FLOWS;
-pub use histogram::SchedulingError;
+pub use batch::MAX_DATAGRAM;
+pub use pipeline::ProxyControl;
+pub use ports::MAX_FLOWS;
 pub use realtime::{ScheduleBefore, Scheduling, schedule_fifo};
 pub use settings::{ProxyError, ProxySettings, Source};
-pub use statistics::{DirectionStatistics, ProxyMonitor, ProxyStatistics};
+pub use statistics::{DirectionStatistics, ProxyMonitor, ProxyStatistics, SchedulingError};
 
 /// The proxy's clock: monotonic ns since it was bound. It wraps after 584 years.
 #[derive(Clone, Copy, Debug)]
@@ -70,8 +65,8 @@ const EXPIRY_PERIOD_NS: u64 = 1_000_000_000;
 #[derive(Debug)]
 pub struct Proxy {
     ports: Ports,
-    forward: Lane,
-    backward: Lane,
+    forward: DirectionPipeline,
+    backward: DirectionPipeline,
     seed: u64,
     is_realtime: bool,
     record: Arc<Recorder>,
@@ -87,17 +82,18 @@ struct Batches {
     from_peer: Receiver,
     sender: Sender,
     ready: Ready,
-    rest: Rest,
+    spin: SpinBudget,
 }
 
 impl Proxy {
     /// Takes the sockets and all memory the proxy will use.
     pub fn bind(settings: &ProxySettings) -> Result<Self, ProxyError> {
-        let lane = |direction, link: &LinkSettings| {
-            Lane::new(direction, settings.seed, link).map_err(|source| ProxyError::Link { direction, source })
+        let pipeline = |direction, link: &LinkSettings| {
+            DirectionPipeline::new(direction, settings.seed, link)
+                .map_err(|source| ProxyError::Link { direction, source })
         };
-        let forward = lane(Direction::Forward, &settings.forward_link)?;
-        let backward = lane(Direction::Backward, &settings.backward_link)?;
+        let forward = pipeline(Direction::Forward, &settings.forward_link)?;
+        let backward = pipeline(Direction::Backward, &settings.backward_link)?;
         let max_error_s = settings.max_error_s;
         if !(max_error_s > 0.0 && max_error_s <= 1.0) {
             return Err(ProxyError::MaxError { seen: max_error_s });
@@ -169,19 +165,19 @@ impl Proxy {
             from_peer: Receiver::new(),
             sender: Sender::new(),
             ready: Ready::new(),
-            rest: Rest::default(),
+            spin: SpinBudget::default(),
         };
         while !stop.load(Relaxed) {
             self.forward.take_up_change();
             self.backward.take_up_change();
             self.release_due(&mut batches.sender);
             self.expire();
-            self.sleep(&mut batches.rest)?;
+            self.sleep(&mut batches.spin)?;
             self.receive(&mut batches, &mut observe)?;
         }
-        let mut books = Books { record: &self.record, log: &mut self.log };
-        self.forward.give_up(&mut books);
-        self.backward.give_up(&mut books);
+        let mut metrics = Metrics { record: &self.record, log: &mut self.log };
+        self.forward.give_up(&mut metrics);
+        self.backward.give_up(&mut metrics);
         if let Some(Err(_)) = self.log.take().map(Log::end) {
             // What was measured is worth having without it.
             self.record.log_failed.store(true, Relaxed);
@@ -198,10 +194,10 @@ impl Proxy {
     /// starved.
     fn release_due(&mut self, sender: &mut Sender) {
         let Self { ports, forward, backward, record, log, clock, .. } = self;
-        let mut books = Books { record, log };
+        let mut metrics = Metrics { record, log };
         let now_ns = clock.now_ns();
-        for lane in [forward, backward] {
-            lane.release(now_ns, *clock, ports, sender, &mut books);
+        for pipeline in [forward, backward] {
+            pipeline.release(now_ns, *clock, ports, sender, &mut metrics);
         }
     }
 
@@ -215,8 +211,8 @@ impl Proxy {
     }
 
     /// Sleeps until a datagram comes, the next one in flight is nearly due, or a stop must be looked for.
-    fn sleep(&self, rest: &mut Rest) -> io::Result<()> {
-        let Some(sleep_ns) = rest.sleep_ns(self.clock.now_ns(), self.next_due()) else {
+    fn sleep(&self, spin: &mut SpinBudget) -> io::Result<()> {
+        let Some(sleep_ns) = spin.sleep_ns(self.clock.now_ns(), self.next_due()) else {
             return Ok(());
         };
         let timeout = Timespec::try_from(Duration::from_nanos(sleep_ns)).map_err(io::Error::other)?;
@@ -230,10 +226,10 @@ impl Proxy {
         observe: &mut impl FnMut(&Packet, &Judgement<'_>),
     ) -> io::Result<()> {
         let Batches { ready, from_clients, from_peer, sender, .. } = batches;
-        for entrance in self.ports.look(ready)? {
-            match entrance {
-                Entrance::Listen => self.receive_forward(from_clients, observe)?,
-                Entrance::Upstream(place) => self.receive_backward(place, from_peer, observe)?,
+        for ingress in self.ports.look(ready)? {
+            match ingress {
+                Ingress::Listen => self.receive_forward(from_clients, observe)?,
+                Ingress::Upstream(place) => self.receive_backward(place, from_peer, observe)?,
             }
             self.release_due(sender);
         }
@@ -246,8 +242,8 @@ impl Proxy {
         observe: &mut impl FnMut(&Packet, &Judgement<'_>),
     ) -> io::Result<()> {
         let Self { ports, forward, record, log, clock, .. } = self;
-        let mut books = Books { record, log };
-        let Some(socket) = ports.entrance_socket(Entrance::Listen) else {
+        let mut metrics = Metrics { record, log };
+        let Some(socket) = ports.ingress_socket(Ingress::Listen) else {
             return Ok(());
         };
         receiver.receive(socket, &record.peer_unreachable)?;
@@ -255,9 +251,12 @@ impl Proxy {
         for (datagram, source) in receiver.datagrams() {
             let admitted = source.and_then(|client| Some((client, ports.admit(client, now_ns)?)));
             if let Some((client, flow)) = admitted {
-                let exits =
-                    Exits { on: Exit::Peer(flow), back: Exit::Client(client), beside: Exit::PeerBeside };
-                forward.accept(now_ns, datagram, &exits, &mut books, &mut *observe);
+                let routes = Routes {
+                    on: Egress::Peer(flow),
+                    back: Egress::Client(client),
+                    beside: Egress::PeerBeside,
+                };
+                forward.accept(now_ns, datagram, &routes, &mut metrics, &mut *observe);
             } else {
                 count(&record.forward.refused);
             }
@@ -273,20 +272,20 @@ impl Proxy {
         observe: &mut impl FnMut(&Packet, &Judgement<'_>),
     ) -> io::Result<()> {
         let Self { ports, backward, record, log, clock, .. } = self;
-        let mut books = Books { record, log };
-        let Some(socket) = ports.entrance_socket(Entrance::Upstream(place)) else {
+        let mut metrics = Metrics { record, log };
+        let Some(socket) = ports.ingress_socket(Ingress::Upstream(place)) else {
             return Ok(());
         };
         receiver.receive(socket, &record.peer_unreachable)?;
         let now_ns = clock.now_ns();
         for (datagram, source) in receiver.datagrams() {
             if let Some((flow, client)) = source.and_then(|source| ports.client_of(place, source, now_ns)) {
-                let exits = Exits {
-                    on: Exit::Client(client),
-                    back: Exit::Peer(flow),
-                    beside: Exit::ClientBeside(client),
+                let routes = Routes {
+                    on: Egress::Client(client),
+                    back: Egress::Peer(flow),
+                    beside: Egress::ClientBeside(client),
                 };
-                backward.accept(now_ns, datagram, &exits, &mut books, &mut *observe);
+                backward.accept(now_ns, datagram, &routes, &mut metrics, &mut *observe);
             } else {
                 count(&record.backward.refused);
             }

@@ -1,22 +1,19 @@
-//! Where datagrams come in and go out: the sockets, and the clients behind them.
+//! Where datagrams enter and leave: the sockets, and the clients behind them.
 
-use std::io;
-use std::net::{SocketAddr, UdpSocket};
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
-
+use super::settings::{ProxyError, ProxySettings, Source};
 use nix::sys::socket::SockaddrStorage;
 use rustix::event::epoll::{self, CreateFlags, Event, EventData, EventFlags};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-
-use super::flows::{FlowId, Flows, MAX_FLOWS};
-use super::settings::{ProxyError, ProxySettings, Source};
-use super::socket::{granted, is_own, open_listening, open_upstream};
+use rustix::net::sockopt;
+use std::io;
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 const NO_TIME: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 
 /// The way out of a datagram.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Exit {
+pub(super) enum Egress {
     /// To the peer, as from its client.
     Peer(FlowId),
     /// To the peer, from a source that is no client's.
@@ -29,15 +26,15 @@ pub(super) enum Exit {
 
 /// The ways out that a datagram may take.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Exits {
-    pub(super) on: Exit,
-    pub(super) back: Exit,
-    pub(super) beside: Exit,
+pub(super) struct Routes {
+    pub(super) on: Egress,
+    pub(super) back: Egress,
+    pub(super) beside: Egress,
 }
 
 /// The socket of a way out: what goes by the same one can go with one call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Door {
+pub(super) enum EgressSocket {
     Listen,
     ListenBeside,
     Upstream(FlowId),
@@ -46,12 +43,12 @@ pub(super) enum Door {
 
 /// Where datagrams came in.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Entrance {
+pub(super) enum Ingress {
     Listen,
     Upstream(usize),
 }
 
-impl Entrance {
+impl Ingress {
     fn number(self) -> u64 {
         match self {
             Self::Listen => 0,
@@ -65,7 +62,7 @@ impl Entrance {
     }
 }
 
-/// Room for the answer of a look at all entrances.
+/// Room for the answer of a look at all ingresses.
 pub(super) struct Ready([Event; MAX_FLOWS + 1]);
 
 impl Ready {
@@ -101,7 +98,7 @@ impl Ports {
         let beside = SocketAddr::new(listen_address.ip(), 0);
         let (listen_beside, _) = open_listening(beside).map_err(refuse("listen", beside))?;
         let waiting = epoll::create(CreateFlags::CLOEXEC)
-            .and_then(|waiting| watch(&waiting, &listen, Entrance::Listen).map(|()| waiting))
+            .and_then(|waiting| watch(&waiting, &listen, Ingress::Listen).map(|()| waiting))
             .map_err(io::Error::from)
             .map_err(refuse("listen", asked))?;
         Ok(Self {
@@ -134,7 +131,7 @@ impl Ports {
             return None;
         }
         let (upstream, _) = open_upstream(self.peer).ok()?;
-        watch(&self.waiting, &upstream, Entrance::Upstream(self.flows.free_place())).ok()?;
+        watch(&self.waiting, &upstream, Ingress::Upstream(self.flows.free_place())).ok()?;
         Some(self.flows.open(client, upstream, now_ns))
     }
 
@@ -166,46 +163,248 @@ impl Ports {
     pub(super) fn look<'a>(
         &self,
         ready: &'a mut Ready,
-    ) -> io::Result<impl Iterator<Item = Entrance> + use<'a>> {
+    ) -> io::Result<impl Iterator<Item = Ingress> + use<'a>> {
         let found = match epoll::wait(&self.waiting, &mut ready.0[..], Some(&NO_TIME)) {
             Ok(found) => found,
             Err(rustix::io::Errno::INTR) => 0,
             Err(error) => return Err(error.into()),
         };
-        Ok(ready.0[..found].iter().map(|event| Entrance::of(event.data.u64())))
+        Ok(ready.0[..found].iter().map(|event| Ingress::of(event.data.u64())))
     }
 
-    /// The socket of an entrance, if its client is still there.
-    pub(super) fn entrance_socket(&self, entrance: Entrance) -> Option<BorrowedFd<'_>> {
-        match entrance {
-            Entrance::Listen => Some(self.listen.as_fd()),
-            Entrance::Upstream(place) => Some(self.flows.at(place)?.upstream.as_fd()),
+    /// The socket of an ingress, if its client is still there.
+    pub(super) fn ingress_socket(&self, ingress: Ingress) -> Option<BorrowedFd<'_>> {
+        match ingress {
+            Ingress::Listen => Some(self.listen.as_fd()),
+            Ingress::Upstream(place) => Some(self.flows.at(place)?.upstream.as_fd()),
         }
     }
 
-    /// The socket of a door, if its client is still there.
-    pub(super) fn door_socket(&self, door: Door) -> Option<BorrowedFd<'_>> {
-        match door {
-            Door::Listen => Some(self.listen.as_fd()),
-            Door::ListenBeside => Some(self.listen_beside.as_fd()),
-            Door::Upstream(flow) => Some(self.flows.get(flow)?.upstream.as_fd()),
-            Door::UpstreamBeside => Some(self.upstream_beside.as_fd()),
+    /// The socket of a socket, if its client is still there.
+    pub(super) fn egress_socket(&self, socket: EgressSocket) -> Option<BorrowedFd<'_>> {
+        match socket {
+            EgressSocket::Listen => Some(self.listen.as_fd()),
+            EgressSocket::ListenBeside => Some(self.listen_beside.as_fd()),
+            EgressSocket::Upstream(flow) => Some(self.flows.get(flow)?.upstream.as_fd()),
+            EgressSocket::UpstreamBeside => Some(self.upstream_beside.as_fd()),
         }
     }
 }
 
-impl Exit {
+impl Egress {
     /// Through which socket, and where to if the socket does not know.
-    pub(super) fn door(self) -> (Door, Option<SockaddrStorage>) {
+    pub(super) fn socket(self) -> (EgressSocket, Option<SockaddrStorage>) {
         match self {
-            Self::Peer(flow) => (Door::Upstream(flow), None),
-            Self::PeerBeside => (Door::UpstreamBeside, None),
-            Self::Client(client) => (Door::Listen, Some(client.into())),
-            Self::ClientBeside(client) => (Door::ListenBeside, Some(client.into())),
+            Self::Peer(flow) => (EgressSocket::Upstream(flow), None),
+            Self::PeerBeside => (EgressSocket::UpstreamBeside, None),
+            Self::Client(client) => (EgressSocket::Listen, Some(client.into())),
+            Self::ClientBeside(client) => (EgressSocket::ListenBeside, Some(client.into())),
         }
     }
 }
 
-fn watch(waiting: &OwnedFd, socket: &UdpSocket, entrance: Entrance) -> rustix::io::Result<()> {
-    epoll::add(waiting, socket, EventData::new_u64(entrance.number()), EventFlags::IN)
+fn watch(waiting: &OwnedFd, socket: &UdpSocket, ingress: Ingress) -> rustix::io::Result<()> {
+    epoll::add(waiting, socket, EventData::new_u64(ingress.number()), EventFlags::IN)
+}
+
+/// Asked of the kernel for datagrams that wait: 100 ms at 50000 packets/s, at 800 bytes each with what the kernel
+/// keeps beside them.
+const BUFFER_BYTES: usize = 4 << 20;
+
+/// A socket at `listen`, and its address with the port that was chosen.
+fn open_listening(listen: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
+    let socket = open(listen)?;
+    let address = socket.local_addr()?;
+    Ok((socket, address))
+}
+
+/// A socket connected to the peer, and the address the kernel took it for.
+fn open_upstream(forward: SocketAddr) -> io::Result<(UdpSocket, SocketAddr)> {
+    let any: SocketAddr = match forward {
+        SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let socket = open(any)?;
+    socket.connect(forward)?;
+    let peer = socket.peer_addr()?;
+    Ok((socket, peer))
+}
+
+fn open(address: SocketAddr) -> io::Result<UdpSocket> {
+    let socket = UdpSocket::bind(address)?;
+    socket.set_nonblocking(true)?;
+    // Beyond its limit the kernel grants more to the privileged, and its limit to others.
+    let _ = sockopt::set_socket_recv_buffer_size_force(&socket, BUFFER_BYTES)
+        .or_else(|_| sockopt::set_socket_recv_buffer_size(&socket, BUFFER_BYTES));
+    let _ = sockopt::set_socket_send_buffer_size_force(&socket, BUFFER_BYTES)
+        .or_else(|_| sockopt::set_socket_send_buffer_size(&socket, BUFFER_BYTES));
+    Ok(socket)
+}
+
+/// Bytes granted for receiving and for sending.
+fn granted(socket: &UdpSocket) -> (u64, u64) {
+    let receive = sockopt::socket_recv_buffer_size(socket).unwrap_or(0);
+    let send = sockopt::socket_send_buffer_size(socket).unwrap_or(0);
+    (receive as u64, send as u64)
+}
+
+/// Whether the proxy would be its own peer.
+fn is_own(listen: SocketAddr, peer: SocketAddr) -> bool {
+    // One address may be written as IPv4 and as IPv6.
+    let (here, there) = (listen.ip().to_canonical(), peer.ip().to_canonical());
+    let is_same_host = here == there || (here.is_unspecified() && there.is_loopback());
+    is_same_host && listen.port() == peer.port()
+}
+
+/// Most clients served at a time.
+pub const MAX_FLOWS: usize = 64;
+/// A flow that has been silent for as long is closed.
+const EXPIRY_NS: u64 = 60_000_000_000;
+/// A flow that has been silent for as long makes room for another where there is none.
+const YIELD_NS: u64 = 1_000_000_000;
+
+/// One client.
+#[derive(Debug)]
+pub(super) struct Flow {
+    pub(super) client: SocketAddr,
+    /// Connected to the peer, so that the kernel refuses other sources and reports an absent peer.
+    pub(super) upstream: UdpSocket,
+    generation: u32,
+    heard_ns: u64,
+}
+
+/// A flow, and which of those that had its place one after the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct FlowId {
+    place: usize,
+    generation: u32,
+}
+
+/// All clients.
+#[derive(Debug, Default)]
+pub(super) struct Flows {
+    places: Vec<Option<Flow>>,
+    /// Where the last datagram came from, which is where the next one comes from.
+    last: usize,
+    generation: u32,
+}
+
+impl Flows {
+    /// The flow of a client that is served, who has been heard now.
+    pub(super) fn find(&mut self, client: SocketAddr, now_ns: u64) -> Option<FlowId> {
+        let is_of = |flow: &Option<Flow>| flow.as_ref().is_some_and(|flow| flow.client == client);
+        let place = if self.places.get(self.last).is_some_and(is_of) {
+            self.last
+        } else {
+            self.places.iter().position(is_of)?
+        };
+        self.last = place;
+        self.heard(place, now_ns)
+    }
+
+    /// The flow at a place, which has been heard now from either side.
+    pub(super) fn heard(&mut self, place: usize, now_ns: u64) -> Option<FlowId> {
+        let flow = self.places.get_mut(place)?.as_mut()?;
+        flow.heard_ns = now_ns;
+        Some(FlowId { place, generation: flow.generation })
+    }
+
+    /// Whether another client may come, who takes the place of the one that has been silent longest if need be.
+    pub(super) fn make_room(&mut self, now_ns: u64) -> bool {
+        self.expire(now_ns);
+        if self.len() < MAX_FLOWS {
+            return true;
+        }
+        let heard_ns = |place: &Option<Flow>| place.as_ref().map_or(u64::MAX, |flow| flow.heard_ns);
+        let longest_silent = self.places.iter_mut().min_by_key(|place| heard_ns(place));
+        longest_silent.is_some_and(|place| {
+            let yields = now_ns.saturating_sub(heard_ns(place)) >= YIELD_NS;
+            if yields {
+                *place = None;
+            }
+            yields
+        })
+    }
+
+    /// Takes a client in, after room was made.
+    pub(super) fn open(&mut self, client: SocketAddr, upstream: UdpSocket, now_ns: u64) -> FlowId {
+        self.generation = self.generation.wrapping_add(1);
+        let generation = self.generation;
+        let flow = Some(Flow { client, upstream, generation, heard_ns: now_ns });
+        let place = self.free_place();
+        match self.places.get_mut(place) {
+            Some(free) => *free = flow,
+            None => self.places.push(flow),
+        }
+        FlowId { place, generation }
+    }
+
+    /// Where the next client will be.
+    pub(super) fn free_place(&self) -> usize {
+        self.places.iter().position(Option::is_none).unwrap_or(self.places.len())
+    }
+
+    /// Closes what has long been silent.
+    pub(super) fn expire(&mut self, now_ns: u64) {
+        for place in &mut self.places {
+            place.take_if(|flow| now_ns.saturating_sub(flow.heard_ns) >= EXPIRY_NS);
+        }
+    }
+
+    /// The flow, if it is still open.
+    pub(super) fn get(&self, id: FlowId) -> Option<&Flow> {
+        self.at(id.place).filter(|flow| flow.generation == id.generation)
+    }
+
+    /// Whatever flow is at a place.
+    pub(super) fn at(&self, place: usize) -> Option<&Flow> {
+        self.places.get(place)?.as_ref()
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.places.iter().flatten().count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn client(number: usize) -> SocketAddr {
+        SocketAddr::from(([127, 0, 0, 1], u16::try_from(1000 + number).unwrap()))
+    }
+
+    fn open(flows: &mut Flows, number: usize, now_ns: u64) -> FlowId {
+        flows.open(client(number), UdpSocket::bind("127.0.0.1:0").unwrap(), now_ns)
+    }
+
+    #[test]
+    fn each_client_has_a_flow_until_it_is_silent_for_long() {
+        let mut flows = Flows::default();
+        let [first, second] = [0, 1].map(|number| open(&mut flows, number, 0));
+        assert_eq!(flows.find(client(1), 5), Some(second));
+        assert_eq!(flows.find(client(0), 9), Some(first));
+        assert_eq!(flows.find(client(2), 9), None);
+        flows.expire(EXPIRY_NS + 5);
+        assert!(flows.get(second).is_none() && flows.get(first).is_some());
+        let third = open(&mut flows, 2, EXPIRY_NS);
+        assert_eq!(third.place, second.place);
+        assert!(flows.get(second).is_none(), "the place is taken, the flow is not that one");
+        assert_eq!(flows.get(third).unwrap().client, client(2));
+    }
+
+    #[test]
+    fn where_all_places_are_taken_the_longest_silent_makes_room() {
+        let mut flows = Flows::default();
+        for number in 0..MAX_FLOWS {
+            assert!(flows.make_room(100));
+            open(&mut flows, number, 100 + number as u64);
+        }
+        flows.find(client(0), 500);
+        assert!(!flows.make_room(YIELD_NS + 100), "the longest silent one was heard 1 ns too late");
+        assert!(flows.make_room(YIELD_NS + 101));
+        assert_eq!(flows.len(), MAX_FLOWS - 1);
+        assert_eq!(flows.find(client(1), 0), None);
+        assert!(flows.find(client(0), YIELD_NS).is_some());
+    }
 }

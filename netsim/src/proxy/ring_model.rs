@@ -15,7 +15,7 @@ use loom::sync::atomic::{
 };
 use loom::thread;
 
-use super::writer::{Waiting, take_while_open};
+use super::log::{Waiting, take_while_open};
 
 const CAPACITY: usize = 2;
 const RECORDS: u64 = 3;

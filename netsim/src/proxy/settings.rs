@@ -4,8 +4,9 @@ use std::io;
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
-use crate::settings::{LinkError, LinkSettings};
-use crate::verdict::Direction;
+use crate::checks::LinkSettingsError;
+use crate::impairments::LinkSettings;
+use crate::packet::Direction;
 
 /// Where a proxy stands and what it does to the datagrams that pass.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,7 +87,7 @@ pub enum ProxyError {
         /// Which direction.
         direction: Direction,
         /// What is wrong with it.
-        source: LinkError,
+        source: LinkSettingsError,
     },
     /// The peer's address names no port.
     #[error("forward = {forward}: must name a port from 1 to 65535")]

@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 
 use super::live::{PATIENCE, Running, settings, socket};
 use crate::damage::{Damage, Flips};
+use crate::impairments::Impairment;
 use crate::link::Rules;
-use crate::random::{Impairment, Stream};
-use crate::rule::{Ending, Extras};
+use crate::random::Stream;
+use crate::rule::{ArrivalRule, Extras};
 use crate::{
     Action, Attack, Checksum, Direction, Edit, Extra, ExtraCause, Link, LinkSettings, MAX_DATAGRAM,
     Operation, Packet, ProxySettings, Target, Verdict,
@@ -189,9 +190,9 @@ fn the_live_driver_does_what_the_virtual_one_says() {
 #[derive(Debug)]
 struct Copies;
 
-impl Ending for Copies {
+impl ArrivalRule for Copies {
     fn end(&mut self, packet: &Packet, at_ns: u64, damage: &mut Damage, extras: &mut Extras) -> Verdict {
-        let stream = Stream::new(1, packet.direction, Impairment::Attack);
+        let stream = Stream::new(1, packet.direction, Impairment::Attack as u16);
         let corrupted = Flips { bits: 1, stream, ..Flips::NONE };
         let flipped = Damage { corrupted, index: packet.index, ..Damage::NONE };
         *damage = Damage { keep: 3, ..Damage::NONE };
@@ -213,7 +214,7 @@ fn what_arrives_beside_a_packet_takes_its_own_way() {
     let perfect = LinkSettings::default();
     let proxy = Running::start(&settings(peer.local_addr().unwrap(), perfect.clone()));
     for direction in [Direction::Forward, Direction::Backward] {
-        let rules = Rules::build(direction, 0, &perfect).unwrap().with_ending(Copies);
+        let rules = Rules::build(direction, 0, &perfect).unwrap().with_arrival_rule(Copies);
         proxy.control.change_rules(direction, rules);
     }
     thread::sleep(Duration::from_millis(30));

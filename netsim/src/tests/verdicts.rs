@@ -1,7 +1,7 @@
 //! Verdicts of the virtual driver: golden values, statistics, independence of the impairments.
 
 use super::{rough, scattered, virtual_delays};
-use crate::settings::nanoseconds;
+use crate::checks::nanoseconds;
 use crate::{Direction, Distribution, Link, LinkSettings, Packet, Verdict};
 
 const SEED: u64 = 0x5EED_0000_0000_0001;

@@ -21,7 +21,7 @@ pub enum SceneError {
     Endpoint(#[from] crate::EndpointError),
     /// The network.
     #[error("link: {0}")]
-    Link(#[from] haptether_netsim::LinkError),
+    Link(#[from] haptether_netsim::LinkSettingsError),
     /// The clutch.
     #[error("operator.clutch: {0}")]
     Clutch(#[from] crate::ClutchError),

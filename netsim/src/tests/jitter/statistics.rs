@@ -1,7 +1,7 @@
 //! Statistics of many delays against the law they were asked to follow.
 
 use super::{correlated, delays, delays_at, independent, laws};
-use crate::settings::nanoseconds;
+use crate::checks::nanoseconds;
 use crate::{DelayLaw, LinkSettings};
 
 /// Time in s over which delays are all but the same: 0 if each is drawn by itself.

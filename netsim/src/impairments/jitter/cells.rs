@@ -1,0 +1,159 @@
+//! A law of the delay as a table: cells of equal width in z, the standard normal variate that stands for the delay.
+//!
+//! Within a cell the delay is linear. This moves mean and standard deviation by about 1e-5 of the latter, and the rest
+//! of the tails, 1e-16 on each side, is missing; so the delays are scaled and shifted to the moments asked for.
+
+use crate::impairments::law::{DelayLaw, Tails};
+
+const PER_UNIT: usize = 64;
+pub(super) const WIDTH: f64 = 1.0 / PER_UNIT as f64;
+/// The cells reach from -8.25 to 8.25.
+pub(super) const COUNT: usize = 2 * 528;
+const FIRST: f64 = -8.25;
+
+#[derive(Debug)]
+pub(super) struct Cells {
+    /// Delay in ns where the cells meet, ascending.
+    pub(super) delay_ns: Box<[f64]>,
+    /// Probability of each cell.
+    pub(super) mass: Box<[f64]>,
+}
+
+impl Cells {
+    pub(super) fn of(law: &DelayLaw) -> Self {
+        let points: Vec<Tails> = (0..=COUNT).map(|k| Tails::of_normal(FIRST + k as f64 * WIDTH)).collect();
+        let mut mass: Box<[f64]> =
+            points
+                .windows(2)
+                // The smaller tail has the digits.
+                .map(|ends| {
+                    if ends[1].z > 0.0 {
+                        ends[0].above - ends[1].above
+                    } else {
+                        ends[1].below - ends[0].below
+                    }
+                })
+                .collect();
+        let total: f64 = mass.iter().sum();
+        mass.iter_mut().for_each(|mass| *mass /= total);
+        let mut latest = 0.0_f64;
+        let mut delay_ns: Box<[f64]> = points
+            .iter()
+            .map(|point| {
+                latest = latest.max(law.at(*point) * 1e9);
+                latest
+            })
+            .collect();
+        let (mean, deviation) = moments(&delay_ns, &mass, law.mean_s() * 1e9);
+        let scale = law.sigma_s() * 1e9 / deviation;
+        for delay in &mut delay_ns {
+            *delay = (law.mean_s() * 1e9 + (*delay - mean) * scale).max(0.0);
+        }
+        Self { delay_ns, mass }
+    }
+
+    /// Position of a normal variate: its cell, and how far into it.
+    pub(super) fn place(z: f64) -> (usize, f64) {
+        let place = ((z - FIRST) * PER_UNIT as f64).clamp(0.0, COUNT as f64);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the cells")]
+        let cell = (place as usize).min(COUNT - 1);
+        (cell, place - cell as f64)
+    }
+
+    /// Correlation that two standard normal variates must have for their delays to have that of `exp(-1)`: at least
+    /// that, for no function of normal variates is correlated more than they are.
+    ///
+    /// With the coefficients `a_n = E[D He_n(z)] / sqrt(n!)` delays are correlated by `sum a_n² rho^n / sum a_n²`.
+    ///
+    /// Source: Mehler's formula; G. Cario, B. Nelson, "Autoregressive to anything", Operations Research Letters 19,
+    /// 1996 (an autocorrelation that is asked for).
+    pub(super) fn correlation_for_one_e(&self) -> f64 {
+        const ORDERS: u8 = 64;
+        let asked = libm::exp(-1.0);
+        let places = (0..=COUNT).map(|k| FIRST + k as f64 * WIDTH);
+        // The trapezoidal rule, exact to rounding on a smooth function that vanishes at both ends; the constant
+        // factor cancels.
+        let weights: Vec<f64> = places.clone().map(|z| libm::exp(-0.5 * z * z)).collect();
+        let total: f64 = weights.iter().sum();
+        let mean =
+            weights.iter().zip(&self.delay_ns).map(|(weight, delay)| weight * delay).sum::<f64>() / total;
+        let apart: Vec<f64> =
+            weights.iter().zip(&self.delay_ns).map(|(weight, delay)| weight * (delay - mean)).collect();
+        let variance: f64 =
+            apart.iter().zip(&self.delay_ns).map(|(apart, delay)| apart * (delay - mean)).sum();
+        // He_n / sqrt(n!) at every place, order by order.
+        let (mut before, mut here) = (vec![0.0; COUNT + 1], vec![1.0; COUNT + 1]);
+        let shares: Vec<f64> = (0..ORDERS)
+            .map(|n| {
+                let n = f64::from(n);
+                for ((before, here), z) in before.iter_mut().zip(&mut here).zip(places.clone()) {
+                    let next = (z * *here - n.sqrt() * *before) / (n + 1.0).sqrt();
+                    (*before, *here) = (*here, next);
+                }
+                let product: f64 = apart.iter().zip(&here).map(|(apart, here)| apart * here).sum();
+                product * product / (variance * total)
+            })
+            .collect();
+        let correlation = |rho: f64| shares.iter().rev().fold(0.0, |sum, share| (sum + share) * rho);
+        let (mut low, mut high) = (asked, 1.0);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if correlation(middle) < asked { low = middle } else { high = middle }
+        }
+        high
+    }
+
+    /// The delay in ns that a normal variate stands for.
+    pub(super) fn delay_ns(&self, z: f64) -> f64 {
+        let (cell, part) = Self::place(z);
+        let [a, b] = [self.delay_ns[cell], self.delay_ns[cell + 1]];
+        a + (b - a) * part
+    }
+}
+
+/// Mean and standard deviation of delays that are uniform within each cell; `near` is some value close to the mean.
+fn moments(delay_ns: &[f64], mass: &[f64], near: f64) -> (f64, f64) {
+    let (mut first, mut second) = (0.0, 0.0);
+    for (ends, mass) in delay_ns.windows(2).zip(mass) {
+        let (a, b) = (ends[0] - near, ends[1] - near);
+        first += mass * 0.5 * (a + b);
+        second += mass * (a * a + a * b + b * b) / 3.0;
+    }
+    (near + first, (second - first * first).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Distribution, LinkSettings};
+
+    #[test]
+    fn delays_of_correlated_variates_are_correlated_as_closed_forms_say() {
+        let rho =
+            |settings: LinkSettings| Cells::of(&DelayLaw::new(&settings).unwrap()).correlation_for_one_e();
+        let of = |jitter_s, distribution| LinkSettings {
+            delay_s: 0.05,
+            jitter_s,
+            distribution,
+            ..LinkSettings::default()
+        };
+        // Its delay is the variate.
+        assert!((rho(of(0.001, Distribution::Normal)) - (-1.0_f64).exp()).abs() < 1e-5);
+        // (6 / pi) asin(rho / 2) (Pearson 1907).
+        let uniform = 2.0 * (std::f64::consts::PI / 6.0 * (-1.0_f64).exp()).sin();
+        assert!((rho(of(0.001, Distribution::Uniform)) - uniform).abs() < 1e-4);
+        // (exp(s² rho) - 1) / (exp(s²) - 1), with exp(s²) - 1 = (sigma / mean)².
+        let square = 1.04_f64.ln();
+        let lognormal = (0.04 * (-1.0_f64).exp()).ln_1p() / square;
+        assert!((rho(of(0.01, Distribution::Lognormal)) - lognormal).abs() < 1e-4);
+    }
+
+    #[test]
+    fn mean_and_deviation_are_those_asked_for() {
+        let settings = LinkSettings { delay_s: 0.05, jitter_s: 0.03, ..LinkSettings::default() };
+        let cells = Cells::of(&DelayLaw::new(&settings).unwrap());
+        let (mean, deviation) = moments(&cells.delay_ns, &cells.mass, 0.0);
+        assert!((mean / 50e6 - 1.0).abs() < 1e-6, "{mean}");
+        assert!((deviation / 30e6 - 1.0).abs() < 1e-6, "{deviation}");
+    }
+}

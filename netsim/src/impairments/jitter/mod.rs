@@ -1,0 +1,200 @@
+//! Jitter: arrival + (D - E[D]), where D follows the law of the delay.
+//!
+//! With `keep_order` or a correlation time D is a [path](path) in time, else it is drawn for each packet by itself.
+
+mod cells;
+mod path;
+
+use cells::Cells;
+use path::{Path, Place, Way};
+
+use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
+use crate::impairments::Impairment;
+use crate::impairments::LinkSettings;
+use crate::impairments::Streams;
+use crate::impairments::law::{DelayLaw, gaussian};
+use crate::packet::Packet;
+use crate::random::{Stream, unit};
+use crate::rule::Rule;
+use crate::verdict::Verdict;
+
+/// Probability of a delay that need not be thought of.
+const RARE: f64 = 1e-9;
+/// Correlation time in s where none is given.
+const DEFAULT_CORRELATION_S: f64 = 0.1;
+
+pub(crate) fn build(
+    settings: &LinkSettings,
+    streams: &Streams,
+) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
+    within("jitter_s", settings.jitter_s, 0.0, MAX_DELAY_S)?;
+    let tau_s = settings.jitter_correlation_s.unwrap_or(DEFAULT_CORRELATION_S);
+    within("jitter_correlation_s", tau_s, 0.0, MAX_DELAY_S)?;
+    if settings.jitter_s == 0.0 {
+        return Ok(None);
+    }
+    let law = DelayLaw::new(settings)?;
+    check_timeline(settings, &law)?;
+    if nanoseconds(settings.jitter_s) == 0 {
+        // Arrivals are whole ns, and a law that narrow has no quantiles to tell apart.
+        return Ok(None);
+    }
+    let cells = Cells::of(&law);
+    let mean_ns = nanoseconds(settings.delay_s);
+    if settings.keep_order || tau_s > 0.0 {
+        let path = Path::new(&cells, tau_s, settings.jitter_s, settings.keep_order);
+        let stream = streams.of(Impairment::Wander);
+        return Ok(Some(Box::new(Wander::new(path, mean_ns, stream))));
+    }
+    Ok(Some(Box::new(Independent { cells, mean_ns, stream: streams.of(Impairment::Jitter) })))
+}
+
+/// Refuses a mean delay that is less than the law reaches below it: delays would be cut off at zero, unseen.
+fn check_timeline(settings: &LinkSettings, law: &DelayLaw) -> Result<(), LinkSettingsError> {
+    let below_s = settings.delay_s - law.quantile_s(RARE);
+    for (index, change) in settings.timeline.iter().enumerate() {
+        // A rounding of the law is no reason to refuse.
+        if change.delay_s < below_s * (1.0 - 1e-9) {
+            let problem = format!(
+                "{} s is less than the jitter reaches below its mean, {below_s:.3e} s: give a larger delay, or less \
+                 jitter_s",
+                change.delay_s
+            );
+            return Err(LinkSettingsError::contradiction(format!("timeline.{index}.delay_s"), problem));
+        }
+    }
+    Ok(())
+}
+
+/// Moves an arrival by how far a delay lies off its mean, though not to before the packet was sent.
+fn shifted(at_ns: u64, delay_ns: u64, mean_ns: u64, sent_ns: u64) -> u64 {
+    at_ns.saturating_add(delay_ns).saturating_sub(mean_ns).max(sent_ns)
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "never negative; saturates")]
+fn whole(ns: f64) -> u64 {
+    ns.round() as u64
+}
+
+/// A delay drawn for each packet by itself.
+#[derive(Debug)]
+struct Independent {
+    cells: Cells,
+    mean_ns: u64,
+    stream: Stream,
+}
+
+impl Rule for Independent {
+    fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
+        let z = gaussian::quantile(self.stream.unit(packet.index));
+        let delay_ns = whole(self.cells.delay_ns(z));
+        Verdict::Deliver { at_ns: shifted(at_ns, delay_ns, self.mean_ns, packet.sent_ns) }
+    }
+}
+
+/// Length of a bin in correlation times: at the least age of what is forgotten, `exp(-16)` of it is left.
+const BIN_TAUS: f64 = 16.0;
+
+/// A delay that wanders along a path in time, whatever packets come.
+///
+/// A run is keyed by the time at which it begins, so the path is the same at any packet rate. After a silence that the
+/// path does not remember it begins anew from its law, keyed by the bin of time, so that no silence costs more than
+/// about a thousand runs.
+#[derive(Debug)]
+struct Wander {
+    path: Path,
+    mean_ns: u64,
+    runs: Stream,
+    beginnings: Stream,
+    bin_ns: u64,
+    run: Option<Run>,
+    latest_ns: u64,
+}
+
+/// One way up or down.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    rises: bool,
+    begin_ns: u64,
+    end_ns: u64,
+    from: Place,
+    to: Place,
+}
+
+impl Wander {
+    fn new(path: Path, mean_ns: u64, stream: Stream) -> Self {
+        let bin_ns = whole(BIN_TAUS * path.tau_ns);
+        Self { path, mean_ns, runs: stream, beginnings: stream.nth(1), bin_ns, run: None, latest_ns: 0 }
+    }
+
+    /// The run of a time that is not before an earlier one asked for.
+    fn run_at(&mut self, time_ns: u64) -> Run {
+        // The run of the packet before it may not have ended.
+        if let Some(run) = &self.run
+            && time_ns < run.end_ns
+        {
+            return *run;
+        }
+        let bin = time_ns / self.bin_ns;
+        let mut run = match self.run {
+            Some(run) if bin <= run.end_ns / self.bin_ns + 1 => run,
+            _ => self.anew(bin * self.bin_ns),
+        };
+        while run.end_ns <= time_ns && run.end_ns < u64::MAX {
+            run = self.next(run);
+        }
+        self.run = Some(run);
+        run
+    }
+
+    /// The first run after a silence, from a place of the law.
+    fn anew(&self, begin_ns: u64) -> Run {
+        let [place, direction] = self.beginnings.pair(begin_ns / self.bin_ns);
+        let (cell, part) = Cells::place(gaussian::quantile(unit(place)));
+        let rises = direction & 1 == 1;
+        let up = self.path.up.within(cell, part);
+        let from = if rises { up } else { self.path.up.mirrored(up) };
+        self.begin(rises, begin_ns, from)
+    }
+
+    fn next(&self, run: Run) -> Run {
+        self.begin(!run.rises, run.end_ns, self.way(run.rises).mirrored(run.to))
+    }
+
+    fn begin(&self, rises: bool, begin_ns: u64, from: Place) -> Run {
+        let way = self.way(rises);
+        let to = way.turn(from, -libm::log(self.runs.unit(begin_ns)));
+        // Time is whole: the run stops short of the turn by less than 1 ns.
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "never negative; saturates"
+        )]
+        let length_ns = ((to.y_ns - from.y_ns) as u64).max(1);
+        let y_ns = from.y_ns + length_ns as f64;
+        let to = Place { y_ns: y_ns.min(way.end_ns()), cell: way.cell(y_ns, from.cell, to.cell) };
+        Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns), from, to }
+    }
+
+    fn way(&self, rises: bool) -> &Way {
+        if rises { &self.path.up } else { &self.path.down }
+    }
+
+    fn delay_ns(&mut self, time_ns: u64) -> u64 {
+        let run = self.run_at(time_ns);
+        let way = self.way(run.rises);
+        let y_ns = run.from.y_ns + (time_ns - run.begin_ns) as f64;
+        let cell = way.cell(y_ns, run.from.cell, run.to.cell);
+        whole(way.delay_ns(Place { y_ns, cell }))
+    }
+}
+
+impl Rule for Wander {
+    fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
+        // The path at the packet's place in the flow so far: as it falls by less than 1 s/s, what comes in order
+        // leaves in order. One that comes before an earlier one meets the path where that one did.
+        self.latest_ns = self.latest_ns.max(at_ns);
+        let delay_ns = self.delay_ns(self.latest_ns);
+        Verdict::Deliver { at_ns: shifted(at_ns, delay_ns, self.mean_ns, packet.sent_ns) }
+    }
+}

@@ -1,0 +1,229 @@
+//! Other traffic through the bottleneck: packets at random times, with pauses if asked for.
+//!
+//! Arrivals are a Poisson process, drawn bin of time by bin of time, so that they depend on the seed and the time
+//! alone. Pauses thin them out.
+
+use serde::{Deserialize, Serialize};
+
+use crate::checks::{LinkSettingsError, within};
+use crate::random::Stream;
+
+/// Slowest and fastest traffic in bit/s.
+const SLOWEST_BPS: f64 = 1.0;
+const FASTEST_BPS: f64 = 1e11;
+/// Most packets per second: a gap in the link's own packets costs about a second of them.
+const MAX_PER_S: f64 = 1e6;
+/// Largest packet in bytes.
+const LARGEST: usize = 65_535;
+/// Packets in a bin, on average.
+const PER_BIN: f64 = 16.0;
+/// Most packets that are drawn to settle the queue after a silence.
+const MAX_TO_SETTLE: f64 = 2e6;
+/// Pauses and the times between them in one bin of theirs, on average.
+const PAUSES_PER_BIN: f64 = 256.0;
+/// Shortest and longest mean time in s that it sends or pauses.
+const SHORTEST_S: f64 = 1e-6;
+const LONGEST_S: f64 = 1e6;
+
+/// Other traffic through the same bottleneck: packets at random times (Poisson).
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CrossTraffic {
+    /// Mean rate in bit/s while it sends, headers included.
+    pub rate_bps: f64,
+    /// Size of its packets in bytes, headers included.
+    #[serde(default = "full_size")]
+    pub packet_bytes: usize,
+    /// Mean time in s that it sends before it pauses; exponentially distributed. Without it, it never pauses.
+    #[serde(default)]
+    pub mean_on_s: Option<f64>,
+    /// Mean time in s that it pauses.
+    #[serde(default)]
+    pub mean_off_s: Option<f64>,
+}
+
+fn full_size() -> usize {
+    1500
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cross {
+    packet_bytes: u64,
+    mean_gap_ns: f64,
+    bin_ns: u64,
+    /// How long before a packet the traffic is drawn at least, so that the queue has forgotten how it began.
+    settle_ns: u64,
+    stream: Stream,
+    pauses: Option<Pauses>,
+    bin: u64,
+    position: usize,
+    /// Arrival of the next packet, from the start of the bin.
+    offset_ns: f64,
+    judged_ns: u64,
+}
+
+impl Cross {
+    /// `drain_ns` is how long a full queue takes to empty.
+    pub(super) fn new(
+        asked: &CrossTraffic,
+        drain_ns: f64,
+        stream: Stream,
+    ) -> Result<Self, LinkSettingsError> {
+        within("cross_traffic.rate_bps", asked.rate_bps, SLOWEST_BPS, FASTEST_BPS)?;
+        within("cross_traffic.packet_bytes", asked.packet_bytes as f64, 1.0, LARGEST as f64)?;
+        let packet_bits = asked.packet_bytes as f64 * 8.0;
+        let per_s = asked.rate_bps / packet_bits;
+        if per_s > MAX_PER_S {
+            return Err(LinkSettingsError::contradiction(
+                "cross_traffic",
+                format!("{per_s} packets/s; at most {MAX_PER_S} are allowed: ask for larger packets"),
+            ));
+        }
+        let pauses = Pauses::new(asked, stream.nth(1))?;
+        let mean_gap_ns = 1e9 / per_s;
+        let settle_ns = (1e9 + 2.0 * drain_ns).min(MAX_TO_SETTLE * mean_gap_ns);
+        let mut cross = Self {
+            packet_bytes: asked.packet_bytes as u64,
+            mean_gap_ns,
+            bin_ns: whole(PER_BIN * mean_gap_ns).max(1),
+            settle_ns: whole(settle_ns),
+            stream,
+            pauses,
+            bin: 0,
+            position: 0,
+            offset_ns: 0.0,
+            judged_ns: 0,
+        };
+        cross.draw();
+        Ok(cross)
+    }
+
+    pub(super) fn packet_bytes(&self) -> u64 {
+        self.packet_bytes
+    }
+
+    /// Leaves out what the queue will have forgotten by `now_ns`, so that a silence costs no more than that.
+    pub(super) fn skip_silence(&mut self, now_ns: u64) {
+        let silence_ns = now_ns.saturating_sub(self.judged_ns);
+        self.judged_ns = now_ns;
+        if silence_ns > self.settle_ns {
+            let bin = (now_ns - self.settle_ns) / self.bin_ns;
+            if bin > self.bin {
+                self.begin(bin);
+                self.draw();
+            }
+        }
+    }
+
+    /// The next arrival before `now_ns`, if there is one.
+    pub(super) fn next_before(&mut self, now_ns: u64) -> Option<u64> {
+        loop {
+            let begin_ns = self.bin.saturating_mul(self.bin_ns);
+            let arrival_ns = begin_ns.saturating_add(whole(self.offset_ns));
+            if arrival_ns >= now_ns {
+                return None;
+            }
+            self.draw();
+            if self.pauses.as_mut().is_none_or(|pauses| pauses.sends_at(arrival_ns)) {
+                return Some(arrival_ns);
+            }
+        }
+    }
+
+    fn begin(&mut self, bin: u64) {
+        self.bin = bin;
+        self.position = 0;
+        self.offset_ns = 0.0;
+    }
+
+    /// Gaps are exponential, and memoryless: the process begins anew in each bin and is the same.
+    fn draw(&mut self) {
+        loop {
+            let gap = exponential(self.stream.at(self.bin, self.position));
+            self.offset_ns += gap * self.mean_gap_ns;
+            self.position += 1;
+            if self.offset_ns < self.bin_ns as f64 {
+                return;
+            }
+            self.begin(self.bin.saturating_add(1));
+        }
+    }
+}
+
+/// Times at which the other traffic sends and pauses by turns, each exponentially distributed.
+///
+/// Bins of time begin with a state of their own, drawn with the shares of both; one turn in some 500 is cut short or
+/// prolonged by that.
+#[derive(Clone, Copy, Debug)]
+struct Pauses {
+    mean_on_ns: f64,
+    mean_off_ns: f64,
+    bin_ns: u64,
+    stream: Stream,
+    bin: u64,
+    turn: usize,
+    sends: bool,
+    until_ns: f64,
+}
+
+impl Pauses {
+    fn new(asked: &CrossTraffic, stream: Stream) -> Result<Option<Self>, LinkSettingsError> {
+        let (on_s, off_s) = match (asked.mean_on_s, asked.mean_off_s) {
+            (None, None) => return Ok(None),
+            (Some(on_s), Some(off_s)) => (on_s, off_s),
+            _ => {
+                return Err(LinkSettingsError::contradiction(
+                    "cross_traffic",
+                    "mean_on_s and mean_off_s belong together: give both or neither",
+                ));
+            }
+        };
+        within("cross_traffic.mean_on_s", on_s, SHORTEST_S, LONGEST_S)?;
+        within("cross_traffic.mean_off_s", off_s, SHORTEST_S, LONGEST_S)?;
+        let (mean_on_ns, mean_off_ns) = (on_s * 1e9, off_s * 1e9);
+        let bin_ns = whole(PAUSES_PER_BIN * (mean_on_ns + mean_off_ns));
+        let mut pauses =
+            Self { mean_on_ns, mean_off_ns, bin_ns, stream, bin: 0, turn: 0, sends: false, until_ns: 0.0 };
+        pauses.begin(0);
+        Ok(Some(pauses))
+    }
+
+    fn begin(&mut self, bin: u64) {
+        self.bin = bin;
+        self.turn = 0;
+        let share = self.mean_on_ns / (self.mean_on_ns + self.mean_off_ns);
+        self.sends = self.stream.unit(bin) < share;
+        self.until_ns = 0.0;
+        self.prolong();
+    }
+
+    fn prolong(&mut self) {
+        let mean_ns = if self.sends { self.mean_on_ns } else { self.mean_off_ns };
+        self.until_ns += mean_ns * exponential(self.stream.at(self.bin, self.turn));
+        self.turn += 1;
+    }
+
+    /// Times do not go back.
+    fn sends_at(&mut self, now_ns: u64) -> bool {
+        let bin = now_ns / self.bin_ns;
+        if bin != self.bin {
+            self.begin(bin);
+        }
+        let offset_ns = (now_ns % self.bin_ns) as f64;
+        while self.until_ns <= offset_ns {
+            self.sends = !self.sends;
+            self.prolong();
+        }
+        self.sends
+    }
+}
+
+/// Exponentially distributed with mean 1.
+fn exponential(bits: u64) -> f64 {
+    -libm::log(crate::random::unit(bits))
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates; nothing is negative")]
+fn whole(ns: f64) -> u64 {
+    ns as u64
+}

@@ -1,0 +1,297 @@
+//! Text files of recordings: delays as CSV, link traces of mahimahi, distribution tables of iproute2.
+
+use super::{DelayTrace, LATEST_S, MAX_RECORDS};
+use crate::checks::{MAX_DELAY_S, nanoseconds};
+use crate::impairments::rate::{MAX_OPPORTUNITIES, Opportunities};
+use crate::packet::Direction;
+
+/// A file that is not what it should be.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}, column {column}: {problem}")]
+pub struct ParseError {
+    /// Line, counted from 1.
+    pub line: usize,
+    /// Column in bytes, counted from 1.
+    pub column: usize,
+    /// What is wrong, and what would be right.
+    pub problem: String,
+}
+
+impl ParseError {
+    pub(crate) fn new(line: usize, column: usize, problem: impl Into<String>) -> Self {
+        Self { line, column, problem: problem.into() }
+    }
+}
+
+/// Reads delays of one direction from a CSV file.
+///
+/// The header is `time_s,delay_s`, or `time_s,forward_delay_s,backward_delay_s` where both directions are in one file;
+/// only then does `direction` matter. Times increase. An empty delay, or `lost`, is a lost packet. Lines that begin
+/// with `#` and empty lines are left out. At most ten million records.
+pub fn parse_delay_csv(bytes: &[u8], direction: Direction) -> Result<DelayTrace, ParseError> {
+    let mut time_s = Vec::new();
+    let mut delay_s = Vec::new();
+    let mut header = None;
+    let mut last_line = 1;
+    for line in lines(bytes) {
+        let line = line?.trim();
+        last_line = line.line;
+        if line.text.is_empty() || line.text.starts_with('#') {
+            continue;
+        }
+        let Some(columns) = header else {
+            header = Some(read_header(line, direction)?);
+            continue;
+        };
+        let record = Record::read(line, columns)?;
+        if let Some(&before) = time_s.last()
+            && nanoseconds(record.time_s) <= nanoseconds(before)
+        {
+            return Err(line.error(format!(
+                "time {} s comes after {before} s; times must increase by 1 ns at least",
+                record.time_s
+            )));
+        }
+        if time_s.len() == MAX_RECORDS {
+            return Err(line.error(format!("more than {MAX_RECORDS} records")));
+        }
+        time_s.push(record.time_s);
+        delay_s.push(record.delay_s);
+    }
+    if time_s.is_empty() {
+        let missing = if header.is_none() { "no header; it must be time_s,delay_s" } else { "no records" };
+        return Err(ParseError::new(last_line, 1, missing));
+    }
+    Ok(DelayTrace { time_s, delay_s, interpolate: true, repeat: true })
+}
+
+/// How many columns there are, and which one is wanted.
+#[derive(Clone, Copy, Debug)]
+struct Columns {
+    count: usize,
+    delay: usize,
+}
+
+fn read_header(line: Field<'_>, direction: Direction) -> Result<Columns, ParseError> {
+    let names: Vec<&str> = line.commas().map(|field| field.text).take(4).collect();
+    match names.as_slice() {
+        ["time_s", "delay_s"] => Ok(Columns { count: 2, delay: 1 }),
+        ["time_s", "forward_delay_s", "backward_delay_s"] => {
+            let delay = match direction {
+                Direction::Forward => 1,
+                Direction::Backward => 2,
+            };
+            Ok(Columns { count: 3, delay })
+        }
+        _ => Err(line.error(format!(
+            "{} is no header; it must be time_s,delay_s or time_s,forward_delay_s,backward_delay_s",
+            line.shown()
+        ))),
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Record {
+    time_s: f64,
+    delay_s: Option<f64>,
+}
+
+impl Record {
+    fn read(line: Field<'_>, columns: Columns) -> Result<Self, ParseError> {
+        let mut record = Self { time_s: 0.0, delay_s: None };
+        let mut seen = 0;
+        for field in line.commas() {
+            match seen {
+                0 => record.time_s = field.number("time", 0.0, LATEST_S)?,
+                // The other direction is checked too: a file is good or it is not.
+                position => {
+                    let delay_s = match field.text {
+                        "" | "lost" => None,
+                        _ => Some(field.number("delay", 0.0, MAX_DELAY_S)?),
+                    };
+                    if position == columns.delay {
+                        record.delay_s = delay_s;
+                    }
+                }
+            }
+            seen += 1;
+            if seen > columns.count {
+                return Err(field.error(format!("more than {} fields", columns.count)));
+            }
+        }
+        if seen < columns.count {
+            let end = Field { column: line.column + line.text.len(), ..line };
+            return Err(end.error(format!("{seen} fields; there must be {}", columns.count)));
+        }
+        Ok(record)
+    }
+}
+
+/// Latest time in ms.
+const LATEST_MS: u64 = 1_000_000_000_000;
+
+/// Reads a link trace of mahimahi: a whole number of ms on every line, not decreasing, the last above 0.
+///
+/// As `mm-link` does, it refuses empty lines and knows no comments. At most ten million times.
+///
+/// Source: `mm-link(1)` of mahimahi, and its reader's behaviour.
+pub fn parse_mahimahi(bytes: &[u8]) -> Result<Opportunities, ParseError> {
+    let mut time_ms: Vec<u64> = Vec::new();
+    let mut last_line = 1;
+    for line in lines(bytes) {
+        let line = line?;
+        last_line = line.line;
+        let field = line.trim();
+        let digits = field.text.bytes().all(|byte| byte.is_ascii_digit());
+        let ms = match field.text.parse::<u64>() {
+            Ok(ms) if digits && ms <= LATEST_MS => ms,
+            _ => {
+                let shown = field.shown();
+                return Err(
+                    field.error(format!("{shown}: must be a whole number of ms from 0 to {LATEST_MS}"))
+                );
+            }
+        };
+        if let Some(&before) = time_ms.last()
+            && ms < before
+        {
+            return Err(field.error(format!("{ms} ms comes after {before} ms; times must not decrease")));
+        }
+        if time_ms.len() == MAX_OPPORTUNITIES {
+            return Err(field.error(format!("more than {MAX_OPPORTUNITIES} times")));
+        }
+        time_ms.push(ms);
+    }
+    if time_ms.last() == Some(&0) {
+        return Err(ParseError::new(last_line, 1, "the last time is 0 ms; a trace must take some time"));
+    }
+    Ok(Opportunities { time_ms })
+}
+
+/// Most values that netem takes.
+const MAX_VALUES: usize = 16_384;
+
+/// Reads a `.dist` table of iproute2: whole numbers from -32768 to 32767 between blanks, 2 to 16384 of them that
+/// are not all alike; lines that
+/// begin with `#` are left out. They are an inverse distribution function in units of 1/8192 standard deviation.
+///
+/// `tc` cuts larger numbers off silently and ends a line at what it cannot read; here both are errors.
+///
+/// Source: `tc-netem(8)`; `get_distribution` of iproute2 (`MAX_DIST`).
+pub fn parse_dist(bytes: &[u8]) -> Result<Vec<i16>, ParseError> {
+    let mut table = Vec::new();
+    let mut last_line = 1;
+    for line in lines(bytes) {
+        let line = line?;
+        last_line = line.line;
+        if line.text.starts_with('#') {
+            continue;
+        }
+        for word in line.words() {
+            let Ok(value) = word.text.parse::<i16>() else {
+                let shown = word.shown();
+                return Err(word.error(format!("{shown}: must be a whole number from -32768 to 32767")));
+            };
+            if table.len() == MAX_VALUES {
+                return Err(word.error(format!("more than {MAX_VALUES} values")));
+            }
+            table.push(value);
+        }
+    }
+    let Some(first) = table.first() else {
+        return Err(ParseError::new(last_line, 1, "no values"));
+    };
+    if table.iter().all(|value| value == first) {
+        return Err(ParseError::new(
+            last_line,
+            1,
+            format!("all values are {first}: at least two must differ"),
+        ));
+    }
+    Ok(table)
+}
+
+/// Longest line in bytes of a file of numbers.
+const LONGEST_LINE: usize = 4096;
+/// Most of an unreadable field that is shown.
+const SHOWN: usize = 40;
+
+/// A piece of a line, with its place.
+#[derive(Clone, Copy, Debug)]
+struct Field<'a> {
+    line: usize,
+    column: usize,
+    text: &'a str,
+}
+
+impl<'a> Field<'a> {
+    fn error(&self, problem: impl Into<String>) -> ParseError {
+        ParseError::new(self.line, self.column, problem)
+    }
+
+    /// The text as it is shown in an error.
+    fn shown(&self) -> String {
+        let mut characters = self.text.chars();
+        let start: String = characters.by_ref().take(SHOWN).collect();
+        if characters.next().is_some() { format!("\"{start}...\"") } else { format!("\"{start}\"") }
+    }
+
+    /// Without blanks at both ends.
+    fn trim(self) -> Self {
+        let text = self.text.trim_start();
+        let column = self.column + self.text.len() - text.len();
+        Self { column, text: text.trim_end(), ..self }
+    }
+
+    /// Its parts between commas.
+    fn commas(self) -> impl Iterator<Item = Field<'a>> {
+        let mut column = self.column;
+        self.text.split(',').map(move |text| {
+            let field = Field { line: self.line, column, text };
+            column += text.len() + 1;
+            field.trim()
+        })
+    }
+
+    /// Its parts between blanks.
+    fn words(self) -> impl Iterator<Item = Field<'a>> {
+        let mut rest = self;
+        std::iter::from_fn(move || {
+            let start = rest.trim();
+            if start.text.is_empty() {
+                return None;
+            }
+            let length = start.text.find(char::is_whitespace).unwrap_or(start.text.len());
+            let (word, after) = start.text.split_at(length);
+            rest = Field { column: start.column + length, text: after, ..start };
+            Some(Field { text: word, ..start })
+        })
+    }
+
+    /// A finite number within a range.
+    fn number(&self, name: &str, minimum: f64, maximum: f64) -> Result<f64, ParseError> {
+        match self.text.parse::<f64>() {
+            Ok(number) if (minimum..=maximum).contains(&number) => Ok(number),
+            _ => {
+                let shown = self.shown();
+                Err(self.error(format!("{name} = {shown}: must be a number from {minimum} to {maximum}")))
+            }
+        }
+    }
+}
+
+/// The lines of a file; the first error of form ends them.
+fn lines(bytes: &[u8]) -> impl Iterator<Item = Result<Field<'_>, ParseError>> {
+    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);
+    bytes.split(|&byte| byte == b'\n').zip(1..).map(|(bytes, line)| {
+        if bytes.len() > LONGEST_LINE {
+            let problem = format!("the line has {} bytes; at most {LONGEST_LINE} are allowed", bytes.len());
+            return Err(ParseError::new(line, LONGEST_LINE + 1, problem));
+        }
+        match std::str::from_utf8(bytes) {
+            Ok(text) => Ok(Field { line, column: 1, text: text.strip_suffix('\r').unwrap_or(text) }),
+            Err(error) => Err(ParseError::new(line, error.valid_up_to() + 1, "not text in UTF-8")),
+        }
+    })
+}

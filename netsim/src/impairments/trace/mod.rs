@@ -1,0 +1,213 @@
+//! Recorded delays and losses, replayed.
+//!
+//! A packet meets what was recorded at the time at which it is sent. It is lost if the record that holds then, the last
+//! at or before it, was lost. Its delay is that of this record or, with `interpolate`, on the line to the next record if
+//! that one was delivered. Before the first record the first one holds, after the last the last. With `repeat` the
+//! recording begins anew after its last time plus the last spacing; a single record holds for ever.
+//!
+//! Loss comes before the bottleneck and delay takes the place of `delay_s` behind it, so a recording may be combined with
+//! a rate.
+
+mod files;
+mod irtt;
+
+#[cfg(test)]
+mod tests;
+
+pub use files::{ParseError, parse_delay_csv, parse_dist, parse_mahimahi};
+pub use irtt::{IrttDelay, IrttRecording, parse_irtt};
+
+use serde::{Deserialize, Serialize};
+
+use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
+use crate::impairments::LinkSettings;
+use crate::impairments::Streams;
+use crate::packet::Packet;
+use crate::rule::Rule;
+use crate::verdict::{DropCause, Verdict};
+
+/// Most records of a recording.
+const MAX_RECORDS: usize = 10_000_000;
+/// Latest time of a record in s.
+const LATEST_S: f64 = 1e9;
+
+/// Recorded delays and losses.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct DelayTrace {
+    /// Times in s since the link began, increasing, the first 0 or more.
+    pub time_s: Vec<f64>,
+    /// Delay in s of a packet sent then; `None` was lost.
+    pub delay_s: Vec<Option<f64>>,
+    /// Whether delays between two records are interpolated; else the last one holds.
+    #[serde(default = "yes")]
+    pub interpolate: bool,
+    /// Whether it begins anew after its end; else its last record holds.
+    #[serde(default = "yes")]
+    pub repeat: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// Which time of a recording a packet meets.
+#[derive(Clone, Copy, Debug)]
+struct Playback {
+    /// After which it begins anew; `None` if it does not.
+    period_ns: Option<u64>,
+}
+
+impl Playback {
+    fn new(asked: &DelayTrace) -> Self {
+        let time_s = asked.time_s.as_slice();
+        let [.., before, last] = time_s else {
+            return Self { period_ns: None };
+        };
+        let period_ns = 2 * nanoseconds(*last) - nanoseconds(*before);
+        Self { period_ns: asked.repeat.then_some(period_ns) }
+    }
+
+    fn position(&self, now_ns: u64) -> u64 {
+        self.period_ns.map_or(now_ns, |period_ns| now_ns % period_ns)
+    }
+}
+
+/// The loss of a recording.
+#[derive(Debug)]
+pub(crate) struct TraceLoss {
+    playback: Playback,
+    starts_lost: bool,
+    /// When losing begins and ends by turns.
+    turns_ns: Vec<u64>,
+}
+
+/// The rule that loses what was lost in the recording.
+pub(crate) fn build_loss(
+    settings: &LinkSettings,
+    _: &Streams,
+) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
+    let Some(asked) = &settings.trace else {
+        return Ok(None);
+    };
+    check(settings, asked)?;
+    let lost = |position: usize| asked.delay_s[position].is_none();
+    let turns = (1..asked.delay_s.len()).filter(|&position| lost(position) != lost(position - 1));
+    let turns_ns = turns.map(|position| nanoseconds(asked.time_s[position])).collect();
+    let rule = TraceLoss { playback: Playback::new(asked), starts_lost: lost(0), turns_ns };
+    Ok((rule.starts_lost || !rule.turns_ns.is_empty()).then(|| Box::new(rule) as Box<dyn Rule>))
+}
+
+impl Rule for TraceLoss {
+    fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
+        let now_ns = self.playback.position(packet.sent_ns);
+        let turns = self.turns_ns.partition_point(|&turn_ns| turn_ns <= now_ns);
+        if self.starts_lost ^ (turns % 2 == 1) {
+            Verdict::Drop { cause: DropCause::Trace }
+        } else {
+            Verdict::Deliver { at_ns }
+        }
+    }
+}
+
+/// The delays of a recording.
+#[derive(Debug)]
+pub(crate) struct TraceDelay {
+    playback: Playback,
+    time_ns: Vec<u64>,
+    /// `None` was lost.
+    delay_ns: Vec<Option<u64>>,
+    interpolate: bool,
+}
+
+/// The rule that delays as in the recording.
+pub(crate) fn build_delay(
+    settings: &LinkSettings,
+    _: &Streams,
+) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
+    let Some(asked) = &settings.trace else {
+        return Ok(None);
+    };
+    check(settings, asked)?;
+    Ok(Some(Box::new(TraceDelay {
+        playback: Playback::new(asked),
+        time_ns: asked.time_s.iter().map(|&time_s| nanoseconds(time_s)).collect(),
+        delay_ns: asked.delay_s.iter().map(|delay_s| delay_s.map(nanoseconds)).collect(),
+        interpolate: asked.interpolate,
+    })))
+}
+
+impl TraceDelay {
+    fn at(&self, now_ns: u64) -> u64 {
+        let after = self.time_ns.partition_point(|&time_ns| time_ns <= now_ns);
+        let holding = after.saturating_sub(1);
+        // What is lost was dropped before the bottleneck.
+        let from_ns = self.delay_ns[holding].unwrap_or_default();
+        match self.delay_ns.get(after) {
+            Some(&Some(to_ns)) if self.interpolate && after > 0 => {
+                let (start_ns, end_ns) = (self.time_ns[holding], self.time_ns[after]);
+                between(from_ns, to_ns, now_ns - start_ns, end_ns - start_ns)
+            }
+            _ => from_ns,
+        }
+    }
+}
+
+impl Rule for TraceDelay {
+    fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
+        let delay_ns = self.at(self.playback.position(packet.sent_ns));
+        Verdict::Deliver { at_ns: at_ns.saturating_add(delay_ns) }
+    }
+}
+
+/// On the line between two values, rounded down.
+pub(crate) fn between(from: u64, to: u64, passed: u64, whole: u64) -> u64 {
+    let change = u128::from(from.abs_diff(to)) * u128::from(passed) / u128::from(whole);
+    #[expect(clippy::cast_possible_truncation, reason = "at most the difference of both")]
+    let change = change as u64;
+    if to >= from { from + change } else { from - change }
+}
+
+fn check(settings: &LinkSettings, asked: &DelayTrace) -> Result<(), LinkSettingsError> {
+    let beside = [
+        ("delay_s", settings.delay_s != 0.0),
+        ("jitter_s", settings.jitter_s != 0.0),
+        ("timeline", !settings.timeline.is_empty()),
+        ("slots", settings.slots.is_some()),
+    ];
+    if let Some((key, _)) = beside.into_iter().find(|(_, is_given)| *is_given) {
+        return Err(LinkSettingsError::contradiction(
+            "trace",
+            format!("given beside {key}; it takes its place"),
+        ));
+    }
+    let (times, delays) = (asked.time_s.len(), asked.delay_s.len());
+    if times != delays || times == 0 || times > MAX_RECORDS {
+        return Err(LinkSettingsError::contradiction(
+            "trace",
+            format!("{times} times and {delays} delays; as many of each, 1 to {MAX_RECORDS}, are needed"),
+        ));
+    }
+    let mut before_ns = None;
+    for (position, &time_s) in asked.time_s.iter().enumerate() {
+        if !(0.0..=LATEST_S).contains(&time_s) {
+            within(&format!("trace.time_s.{position}"), time_s, 0.0, LATEST_S)?;
+        }
+        let time_ns = nanoseconds(time_s);
+        if before_ns.is_some_and(|before_ns| time_ns <= before_ns) {
+            return Err(LinkSettingsError::contradiction(
+                format!("trace.time_s.{position}"),
+                format!("{time_s} s; times must increase by 1 ns at least"),
+            ));
+        }
+        before_ns = Some(time_ns);
+    }
+    for (position, delay_s) in asked.delay_s.iter().enumerate() {
+        if let Some(delay_s) = *delay_s
+            && !(0.0..=MAX_DELAY_S).contains(&delay_s)
+        {
+            within(&format!("trace.delay_s.{position}"), delay_s, 0.0, MAX_DELAY_S)?;
+        }
+    }
+    Ok(())
+}

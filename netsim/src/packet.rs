@@ -1,0 +1,34 @@
+//! A packet as the network sees it.
+
+use std::fmt;
+
+/// Direction of travel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Direction {
+    /// Master to slave.
+    Forward,
+    /// Slave to master.
+    Backward,
+}
+
+impl fmt::Display for Direction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Forward => "forward",
+            Self::Backward => "backward",
+        })
+    }
+}
+
+/// What a rule may know of a packet: never its content.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Packet {
+    /// Direction of travel.
+    pub direction: Direction,
+    /// When it entered the network, in ns since the link began.
+    pub sent_ns: u64,
+    /// Payload in bytes, without UDP and IP headers.
+    pub size: usize,
+    /// Position in its direction, counted from 0 in sending order; the key of all its random draws.
+    pub index: u64,
+}

@@ -1,0 +1,369 @@
+//! Both ends of a measurement: one sends probes at absolute times and gathers the answers, the other, the echo, reports
+//! when a probe arrived and when its answer left.
+
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
+use std::io;
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use super::estimate::{Offset, RoundTrip};
+use super::wire::{Answer, Request, SIZE, Seen};
+use super::{Probe, Recording};
+use crate::{ScheduleBefore, proxy::prepare_thread};
+
+/// Most probes a second.
+pub const MAX_RATE_HZ: f64 = 1000.0;
+/// Slowest rate of probes in Hz.
+const MIN_RATE_HZ: f64 = 1e-3;
+/// Most probes of a measurement: more than two hours at 1 kHz.
+pub const MAX_PROBES: f64 = 1e7;
+/// How long the last answers are waited for.
+const LAST_WAIT: Duration = Duration::from_secs(2);
+/// Asleep for at most this long, so that a stop is noticed.
+const LONGEST_SLEEP: Duration = Duration::from_millis(20);
+
+/// What is to be measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RecordSettings {
+    /// Where the echo is.
+    pub peer: SocketAddr,
+    /// Probes a second, at most [`MAX_RATE_HZ`].
+    pub rate_hz: f64,
+    /// For how long in s.
+    pub duration_s: f64,
+    /// Whether to ask for real-time scheduling.
+    pub realtime: bool,
+}
+
+/// A measurement that cannot be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ProbeError {
+    /// A number that is not finite or not in its range.
+    #[error("{key} = {seen}: must be a finite number from {least} to {most}")]
+    OutOfRange {
+        /// Name of the setting.
+        key: &'static str,
+        /// Its value.
+        seen: f64,
+        /// The smallest value allowed.
+        least: f64,
+        /// The largest value allowed.
+        most: f64,
+    },
+    /// Nobody answered.
+    #[error("{peer}: none of {sent} probes was answered; is an echo running there?")]
+    NoAnswer {
+        /// Where the probes went.
+        peer: SocketAddr,
+        /// How many.
+        sent: usize,
+    },
+    /// The network cannot be used.
+    #[error("{peer}: {source}")]
+    Socket {
+        /// Where the probes were to go.
+        peer: SocketAddr,
+        /// What the operating system says.
+        source: io::Error,
+    },
+}
+
+/// What is known of a probe.
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    at_ns: u64,
+    /// Whether the echo is known to have received it.
+    arrived: bool,
+    trip: Option<RoundTrip>,
+}
+
+/// Measures a network until the time is over or `stop` is set, on the calling thread.
+pub fn record(settings: &RecordSettings, stop: &AtomicBool) -> Result<Recording, ProbeError> {
+    let RecordSettings { peer, rate_hz, duration_s, realtime } = *settings;
+    let within = |key, seen: f64, least: f64, most: f64| {
+        let is_good = seen >= least && seen <= most;
+        if is_good { Ok(()) } else { Err(ProbeError::OutOfRange { key, seen, least, most }) }
+    };
+    within("rate_hz", rate_hz, MIN_RATE_HZ, MAX_RATE_HZ)?;
+    within("duration_s", duration_s, 1e-3, MAX_PROBES / rate_hz)?;
+    let refuse = |source| ProbeError::Socket { peer, source };
+    let socket = connect(peer).map_err(refuse)?;
+    let _given_back = ScheduleBefore::of_this_thread();
+    prepare_thread(realtime);
+    let run = Run::new(socket, rate_hz, duration_s);
+    let (sent, latest_s) = run.carry_out(stop).map_err(refuse)?;
+    evaluate(&sent, latest_s).ok_or(ProbeError::NoAnswer { peer, sent: sent.len() })
+}
+
+fn connect(peer: SocketAddr) -> io::Result<UdpSocket> {
+    let any: SocketAddr = match peer {
+        SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let socket = UdpSocket::bind(any)?;
+    socket.connect(peer)?;
+    socket.set_nonblocking(true)?;
+    Ok(socket)
+}
+
+struct Run {
+    socket: UdpSocket,
+    /// Nobody who does not see the probes can answer them: the standard library's keys are random.
+    token: u64,
+    period: Duration,
+    count: usize,
+    origin: Instant,
+    sent: Vec<Sent>,
+    unanswered: usize,
+    latest: Duration,
+}
+
+impl Run {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within MAX_PROBES")]
+    fn new(socket: UdpSocket, rate_hz: f64, duration_s: f64) -> Self {
+        let count = (rate_hz * duration_s).ceil() as usize;
+        Self {
+            socket,
+            token: RandomState::new().build_hasher().finish(),
+            period: Duration::from_secs_f64(1.0 / rate_hz),
+            count,
+            origin: Instant::now(),
+            sent: Vec::with_capacity(count),
+            unanswered: 0,
+            latest: Duration::ZERO,
+        }
+    }
+
+    fn carry_out(mut self, stop: &AtomicBool) -> io::Result<(Vec<Sent>, f64)> {
+        while self.sent.len() < self.count && !stop.load(Relaxed) {
+            let due = self.period.mul_f64(self.sent.len() as f64);
+            if let Some(late) = self.origin.elapsed().checked_sub(due) {
+                self.latest = self.latest.max(late);
+                self.send()?;
+            }
+            let next = self.period.mul_f64(self.sent.len() as f64);
+            self.wait(next)?;
+            self.receive()?;
+        }
+        let end = self.origin.elapsed() + LAST_WAIT;
+        while self.unanswered > 0 && self.origin.elapsed() < end && !stop.load(Relaxed) {
+            self.wait(end)?;
+            self.receive()?;
+        }
+        Ok((self.sent, self.latest.as_secs_f64()))
+    }
+
+    fn send(&mut self) -> io::Result<()> {
+        let sequence = self.sent.len() as u64;
+        let at_ns = nanoseconds(self.origin.elapsed());
+        let request = Request { token: self.token, sequence, sent_ns: at_ns };
+        match self.socket.send(&request.encode()) {
+            Ok(_) => {}
+            // One that the network refuses is a lost one.
+            Err(error) if is_passing(error.kind()) => {}
+            Err(error) => return Err(error),
+        }
+        self.sent.push(Sent { at_ns, arrived: false, trip: None });
+        self.unanswered += 1;
+        Ok(())
+    }
+
+    /// Sleeps until an answer comes or a time is there.
+    fn wait(&self, until: Duration) -> io::Result<()> {
+        let timeout = until.saturating_sub(self.origin.elapsed()).min(LONGEST_SLEEP);
+        let timeout = Timespec::try_from(timeout).map_err(io::Error::other)?;
+        match poll(&mut [PollFd::new(&self.socket, PollFlags::IN)], Some(&timeout)) {
+            Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn receive(&mut self) -> io::Result<()> {
+        // One byte more, which tells a datagram that is too long.
+        let mut buffer = [0; SIZE + 1];
+        loop {
+            match self.socket.recv(&mut buffer) {
+                Ok(length) => {
+                    let now_ns = nanoseconds(self.origin.elapsed());
+                    if let Some(answer) = Answer::decode(&buffer[..length]) {
+                        self.take(&answer, now_ns);
+                    }
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(()),
+                Err(error) if is_passing(error.kind()) => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn take(&mut self, answer: &Answer, now_ns: u64) {
+        let Request { token, sequence, sent_ns } = answer.request;
+        let place = |sequence| usize::try_from(sequence).unwrap_or(usize::MAX);
+        let probe = self.sent.get_mut(place(sequence));
+        // A second answer to the same probe, as of a network that duplicates, says nothing new.
+        let Some(probe) = probe.filter(|probe| {
+            token == self.token && sent_ns == probe.at_ns && now_ns >= sent_ns && probe.trip.is_none()
+        }) else {
+            return;
+        };
+        probe.trip = Some(RoundTrip {
+            sent_s: seconds(sent_ns, 0),
+            there_s: seconds(answer.received_ns, sent_ns),
+            back_s: seconds(now_ns, answer.answered_ns),
+        });
+        self.unanswered -= 1;
+        for arrived in answer.seen.sequences() {
+            if let Some(probe) = self.sent.get_mut(place(arrived)) {
+                probe.arrived = true;
+            }
+        }
+    }
+}
+
+/// The time from `from_ns` to `to_ns`, which may be readings of different clocks.
+fn seconds(to_ns: u64, from_ns: u64) -> f64 {
+    let magnitude_s = to_ns.abs_diff(from_ns) as f64 * 1e-9;
+    if to_ns < from_ns { -magnitude_s } else { magnitude_s }
+}
+
+/// What the probes say; nothing if none was answered.
+fn evaluate(sent: &[Sent], latest_s: f64) -> Option<Recording> {
+    let trips: Vec<RoundTrip> = sent.iter().filter_map(|probe| probe.trip).collect();
+    let shortest_s = trips.iter().map(RoundTrip::total_s).min_by(f64::total_cmp)?;
+    let offset = Offset::estimate(&trips);
+    let delays = |trip: &RoundTrip| {
+        let ahead_s = offset.at(trip.sent_s);
+        ((trip.there_s - ahead_s).max(0.0), (trip.back_s + ahead_s).max(0.0))
+    };
+    let mut last = trips.first().map(delays)?;
+    let begun_s = seconds(sent.first()?.at_ns, 0);
+    let (mut lost_forward, mut lost_backward) = (0, 0);
+    let probe = |probe: &Sent| {
+        let (forward_s, backward_s) = match &probe.trip {
+            Some(trip) => {
+                last = delays(trip);
+                (Some(last.0), Some(last.1))
+            }
+            None if probe.arrived => {
+                lost_backward += 1;
+                (Some(last.0), None)
+            }
+            None => {
+                lost_forward += 1;
+                (None, Some(last.1))
+            }
+        };
+        Probe { sent_s: seconds(probe.at_ns, 0) - begun_s, forward_s, backward_s }
+    };
+    let probes = sent.iter().map(probe).collect();
+    let (offset_s, drift) = (offset.ahead_s, offset.drift);
+    Some(Recording { probes, lost_forward, lost_backward, shortest_s, offset_s, drift, latest_s })
+}
+
+/// Measurements remembered at a time; another one takes the place of the one that was heard of longest ago.
+const MAX_SESSIONS: usize = 64;
+/// How soon a stop is noticed.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// What an echo has done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct EchoStatistics {
+    /// Probes answered.
+    pub answered: u64,
+    /// Datagrams that were no probes, which get no answer.
+    pub ignored: u64,
+}
+
+/// Answers probes, one for one and of the same size, so that it is of no use to flood somebody with.
+#[derive(Debug)]
+pub struct Echo {
+    socket: UdpSocket,
+    sessions: Vec<Session>,
+}
+
+#[derive(Debug)]
+struct Session {
+    source: SocketAddr,
+    token: u64,
+    seen: Seen,
+    heard: Instant,
+}
+
+impl Echo {
+    /// An echo at an address; port 0 lets the system choose.
+    pub fn bind(address: SocketAddr) -> io::Result<Self> {
+        let socket = UdpSocket::bind(address)?;
+        socket.set_read_timeout(Some(PATIENCE))?;
+        Ok(Self { socket, sessions: Vec::with_capacity(MAX_SESSIONS) })
+    }
+
+    /// Where it is.
+    pub fn address(&self) -> io::Result<SocketAddr> {
+        self.socket.local_addr()
+    }
+
+    /// Answers until `stop` is set, which is noticed within 20 ms.
+    pub fn run(&mut self, stop: &AtomicBool) -> io::Result<EchoStatistics> {
+        let mut statistics = EchoStatistics::default();
+        let origin = Instant::now();
+        // One byte more, which tells a datagram that is too long.
+        let mut buffer = [0; SIZE + 1];
+        while !stop.load(Relaxed) {
+            let (length, source) = match self.socket.recv_from(&mut buffer) {
+                Ok(received) => received,
+                Err(error) if is_passing(error.kind()) => continue,
+                Err(error) => return Err(error),
+            };
+            let received = Instant::now();
+            let Some(request) = Request::decode(&buffer[..length]) else {
+                statistics.ignored += 1;
+                continue;
+            };
+            let seen = self.take(source, &request, received);
+            let received_ns = nanoseconds(received - origin);
+            let answered_ns = nanoseconds(origin.elapsed());
+            let answer = Answer { request, received_ns, answered_ns, seen };
+            // An answer that the network refuses is a lost one.
+            if self.socket.send_to(&answer.encode(), source).is_ok() {
+                statistics.answered += 1;
+            }
+        }
+        Ok(statistics)
+    }
+
+    fn take(&mut self, source: SocketAddr, request: &Request, now: Instant) -> Seen {
+        let is_of = |session: &Session| session.source == source && session.token == request.token;
+        let known = self.sessions.iter().position(is_of);
+        let place = known.unwrap_or_else(|| {
+            let session = Session { source, token: request.token, seen: Seen::default(), heard: now };
+            if self.sessions.len() < MAX_SESSIONS {
+                self.sessions.push(session);
+                return self.sessions.len() - 1;
+            }
+            let heard = self.sessions.iter().enumerate().min_by_key(|(_, session)| session.heard);
+            let oldest = heard.map_or(0, |(place, _)| place);
+            self.sessions[oldest] = session;
+            oldest
+        });
+        let session = &mut self.sessions[place];
+        session.heard = now;
+        session.seen.take(request.sequence);
+        session.seen
+    }
+}
+
+/// Whether to go on: nothing came in time, or the network reports something of an earlier datagram, which anybody can
+/// make it do. Only a call that is wrong in itself would be wrong for ever.
+fn is_passing(kind: io::ErrorKind) -> bool {
+    !matches!(kind, io::ErrorKind::InvalidInput | io::ErrorKind::OutOfMemory)
+}
+
+fn nanoseconds(time: Duration) -> u64 {
+    u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
+}
