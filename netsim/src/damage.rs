@@ -1,4 +1,4 @@
-//! How the bytes of a packet change on the way: which bits flip, where it is cut.
+//! How the bytes of a packet change in transit: which bits flip, where it is cut.
 
 use arrayvec::ArrayVec;
 use serde::{Deserialize, Serialize};

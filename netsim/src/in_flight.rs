@@ -1,17 +1,17 @@
-//! Packets on their way, in the order in which they arrive.
+//! Packets in flight, in the order in which they arrive.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use crate::verdict::DropCause;
 
-/// Packets in flight that a queue holds unless told otherwise: a minute at 1 kHz.
+/// Packets in flight that a queue holds by default: a minute at 1 kHz.
 pub const DEFAULT_CAPACITY: usize = 65_536;
 
 /// Packets that a queue which grows holds before it does.
 const FIRST_CAPACITY: usize = 256;
 
-/// A bounded queue ordered by (due time, order of entry), so that packets due together leave as they came.
+/// A bounded queue ordered by (due time, order of entry), so that packets due together leave in order of entry.
 ///
 /// Unless it is one that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
 /// one should be a handle.
@@ -58,12 +58,12 @@ impl<T> InFlight<T> {
         self.packets.pop().map(|next| (next.due_ns, next.payload))
     }
 
-    /// Packets on their way.
+    /// Packets in flight.
     pub fn len(&self) -> usize {
         self.packets.len()
     }
 
-    /// Whether nothing is on its way.
+    /// Whether nothing is in flight.
     pub fn is_empty(&self) -> bool {
         self.packets.is_empty()
     }

@@ -1,4 +1,4 @@
-//! A process in time that is on and off in turn, for exponentially distributed times.
+//! A process in time that is on and off alternately, for exponentially distributed times.
 //!
 //! With mean times `U` on and `D` off it is the Markov process of two states. That one has an equal description
 //! without memory: at the times of a Poisson process of mean gap `U D / (U + D)` the state is drawn anew, off with
@@ -28,9 +28,9 @@ pub(crate) struct OnOff {
     block_ns: u64,
     off: Chance,
     stream: Stream,
-    /// The stretch looked at last, since the next time asked for mostly lies in it or a little later.
+    /// The stretch looked at last, since the next time mostly lies in it or a little later.
     stretch: Stretch,
-    /// From a time asked for until it is on again.
+    /// From a time looked at until it is on again.
     off_time: (u64, u64),
 }
 

@@ -136,7 +136,7 @@ impl ExtraCause {
 pub struct Judgement<'a> {
     /// What becomes of the packet itself.
     pub verdict: Verdict,
-    /// How its bytes change on the way.
+    /// How its bytes change in transit.
     pub damage: Damage,
     /// What arrives beside it; a packet that somebody took may leave copies behind.
     pub extras: &'a [Extra],

@@ -142,14 +142,14 @@ impl Gilbert {
         if loss == 0.0 || loss == 1.0 {
             return Ok(None);
         }
-        let least = loss / (1.0 - loss);
-        let start = least / mean_burst;
+        let min_burst = loss / (1.0 - loss);
+        let start = min_burst / mean_burst;
         if start > 1.0 + ROUNDING {
             return Err(LinkSettingsError::contradiction(
                 "mean_burst",
                 format!(
                     "{mean_burst} is too short for loss = {loss}: between two bursts at least one packet passes, so \
-                     that they last at least {least} packets on average; lengthen them, or lower loss to at most {}",
+                     that they last at least {min_burst} packets on average; lengthen them, or lower loss to at most {}",
                     mean_burst / (1.0 + mean_burst)
                 ),
             ));
@@ -224,8 +224,8 @@ impl GilbertElliottLoss {
         probability("gilbert_elliott.to_good", to_good)?;
         probability("gilbert_elliott.loss_good", loss_good)?;
         probability("gilbert_elliott.loss_bad", loss_bad)?;
-        let turns = to_bad + to_good;
-        if turns == 0.0 {
+        let changes = to_bad + to_good;
+        if changes == 0.0 {
             return Err(LinkSettingsError::contradiction(
                 "gilbert_elliott.to_good",
                 "is 0, and so is to_bad: no state is ever left, so that nothing says in which the link is; \
@@ -233,7 +233,7 @@ impl GilbertElliottLoss {
             ));
         }
         let rows = [[1.0 - to_bad, to_bad], [to_good, 1.0 - to_good]];
-        let stationary = [to_good / turns, to_bad / turns];
+        let stationary = [to_good / changes, to_bad / changes];
         Ok(Self {
             state: MarkovChain::new(stationary, rows, streams.of(Impairment::LossState)),
             loss: [loss_good, loss_bad].map(|loss| Event::new(loss, streams.of(Impairment::Loss))),
@@ -347,7 +347,7 @@ impl<const N: usize> MarkovChain<N> {
         Self { stationary: Law::new(stationary), rows: rows.map(Law::new), stream, last: None }
     }
 
-    /// The state at a packet. Packets that never came here take a step each all the same, so that a rule before
+    /// The state at a packet. Packets that a rule before dropped take a step each all the same, so that a rule before
     /// this one leaves the states as they are.
     fn state(&mut self, index: u64) -> usize {
         let state = match self.last {

@@ -9,20 +9,20 @@ use crate::verdict::{DropCause, Verdict};
 
 #[derive(Clone, Copy, Debug)]
 struct Mtu {
-    most_bytes: usize,
+    max_bytes: usize,
 }
 
 pub(crate) fn build(
     settings: &LinkSettings,
     _: &Streams,
 ) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
-    let Some(most_bytes) = settings.mtu else { return Ok(None) };
-    within("mtu", most_bytes as f64, 1.0, MAX_PAYLOAD as f64)?;
-    Ok(Some(Box::new(Mtu { most_bytes })))
+    let Some(max_bytes) = settings.mtu else { return Ok(None) };
+    within("mtu", max_bytes as f64, 1.0, MAX_PAYLOAD as f64)?;
+    Ok(Some(Box::new(Mtu { max_bytes })))
 }
 
 impl Rule for Mtu {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
-        Verdict::unless(packet.size > self.most_bytes, DropCause::Mtu, at_ns)
+        Verdict::unless(packet.size > self.max_bytes, DropCause::Mtu, at_ns)
     }
 }

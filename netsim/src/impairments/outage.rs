@@ -142,7 +142,7 @@ enum Schedule {
 impl Schedule {
     /// Checks the times found under a key.
     fn new(key: &str, times: &OutageTimes, stream: Stream) -> Result<Self, LinkSettingsError> {
-        let check = |name, seen, least, most| within(&format!("{key}.{name}"), seen, least, most);
+        let check = |name, seen, low, high| within(&format!("{key}.{name}"), seen, low, high);
         match *times {
             OutageTimes::Once { at_s, duration_s } => {
                 check("at_s", at_s, 0.0, MAX_TIME_S)?;
@@ -167,8 +167,8 @@ impl Schedule {
             }
             OutageTimes::Random { mean_up_s, mean_down_s } => {
                 check("mean_up_s", mean_up_s, MIN_MEAN_S, MAX_MEAN_S)?;
-                let most_s = MAX_MEAN_S.min(mean_up_s * MAX_DOWN_PER_UP);
-                check("mean_down_s", mean_down_s, MIN_MEAN_S, most_s)?;
+                let max_s = MAX_MEAN_S.min(mean_up_s * MAX_DOWN_PER_UP);
+                check("mean_down_s", mean_down_s, MIN_MEAN_S, max_s)?;
                 Ok(Self::Random(OnOff::by_means(mean_up_s, mean_down_s, stream)))
             }
         }

@@ -1,7 +1,7 @@
 //! Scheduling slots of satellites: a level of delay for each slot, and spikes at both ends.
 //!
 //! A packet sent in slot k has, beside the delay of the path, the level
-//! `max(N(0, level_s), -delay)` of the slot, where the delay is the least mean delay there is, and during a spike an
+//! `max(N(0, level_s), -delay)` of the slot, where the delay is the lowest mean delay there is, and during a spike an
 //! extra that is exponentially distributed with the mean `spike_delay_s`. Level and spikes are drawn once per slot, so
 //! all packets of a spike have the same extra.
 //!
@@ -19,8 +19,8 @@ use crate::rule::Rule;
 use crate::verdict::{DropCause, Verdict};
 
 /// Shortest and longest slot in s.
-const SHORTEST_S: f64 = 1e-3;
-const LONGEST_S: f64 = 1e6;
+const MIN_PERIOD_S: f64 = 1e-3;
+const MAX_PERIOD_S: f64 = 1e6;
 
 /// Scheduling slots: a level of delay that is drawn anew for each, and spikes at both ends.
 ///
@@ -54,7 +54,7 @@ pub(crate) struct Slotted {
     end_spike_ns: u64,
     spike_delay_ns: f64,
     level_ns: f64,
-    /// The least mean delay.
+    /// The lowest mean delay.
     floor_ns: f64,
     spike_loss: Chance,
     stream: Stream,
@@ -64,35 +64,35 @@ pub(crate) fn build(
     settings: &LinkSettings,
     streams: &Streams,
 ) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
-    let Some(asked) = &settings.slots else {
+    let Some(slots) = &settings.slots else {
         return Ok(None);
     };
-    within("slots.period_s", asked.period_s, SHORTEST_S, LONGEST_S)?;
-    within("slots.start_spike_s", asked.start_spike_s, 0.0, asked.period_s)?;
-    within("slots.end_spike_s", asked.end_spike_s, 0.0, asked.period_s)?;
-    within("slots.spike_delay_s", asked.spike_delay_s, 0.0, MAX_DELAY_S)?;
-    within("slots.level_s", asked.level_s, 0.0, MAX_DELAY_S)?;
-    probability("slots.spike_loss", asked.spike_loss)?;
-    let spikes_s = asked.start_spike_s + asked.end_spike_s;
-    if spikes_s > asked.period_s {
+    within("slots.period_s", slots.period_s, MIN_PERIOD_S, MAX_PERIOD_S)?;
+    within("slots.start_spike_s", slots.start_spike_s, 0.0, slots.period_s)?;
+    within("slots.end_spike_s", slots.end_spike_s, 0.0, slots.period_s)?;
+    within("slots.spike_delay_s", slots.spike_delay_s, 0.0, MAX_DELAY_S)?;
+    within("slots.level_s", slots.level_s, 0.0, MAX_DELAY_S)?;
+    probability("slots.spike_loss", slots.spike_loss)?;
+    let spikes_s = slots.start_spike_s + slots.end_spike_s;
+    if spikes_s > slots.period_s {
         return Err(LinkSettingsError::contradiction(
             "slots.end_spike_s",
-            format!("both spikes take {spikes_s} s of a slot of {} s", asked.period_s),
+            format!("both spikes take {spikes_s} s of a slot of {} s", slots.period_s),
         ));
     }
-    if spikes_s == 0.0 && (asked.spike_delay_s > 0.0 || asked.spike_loss > 0.0) {
-        let key = if asked.spike_delay_s > 0.0 { "slots.spike_delay_s" } else { "slots.spike_loss" };
+    if spikes_s == 0.0 && (slots.spike_delay_s > 0.0 || slots.spike_loss > 0.0) {
+        let key = if slots.spike_delay_s > 0.0 { "slots.spike_delay_s" } else { "slots.spike_loss" };
         return Err(LinkSettingsError::contradiction(key, "given without start_spike_s or end_spike_s"));
     }
-    let least_s = settings.timeline.iter().map(|change| change.delay_s).fold(settings.delay_s, f64::min);
+    let min_s = settings.timeline.iter().map(|change| change.delay_s).fold(settings.delay_s, f64::min);
     Ok(Some(Box::new(Slotted {
-        period_ns: nanoseconds(asked.period_s),
-        start_spike_ns: nanoseconds(asked.start_spike_s),
-        end_spike_ns: nanoseconds(asked.end_spike_s),
-        spike_delay_ns: asked.spike_delay_s * 1e9,
-        level_ns: asked.level_s * 1e9,
-        floor_ns: least_s * 1e9,
-        spike_loss: Chance::new(asked.spike_loss),
+        period_ns: nanoseconds(slots.period_s),
+        start_spike_ns: nanoseconds(slots.start_spike_s),
+        end_spike_ns: nanoseconds(slots.end_spike_s),
+        spike_delay_ns: slots.spike_delay_s * 1e9,
+        level_ns: slots.level_s * 1e9,
+        floor_ns: min_s * 1e9,
+        spike_loss: Chance::new(slots.spike_loss),
         stream: streams.of(Impairment::Slots),
     })))
 }

@@ -5,16 +5,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
+use crate::checks::{LinkSettingsError, MAX_DELAY_S, MAX_TIME_S, nanoseconds, within};
 use crate::impairments::LinkSettings;
 use crate::impairments::Streams;
 use crate::impairments::trace::between;
 use crate::packet::Packet;
 use crate::rule::Rule;
 use crate::verdict::Verdict;
-
-/// Latest change and longest ramp in s.
-const LATEST_S: f64 = 1e9;
 
 /// A change of the mean delay.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
@@ -49,14 +46,14 @@ pub(crate) fn build(
     _: &Streams,
 ) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
     let mut changes: Vec<Change> = Vec::new();
-    for (position, asked) in settings.timeline.iter().enumerate() {
-        within(&format!("timeline.{position}.at_s"), asked.at_s, 0.0, LATEST_S)?;
-        within(&format!("timeline.{position}.delay_s"), asked.delay_s, 0.0, MAX_DELAY_S)?;
-        within(&format!("timeline.{position}.ramp_s"), asked.ramp_s, 0.0, LATEST_S)?;
+    for (position, requested) in settings.timeline.iter().enumerate() {
+        within(&format!("timeline.{position}.at_s"), requested.at_s, 0.0, MAX_TIME_S)?;
+        within(&format!("timeline.{position}.delay_s"), requested.delay_s, 0.0, MAX_DELAY_S)?;
+        within(&format!("timeline.{position}.ramp_s"), requested.ramp_s, 0.0, MAX_TIME_S)?;
         let change = Change {
-            at_ns: nanoseconds(asked.at_s),
-            ramp_ns: nanoseconds(asked.ramp_s),
-            delay_ns: nanoseconds(asked.delay_s),
+            at_ns: nanoseconds(requested.at_s),
+            ramp_ns: nanoseconds(requested.ramp_s),
+            delay_ns: nanoseconds(requested.delay_s),
         };
         if let Some(before) = changes.last()
             && (change.at_ns <= before.at_ns || change.at_ns < before.at_ns + before.ramp_ns)
@@ -66,7 +63,7 @@ pub(crate) fn build(
                 format!("timeline.{position}.at_s"),
                 format!(
                     "{} s; must come after the change before it, which is done at {done_s} s",
-                    asked.at_s
+                    requested.at_s
                 ),
             ));
         }

@@ -2,9 +2,9 @@
 //!
 //! With the echo's clock ahead by `theta(t)`, a probe shows `a = forward + theta` and `b = backward - theta`. Only
 //! `a + b`, the round trip, is certain. The probe with the shortest round trip of a window waited least, and there the
-//! two ways are taken to be alike: `theta = (a - b) / 2`. A line through those of the quieter half of the windows is
-//! `theta(t)`, whose slope is the drift. If the ways differ by `2 e` when nothing waits, `e` is added to one and taken
-//! from the other throughout: no measurement from the two ends can tell.
+//! two directions are taken to be alike: `theta = (a - b) / 2`. A line through those of the quieter half of the windows is
+//! `theta(t)`, whose slope is the drift. If the directions differ by `2 e` when nothing waits, `e` is added to one and taken
+//! from the other throughout: no measurement from the two ends can find out.
 //!
 //! Source: D. L. Mills, "Internet time synchronization: the Network Time Protocol", IEEE Trans. Comm. 39(10), 1991
 //! (minimum filter); V. Paxson, "On calibrating measurements of packet transit times", SIGMETRICS 1998 (drift by a line
@@ -38,7 +38,7 @@ pub(super) struct Offset {
 /// Windows that the time is divided into: each should contain a probe that did not wait.
 const WINDOWS: usize = 20;
 /// No window is shorter, in s.
-const SHORTEST_S: f64 = 0.5;
+const MIN_WINDOW_S: f64 = 0.5;
 
 impl Offset {
     /// From probes in the order of their sending.
@@ -46,7 +46,7 @@ impl Offset {
         let (Some(first), Some(last)) = (trips.first(), trips.last()) else {
             return Self::default();
         };
-        let window_s = ((last.sent_s - first.sent_s) / WINDOWS as f64).max(SHORTEST_S);
+        let window_s = ((last.sent_s - first.sent_s) / WINDOWS as f64).max(MIN_WINDOW_S);
         let windows = trips.chunk_by(|a, b| {
             let window = |trip: &RoundTrip| ((trip.sent_s - first.sent_s) / window_s).floor();
             window(a) == window(b)
@@ -80,7 +80,7 @@ impl Offset {
 mod tests {
     use super::*;
 
-    /// Both ways take 10 ms, and now and then one waits; the clocks differ by an offset and a drift.
+    /// Both directions take 10 ms, and now and then one waits; the clocks differ by an offset and a drift.
     #[test]
     fn offset_and_drift_of_equal_ways_are_found() {
         for (offset_s, drift) in [(0.0, 0.0), (12.5, 50e-6), (-3.0, -200e-6)] {

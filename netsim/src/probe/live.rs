@@ -24,7 +24,7 @@ pub const MAX_PROBES: f64 = 1e7;
 /// How long the last answers are waited for.
 const LAST_WAIT: Duration = Duration::from_secs(2);
 /// Asleep for at most this long, so that a stop is noticed.
-const LONGEST_SLEEP: Duration = Duration::from_millis(20);
+const MAX_SLEEP: Duration = Duration::from_millis(20);
 
 /// What is to be measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -175,7 +175,7 @@ impl Run {
 
     /// Sleeps until an answer comes or a time is there.
     fn wait(&self, until: Duration) -> io::Result<()> {
-        let timeout = until.saturating_sub(self.origin.elapsed()).min(LONGEST_SLEEP);
+        let timeout = until.saturating_sub(self.origin.elapsed()).min(MAX_SLEEP);
         let timeout = Timespec::try_from(timeout).map_err(io::Error::other)?;
         match poll(&mut [PollFd::new(&self.socket, PollFlags::IN)], Some(&timeout)) {
             Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),

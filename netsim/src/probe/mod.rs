@@ -13,9 +13,9 @@ pub use live::{Echo, EchoStatistics, MAX_PROBES, MAX_RATE_HZ, ProbeError, Record
 pub struct Probe {
     /// When it was sent, in s since the first one.
     pub sent_s: f64,
-    /// How long it took in s; `None` was lost on the way there.
+    /// How long it took in s; `None` was lost forward.
     pub forward_s: Option<f64>,
-    /// How long its answer took in s; `None` was lost on the way back. Where the other way lost it, this is that of the
+    /// How long its answer took in s; `None` was lost backward. Where the other direction lost it, this is that of the
     /// probe before: there was nothing to measure.
     pub backward_s: Option<f64>,
 }
@@ -26,9 +26,9 @@ pub struct Probe {
 pub struct Recording {
     /// All probes, in the order in which they were sent.
     pub probes: Vec<Probe>,
-    /// Lost on the way there.
+    /// Lost forward.
     pub lost_forward: u64,
-    /// Lost on the way back.
+    /// Lost backward.
     pub lost_backward: u64,
     /// Shortest round trip in s, without the time at the echo.
     pub shortest_s: f64,

@@ -1,4 +1,4 @@
-//! What probe and answer look like: 72 bytes each, so that an answer is never longer than what asked for it.
+//! What probe and answer look like: 72 bytes each, so that an answer is never longer than its request.
 //!
 //! Little-endian u64 one after the other: magic, kind, token, sequence, sent by the client, received by the echo, sent
 //! by the echo, newest sequence received, and which of the 64 up to it were. The echo's four are 0 in a probe.
@@ -9,7 +9,7 @@ const MAGIC: u64 = u64::from_le_bytes(*b"HAPTPRB1");
 const PROBE: u64 = 1;
 const ANSWER: u64 = 2;
 
-/// What is asked.
+/// A request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Request {
     /// Random, the same throughout a measurement: what does not know it is no answer.
@@ -148,14 +148,14 @@ mod tests {
                 seen.take(sequence);
             }
             let newest = sequences.iter().copied().max().unwrap();
-            let told: Vec<u64> = seen.sequences().collect();
+            let reported: Vec<u64> = seen.sequences().collect();
             // What came when it was already too old is not among them.
-            prop_assert!(told.iter().all(|sequence| sequences.contains(sequence)));
+            prop_assert!(reported.iter().all(|sequence| sequences.contains(sequence)));
             let mut so_far = 0;
             for &sequence in &sequences {
                 so_far = so_far.max(sequence);
                 if so_far - sequence < 64 && newest - sequence < 64 {
-                    prop_assert!(told.contains(&sequence));
+                    prop_assert!(reported.contains(&sequence));
                 }
             }
         }

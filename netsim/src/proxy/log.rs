@@ -26,7 +26,7 @@ pub(super) struct Record {
     pub(super) out_ns: Option<u64>,
     /// Why it did not leave; empty if it did.
     pub(super) cause: &'static str,
-    /// Bytes that came.
+    /// Bytes that arrived.
     pub(super) size: usize,
 }
 

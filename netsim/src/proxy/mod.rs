@@ -61,7 +61,7 @@ const EXPIRY_PERIOD_NS: u64 = 1_000_000_000;
 /// A UDP proxy between clients and one peer.
 ///
 /// It is no open relay: it forwards to the named peer only, and only what comes from this machine or from a source
-/// that it was told of. Each client has its own socket towards the peer; all share one link in either direction.
+/// that the settings allow. Each client has its own socket towards the peer; all share one link in either direction.
 #[derive(Debug)]
 pub struct Proxy {
     ports: Ports,

@@ -22,7 +22,7 @@ const UNSENT: &str = "unsent";
 /// In the log: the proxy was stopped before it was due.
 const UNFINISHED: &str = "unfinished";
 
-/// What is known of a datagram on its way.
+/// What is known of a datagram in flight.
 #[derive(Clone, Copy, Debug)]
 struct Datagram {
     /// Settled on arrival, so that an answer to a client that has since been replaced does not reach the new
@@ -88,7 +88,7 @@ impl DirectionPipeline {
         self.change.take_up(&mut self.link);
     }
 
-    /// Judges a datagram that came at `now_ns` and keeps it, and what arrives beside it, until it is due.
+    /// Judges a datagram that arrived at `now_ns` and keeps it, and what arrives beside it, until it is due.
     pub(super) fn accept(
         &mut self,
         now_ns: u64,
@@ -276,10 +276,10 @@ pub struct ProxyControl {
 }
 
 impl ProxyControl {
-    /// Other settings for the datagrams that come from now on; those under way arrive as was settled.
+    /// Other settings for the datagrams from now on; those in flight arrive as was decided.
     ///
     /// They are checked and built on the caller's thread; the proxy takes them up when it next wakes, within 20 ms.
-    /// What was asked for before and not yet taken up is forgotten.
+    /// A change that was not yet taken up is replaced.
     pub fn change(&self, direction: Direction, settings: &LinkSettings) -> Result<(), LinkSettingsError> {
         self.change_rules(direction, Rules::build(direction, self.seed, settings)?);
         Ok(())
@@ -290,7 +290,7 @@ impl ProxyControl {
             Direction::Forward => &self.forward,
             Direction::Backward => &self.backward,
         };
-        change.ask(rules);
+        change.put(rules);
     }
 }
 
@@ -302,7 +302,7 @@ pub(super) struct Change {
 }
 
 impl Change {
-    fn ask(&self, rules: Rules) {
+    fn put(&self, rules: Rules) {
         let replaced = {
             let mut slot = self.rules.lock().unwrap_or_else(PoisonError::into_inner);
             let replaced = slot.replace(rules);

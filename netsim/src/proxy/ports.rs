@@ -11,7 +11,7 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 const NO_TIME: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 
-/// The way out of a datagram.
+/// Where a datagram leaves to.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Egress {
     /// To the peer, as from its client.
@@ -24,7 +24,7 @@ pub(super) enum Egress {
     ClientBeside(SocketAddr),
 }
 
-/// The ways out that a datagram may take.
+/// The egresses that a datagram may take.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Routes {
     pub(super) on: Egress,
@@ -32,7 +32,7 @@ pub(super) struct Routes {
     pub(super) beside: Egress,
 }
 
-/// The socket of a way out: what goes by the same one can go with one call.
+/// The socket of an egress: what leaves by the same one can be sent with one call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EgressSocket {
     Listen,
@@ -41,7 +41,7 @@ pub(super) enum EgressSocket {
     UpstreamBeside,
 }
 
-/// Where datagrams came in.
+/// Where datagrams enter.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Ingress {
     Listen,
@@ -85,12 +85,12 @@ pub(super) struct Ports {
 
 impl Ports {
     pub(super) fn open(settings: &ProxySettings) -> Result<Self, ProxyError> {
-        let ProxySettings { listen: asked, forward, .. } = *settings;
+        let ProxySettings { listen: requested, forward, .. } = *settings;
         if forward.port() == 0 {
             return Err(ProxyError::NoPort { forward });
         }
         let refuse = |key, address| move |source| ProxyError::Socket { key, address, source };
-        let (listen, listen_address) = open_listening(asked).map_err(refuse("listen", asked))?;
+        let (listen, listen_address) = open_listening(requested).map_err(refuse("listen", requested))?;
         let (upstream_beside, peer) = open_upstream(forward).map_err(refuse("forward", forward))?;
         if is_own(listen_address, peer) {
             return Err(ProxyError::Loop { forward });
@@ -100,7 +100,7 @@ impl Ports {
         let waiting = epoll::create(CreateFlags::CLOEXEC)
             .and_then(|waiting| watch(&waiting, &listen, Ingress::Listen).map(|()| waiting))
             .map_err(io::Error::from)
-            .map_err(refuse("listen", asked))?;
+            .map_err(refuse("listen", requested))?;
         Ok(Self {
             listen,
             listen_address,
@@ -135,7 +135,7 @@ impl Ports {
         Some(self.flows.open(client, upstream, now_ns))
     }
 
-    /// The client that an answer is for, unless it is none: the kernel lets through what came between binding and
+    /// The client that an answer is for, unless it is none: the kernel lets through what arrived between binding and
     /// connecting.
     pub(super) fn client_of(
         &mut self,

@@ -1,4 +1,4 @@
-//! What the proxy's thread asks of the scheduler.
+//! What the proxy's thread requests of the scheduler.
 
 use std::{
     fmt, io,
@@ -56,7 +56,7 @@ pub fn schedule_fifo(priority: u8) -> io::Result<u8> {
 
 /// How a thread was scheduled before it was given real time; given back when this is dropped on that thread.
 ///
-/// Whoever turns a loop on a thread of their own goes on with it afterwards, and what they start inherits it: a program
+/// Whoever runs a loop on a thread of their own goes on with it afterwards, and what they start inherits it: a program
 /// that computes under `SCHED_FIFO` takes a processor from everybody.
 #[derive(Debug)]
 pub struct ScheduleBefore {

@@ -1,4 +1,4 @@
-//! What a proxy is asked to be, and why it may be refused.
+//! What a proxy is set to do, and why it may be refused.
 
 use std::io;
 use std::net::{IpAddr, SocketAddr};
@@ -23,7 +23,7 @@ pub struct ProxySettings {
     pub seed: u64,
     /// Sources that are served beside those of this machine, which always are.
     pub allow: Vec<Source>,
-    /// Whether to ask for real-time scheduling; what was got is in the statistics.
+    /// Whether to request real-time scheduling; what was granted is in the statistics.
     pub realtime: bool,
     /// Largest p99 of the scheduling error in s with which a run is valid.
     pub max_error_s: f64,
@@ -32,7 +32,7 @@ pub struct ProxySettings {
 }
 
 impl ProxySettings {
-    /// A perfect network on the way to `forward` and back.
+    /// A perfect network to `forward` and back.
     pub fn new(listen: SocketAddr, forward: SocketAddr) -> Self {
         Self {
             listen,

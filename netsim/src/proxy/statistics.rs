@@ -26,7 +26,7 @@ pub struct DirectionStatistics {
     pub released: u64,
     /// Of these, not sent on when due, because the socket refused them or the client was gone.
     pub unsent: u64,
-    /// Of these, sent on or to be sent on with other bytes than came.
+    /// Of these, sent on or to be sent on with other bytes than arrived.
     pub damaged: u64,
     /// What was to arrive beside the packets: copies, and what somebody makes up.
     pub extras: u64,
@@ -83,7 +83,7 @@ pub struct ProxyStatistics {
     pub receive_buffer_bytes: u64,
     /// The same for sending.
     pub send_buffer_bytes: u64,
-    /// Whether the delays were those that were asked for: p99 of the scheduling error within its limit, nothing early.
+    /// Whether the delays were those of the links: p99 of the scheduling error within its limit, nothing early.
     pub valid: bool,
 }
 

@@ -1,7 +1,7 @@
 //! A law of the delay as a table: cells of equal width in z, the standard normal variate that stands for the delay.
 //!
 //! Within a cell the delay is linear. This moves mean and standard deviation by about 1e-5 of the latter, and the rest
-//! of the tails, 1e-16 on each side, is missing; so the delays are scaled and shifted to the moments asked for.
+//! of the tails, 1e-16 on each side, is missing; so the delays are scaled and shifted to the moments of the law.
 
 use crate::impairments::law::{DelayLaw, Tails};
 
@@ -66,10 +66,10 @@ impl Cells {
     /// With the coefficients `a_n = E[D He_n(z)] / sqrt(n!)` delays are correlated by `sum a_n² rho^n / sum a_n²`.
     ///
     /// Source: Mehler's formula; G. Cario, B. Nelson, "Autoregressive to anything", Operations Research Letters 19,
-    /// 1996 (an autocorrelation that is asked for).
+    /// 1996 (a prescribed autocorrelation).
     pub(super) fn correlation_for_one_e(&self) -> f64 {
         const ORDERS: u8 = 64;
-        let asked = libm::exp(-1.0);
+        let wanted = libm::exp(-1.0);
         let places = (0..=COUNT).map(|k| FIRST + k as f64 * WIDTH);
         // The trapezoidal rule, exact to rounding on a smooth function that vanishes at both ends; the constant
         // factor cancels.
@@ -95,10 +95,10 @@ impl Cells {
             })
             .collect();
         let correlation = |rho: f64| shares.iter().rev().fold(0.0, |sum, share| (sum + share) * rho);
-        let (mut low, mut high) = (asked, 1.0);
+        let (mut low, mut high) = (wanted, 1.0);
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
-            if correlation(middle) < asked { low = middle } else { high = middle }
+            if correlation(middle) < wanted { low = middle } else { high = middle }
         }
         high
     }

@@ -6,7 +6,7 @@ mod cells;
 mod path;
 
 use cells::Cells;
-use path::{Path, Place, Way};
+use path::{Path, Place, Traversal};
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
 use crate::impairments::Impairment;
@@ -92,7 +92,7 @@ impl Rule for Independent {
     }
 }
 
-/// Length of a bin in correlation times: at the least age of what is forgotten, `exp(-16)` of it is left.
+/// Length of a bin in correlation times: at the lowest age of what is forgotten, `exp(-16)` of it is left.
 const BIN_TAUS: f64 = 16.0;
 
 /// A delay that wanders along a path in time, whatever packets come.
@@ -111,7 +111,7 @@ struct Wander {
     latest_ns: u64,
 }
 
-/// One way up or down.
+/// One run up or down.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     rises: bool,
@@ -127,7 +127,7 @@ impl Wander {
         Self { path, mean_ns, runs: stream, beginnings: stream.nth(1), bin_ns, run: None, latest_ns: 0 }
     }
 
-    /// The run of a time that is not before an earlier one asked for.
+    /// The run of a time that is not before that of an earlier call.
     fn run_at(&mut self, time_ns: u64) -> Run {
         // The run of the packet before it may not have ended.
         if let Some(run) = &self.run
@@ -158,13 +158,13 @@ impl Wander {
     }
 
     fn next(&self, run: Run) -> Run {
-        self.begin(!run.rises, run.end_ns, self.way(run.rises).mirrored(run.to))
+        self.begin(!run.rises, run.end_ns, self.traversal(run.rises).mirrored(run.to))
     }
 
     fn begin(&self, rises: bool, begin_ns: u64, from: Place) -> Run {
-        let way = self.way(rises);
-        let to = way.turn(from, -libm::log(self.runs.unit(begin_ns)));
-        // Time is whole: the run stops short of the turn by less than 1 ns.
+        let traversal = self.traversal(rises);
+        let to = traversal.switch(from, -libm::log(self.runs.unit(begin_ns)));
+        // Time is whole: the run stops short of its end by less than 1 ns.
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
@@ -172,20 +172,20 @@ impl Wander {
         )]
         let length_ns = ((to.y_ns - from.y_ns) as u64).max(1);
         let y_ns = from.y_ns + length_ns as f64;
-        let to = Place { y_ns: y_ns.min(way.end_ns()), cell: way.cell(y_ns, from.cell, to.cell) };
+        let to = Place { y_ns: y_ns.min(traversal.end_ns()), cell: traversal.cell(y_ns, from.cell, to.cell) };
         Run { rises, begin_ns, end_ns: begin_ns.saturating_add(length_ns), from, to }
     }
 
-    fn way(&self, rises: bool) -> &Way {
+    fn traversal(&self, rises: bool) -> &Traversal {
         if rises { &self.path.up } else { &self.path.down }
     }
 
     fn delay_ns(&mut self, time_ns: u64) -> u64 {
         let run = self.run_at(time_ns);
-        let way = self.way(run.rises);
+        let traversal = self.traversal(run.rises);
         let y_ns = run.from.y_ns + (time_ns - run.begin_ns) as f64;
-        let cell = way.cell(y_ns, run.from.cell, run.to.cell);
-        whole(way.delay_ns(Place { y_ns, cell }))
+        let cell = traversal.cell(y_ns, run.from.cell, run.to.cell);
+        whole(traversal.delay_ns(Place { y_ns, cell }))
     }
 }
 

@@ -18,8 +18,8 @@ pub(super) struct Gamma {
 
 impl Gamma {
     pub(super) fn new(mean_s: f64, sigma_s: f64) -> Result<Self, LinkSettingsError> {
-        let most_s = mean_s / MIN_SHAPE.sqrt();
-        at_most(sigma_s, most_s, "gamma", mean_s, "for more take the distribution lognormal")?;
+        let max_s = mean_s / MIN_SHAPE.sqrt();
+        at_most(sigma_s, max_s, "gamma", mean_s, "for more take the distribution lognormal")?;
         let ratio = mean_s / sigma_s;
         Ok(Self { least_s: 0.0, scale_s: sigma_s / ratio, excess: StandardGamma::new(ratio * ratio) })
     }

@@ -3,17 +3,17 @@
 use core::f64::consts::FRAC_1_SQRT_2;
 
 /// `Phi(z)`, with full relative precision in the lower tail.
-pub(crate) fn below(z: f64) -> f64 {
+pub(crate) fn cdf(z: f64) -> f64 {
     0.5 * libm::erfc(-z * FRAC_1_SQRT_2)
 }
 
 /// `phi(z)`.
-pub(crate) fn density(z: f64) -> f64 {
+pub(crate) fn pdf(z: f64) -> f64 {
     const INV_SQRT_2_PI: f64 = 0.398_942_280_401_432_7;
     INV_SQRT_2_PI * libm::exp(-0.5 * z * z)
 }
 
-/// The inverse of [`below`], to about one part in 1e16.
+/// The inverse of [`cdf`], to about one part in 1e16.
 ///
 /// Source: M. J. Wichura, "Algorithm AS 241: the percentage points of the normal distribution", Applied
 /// Statistics 37(3), 1988, PPND16.
@@ -38,9 +38,9 @@ pub(crate) fn quantile(p: f64) -> f64 {
 /// Coefficients of numerator and denominator, the highest power first.
 type Rational = [[f64; 8]; 2];
 
-fn ratio(x: f64, [above, below]: &Rational) -> f64 {
+fn ratio(x: f64, [numerator, denominator]: &Rational) -> f64 {
     let polynomial = |coefficients: &[f64; 8]| coefficients.iter().fold(0.0, |sum, c| sum * x + c);
-    polynomial(above) / polynomial(below)
+    polynomial(numerator) / polynomial(denominator)
 }
 
 #[expect(clippy::excessive_precision, reason = "as published")]
@@ -135,7 +135,7 @@ mod tests {
     fn function_and_inverse_undo_each_other() {
         for step in -800..=0 {
             let z = f64::from(step) / 100.0;
-            assert!((quantile(below(z)) - z).abs() < 1e-13, "{z}");
+            assert!((quantile(cdf(z)) - z).abs() < 1e-13, "{z}");
         }
     }
 

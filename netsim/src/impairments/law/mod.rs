@@ -1,4 +1,4 @@
-//! Laws of the delay: each has exactly the mean and the standard deviation that were asked for.
+//! Laws of the delay: each has exactly the mean and the standard deviation of the settings.
 
 mod gamma;
 pub(crate) mod gaussian;
@@ -47,7 +47,7 @@ pub(crate) struct Tails {
 
 impl Tails {
     pub(crate) fn of_normal(z: f64) -> Self {
-        Self { below: gaussian::below(z), above: gaussian::below(-z), z }
+        Self { below: gaussian::cdf(z), above: gaussian::cdf(-z), z }
     }
 }
 
@@ -73,7 +73,7 @@ enum Shape {
 }
 
 impl DelayLaw {
-    /// The law that `delay_s`, `jitter_s`, `distribution` and `distribution_shape` ask for.
+    /// The law that `delay_s`, `jitter_s`, `distribution` and `distribution_shape` describe.
     ///
     /// It is refused where no law of that kind has this mean and standard deviation without negative delays.
     pub fn new(settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
@@ -134,9 +134,9 @@ impl DelayLaw {
 }
 
 /// Refuses a standard deviation above what the law allows at this mean.
-fn at_most(sigma_s: f64, most_s: f64, law: &str, mean_s: f64, remedy: &str) -> Result<(), LinkSettingsError> {
+fn at_most(sigma_s: f64, max_s: f64, law: &str, mean_s: f64, remedy: &str) -> Result<(), LinkSettingsError> {
     // A quotient of the two may round past a limit that the settings just meet.
-    if sigma_s <= most_s * (1.0 + 1e-12) {
+    if sigma_s <= max_s * (1.0 + 1e-12) {
         return Ok(());
     }
     if mean_s == 0.0 {
@@ -149,7 +149,7 @@ fn at_most(sigma_s: f64, most_s: f64, law: &str, mean_s: f64, remedy: &str) -> R
         "jitter_s",
         format!(
             "{sigma_s:?}: a delay that is {law} with the mean delay_s = {mean_s:?} and never negative has a standard \
-             deviation of at most {most_s:?}; {remedy}"
+             deviation of at most {max_s:?}; {remedy}"
         ),
     ))
 }

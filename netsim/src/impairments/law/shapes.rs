@@ -148,7 +148,7 @@ impl Normal {
         let a = cut_for(sigma_s / mean_s);
         let (mean, _) = moments(a);
         let s = mean_s / mean;
-        Ok(Self { mu: a * s, s, kept: Some(gaussian::below(a)) })
+        Ok(Self { mu: a * s, s, kept: Some(gaussian::cdf(a)) })
     }
 
     pub(super) fn at(&self, point: Tails) -> f64 {
@@ -161,7 +161,7 @@ impl Normal {
 
 /// Mean and variance in units of s and s^2.
 fn moments(a: f64) -> (f64, f64) {
-    let lambda = gaussian::density(a) / gaussian::below(a);
+    let lambda = gaussian::pdf(a) / gaussian::cdf(a);
     (a + lambda, 1.0 - lambda * (a + lambda))
 }
 

@@ -5,12 +5,12 @@ use std::str::FromStr;
 use crate::checks::{LinkSettingsError, MAX_DELAY_S};
 use crate::impairments::ParseError;
 
-/// Packets that netem holds unless told otherwise.
+/// Packets that netem holds by default.
 const DEFAULT_LIMIT: usize = 1000;
-/// Most packets that it may be told to hold.
+/// Most packets that it may be set to hold.
 const MAX_PACKETS: usize = 10_000_000;
 /// Longest text in bytes.
-const LONGEST_TEXT: usize = 4096;
+const MAX_TEXT_BYTES: usize = 4096;
 
 /// What `tc` tells netem. Probabilities and correlations are in units of 2^-32 - 1, as there.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,8 +100,8 @@ impl Arguments {
     }
 
     fn parse(text: &str) -> Result<Self, ParseError> {
-        if text.len() > LONGEST_TEXT {
-            return Err(ParseError::new(1, LONGEST_TEXT, format!("longer than {LONGEST_TEXT} bytes")));
+        if text.len() > MAX_TEXT_BYTES {
+            return Err(ParseError::new(1, MAX_TEXT_BYTES, format!("longer than {MAX_TEXT_BYTES} bytes")));
         }
         let mut words = Words::new(text);
         words.skip_command()?;

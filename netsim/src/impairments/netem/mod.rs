@@ -13,7 +13,7 @@
 //! - Jitter larger than the spacing of packets reorders them; with a rate it does not, because each packet then leaves
 //!   after the one before it.
 //! - The delay runs while a packet waits for the rate.
-//! - More than `limit` packets held, 1000 unless told otherwise, are dropped, delay included.
+//! - More than `limit` packets held, 1000 by default, are dropped, delay included.
 //!
 //! Differences: netem draws everything from one generator, here each draw belongs to the packet, so that runs repeat and
 //! one packet more shifts nothing but the correlated states. The length of a packet for `rate` is its payload and 42
@@ -164,7 +164,7 @@ fn four_state(state: u8, uniform: u32, [p13, p31, p32, p23, p14]: [u32; 5]) -> u
     }
 }
 
-/// netem as the end of a way that has nothing else on it.
+/// netem as the only rule of a path.
 #[derive(Debug)]
 struct Netem {
     limit: usize,

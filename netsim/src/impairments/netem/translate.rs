@@ -1,4 +1,4 @@
-//! What was asked of netem, in the settings of a link.
+//! What netem was set to, in the settings of a link.
 
 use serde::Serialize;
 
@@ -10,7 +10,7 @@ use crate::impairments::{Distribution, FourState, GilbertElliott, LinkSettings};
 /// Index of the Pareto law in netem's table.
 const PARETO_SHAPE: f64 = 3.0;
 
-/// Correlations that were asked of netem from one packet to the next, 0 to 1, and its limit: what [`translate`] cannot
+/// Correlations that netem was given from one packet to the next, 0 to 1, and its limit: what [`translate`] cannot
 /// tell, and what its quirks come from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
@@ -49,7 +49,7 @@ impl Asked {
 ///
 /// - Jitter keeps the order of packets, mean and standard deviation. Without a distribution it is uniform, of standard
 ///   deviation J / sqrt(3). Without correlation it is as short as the order permits; a correlation from packet to packet
-///   cannot be told as a time, so the correlation time is then left to its default.
+///   cannot be given as a time, so the correlation time is then left to its default.
 /// - A loss P with correlation rho becomes bursts of the mean length 1 / ((1 - rho) (1 - P)), of which the indicator has
 ///   the autocorrelation rho^n; its rate stays P.
 /// - A reordered packet overtakes one packet; with a gap N, P / N of them are reordered. Correlations of duplication,

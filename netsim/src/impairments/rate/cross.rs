@@ -1,4 +1,4 @@
-//! Other traffic through the bottleneck: packets at random times, with pauses if asked for.
+//! Other traffic through the bottleneck: packets at random times, with pauses where they are set.
 //!
 //! Arrivals are a Poisson process, drawn bin of time by bin of time, so that they depend on the seed and the time
 //! alone. Pauses thin them out.
@@ -9,12 +9,12 @@ use crate::checks::{LinkSettingsError, within};
 use crate::random::Stream;
 
 /// Slowest and fastest traffic in bit/s.
-const SLOWEST_BPS: f64 = 1.0;
-const FASTEST_BPS: f64 = 1e11;
+const MIN_RATE_BPS: f64 = 1.0;
+const MAX_RATE_BPS: f64 = 1e11;
 /// Most packets per second: a gap in the link's own packets costs about a second of them.
 const MAX_PER_S: f64 = 1e6;
 /// Largest packet in bytes.
-const LARGEST: usize = 65_535;
+const MAX_PACKET_BYTES: usize = 65_535;
 /// Packets in a bin, on average.
 const PER_BIN: f64 = 16.0;
 /// Most packets that are drawn to settle the queue after a silence.
@@ -22,8 +22,8 @@ const MAX_TO_SETTLE: f64 = 2e6;
 /// Pauses and the times between them in one bin of theirs, on average.
 const PAUSES_PER_BIN: f64 = 256.0;
 /// Shortest and longest mean time in s that it sends or pauses.
-const SHORTEST_S: f64 = 1e-6;
-const LONGEST_S: f64 = 1e6;
+const MIN_MEAN_S: f64 = 1e-6;
+const MAX_MEAN_S: f64 = 1e6;
 
 /// Other traffic through the same bottleneck: packets at random times (Poisson).
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
@@ -65,25 +65,25 @@ pub(super) struct Cross {
 impl Cross {
     /// `drain_ns` is how long a full queue takes to empty.
     pub(super) fn new(
-        asked: &CrossTraffic,
+        settings: &CrossTraffic,
         drain_ns: f64,
         stream: Stream,
     ) -> Result<Self, LinkSettingsError> {
-        within("cross_traffic.rate_bps", asked.rate_bps, SLOWEST_BPS, FASTEST_BPS)?;
-        within("cross_traffic.packet_bytes", asked.packet_bytes as f64, 1.0, LARGEST as f64)?;
-        let packet_bits = asked.packet_bytes as f64 * 8.0;
-        let per_s = asked.rate_bps / packet_bits;
+        within("cross_traffic.rate_bps", settings.rate_bps, MIN_RATE_BPS, MAX_RATE_BPS)?;
+        within("cross_traffic.packet_bytes", settings.packet_bytes as f64, 1.0, MAX_PACKET_BYTES as f64)?;
+        let packet_bits = settings.packet_bytes as f64 * 8.0;
+        let per_s = settings.rate_bps / packet_bits;
         if per_s > MAX_PER_S {
             return Err(LinkSettingsError::contradiction(
                 "cross_traffic",
                 format!("{per_s} packets/s; at most {MAX_PER_S} are allowed: ask for larger packets"),
             ));
         }
-        let pauses = Pauses::new(asked, stream.nth(1))?;
+        let pauses = Pauses::new(settings, stream.nth(1))?;
         let mean_gap_ns = 1e9 / per_s;
         let settle_ns = (1e9 + 2.0 * drain_ns).min(MAX_TO_SETTLE * mean_gap_ns);
         let mut cross = Self {
-            packet_bytes: asked.packet_bytes as u64,
+            packet_bytes: settings.packet_bytes as u64,
             mean_gap_ns,
             bin_ns: whole(PER_BIN * mean_gap_ns).max(1),
             settle_ns: whole(settle_ns),
@@ -150,9 +150,9 @@ impl Cross {
     }
 }
 
-/// Times at which the other traffic sends and pauses by turns, each exponentially distributed.
+/// Times at which the other traffic sends and pauses alternately, each exponentially distributed.
 ///
-/// Bins of time begin with a state of their own, drawn with the shares of both; one turn in some 500 is cut short or
+/// Bins of time begin with a state of their own, drawn with the shares of both; one period in some 500 is cut short or
 /// prolonged by that.
 #[derive(Clone, Copy, Debug)]
 struct Pauses {
@@ -161,14 +161,14 @@ struct Pauses {
     bin_ns: u64,
     stream: Stream,
     bin: u64,
-    turn: usize,
+    period: usize,
     sends: bool,
     until_ns: f64,
 }
 
 impl Pauses {
-    fn new(asked: &CrossTraffic, stream: Stream) -> Result<Option<Self>, LinkSettingsError> {
-        let (on_s, off_s) = match (asked.mean_on_s, asked.mean_off_s) {
+    fn new(settings: &CrossTraffic, stream: Stream) -> Result<Option<Self>, LinkSettingsError> {
+        let (on_s, off_s) = match (settings.mean_on_s, settings.mean_off_s) {
             (None, None) => return Ok(None),
             (Some(on_s), Some(off_s)) => (on_s, off_s),
             _ => {
@@ -178,19 +178,19 @@ impl Pauses {
                 ));
             }
         };
-        within("cross_traffic.mean_on_s", on_s, SHORTEST_S, LONGEST_S)?;
-        within("cross_traffic.mean_off_s", off_s, SHORTEST_S, LONGEST_S)?;
+        within("cross_traffic.mean_on_s", on_s, MIN_MEAN_S, MAX_MEAN_S)?;
+        within("cross_traffic.mean_off_s", off_s, MIN_MEAN_S, MAX_MEAN_S)?;
         let (mean_on_ns, mean_off_ns) = (on_s * 1e9, off_s * 1e9);
         let bin_ns = whole(PAUSES_PER_BIN * (mean_on_ns + mean_off_ns));
         let mut pauses =
-            Self { mean_on_ns, mean_off_ns, bin_ns, stream, bin: 0, turn: 0, sends: false, until_ns: 0.0 };
+            Self { mean_on_ns, mean_off_ns, bin_ns, stream, bin: 0, period: 0, sends: false, until_ns: 0.0 };
         pauses.begin(0);
         Ok(Some(pauses))
     }
 
     fn begin(&mut self, bin: u64) {
         self.bin = bin;
-        self.turn = 0;
+        self.period = 0;
         let share = self.mean_on_ns / (self.mean_on_ns + self.mean_off_ns);
         self.sends = self.stream.unit(bin) < share;
         self.until_ns = 0.0;
@@ -199,8 +199,8 @@ impl Pauses {
 
     fn prolong(&mut self) {
         let mean_ns = if self.sends { self.mean_on_ns } else { self.mean_off_ns };
-        self.until_ns += mean_ns * exponential(self.stream.at(self.bin, self.turn));
-        self.turn += 1;
+        self.until_ns += mean_ns * exponential(self.stream.at(self.bin, self.period));
+        self.period += 1;
     }
 
     /// Times do not go back.

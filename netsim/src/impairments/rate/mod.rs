@@ -111,7 +111,7 @@ impl Bottleneck {
         Verdict::Deliver { at_ns: self.server.send(arrival_ns, wire_bytes) }
     }
 
-    /// What is on the line by now, or was dropped on the way there, does not wait any more.
+    /// What is on the line by now, or was dropped before, does not wait any more.
     fn take_out(&mut self, now_ns: u64) {
         while let Some(first) = self.waiting.front()
             && first.start_ns <= now_ns
@@ -149,9 +149,9 @@ pub(crate) fn build(
     let bounds = bounds(settings)?;
     let cross = match &settings.cross_traffic {
         None => None,
-        Some(asked) => {
-            let drain_ns = drain_ns(bounds, &server, asked.packet_bytes);
-            Some(Cross::new(asked, drain_ns, streams.of(Impairment::CrossTraffic))?)
+        Some(traffic) => {
+            let drain_ns = drain_ns(bounds, &server, traffic.packet_bytes);
+            Some(Cross::new(traffic, drain_ns, streams.of(Impairment::CrossTraffic))?)
         }
     };
     let codel = (settings.discipline == Discipline::Codel).then(Codel::default);

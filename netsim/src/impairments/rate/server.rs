@@ -10,7 +10,7 @@ const FASTEST_BPS: f64 = 1e11;
 /// Bytes that one opportunity carries.
 const OPPORTUNITY_BYTES: u64 = 1500;
 /// Longest list of opportunities in ms, some thirty years.
-const LONGEST_MS: u64 = 1_000_000_000_000;
+const MAX_TIME_MS: u64 = 1_000_000_000_000;
 /// Most opportunities in a list.
 pub(crate) const MAX_OPPORTUNITIES: usize = 10_000_000;
 const NS_PER_MS: u64 = 1_000_000;
@@ -41,8 +41,8 @@ impl Server {
         Ok(Self::Rate { rate_bps, free_ns: 0 })
     }
 
-    pub(super) fn opportunities(asked: &Opportunities) -> Result<Self, LinkSettingsError> {
-        let Opportunities { time_ms } = asked;
+    pub(super) fn opportunities(settings: &Opportunities) -> Result<Self, LinkSettingsError> {
+        let Opportunities { time_ms } = settings;
         let key = "opportunities.time_ms";
         within(key, time_ms.len() as f64, 1.0, MAX_OPPORTUNITIES as f64).map_err(|_| {
             let seen = time_ms.len();
@@ -61,7 +61,7 @@ impl Server {
             }
         }
         let period_ms = time_ms.last().copied().unwrap_or_default();
-        within(&format!("{key}.{}", time_ms.len() - 1), period_ms as f64, 1.0, LONGEST_MS as f64)?;
+        within(&format!("{key}.{}", time_ms.len() - 1), period_ms as f64, 1.0, MAX_TIME_MS as f64)?;
         let time_ns = time_ms.iter().map(|ms| ms * NS_PER_MS).collect();
         Ok(Self::Schedule(Schedule { time_ns, current: None }))
     }

@@ -1,7 +1,7 @@
 //! Text files of recordings: delays as CSV, link traces of mahimahi, distribution tables of iproute2.
 
-use super::{DelayTrace, LATEST_S, MAX_RECORDS};
-use crate::checks::{MAX_DELAY_S, nanoseconds};
+use super::{DelayTrace, MAX_RECORDS};
+use crate::checks::{MAX_DELAY_S, MAX_TIME_S, nanoseconds};
 use crate::impairments::rate::{MAX_OPPORTUNITIES, Opportunities};
 use crate::packet::Direction;
 
@@ -102,7 +102,7 @@ impl Record {
         let mut seen = 0;
         for field in line.commas() {
             match seen {
-                0 => record.time_s = field.number("time", 0.0, LATEST_S)?,
+                0 => record.time_s = field.number("time", 0.0, MAX_TIME_S)?,
                 // The other direction is checked too: a file is good or it is not.
                 position => {
                     let delay_s = match field.text {
@@ -128,7 +128,7 @@ impl Record {
 }
 
 /// Latest time in ms.
-const LATEST_MS: u64 = 1_000_000_000_000;
+const MAX_TIME_MS: u64 = 1_000_000_000_000;
 
 /// Reads a link trace of mahimahi: a whole number of ms on every line, not decreasing, the last above 0.
 ///
@@ -144,11 +144,11 @@ pub fn parse_mahimahi(bytes: &[u8]) -> Result<Opportunities, ParseError> {
         let field = line.trim();
         let digits = field.text.bytes().all(|byte| byte.is_ascii_digit());
         let ms = match field.text.parse::<u64>() {
-            Ok(ms) if digits && ms <= LATEST_MS => ms,
+            Ok(ms) if digits && ms <= MAX_TIME_MS => ms,
             _ => {
                 let shown = field.shown();
                 return Err(
-                    field.error(format!("{shown}: must be a whole number of ms from 0 to {LATEST_MS}"))
+                    field.error(format!("{shown}: must be a whole number of ms from 0 to {MAX_TIME_MS}"))
                 );
             }
         };
@@ -212,7 +212,7 @@ pub fn parse_dist(bytes: &[u8]) -> Result<Vec<i16>, ParseError> {
 }
 
 /// Longest line in bytes of a file of numbers.
-const LONGEST_LINE: usize = 4096;
+const MAX_LINE_BYTES: usize = 4096;
 /// Most of an unreadable field that is shown.
 const SHOWN: usize = 40;
 
@@ -285,9 +285,9 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = Result<Field<'_>, ParseError>> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);
     bytes.split(|&byte| byte == b'\n').zip(1..).map(|(bytes, line)| {
-        if bytes.len() > LONGEST_LINE {
-            let problem = format!("the line has {} bytes; at most {LONGEST_LINE} are allowed", bytes.len());
-            return Err(ParseError::new(line, LONGEST_LINE + 1, problem));
+        if bytes.len() > MAX_LINE_BYTES {
+            let problem = format!("the line has {} bytes; at most {MAX_LINE_BYTES} are allowed", bytes.len());
+            return Err(ParseError::new(line, MAX_LINE_BYTES + 1, problem));
         }
         match std::str::from_utf8(bytes) {
             Ok(text) => Ok(Field { line, column: 1, text: text.strip_suffix('\r').unwrap_or(text) }),

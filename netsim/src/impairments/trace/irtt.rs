@@ -10,7 +10,7 @@ use crate::checks::MAX_DELAY_S;
 use crate::packet::Direction;
 
 /// Longest measurement in ns.
-const LONGEST_NS: i64 = 1_000_000_000_000_000_000;
+const MAX_SPAN_NS: i64 = 1_000_000_000_000_000_000;
 
 /// What the delays of an [`IrttRecording`] are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +30,7 @@ pub struct IrttRecording {
     pub measured: IrttDelay,
 }
 
-/// Most of a problem that is told: the file's own words are in it.
+/// Longest text of a problem that is repeated: the file's own words are in it.
 const TOLD: usize = 200;
 
 /// A problem as a line that a person reads.
@@ -107,8 +107,8 @@ impl File {
                 Some(Seen::Delayed { delay_s }) => Some(delay_s),
             };
             let since_ns = packet.tick.checked_sub(first).and_then(|ticks| ticks.checked_mul(ns_per_tick));
-            let Some(since_ns) = since_ns.filter(|since_ns| *since_ns <= LONGEST_NS) else {
-                return Err(format!("round trips span more than {LONGEST_NS} ns"));
+            let Some(since_ns) = since_ns.filter(|since_ns| *since_ns <= MAX_SPAN_NS) else {
+                return Err(format!("round trips span more than {MAX_SPAN_NS} ns"));
             };
             delays.time_s.push(since_ns as f64 / 1e9);
             delays.delay_s.push(delay_s);

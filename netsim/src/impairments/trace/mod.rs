@@ -19,7 +19,7 @@ pub use irtt::{IrttDelay, IrttRecording, parse_irtt};
 
 use serde::{Deserialize, Serialize};
 
-use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, within};
+use crate::checks::{LinkSettingsError, MAX_DELAY_S, MAX_TIME_S, nanoseconds, within};
 use crate::impairments::LinkSettings;
 use crate::impairments::Streams;
 use crate::packet::Packet;
@@ -28,8 +28,6 @@ use crate::verdict::{DropCause, Verdict};
 
 /// Most records of a recording.
 const MAX_RECORDS: usize = 10_000_000;
-/// Latest time of a record in s.
-const LATEST_S: f64 = 1e9;
 
 /// Recorded delays and losses.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -59,13 +57,13 @@ struct Playback {
 }
 
 impl Playback {
-    fn new(asked: &DelayTrace) -> Self {
-        let time_s = asked.time_s.as_slice();
+    fn new(trace: &DelayTrace) -> Self {
+        let time_s = trace.time_s.as_slice();
         let [.., before, last] = time_s else {
             return Self { period_ns: None };
         };
         let period_ns = 2 * nanoseconds(*last) - nanoseconds(*before);
-        Self { period_ns: asked.repeat.then_some(period_ns) }
+        Self { period_ns: trace.repeat.then_some(period_ns) }
     }
 
     fn position(&self, now_ns: u64) -> u64 {
@@ -78,8 +76,8 @@ impl Playback {
 pub(crate) struct TraceLoss {
     playback: Playback,
     starts_lost: bool,
-    /// When losing begins and ends by turns.
-    turns_ns: Vec<u64>,
+    /// When losing begins and ends, alternately.
+    edges_ns: Vec<u64>,
 }
 
 /// The rule that loses what was lost in the recording.
@@ -87,22 +85,22 @@ pub(crate) fn build_loss(
     settings: &LinkSettings,
     _: &Streams,
 ) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
-    let Some(asked) = &settings.trace else {
+    let Some(trace) = &settings.trace else {
         return Ok(None);
     };
-    check(settings, asked)?;
-    let lost = |position: usize| asked.delay_s[position].is_none();
-    let turns = (1..asked.delay_s.len()).filter(|&position| lost(position) != lost(position - 1));
-    let turns_ns = turns.map(|position| nanoseconds(asked.time_s[position])).collect();
-    let rule = TraceLoss { playback: Playback::new(asked), starts_lost: lost(0), turns_ns };
-    Ok((rule.starts_lost || !rule.turns_ns.is_empty()).then(|| Box::new(rule) as Box<dyn Rule>))
+    check(settings, trace)?;
+    let lost = |position: usize| trace.delay_s[position].is_none();
+    let edges = (1..trace.delay_s.len()).filter(|&position| lost(position) != lost(position - 1));
+    let edges_ns = edges.map(|position| nanoseconds(trace.time_s[position])).collect();
+    let rule = TraceLoss { playback: Playback::new(trace), starts_lost: lost(0), edges_ns };
+    Ok((rule.starts_lost || !rule.edges_ns.is_empty()).then(|| Box::new(rule) as Box<dyn Rule>))
 }
 
 impl Rule for TraceLoss {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
         let now_ns = self.playback.position(packet.sent_ns);
-        let turns = self.turns_ns.partition_point(|&turn_ns| turn_ns <= now_ns);
-        if self.starts_lost ^ (turns % 2 == 1) {
+        let edges = self.edges_ns.partition_point(|&edge_ns| edge_ns <= now_ns);
+        if self.starts_lost ^ (edges % 2 == 1) {
             Verdict::Drop { cause: DropCause::Trace }
         } else {
             Verdict::Deliver { at_ns }
@@ -125,15 +123,15 @@ pub(crate) fn build_delay(
     settings: &LinkSettings,
     _: &Streams,
 ) -> Result<Option<Box<dyn Rule>>, LinkSettingsError> {
-    let Some(asked) = &settings.trace else {
+    let Some(trace) = &settings.trace else {
         return Ok(None);
     };
-    check(settings, asked)?;
+    check(settings, trace)?;
     Ok(Some(Box::new(TraceDelay {
-        playback: Playback::new(asked),
-        time_ns: asked.time_s.iter().map(|&time_s| nanoseconds(time_s)).collect(),
-        delay_ns: asked.delay_s.iter().map(|delay_s| delay_s.map(nanoseconds)).collect(),
-        interpolate: asked.interpolate,
+        playback: Playback::new(trace),
+        time_ns: trace.time_s.iter().map(|&time_s| nanoseconds(time_s)).collect(),
+        delay_ns: trace.delay_s.iter().map(|delay_s| delay_s.map(nanoseconds)).collect(),
+        interpolate: trace.interpolate,
     })))
 }
 
@@ -168,7 +166,7 @@ pub(crate) fn between(from: u64, to: u64, passed: u64, whole: u64) -> u64 {
     if to >= from { from + change } else { from - change }
 }
 
-fn check(settings: &LinkSettings, asked: &DelayTrace) -> Result<(), LinkSettingsError> {
+fn check(settings: &LinkSettings, trace: &DelayTrace) -> Result<(), LinkSettingsError> {
     let beside = [
         ("delay_s", settings.delay_s != 0.0),
         ("jitter_s", settings.jitter_s != 0.0),
@@ -181,7 +179,7 @@ fn check(settings: &LinkSettings, asked: &DelayTrace) -> Result<(), LinkSettings
             format!("given beside {key}; it takes its place"),
         ));
     }
-    let (times, delays) = (asked.time_s.len(), asked.delay_s.len());
+    let (times, delays) = (trace.time_s.len(), trace.delay_s.len());
     if times != delays || times == 0 || times > MAX_RECORDS {
         return Err(LinkSettingsError::contradiction(
             "trace",
@@ -189,9 +187,9 @@ fn check(settings: &LinkSettings, asked: &DelayTrace) -> Result<(), LinkSettings
         ));
     }
     let mut before_ns = None;
-    for (position, &time_s) in asked.time_s.iter().enumerate() {
-        if !(0.0..=LATEST_S).contains(&time_s) {
-            within(&format!("trace.time_s.{position}"), time_s, 0.0, LATEST_S)?;
+    for (position, &time_s) in trace.time_s.iter().enumerate() {
+        if !(0.0..=MAX_TIME_S).contains(&time_s) {
+            within(&format!("trace.time_s.{position}"), time_s, 0.0, MAX_TIME_S)?;
         }
         let time_ns = nanoseconds(time_s);
         if before_ns.is_some_and(|before_ns| time_ns <= before_ns) {
@@ -202,7 +200,7 @@ fn check(settings: &LinkSettings, asked: &DelayTrace) -> Result<(), LinkSettings
         }
         before_ns = Some(time_ns);
     }
-    for (position, delay_s) in asked.delay_s.iter().enumerate() {
+    for (position, delay_s) in trace.delay_s.iter().enumerate() {
         if let Some(delay_s) = *delay_s
             && !(0.0..=MAX_DELAY_S).contains(&delay_s)
         {
