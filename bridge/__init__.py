@@ -25,23 +25,11 @@ from haptether.bridge.devices.find import MASTERS, SLAVES, device_names, load_ma
 from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
 from haptether.bridge.recording import RecordedCause, RecordedStep, Recording, read_recording
-from haptether.bridge.scene import load_scene, override_scene, scene_json, scene_names
-from haptether.bridge.scene_error import SceneError
-from haptether.bridge.scene_far import (
-    BodyTable,
-    Box,
-    ContactTable,
-    EnvironmentTable,
-    ForceSensorTable,
-    MotionTable,
-    ObjectTable,
-    Plane,
-    PusherTable,
-    SlaveTable,
-    Sphere,
-    Spring,
-)
-from haptether.bridge.scene_near import (
+from haptether.bridge.scene.errors import SceneError
+from haptether.bridge.scene.load import load_scene, override_scene, scene_json, scene_names
+from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
+from haptether.bridge.scene.sweep import Sweep, sweep
+from haptether.bridge.scene.tables.master import (
     LegTable,
     MasterTable,
     OperatorTable,
@@ -50,9 +38,7 @@ from haptether.bridge.scene_near import (
     SeriesTable,
     TremorTable,
 )
-from haptether.bridge.scene_run import Event, Metrics, Run, Signals, simulate
-from haptether.bridge.scene_sweep import Sweep, sweep
-from haptether.bridge.scene_tables import (
+from haptether.bridge.scene.tables.session import (
     AdaptiveWindow,
     BackwardDifference,
     ChangeTable,
@@ -69,6 +55,20 @@ from haptether.bridge.scene_tables import (
     SavitzkyGolay,
     Scene,
     SecurityTable,
+)
+from haptether.bridge.scene.tables.slave import (
+    BodyTable,
+    Box,
+    ContactTable,
+    EnvironmentTable,
+    ForceSensorTable,
+    MotionTable,
+    ObjectTable,
+    Plane,
+    PusherTable,
+    SlaveTable,
+    Sphere,
+    Spring,
 )
 from haptether.bridge.session_key import read_key, wipe_key, write_key
 from haptether.bridge.virtual_run import run_bridge

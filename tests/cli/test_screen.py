@@ -19,7 +19,7 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from haptether.bridge import Metrics, Run, Sweep
-from haptether.bridge.scene_run import Signals
+from haptether.bridge.scene.run import Signals
 from haptether.cli import main
 from haptether.cli.entry import COMMANDS
 from haptether.cli.live.explain import Explain

@@ -6,7 +6,7 @@ from typing import Any
 
 from msgspec import inspect
 
-from haptether.bridge.scene_error import Path, types_at
+from haptether.bridge.scene.errors import Path, types_at
 
 Plain = dict[str, Any]
 

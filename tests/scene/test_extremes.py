@@ -10,7 +10,7 @@ import pytest
 from tests.scene.extremes import BASES, changed, extremes, numbers
 
 from haptether.bridge import SceneError, simulate
-from haptether.bridge.scene import scene_from_plain
+from haptether.bridge.scene.load import scene_from_plain
 
 pytestmark = pytest.mark.slow
 

@@ -26,7 +26,7 @@ from haptether.bridge import (
     simulate,
     sweep,
 )
-from haptether.bridge.scene_sweep import sweep_columns
+from haptether.bridge.scene.sweep import sweep_columns
 from haptether.netsim import LinkSettings, link_spec
 from haptether.studies import RAVEN_ATTACKS
 
@@ -338,7 +338,7 @@ def test_the_package_offers_both_without_loading_them() -> None:
 
     program = (
         "import sys, haptether\nassert not {'numpy', 'msgspec', 'haptether.bridge'} & set(sys.modules)\n"
-        "assert haptether.simulate.__module__ == 'haptether.bridge.scene_run'\nassert haptether.sweep"
+        "assert haptether.simulate.__module__ == 'haptether.bridge.scene.run'\nassert haptether.sweep"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
     assert haptether.simulate is simulate

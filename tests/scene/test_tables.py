@@ -34,7 +34,7 @@ from haptether.bridge import (
     scene_json,
     scene_names,
 )
-from haptether.bridge.scene_error import types_at
+from haptether.bridge.scene.errors import types_at
 from haptether.master import DEVICE_PRESETS
 from haptether.netsim import (
     Alter,

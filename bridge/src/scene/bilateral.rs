@@ -10,7 +10,7 @@ use haptether_safety::{Axes, Fault, controller::Tripped};
 use haptether_slave::SimulatedSlave;
 
 use super::{
-    build::{
+    assemble::{
         SceneError, clutch, exact_master, is_continuous, measures, period_ns, stepped_master, stepping, ticks,
     },
     coupled::{Present, acts},

@@ -3,7 +3,7 @@
 use haptether_safety::Axes;
 
 use super::{
-    build::SceneError,
+    assemble::SceneError,
     spec::{ChangeSpec, CouplingSpec, LadderSpec},
 };
 use crate::{

@@ -3,7 +3,7 @@
 use haptether_slave::SimulatedSlave;
 
 use super::{
-    build::{
+    assemble::{
         SceneError, arm, axes, device_model, driven_clutch, environment, estimator, exact_master,
         force_sensor, limiter, live_clutch, period_ns, safety_settings, stepped_master, stepping,
     },

@@ -1,7 +1,7 @@
 //! Scenes: a whole experiment as one value, run in virtual time alone or by the thousand.
 
+mod assemble;
 mod bilateral;
-mod build;
 mod coupled;
 mod events;
 mod live;
@@ -13,7 +13,7 @@ mod spec;
 mod sweep;
 mod timed;
 
-pub use build::{SceneError, scene_environment};
+pub use assemble::{SceneError, scene_environment};
 pub use events::SceneEvent;
 pub use live::{driven_master, driven_slave, simulated_master, simulated_slave};
 pub use measures::{Divergence, DivergenceCause, Ending, Outcome};

@@ -5,11 +5,11 @@ use std::sync::atomic::AtomicBool;
 use haptether_master::SimulatedMaster;
 
 use super::{
-    bilateral,
-    build::{
+    assemble::{
         SceneError, environment, exact_master, is_continuous, is_plain, late, measures, period_ns,
         rendered_walls, stepped_master, stepping, ticks, watch,
     },
+    bilateral,
     events::{EventLog, SceneEvent},
     local::LocalRun,
     measures::{Ending, Measures, Outcome},

@@ -1,6 +1,6 @@
 //! A scene as numbers: what the TOML file says, checked and with its defaults filled in.
 //!
-//! The tables, their documentation, ranges and defaults are those of `bridge/scene.py`, which reads the file. Here
+//! The tables, their documentation, ranges and defaults are those of `bridge/scene/tables/`, which reads the file. Here
 //! every field is required, so that a table that the two sides describe differently cannot be misread.
 
 use haptether_netsim::{ClockSettings, LinkSettings};

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{
-    build::{SceneError, is_continuous, is_plain, rendered_walls, stepped_master, stepping},
+    assemble::{SceneError, is_continuous, is_plain, rendered_walls, stepped_master, stepping},
     local::LocalRun,
     measures::Outcome,
     run::{check_local, local_run, simulate},

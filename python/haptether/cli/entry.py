@@ -242,7 +242,7 @@ def check_command(arguments: Sequence[str], commands: "dict[str, type[Any]]") ->
         ValueError: With the nearest.
     """
     if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
-        from haptether.bridge.scene_error import closest
+        from haptether.bridge.scene.errors import closest
 
         message = f"{arguments[0][:80]}: no such command: {closest(arguments[0], commands)}"
         raise ValueError(message)

@@ -59,7 +59,7 @@ class LinkOptions:
         Raises:
             SceneError: A scene, flag or setting that cannot be.
         """
-        from haptether.bridge.scene import overridden
+        from haptether.bridge.scene.load import overridden
         from haptether.cli.shared.numbers import check_seed
 
         plain, seed, folder = _read(scene)
@@ -115,7 +115,7 @@ def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
 
 def _shipped(scene: str) -> Path:
     from haptether.bridge import load_scene
-    from haptether.bridge.scene import scene_path
+    from haptether.bridge.scene.load import scene_path
 
     load_scene(scene)
     return scene_path(scene)
@@ -136,9 +136,9 @@ def _toml(path: Path) -> dict[str, Any]:
 def _typed(plain: dict[str, Any], folder: Path, seed: int) -> Links:
     import msgspec
 
-    from haptether.bridge.scene_error import explained, refuse_infinite
-    from haptether.bridge.scene_links import embedded_links, spec_of_links
-    from haptether.bridge.scene_tables import LinksTable
+    from haptether.bridge.scene.errors import explained, refuse_infinite
+    from haptether.bridge.scene.links import embedded_links, spec_of_links
+    from haptether.bridge.scene.tables.session import LinksTable
     from haptether.netsim import LinkSettings
 
     refuse_infinite(plain)

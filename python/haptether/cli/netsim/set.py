@@ -81,8 +81,8 @@ def requested(settings: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     Raises:
         SceneError: One that is none, a setting that there is not, or a value that TOML does not know.
     """
-    from haptether.bridge.scene import path_of, toml_value
-    from haptether.bridge.scene_error import SceneError
+    from haptether.bridge.scene.errors import SceneError
+    from haptether.bridge.scene.load import path_of, toml_value
 
     request: dict[str, dict[str, Any]] = {}
     for setting in settings:

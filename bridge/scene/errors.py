@@ -8,7 +8,7 @@ from typing import TypeAlias, cast
 
 from msgspec import ValidationError, inspect
 
-from haptether.bridge.scene_tables import Scene
+from haptether.bridge.scene.tables.session import Scene
 from haptether.printable import printable
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | tuple[Plain, ...] | str | int | float | bool | None"

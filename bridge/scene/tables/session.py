@@ -4,9 +4,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from msgspec import Meta, Struct
 
-from haptether.bridge.scene_far import EnvironmentTable, SlaveTable
-from haptether.bridge.scene_near import MasterTable, OperatorTable
-from haptether.bridge.scene_ranges import (
+from haptether.bridge.scene.tables.master import MasterTable, OperatorTable
+from haptether.bridge.scene.tables.ranges import (
     LARGEST,
     AxisIndices,
     ClockDrift,
@@ -28,6 +27,7 @@ from haptether.bridge.scene_ranges import (
     StopAfter,
     Unbounded,
 )
+from haptether.bridge.scene.tables.slave import EnvironmentTable, SlaveTable
 from haptether.netsim import LinkSettings
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from msgspec import ValidationError, convert, to_builtins
 from msgspec.structs import replace
 
-from haptether.bridge.scene_error import SceneError
-from haptether.bridge.scene_links import embedded_links
-from haptether.bridge.scene_near import SeriesTable
-from haptether.bridge.scene_tables import Scene
+from haptether.bridge.scene.errors import SceneError
+from haptether.bridge.scene.links import embedded_links
+from haptether.bridge.scene.tables.master import SeriesTable
+from haptether.bridge.scene.tables.session import Scene
 
 
 def embed_recordings(scene: Scene, folder: FilePath) -> Scene:

@@ -4,7 +4,7 @@ from typing import Literal
 
 from msgspec import Struct, json
 
-from haptether.bridge.scene_ranges import (
+from haptether.bridge.scene.tables.ranges import (
     Axis,
     ClutchTimes,
     Duration,

@@ -6,8 +6,8 @@ from typing import Any, Literal, TypeVar
 
 from msgspec.structs import replace
 
-from haptether.bridge.scene_error import Path, SceneError, place
-from haptether.bridge.scene_tables import LinksTable
+from haptether.bridge.scene.errors import Path, SceneError, place
+from haptether.bridge.scene.tables.session import LinksTable
 from haptether.netsim import LinkError, LinkSettings, link_spec, with_files
 
 _Made = TypeVar("_Made")

@@ -4,21 +4,11 @@ from collections.abc import Iterator
 from itertools import pairwise
 from math import exp, hypot, log
 
-from haptether.bridge.scene_error import Path, SceneError, contradiction, wrong
-from haptether.bridge.scene_far import (
-    SIMULATED,
-    ContactTable,
-    EnvironmentTable,
-    ObjectTable,
-    Plane,
-    PusherTable,
-    SlaveTable,
-    Spring,
-)
-from haptether.bridge.scene_near import OperatorTable
-from haptether.bridge.scene_ranges import MAX_TICKS
-from haptether.bridge.scene_spec import Spec, most_damping, spec_of
-from haptether.bridge.scene_tables import (
+from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
+from haptether.bridge.scene.resolve import Spec, most_damping, spec_of
+from haptether.bridge.scene.tables.master import OperatorTable
+from haptether.bridge.scene.tables.ranges import MAX_TICKS
+from haptether.bridge.scene.tables.session import (
     ClockTable,
     CouplingTable,
     LadderTable,
@@ -29,6 +19,16 @@ from haptether.bridge.scene_tables import (
     SafetyTable,
     SavitzkyGolay,
     Scene,
+)
+from haptether.bridge.scene.tables.slave import (
+    SIMULATED,
+    ContactTable,
+    EnvironmentTable,
+    ObjectTable,
+    Plane,
+    PusherTable,
+    SlaveTable,
+    Spring,
 )
 
 SLAVE_PERIOD_S = (1e-5, 2e-2)

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from msgspec import Struct, convert
 
 from haptether import _core
-from haptether.bridge.scene import load_scene, override_scene, scene_json
-from haptether.bridge.scene_tables import Scene
+from haptether.bridge.scene.load import load_scene, override_scene, scene_json
+from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
 

@@ -6,12 +6,12 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from haptether.bridge.scene_error import Path, SceneError, contradiction, place, wrong
-from haptether.bridge.scene_far import ObjectTable, Plane, PusherTable, SlaveTable
-from haptether.bridge.scene_links import spec_of_links
-from haptether.bridge.scene_near import MasterTable, OperatorTable, SeriesTable
-from haptether.bridge.scene_ranges import MIN_DURATION_S
-from haptether.bridge.scene_tables import AdaptiveWindow, CouplingTable, Kalman, LadderTable, Scene
+from haptether.bridge.scene.errors import Path, SceneError, contradiction, place, wrong
+from haptether.bridge.scene.links import spec_of_links
+from haptether.bridge.scene.tables.master import MasterTable, OperatorTable, SeriesTable
+from haptether.bridge.scene.tables.ranges import MIN_DURATION_S
+from haptether.bridge.scene.tables.session import AdaptiveWindow, CouplingTable, Kalman, LadderTable, Scene
+from haptether.bridge.scene.tables.slave import ObjectTable, Plane, PusherTable, SlaveTable
 from haptether.master import DEVICE_PRESETS
 
 Spec: TypeAlias = dict[str, Any]

@@ -58,7 +58,7 @@ pub(crate) fn driven_clutch(scene: &SceneSpec, simulated: bool) -> Result<Clutch
     }
 }
 
-/// Shortest leg of a path in s; `bridge/scene_spec.py` lets no two points of a recording be closer.
+/// Shortest leg of a path in s; `bridge/scene/resolve.py` lets no two points of a recording be closer.
 const MIN_LEG_S: f64 = 1e-9;
 
 fn path<const N: usize>(spec: &OperatorSpec) -> Result<Path<N>, SceneError> {

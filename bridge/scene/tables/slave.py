@@ -4,8 +4,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from msgspec import Meta, Struct, json
 
-from haptether.bridge.scene_near import SeriesTable
-from haptether.bridge.scene_ranges import (
+from haptether.bridge.scene.tables.master import SeriesTable
+from haptether.bridge.scene.tables.ranges import (
     Acceleration,
     Duration,
     ForcePerAxis,

@@ -20,11 +20,11 @@ import numpy.typing as npt
 from msgspec import inspect
 
 from haptether import _core
-from haptether.bridge.scene import path_of, scene_json, scene_spec, typed_scene, with_value
-from haptether.bridge.scene_checks import checked_spec
-from haptether.bridge.scene_error import Path, Plain, SceneError, allowed_at, place, shown, types_at, wrong
-from haptether.bridge.scene_run import named_scene
-from haptether.bridge.scene_tables import Scene
+from haptether.bridge.scene.checks import checked_spec
+from haptether.bridge.scene.errors import Path, Plain, SceneError, allowed_at, place, shown, types_at, wrong
+from haptether.bridge.scene.load import path_of, scene_json, scene_spec, typed_scene, with_value
+from haptether.bridge.scene.run import named_scene
+from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
 Array: TypeAlias = npt.NDArray[np.float64]

@@ -10,8 +10,8 @@ from typing import Any, cast
 import msgspec
 from msgspec import inspect
 
-from haptether.bridge.scene_checks import checked_spec
-from haptether.bridge.scene_error import (
+from haptether.bridge.scene.checks import checked_spec
+from haptether.bridge.scene.errors import (
     Path,
     Plain,
     SceneError,
@@ -24,10 +24,10 @@ from haptether.bridge.scene_error import (
     types_at,
     unknown_key,
 )
-from haptether.bridge.scene_series import embed_recordings
-from haptether.bridge.scene_tables import Scene
+from haptether.bridge.scene.series import embed_recordings
+from haptether.bridge.scene.tables.session import Scene
 
-_SHIPPED = FilePath(__file__).parent / "scenes"
+_SHIPPED = FilePath(__file__).parents[1] / "scenes"
 MAX_BYTES = 1 << 18
 """Of a scene's file."""
 MAX_PARTS = 12

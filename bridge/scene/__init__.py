@@ -1,0 +1,1 @@
+"""Scenes: tables, checks, the numbers that the Rust side takes, runs and sweeps."""

@@ -1,0 +1,1 @@
+"""The tables of a scene, as a user writes them."""
