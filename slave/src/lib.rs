@@ -23,6 +23,7 @@ mod random;
 mod reach;
 mod rendered;
 mod set_point;
+mod settings;
 mod shape;
 mod simulated;
 mod solve;
@@ -45,6 +46,10 @@ pub use motion::ObjectMotion;
 pub use object::Object;
 pub use pusher::{PushShape, Pusher, Series};
 pub use rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
+pub use settings::{
+    ArmSettings, BodySettings, ContactLawKind, ContactSettings, ControlKind, ForceSensorSettings,
+    ObjectMotionSettings, ObjectSettings, PushKind, PusherSettings, SeriesSettings, ShapeSettings,
+};
 pub use shape::Shape;
 pub use simulated::{SimulatedSlave, SlaveSample};
 pub use ur_inverse::{UrBranches, UrUnreached};
