@@ -22,7 +22,9 @@ use haptether_bridge::{
     wire::{Frame, MAX_FRAME, Role},
 };
 use haptether_safety::{
-    Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
+    Axes, DeviceModel, LimiterSettings,
+    controller::{ControllerKind, SafetySettings},
+    estimator::EstimatorKind,
 };
 
 const PERIOD_NS: u64 = 1_000_000;
@@ -117,7 +119,7 @@ fn endpoints() -> [Endpoint; 2] {
         session: 1,
         device: DeviceModel::phantom_desktop(),
         estimator: EstimatorKind::default(),
-        safety: SafetySettings { wsc: true, ..SafetySettings::default() },
+        safety: SafetySettings { controllers: [ControllerKind::Wsc].into(), ..SafetySettings::default() },
         limiter: LimiterSettings::default(),
         force_scale: 1.0,
         ladder,

@@ -13,7 +13,9 @@ use haptether_bridge::{
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::{ClockSettings, EndpointClock, LinkSettings};
 use haptether_safety::{
-    Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
+    Axes, DeviceModel, LimiterSettings,
+    controller::{ControllerKind, SafetySettings},
+    estimator::EstimatorKind,
 };
 use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
 
@@ -398,8 +400,14 @@ fn a_stopped_master_stays_stopped_whatever_arrives() {
 #[test]
 fn nothing_is_exerted_without_a_peer_however_the_hand_moves() {
     for safety in [
-        SafetySettings { wsc: true, pc: true, ..SafetySettings::default() },
-        SafetySettings { hsc: true, vfc: true, ..SafetySettings::default() },
+        SafetySettings {
+            controllers: [ControllerKind::Wsc, ControllerKind::Pc].into(),
+            ..SafetySettings::default()
+        },
+        SafetySettings {
+            controllers: [ControllerKind::Hsc, ControllerKind::Vfc].into(),
+            ..SafetySettings::default()
+        },
     ] {
         let mut endpoint = MasterEndpoint::<1>::new(&MasterSettings { safety, ..master_settings() }).unwrap();
         for tick in 0..500_u32 {

@@ -20,7 +20,7 @@ use haptether_bridge::{
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, SimulatedMaster};
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings,
-    controller::SafetySettings,
+    controller::{ControllerKind, SafetySettings},
     estimator::{EstimatorKind, Fit},
 };
 use haptether_slave::{ArmParameters, Pusher, SimulatedSlave, Wall};
@@ -59,7 +59,7 @@ const MS: u64 = 1_000_000;
 #[test]
 fn a_tick_of_both_sides_allocates_nothing() {
     for estimator in [
-        EstimatorKind::BackwardDifference,
+        EstimatorKind::BackwardDifference {},
         EstimatorKind::LowPass { cutoff_hz: 30.0 },
         EstimatorKind::AdaptiveWindow { noise_bound_m: 2.3e-5, max_window: 32, fit: Fit::Best },
         EstimatorKind::SavitzkyGolay { degree: 2, window: 21 },
@@ -73,8 +73,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let device = DeviceParameters { stops, ..DeviceParameters::phantom_desktop() };
         let mut plant = SimulatedMaster::new(device, hand, 0).unwrap();
         plant.set_waiting(true);
-        let safety =
-            SafetySettings { vfc: true, hsc: true, wsc: true, pc: true, ..SafetySettings::default() };
+        let safety = SafetySettings { controllers: ControllerKind::ALL.into(), ..SafetySettings::default() };
         let endpoint = MasterEndpoint::new(&MasterSettings {
             period_ns: MS,
             session: 1,

@@ -3,7 +3,7 @@
 
 use haptether_safety::{
     Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer,
-    controller::SafetySettings,
+    controller::{ControllerKind, SafetySettings},
     estimator::{EstimatorKind, Fit},
 };
 
@@ -44,7 +44,11 @@ fn every_estimator_comes_to_rest_at_the_largest_damping() {
         EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
         EstimatorKind::default(),
     ] {
-        let safety = SafetySettings { hsc: true, damping: most, ..SafetySettings::default() };
+        let safety = SafetySettings {
+            controllers: [ControllerKind::Hsc].into(),
+            damping: most,
+            ..SafetySettings::default()
+        };
         let speed = speed_at_rest(estimator, safety);
         // One count a tick is 0.023 m/s: below it an encoder cannot tell a creeping device from a resting one.
         assert!(speed < QUANTUM / PERIOD_S, "{estimator:?}: {speed} m/s");

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // the settings of these tests are valid
 
 use haptether_safety::controller::{
-    HandGraspController, Intervention, PassivityController, SafetyController, SafetySettings,
+    ControllerKind, HandGraspController, Intervention, PassivityController, SafetyController, SafetySettings,
     VelocityForceController, WindowedSafetyController,
 };
 use haptether_safety::estimator::{AnyEstimator, Estimator, EstimatorKind, Fit, MeasuredVelocity, Motion};
@@ -103,16 +103,18 @@ fn device<const N: usize>(numbers: &Numbers) -> DeviceModel<N> {
     .unwrap()
 }
 
-fn safety(([vfc, hsc, wsc, pc], both, window): Shared, numbers: &Numbers) -> SafetySettings {
+fn safety((on, both, window): Shared, numbers: &Numbers) -> SafetySettings {
     let (_, thresholds, energies, _) = *numbers;
     let [damping, velocity_threshold, vfc_force_threshold_n, grasp_threshold, grasp_floor_n, hsc_force] =
         thresholds;
     let [energy_threshold_j, energy_ratio, pc_max_damping, hold_off_s, ramp] = energies;
     SafetySettings {
-        vfc,
-        hsc,
-        wsc,
-        pc,
+        controllers: ControllerKind::ALL
+            .into_iter()
+            .zip(on)
+            .filter(|(_, on)| *on)
+            .map(|(kind, _)| kind)
+            .collect(),
         damping,
         velocity_threshold,
         vfc_force_threshold_n,
@@ -140,7 +142,7 @@ fn kind(which: usize, numbers: &Numbers) -> EstimatorKind {
     let own = numbers.3[0];
     let noise_bound_m = QUANTUM_M * own;
     match which {
-        0 => EstimatorKind::BackwardDifference,
+        0 => EstimatorKind::BackwardDifference {},
         1 => EstimatorKind::LowPass { cutoff_hz: 10.0 * own },
         2 => EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
         3 => EstimatorKind::Kalman { jerk_density: 10.0 * own, quantum_m: QUANTUM_M },
@@ -463,7 +465,10 @@ fn gathers(change: impl FnOnce(&mut LayerSettings<1>)) -> bool {
         device: DeviceModel::phantom_desktop(),
         period_s: PERIOD_S,
         estimator: EstimatorKind::default(),
-        safety: SafetySettings { vfc: true, wsc: true, ..SafetySettings::default() },
+        safety: SafetySettings {
+            controllers: [ControllerKind::Vfc, ControllerKind::Wsc].into(),
+            ..SafetySettings::default()
+        },
         limiter: LimiterSettings::default(),
     };
     let mut layers = vec![SafetyLayer::new(&settings).unwrap(); LANES - 1];
@@ -480,11 +485,11 @@ fn only_what_takes_the_same_way_is_gathered() {
     assert!(gathers(|of| of.limiter.ramp_in_s = 0.1));
     assert!(gathers(|of| of.estimator = EstimatorKind::Kalman { jerk_density: 1e4, quantum_m: QUANTUM_M }));
     assert!(!gathers(|of| of.period_s = 2e-3));
-    assert!(!gathers(|of| of.safety.hsc = true));
-    assert!(!gathers(|of| of.safety.vfc = false));
+    assert!(!gathers(|of| of.safety.controllers = of.safety.controllers.with(ControllerKind::Hsc, true)));
+    assert!(!gathers(|of| of.safety.controllers = of.safety.controllers.with(ControllerKind::Vfc, false)));
     assert!(!gathers(|of| of.safety.window = 50));
     assert!(!gathers(|of| of.safety.vfc_form = VelocityForceForm::Both));
-    assert!(!gathers(|of| of.estimator = EstimatorKind::BackwardDifference));
+    assert!(!gathers(|of| of.estimator = EstimatorKind::BackwardDifference {}));
     let too_few = vec![Limiter::<1>::new(PERIOD_S, LimiterSettings::default()).unwrap(); LANES - 1];
     assert!(Limiter::<1, AutoF64x8>::gather(&too_few).is_none());
 }

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // the settings of these tests are valid
 
-use haptether_safety::controller::{Intervention, SafetyController, SafetySettings, Tripped};
+use haptether_safety::controller::{ControllerKind, Intervention, SafetyController, SafetySettings, Tripped};
 use haptether_safety::estimator::{Estimator, EstimatorKind, Fit, Motion};
 use haptether_safety::observer::{
     HandGraspObserver, PassivityObserver, SafetyObserver, VelocityForceForm, VelocityForceObserver,
@@ -21,7 +21,7 @@ const QUANTUM_M: f64 = 2.3e-5;
 
 /// The linear ones, and then those whose windows follow the motion.
 const KINDS: [EstimatorKind; 8] = [
-    EstimatorKind::BackwardDifference,
+    EstimatorKind::BackwardDifference {},
     EstimatorKind::LowPass { cutoff_hz: 30.0 },
     EstimatorKind::SavitzkyGolay { degree: 2, window: 15 },
     EstimatorKind::SavitzkyGolay { degree: 3, window: 31 },
@@ -65,18 +65,18 @@ fn positions(ticks: usize) -> impl Strategy<Value = Vec<[f64; 3]>> {
 /// All switches, and thresholds that random samples meet from both sides.
 fn controllers() -> impl Strategy<Value = SafetySettings> {
     let switches = prop::array::uniform4(any::<bool>());
-    (switches, any::<bool>(), 0.0..0.02, 0.0..0.02).prop_map(|([vfc, hsc, wsc, pc], both, hold, ramp)| {
-        SafetySettings {
-            vfc,
-            hsc,
-            wsc,
-            pc,
-            vfc_form: if both { VelocityForceForm::Both } else { VelocityForceForm::Product },
-            window: 20,
-            hold_off_s: hold,
-            release_ramp_s: ramp,
-            ..SafetySettings::default()
-        }
+    (switches, any::<bool>(), 0.0..0.02, 0.0..0.02).prop_map(|(on, both, hold, ramp)| SafetySettings {
+        controllers: ControllerKind::ALL
+            .into_iter()
+            .zip(on)
+            .filter(|(_, on)| *on)
+            .map(|(kind, _)| kind)
+            .collect(),
+        vfc_form: if both { VelocityForceForm::Both } else { VelocityForceForm::Product },
+        window: 20,
+        hold_off_s: hold,
+        release_ramp_s: ramp,
+        ..SafetySettings::default()
     })
 }
 
@@ -259,7 +259,7 @@ proptest! {
         samples in samples(100),
     ) {
         let by = Rotation3::from_euler_angles(angles[0], angles[1], angles[2]);
-        let all = SafetySettings { vfc: true, hsc: true, wsc: true, pc: true, ..settings };
+        let all = SafetySettings { controllers: ControllerKind::ALL.into(), ..settings };
         let mut observers = SafetyController::new(&device(), PERIOD_S, &all).unwrap();
         let mut turned_observers = observers.clone();
         let mut controller = SafetyController::new(&device(), PERIOD_S, &settings).unwrap();
@@ -323,7 +323,7 @@ proptest! {
         samples in samples(100),
     ) {
         // WSO replaces its sum once per turn of its ring, so a shift changes its rounding: it has its own test.
-        let settings = SafetySettings { wsc: false, ..settings };
+        let settings = SafetySettings { controllers: settings.controllers.with(ControllerKind::Wsc, false), ..settings };
         let (mut new, mut rested) = (layer::<3>(settings, kind, limits()), layer::<3>(settings, kind, limits()));
         for _ in 0..rest {
             let tick = rested.tick(&axes(&positions[0]), None, &Axes::zeros());
@@ -429,7 +429,7 @@ proptest! {
         is_unsafe in prop::collection::vec(prop::bool::weighted(0.06), 1..300),
     ) {
         let settings = SafetySettings {
-            vfc: true,
+            controllers: [ControllerKind::Vfc].into(),
             hold_off_s: f64::from(hold_ticks) * PERIOD_S,
             release_ramp_s: f64::from(ramp_ticks) * PERIOD_S,
             ..SafetySettings::default()
@@ -523,7 +523,7 @@ proptest! {
         settings in controllers(),
         samples in samples(150),
     ) {
-        let mut layer = layer::<3>(SafetySettings { pc: true, ..settings }, KINDS[0], limits());
+        let mut layer = layer::<3>(SafetySettings { controllers: settings.controllers.with(ControllerKind::Pc, true), ..settings }, KINDS[0], limits());
         for sample in &samples {
             let (v, f_v) = (axes::<3>(&sample[0]), axes::<3>(&sample[1]));
             let tick = layer.tick(&Axes::zeros(), Some(&v), &f_v);
@@ -539,7 +539,7 @@ proptest! {
     /// What is missing is paid by the force that leaves, or owed: by the bound on the damping and by the cap.
     #[test]
     fn what_the_cap_withholds_is_owed(speed in 0.05..2.0_f64, cap in 0.5..300.0, way in prop::bool::ANY) {
-        let safety = SafetySettings { pc: true, pc_max_damping: 0.19 * MASS_KG / PERIOD_S, ..SafetySettings::default() };
+        let safety = SafetySettings { controllers: [ControllerKind::Pc].into(), pc_max_damping: 0.19 * MASS_KG / PERIOD_S, ..SafetySettings::default() };
         let limiter = LimiterSettings { max_force_n: cap, max_slew_n_per_s: 1e9, ..limits() };
         let device = DeviceModel::<1>::uniform(MASS_KG, 0.0, 0.0).unwrap();
         let settings =

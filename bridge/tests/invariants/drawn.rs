@@ -7,7 +7,7 @@ use haptether_netsim::{
 };
 use haptether_safety::{
     LimiterSettings,
-    controller::SafetySettings,
+    controller::{ControllerKind, SafetySettings},
     estimator::{EstimatorKind, Fit},
 };
 
@@ -178,7 +178,7 @@ impl Drawn {
 
 fn estimator(n: &mut Numbers) -> EstimatorKind {
     n.one_of(&[
-        EstimatorKind::BackwardDifference,
+        EstimatorKind::BackwardDifference {},
         EstimatorKind::LowPass { cutoff_hz: 30.0 },
         EstimatorKind::AdaptiveWindow { noise_bound_m: 2.3e-5, max_window: 16, fit: Fit::End },
         EstimatorKind::default(),
@@ -187,10 +187,12 @@ fn estimator(n: &mut Numbers) -> EstimatorKind {
 
 fn safety(n: &mut Numbers) -> SafetySettings {
     SafetySettings {
-        vfc: n.chance(0.2),
-        hsc: n.chance(0.2),
-        wsc: n.chance(0.3),
-        pc: n.chance(0.2),
+        controllers: ControllerKind::ALL
+            .into_iter()
+            .zip([0.2, 0.2, 0.3, 0.2])
+            .filter(|(_, odds)| n.chance(*odds))
+            .map(|(kind, _)| kind)
+            .collect(),
         damping: n.real(0.0, 3.0),
         pc_max_damping: n.real(0.0, 3.0),
         window: 20,

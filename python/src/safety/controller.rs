@@ -2,7 +2,7 @@
 
 use haptether_safety::{
     Axes, Fault,
-    controller::{SafetyController, SafetySettings},
+    controller::{ControllerKind, SafetyController, SafetySettings},
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
@@ -61,17 +61,17 @@ impl PySafetySettings {
             ..SafetySettings::default()
         };
         for name in &controllers {
-            let switch = match name.as_str() {
-                "vfc" => &mut settings.vfc,
-                "hsc" => &mut settings.hsc,
-                "wsc" => &mut settings.wsc,
-                "pc" => &mut settings.pc,
+            let kind = match name.as_str() {
+                "vfc" => ControllerKind::Vfc,
+                "hsc" => ControllerKind::Hsc,
+                "wsc" => ControllerKind::Wsc,
+                "pc" => ControllerKind::Pc,
                 other => {
                     let text = format!("controllers: {other:?} is none of \"vfc\", \"hsc\", \"wsc\", \"pc\"");
                     return Err(PyValueError::new_err(text));
                 }
             };
-            *switch = true;
+            settings.controllers = settings.controllers.with(kind, true);
         }
         Ok(Self { inner: settings })
     }

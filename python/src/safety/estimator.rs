@@ -26,7 +26,7 @@ impl PyEstimatorKind {
 
     #[staticmethod]
     fn backward_difference() -> Self {
-        Self { inner: EstimatorKind::BackwardDifference }
+        Self { inner: EstimatorKind::BackwardDifference {} }
     }
 
     #[staticmethod]

@@ -5,8 +5,8 @@ use nalgebra::{SimdBool as _, Vector3};
 use crate::{
     Axes, DeviceModel, Fault, Observation, ParameterError, Real,
     controller::{
-        HandGraspController, Intervention, PassivityController, Response, VelocityForceController,
-        WindowedSafetyController, cancel_and_damp, dampable,
+        ControllerKind, Controllers, HandGraspController, Intervention, PassivityController, Response,
+        VelocityForceController, WindowedSafetyController, cancel_and_damp, dampable,
     },
     lanes::{nowhere, option, pack},
     observer::{
@@ -19,16 +19,10 @@ use crate::{
 ///
 /// A controller that is not asked for is not built, and an observer that no controller reads is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[allow(clippy::struct_excessive_bools)] // four independent switches, each a controller
+#[cfg_attr(feature = "serde", derive(serde::Deserialize))] // unknown keys are the table's to refuse: it flattens this
 pub struct SafetySettings {
-    /// Watch velocity and force (VFO, Eq. 1).
-    pub vfc: bool,
-    /// Watch the grasp (HGO, Eq. 5).
-    pub hsc: bool,
-    /// Watch the windowed energy (WSO, Eq. 11).
-    pub wsc: bool,
-    /// Dissipate missing energy (PC, Eq. 12).
-    pub pc: bool,
+    /// Which of them watch.
+    pub controllers: Controllers,
     /// mu in N s/m, of Eq. 2, 13, 14.
     pub damping: f64,
     /// `V_t` in m/s, of Eq. 1.
@@ -61,10 +55,7 @@ impl Default for SafetySettings {
     /// The paper's thresholds (section 4), no controller, no hold-off, no ramp.
     fn default() -> Self {
         Self {
-            vfc: false,
-            hsc: false,
-            wsc: false,
-            pc: false,
+            controllers: Controllers::NONE,
             damping: 5.0,
             velocity_threshold: 0.6,
             vfc_force_threshold_n: 1.0,
@@ -123,6 +114,8 @@ impl<const N: usize> SafetyController<N> {
             Ok((value / period_s).round())
         };
         let SafetySettings { energy_ratio, window, .. } = *settings;
+        let [vfc_on, hsc_on, wsc_on, pc_on] =
+            ControllerKind::ALL.map(|kind| settings.controllers.contains(kind));
         let named = |name| move |error: ParameterError| error.of_field("force_threshold_n", name);
         // All are checked, also those that are not asked for: a wrong number is wrong before it is needed.
         let vfc = VelocityForceObserver::new(
@@ -139,7 +132,7 @@ impl<const N: usize> SafetyController<N> {
         .map_err(named("hsc_force_threshold_n"))?;
         whole("window", "w", window, 1, WindowedSafetyObserver::<N>::MAX_WINDOW, "1 to 3600000 ticks")?;
         // A window that nobody reads is not reserved.
-        let window = if settings.wsc { window } else { 1 };
+        let window = if wsc_on { window } else { 1 };
         let wso = WindowedSafetyObserver::new(*device, period_s, energy_ratio, window)?;
         let wsc = WindowedSafetyController::new(wso, settings.energy_threshold_j)?;
         let so = SafetyObserver::new(*device, period_s, energy_ratio)?;
@@ -151,15 +144,15 @@ impl<const N: usize> SafetyController<N> {
                 non_negative(name, symbol, value)
             }
         };
-        let alpha = stands(settings.pc, "pc_max_damping", "alpha", settings.pc_max_damping)?;
-        let pc = PassivityController::new(so, device, period_s, if settings.pc { alpha } else { 0.0 })?;
-        let damps = settings.vfc || settings.hsc || settings.wsc;
+        let alpha = stands(pc_on, "pc_max_damping", "alpha", settings.pc_max_damping)?;
+        let pc = PassivityController::new(so, device, period_s, if pc_on { alpha } else { 0.0 })?;
+        let damps = vfc_on || hsc_on || wsc_on;
         let damping = stands(damps, "damping", "mu", settings.damping)?;
         Ok(Self {
-            vfc: settings.vfc.then(|| VelocityForceController::new(vfc)),
-            hsc: settings.hsc.then_some(hsc),
-            wsc: settings.wsc.then_some(wsc),
-            pc: settings.pc.then_some(pc),
+            vfc: vfc_on.then(|| VelocityForceController::new(vfc)),
+            hsc: hsc_on.then_some(hsc),
+            wsc: wsc_on.then_some(wsc),
+            pc: pc_on.then_some(pc),
             damping,
             hold_off_ticks: ticks("hold_off_s", settings.hold_off_s)?,
             ramp_ticks: ticks("release_ramp_s", settings.release_ramp_s)?,
@@ -355,9 +348,10 @@ mod tests {
     /// VFC, HSC and WSC, of which some watch.
     fn watching(places: u8) -> SafetySettings {
         SafetySettings {
-            vfc: places & 1 != 0,
-            hsc: places & 2 != 0,
-            wsc: places & 4 != 0,
+            controllers: (0..3)
+                .filter(|place| places >> place & 1 == 1)
+                .map(|at| ControllerKind::ALL[at])
+                .collect(),
             energy_threshold_j: -1e-6,
             ..SafetySettings::default()
         }
@@ -428,8 +422,14 @@ mod tests {
     /// PC acts in the share that an intervention leaves.
     #[test]
     fn passivity_control_has_what_an_intervention_leaves() {
-        let pc = SafetySettings { pc: true, ..SafetySettings::default() };
-        let (mut alone, mut both) = (controller(&pc), controller(&SafetySettings { vfc: true, ..pc }));
+        let pc = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
+        let (mut alone, mut both) = (
+            controller(&pc),
+            controller(&SafetySettings {
+                controllers: [ControllerKind::Vfc, ControllerKind::Pc].into(),
+                ..pc
+            }),
+        );
         let push = |tick: u8| seen(if tick == 20 { 1.0 } else { 0.1 }, 2.0);
         for tick in 0..40 {
             let (one, two) = (alone.step(&push(tick)).unwrap(), both.step(&push(tick)).unwrap());
@@ -480,9 +480,13 @@ mod tests {
     /// Beside an intervention that fades, the force of Eq. 12 counts in the share `1 - g`.
     #[test]
     fn passivity_control_comes_back_as_an_intervention_fades() {
-        let pc = SafetySettings { pc: true, ..SafetySettings::default() };
+        let pc = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
         let vfc = SafetySettings { hold_off_s: 5e-3, release_ramp_s: 0.02, ..watching(1) };
-        let settings = [pc, vfc, SafetySettings { pc: true, ..vfc }];
+        let settings = [
+            pc,
+            vfc,
+            SafetySettings { controllers: [ControllerKind::Vfc, ControllerKind::Pc].into(), ..vfc },
+        ];
         let mut of = settings.map(|settings| controller(&settings));
         let mut partly = 0;
         for tick in 0..60 {
@@ -502,7 +506,8 @@ mod tests {
     #[test]
     fn passivity_control_acts_on_any_axis() {
         let device = DeviceModel::uniform(0.157, 0.0, 0.0).unwrap();
-        let settings = SafetySettings { pc: true, ..SafetySettings::default() };
+        let settings =
+            SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
         for velocity in [[0.5, 0.0], [0.0, -0.5], [0.5, 0.5], [0.0, 0.0]] {
             let mut controller = SafetyController::<2>::new(&device, PERIOD_S, &settings).unwrap();
             let seen = Observation::exact(Axes::<2>::from(velocity), Axes::zeros(), Axes::zeros());

@@ -3,6 +3,7 @@
 mod combined;
 mod hand_grasp;
 mod passivity;
+mod registry;
 mod response;
 mod velocity_force;
 mod windowed;
@@ -10,6 +11,7 @@ mod windowed;
 pub use combined::{SafetyController, SafetySettings};
 pub use hand_grasp::HandGraspController;
 pub use passivity::{PassivityAction, PassivityController};
+pub use registry::{ControllerKind, Controllers};
 pub use response::{Intervention, Response, Tripped};
 pub use velocity_force::VelocityForceController;
 pub use windowed::WindowedSafetyController;

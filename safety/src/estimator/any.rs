@@ -5,9 +5,14 @@ use crate::{Axes, ParameterError, Real};
 
 /// An estimator and its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize),
+    serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)
+)]
 pub enum EstimatorKind {
     /// [`BackwardDifference`].
-    BackwardDifference,
+    BackwardDifference {},
     /// [`LowPass`].
     LowPass {
         /// Cut-off `f_c` in Hz.
@@ -49,7 +54,9 @@ impl EstimatorKind {
     /// The estimator for positions sampled every `period_s`.
     pub fn build<const N: usize>(&self, period_s: f64) -> Result<AnyEstimator<N>, ParameterError> {
         Ok(match *self {
-            Self::BackwardDifference => AnyEstimator::BackwardDifference(BackwardDifference::new(period_s)?),
+            Self::BackwardDifference {} => {
+                AnyEstimator::BackwardDifference(BackwardDifference::new(period_s)?)
+            }
             Self::LowPass { cutoff_hz } => AnyEstimator::LowPass(LowPass::new(period_s, cutoff_hz)?),
             Self::AdaptiveWindow { noise_bound_m, max_window, fit } => {
                 let estimator = AdaptiveWindow::new(period_s, noise_bound_m, max_window, fit)?;

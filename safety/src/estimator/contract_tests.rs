@@ -10,7 +10,7 @@ const QUANTUM_M: f64 = 2.3e-5;
 const MASS_KG: f64 = 0.3;
 
 const KINDS: [EstimatorKind; 9] = [
-    EstimatorKind::BackwardDifference,
+    EstimatorKind::BackwardDifference {},
     EstimatorKind::LowPass { cutoff_hz: 30.0 },
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM_M, max_window: 32, fit: Fit::End },
     EstimatorKind::AdaptiveWindow { noise_bound_m: QUANTUM_M, max_window: 32, fit: Fit::Best },
@@ -169,7 +169,7 @@ fn a_lasting_force_is_passed_on_without_drift() {
 #[test]
 fn quantisation_passes_the_difference_whole_and_the_others_in_part() {
     let quantum_of_acceleration = QUANTUM_M / (PERIOD_S * PERIOD_S);
-    let (difference_rms, difference_worst) = quantisation_noise(EstimatorKind::BackwardDifference);
+    let (difference_rms, difference_worst) = quantisation_noise(EstimatorKind::BackwardDifference {});
     assert!(difference_worst > 0.9 * quantum_of_acceleration, "{difference_worst}");
     // White rounding noise of variance q²/12 has sqrt(6/12) of a quantum behind the second difference.
     assert!((difference_rms / quantum_of_acceleration - 0.5_f64.sqrt()).abs() < 0.1, "{difference_rms}");

@@ -12,7 +12,7 @@ pub use tick::{Advance, SafetyTick};
 
 use crate::{
     Axes, DeviceModel, Fault, ParameterError, Real,
-    controller::SafetyController,
+    controller::{ControllerKind, SafetyController},
     estimator::{AnyEstimator, MeasuredVelocity},
     lanes::{option, pack, part},
     limiter::{Limiter, LimiterSettings},
@@ -49,7 +49,11 @@ impl<const N: usize> SafetyLayer<N> {
             device: *device,
             estimator: estimator.build(*period_s)?,
             measured: MeasuredVelocity::new(*period_s)?,
-            rendered: safety.hsc.then(|| estimator.build(*period_s)).transpose()?,
+            rendered: safety
+                .controllers
+                .contains(ControllerKind::Hsc)
+                .then(|| estimator.build(*period_s))
+                .transpose()?,
             last_rendered: Axes::zeros(),
             controller: SafetyController::new(device, *period_s, safety)?,
             rendering: Limiter::new(*period_s, *limiter)?,

@@ -23,7 +23,7 @@ fn settings(safety: SafetySettings) -> LayerSettings<1> {
 
 /// A free mass under the layer's force, with an encoder; `F_v` = 5 N from the start, nobody holds.
 fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
-    let safety = SafetySettings { hsc: true, ..SafetySettings::default() };
+    let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
     let settings = settings(safety);
     let mut controller = SafetyController::<1>::new(&settings.device, PERIOD, &safety).unwrap();
     let mut estimator = settings.estimator.build::<1>(PERIOD).unwrap();
@@ -63,7 +63,11 @@ fn with_f_v_alone_hsc_switches_itself_off() {
 
 /// Ticks on which HSC trips while a braced hand (1500 N/m, 20 N s/m) meets a wall of 200 N/m and holds on.
 fn trips_at_contact(measures_velocity: bool) -> usize {
-    let safety = SafetySettings { hsc: true, hsc_force_threshold_n: 0.5, ..SafetySettings::default() };
+    let safety = SafetySettings {
+        controllers: [ControllerKind::Hsc].into(),
+        hsc_force_threshold_n: 0.5,
+        ..SafetySettings::default()
+    };
     let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
     let (speed, mut x) = (0.15, 0.01_f64);
     let (mut v, mut force, mut trips) = (-speed, 0.0, 0);
@@ -95,7 +99,7 @@ fn a_late_estimate_is_no_release() {
 /// Nothing may trip while a hand holds on: a step of the remote force, beyond the cap, during the ramp-in.
 #[test]
 fn a_bounded_force_is_no_release() {
-    let safety = SafetySettings { hsc: true, ..SafetySettings::default() };
+    let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
     let limiter = LimiterSettings { max_force_n: 4.0, ramp_in_s: 0.05, ..LimiterSettings::default() };
     let mut layer = SafetyLayer::new(&LayerSettings { limiter, ..settings(safety) }).unwrap();
     let still = Axes::<1>::zeros();
@@ -111,7 +115,7 @@ fn a_bounded_force_is_no_release() {
 #[test]
 fn a_hand_that_is_back_gets_its_force_back_over_the_ramp() {
     let safety = SafetySettings {
-        hsc: true,
+        controllers: [ControllerKind::Hsc].into(),
         hsc_force_threshold_n: 0.5,
         hold_off_s: 0.1,
         release_ramp_s: 0.2,
@@ -145,7 +149,7 @@ fn a_hand_that_is_back_gets_its_force_back_over_the_ramp() {
 #[test]
 fn a_late_loop_does_not_read_several_ticks_as_one() {
     // 0.3 m/s under no force; ticks 100 to 107 are missed.
-    let safety = SafetySettings { wsc: true, ..SafetySettings::default() };
+    let safety = SafetySettings { controllers: [ControllerKind::Wsc].into(), ..SafetySettings::default() };
     let sample = |n: i32| Axes::<1>::new((3e-4 * f64::from(n) / 2.3e-5).round() * 2.3e-5);
     let mut carried = SafetyLayer::new(&settings(safety)).unwrap();
     let mut blind = carried.clone();
@@ -206,7 +210,7 @@ fn without_a_controller_the_rendered_force_passes() {
 /// What PC asked for and the force that is exerted beyond `F_v` does not dissipate within the tick.
 #[test]
 fn energy_is_owed_by_the_force_that_is_exerted() {
-    let safety = SafetySettings { pc: true, ..SafetySettings::default() };
+    let safety = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
     for max_force_n in [1.0, 1.6, 50.0] {
         let limiter = LimiterSettings { max_force_n, ramp_in_s: 0.0, ..LimiterSettings::default() };
         let mut layer = SafetyLayer::new(&LayerSettings { limiter, ..settings(safety) }).unwrap();
@@ -227,7 +231,10 @@ fn energy_is_owed_by_the_force_that_is_exerted() {
 
 /// A layer of an encoder whose past all of it remembers: motion, energy, an intervention, a force.
 fn with_a_past() -> SafetyLayer<1> {
-    let safety = SafetySettings { hsc: true, wsc: true, pc: true, ..SafetySettings::default() };
+    let safety = SafetySettings {
+        controllers: [ControllerKind::Hsc, ControllerKind::Wsc, ControllerKind::Pc].into(),
+        ..SafetySettings::default()
+    };
     let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
     for n in 0..300 {
         let x = 0.05 * (f64::from(n) * 0.02).sin();
@@ -253,9 +260,7 @@ fn forces(ticks: &[SafetyTick<1>]) -> Vec<(f64, f64, Option<Fault>)> {
 fn a_reset_leaves_nothing_of_the_past_and_a_restart_leaves_a_fault() {
     let place = Axes::<1>::new(0.2);
     let mut fresh = SafetyLayer::new(&settings(SafetySettings {
-        hsc: true,
-        wsc: true,
-        pc: true,
+        controllers: [ControllerKind::Hsc, ControllerKind::Wsc, ControllerKind::Pc].into(),
         ..SafetySettings::default()
     }))
     .unwrap();

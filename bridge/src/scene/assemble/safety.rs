@@ -2,7 +2,7 @@
 
 use haptether_safety::{
     LayerSettings, Limiter, LimiterSettings, ParameterError, SafetyLayer,
-    controller::{SafetyController, SafetySettings},
+    controller::{ControllerKind, SafetyController, SafetySettings},
     estimator::{EstimatorKind, Fit},
     observer::VelocityForceForm,
 };
@@ -15,12 +15,17 @@ use super::{
 use crate::local::Watch;
 
 pub(crate) fn safety_settings(spec: &SafetySpec) -> SafetySettings {
-    let watches = |which| spec.controllers.contains(&which);
     SafetySettings {
-        vfc: watches(ControllerSpec::Vfc),
-        hsc: watches(ControllerSpec::Hsc),
-        wsc: watches(ControllerSpec::Wsc),
-        pc: watches(ControllerSpec::Pc),
+        controllers: spec
+            .controllers
+            .iter()
+            .map(|controller| match controller {
+                ControllerSpec::Vfc => ControllerKind::Vfc,
+                ControllerSpec::Hsc => ControllerKind::Hsc,
+                ControllerSpec::Wsc => ControllerKind::Wsc,
+                ControllerSpec::Pc => ControllerKind::Pc,
+            })
+            .collect(),
         damping: spec.damping,
         velocity_threshold: spec.velocity_threshold,
         vfc_force_threshold_n: spec.vfc_force_threshold_n,
@@ -42,7 +47,7 @@ pub(crate) fn safety_settings(spec: &SafetySpec) -> SafetySettings {
 
 pub(crate) fn estimator(spec: &EstimatorSpec) -> EstimatorKind {
     match *spec {
-        EstimatorSpec::BackwardDifference {} => EstimatorKind::BackwardDifference,
+        EstimatorSpec::BackwardDifference {} => EstimatorKind::BackwardDifference {},
         EstimatorSpec::LowPass { cutoff_hz } => EstimatorKind::LowPass { cutoff_hz },
         EstimatorSpec::AdaptiveWindow { noise_bound_m, max_window, fit } => EstimatorKind::AdaptiveWindow {
             noise_bound_m,
