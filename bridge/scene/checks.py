@@ -5,9 +5,9 @@ from itertools import pairwise
 from math import exp, hypot, log
 
 from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
-from haptether.bridge.scene.resolve import Spec, most_damping, spec_of
-from haptether.bridge.scene.tables.master import OperatorTable
-from haptether.bridge.scene.tables.ranges import MAX_TICKS
+from haptether.bridge.scene.resolve import Spec, max_damping, spec_of
+from haptether.bridge.scene.tables.master import OperatorTable, SeriesTable
+from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S
 from haptether.bridge.scene.tables.session import (
     ClockTable,
     CouplingTable,
@@ -113,6 +113,7 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
             yield contradiction(("operator", "recorded"), "stands instead of legs: give one of the two")
         if table.start != 0.0:
             yield contradiction(("operator", "start"), "a recorded path begins where it begins: leave it out")
+        yield from _series(table.recorded, ("operator", "recorded"))
     if not isinstance(table.clutch, str):
         # In whole ns, as the Rust side counts them.
         times = [round(time_s * 1e9) for pair in table.clutch for time_s in pair]
@@ -265,6 +266,26 @@ def _pusher(table: PusherTable, path: Path) -> Iterator[SceneError]:
             yield contradiction((*path, key), f'shape = "{table.shape}" needs it')
         if given and key not in needed | _PUSHER_MAY_HAVE:
             yield contradiction((*path, key), f'shape = "{table.shape}" has none')
+    if table.recorded is not None:
+        yield from _series(table.recorded, (*path, "recorded"))
+
+
+def _series(table: SeriesTable, path: Path) -> Iterator[SceneError]:
+    """A recording, whose file has been read."""
+    if table.file is not None and (table.time_s is not None or table.values is not None):
+        yield contradiction((*path, "file"), "either file, or time_s and values")
+        return
+    if not table.time_s or not table.values:
+        yield contradiction(path, "needs file, or time_s and values with at least one of each")
+        return
+    if len(table.time_s) != len(table.values):
+        yield contradiction(path, f"{len(table.time_s)} times and {len(table.values)} values: must be as many")
+    for index, (before, after) in enumerate(pairwise(table.time_s), start=1):
+        if after <= before:
+            yield wrong((*path, "time_s", index), after, f"above the time before it, {before:g}")
+        elif after - before < MIN_DURATION_S:
+            allowed = f"at least {MIN_DURATION_S:g} s after the time before it, {before:g}"
+            yield wrong((*path, "time_s", index), after, allowed)
 
 
 def _safety(table: SafetyTable, period_s: float) -> Iterator[SceneError]:
@@ -305,7 +326,7 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
         if not low <= master["position"][axis] <= high:
             allowed = f"within the stops, {low:g} to {high:g}"
             yield wrong(("master", "position"), master["position"][axis], allowed)
-    most = most_damping(master["mass_kg"], run["period_s"])
+    most = max_damping(master["mass_kg"], run["period_s"])
     allowed = f"at most m / (5 dT) = {most:g}"
     if {"vfc", "hsc", "wsc"} & set(safety["controllers"]) and safety["damping"] > most:
         yield wrong(("safety", "damping"), safety["damping"], allowed)

@@ -11,8 +11,8 @@ from msgspec import ValidationError, inspect
 from haptether.bridge.scene.tables.session import Scene
 from haptether.printable import printable
 
-Plain: TypeAlias = "dict[str, Plain] | list[Plain] | tuple[Plain, ...] | str | int | float | bool | None"
-"""What TOML, or a scene turned into plain values, consists of."""
+Raw: TypeAlias = "dict[str, Raw] | list[Raw] | tuple[Raw, ...] | str | int | float | bool | None"
+"""What TOML, or a scene turned into built-in values, consists of."""
 Path: TypeAlias = tuple[str | int, ...]
 """Where something stands in a scene: keys of tables and places in lists."""
 
@@ -81,10 +81,12 @@ def closest(word: str, words: Iterable[str]) -> str:
 
 
 def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:
-    """The alternatives of a union, or the type alone; what it is annotated with is peeled off."""
-    while isinstance(kind, inspect.Metadata):
-        kind = kind.type
-    return kind.types if isinstance(kind, inspect.UnionType) else (kind,)
+    """The alternatives of a union, or the type alone; what they are annotated with is peeled off."""
+    if isinstance(kind, inspect.Metadata):
+        return members(kind.type)
+    return (
+        tuple(one for part in kind.types for one in members(part)) if isinstance(kind, inspect.UnionType) else (kind,)
+    )
 
 
 def _inside(kinds: Iterable[inspect.Type], step: str | int) -> Iterator[inspect.Type]:
@@ -124,7 +126,7 @@ def keys_at(path: Path) -> set[str]:
     return keys | {table.tag_field for table in tables if table.tag_field is not None}
 
 
-def allowed_at(path: Path, seen: Plain = None) -> str:
+def allowed_at(path: Path, seen: Raw = None) -> str:
     """What may stand at a path, in words; where `seen` has the wrong type, the right one is named."""
     if path[-1] == "kind" and (tagged := [table for table in table_type(path[:-1]) or () if table.tag_field == "kind"]):
         return f"one of {_choices(table.tag for table in tagged)}"
@@ -181,33 +183,33 @@ def bound(value: float) -> str:
 # ------------------------------------------------------------------------------------------------- refusals
 
 
-def look_up(plain: Plain, path: Path) -> Plain:
-    """What stands at a path of plain values."""
+def look_up(raw: Raw, path: Path) -> Raw:
+    """What stands at a path of raw values."""
     for step in path:
-        plain = cast("dict[str | int, Plain]", plain)[step]
-    return plain
+        raw = cast("dict[str | int, Raw]", raw)[step]
+    return raw
 
 
-def refuse_infinite(plain: Plain, path: Path = ()) -> None:
+def refuse_infinite(raw: Raw, path: Path = ()) -> None:
     """Refuses numbers that are not finite.
 
     Raises:
         SceneError: With the place of the first.
     """
-    if isinstance(plain, dict):
-        for key, value in plain.items():
+    if isinstance(raw, dict):
+        for key, value in raw.items():
             refuse_infinite(value, (*path, key))
-    elif isinstance(plain, list | tuple):
-        for index, value in enumerate(plain):
+    elif isinstance(raw, list | tuple):
+        for index, value in enumerate(raw):
             refuse_infinite(value, (*path, index))
-    elif isinstance(plain, float) and not math.isfinite(plain):
-        raise wrong(path, plain, "a finite number")
+    elif isinstance(raw, float) and not math.isfinite(raw):
+        raise wrong(path, raw, "a finite number")
 
 
 _WHERE = re.compile(r"(?P<said>.*?)(?: - at `\$(?P<path>.*)`)?$", re.DOTALL)
 
 
-def explained(error: ValidationError, plain: Plain) -> SceneError:
+def explained(error: ValidationError, raw: Raw) -> SceneError:
     """The refusal of the schema, with the value that was seen and what the types allow there."""
     found = _WHERE.match(str(error))
     said, where = (found["said"], found["path"] or "") if found else (str(error), "")
@@ -220,7 +222,7 @@ def explained(error: ValidationError, plain: Plain) -> SceneError:
     if missing := re.search(r"missing required field `(.*)`", said):
         key = missing[1]
         return SceneError(f"{place((*path, key))} is missing: must be {allowed_at((*path, key))}")
-    return wrong(path, look_up(plain, path), allowed_at(path, look_up(plain, path)))
+    return wrong(path, look_up(raw, path), allowed_at(path, look_up(raw, path)))
 
 
 def unknown_key(path: Path) -> SceneError:

@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any, cast
+from typing import NamedTuple, cast
 
 import msgspec
 from msgspec import inspect
@@ -13,7 +13,7 @@ from msgspec import inspect
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.errors import (
     Path,
-    Plain,
+    Raw,
     SceneError,
     closest,
     explained,
@@ -24,6 +24,7 @@ from haptether.bridge.scene.errors import (
     types_at,
     unknown_key,
 )
+from haptether.bridge.scene.resolve import Spec
 from haptether.bridge.scene.series import embed_recordings
 from haptether.bridge.scene.tables.session import Scene
 
@@ -42,6 +43,18 @@ def scene_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 
+class Checked(NamedTuple):
+    """A scene that can be built, and what the Rust side reads of it."""
+
+    scene: Scene
+    spec: Spec
+
+    @property
+    def json(self) -> bytes:
+        """The same scene gives the same bytes."""
+        return msgspec.json.encode(self.spec)
+
+
 def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> Scene:
     """Reads a scene.
 
@@ -56,12 +69,17 @@ def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ())
     Raises:
         SceneError: No such scene, or one that cannot be built: file, table, key, what was seen, what is allowed.
     """
+    return loaded(name_or_path, overrides).scene
+
+
+def loaded(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> Checked:
+    """As `load_scene`, with what the Rust side reads of it."""
     path = scene_path(name_or_path)
     try:
-        plain = _tables(_bounded(path))
+        raw = _tables(_bounded(path))
         for override in overrides:
-            plain = overridden(plain, override)
-        return scene_from_plain(plain, path.parent)
+            raw = overridden(raw, override)
+        return checked(raw, path.parent)
     except tomllib.TOMLDecodeError as error:
         message = f"{path.name}: {_with_line(error)}"
     except SceneError as error:
@@ -92,10 +110,10 @@ def _refuse_long_keys(text: str) -> None:
         raise SceneError(message)
 
 
-def _tables(text: str) -> dict[str, Plain]:
+def _tables(text: str) -> dict[str, Raw]:
     _refuse_long_keys(text)
     try:
-        return cast("dict[str, Plain]", tomllib.loads(text))
+        return cast("dict[str, Raw]", tomllib.loads(text))
     except tomllib.TOMLDecodeError:
         raise
     except ValueError as error:
@@ -127,28 +145,27 @@ def _with_line(error: tomllib.TOMLDecodeError) -> str:
     return f"{found[2]}: {found[1]}" if found else str(error)
 
 
-def scene_from_plain(plain: Plain, folder: FilePath) -> Scene:
-    """A scene from tables as TOML gives them; the files that it names lie relative to `folder`.
+def checked(raw: Raw, folder: FilePath) -> Checked:
+    """A scene from tables as TOML has them; the files that it names lie relative to `folder`.
 
     Raises:
         SceneError: It cannot be built.
     """
-    refuse_infinite(plain)
-    scene = embed_recordings(typed_scene(plain), folder)
-    checked_spec(scene)
-    return scene
+    refuse_infinite(raw)
+    scene = embed_recordings(typed_scene(raw), folder)
+    return Checked(scene, checked_spec(scene))
 
 
-def typed_scene(plain: Plain) -> Scene:
+def typed_scene(raw: Raw) -> Scene:
     """A scene of finite numbers, held against its types and ranges only.
 
     Raises:
         SceneError: A key, type or range that is not the schema's.
     """
     try:
-        return msgspec.convert(plain, Scene)
+        return msgspec.convert(raw, Scene)
     except msgspec.ValidationError as error:
-        raise explained(error, plain) from None
+        raise explained(error, raw) from None
 
 
 def override_scene(scene: Scene, overrides: Iterable[str]) -> Scene:
@@ -157,10 +174,7 @@ def override_scene(scene: Scene, overrides: Iterable[str]) -> Scene:
     Raises:
         SceneError: A path that is not in the schema, or a scene that cannot be built.
     """
-    plain = cast("dict[str, Plain]", msgspec.to_builtins(scene))
-    for override in overrides:
-        plain = overridden(plain, override)
-    return scene_from_plain(plain, FilePath())
+    return checked_scene(scene, overrides).scene
 
 
 def scene_json(scene: Scene) -> bytes:
@@ -171,23 +185,22 @@ def scene_json(scene: Scene) -> bytes:
     Raises:
         SceneError: A scene that cannot be built.
     """
-    return msgspec.json.encode(scene_spec(scene))
+    return checked_scene(scene).json
 
 
-def scene_spec(scene: Scene) -> dict[str, Any]:
-    """As `scene_json`, before it is written.
-
-    Raises:
-        SceneError: A scene that cannot be built.
-    """
+def checked_scene(scene: Scene, overrides: Iterable[str] = ()) -> Checked:
+    """As `override_scene`, with what the Rust side reads of it."""
     # A struct that was built in Python has not been held against its ranges yet.
-    return checked_spec(scene_from_plain(cast("Plain", msgspec.to_builtins(scene)), FilePath()))
+    raw = cast("dict[str, Raw]", msgspec.to_builtins(scene))
+    for override in overrides:
+        raw = overridden(raw, override)
+    return checked(raw, FilePath())
 
 
 # ------------------------------------------------------------------------------------------------ overrides
 
 
-def overridden(plain: dict[str, Plain], override: str) -> dict[str, Plain]:
+def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
     """Tables with one field changed, `table.key=value`; what is given stays as it is.
 
     Raises:
@@ -198,7 +211,7 @@ def overridden(plain: dict[str, Plain], override: str) -> dict[str, Plain]:
         message = f"{shown(override)}: must be table.key=value"
         raise SceneError(message)
     path = path_of(key.strip())
-    return cast("dict[str, Plain]", with_value(plain, path, toml_value(text.strip(), path)))
+    return cast("dict[str, Raw]", with_value(raw, path, toml_value(text.strip(), path)))
 
 
 def path_of(text: str) -> Path:
@@ -219,7 +232,7 @@ def path_of(text: str) -> Path:
     return path
 
 
-def toml_value(text: str, path: Path) -> Plain:
+def toml_value(text: str, path: Path) -> Raw:
     """A value in TOML; words without quotes are strings, also inside a list.
 
     Raises:
@@ -236,17 +249,17 @@ def toml_value(text: str, path: Path) -> Plain:
         candidates.append(_BARE_WORD.sub(r'"\1"', text))
     for candidate in candidates:
         try:
-            plain = tomllib.loads(f"value = {candidate}")
+            raw = tomllib.loads(f"value = {candidate}")
         except tomllib.TOMLDecodeError:
             continue
-        if len(plain) == 1:
-            return cast("Plain", plain["value"])
+        if len(raw) == 1:
+            return cast("Raw", raw["value"])
     message = f"{place(path)} = {shown(text)}: must be a value in TOML"
     raise SceneError(message)
 
 
-def with_value(plain: Plain, path: Path, value: Plain, at: Path = ()) -> Plain:
-    """Plain tables with the value at a path of the schema; tables on the way are made where they are absent.
+def with_value(raw: Raw, path: Path, value: Raw, at: Path = ()) -> Raw:
+    """Raw tables with the value at a path of the schema; tables on the way are made where they are absent.
 
     Raises:
         SceneError: A place in a list that the scene does not have.
@@ -255,25 +268,23 @@ def with_value(plain: Plain, path: Path, value: Plain, at: Path = ()) -> Plain:
         return value
     step, rest = path[0], path[1:]
     if isinstance(step, int):
-        if isinstance(plain, int | float):
+        if isinstance(raw, int | float):
             message = f"{place((*at, step))}: the scene has one number for all axes: name it without the axis"
             raise SceneError(message)
-        if not isinstance(plain, list | tuple) or step >= len(plain):
-            count = len(plain) if isinstance(plain, list | tuple) else 0
+        if not isinstance(raw, list | tuple) or step >= len(raw):
+            count = len(raw) if isinstance(raw, list | tuple) else 0
             message = f"{place((*at, step))}: the scene has {count} of these, counted from 0"
             raise SceneError(message)
-        return [
-            with_value(item, rest, value, (*at, step)) if index == step else item for index, item in enumerate(plain)
-        ]
-    table = dict(plain) if isinstance(plain, dict) else _default_table(at)
+        return [with_value(item, rest, value, (*at, step)) if index == step else item for index, item in enumerate(raw)]
+    table = dict(raw) if isinstance(raw, dict) else _default_table(at)
     table[step] = with_value(table.get(step), rest, value, (*at, step))
     return table
 
 
-def _default_table(path: Path) -> dict[str, Plain]:
+def _default_table(path: Path) -> dict[str, Raw]:
     """What stands at a path when the scene leaves the table out: only its kind matters, its fields have defaults."""
     parents = table_type(path[:-1]) if path else None
     for field in (field for parent in parents or () for field in parent.fields if field.name == path[-1]):
         if isinstance(field.default, msgspec.Struct):
-            return cast("dict[str, Plain]", msgspec.to_builtins(field.default))
+            return cast("dict[str, Raw]", msgspec.to_builtins(field.default))
     return {}

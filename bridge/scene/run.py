@@ -12,7 +12,7 @@ import numpy.typing as npt
 from msgspec import Struct, convert
 
 from haptether import _core
-from haptether.bridge.scene.load import load_scene, override_scene, scene_json
+from haptether.bridge.scene.load import Checked, checked_scene, loaded
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
@@ -125,15 +125,15 @@ class Run(Struct, frozen=True, kw_only=True):
             np.savez_compressed(file, **arrays)
 
 
-def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) -> tuple[str, Scene]:
-    """What a scene is called, and the scene with its overrides.
+def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) -> tuple[str, Checked]:
+    """The name of a scene, and the scene with its overrides.
 
     Raises:
         SceneError: It cannot be built.
     """
     if isinstance(scene, Scene):
-        return scene.title or "scene", override_scene(scene, overrides)
-    return str(scene), load_scene(scene, overrides)
+        return scene.title or "scene", checked_scene(scene, overrides)
+    return str(scene), loaded(scene, overrides)
 
 
 def simulate(scene: Scene | str | PathLike[str], *, overrides: Iterable[str] = ()) -> Run:
@@ -146,14 +146,14 @@ def simulate(scene: Scene | str | PathLike[str], *, overrides: Iterable[str] = (
     Raises:
         SceneError: A scene that cannot be built.
     """
-    name, scene = named_scene(scene, overrides)
-    specification = scene_json(scene)
+    name, checked = named_scene(scene, overrides)
+    specification = checked.json
     begun = time.perf_counter()
     done = _core.simulate_scene(specification)
     took = time.perf_counter() - begun
     return Run(
         scene=name,
-        seed=scene.run.seed,
+        seed=checked.scene.run.seed,
         version=_core.__version__,
         signals=Signals(done.signals),
         events=tuple(Event(*event) for event in done.events),

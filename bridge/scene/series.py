@@ -10,7 +10,7 @@ from msgspec import ValidationError, convert, to_builtins
 from msgspec.structs import replace
 
 from haptether.bridge.scene.errors import SceneError
-from haptether.bridge.scene.links import embedded_links
+from haptether.bridge.scene.resolve import embedded_links
 from haptether.bridge.scene.tables.master import SeriesTable
 from haptether.bridge.scene.tables.session import Scene
 

@@ -21,8 +21,8 @@ from msgspec import inspect
 
 from haptether import _core
 from haptether.bridge.scene.checks import checked_spec
-from haptether.bridge.scene.errors import Path, Plain, SceneError, allowed_at, place, shown, types_at, wrong
-from haptether.bridge.scene.load import path_of, scene_json, scene_spec, typed_scene, with_value
+from haptether.bridge.scene.errors import Path, Raw, SceneError, allowed_at, place, shown, types_at, wrong
+from haptether.bridge.scene.load import Checked, path_of, typed_scene, with_value
 from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
@@ -77,7 +77,7 @@ class Sweep:
             yield dict(zip(self.columns, values, strict=True))
 
     def _values(self, name: str) -> list[Any]:
-        """A column as plain values, none for what was not measured."""
+        """A column as raw values, none for what was not measured."""
         column = self.columns[name]
         values: list[Any] = column.tolist()
         if column.dtype.kind == "f":
@@ -161,7 +161,7 @@ def sweep(
     rows = len(next(iter(varied.values())))
     built = np.array([row for row in range(rows) if row not in refused]) if refused else slice(None)
     columns = [(path, np.ascontiguousarray(column[built])) for path, column in columns]
-    metrics = _core.sweep_scenes(scene_json(base), columns, threads, lanes, progress)
+    metrics = _core.sweep_scenes(base.json, columns, threads, lanes, progress)
     of_rows = {name: _of_rows(name, np.asarray(column), built, rows, refused) for name, column in metrics.items()}
     if "outcome" in of_rows and (of_rows["outcome"] == "refused").all():
         message = f"row 0: {of_rows['reason'][0]}"
@@ -233,7 +233,7 @@ def _numbers(path: str, values: Sequence[float] | Array) -> Array:
 # --------------------------------------------------------------------------------------------------- columns
 
 
-def sweep_columns(base: Scene, varied: Mapping[str, Array]) -> tuple[list[tuple[str, Array]], dict[int, str]]:
+def sweep_columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str, Array]], dict[int, str]]:
     """The numbers of the specification that differ between rows, with their value in each row.
 
     These are the varied ones, on every axis, and the defaults that follow from them. With them, why rows cannot be
@@ -242,8 +242,8 @@ def sweep_columns(base: Scene, varied: Mapping[str, Array]) -> tuple[list[tuple[
     Raises:
         SceneError: A path that the scene does not have, or no row that can be built.
     """
-    expected = dict(_leaves(scene_spec(base)))
-    plain = cast("dict[str, Plain]", msgspec.to_builtins(base))
+    expected = dict(_leaves(base.spec))
+    raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
     columns: dict[str, Array] = {}
     together: dict[Path, Array] = {}
     refused: dict[int, str] = {}
@@ -256,7 +256,7 @@ def sweep_columns(base: Scene, varied: Mapping[str, Array]) -> tuple[list[tuple[
         else:
             together[path] = values
     if together:
-        joint, wrong_rows = _joint_columns(plain, expected, together)
+        joint, wrong_rows = _joint_columns(raw, expected, together)
         columns |= joint
         refused = wrong_rows | refused
     if refused and len(refused) == len(next(iter(varied.values()))):
@@ -288,7 +288,7 @@ def _out_of_range(path: Path, values: Array) -> dict[int, str]:
 
 
 def _joint_columns(
-    plain: dict[str, Plain], expected: dict[str, Leaf], varied: Mapping[Path, Array]
+    raw: dict[str, Raw], expected: dict[str, Leaf], varied: Mapping[Path, Array]
 ) -> tuple[dict[str, Array], dict[int, str]]:
     """Columns of parameters that are checked together, once per combination of their values; what is wrong by row."""
     rows = np.column_stack(list(varied.values()))
@@ -299,9 +299,9 @@ def _joint_columns(
     refused: dict[int, str] = {}  # by combination
     for number, combination in enumerate(combinations.tolist()):
         try:
-            changed = plain
+            changed = raw
             for path, value in zip(varied, combination, strict=True):
-                changed = cast("dict[str, Plain]", with_value(changed, path, _as_typed(value)))
+                changed = cast("dict[str, Raw]", with_value(changed, path, _as_typed(value)))
             leaves = dict(_leaves(checked_spec(typed_scene(changed))))
         except SceneError as error:
             refused[number] = str(error)

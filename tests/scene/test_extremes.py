@@ -10,7 +10,7 @@ import pytest
 from tests.scene.extremes import BASES, changed, extremes, numbers
 
 from haptether.bridge import SceneError, simulate
-from haptether.bridge.scene.load import scene_from_plain
+from haptether.bridge.scene.load import checked
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +31,7 @@ def wrong(base: str) -> list[str]:
             what = f"{'.'.join(map(str, path))} = {value!r}"
             begun = time.process_time()
             try:
-                scene = scene_from_plain(changed(BASES[base], path, value), FilePath())
+                scene = checked(changed(BASES[base], path, value), FilePath()).scene
                 run = scene.run
                 if run.duration_s / run.period_s > MAX_TICKS or run.duration_s > MAX_STEPS * (run.step_s or 1.0):
                     continue
@@ -75,4 +75,4 @@ def test_what_cannot_be_is_named(path: tuple[str | int, ...], value: float, said
     else:
         plain = changed(plain, path, value)
     with pytest.raises(SceneError, match=re.escape(said)):
-        scene_from_plain(plain, FilePath())
+        checked(plain, FilePath())

@@ -26,6 +26,7 @@ from haptether.bridge import (
     simulate,
     sweep,
 )
+from haptether.bridge.scene.load import loaded
 from haptether.bridge.scene.sweep import sweep_columns
 from haptether.netsim import LinkSettings, link_spec
 from haptether.studies import RAVEN_ATTACKS
@@ -352,7 +353,7 @@ def test_the_package_offers_both_without_loading_them() -> None:
 
 def columns(varied: dict[str, Any], name: str = "remote_push") -> dict[str, list[float]]:
     arrays = {path: np.asarray(values, dtype=np.float64) for path, values in varied.items()}
-    found, refused = sweep_columns(load_scene(name), arrays)
+    found, refused = sweep_columns(loaded(name), arrays)
     assert not refused
     return {path: column.tolist() for path, column in found}
 

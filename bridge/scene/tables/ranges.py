@@ -44,8 +44,11 @@ Force = Annotated[float, Meta(ge=-10000.0, le=10000.0)]
 Axis: TypeAlias = Literal[1, 2, 3, 6, 7]
 Unbounded: TypeAlias = Literal["unbounded"]
 """What is written where a number would be a bound and there is to be none."""
+UNBOUNDED = "unbounded"
 
-_axes = Meta(min_length=1, max_length=MAX_AXES)
+Broadcast: TypeAlias = Literal["axes", "pairs", "rows"]
+"""How a value becomes one per axis: a number or a list of numbers; a pair or a list of pairs; each row of a list."""
+_axes = Meta(min_length=1, max_length=MAX_AXES, extra={"broadcast": "axes"})
 PerAxis: TypeAlias = Number | Annotated[tuple[Number, ...], _axes]
 """One number for every axis, or a list of one number per axis."""
 PositivePerAxis: TypeAlias = Positive | Annotated[tuple[Positive, ...], _axes]
@@ -55,7 +58,9 @@ SpeedPerAxis: TypeAlias = Speed | Annotated[tuple[Speed, ...], _axes]
 ForcePerAxis: TypeAlias = Force | Annotated[tuple[Force, ...], _axes]
 # Not tuple[Position, Position]: msgspec 0.22 crashes on such a type beside a number with a range.
 _pair = Annotated[tuple[Position, ...], Meta(min_length=2, max_length=2)]
-StopsPerAxis: TypeAlias = Annotated[tuple[Position | _pair, ...], _axes]
+StopsPerAxis: TypeAlias = Annotated[
+    tuple[Position | _pair, ...], Meta(min_length=1, max_length=MAX_AXES, extra={"broadcast": "pairs"})
+]
 """Lower and upper stop for every axis, or one such pair per axis."""
 _times = Annotated[tuple[Seconds, ...], Meta(min_length=2, max_length=2)]
 Quaternion: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=4, max_length=4)]

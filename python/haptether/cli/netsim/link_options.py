@@ -137,7 +137,7 @@ def _typed(plain: dict[str, Any], folder: Path, seed: int) -> Links:
     import msgspec
 
     from haptether.bridge.scene.errors import explained, refuse_infinite
-    from haptether.bridge.scene.links import embedded_links, spec_of_links
+    from haptether.bridge.scene.resolve import embedded_links, spec_of_links
     from haptether.bridge.scene.tables.session import LinksTable
     from haptether.netsim import LinkSettings
 
