@@ -241,7 +241,7 @@ enum Operator {
     Times(&'static [(f64, f64)]),
 }
 
-fn scene(operator: &Operator) -> SceneSpec {
+fn scene(operator: &Operator) -> SceneSpec<1> {
     let bytes = include_bytes!("remote_push.json");
     let mut json: serde_json::Value = serde_json::from_slice(bytes).unwrap();
     match operator {

@@ -67,7 +67,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
     ] {
         let legs = vec![Leg { duration_s: 0.5, end: Axes::<1>::new(-0.03), shape: LegShape::MinimumJerk }];
         let path = Path::new(Axes::<1>::new(0.02), legs).unwrap();
-        let release = Some(Release { at_s: 1.2, duration_s: 0.05, kind: ReleaseKind::Strength });
+        let release = Some(Release { at_s: 1.2, decay_s: 0.05, kind: ReleaseKind::Strength });
         let hand = Hand::new(300.0, 8.0, 12.0, path, release).unwrap();
         let stops = (Axes::<1>::new(-0.08), Axes::<1>::new(0.08));
         let device = DeviceParameters { stops, ..DeviceParameters::phantom_desktop() };

@@ -6,6 +6,11 @@ use crate::{Axes, ModelError, Real, require};
 
 /// How friction acts on several axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum Friction {
     /// `c V / |V|`: a stylus in space, whatever the frame.
     #[default]
@@ -18,13 +23,17 @@ pub enum Friction {
 ///
 /// Source: paper Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // unknown keys: the table's to refuse
 pub struct DeviceParameters<const N: usize> {
     /// m in kg (> 0).
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub mass_kg: Axes<N>,
     /// b in N s/m; may be negative.
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub viscous: Axes<N>,
     /// c in N (>= 0): friction while moving, and the largest force that friction withstands at rest. With
     /// [`Friction::Vector`] all axes have the same.
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub coulomb: Axes<N>,
     /// How it acts on several axes.
     pub friction: Friction,
@@ -33,8 +42,14 @@ pub struct DeviceParameters<const N: usize> {
     /// Whether it measures V itself, exactly.
     pub measures_velocity: bool,
     /// Positions in m of the mechanical stops, which take all speed; infinite without stops.
+    #[cfg_attr(
+        feature = "serde",
+        serde(deserialize_with = "stops"),
+        schemars(with = "Option<Vec<(f64, f64)>>")
+    )]
     pub stops: (Axes<N>, Axes<N>),
     /// Largest `|F|` in N that the motors exert; infinite without a bound.
+    #[cfg_attr(feature = "serde", serde(deserialize_with = "infinite_or"), schemars(with = "Option<f64>"))]
     pub max_force_n: f64,
     /// Resolution of the force in N, per axis (>= 0); 0 is exact.
     pub force_quantum_n: f64,
@@ -102,6 +117,29 @@ impl<const N: usize> DeviceParameters<N> {
     pub(crate) fn rubs_along_motion(&self) -> bool {
         N > 1 && self.friction == Friction::Vector && self.coulomb[0] > 0.0
     }
+}
+
+/// Stops from one pair per axis; none are infinite.
+#[cfg(feature = "serde")]
+fn stops<'de, D: serde::Deserializer<'de>, const N: usize>(
+    deserializer: D,
+) -> Result<(Axes<N>, Axes<N>), D::Error> {
+    use serde::{Deserialize as _, de::Error as _};
+    let Some(pairs) = Option::<Vec<(f64, f64)>>::deserialize(deserializer)? else {
+        return Ok((Axes::repeat(f64::NEG_INFINITY), Axes::repeat(f64::INFINITY)));
+    };
+    if pairs.len() != N {
+        let text = format!("master.stops: {} pairs, must have {N}, one per axis", pairs.len());
+        return Err(D::Error::custom(text));
+    }
+    Ok((Axes::from_fn(|axis, _| pairs[axis].0), Axes::from_fn(|axis, _| pairs[axis].1)))
+}
+
+/// A bound, infinite where there is none.
+#[cfg(feature = "serde")]
+fn infinite_or<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    use serde::Deserialize as _;
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
 /// 2^52, from which on every number is whole.

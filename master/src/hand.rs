@@ -11,6 +11,11 @@ use crate::{
 
 /// What decays while a hand lets go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum ReleaseKind {
     /// The grip strength: nothing moves until it has fallen to the load, then the stylus slips.
     #[default]
@@ -21,17 +26,19 @@ pub enum ReleaseKind {
 
 /// How the grip is given up.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Release {
     /// When it begins, in s.
     pub at_s: f64,
     /// Time in s over which the grip falls linearly to zero; 0 lets go at once.
-    pub duration_s: f64,
+    pub decay_s: f64,
     /// What falls.
     pub kind: ReleaseKind,
 }
 
 /// How a hand that has let go takes hold again.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Regrasp {
     /// Time in s from the end of the release to the first grip: the reaction time of the person.
     pub reaction_s: f64,
@@ -43,6 +50,7 @@ pub struct Regrasp {
 ///
 /// Source: 8 to 12 Hz, Elble and Koller 1990.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Tremor {
     /// a in m.
     pub amplitude: f64,
@@ -83,18 +91,15 @@ impl<const N: usize> Hand<N> {
         if strength_n.is_nan() || strength_n < 0.0 {
             return Err(ModelError { name: "grip strength", seen: strength_n, allowed: "0 or more" });
         }
-        if let Some(Release { at_s, duration_s, kind }) = release {
+        if let Some(Release { at_s, decay_s, kind }) = release {
             require("release time", at_s, true, "finite")?;
-            require("release duration", duration_s, duration_s >= 0.0, "finite and 0 or more")?;
+            require("release duration", decay_s, decay_s >= 0.0, "finite and 0 or more")?;
             if kind == ReleaseKind::Strength {
                 require("grip strength", strength_n, true, "finite, for a release of the strength")?;
             }
         }
-        let release = release.map(|one| Release {
-            at_s: whole_ns(one.at_s),
-            duration_s: or_at_once(one.duration_s),
-            ..one
-        });
+        let release =
+            release.map(|one| Release { at_s: whole_ns(one.at_s), decay_s: or_at_once(one.decay_s), ..one });
         Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, tremor: None })
     }
 
@@ -145,7 +150,7 @@ impl<const N: usize> Hand<N> {
 
     /// When the release has ended, the hand grips again and has its full strength again, in s; none without a release.
     pub(crate) fn schedule(&self) -> Option<[f64; 3]> {
-        self.release.map(|release| self.grip_times(release.at_s, release.duration_s))
+        self.release.map(|release| self.grip_times(release.at_s, release.decay_s))
     }
 
     pub(crate) fn tremor(&self) -> Option<Tremor> {
@@ -188,14 +193,14 @@ impl<const N: usize> Hand<N> {
 
     /// The share of its grip that the hand has at time t, from 1 before the release to 0 after it and to 1 again.
     pub fn grip_at(&self, t: f64) -> f64 {
-        let Some(Release { at_s, duration_s, .. }) = self.release else { return 1.0 };
-        let [ends, begins, full] = self.grip_times(at_s, duration_s);
+        let Some(Release { at_s, decay_s, .. }) = self.release else { return 1.0 };
+        let [ends, begins, full] = self.grip_times(at_s, decay_s);
         let held = if t < at_s {
             1.0
         } else if t >= ends {
             0.0
         } else {
-            1.0 - (t - at_s) / duration_s
+            1.0 - (t - at_s) / decay_s
         };
         let regained = self.regrasp.map_or(0.0, |Regrasp { rise_s, .. }| {
             if t < begins {
@@ -219,10 +224,10 @@ impl<const N: usize> Hand<N> {
 
     /// How fast the grip changes just after time t, in 1/s.
     fn grip_rate(&self, t: f64) -> f64 {
-        let Some(Release { at_s, duration_s, .. }) = self.release else { return 0.0 };
-        let [ends, begins, full] = self.grip_times(at_s, duration_s);
+        let Some(Release { at_s, decay_s, .. }) = self.release else { return 0.0 };
+        let [ends, begins, full] = self.grip_times(at_s, decay_s);
         if t >= at_s && t < ends {
-            return -duration_s.recip();
+            return -decay_s.recip();
         }
         self.regrasp
             .map_or(0.0, |Regrasp { rise_s, .. }| if t >= begins && t < full { rise_s.recip() } else { 0.0 })
@@ -260,8 +265,8 @@ impl<const N: usize> Hand<N> {
     }
 
     fn kinks(&self) -> [Option<f64>; 4] {
-        let Some(Release { at_s, duration_s, .. }) = self.release else { return [None; 4] };
-        let [ends, begins, full] = self.grip_times(at_s, duration_s);
+        let Some(Release { at_s, decay_s, .. }) = self.release else { return [None; 4] };
+        let [ends, begins, full] = self.grip_times(at_s, decay_s);
         let again = |time: f64| self.regrasp.map(|_| time);
         [Some(at_s), Some(ends), again(begins), again(full)]
     }
@@ -301,7 +306,7 @@ mod tests {
 
     #[test]
     fn the_grip_falls_over_the_release_and_returns() {
-        let slow = Release { at_s: 1.0, duration_s: 0.04, kind: ReleaseKind::Strength };
+        let slow = Release { at_s: 1.0, decay_s: 0.04, kind: ReleaseKind::Strength };
         let once = hand(slow);
         for (t, grip) in [(0.0, 1.0), (1.0, 1.0), (1.01, 0.75), (1.04, 0.0), (5.0, 0.0)] {
             assert!((once.grip_at(t) - grip).abs() < 1e-12, "{t}");
@@ -314,7 +319,7 @@ mod tests {
         for (kink, expected) in kinks.iter().zip([1.0, 1.04, 1.24, 1.34]) {
             assert!((kink - expected).abs() < 1e-12);
         }
-        let sudden = hand(Release { duration_s: 0.0, ..slow });
+        let sudden = hand(Release { decay_s: 0.0, ..slow });
         assert_eq!((sudden.grip_at(0.999), sudden.grip_at(1.0)), (1.0, 0.0));
         assert_eq!(sudden.grip_line(0.5).1, [20.0, 0.0], "a sudden release is no ramp before it");
     }
@@ -332,7 +337,7 @@ mod tests {
     #[test]
     fn refuses_what_no_hand_can_do() {
         let path = || Path::new(Axes::<1>::zeros(), Vec::new()).unwrap();
-        let fades = Release { at_s: 1.0, duration_s: 0.1, kind: ReleaseKind::Strength };
+        let fades = Release { at_s: 1.0, decay_s: 0.1, kind: ReleaseKind::Strength };
         assert!(Hand::new(300.0, 5.0, f64::INFINITY, path(), Some(fades)).is_err());
         assert!(Hand::new(300.0, 5.0, f64::NAN, path(), None).is_err());
         assert!(Hand::new(-1.0, 5.0, 1.0, path(), None).is_err());

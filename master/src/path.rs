@@ -4,6 +4,11 @@ use crate::{Axes, ModelError, require};
 
 /// How a leg of a path is travelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum LegShape {
     /// Constant velocity.
     Linear,
@@ -34,10 +39,12 @@ pub(crate) const MIN_LEG_S: f64 = 1e-9;
 
 /// One leg: from where the last one ended to `end`, within `duration_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Leg<const N: usize> {
     /// Duration in s (>= 1e-9).
     pub duration_s: f64,
     /// Position at its end in m.
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub end: Axes<N>,
     /// How it is travelled.
     pub shape: LegShape,

@@ -135,7 +135,7 @@ fn a_grip_slips_only_beyond_its_strength() {
 #[test]
 fn a_release_unbalances_as_its_ramp_says() {
     let path = Path::new(at(0.0), Vec::new()).unwrap();
-    let release = Some(Release { at_s: 0.1, duration_s: 0.05, kind: ReleaseKind::Strength });
+    let release = Some(Release { at_s: 0.1, decay_s: 0.05, kind: ReleaseKind::Strength });
     // Strength equal to the load: it slips from the first instant of the release. Very stiff: x stays put.
     let hand = Hand::new(1e6, 1e3, 7.8, path, release).unwrap();
     let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
@@ -154,7 +154,7 @@ fn a_release_unbalances_as_its_ramp_says() {
 fn work_of_all_forces_is_the_kinetic_energy() {
     // Slipping hand, friction and held force together, at a step unlike the internal one.
     let path = Path::new(at(0.0), Vec::new()).unwrap();
-    let release = Some(Release { at_s: 0.01, duration_s: 0.02, kind: ReleaseKind::Strength });
+    let release = Some(Release { at_s: 0.01, decay_s: 0.02, kind: ReleaseKind::Strength });
     let hand = Hand::new(300.0, 5.0, 4.0, path, release).unwrap();
     let device = DeviceParameters { viscous: at(0.5), coulomb: at(0.05), ..frictionless() };
     let mut coarse = SimulatedMaster::new(device, hand.clone(), 0).unwrap();
@@ -281,7 +281,7 @@ fn kinks_beside_a_tick_leave_numbers() {
     for hundredths in 1..200_u32 {
         let path = Path::new(at(0.0), Vec::new()).unwrap();
         let release =
-            Release { at_s: f64::from(hundredths) * 0.01, duration_s: 0.05, kind: ReleaseKind::Strength };
+            Release { at_s: f64::from(hundredths) * 0.01, decay_s: 0.05, kind: ReleaseKind::Strength };
         let hand = Hand::new(300.0, 5.0, 6.0, path, Some(release)).unwrap();
         let hand = hand.with_regrasp(Regrasp { reaction_s: 0.01, rise_s: 0.02 }).unwrap();
         let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
@@ -315,7 +315,7 @@ fn the_tick_does_not_change_the_motion_in_space() {
     let device = DeviceParameters::<3>::ideal(MASS, -0.005, 0.038);
     let leg = |x, y, z| Leg { duration_s: 0.1, end: Axes::<3>::new(x, y, z), shape: LegShape::MinimumJerk };
     let path = Path::new(Axes::<3>::zeros(), vec![leg(0.02, -0.01, 0.005), leg(0.0, 0.01, 0.0)]).unwrap();
-    let release = Some(Release { at_s: 0.15, duration_s: 0.03, kind: ReleaseKind::Strength });
+    let release = Some(Release { at_s: 0.15, decay_s: 0.03, kind: ReleaseKind::Strength });
     let hand = Hand::new(300.0, 5.0, 1.5, path, release).unwrap();
     let wall = ContinuousWall::new(
         Axes::<3>::new(0.01, 0.0, 0.0),
@@ -344,7 +344,7 @@ fn the_tick_does_not_change_the_motion_in_space() {
 #[test]
 fn a_hand_that_regrasps_catches_the_stylus() {
     let path = || Path::new(at(0.0), Vec::new()).unwrap();
-    let release = Some(Release { at_s: 0.1, duration_s: 0.02, kind: ReleaseKind::Gain });
+    let release = Some(Release { at_s: 0.1, decay_s: 0.02, kind: ReleaseKind::Gain });
     let once = Hand::new(300.0, 10.0, f64::INFINITY, path(), release).unwrap();
     let again = once.clone().with_regrasp(Regrasp { reaction_s: 0.15, rise_s: 0.1 }).unwrap();
     let far = |hand| {
@@ -365,7 +365,7 @@ fn a_release_may_end_within_rounding_of_a_tick() {
     let places = [5_000_000_u64, 1_000_000, 700_000].map(|tick_ns| {
         let legs = vec![Leg { duration_s: 0.1, end: at(0.0), shape: LegShape::MinimumJerk }];
         let path = Path::new(at(0.01), legs).unwrap();
-        let release = Release { at_s: 0.0, duration_s: 0.04, kind: ReleaseKind::Gain };
+        let release = Release { at_s: 0.0, decay_s: 0.04, kind: ReleaseKind::Gain };
         let hand = Hand::new(300.0, 5.0, f64::INFINITY, path, Some(release)).unwrap();
         let mut master = SimulatedMaster::new(DeviceParameters::ideal(0.1, 0.0, 0.0), hand, 0).unwrap();
         for tick in 1..=60_000_000 / tick_ns {
@@ -380,7 +380,7 @@ fn a_release_may_end_within_rounding_of_a_tick() {
 fn what_lasts_no_time_happens_at_once() {
     let thrown = [0.0, 1e-300, 1e-13].map(|duration_s| {
         let path = Path::new(at(0.01), Vec::new()).unwrap();
-        let release = Release { at_s: 0.01, duration_s, kind: ReleaseKind::Strength };
+        let release = Release { at_s: 0.01, decay_s: duration_s, kind: ReleaseKind::Strength };
         let hand = Hand::new(300.0, 5.0, 9.0, path, Some(release)).unwrap();
         let hand = hand.with_regrasp(Regrasp { reaction_s: 0.01, rise_s: duration_s }).unwrap();
         let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
@@ -512,7 +512,7 @@ fn stiff_damping_takes_energy_whatever_acts_beside_it() {
         ] {
             let start = Axes::<3>::new(0.02, -0.01, 0.0);
             let path = Path::new(Axes::zeros(), Vec::new()).unwrap();
-            let release = Release { at_s: 0.02, duration_s: 0.01, kind };
+            let release = Release { at_s: 0.02, decay_s: 0.01, kind };
             let hand = Hand::new(300.0, ratio * MASS / 1e-3, strength, path, Some(release)).unwrap();
             let wall = ContinuousWall::new(start, Axes::<3>::new(1.0, 1.0, 0.0), 500.0, 40.0, false).unwrap();
             let mut master = SimulatedMaster::new(device, hand, 0).unwrap().among(vec![wall]).unwrap();

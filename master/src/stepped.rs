@@ -9,12 +9,18 @@ use crate::{
 
 /// How a step is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum Stepping {
     /// `V += h a(x, V)`, then `x += h V`: order 1, symplectic. Source: Hairer, Lubich and Wanner 2006, I.1.
     SemiImplicitEuler,
     /// Half a kick, drift, half a kick: order 2, symplectic. Source: Swope et al. 1982.
     VelocityVerlet,
     /// The classical method of order 4. Source: Kutta 1901.
+    #[cfg_attr(feature = "serde", serde(rename = "rk4"))]
     RungeKutta4,
 }
 

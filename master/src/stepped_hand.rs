@@ -76,7 +76,7 @@ impl<const N: usize> SteppedHand<N> {
             SteppedRelease {
                 at: release.at_s,
                 ends,
-                falls: pace(release.duration_s),
+                falls: pace(release.decay_s),
                 regrips: hand.regrasp().map_or(f64::MAX, |_| begins),
                 full: hand.regrasp().map_or(f64::MAX, |_| full),
                 rises: hand.regrasp().map_or(0.0, |regrasp| pace(regrasp.rise_s)),

@@ -16,7 +16,7 @@ fn hand(depth: f64, strength: f64, kind: ReleaseKind) -> Hand<1> {
         Leg { duration_s: 0.05, end: at(0.5 * depth), shape: LegShape::Smooth },
         Leg { duration_s: 0.02 + depth.abs(), end: at(depth), shape: LegShape::MinimumJerk },
     ];
-    let release = Some(Release { at_s: 0.15, duration_s: 0.03, kind });
+    let release = Some(Release { at_s: 0.15, decay_s: 0.03, kind });
     let hand = Hand::new(300.0, 5.0, strength, Path::new(at(0.002), legs).unwrap(), release).unwrap();
     hand.with_tremor(Tremor { amplitude: 1e-4, frequency_hz: 10.0 }).unwrap()
 }

@@ -1,5 +1,6 @@
 //! The clock of an endpoint, which need not agree with true time: offset, drift and a step.
 
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::checks::{LinkSettingsError, within};
@@ -15,7 +16,7 @@ const PARTS: i128 = 1_000_000_000_000;
 const PARTS_PER_PPM: f64 = 1e6;
 
 /// What is wrong with the clock of an endpoint. The default is a clock that is right.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClockSettings {
     /// What it reads at true time 0, in s.

@@ -1,6 +1,7 @@
 //! How the bytes of a packet change in transit: which bits flip, where it is cut.
 
 use arrayvec::ArrayVec;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::random::Stream;
@@ -147,7 +148,7 @@ fn add(payload: &mut [u8], offset: usize, lead: u64) {
 }
 
 /// A change of one little-endian number.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(tag = "type", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Edit {
     /// Of a binary64.
@@ -171,7 +172,7 @@ pub enum Edit {
 }
 
 /// What is done to a number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Operation {
     /// It is replaced.
@@ -183,7 +184,7 @@ pub enum Operation {
 }
 
 /// What somebody who knows the format puts right at the end of a packet.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Checksum {
     /// CRC-32 (IEEE 802.3) of all bytes but the last four, little-endian in those.

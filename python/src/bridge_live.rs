@@ -9,7 +9,7 @@ use std::{
 use haptether_bridge::{
     OperatorCommand, Side,
     live::{LiveHandle, run_live},
-    scene::{SceneSpec, simulated_master, simulated_slave},
+    scene::{simulated_master, simulated_slave},
 };
 use pyo3::{exceptions::PyTypeError, prelude::*};
 
@@ -19,7 +19,7 @@ use crate::{
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live_options::{realtime_settings, recorder_settings},
     live_watch::{How, Live, Place, Running, ended, finished_before, not_begun, security, watch_methods},
-    scene::{live_periods, scene_spec},
+    scene::{live_periods, scene_axes, scene_spec},
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -60,13 +60,12 @@ fn join<Rows: 'static>(py: Python<'_>, of: &Mutex<Run<Rows>>) -> PyResult<PyLoop
     locked(of).join().map(Into::into).ok_or_else(finished_before)
 }
 
-/// A scene where a side is asked for, as `scene_json` writes it.
-fn scene_of(settings: &Bound<'_, PyAny>, class: &str) -> PyResult<SceneSpec> {
-    let json = settings.extract::<&[u8]>().map_err(|_| {
+/// A scene in place of a side, as `scene_json` writes it.
+fn json_of<'a>(settings: &'a Bound<'_, PyAny>, class: &str) -> PyResult<&'a [u8]> {
+    settings.extract().map_err(|_| {
         let kind = settings.get_type();
         PyTypeError::new_err(format!("settings: is a {kind}, must be {class} or the bytes of scene_json"))
-    })?;
-    scene_spec(json)
+    })
 }
 
 #[pyclass(module = "haptether.bridge", frozen)]
@@ -125,9 +124,10 @@ impl LiveMaster {
             let settings = settings.get();
             start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
         } else {
-            let scene = scene_of(settings, "MasterSettings")?;
-            let place = place(live_periods(&scene)?[0])?;
-            of_axes!(scene.master.axes, N => {
+            let json = json_of(settings, "MasterSettings")?;
+            of_axes!(scene_axes(json)?, N => {
+                let scene = scene_spec::<N>(json)?;
+                let place = place(live_periods(&scene)?[0])?;
                 start(py, simulated_master::<N>(&scene, session).map_err(refuse)?, place)?
             })
         };
@@ -220,9 +220,10 @@ impl LiveSlave {
             let settings = settings.get();
             start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
         } else {
-            let scene = scene_of(settings, "SlaveSettings")?;
-            let place = place(live_periods(&scene)?[1])?;
-            of_axes!(scene.master.axes, N => {
+            let json = json_of(settings, "SlaveSettings")?;
+            of_axes!(scene_axes(json)?, N => {
+                let scene = scene_spec::<N>(json)?;
+                let place = place(live_periods(&scene)?[1])?;
                 start(py, simulated_slave::<N>(&scene, session).map_err(refuse)?, place)?
             })
         };

@@ -23,7 +23,7 @@ use crate::{
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live_options::{realtime_settings, recorder_settings},
     live_watch::{How, Live, Place, Watching, ended, finished_before, not_begun, security, watch_methods},
-    scene::{live_periods, scene_spec},
+    scene::{live_periods, scene_axes, scene_spec},
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -295,7 +295,6 @@ impl MasterLoop {
         record: Option<PathBuf>,
         min_free_bytes: u64,
     ) -> PyResult<Self> {
-        let scene = scene_spec(scene)?;
         let simulated_clutch = match clutch {
             "once" => false,
             "auto" => true,
@@ -304,17 +303,18 @@ impl MasterLoop {
                 return Err(PyValueError::new_err(text));
             }
         };
-        let how = How {
-            security: security(key, insecure)?,
-            period_ns: live_periods(&scene)?[0],
-            duration_s,
-            patience_s,
-            started_s,
-            keep_s,
-            realtime: realtime_settings(realtime, priority, cpu)?,
-            record: recorder_settings(record, min_free_bytes, insecure),
-        };
-        of_axes!(scene.master.axes, N => {
+        of_axes!(scene_axes(scene)?, N => {
+            let scene = scene_spec::<N>(scene)?;
+            let how = How {
+                security: security(key, insecure)?,
+                period_ns: live_periods(&scene)?[0],
+                duration_s,
+                patience_s,
+                started_s,
+                keep_s,
+                realtime: realtime_settings(realtime, priority, cpu)?,
+                record: recorder_settings(record, min_free_bytes, insecure),
+            };
             let side = driven_master::<N>(&scene, session, simulated_clutch).map_err(refuse)?;
             let (turns, watch) = prepare(py, side, Place::of_master(peer, listen, how)?)?;
             Ok(Self { turns: Mutex::new(Box::new(turns)), watch: Mutex::new(watch) })
@@ -375,18 +375,18 @@ impl SlaveLoop {
         record: Option<PathBuf>,
         min_free_bytes: u64,
     ) -> PyResult<Self> {
-        let scene = scene_spec(scene)?;
-        let how = How {
-            security: security(key, insecure)?,
-            period_ns: live_periods(&scene)?[1],
-            duration_s,
-            patience_s,
-            started_s: None,
-            keep_s,
-            realtime: realtime_settings(realtime, priority, cpu)?,
-            record: recorder_settings(record, min_free_bytes, insecure),
-        };
-        of_axes!(scene.master.axes, N => {
+        of_axes!(scene_axes(scene)?, N => {
+            let scene = scene_spec::<N>(scene)?;
+            let how = How {
+                security: security(key, insecure)?,
+                period_ns: live_periods(&scene)?[1],
+                duration_s,
+                patience_s,
+                started_s: None,
+                keep_s,
+                realtime: realtime_settings(realtime, priority, cpu)?,
+                record: recorder_settings(record, min_free_bytes, insecure),
+            };
             let side = driven_slave::<N>(&scene, session).map_err(refuse)?;
             let (turns, watch) = prepare(py, side, Place::of_slave(listen, how)?)?;
             Ok(Self { turns: Mutex::new(Box::new(turns)), watch: Mutex::new(watch) })

@@ -144,8 +144,11 @@ impl PyHand {
             })
             .collect::<PyResult<Vec<_>>>()?;
         let path = Path::new(Axes::<1>::new(start), legs).map_err(refuse)?;
-        let release =
-            release.map(|(at_s, duration_s)| Release { at_s, duration_s, kind: ReleaseKind::Strength });
+        let release = release.map(|(at_s, duration_s)| Release {
+            at_s,
+            decay_s: duration_s,
+            kind: ReleaseKind::Strength,
+        });
         Ok(Self { inner: Hand::new(stiffness, damping, strength_n, path, release).map_err(refuse)? })
     }
 

@@ -10,19 +10,24 @@ use std::{
 };
 
 use haptether_bridge::scene::{
-    Outcome, Progress, Refused, SceneRun, SceneSpec, Signal, SweepSettings, Variation, simulate, sweep,
+    self, Outcome, Progress, Refused, SceneError, SceneRun, SceneSpec, Signal, SweepSettings, Variation,
+    simulate, sweep,
 };
 use numpy::{PyArrayMethods, PyReadonlyArray1, ToPyArray};
 use pyo3::{
-    exceptions::PyValueError,
     prelude::*,
     types::{PyDict, PyList},
 };
 
-use crate::{arrays::column, axes::refuse, bridge::nanoseconds};
+use crate::{
+    arrays::column,
+    axes::{of_axes, refuse},
+    bridge::nanoseconds,
+};
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySceneRun>()?;
+    module.add_function(wrap_pyfunction!(scene_schema, module)?)?;
     module.add_function(wrap_pyfunction!(simulate_scene, module)?)?;
     module.add_function(wrap_pyfunction!(sweep_scenes, module)?)
 }
@@ -84,34 +89,45 @@ fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<
     Ok(metrics.unbind())
 }
 
-/// A scene as `scene_json` writes it.
-pub(crate) fn scene_spec(json: &[u8]) -> PyResult<SceneSpec> {
-    serde_json::from_slice(json).map_err(|error| PyValueError::new_err(format!("scene: {error}")))
+/// The number of axes of a scene as `scene_json` writes it.
+pub(crate) fn scene_axes(json: &[u8]) -> PyResult<usize> {
+    scene::scene_axes(json).map_err(no_scene)
+}
+
+/// A scene as `scene_json` writes it, of `scene_axes` axes.
+pub(crate) fn scene_spec<const N: usize>(json: &[u8]) -> PyResult<SceneSpec<N>> {
+    serde_json::from_slice(json).map_err(no_scene)
+}
+
+fn no_scene(error: serde_json::Error) -> PyErr {
+    refuse(SceneError::from(error))
 }
 
 /// Periods of master and slave in ns.
-pub(crate) fn live_periods(scene: &SceneSpec) -> PyResult<[u64; 2]> {
+pub(crate) fn live_periods<const N: usize>(scene: &SceneSpec<N>) -> PyResult<[u64; 2]> {
     let slave_s = scene.slave.as_ref().map_or(scene.run.period_s, |slave| slave.period_s);
     Ok([nanoseconds("run.period_s", scene.run.period_s)?, nanoseconds("slave.period_s", slave_s)?])
+}
+
+/// The JSON schema of a scene of one axis.
+#[pyfunction]
+fn scene_schema() -> String {
+    scene::scene_schema()
 }
 
 /// Runs a scene.
 #[pyfunction]
 fn simulate_scene(py: Python<'_>, scene_json: &[u8]) -> PyResult<PySceneRun> {
-    let done = heeding_signals(py, None, |progress| {
-        let scene: SceneSpec =
-            serde_json::from_slice(scene_json).map_err(|error| format!("scene: {error}"))?;
-        simulate(&scene, &progress.stop).map_err(|error| error.to_string())
-    })?;
-    let SceneRun { signals, events, outcome, period_s } = done.map_err(PyValueError::new_err)?;
+    let done = interruptibly(py, None, |progress| simulate(scene_json, &progress.stop))?;
+    let SceneRun { signals, events, outcome, period_s } = done.map_err(refuse)?;
     let by_name = PyDict::new(py);
     for signal in &signals {
         by_name.set_item(signal.name, signal_out(py, signal)?)?;
     }
-    let told = events.into_iter().map(|event| (event.time_s, event.kind, event.detail));
+    let events = events.into_iter().map(|event| (event.time_s, event.kind, event.detail));
     Ok(PySceneRun {
         signals: by_name.unbind(),
-        events: PyList::new(py, told.collect::<Vec<_>>())?.unbind(),
+        events: PyList::new(py, events.collect::<Vec<_>>())?.unbind(),
         metrics: metrics_out(py, &outcome, period_s)?,
     })
 }
@@ -119,10 +135,10 @@ fn simulate_scene(py: Python<'_>, scene_json: &[u8]) -> PyResult<PySceneRun> {
 /// Time between two looks at signals and progress.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Does `work` on a thread of its own, so that a signal ends it at once and `tell` hears how far it is.
-fn heeding_signals<T: Send>(
+/// Does `work` on a thread of its own, so that a signal ends it at once and `report` is called with how far it is.
+fn interruptibly<T: Send>(
     py: Python<'_>,
-    tell: Option<&Py<PyAny>>,
+    report: Option<&Py<PyAny>>,
     work: impl FnOnce(&Progress) -> T + Send,
 ) -> PyResult<T> {
     let progress = Progress::default();
@@ -133,7 +149,7 @@ fn heeding_signals<T: Send>(
             let _ = finished.send(work(&progress));
             drop(finished);
         });
-        let mut told = 0;
+        let mut reported = 0;
         let mut interrupted = None;
         loop {
             let waiting = &mut finishes;
@@ -144,13 +160,13 @@ fn heeding_signals<T: Send>(
             }
             let done = progress.done.load(Ordering::Relaxed);
             if interrupted.is_none() {
-                let tell = tell.filter(|_| done > told);
+                let report = report.filter(|_| done > reported);
                 interrupted = py
                     .check_signals()
-                    .and_then(|()| tell.map_or(Ok(()), |tell| tell.call1(py, (done,)).map(drop)))
+                    .and_then(|()| report.map_or(Ok(()), |report| report.call1(py, (done,)).map(drop)))
                     .err();
                 progress.stop.store(interrupted.is_some(), Ordering::Relaxed);
-                told = done;
+                reported = done;
             }
         }
         match worker.join() {
@@ -173,17 +189,13 @@ fn sweep_scenes(
     let columns: Vec<(String, Vec<f64>)> =
         columns.into_iter().map(|(path, values)| (path, values.as_array().to_vec())).collect();
     let settings = SweepSettings { threads, lanes };
-    let period_s = serde_json::from_slice::<SceneSpec>(scene_json)
-        .map_err(|error| PyValueError::new_err(format!("scene: {error}")))?
-        .run
-        .period_s;
+    let period_s = of_axes!(scene_axes(scene_json)?, N => scene_spec::<N>(scene_json)?.run.period_s);
     let variations: Vec<_> = columns
         .iter()
         .map(|(path, values)| Variation { path: path.clone(), values: values.clone() })
         .collect();
-    let swept = heeding_signals(py, progress.as_ref(), |progress| {
-        sweep(scene_json, &variations, settings, progress)
-    })?;
+    let swept =
+        interruptibly(py, progress.as_ref(), |progress| sweep(scene_json, &variations, settings, progress))?;
     let rows = swept.map_err(refuse)?;
     let periods = columns.iter().find(|(path, _)| path == "run.period_s").map(|(_, values)| values);
     let period = |row: usize| periods.map_or(period_s, |periods| periods[row]);

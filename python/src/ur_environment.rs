@@ -5,7 +5,10 @@ use haptether_safety::Axes;
 use haptether_slave::{Environment, ForceSensor};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-use crate::axes::refuse;
+use crate::{
+    axes::refuse,
+    scene::{scene_axes, scene_spec},
+};
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySceneTouch>()?;
@@ -37,6 +40,15 @@ fn padded<const N: usize>(of: &Axes<N>) -> [f64; 3] {
     std::array::from_fn(|axis| if axis < N { of[axis] } else { 0.0 })
 }
 
+/// The environment of a scene, and where its arm starts.
+fn touched<const N: usize>(
+    scene: &SceneSpec<N>,
+    along: impl FnOnce(Environment<N>) -> Along,
+) -> PyResult<(Along, [f64; 3])> {
+    let start = scene.slave.as_ref().map_or(&scene.master.position, |slave| &slave.position);
+    Ok((along(scene_environment(scene).map_err(refuse)?), padded(start)))
+}
+
 fn finite(name: &str, values: &[f64]) -> PyResult<()> {
     if values.iter().all(|value| value.is_finite()) {
         return Ok(());
@@ -48,12 +60,10 @@ fn finite(name: &str, values: &[f64]) -> PyResult<()> {
 impl PySceneTouch {
     #[new]
     fn new(scene_json: &[u8]) -> PyResult<Self> {
-        let scene: SceneSpec =
-            serde_json::from_slice(scene_json).map_err(|error| refuse(format!("scene: {error}")))?;
-        let mut environment = match scene.master.axes {
-            1 => Along::One(scene_environment(&scene).map_err(refuse)?),
-            2 => Along::Two(scene_environment(&scene).map_err(refuse)?),
-            3 => Along::Three(scene_environment(&scene).map_err(refuse)?),
+        let (mut environment, start) = match scene_axes(scene_json)? {
+            1 => touched(&scene_spec(scene_json)?, Along::One)?,
+            2 => touched(&scene_spec(scene_json)?, Along::Two)?,
+            3 => touched(&scene_spec(scene_json)?, Along::Three)?,
             axes => {
                 return Err(refuse(format!("master.axes = {axes}: must be 1, 2 or 3 to lie around a tool")));
             }
@@ -63,8 +73,6 @@ impl PySceneTouch {
             Along::Two(environment) => environment.push_from(f64::INFINITY),
             Along::Three(environment) => environment.push_from(f64::INFINITY),
         }
-        let position = scene.slave.as_ref().map_or(&scene.master.position, |slave| &slave.position);
-        let start = std::array::from_fn(|axis| position.get(axis).copied().unwrap_or(0.0));
         Ok(Self { untouched: environment.clone(), environment, start })
     }
 

@@ -1,23 +1,17 @@
-//! Arm, objects and pushers as the tables of a scene have them: vectors are lists with one number per axis.
+//! Arm, objects and pushers as the tables of a scene have them.
 //!
-//! With the feature `serde` these are read from JSON. Every field is required and no other is taken, so that a table
-//! that writer and reader describe differently cannot be misread.
+//! With the feature `serde` these are read from JSON, a vector from a list with one number per axis. No field is taken
+//! that a table does not have, so that a table that writer and reader describe differently cannot be misread.
 
 use crate::{
     ArmControl, ArmModel, Axes, Contact, ContactLaw, ForceSensor, FreeBody, ModelError, Object, ObjectMotion,
-    PushShape, Pusher, Series, Shape, require,
+    PushShape, Pusher, Series, Shape,
 };
-
-/// One value per axis from a list.
-fn axes<const N: usize>(name: &'static str, values: &[f64]) -> Result<Axes<N>, ModelError> {
-    require(name, values.len() as f64, values.len() == N, "one value per axis")?;
-    Ok(Axes::from_column_slice(values))
-}
 
 /// `[slave]`: a simulated arm.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
-pub struct ArmSettings {
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+pub struct ArmSettings<const N: usize> {
     /// What its controller takes.
     pub control: ControlKind,
     /// M in kg.
@@ -35,12 +29,13 @@ pub struct ArmSettings {
     /// Period of its loop in s.
     pub period_s: f64,
     /// Where it starts, in m per axis.
-    pub position: Vec<f64>,
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+    pub position: Axes<N>,
     /// Its force sensor; without it the force is exact.
-    pub force_sensor: Option<ForceSensorSettings>,
+    pub force_sensor: Option<ForceSensorSettings<N>>,
 }
 
-impl ArmSettings {
+impl<const N: usize> ArmSettings<N> {
     /// Its control, mass and bounds, checked.
     pub fn model(&self) -> Result<ArmModel, ModelError> {
         let control = match self.control {
@@ -54,7 +49,11 @@ impl ArmSettings {
 
 /// What an arm's controller takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum ControlKind {
     /// A position, tracked as a critically damped second-order system.
     Position,
@@ -66,58 +65,53 @@ pub enum ControlKind {
 
 /// `[slave.force_sensor]`.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
-pub struct ForceSensorSettings {
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+pub struct ForceSensorSettings<const N: usize> {
     /// Standard deviation in N.
     pub noise_n: f64,
     /// In N per axis.
-    pub bias_n: Vec<f64>,
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+    pub bias_n: Axes<N>,
     /// In N; 0 is exact.
     pub quantum_n: f64,
     /// Samples per second; none for one at each tick.
     pub rate_hz: Option<f64>,
 }
 
-impl ForceSensorSettings {
+impl<const N: usize> ForceSensorSettings<N> {
     /// The sensor, whose noise a seed determines.
-    pub fn sensor<const N: usize>(&self, seed: u64) -> Result<ForceSensor<N>, ModelError> {
-        let bias = axes("number of values of slave.force_sensor.bias_n", &self.bias_n)?;
-        ForceSensor::new(self.noise_n, bias, self.quantum_n, self.rate_hz, seed)
+    pub fn sensor(&self, seed: u64) -> Result<ForceSensor<N>, ModelError> {
+        ForceSensor::new(self.noise_n, self.bias_n, self.quantum_n, self.rate_hz, seed)
     }
 }
 
 /// `[[environment.objects]]`.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
-pub struct ObjectSettings {
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+pub struct ObjectSettings<const N: usize> {
     /// Its shape.
-    pub shape: ShapeSettings,
+    pub shape: ShapeSettings<N>,
     /// How it resists.
     pub contact: ContactSettings,
     /// How it moves on its own.
-    pub motion: Option<ObjectMotionSettings>,
+    pub motion: Option<ObjectMotionSettings<N>>,
     /// Its mass, if it slides freely.
-    pub body: Option<BodySettings>,
+    pub body: Option<BodySettings<N>>,
 }
 
-impl ObjectSettings {
+impl<const N: usize> ObjectSettings<N> {
     /// The object.
-    pub fn object<const N: usize>(&self) -> Result<Object<N>, ModelError> {
+    pub fn object(&self) -> Result<Object<N>, ModelError> {
         let (shape, contact) = (self.shape.shape()?, self.contact.contact()?);
         match (&self.motion, &self.body) {
             (None, None) => Object::fixed(shape, contact),
             (Some(motion), None) => {
-                let velocity =
-                    axes("number of values of environment.objects.motion.velocity", &motion.velocity)?;
-                let amplitude =
-                    axes("number of values of environment.objects.motion.amplitude", &motion.amplitude)?;
-                let (from_s, until_s) = (motion.from_s, motion.until_s);
-                let motion = ObjectMotion::new(velocity, from_s, until_s, amplitude, motion.frequency_hz)?;
+                let ObjectMotionSettings { velocity, from_s, until_s, amplitude, frequency_hz } = *motion;
+                let motion = ObjectMotion::new(velocity, from_s, until_s, amplitude, frequency_hz)?;
                 Object::moving(shape, contact, motion)
             }
             (None, Some(body)) => {
-                let velocity = axes("number of values of environment.objects.body.velocity", &body.velocity)?;
-                let body = FreeBody::new(body.mass_kg, body.viscous, body.coulomb, velocity)?;
+                let body = FreeBody::new(body.mass_kg, body.viscous, body.coulomb, body.velocity)?;
                 Object::free(shape, contact, body)
             }
             (Some(_), Some(_)) => {
@@ -132,62 +126,59 @@ impl ObjectSettings {
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(
     feature = "serde",
-    derive(serde::Deserialize),
+    derive(serde::Deserialize, schemars::JsonSchema),
     serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)
 )]
-pub enum ShapeSettings {
+pub enum ShapeSettings<const N: usize> {
     /// Fills the side of a plane that its normal points away from.
     Plane {
         /// A point on it, in m.
-        point: Vec<f64>,
+        #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+        point: Axes<N>,
         /// Outward normal; need not have unit length.
-        normal: Vec<f64>,
+        #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+        normal: Axes<N>,
     },
     /// A ball.
     Sphere {
         /// In m.
-        centre: Vec<f64>,
+        #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+        centre: Axes<N>,
         /// In m.
         radius: f64,
     },
     /// A box along the axes.
     Box {
         /// In m.
-        centre: Vec<f64>,
+        #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+        centre: Axes<N>,
         /// In m per axis.
-        half_extents: Vec<f64>,
+        #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+        half_extents: Axes<N>,
     },
     /// A spring that pushes and pulls: `F = K (anchor - x) - B V`, everywhere.
     Spring {
         /// In m.
-        anchor: Vec<f64>,
+        #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+        anchor: Axes<N>,
     },
 }
 
-impl ShapeSettings {
+impl<const N: usize> ShapeSettings<N> {
     /// The shape.
-    pub fn shape<const N: usize>(&self) -> Result<Shape<N>, ModelError> {
-        const CENTRE: &str = "number of values of environment.objects.shape.centre";
-        match self {
-            Self::Plane { point, normal } => Shape::plane(
-                axes("number of values of environment.objects.shape.point", point)?,
-                axes("number of values of environment.objects.shape.normal", normal)?,
-            ),
-            Self::Sphere { centre, radius } => Shape::sphere(axes(CENTRE, centre)?, *radius),
-            Self::Box { centre, half_extents } => {
-                let half = axes("number of values of environment.objects.shape.half_extents", half_extents)?;
-                Shape::cuboid(axes(CENTRE, centre)?, half)
-            }
-            Self::Spring { anchor } => {
-                Shape::spring(axes("number of values of environment.objects.shape.anchor", anchor)?)
-            }
+    pub fn shape(&self) -> Result<Shape<N>, ModelError> {
+        match *self {
+            Self::Plane { point, normal } => Shape::plane(point, normal),
+            Self::Sphere { centre, radius } => Shape::sphere(centre, radius),
+            Self::Box { centre, half_extents } => Shape::cuboid(centre, half_extents),
+            Self::Spring { anchor } => Shape::spring(anchor),
         }
     }
 }
 
 /// `[environment.objects.contact]`.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct ContactSettings {
     /// The law along the normal.
     pub law: ContactLawKind,
@@ -217,7 +208,11 @@ impl ContactSettings {
 
 /// The law of a contact along the normal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum ContactLawKind {
     /// `F = max(0, K d + B d')`.
     KelvinVoigt,
@@ -227,24 +222,26 @@ pub enum ContactLawKind {
 
 /// `[environment.objects.motion]`: constant velocity for a while, and a sine.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
-pub struct ObjectMotionSettings {
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+pub struct ObjectMotionSettings<const N: usize> {
     /// In m/s per axis.
-    pub velocity: Vec<f64>,
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+    pub velocity: Axes<N>,
     /// When the velocity begins, in s.
     pub from_s: f64,
     /// When it ends, in s.
     pub until_s: f64,
     /// Amplitude in m per axis of a sine on top.
-    pub amplitude: Vec<f64>,
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+    pub amplitude: Axes<N>,
     /// Its frequency in Hz.
     pub frequency_hz: f64,
 }
 
 /// `[environment.objects.body]`.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
-pub struct BodySettings {
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+pub struct BodySettings<const N: usize> {
     /// In kg.
     pub mass_kg: f64,
     /// Viscous friction with the ground in N s/m.
@@ -252,13 +249,14 @@ pub struct BodySettings {
     /// Coulomb friction with the ground in N.
     pub coulomb: f64,
     /// V at the start, in m/s per axis.
-    pub velocity: Vec<f64>,
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+    pub velocity: Axes<N>,
 }
 
 /// `[[environment.pushers]]`.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
-pub struct PusherSettings {
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+pub struct PusherSettings<const N: usize> {
     /// Its course.
     pub shape: PushKind,
     /// In s, since engagement; since the start without an arm.
@@ -270,21 +268,21 @@ pub struct PusherSettings {
     /// Frequency of a sine in Hz.
     pub frequency_hz: f64,
     /// In N per axis.
-    pub force_n: Vec<f64>,
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
+    pub force_n: Axes<N>,
     /// The course of a recorded one, in N.
-    pub recorded: Option<SeriesSettings>,
+    pub recorded: Option<SeriesSettings<N>>,
 }
 
-impl PusherSettings {
+impl<const N: usize> PusherSettings<N> {
     /// The pusher.
-    pub fn pusher<const N: usize>(&self) -> Result<Pusher<N>, ModelError> {
+    pub fn pusher(&self) -> Result<Pusher<N>, ModelError> {
         if self.shape == PushKind::Recorded {
             let empty = SeriesSettings { time_s: Vec::new(), values: Vec::new() };
-            let series = self.recorded.as_ref().unwrap_or(&empty).series("environment.pushers.recorded")?;
+            let series = self.recorded.as_ref().unwrap_or(&empty).series()?;
             return Pusher::recorded(series, self.at_s, self.duration_s);
         }
-        let force = axes("number of values of environment.pushers.force_n", &self.force_n)?;
-        Pusher::shaped(self.push_shape(), self.at_s, self.duration_s, force)
+        Pusher::shaped(self.push_shape(), self.at_s, self.duration_s, self.force_n)
     }
 
     /// The course of one that is not recorded.
@@ -300,7 +298,11 @@ impl PusherSettings {
 
 /// The course of a push.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum PushKind {
     /// At once.
     Step,
@@ -316,18 +318,18 @@ pub enum PushKind {
 
 /// Values over time, linear between its points and constant outside.
 #[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
-pub struct SeriesSettings {
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+pub struct SeriesSettings<const N: usize> {
     /// In s, increasing.
     pub time_s: Vec<f64>,
     /// One row of values (one per axis) for each time.
-    pub values: Vec<Vec<f64>>,
+    #[cfg_attr(feature = "serde", schemars(with = "Vec<Vec<f64>>"))]
+    pub values: Vec<Axes<N>>,
 }
 
-impl SeriesSettings {
-    /// The series; a row that has not one value per axis is refused under a name.
-    pub fn series<const N: usize>(&self, name: &'static str) -> Result<Series<N>, ModelError> {
-        let rows = self.values.iter().map(|row| axes(name, row));
-        Series::new(self.time_s.clone(), rows.collect::<Result<_, _>>()?)
+impl<const N: usize> SeriesSettings<N> {
+    /// The series, checked.
+    pub fn series(&self) -> Result<Series<N>, ModelError> {
+        Series::new(self.time_s.clone(), self.values.clone())
     }
 }

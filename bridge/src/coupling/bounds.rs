@@ -1,16 +1,28 @@
 //! What a slave takes of a remote command: beyond its bounds it is clamped, counted and told, and nothing stops.
 
 use haptether_safety::Axes;
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer};
 
 use super::CouplingError;
 
 /// Bounds on the command of a slave. A command from the network can never trip more than these.
-#[derive(Clone, Copy, Debug, PartialEq)]
+///
+/// In `[coupling]` of a scene they are `command_speed` and `command_reach`, null without a bound.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct CommandBounds {
     /// Largest speed in m/s of the commanded position, of all axes together.
+    #[serde(rename = "command_speed", deserialize_with = "infinite_or")]
+    #[schemars(with = "Option<f64>")]
     pub speed: f64,
     /// Largest distance in m from where the slave stood at its first tick.
+    #[serde(rename = "command_reach", deserialize_with = "infinite_or")]
+    #[schemars(with = "Option<f64>")]
     pub reach: f64,
+}
+
+fn infinite_or<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
 impl Default for CommandBounds {

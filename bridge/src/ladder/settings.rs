@@ -1,26 +1,56 @@
 //! Times of the ladder.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer};
+
 /// Times of the ladder. Ages count from what is expected of the link, so that a long way is no silence.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+///
+/// In a scene they are in s.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct LadderSettings {
     /// Time in ns over the expected age that leads to STALE.
+    #[serde(rename = "stale_after_s", deserialize_with = "whole_ns")]
+    #[schemars(with = "f64")]
     pub stale_after_ns: u64,
     /// Time in ns over the expected age that leads to HOLD; above `stale_after_ns` and at most 100 ms, so that with
     /// `fade_out_ns` the force is gone 200 ms after the last frame.
+    #[serde(rename = "hold_after_s", deserialize_with = "whole_ns")]
+    #[schemars(with = "f64")]
     pub hold_after_ns: u64,
     /// Time in ns over the expected age that leads to STOP; above `hold_after_ns`.
+    #[serde(rename = "stop_after_s", deserialize_with = "whole_ns")]
+    #[schemars(with = "f64")]
     pub stop_after_ns: u64,
     /// Time in ns in STALE within which the velocity of the slave decays to zero: at most 20 ms, and over before HOLD.
+    #[serde(rename = "extrapolate_s", deserialize_with = "whole_ns")]
+    #[schemars(with = "f64")]
     pub extrapolate_ns: u64,
     /// Time in ns in which the force fades from full to zero, 50 to 100 ms.
+    #[serde(rename = "fade_out_s", deserialize_with = "whole_ns")]
+    #[schemars(with = "f64")]
     pub fade_out_ns: u64,
     /// Time in ns in which the force rises from zero to full, at least 200 ms.
+    #[serde(rename = "fade_in_s", deserialize_with = "whole_ns")]
+    #[schemars(with = "f64")]
     pub fade_in_ns: u64,
     /// Time in ns for which a press waits in ALIGNING, and oldest news by which a slave aligns; 0.5 to 5 s.
+    #[serde(skip, default = "default_align_ns")]
     pub align_ns: u64,
 }
 
 const MS: u64 = 1_000_000;
+
+/// A time in s as whole ns.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturates, and `check` holds it against its range
+fn whole_ns<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    f64::deserialize(deserializer).map(|seconds| (seconds * 1e9).round() as u64)
+}
+
+/// Handshake, first frames and one repeat of each over a link of 500 ms each way.
+const fn default_align_ns() -> u64 {
+    5_000 * MS
+}
 
 impl Default for LadderSettings {
     /// 20 ms is the command-loss time of libfranka and UR, 200 ms their ceiling and the least fade-in; a force that
@@ -33,8 +63,7 @@ impl Default for LadderSettings {
             extrapolate_ns: 15 * MS,
             fade_out_ns: 75 * MS,
             fade_in_ns: 200 * MS,
-            // Handshake, first frames and one repeat of each over a link of 500 ms each way.
-            align_ns: 5_000 * MS,
+            align_ns: default_align_ns(),
         }
     }
 }

@@ -11,15 +11,13 @@ use haptether_slave::SimulatedSlave;
 
 use super::{
     assemble::{
-        SceneError, clutch, exact_master, is_continuous, measures, period_ns, stepped_master, stepping, ticks,
+        SceneError, clutch, contradiction, exact_master, is_continuous, period_ns, stepped_master, ticks,
     },
-    coupled::{Present, acts},
-    events::EventLog,
-    live::{coupled, master_endpoint, simulated_arm, slave_endpoint},
+    coupling::{Present, commands},
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
-    run::{SceneRun, tell_schedule},
-    signals::{Recorder, Sample},
-    spec::{CouplingSpec, SceneSpec, SignalsSpec},
+    record::{EventLog, Recorder, Sample, SceneRun},
+    sides::{coupled, master_endpoint, simulated_arm, slave_endpoint},
+    spec::{CouplingSpec, Integrator, SceneSpec, SignalsSpec},
     timed::Timed,
 };
 use crate::{
@@ -30,21 +28,23 @@ use crate::{
 /// Sessions of the two sides: constants, for nobody listens in.
 const SESSIONS: (u64, u64) = (1, 2);
 
-pub(crate) fn simulate<const N: usize>(scene: &SceneSpec, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-    let refuse = |text: &str| Err(SceneError::Contradiction(text.to_owned()));
+pub(crate) fn simulate<const N: usize>(
+    scene: &SceneSpec<N>,
+    stop: &AtomicBool,
+) -> Result<SceneRun, SceneError> {
     if scene.safety.signals == SignalsSpec::True {
-        return refuse("safety.signals = \"true\": an endpoint knows only what is measured");
+        return contradiction("safety.signals = \"true\": an endpoint knows only what is measured");
     }
     if is_continuous(scene) || scene.environment.as_ref().is_some_and(|one| one.delay_ticks > 0) {
-        return refuse("environment: rendering and delay_ticks are for scenes without a [slave]");
+        return contradiction("environment: rendering and delay_ticks are for scenes without a [slave]");
     }
-    match stepping(scene.run.integrator) {
-        None => {
+    match scene.run.integrator {
+        Integrator::Exact => {
             let mut plant = exact_master::<N>(scene)?;
             plant.set_waiting(true);
             Bilateral::new(scene)?.run(plant, stop)
         }
-        Some(stepping) => {
+        Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<N>(scene, stepping)?;
             plant.set_waiting(true);
             Bilateral::new(scene)?.run(plant, stop)
@@ -55,7 +55,7 @@ pub(crate) fn simulate<const N: usize>(scene: &SceneSpec, stop: &AtomicBool) -> 
 /// The clock of an endpoint. Endpoints live by monotonic clocks, which are never set back.
 fn clock(name: &str, settings: Option<ClockSettings>) -> Result<Option<EndpointClock>, SceneError> {
     let Some(settings) = settings else { return Ok(None) };
-    let refuse = |text: String| Err(SceneError::Contradiction(format!("link.{name}.{text}")));
+    let refuse = |text: String| contradiction(format!("link.{name}.{text}"));
     if settings.step_s < 0.0 {
         let step_s = settings.step_s;
         return refuse(format!("step_s = {step_s}: must be 0 or more: a monotonic clock is never set back"));
@@ -64,16 +64,16 @@ fn clock(name: &str, settings: Option<ClockSettings>) -> Result<Option<EndpointC
 }
 
 struct Bilateral<'a, const N: usize> {
-    scene: &'a SceneSpec,
+    scene: &'a SceneSpec<N>,
     settings: VirtualSettings,
     endpoint: MasterEndpoint<N>,
     slave: SlaveSide<SimulatedSlave<N>, N>,
     coupling: CouplingSpec,
-    acts: Vec<(u64, OperatorCommand)>,
+    commands: Vec<(u64, OperatorCommand)>,
 }
 
 impl<'a, const N: usize> Bilateral<'a, N> {
-    fn new(scene: &'a SceneSpec) -> Result<Self, SceneError> {
+    fn new(scene: &'a SceneSpec<N>) -> Result<Self, SceneError> {
         let (slave, coupling) = coupled(scene)?;
         let links = scene.link.as_ref();
         let settings = VirtualSettings {
@@ -93,28 +93,26 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             endpoint: master_endpoint(scene, SESSIONS.0)?,
             slave: SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?),
             coupling: coupling.clone(),
-            acts: acts::<N>(coupling)?,
+            commands: commands::<N>(coupling)?,
         })
     }
 
     fn run(self, plant: impl MasterPlant<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-        let Self { scene, settings, endpoint, slave, coupling, acts } = self;
+        let Self { scene, settings, endpoint, slave, coupling, commands } = self;
         let start = plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-        let mut master = Timed::new(MasterSide::new(plant, endpoint, clutch(scene))?, acts.clone());
-        let mut slave = Timed::new(slave, acts.clone());
-        let coupling = Present::new(&coupling, acts);
+        let mut master = Timed::new(MasterSide::new(plant, endpoint, clutch(scene))?, commands.clone());
+        let mut slave = Timed::new(slave, commands.clone());
+        let coupling = Present::new(&coupling, commands);
         let every = scene.record.as_ref().map_or(0, |record| record.every);
         // The recording keeps about the same rate on both sides.
         let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
+        let judged = MeasureSettings::of(scene);
         // Until the two engage, a release that is scheduled lies ahead.
-        let ahead = MeasureSettings {
-            release_s: measures(scene).release_s.map(|_| f64::INFINITY),
-            ..measures(scene)
-        };
+        let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
         let mut watched = Watched {
-            judged: measures(scene),
+            judged,
             measures: Measures::new(&ahead, &start),
-            most_distance: scene.run.diverged_position * coupling.most_position_scale().max(1.0),
+            max_distance: scene.run.diverged_position * coupling.max_position_scale().max(1.0),
             log: EventLog::default(),
             near: Recorder::new(every, settings.ticks),
             far: Recorder::new(
@@ -169,7 +167,7 @@ struct Watched<const N: usize> {
     judged: MeasureSettings,
     measures: Measures<N>,
     /// Of the arm in m, beyond which the loop has diverged.
-    most_distance: f64,
+    max_distance: f64,
     log: EventLog,
     near: Recorder,
     far: Recorder,
@@ -285,7 +283,7 @@ impl<const N: usize> Watched<N> {
         self.ladder(1, time_s, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
         let distance = record.position.norm();
-        if distance.is_nan() || distance > self.most_distance {
+        if distance.is_nan() || distance > self.max_distance {
             return self.diverge(time_s, DivergenceCause::Arm(distance));
         }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
@@ -321,7 +319,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    fn finish(mut self, scene: &SceneSpec, coarse: u64, links: [crate::LinkStatistics; 2]) -> SceneRun {
+    fn finish(mut self, scene: &SceneSpec<N>, coarse: u64, links: [crate::LinkStatistics; 2]) -> SceneRun {
         let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
         let mean = |which: usize| {
             (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
@@ -335,11 +333,7 @@ impl<const N: usize> Watched<N> {
         // A clock that is not right does not tick once in each period of true time.
         let newest_ns = self.newest.map_or(0, |newest| newest.time_ns);
         let end_s = newest_ns as f64 / 1e9 + scene.run.period_s;
-        let mut shifted = scene.clone();
-        if let Some(release) = shifted.operator.as_mut().and_then(|operator| operator.release.as_mut()) {
-            release.at_s += self.engaged_s.unwrap_or(f64::INFINITY);
-        }
-        tell_schedule(&shifted, &outcome, &mut self.log);
+        self.log.schedule(scene, self.engaged_s.unwrap_or(f64::INFINITY), &outcome);
         if self.engaged_s.is_none() && self.diverged.is_none() {
             self.log.add(end_s, "never-engaged", "master and slave did not hear each other");
         }

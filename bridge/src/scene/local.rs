@@ -2,11 +2,160 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use haptether_master::SimulatedMaster;
 use haptether_safety::Real;
 use nalgebra::SimdBool as _;
 
-use super::measures::{Divergence, Ending, Measures, Outcome};
-use crate::local::{LocalLoop, LocalPlant, LocalTick, Rendering};
+use super::{
+    assemble::{
+        SceneError, contradiction, delay_ticks, environment, exact_master, is_continuous, is_formula,
+        period_ns, rendered_walls, stepped_master, ticks, watch,
+    },
+    measures::{Divergence, Ending, MeasureSettings, Measures, Outcome},
+    record::{EventLog, Recorder, Sample, SceneRun},
+    spec::{Integrator, SceneSpec},
+};
+use crate::local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Surfaces};
+
+pub(crate) fn simulate<const N: usize>(
+    scene: &SceneSpec<N>,
+    stop: &AtomicBool,
+) -> Result<SceneRun, SceneError> {
+    check_local(scene)?;
+    let environment_spec = scene.environment.as_ref();
+    let is_formula = environment_spec.is_none_or(is_formula);
+    let is_continuous = is_continuous(scene);
+    match (scene.run.integrator, is_formula) {
+        (Integrator::Exact, true) => {
+            let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
+            let run = local_run(scene, exact_master(scene)?, rendering)?;
+            if is_continuous {
+                let mut touches = Touches::default();
+                follow(run, scene, stop, move |_, _, looped, log| touches.log(looped.plant(), log))
+            } else {
+                follow(run, scene, stop, log_touch)
+            }
+        }
+        (Integrator::Exact, false) => {
+            let rendering = SceneRendering(environment::<N>(environment_spec)?);
+            follow(local_run(scene, exact_master(scene)?, rendering)?, scene, stop, log_touch)
+        }
+        (Integrator::Stepped(stepping), true) => {
+            // Where the device is says whether it touches, however the walls act on it.
+            let walls = rendered_walls::<N>(environment_spec, true)?;
+            let rendering = rendered_walls::<N>(environment_spec, !is_continuous)?;
+            let run = local_run(scene, stepped_master(scene, stepping)?, rendering)?;
+            follow(run, scene, stop, move |time_s, tick, _, log| {
+                log.touches(time_s, walls.touches(&tick.position));
+            })
+        }
+        (Integrator::Stepped(stepping), false) => {
+            let rendering = SceneRendering(environment::<N>(environment_spec)?);
+            follow(local_run(scene, stepped_master(scene, stepping)?, rendering)?, scene, stop, log_touch)
+        }
+    }
+}
+
+fn log_touch<P: LocalPlant<N, f64>, R: Rendering<N, f64> + Surfaces<N>, const N: usize>(
+    time_s: f64,
+    tick: &LocalTick<N>,
+    looped: &LocalLoop<P, R, N>,
+    log: &mut EventLog,
+) {
+    log.touches(time_s, looped.rendering().touches(&tick.position));
+}
+
+/// Contacts with continuous walls, at the times at which they were located.
+#[derive(Clone, Copy, Debug, Default)]
+struct Touches {
+    made_s: Option<f64>,
+    broke_s: Option<f64>,
+}
+
+impl Touches {
+    fn log<const N: usize>(&mut self, master: &SimulatedMaster<N>, log: &mut EventLog) {
+        let touch = master.touch();
+        for (seen, now, kind) in
+            [(&mut self.made_s, touch.made_s, "contact"), (&mut self.broke_s, touch.broke_s, "free")]
+        {
+            if let Some(time_s) = now.filter(|_| *seen != now) {
+                *seen = now;
+                log.add(time_s, kind, "");
+            }
+        }
+    }
+}
+
+/// Refuses tables that need an arm.
+pub(crate) fn check_local<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
+    if scene.link.is_some() {
+        return contradiction("link: needs a [slave] at its other end");
+    }
+    if scene.coupling.is_some() {
+        return contradiction("coupling: needs a [slave] to couple the master with");
+    }
+    if is_continuous(scene) && scene.environment.as_ref().is_some_and(|one| one.delay_ticks > 0) {
+        return contradiction("environment.delay_ticks: a force that acts at every instant is not late");
+    }
+    if is_continuous(scene) && scene.environment.as_ref().is_some_and(|one| !is_formula(one)) {
+        return contradiction(
+            "environment.rendering = \"continuous\": only resting planes and springs of Kelvin and Voigt, \
+             without friction, act continuously, and no recorded push",
+        );
+    }
+    Ok(())
+}
+
+/// A loop of its parts.
+pub(crate) fn local_run<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
+    scene: &SceneSpec<N>,
+    plant: P,
+    rendering: R,
+) -> Result<LocalRun<P, R, N>, SceneError> {
+    let period_ns = period_ns("run.period_s", scene.run.period_s)?;
+    let judged = Measures::new(&MeasureSettings::of(scene), &plant.position());
+    let delay = DelayLine::new(delay_ticks(scene)?);
+    Ok(LocalRun {
+        looped: LocalLoop::new(plant, rendering, delay, watch(scene)?, period_ns),
+        measures: judged,
+        ticks: ticks(scene)?,
+    })
+}
+
+fn follow<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
+    mut run: LocalRun<P, R, N>,
+    scene: &SceneSpec<N>,
+    stop: &AtomicBool,
+    mut note: impl FnMut(f64, &LocalTick<N>, &LocalLoop<P, R, N>, &mut EventLog),
+) -> Result<SceneRun, SceneError> {
+    let mut log = EventLog::default();
+    let mut recorder = Recorder::new(scene.record.as_ref().map_or(0, |record| record.every), run.ticks);
+    let mut outcomes = [None];
+    run.run_observed(
+        stop,
+        |time_s, tick, looped| {
+            note(time_s, tick, looped, &mut log);
+            log.tripped(time_s, tick.response.lane(0).tripped);
+            record(&mut recorder, time_s, tick);
+        },
+        &mut outcomes,
+    );
+    let [Some(outcome)] = outcomes else {
+        return Err(SceneError::Stopped);
+    };
+    log.schedule(scene, 0.0, &outcome);
+    let end_s = outcome.ticks as f64 * scene.run.period_s;
+    if outcome.ending == Ending::Settled {
+        log.add(end_s, "settled", "nothing more happens");
+    }
+    log.coarse(end_s, run.looped.rendering().coarse_steps());
+    Ok(SceneRun {
+        signals: recorder.into_signals(),
+        events: log.into_events(),
+        outcome,
+        period_s: scene.run.period_s,
+    })
+}
 
 /// A loop and what it is judged by.
 pub(crate) struct LocalRun<P, R, const N: usize, S: Real = f64> {
@@ -19,31 +168,31 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
     /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
     #[inline(always)]
     pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<Outcome>]) {
-        self.run_telling(stop, |_, _, _| {}, outcomes);
+        self.run_observed(stop, |_, _, _| {}, outcomes);
     }
 
-    /// Runs all scenarios to their ends; tells each tick, its time in s and the loop to `observe`. None has an outcome
+    /// Runs all scenarios to their ends; `observe` gets each tick, its time in s and the loop. None has an outcome
     /// once `stop` is set before its end.
     ///
     /// A scenario that ends early keeps the measures of that moment; its lane runs on unseen until all have ended.
     #[inline(always)]
-    pub(crate) fn run_telling(
+    pub(crate) fn run_observed(
         &mut self,
         stop: &AtomicBool,
         mut observe: impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
         outcomes: &mut [Option<Outcome>],
     ) {
         for tick in 0..self.ticks {
-            if stop.load(Ordering::Relaxed) || self.turn(tick, &mut observe, outcomes) {
+            if stop.load(Ordering::Relaxed) || self.step(tick, &mut observe, outcomes) {
                 return;
             }
         }
         self.complete(outcomes);
     }
 
-    /// One tick; says whether all scenarios have ended early.
+    /// One tick; returns whether all scenarios have ended early.
     #[inline(always)]
-    pub(crate) fn turn(
+    fn step(
         &mut self,
         tick: u64,
         observe: &mut impl FnMut(f64, &LocalTick<N, S>, &LocalLoop<P, R, N, S>),
@@ -75,7 +224,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
     }
 
     /// All ticks have been run.
-    pub(crate) fn complete(&self, outcomes: &mut [Option<Outcome>]) {
+    fn complete(&self, outcomes: &mut [Option<Outcome>]) {
         self.end(u64::MAX, self.ticks, Ending::Complete, outcomes);
     }
 
@@ -108,4 +257,25 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
         }
         outcomes.iter().all(Option::is_some)
     }
+}
+
+#[inline]
+fn record<const N: usize>(recorder: &mut Recorder, time_s: f64, tick: &LocalTick<N>) {
+    let intervention = tick.response.lane(0);
+    recorder.take(&[
+        ("time_s", Sample::Scalar(time_s)),
+        ("position", Sample::Vector(&tick.position)),
+        ("velocity", Sample::Vector(&tick.velocity)),
+        ("hand_force", Sample::Vector(&tick.hand_force)),
+        ("wall_force", Sample::Vector(&tick.wall_force)),
+        ("rendered_force", Sample::Vector(&tick.rendered_force)),
+        ("grasp_force", Sample::Vector(&tick.grasp_force)),
+        ("safety_force", Sample::Vector(&intervention.safety_force)),
+        ("device_force", Sample::Vector(&tick.device_force)),
+        ("velocity_force", Sample::Scalar(intervention.velocity_force)),
+        ("grasp", Sample::Scalar(intervention.grasp)),
+        ("windowed_energy_j", Sample::Scalar(intervention.windowed_energy_j)),
+        ("energy_j", Sample::Scalar(intervention.energy_j)),
+        ("tripped", Sample::Scalar(f64::from(intervention.tripped.bits()))),
+    ]);
 }

@@ -2,9 +2,11 @@
 
 use std::cmp::Ordering;
 
+use haptether_netsim::LinkSettings;
 use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
 
+use super::spec::SceneSpec;
 use crate::LadderState;
 
 /// What left its bounds when a loop diverged.
@@ -18,7 +20,7 @@ pub enum DivergenceCause {
     NotFinite,
     /// Distance of the arm in m.
     Arm(f64),
-    /// A number at the door of the master or the slave was bad; nothing couples the two any more.
+    /// A number at the boundary check of the master or the slave was bad; nothing couples the two any more.
     Fault(&'static str, Fault),
 }
 
@@ -120,6 +122,56 @@ pub(crate) struct MeasureSettings {
     pub(crate) quiet_after_s: Option<f64>,
 }
 
+impl MeasureSettings {
+    /// As the scene says.
+    pub(super) fn of<const N: usize>(scene: &SceneSpec<N>) -> Self {
+        let operator = scene.operator.as_ref();
+        let release = operator.and_then(|operator| operator.release.as_ref());
+        let mut quiet_after: f64 = 0.0;
+        if let Some(operator) = operator {
+            let legs: f64 = operator.legs.iter().map(|leg| leg.duration_s).sum();
+            let recorded = operator.recorded.as_ref().and_then(|series| series.time_s.last().copied());
+            quiet_after = quiet_after.max(legs).max(recorded.unwrap_or(0.0));
+            if let Some(release) = release {
+                let regrasp = operator.regrasp.as_ref();
+                let regrips = regrasp.map_or(0.0, |regrasp| regrasp.reaction_s + regrasp.rise_s);
+                quiet_after = quiet_after.max(release.at_s + release.decay_s + regrips);
+            }
+            if operator.tremor.is_some() && (release.is_none() || operator.regrasp.is_some()) {
+                // A hand that trembles and holds is never quiet.
+                quiet_after = f64::MAX;
+            }
+        }
+        if let Some(environment) = &scene.environment {
+            for pusher in &environment.pushers {
+                quiet_after = quiet_after.max(pusher.at_s + pusher.duration_s);
+            }
+            for object in &environment.objects {
+                if object.body.is_some() {
+                    quiet_after = f64::MAX;
+                }
+                if let Some(motion) = &object.motion {
+                    let swings = motion.amplitude.iter().any(|a| *a != 0.0);
+                    quiet_after = quiet_after.max(if swings { f64::MAX } else { motion.until_s });
+                }
+            }
+        }
+        // What was scheduled last arrives late.
+        let late = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
+        let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
+        let round_trip: f64 = links.clone().map(LinkSettings::longest_delay_s).sum();
+        quiet_after = links.map(LinkSettings::last_change_s).fold(quiet_after, f64::max);
+        let ramp = scene.safety.limiter.as_ref().map_or(0.0, |limiter| limiter.ramp_in_s);
+        quiet_after += late as f64 * scene.run.period_s + 2.0 * round_trip + ramp;
+        Self {
+            release_s: release.map(|release| release.at_s),
+            diverged_position: scene.run.diverged_position,
+            diverged_speed: scene.run.diverged_speed,
+            quiet_after_s: scene.run.stop_early.then_some(quiet_after),
+        }
+    }
+}
+
 /// Speed in m/s below which a device counts as at rest.
 const AT_REST: f64 = 1e-4;
 
@@ -152,7 +204,7 @@ pub(crate) struct Measures<const N: usize, S: Real = f64> {
     on: S,
     was_on: S,
     energy: S,
-    least_energy: S,
+    min_energy: S,
     held: Axes<N, S>,
     last_position: Axes<N, S>,
     active: S,
@@ -181,7 +233,7 @@ impl<const N: usize> Measures<N> {
             on: 0.0,
             was_on: 0.0,
             energy: 0.0,
-            least_energy: 0.0,
+            min_energy: 0.0,
             held: Axes::zeros(),
             last_position: *position,
             active: 0.0,
@@ -225,7 +277,7 @@ impl<const N: usize> Measures<N> {
             on: zero,
             was_on: zero,
             energy: zero,
-            least_energy: zero,
+            min_energy: zero,
             held: Axes::zeros(),
             last_position: Axes::from_fn(|axis, _| number(&|one| one.last_position[axis])),
             active: zero,
@@ -282,7 +334,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
     }
 
     /// Takes one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and whether a
-    /// controller acts; says in which scenarios nothing more will happen, if any may end early.
+    /// controller acts; returns in which scenarios nothing more will happen, if any may end early.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // the signals of a tick
     pub(crate) fn take(
@@ -299,7 +351,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         self.newest_s = t;
         // Work of the force that was held since the last tick.
         self.energy -= self.held.dot(&(position - self.last_position));
-        self.least_energy = self.least_energy.simd_min(self.energy);
+        self.min_energy = self.min_energy.simd_min(self.energy);
         (self.held, self.last_position) = (*device_force, *position);
         let squared_force = device_force.dot(device_force);
         self.peak_squared_force = self.peak_squared_force.simd_max(squared_force);
@@ -379,7 +431,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
             time_to_trip_s: (self.has_release && trip.is_finite()).then(|| trip - of(self.release)),
             false_trips: count(self.false_trips),
             intervention_ticks: count(self.on),
-            passivity_min_j: measured(self.least_energy),
+            passivity_min_j: measured(self.min_energy),
             position_rmse_m: None,
             force_rmse_n: None,
             diverged,

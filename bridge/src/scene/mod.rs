@@ -2,23 +2,44 @@
 
 mod assemble;
 mod bilateral;
-mod coupled;
-mod events;
-mod live;
+mod coupling;
 mod local;
 mod measures;
-mod run;
-mod signals;
+mod record;
+mod sides;
 mod spec;
 mod sweep;
 mod timed;
 
+use std::sync::atomic::AtomicBool;
+
 pub use assemble::{SceneError, scene_environment};
-pub use events::SceneEvent;
-pub use live::{driven_master, driven_slave, simulated_master, simulated_slave};
 pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
-pub use run::{SceneRun, simulate};
-pub use signals::Signal;
-pub use spec::SceneSpec;
+pub use record::{SceneEvent, SceneRun, Signal};
+pub use sides::{driven_master, driven_slave, simulated_master, simulated_slave};
+pub use spec::{SceneSpec, scene_axes, scene_schema};
 pub use sweep::{Progress, Refused, SweepError, SweepSettings, Variation, sweep};
 pub use timed::Timed;
+
+/// Runs a scene as JSON, in the form of [`SceneSpec`], unless `stop` is set meanwhile.
+///
+/// # Errors
+///
+/// As [`run`], and what is no scene.
+pub fn simulate(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+    spec::of_axes!(
+        scene_axes(scene)?,
+        N => run::<N>(&serde_json::from_slice(scene)?, stop),
+        axes => assemble::contradiction(format!("master.axes = {axes}: must be 1, 2, 3, 6 or 7"))
+    )
+}
+
+/// Runs a scene, unless `stop` is set meanwhile.
+///
+/// # Errors
+///
+/// A number or a combination that no part can have, or [`SceneError::Stopped`]; a diverging loop is no error but an
+/// outcome.
+pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+    if scene.slave.is_some() { bilateral::simulate(scene, stop) } else { local::simulate(scene, stop) }
+}

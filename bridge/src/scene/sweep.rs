@@ -9,11 +9,11 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{
-    assemble::{SceneError, is_continuous, is_plain, rendered_walls, stepped_master, stepping},
-    local::LocalRun,
+    assemble::{SceneError, contradiction, is_continuous, is_formula, rendered_walls, stepped_master},
+    local::{LocalRun, check_local, local_run},
     measures::Outcome,
-    run::{check_local, local_run, simulate},
-    spec::SceneSpec,
+    run,
+    spec::{Integrator, SceneSpec, of_axes, scene_axes},
 };
 use crate::lanes::{LANES, Lanes};
 
@@ -63,7 +63,7 @@ pub enum SweepError {
         /// The first column's.
         allowed: usize,
     },
-    /// It was told to stop.
+    /// It was stopped from outside.
     #[error("stopped")]
     Stopped,
     /// The threads could not be made.
@@ -90,8 +90,13 @@ pub fn sweep(
     settings: SweepSettings,
     progress: &Progress,
 ) -> Result<Vec<Row>, SweepError> {
-    let base: Value = serde_json::from_slice(scene).map_err(|error| SweepError::Scene(error.to_string()))?;
-    SceneSpec::deserialize(&base).map_err(|error| SweepError::Scene(error.to_string()))?;
+    let unread = |error: serde_json::Error| SweepError::Scene(error.to_string());
+    let run_block = of_axes!(
+        scene_axes(scene).map_err(unread)?,
+        N => run_block::<N>,
+        axes => return Err(SweepError::Scene(format!("master.axes = {axes}: must be 1, 2, 3, 6 or 7")))
+    );
+    let base: Value = serde_json::from_slice(scene).map_err(unread)?;
     let rows = variations.first().map_or(1, |first| first.values.len());
     let mut columns = Vec::with_capacity(variations.len());
     for Variation { path, values } in variations {
@@ -127,8 +132,8 @@ pub fn sweep(
 }
 
 /// Sets the numbers of one row, and reads again the tables that they are in.
-fn set_row(
-    spec: &mut SceneSpec,
+fn set_row<const N: usize>(
+    spec: &mut SceneSpec<N>,
     scene: &mut Value,
     columns: &[(String, bool, &[f64])],
     row: usize,
@@ -158,7 +163,11 @@ fn set_row(
     Ok(())
 }
 
-fn read_table(spec: &mut SceneSpec, scene: &Value, table: &str) -> Result<(), serde_json::Error> {
+fn read_table<const N: usize>(
+    spec: &mut SceneSpec<N>,
+    scene: &Value,
+    table: &str,
+) -> Result<(), serde_json::Error> {
     let value = &scene[table];
     match table {
         "run" => spec.run = Deserialize::deserialize(value)?,
@@ -174,7 +183,7 @@ fn read_table(spec: &mut SceneSpec, scene: &Value, table: &str) -> Result<(), se
     Ok(())
 }
 
-fn run_block(
+fn run_block<const N: usize>(
     base: &Value,
     columns: &[(String, bool, &[f64])],
     block: std::ops::Range<usize>,
@@ -188,7 +197,8 @@ fn run_block(
     let mut scene = base.clone();
     // Outcomes need no recording.
     scene["record"] = Value::Null;
-    let mut spec = SceneSpec::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
+    let mut spec =
+        SceneSpec::<N>::deserialize(&scene).map_err(|error| SweepError::Scene(error.to_string()))?;
     let mut rows: Vec<Option<Row>> = vec![None; block.len()];
     let mut specs = Vec::with_capacity(block.len());
     for (index, row) in block.enumerate() {
@@ -198,15 +208,10 @@ fn run_block(
         }
     }
     done.fetch_add(rows.len() - specs.len(), Ordering::Relaxed);
-    let were_run = match specs.first().map(|(_, spec)| spec.master.axes) {
-        Some(1) => run_plain::<1>(&specs, lanes, progress, &mut rows),
-        Some(2) => run_plain::<2>(&specs, lanes, progress, &mut rows),
-        Some(3) => run_plain::<3>(&specs, lanes, progress, &mut rows),
-        _ => false,
-    };
-    if !were_run {
+    // Devices with more axes have no lanes.
+    if N > 3 || !run_stepped(&specs, lanes, progress, &mut rows) {
         for (index, spec) in &specs {
-            rows[*index] = Some(match simulate(spec, stop) {
+            rows[*index] = Some(match run(spec, stop) {
                 Ok(run) => Ok(run.outcome),
                 Err(SceneError::Stopped) => return Err(SweepError::Stopped),
                 Err(error) => Err(Refused(error.to_string())),
@@ -218,28 +223,27 @@ fn run_block(
     rows.into_iter().collect::<Option<_>>().ok_or(SweepError::Stopped)
 }
 
-type PlainRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>;
+type SteppedRun<const N: usize, S> = LocalRun<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>;
 
-/// Runs plain scenarios, side by side if they may; says that it did not if one of them is not plain: an arm, located
+/// Runs scenarios in steps, side by side if they may; returns that it did not if one of them cannot be: an arm, located
 /// events, or an environment of more than resting walls.
-fn run_plain<const N: usize>(
-    specs: &[(usize, SceneSpec)],
+fn run_stepped<const N: usize>(
+    specs: &[(usize, SceneSpec<N>)],
     lanes: bool,
     Progress { done, stop }: &Progress,
     rows: &mut [Option<Row>],
 ) -> bool {
-    let can_share = |(_, spec): &(usize, SceneSpec)| {
+    let can_share = |(_, spec): &(usize, SceneSpec<N>)| {
         spec.slave.is_none()
-            && spec.master.axes == N
-            && stepping(spec.run.integrator).is_some()
-            && spec.environment.as_ref().is_none_or(is_plain)
+            && spec.run.integrator != Integrator::Exact
+            && spec.environment.as_ref().is_none_or(is_formula)
     };
     if !specs.iter().all(can_share) {
         return false;
     }
-    let mut left: Vec<(usize, Box<PlainRun<N, f64>>)> = Vec::with_capacity(specs.len());
+    let mut left: Vec<(usize, Box<SteppedRun<N, f64>>)> = Vec::with_capacity(specs.len());
     for (index, spec) in specs {
-        match plain_run(spec) {
+        match stepped_run(spec) {
             Ok(run) => left.push((*index, Box::new(run))),
             Err(error) => rows[*index] = Some(Err(Refused(error.to_string()))),
         }
@@ -266,10 +270,10 @@ fn run_plain<const N: usize>(
     true
 }
 
-fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, SceneError> {
+fn stepped_run<const N: usize>(spec: &SceneSpec<N>) -> Result<SteppedRun<N, f64>, SceneError> {
     check_local(spec)?;
-    let Some(stepping) = stepping(spec.run.integrator) else {
-        return Err(SceneError::Contradiction("run.integrator: must have steps".into()));
+    let Integrator::Stepped(stepping) = spec.run.integrator else {
+        return contradiction("run.integrator: must have steps");
     };
     let rendering = rendered_walls(spec.environment.as_ref(), !is_continuous(spec))?;
     local_run(spec, stepped_master(spec, stepping)?, rendering)
@@ -277,13 +281,13 @@ fn plain_run<const N: usize>(spec: &SceneSpec) -> Result<PlainRun<N, f64>, Scene
 
 enum Block<const N: usize> {
     /// Rows, and their scenarios side by side.
-    Lanes(Vec<usize>, Box<PlainRun<N, Lanes>>),
-    Single(usize, Box<PlainRun<N, f64>>),
+    Lanes(Vec<usize>, Box<SteppedRun<N, Lanes>>),
+    Single(usize, Box<SteppedRun<N, f64>>),
 }
 
 /// Takes scenarios that can share lanes with the first one left; alone it is taken alone.
 fn take_block<const N: usize>(
-    left: &mut Vec<(usize, Box<PlainRun<N, f64>>)>,
+    left: &mut Vec<(usize, Box<SteppedRun<N, f64>>)>,
     lanes: bool,
 ) -> Option<Block<N>> {
     if !lanes {
@@ -321,9 +325,9 @@ fn take_block<const N: usize>(
 
 /// Some scenarios side by side; lanes that are left over repeat the last one.
 fn gathered<const N: usize>(
-    left: &[(usize, Box<PlainRun<N, f64>>)],
+    left: &[(usize, Box<SteppedRun<N, f64>>)],
     take: &[usize],
-) -> Option<PlainRun<N, Lanes>> {
+) -> Option<SteppedRun<N, Lanes>> {
     let padded = |lane: usize| &left[take[lane.min(take.len() - 1)]].1;
     let of: Vec<_> = (0..LANES).map(padded).collect();
     let ticks = of.first()?.ticks;
@@ -342,11 +346,11 @@ fn gathered<const N: usize>(
 /// Runs lanes with the widest instructions that this processor has. Their width changes no bit: there is no operation
 /// across lanes, and none is fused.
 fn vectorised<const N: usize>(
-    run: &mut PlainRun<N, Lanes>,
+    run: &mut SteppedRun<N, Lanes>,
     stop: &AtomicBool,
     ended: &mut [Option<Outcome>],
 ) {
-    struct Job<'a, const N: usize>(&'a mut PlainRun<N, Lanes>, &'a AtomicBool, &'a mut [Option<Outcome>]);
+    struct Job<'a, const N: usize>(&'a mut SteppedRun<N, Lanes>, &'a AtomicBool, &'a mut [Option<Outcome>]);
 
     impl<const N: usize> pulp::WithSimd for Job<'_, N> {
         type Output = ();

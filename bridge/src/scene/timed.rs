@@ -1,23 +1,23 @@
-//! A side at which a person acts at given times.
+//! A side whose operator gives commands at given times.
 
 use crate::{
     FaultText, FlightRecorder, LadderState, OperatorCommand, PathReport, RejectReason, Side, SideCounts,
     TickTime, coupling::CouplingError, wire::MAX_FRAME,
 };
 
-/// A side, and what is done at it when, in ns since the start, in order.
+/// A side and the commands of its operator, each with its time in ns since the start, in order.
 #[derive(Clone, Debug)]
 pub struct Timed<S> {
-    /// At which it is done.
+    /// The side.
     pub side: S,
-    acts: Vec<(u64, OperatorCommand)>,
+    commands: Vec<(u64, OperatorCommand)>,
     done: usize,
 }
 
 impl<S> Timed<S> {
-    /// `acts` in the order of their times.
-    pub(crate) fn new(side: S, acts: Vec<(u64, OperatorCommand)>) -> Self {
-        Self { side, acts, done: 0 }
+    /// `commands` in the order of their times.
+    pub(crate) fn new(side: S, commands: Vec<(u64, OperatorCommand)>) -> Self {
+        Self { side, commands, done: 0 }
     }
 }
 
@@ -38,11 +38,11 @@ impl<S: Side> Side for Timed<S> {
     }
 
     fn tick(&mut self, time: TickTime) -> S::Record {
-        while let Some((_, act)) =
-            self.acts.get(self.done).filter(|(at, _)| *at <= time.now_ns - time.start_ns)
+        while let Some((_, command)) =
+            self.commands.get(self.done).filter(|(at, _)| *at <= time.now_ns - time.start_ns)
         {
             // They were checked when the scene was built.
-            let _ = self.side.act(time.clock_ns, *act);
+            let _ = self.side.act(time.clock_ns, *command);
             self.done += 1;
         }
         self.side.tick(time)

@@ -5,6 +5,7 @@
 
 use std::ops::RangeInclusive;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Impairment, LinkSettings, Streams};
@@ -27,7 +28,7 @@ const MAX_ATTACKS: usize = 256;
 /// Attacks act in the order of their list. What changes or takes a packet does so to the copies that the network
 /// made of it too; what adds one acts once. Of several attacks that flip bits of the same packet the last one does, and
 /// of several that alter it.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Attack {
     /// What is done.
@@ -38,7 +39,7 @@ pub struct Attack {
 }
 
 /// What is done to packets on purpose.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Action {
     /// A copy arrives `after_s` later.
@@ -92,7 +93,7 @@ pub enum Action {
 }
 
 /// Bytes from `start` up to but not including `end`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ByteRange {
     /// First byte.
@@ -102,7 +103,7 @@ pub struct ByteRange {
 }
 
 /// Which packets: those sent at the given times, every n-th of them, each with a probability.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Target {
     /// From when on, in s since the link began.

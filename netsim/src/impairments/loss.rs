@@ -1,5 +1,6 @@
 //! Loss: which packets never arrive. A link has one model of it at most.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Impairment, LinkSettings, Streams};
@@ -13,7 +14,7 @@ use crate::verdict::{DropCause, Verdict};
 /// Gilbert-Elliott: two states, each with its own probability of loss.
 ///
 /// Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960; E. O. Elliott, Bell Syst. Tech. J. 42, 1963.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GilbertElliott {
     /// p: probability that the good state turns bad, per packet.
@@ -32,7 +33,7 @@ pub struct GilbertElliott {
 ///
 /// Source: S. Salsano, F. Ludovici, A. Ordine, D. Giannuzzi, "Definition of a general and intuitive loss model for
 /// packet networks and its implementation in the Netem module in the Linux kernel", 2012 (GI model).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FourState {
     /// A burst begins.

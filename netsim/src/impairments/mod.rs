@@ -20,6 +20,7 @@ mod timeline;
 mod trace;
 mod truncate;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{LinkSettingsError, MAX_PAYLOAD};
@@ -65,7 +66,7 @@ pub(crate) const ARRIVAL_RULES: &[BuildArrivalRule] =
 ///
 /// What is absent or zero is a rule that is not built. The rules of a link run in the order in which their keys
 /// stand here: what a packet meets first comes first.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkSettings {
     /// Largest payload in bytes that passes; a larger one is dropped with the cause `mtu`.

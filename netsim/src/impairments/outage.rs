@@ -2,6 +2,7 @@
 //!
 //! Whether a packet meets an outage is settled by when it was sent, so that the delay changes nothing of it.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Impairment, LinkSettings, Streams};
@@ -23,7 +24,7 @@ const MIN_MEAN_S: f64 = 1e-6;
 const MAX_DOWN_PER_UP: f64 = 1000.0;
 
 /// Times at which nothing passes.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Outage {
     /// When.
@@ -34,7 +35,7 @@ pub struct Outage {
 }
 
 /// When nothing passes.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum OutageTimes {
     /// Once.
@@ -63,7 +64,7 @@ pub enum OutageTimes {
 }
 
 /// What becomes of packets that are sent during an outage.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum OutageEffect {
     /// They are dropped.

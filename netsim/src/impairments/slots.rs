@@ -7,6 +7,7 @@
 //!
 //! Source: arXiv 2601.08439.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, nanoseconds, probability, within};
@@ -25,7 +26,7 @@ const MAX_PERIOD_S: f64 = 1e6;
 /// Scheduling slots: a level of delay that is drawn anew for each, and spikes at both ends.
 ///
 /// Source: arXiv 2601.08439 (Starlink: 15 s; about 140 ms at the start, 75 ms at the end).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Slots {
     /// Length of a slot in s.

@@ -3,6 +3,7 @@
 //! A packet has the delay of the time at which it is sent: before the first change `delay_s`, during a ramp a point on
 //! the line from the delay before it to the new one.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, MAX_TIME_S, nanoseconds, within};
@@ -14,7 +15,7 @@ use crate::rule::Rule;
 use crate::verdict::Verdict;
 
 /// A change of the mean delay.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DelayChange {
     /// When it begins, in s since the link began.

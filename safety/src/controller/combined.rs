@@ -19,7 +19,7 @@ use crate::{
 ///
 /// A controller that is not asked for is not built, and an observer that no controller reads is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize))] // unknown keys are the table's to refuse: it flattens this
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // unknown keys are the table's to refuse: it flattens this
 pub struct SafetySettings {
     /// Which of them watch.
     pub controllers: Controllers,

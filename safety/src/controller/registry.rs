@@ -4,7 +4,11 @@ use std::fmt::{self, Debug, Formatter};
 
 /// A controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum ControllerKind {
     /// [`VelocityForceController`](super::VelocityForceController).
     Vfc,
@@ -23,7 +27,12 @@ impl ControllerKind {
 
 /// A set of controllers; in JSON the list of their names.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(from = "Vec<ControllerKind>"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(from = "Vec<ControllerKind>"),
+    schemars(with = "Vec<ControllerKind>")
+)]
 pub struct Controllers(u8);
 
 impl Controllers {

@@ -1,70 +1,30 @@
-//! The device of a scene, and how it is advanced.
+//! The device of a scene and the hand that holds it, and how both are advanced.
 
-use haptether_master::{DeviceParameters, Friction, SimulatedMaster, SteppedMaster, Stepping};
-use haptether_safety::{Axes, DeviceModel};
+use haptether_master::{Hand, Leg, LegShape, Path, SimulatedMaster, SteppedMaster, Stepping};
+use haptether_safety::DeviceModel;
 
 use super::{
-    super::spec::{FrictionSpec, IntegratorSpec, MasterSpec, SceneSpec},
-    axes::axes,
-    error::{SceneError, contradiction},
-    operator::hand,
-    walls::walls_on_device,
+    super::spec::{ClutchSpec, MasterSpec, OperatorSpec, SceneSpec},
+    SceneError, contradiction, ns,
+    touched::walls_on_device,
 };
+use crate::Clutch;
 
-fn device<const N: usize>(spec: &MasterSpec) -> Result<DeviceParameters<N>, SceneError> {
-    let stops = match &spec.stops {
-        Some(stops) if stops.len() == N => {
-            (Axes::from_fn(|axis, _| stops[axis].0), Axes::from_fn(|axis, _| stops[axis].1))
-        }
-        Some(stops) => {
-            return contradiction(format!(
-                "master.stops: {} pairs, must have {N}, one per axis",
-                stops.len()
-            ));
-        }
-        None => (Axes::repeat(f64::NEG_INFINITY), Axes::repeat(f64::INFINITY)),
-    };
-    let device = DeviceParameters {
-        mass_kg: axes("master.mass_kg", &spec.mass_kg)?,
-        viscous: axes("master.viscous", &spec.viscous)?,
-        coulomb: axes("master.coulomb", &spec.coulomb)?,
-        friction: match spec.friction {
-            FrictionSpec::Vector => Friction::Vector,
-            FrictionSpec::Axis => Friction::Axis,
-        },
-        encoder_quantum: spec.encoder_quantum,
-        measures_velocity: spec.measures_velocity,
-        stops,
-        max_force_n: spec.max_force_n.unwrap_or(f64::INFINITY),
-        force_quantum_n: spec.force_quantum_n,
-    };
-    device.check()?;
-    Ok(device)
-}
-
-pub(crate) fn device_model<const N: usize>(spec: &MasterSpec) -> Result<DeviceModel<N>, SceneError> {
-    Ok(DeviceModel::new(
-        axes("master.mass_kg", &spec.mass_kg)?,
-        axes("master.viscous", &spec.viscous)?,
-        axes("master.coulomb", &spec.coulomb)?,
-    )?)
-}
-
-/// Most steps of an integrator in one run: minutes.
+/// Largest number of steps of an integrator in one run: minutes.
 const MAX_STEPS: f64 = 1e9;
 
 /// The device advanced by its exact solution.
-pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec) -> Result<SimulatedMaster<N>, SceneError> {
-    let mut master =
-        SimulatedMaster::new(device(&scene.master)?, hand(scene)?, 0)?.among(walls_on_device(scene)?)?;
-    let position = axes("master.position", &scene.master.position)?;
-    master.place(position, axes("master.velocity", &scene.master.velocity)?)?;
+pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedMaster<N>, SceneError> {
+    let MasterSpec { device, position, velocity, .. } = scene.master;
+    device.check()?;
+    let mut master = SimulatedMaster::new(device, hand(scene)?, 0)?.among(walls_on_device(scene)?)?;
+    master.place(position, velocity)?;
     Ok(master)
 }
 
 /// The device advanced in steps.
 pub(crate) fn stepped_master<const N: usize>(
-    scene: &SceneSpec,
+    scene: &SceneSpec<N>,
     stepping: Stepping,
 ) -> Result<SteppedMaster<N>, SceneError> {
     let step_s = scene.run.step_s.unwrap_or(scene.run.period_s);
@@ -81,20 +41,93 @@ pub(crate) fn stepped_master<const N: usize>(
             "run.step_s = {step_s}: makes {total:.3e} steps of the run, must be at most {MAX_STEPS:e}"
         ));
     }
-    let (device, hand, walls) = (device(&scene.master)?, hand(scene)?, walls_on_device(scene)?);
-    let mut master =
-        SteppedMaster::new(&device, &hand, &walls, stepping, step_s, scene.master.friction_speed)?;
-    let position = axes("master.position", &scene.master.position)?;
-    master.place(position, axes("master.velocity", &scene.master.velocity)?)?;
+    let MasterSpec { device, friction_speed, position, velocity, .. } = scene.master;
+    device.check()?;
+    let (hand, walls) = (hand(scene)?, walls_on_device(scene)?);
+    let mut master = SteppedMaster::new(&device, &hand, &walls, stepping, step_s, friction_speed)?;
+    master.place(position, velocity)?;
     Ok(master)
 }
 
-/// The method of an integrator that has steps.
-pub(crate) fn stepping(integrator: IntegratorSpec) -> Option<Stepping> {
-    match integrator {
-        IntegratorSpec::Exact => None,
-        IntegratorSpec::SemiImplicitEuler => Some(Stepping::SemiImplicitEuler),
-        IntegratorSpec::VelocityVerlet => Some(Stepping::VelocityVerlet),
-        IntegratorSpec::Rk4 => Some(Stepping::RungeKutta4),
+/// What the safety layer takes the device for.
+pub(crate) fn device_model<const N: usize>(scene: &SceneSpec<N>) -> Result<DeviceModel<N>, SceneError> {
+    let device = &scene.master.device;
+    Ok(DeviceModel::new(device.mass_kg, device.viscous, device.coulomb)?)
+}
+
+fn hand<const N: usize>(scene: &SceneSpec<N>) -> Result<Hand<N>, SceneError> {
+    let Some(spec) = &scene.operator else { return Ok(Hand::absent(scene.master.position)?) };
+    let strength = spec.grip_strength_n.unwrap_or(f64::INFINITY);
+    let mut hand = Hand::new(spec.stiffness, spec.damping, strength, path(spec)?, spec.release)?;
+    if let Some(regrasp) = spec.regrasp {
+        hand = hand.with_regrasp(regrasp)?;
+    }
+    if let Some(tremor) = spec.tremor {
+        hand = hand.with_tremor(tremor)?;
+    }
+    Ok(hand)
+}
+
+/// Shortest leg of a path in s; `bridge/scene/resolve.py` lets no two points of a recording be closer.
+const MIN_LEG_S: f64 = 1e-9;
+
+fn path<const N: usize>(spec: &OperatorSpec<N>) -> Result<Path<N>, SceneError> {
+    let Some(recorded) = &spec.recorded else { return Ok(Path::new(spec.start, spec.legs.clone())?) };
+    let (times, values) = (&recorded.time_s, &recorded.values);
+    if times.is_empty() || times.len() != values.len() {
+        return contradiction("operator.recorded: must have as many values as times, and at least one");
+    }
+    let mut legs = Vec::with_capacity(values.len());
+    let mut before = 0.0;
+    for (time, value) in times.iter().zip(values) {
+        if *time - before >= MIN_LEG_S {
+            legs.push(Leg { duration_s: time - before, end: *value, shape: LegShape::Linear });
+            before = *time;
+        }
+    }
+    Ok(Path::new(values[0], legs)?)
+}
+
+/// Reaction of a simulated operator in ns where the scene has none.
+const REACTION_NS: u64 = 500_000_000;
+
+/// A simulated operator who presses anew, as quick as that of the scene.
+fn automatic<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
+    let reaction_ns = scene.operator.as_ref().map_or(REACTION_NS, |operator| ns(operator.clutch_reaction_s));
+    Clutch::Auto { reaction_ns }
+}
+
+/// How the clutch of a simulated master is worked in virtual time, where nobody can be hurt.
+pub(crate) fn clutch<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
+    if scene.operator.is_none() { automatic(scene) } else { live_clutch(scene) }
+}
+
+/// How the clutch of a simulated master is worked live, where the arm may be a real one: only an operator presses anew.
+pub(crate) fn live_clutch<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
+    let Some(operator) = &scene.operator else { return Clutch::Once };
+    match (&operator.clutch_times, operator.clutch) {
+        (Some(times), _) => {
+            Clutch::Schedule(times.iter().map(|(press, release)| (ns(*press), ns(*release))).collect())
+        }
+        (None, ClutchSpec::Once) => Clutch::Once,
+        (None, ClutchSpec::Auto) => automatic(scene),
+    }
+}
+
+/// How the clutch of a real device without a button is worked: by its start and by whoever presses it anew. The scene's
+/// operator, who is simulated, has no say, but that times without a press leave it open; `simulated` has a simulated
+/// operator press all the same.
+pub(crate) fn driven_clutch<const N: usize>(
+    scene: &SceneSpec<N>,
+    simulated: bool,
+) -> Result<Clutch, SceneError> {
+    let times = scene.operator.as_ref().and_then(|operator| operator.clutch_times.as_deref());
+    match times {
+        Some([]) => Ok(Clutch::Schedule(Vec::new())),
+        Some(_) => contradiction(
+            "operator.clutch: times press the clutch of a real device without a person: must be \"once\", \"auto\" or []",
+        ),
+        None if simulated => Ok(automatic(scene)),
+        None => Ok(Clutch::Once),
     }
 }

@@ -1,24 +1,118 @@
 //! From the numbers of a scene to its parts.
 
-mod axes;
-mod environment;
-mod error;
-mod judging;
 mod master;
-mod operator;
 mod safety;
-mod slave;
-mod times;
-mod walls;
+mod touched;
 
-pub(crate) use axes::axes;
-pub(crate) use environment::environment;
-pub use environment::scene_environment;
-pub use error::SceneError;
-pub(crate) use judging::measures;
-pub(crate) use master::{device_model, exact_master, stepped_master, stepping};
-pub(crate) use operator::{clutch, driven_clutch, live_clutch};
-pub(crate) use safety::{estimator, limiter, safety_settings, watch};
-pub(crate) use slave::{arm, force_sensor};
-pub(crate) use times::{late, period_ns, ticks};
-pub(crate) use walls::{is_continuous, is_plain, rendered_walls};
+use haptether_master::ModelError as MasterError;
+use haptether_safety::ParameterError;
+use haptether_slave::ModelError as SlaveError;
+
+use super::spec::SceneSpec;
+
+pub use touched::scene_environment;
+
+pub(super) use master::{clutch, device_model, driven_clutch, exact_master, live_clutch, stepped_master};
+pub(super) use safety::{limiter, watch};
+pub(super) use touched::{environment, is_continuous, is_formula, rendered_walls};
+
+/// A scene that cannot be built.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SceneError {
+    /// It is not one: what serde says of its JSON.
+    #[error("scene: {0}")]
+    Json(String),
+    /// A number of the device or the hand.
+    #[error("master or operator: {0}")]
+    Master(#[from] MasterError),
+    /// A number of the arm or of what is touched.
+    #[error("slave or environment: {0}")]
+    Slave(#[from] SlaveError),
+    /// A parameter of the safety layer.
+    #[error("safety: {0}")]
+    Safety(#[from] ParameterError),
+    /// An endpoint.
+    #[error("{0}")]
+    Endpoint(#[from] crate::EndpointError),
+    /// The network.
+    #[error("link: {0}")]
+    Link(#[from] haptether_netsim::LinkSettingsError),
+    /// The clutch.
+    #[error("operator.clutch: {0}")]
+    Clutch(#[from] crate::ClutchError),
+    /// The session.
+    #[error("security: {0}")]
+    Session(#[from] crate::session::EndError),
+    /// It was stopped from outside.
+    #[error("stopped")]
+    Stopped,
+    /// Tables or keys that contradict each other.
+    #[error("{0}")]
+    Contradiction(String),
+}
+
+impl From<serde_json::Error> for SceneError {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Json(error.to_string())
+    }
+}
+
+impl From<crate::VirtualError> for SceneError {
+    fn from(error: crate::VirtualError) -> Self {
+        match error {
+            crate::VirtualError::Link(error) => error.into(),
+            crate::VirtualError::Session(error) => error.into(),
+        }
+    }
+}
+
+pub(super) fn contradiction<T>(text: impl Into<String>) -> Result<T, SceneError> {
+    Err(SceneError::Contradiction(text.into()))
+}
+
+/// A time of a scene in ns.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not negative, and saturates
+pub(super) fn ns(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
+}
+
+/// A period as a whole number of ns.
+pub(super) fn period_ns(name: &str, seconds: f64) -> Result<u64, SceneError> {
+    let exact = seconds * 1e9;
+    if !(1e4..=2e7).contains(&exact) || (exact - exact.round()).abs() > 1e-3 {
+        return contradiction(format!(
+            "{name} = {seconds}: must be a whole number of nanoseconds between 1e-5 and 2e-2 s"
+        ));
+    }
+    Ok(ns(seconds))
+}
+
+/// Largest number of ticks of one run.
+const MAX_TICKS: f64 = 2e7;
+
+/// How many ticks of `period_s` a run of `duration_s` has.
+pub(super) fn ticks<const N: usize>(scene: &SceneSpec<N>) -> Result<u64, SceneError> {
+    let (duration, period) = (scene.run.duration_s, scene.run.period_s);
+    let ticks = (duration / period).round();
+    if !(duration > 0.0 && (1.0..=MAX_TICKS).contains(&ticks)) {
+        return contradiction(format!(
+            "run: duration_s = {duration} of ticks of {period} s is {ticks} ticks, must be 1 to 2e7"
+        ));
+    }
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
+    Ok(ticks as u64)
+}
+
+/// Largest number of ticks by which an environment is late.
+const MAX_DELAY_TICKS: usize = 100_000;
+
+/// By how many ticks the force of the environment is late.
+pub(super) fn delay_ticks<const N: usize>(scene: &SceneSpec<N>) -> Result<usize, SceneError> {
+    let ticks = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
+    if ticks > MAX_DELAY_TICKS {
+        return contradiction(format!(
+            "environment.delay_ticks = {ticks}: must be at most {MAX_DELAY_TICKS}"
+        ));
+    }
+    Ok(ticks)
+}

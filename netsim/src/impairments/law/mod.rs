@@ -4,6 +4,7 @@ mod gamma;
 pub(crate) mod gaussian;
 mod shapes;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use gamma::Gamma;
@@ -13,7 +14,7 @@ use super::LinkSettings;
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, within};
 
 /// Law of the delay. Each has the mean `delay_s` and the standard deviation `jitter_s`.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
     /// Normal; cut off at zero, mean and deviation kept, where it would reach below.

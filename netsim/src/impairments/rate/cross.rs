@@ -3,6 +3,7 @@
 //! Arrivals are a Poisson process, drawn bin of time by bin of time, so that they depend on the seed and the time
 //! alone. Pauses thin them out.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{LinkSettingsError, within};
@@ -26,7 +27,7 @@ const MIN_MEAN_S: f64 = 1e-6;
 const MAX_MEAN_S: f64 = 1e6;
 
 /// Other traffic through the same bottleneck: packets at random times (Poisson).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CrossTraffic {
     /// Mean rate in bit/s while it sends, headers included.

@@ -19,6 +19,7 @@ mod tests;
 
 use std::collections::VecDeque;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::codel::Codel;
@@ -49,7 +50,7 @@ const MAX_QUEUE_MS: f64 = 3.6e6;
 const MAX_OVERHEAD: usize = 1000;
 
 /// What a queue that fills does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Discipline {
     /// It drops what comes while it is full.

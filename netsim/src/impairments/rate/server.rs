@@ -1,5 +1,6 @@
 //! The line behind the queue: of a constant rate, or with given times at which it carries something.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{LinkSettingsError, within};
@@ -19,7 +20,7 @@ const NS_PER_MS: u64 = 1_000_000;
 /// leaves with the opportunity that carries its last byte; what nothing waits for is lost.
 ///
 /// Source: mahimahi, `mm-link` traces.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Opportunities {
     /// Times in ms, not decreasing, the last above 0: after it the list begins anew.

@@ -17,6 +17,7 @@ mod tests;
 pub use files::{ParseError, parse_delay_csv, parse_dist, parse_mahimahi};
 pub use irtt::{IrttDelay, IrttRecording, parse_irtt};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{LinkSettingsError, MAX_DELAY_S, MAX_TIME_S, nanoseconds, within};
@@ -30,7 +31,7 @@ use crate::verdict::{DropCause, Verdict};
 const MAX_RECORDS: usize = 10_000_000;
 
 /// Recorded delays and losses.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DelayTrace {
     /// Times in s since the link began, increasing, the first 0 or more.

@@ -1,14 +1,14 @@
 //! The two sides of a scene, each by itself: what a run in virtual time couples, and what runs live.
 
-use haptether_slave::SimulatedSlave;
+use haptether_slave::{ArmSettings, SimulatedSlave};
 
 use super::{
     assemble::{
-        SceneError, arm, axes, device_model, driven_clutch, environment, estimator, exact_master,
-        force_sensor, limiter, live_clutch, period_ns, safety_settings, stepped_master, stepping,
+        SceneError, device_model, driven_clutch, environment, exact_master, limiter, live_clutch, period_ns,
+        stepped_master,
     },
-    coupled::{acts, bounds, ladder},
-    spec::{CouplingSpec, SceneSpec, SlaveSpec},
+    coupling::commands,
+    spec::{CouplingSpec, Integrator, SceneSpec},
     timed::Timed,
 };
 use crate::{
@@ -20,7 +20,9 @@ use crate::{
 const DECELERATION: f64 = 5.0;
 
 /// The arm and the coupling that a scene with two sides has.
-pub(super) fn coupled(scene: &SceneSpec) -> Result<(&SlaveSpec, &CouplingSpec), SceneError> {
+pub(super) fn coupled<const N: usize>(
+    scene: &SceneSpec<N>,
+) -> Result<(&ArmSettings<N>, &CouplingSpec), SceneError> {
     let missing = |text: &str| SceneError::Contradiction(text.to_owned());
     let slave = scene.slave.as_ref().ok_or_else(|| missing("slave: is missing"))?;
     let coupling = scene.coupling.as_ref().ok_or_else(|| missing("coupling: a [slave] must be coupled"))?;
@@ -29,25 +31,25 @@ pub(super) fn coupled(scene: &SceneSpec) -> Result<(&SlaveSpec, &CouplingSpec), 
 
 /// What decides at the side of the hand.
 pub(super) fn master_endpoint<const N: usize>(
-    scene: &SceneSpec,
+    scene: &SceneSpec<N>,
     session: u64,
 ) -> Result<MasterEndpoint<N>, SceneError> {
     let (_, coupling) = coupled(scene)?;
     Ok(MasterEndpoint::new(&MasterSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
         session,
-        device: device_model(&scene.master)?,
-        estimator: estimator(&scene.safety.estimator),
-        safety: safety_settings(&scene.safety),
+        device: device_model(scene)?,
+        estimator: scene.safety.estimator,
+        safety: scene.safety.settings,
         limiter: limiter(&scene.safety),
         force_scale: coupling.force_scale,
-        ladder: ladder(scene.safety.ladder.as_ref())?,
+        ladder: scene.safety.ladder.unwrap_or_default(),
     })?)
 }
 
 /// What decides at the side of the robot.
 pub(super) fn slave_endpoint<const N: usize>(
-    scene: &SceneSpec,
+    scene: &SceneSpec<N>,
     session: u64,
 ) -> Result<SlaveEndpoint<N>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
@@ -55,19 +57,19 @@ pub(super) fn slave_endpoint<const N: usize>(
         period_ns: period_ns("slave.period_s", slave.period_s)?,
         session,
         position_scale: coupling.position_scale,
-        bounds: bounds(coupling),
-        ladder: ladder(scene.safety.ladder.as_ref())?,
+        bounds: coupling.bounds,
+        ladder: scene.safety.ladder.unwrap_or_default(),
     })?)
 }
 
 /// The scene's arm in its environment.
-pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec) -> Result<SimulatedSlave<N>, SceneError> {
+pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedSlave<N>, SceneError> {
     let (slave, _) = coupled(scene)?;
     Ok(SimulatedSlave::in_environment(
-        arm(slave)?,
+        slave.model()?,
         environment(scene.environment.as_ref())?,
-        force_sensor(slave, scene.run.seed)?,
-        axes("slave.position", &slave.position)?,
+        slave.force_sensor.as_ref().map(|sensor| sensor.sensor(scene.run.seed)).transpose()?,
+        slave.position,
         0,
     )?)
 }
@@ -79,23 +81,23 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec) -> Result<Simulat
 /// A number or a combination that no part can have, as for all of these.
 #[allow(clippy::type_complexity)]
 pub fn simulated_master<const N: usize>(
-    scene: &SceneSpec,
+    scene: &SceneSpec<N>,
     session: u64,
 ) -> Result<Timed<MasterSide<Box<dyn MasterPlant<N> + Send>, N>>, SceneError> {
-    let plant: Box<dyn MasterPlant<N> + Send> = match stepping(scene.run.integrator) {
-        None => {
+    let plant: Box<dyn MasterPlant<N> + Send> = match scene.run.integrator {
+        Integrator::Exact => {
             let mut plant = exact_master::<N>(scene)?;
             plant.set_waiting(true);
             Box::new(plant)
         }
-        Some(stepping) => {
+        Integrator::Stepped(stepping) => {
             let mut plant = stepped_master::<N>(scene, stepping)?;
             plant.set_waiting(true);
             Box::new(plant)
         }
     };
     let side = MasterSide::new(plant, master_endpoint(scene, session)?, live_clutch(scene))?;
-    Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
 /// The side of the robot with the scene's arm in the scene's environment.
@@ -104,21 +106,21 @@ pub fn simulated_master<const N: usize>(
 ///
 /// As [`simulated_master`].
 pub fn simulated_slave<const N: usize>(
-    scene: &SceneSpec,
+    scene: &SceneSpec<N>,
     session: u64,
 ) -> Result<Timed<SlaveSide<SimulatedSlave<N>, N>>, SceneError> {
     let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, session)?);
-    Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
-/// The side of the hand with a device whose driver is elsewhere; `simulated_clutch` has a simulated person press anew
+/// The side of the hand with a device whose driver is elsewhere; `simulated_clutch` has a simulated operator press anew
 /// where it has no button.
 ///
 /// # Errors
 ///
 /// As [`simulated_master`], and times at which the clutch would be pressed.
 pub fn driven_master<const N: usize>(
-    scene: &SceneSpec,
+    scene: &SceneSpec<N>,
     session: u64,
     simulated_clutch: bool,
 ) -> Result<Timed<MasterSide<DrivenMaster<N>, N>>, SceneError> {
@@ -127,7 +129,7 @@ pub fn driven_master<const N: usize>(
         master_endpoint(scene, session)?,
         driven_clutch(scene, simulated_clutch)?,
     )?;
-    Ok(Timed::new(side, acts::<N>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
 /// The side of the robot with an arm whose driver is elsewhere.
@@ -136,12 +138,12 @@ pub fn driven_master<const N: usize>(
 ///
 /// As [`simulated_master`].
 pub fn driven_slave<const N: usize>(
-    scene: &SceneSpec,
+    scene: &SceneSpec<N>,
     session: u64,
 ) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
     let side = SlaveSide::new(plant, slave_endpoint(scene, session)?);
-    Ok(Timed::new(side, acts::<N>(coupling)?))
+    Ok(Timed::new(side, commands::<N>(coupling)?))
 }

@@ -1,0 +1,112 @@
+//! From the numbers of `[coupling]` to commands of the operator, and the coupling as it is at a time.
+
+use haptether_safety::Axes;
+
+use super::{
+    assemble::{SceneError, contradiction, ns},
+    spec::{ChangeSpec, CouplingSpec},
+};
+use crate::{
+    EndpointError, OperatorCommand,
+    coupling::{CouplingError, FrameMap},
+};
+
+/// Rotation and locks as one command.
+fn frame<const N: usize>(quat_wxyz: [f64; 4], locked_axes: &[usize]) -> Result<OperatorCommand, SceneError> {
+    let mut locked = [false; 7];
+    for &axis in locked_axes {
+        if axis >= N {
+            return contradiction(format!(
+                "coupling.locked_axes: {axis}, must be below {N}, the number of axes"
+            ));
+        }
+        locked[axis] = true;
+    }
+    Ok(OperatorCommand::Frame { quat_wxyz, locked })
+}
+
+/// The commands of both sides with their times in ns since the start: rotation and locks at once, then the changes.
+pub(crate) fn commands<const N: usize>(
+    spec: &CouplingSpec,
+) -> Result<Vec<(u64, OperatorCommand)>, SceneError> {
+    let (mut quat_wxyz, mut locked_axes) = (spec.quat_wxyz, &spec.locked_axes);
+    let mut commands = vec![(0, frame::<N>(quat_wxyz, locked_axes)?)];
+    let mut before_s = 0.0;
+    for (index, change) in spec.changes.iter().enumerate() {
+        let ChangeSpec { at_s, position_scale, force_scale, .. } = change;
+        if at_s.is_nan() || *at_s < before_s {
+            return contradiction(format!(
+                "coupling.changes.{index}.at_s = {at_s}: must be at least {before_s}"
+            ));
+        }
+        before_s = *at_s;
+        let mut add = |command| commands.push((ns(*at_s), command));
+        if let Some(scale) = position_scale {
+            add(OperatorCommand::PositionScale(*scale));
+        }
+        if let Some(scale) = force_scale {
+            add(OperatorCommand::ForceScale(*scale));
+        }
+        if change.quat_wxyz.is_some() || change.locked_axes.is_some() {
+            quat_wxyz = change.quat_wxyz.unwrap_or(quat_wxyz);
+            locked_axes = change.locked_axes.as_ref().unwrap_or(locked_axes);
+            add(frame::<N>(quat_wxyz, locked_axes)?);
+        }
+    }
+    for (_, command) in &commands {
+        command.check::<N>().map_err(EndpointError::from)?;
+    }
+    Ok(commands)
+}
+
+/// The coupling as it is at a time: what a run is measured against.
+pub(crate) struct Present<const N: usize> {
+    map: FrameMap<N>,
+    position_scale: f64,
+    force_scale: f64,
+    commands: Vec<(u64, OperatorCommand)>,
+    done: usize,
+}
+
+impl<const N: usize> Present<N> {
+    /// As it begins; `commands` in the order of their times.
+    pub(crate) fn new(spec: &CouplingSpec, commands: Vec<(u64, OperatorCommand)>) -> Self {
+        let CouplingSpec { position_scale, force_scale, .. } = *spec;
+        Self { map: FrameMap::default(), position_scale, force_scale, commands, done: 0 }
+    }
+
+    /// Takes the commands that are due by `now_ns`; says whether anything was.
+    pub(crate) fn advance(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
+        let before = self.done;
+        while let Some((_, command)) = self.commands.get(self.done).filter(|(at, _)| *at <= now_ns) {
+            match command {
+                OperatorCommand::PositionScale(scale) => self.position_scale = *scale,
+                OperatorCommand::ForceScale(scale) => self.force_scale = *scale,
+                OperatorCommand::Frame { quat_wxyz, locked } => {
+                    self.map = FrameMap::turned(*quat_wxyz, locked)?
+                }
+                OperatorCommand::Acknowledge => {}
+            }
+            self.done += 1;
+        }
+        Ok(self.done > before)
+    }
+
+    /// Largest `lambda_p` that there will be.
+    pub(crate) fn max_position_scale(&self) -> f64 {
+        self.commands.iter().fold(self.position_scale, |max, (_, command)| match command {
+            OperatorCommand::PositionScale(scale) => max.max(*scale),
+            _ => max,
+        })
+    }
+
+    /// `lambda_p L R v`.
+    pub(crate) fn to_slave(&self, of_master: &Axes<N>) -> Axes<N> {
+        self.map.to_slave(of_master) * self.position_scale
+    }
+
+    /// `lambda_f R' L f`.
+    pub(crate) fn to_master(&self, of_slave: &Axes<N>) -> Axes<N> {
+        self.map.to_master(of_slave) * self.force_scale
+    }
+}

@@ -1,0 +1,209 @@
+//! What a run leaves behind: signals, events and what it is judged by.
+
+use haptether_safety::{Axes, controller::Tripped};
+
+use super::{measures::Outcome, spec::SceneSpec};
+
+/// What a run leaves behind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneRun {
+    /// Signals; empty where the scene records nothing.
+    pub signals: Vec<Signal>,
+    /// What happened.
+    pub events: Vec<SceneEvent>,
+    /// What it is judged by.
+    pub outcome: Outcome,
+    /// dT of the master in s.
+    pub period_s: f64,
+}
+
+/// One signal over time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Signal {
+    /// Its name.
+    pub name: &'static str,
+    /// Values per sample: 1 for a scalar.
+    pub width: usize,
+    /// The samples, one after the other.
+    pub values: Vec<f64>,
+}
+
+/// Signals of one loop, sampled every so many ticks.
+#[derive(Clone, Debug)]
+pub(crate) struct Recorder {
+    every: u64,
+    /// Ticks that the run has at most: room is made for them at once.
+    max_ticks: u64,
+    ticks: u64,
+    signals: Vec<Signal>,
+}
+
+/// A sample of one signal.
+pub(crate) enum Sample<'a, const N: usize> {
+    Vector(&'a Axes<N>),
+    Scalar(f64),
+}
+
+impl Recorder {
+    /// Records every `every`-th of `max_ticks` ticks; nothing for 0.
+    pub(crate) fn new(every: u64, max_ticks: u64) -> Self {
+        Self { every, max_ticks, ticks: 0, signals: Vec::new() }
+    }
+
+    /// Takes a tick: the same signals in the same order each time.
+    #[inline]
+    pub(crate) fn take<const N: usize>(&mut self, samples: &[(&'static str, Sample<'_, N>)]) {
+        if self.every == 0 {
+            return;
+        }
+        if self.signals.is_empty() {
+            let signal = |(name, sample): &(&'static str, Sample<'_, N>)| {
+                let width = if matches!(sample, Sample::Vector(_)) { N } else { 1 };
+                let samples = usize::try_from(self.max_ticks.div_ceil(self.every)).unwrap_or(0);
+                Signal { name, width, values: Vec::with_capacity(samples * width) }
+            };
+            self.signals = samples.iter().map(signal).collect();
+        }
+        if self.ticks.is_multiple_of(self.every) {
+            for (signal, (_, sample)) in self.signals.iter_mut().zip(samples) {
+                match sample {
+                    Sample::Vector(vector) => signal.values.extend_from_slice(vector.as_slice()),
+                    Sample::Scalar(scalar) => signal.values.push(*scalar),
+                }
+            }
+        }
+        self.ticks += 1;
+    }
+
+    pub(crate) fn into_signals(self) -> Vec<Signal> {
+        self.signals
+    }
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SceneEvent {
+    /// When, in s.
+    pub time_s: f64,
+    /// `disengaged`, `aligning`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the hand, `contact`
+    /// and `free` of what is touched, `trip` and `recover` of the controllers, `settled`, `diverged`, `coarse`, `lost`
+    /// or `refused`.
+    pub kind: &'static str,
+    /// What more there is to say.
+    pub detail: String,
+}
+
+/// Events of a run, as signals change from tick to tick.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct EventLog {
+    events: Vec<SceneEvent>,
+    tripped: u8,
+    /// Trips and contacts beyond those that are kept.
+    dropped: u64,
+    touches: bool,
+}
+
+/// Largest number of events that is kept; a loop that chatters would fill the memory.
+const MAX_EVENTS: usize = 10_000;
+
+impl EventLog {
+    pub(crate) fn add(&mut self, time_s: f64, kind: &'static str, detail: impl Into<String>) {
+        let chatters = matches!(kind, "trip" | "recover" | "contact" | "free");
+        if chatters && self.events.len() >= MAX_EVENTS {
+            self.dropped += 1;
+        } else {
+            self.events.push(SceneEvent { time_s, kind, detail: detail.into() });
+        }
+    }
+
+    /// How many steps of the environment were too stiff to be followed to full accuracy, if any.
+    pub(crate) fn coarse(&mut self, time_s: f64, steps: u64) {
+        if steps > 0 {
+            self.add(time_s, "coarse", format!("{steps} steps of the environment were too stiff"));
+        }
+    }
+
+    /// Who intervenes at this tick.
+    #[inline]
+    pub(crate) fn tripped(&mut self, time_s: f64, tripped: Tripped) {
+        let (before, now) = (self.tripped, tripped.bits());
+        if before == now {
+            return;
+        }
+        self.tripped = now;
+        if before == 0 {
+            let who: Vec<_> = tripped.names().collect();
+            self.add(time_s, "trip", who.join(" "));
+        } else if now == 0 {
+            self.add(time_s, "recover", "");
+        }
+    }
+
+    /// Whether there is contact at this tick.
+    #[inline]
+    pub(crate) fn touches(&mut self, time_s: f64, touches: bool) {
+        if touches != self.touches {
+            self.touches = touches;
+            self.add(time_s, if touches { "contact" } else { "free" }, "");
+        }
+    }
+
+    /// What the scene itself schedules, as far as the run came, from `engaged_s` on; and how it diverged.
+    pub(crate) fn schedule<const N: usize>(
+        &mut self,
+        scene: &SceneSpec<N>,
+        engaged_s: f64,
+        outcome: &Outcome,
+    ) {
+        let end_s = outcome.ticks as f64 * scene.run.period_s;
+        if let Some(operator) = &scene.operator
+            && let Some(release) = &operator.release
+        {
+            let at_s = release.at_s + engaged_s;
+            let ends = at_s + release.decay_s;
+            let mut scheduled = vec![(at_s, "release")];
+            if let Some(regrasp) = &operator.regrasp {
+                scheduled.push((ends + regrasp.reaction_s, "regrasp"));
+            }
+            for (time_s, kind) in scheduled {
+                if time_s <= end_s {
+                    self.add(time_s, kind, "");
+                }
+            }
+        }
+        if let Some(divergence) = &outcome.diverged {
+            self.add(divergence.time_s, "diverged", divergence.to_string());
+        }
+    }
+
+    /// All events in the order of their times.
+    pub(crate) fn into_events(mut self) -> Vec<SceneEvent> {
+        if self.dropped > 0 {
+            let last = self.events.iter().map(|event| event.time_s).fold(0.0, f64::max);
+            let text = format!("{} more trips and contacts are not listed", self.dropped);
+            self.add(last, "truncated", text);
+        }
+        self.events.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        self.events
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keeps_every_so_many_ticks() {
+        let mut recorder = Recorder::new(3, 10);
+        for tick in 0..10 {
+            let x = Axes::<2>::new(f64::from(tick), -1.0);
+            recorder.take(&[("t", Sample::Scalar(f64::from(tick))), ("x", Sample::Vector(&x))]);
+        }
+        let signals = recorder.into_signals();
+        assert_eq!(signals[0].values, [0.0, 3.0, 6.0, 9.0]);
+        assert_eq!((signals[1].width, signals[1].values.len()), (2, 8));
+        let mut nothing = Recorder::new(0, 10);
+        nothing.take::<1>(&[("t", Sample::Scalar(0.0))]);
+        assert!(nothing.into_signals().is_empty());
+    }
+}
