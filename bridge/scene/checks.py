@@ -180,7 +180,7 @@ def _frame(
         norm = hypot(*quat_wxyz)
         if abs(norm - 1.0) > UNIT_QUATERNION:
             yield wrong((*path, "quat_wxyz"), quat_wxyz, f"of norm 1, not {norm:g}")
-        # In a plane it turns about z; along one axis, or of axes that are not those of one space, nothing turns.
+        # A plane rotates about z; one axis, or axes that are not those of one space, do not rotate.
         fixed = {3: (), 2: (1, 2)}.get(axes, (1, 2, 3))
         if any(quat_wxyz[part] != 0.0 for part in fixed):
             allowed = "a rotation about z with 2 axes" if axes == 2 else f"[1, 0, 0, 0] with {axes} axes"

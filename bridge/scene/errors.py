@@ -71,7 +71,7 @@ def shown(value: object) -> str:
 
 
 def closest(word: str, words: Iterable[str]) -> str:
-    """Asks for the most similar word, or says all of them where none is similar."""
+    """A question for the most similar word, or all of them where none is similar."""
     words = sorted(words)
     near = difflib.get_close_matches(word[:80], words, n=1, cutoff=0.5)
     return f"did you mean {near[0]}?" if near else f"there is {', '.join(words)}"

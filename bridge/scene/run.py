@@ -106,7 +106,7 @@ class Run(Struct, frozen=True, kw_only=True):
     version: str
     """Version of Haptether. Same scene, seed and version: same numbers."""
     signals: Signals
-    """What `[record]` asked for; empty without that table."""
+    """What `[record]` keeps; empty without that table."""
     events: tuple[Event, ...]
     """What happened, in the order of time."""
     metrics: Metrics

@@ -144,7 +144,7 @@ def sweep(
         overrides: Fields to change for all rows, `table.key=value` each.
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
-        progress: Told from time to time how many rows are done.
+        progress: Called from time to time with the number of rows that are done.
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.

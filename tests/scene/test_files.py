@@ -26,6 +26,7 @@ from haptether.bridge import (
     simulate,
     sweep,
 )
+from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.load import loaded
 from haptether.bridge.scene.sweep import sweep_columns
 from haptether.netsim import LinkSettings, link_spec
@@ -312,6 +313,29 @@ def test_a_run_is_what_the_extension_saw(scenes_run: list[bytes], tmp_path: Path
     run.save(tmp_path / "run.npz")
     with np.load(tmp_path / "run.npz") as arrays:
         assert set(arrays) == {"time_s", "position"}
+
+
+@pytest.mark.usefixtures("scenes_run")
+def test_a_scene_is_checked_once_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    checked = 0
+
+    def counted(scene: Scene) -> dict[str, Any]:
+        nonlocal checked
+        checked += 1
+        return checked_spec(scene)
+
+    monkeypatch.setattr("haptether.bridge.scene.load.checked_spec", counted)
+    scene = load_scene("remote_push")
+    runs: list[Callable[[], object]] = [
+        lambda: simulate("remote_push"),
+        lambda: simulate("remote_push", overrides=["run.seed=5"]),
+        lambda: simulate(scene, overrides=["run.seed=5"]),
+        lambda: scene_json(scene),
+    ]
+    for run in runs:
+        checked = 0
+        run()
+        assert checked == 1
 
 
 def test_a_scene_a_name_and_a_path_do_the_same(scenes_run: list[bytes], tmp_path: Path) -> None:
