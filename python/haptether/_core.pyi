@@ -79,6 +79,7 @@ __all__ = [
     "record",
     "run_bridge",
     "run_local",
+    "scene_schema",
     "simulate_scene",
     "sweep_scenes",
     "translate_netem",
@@ -2851,6 +2852,9 @@ class SceneRun:
     def metrics(self) -> dict[str, float | int | bool | str | None]:
         """What the run comes to, by name; none where it does not apply or was not measured."""
 
+def scene_schema() -> str:
+    """The JSON schema of a scene of one axis, as `haptether.bridge.scene_json` writes it."""
+
 def simulate_scene(scene_json: bytes) -> SceneRun:
     """Runs a scene in virtual time, without the interpreter's lock.
 
@@ -2876,7 +2880,7 @@ def sweep_scenes(
             per row; whole numbers for fields that count.
         threads: How many threads, 1 or more.
         lanes: Whether rows may be advanced side by side in one thread.
-        progress: Told from time to time how many rows are done; what it raises ends the sweep.
+        progress: Called from time to time with the number of rows that are done; what it raises ends the sweep.
 
     Returns:
         How each ended, the metrics, and why a row was refused or diverged, by name, one value per row; NaN where a
