@@ -1,6 +1,6 @@
-//! Named faults: what stops at the door of the safety layer.
+//! Named faults: what the checks on entry to the safety layer refuse.
 
-use crate::{Axes, axes::is_within};
+use crate::lanes::{Axes, is_within};
 
 /// A signal that enters the safety layer, with the largest magnitude that is not absurd.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,7 +9,7 @@ pub enum Signal {
     Position,
     /// Device velocity V.
     Velocity,
-    /// Force asked for by the remote side, `F_v`.
+    /// Force requested by the remote side, `F_v`.
     RenderedForce,
     /// Estimated grasp force `F_h`.
     GraspForce,
@@ -48,7 +48,7 @@ impl Signal {
         }
     }
 
-    /// Lets a value through the door, or names the fault.
+    /// Passes a value within its bound, or names the fault.
     #[inline]
     pub fn check<const N: usize>(self, value: &Axes<N>) -> Result<(), Fault> {
         if is_within(value, self.bound()) {

@@ -70,7 +70,7 @@ impl<const N: usize, S: Real> DeviceModel<N, S> {
 
     /// `F_h = m A + b V + c sign(V) - F_device`, in N.
     ///
-    /// `aligned_device_force` is all the force that the device was told to exert (rendered plus safety), passed
+    /// `aligned_device_force` is all the force that the device was commanded to exert (rendered plus safety), passed
     /// through [`Estimator::align`](crate::estimator::Estimator::align), because A belongs to the past ticks that
     /// the estimator averaged. The paper writes `F_v` for it, which is the same as long as no controller acts.
     ///

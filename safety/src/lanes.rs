@@ -1,14 +1,22 @@
-//! One scenario, or several side by side: the scalar that the chain computes with.
+//! What the pipeline computes with: a vector over the axes of a device, for one scenario or several side by side.
 
 use std::{fmt::Debug, ops::Neg};
 
 use nalgebra::{
-    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPartialOrd,
+    ClosedAddAssign, ClosedDivAssign, ClosedMulAssign, ClosedSubAssign, SVector, Scalar, SimdPartialOrd,
     SimdRealField, SimdValue,
 };
 use num_traits::{One, Zero};
 
-use crate::Axes;
+/// One value per axis: position in m (rad), velocity in m/s (rad/s) or force in N (N m).
+pub type Axes<const N: usize, S = f64> = SVector<S, N>;
+
+/// Whether every axis is finite and at most `bound` in absolute value.
+#[inline]
+pub fn is_within<const N: usize>(value: &Axes<N>, bound: f64) -> bool {
+    // A comparison with NaN is false, so one test covers NaN, infinity and absurdity.
+    value.iter().all(|x| x.abs() <= bound)
+}
 
 /// A real number `f64`, or several that are computed with at once, each in a lane of its own.
 ///

@@ -1,11 +1,10 @@
 //! Safety observers, controllers and limits that stand between a remote push and a hand.
 //!
 //! Per tick: position -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
-//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] is that chain in one step. Everything is a pure state machine:
+//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] is that pipeline in one step. Everything is a pure state machine:
 //! no clock, no allocation after construction, no lock. All of it is written over a [`Real`]: `f64`, or lanes of
 //! several scenarios that are stepped at once.
 
-mod axes;
 pub mod controller;
 pub mod estimator;
 mod fault;
@@ -13,15 +12,24 @@ mod grasp;
 mod lanes;
 mod layer;
 mod limiter;
-mod observation;
 pub mod observer;
 mod parameter;
 
-pub use axes::{Axes, is_within};
 pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
-pub use lanes::Real;
+pub use lanes::{Axes, Real, is_within};
 pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
-pub use limiter::{Acted, Bounded, Limited, Limiter, LimiterSettings};
-pub use observation::Observation;
+pub use limiter::{Acted, Limited, Limiter, LimiterSettings, SaturatedForce};
+pub use observer::Observation;
 pub use parameter::ParameterError;
+
+/// What an observer, a controller or an estimator is called, and where it comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct About {
+    /// Its name, where one of them is chosen.
+    pub name: &'static str,
+    /// What it goes by, in a few words.
+    pub title: &'static str,
+    /// Its equation, or where it is described.
+    pub source: &'static str,
+}

@@ -8,9 +8,9 @@ use crate::{
     parameter::{in_range, positive},
 };
 
-/// Bounds on the force that a device is told to exert.
+/// Bounds on the force that a device is commanded to exert.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
 pub struct LimiterSettings {
     /// Largest `|F|` in N.
     pub max_force_n: f64,
@@ -74,7 +74,7 @@ pub struct Limited<const N: usize> {
 
 /// A limited force and where each bound acted, in each lane.
 #[derive(Clone, Copy, Debug)]
-pub struct Bounded<const N: usize, S: Real = f64> {
+pub struct SaturatedForce<const N: usize, S: Real = f64> {
     /// The force in N.
     pub force: Axes<N, S>,
     /// Where the norm was clipped.
@@ -89,7 +89,7 @@ pub struct Bounded<const N: usize, S: Real = f64> {
     pub fault: S::SimdBool,
 }
 
-impl<const N: usize, S: Real> Bounded<N, S> {
+impl<const N: usize, S: Real> SaturatedForce<N, S> {
     /// The bounds that acted in one lane.
     #[inline(always)]
     pub fn acted(&self, lane: usize) -> Acted {
@@ -139,11 +139,11 @@ impl<const N: usize> Limiter<N> {
         })
     }
 
-    /// Limits the force asked for at this tick, with V in m/s.
+    /// Limits the requested force at this tick, with V in m/s.
     #[inline(always)]
-    pub fn step(&mut self, asked: &Axes<N>, velocity: &Axes<N>) -> Limited<N> {
-        let bounded = self.limit(asked, velocity);
-        Limited { force: bounded.force, acted: bounded.acted(0) }
+    pub fn step(&mut self, requested_force: &Axes<N>, velocity: &Axes<N>) -> Limited<N> {
+        let saturated = self.limit(requested_force, velocity);
+        Limited { force: saturated.force, acted: saturated.acted(0) }
     }
 }
 
@@ -160,15 +160,15 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         })
     }
 
-    /// Limits the force asked for at this tick, with V in m/s, in each lane.
+    /// Limits the requested force at this tick, with V in m/s, in each lane.
     #[inline(always)]
-    pub fn limit(&mut self, asked: &Axes<N, S>, velocity: &Axes<N, S>) -> Bounded<N, S> {
+    pub fn limit(&mut self, requested_force: &Axes<N, S>, velocity: &Axes<N, S>) -> SaturatedForce<N, S> {
         // A comparison with NaN is false, so every bound below would let one through.
-        let is_finite = asked
+        let is_finite = requested_force
             .iter()
             .chain(velocity)
             .fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_lt(S::splat(f64::INFINITY)));
-        let mut force = *asked;
+        let mut force = *requested_force;
         let ramp = is_finite & self.ticks.simd_lt(self.ramp_ticks);
         change(&mut force, ramp, |force| force * (self.ticks / self.ramp_ticks));
         self.ticks = (self.ticks + S::splat(1.0)).select(ramp, self.ticks);
@@ -187,7 +187,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
             force - velocity * ((watts - self.max_power_w) / velocity.dot(velocity))
         });
         self.last = is_finite.if_else(|| force, Axes::zeros);
-        Bounded { force: self.last, norm: long, slew, power, ramp, fault: !is_finite }
+        SaturatedForce { force: self.last, norm: long, slew, power, ramp, fault: !is_finite }
     }
 
     /// Zero force at once, and the ramp starts anew.
@@ -238,7 +238,7 @@ mod tests {
         LimiterSettings { max_force_n: 1e3, max_slew_n_per_s: 1e9, max_power_w: 1e9, ramp_in_s: 0.0 };
 
     #[test]
-    fn bounds_are_told_apart() {
+    fn bounds_are_distinct() {
         let bounds = [Acted::NORM, Acted::SLEW, Acted::POWER, Acted::RAMP, Acted::FAULT];
         for (place, one) in bounds.into_iter().enumerate() {
             assert_eq!(one.bits(), 1 << place);
@@ -262,11 +262,17 @@ mod tests {
             mask
         };
         let force = Axes::<1, AutoF64x4>::new(AutoF64x4::splat(0.0));
-        let bounded =
-            Bounded { force, norm: only(0), slew: only(1), power: only(2), ramp: only(3), fault: only(3) };
+        let saturated = SaturatedForce {
+            force,
+            norm: only(0),
+            slew: only(1),
+            power: only(2),
+            ramp: only(3),
+            fault: only(3),
+        };
         let acted = [Acted::NORM, Acted::SLEW, Acted::POWER, Acted::RAMP.and(Acted::FAULT)];
         for (lane, acted) in acted.into_iter().enumerate() {
-            assert_eq!(bounded.acted(lane), acted);
+            assert_eq!(saturated.acted(lane), acted);
         }
     }
 

@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used)] // the settings of these tests are valid
 
 use haptether_safety::controller::{
-    ControllerKind, HandGraspController, Intervention, PassivityController, SafetyController, SafetySettings,
-    VelocityForceController, WindowedSafetyController,
+    Controller, ControllerKind, HandGraspController, Intervention, PassivityController, SafetyController,
+    SafetySettings, VelocityForceController, Verdict, WindowedSafetyController,
 };
 use haptether_safety::estimator::{AnyEstimator, Estimator, EstimatorKind, Fit, MeasuredVelocity, Motion};
 use haptether_safety::observer::{
@@ -231,8 +231,8 @@ fn observers_agree<const N: usize, L: Real>(
 }
 
 /// A mask as numbers, for it is not compared lane by lane itself.
-fn told<S: Real>(place: (S, S::SimdBool)) -> nalgebra::Vector3<S> {
-    three(place.0, S::splat(1.0).select(place.1, S::splat(0.0)), S::splat(0.0))
+fn numbers_of<const N: usize, S: Real>(verdict: Verdict<N, S>) -> nalgebra::Vector3<S> {
+    three(verdict.observed, S::splat(1.0).select(verdict.is_unsafe, S::splat(0.0)), verdict.force[0])
 }
 
 fn controllers_agree<const N: usize, L: Real>(
@@ -245,12 +245,12 @@ fn controllers_agree<const N: usize, L: Real>(
         let SafetySettings { velocity_threshold, vfc_force_threshold_n, vfc_form, .. } = settings(of);
         let observer =
             VelocityForceObserver::new(velocity_threshold, vfc_force_threshold_n, vfc_form).unwrap();
-        VelocityForceController::new(observer)
+        VelocityForceController::<N>::new(observer)
     };
     let hsc = |of: &Numbers| {
         let SafetySettings { grasp_floor_n, grasp_threshold, hsc_force_threshold_n, .. } = settings(of);
         let observer = HandGraspObserver::new(grasp_floor_n).unwrap();
-        HandGraspController::new(observer, grasp_threshold, hsc_force_threshold_n).unwrap()
+        HandGraspController::<N>::new(observer, grasp_threshold, hsc_force_threshold_n).unwrap()
     };
     let wsc = |of: &Numbers| {
         let SafetySettings { energy_ratio, window, energy_threshold_j, .. } = settings(of);
@@ -263,19 +263,19 @@ fn controllers_agree<const N: usize, L: Real>(
         PassivityController::new(observer, &device(of), PERIOD_S, pc_max_damping).unwrap()
     };
     let each = || numbers[..L::LANES].iter();
-    agree!(each().map(vfc).collect(), VelocityForceController::<L>::gather, ticks, |it, at| told(
-        it.judge::<N>(&at.seen)
+    agree!(each().map(vfc).collect(), VelocityForceController::<N, L>::gather, ticks, |it, at| numbers_of(
+        it.step(&at.seen)
     ));
-    agree!(each().map(hsc).collect(), HandGraspController::<L>::gather, ticks, |it, at| told(
-        it.judge::<N>(&at.seen)
+    agree!(each().map(hsc).collect(), HandGraspController::<N, L>::gather, ticks, |it, at| numbers_of(
+        it.step(&at.seen)
     ));
     agree!(each().map(wsc).collect(), WindowedSafetyController::<N, L>::gather, ticks, |it, at| {
-        told(it.step(&at.seen))
+        numbers_of(it.step(&at.seen))
     });
     agree!(each().map(pc).collect(), PassivityController::<N, L>::gather, ticks, |it, at| {
         let action = it.step(&at.seen);
-        let owed = it.owed_energy_j(action.energy_j, &at.force, &at.velocity);
-        three(action.energy_j, action.force[0], owed)
+        let owed = it.owed_energy_j(action.observed, &at.force, &at.velocity);
+        three(action.observed, action.force[0], owed)
     });
     Ok(())
 }
@@ -306,8 +306,7 @@ fn estimators_agree<const N: usize, L: Real>(
 
 /// An intervention to the bit; every NaN is one.
 fn bits<const N: usize>(of: &Intervention<N>) -> ([u64; N], [u64; 4], u8) {
-    let values = [of.velocity_force, of.grasp, of.windowed_energy_j, of.energy_j];
-    let plain = values.map(|value| if value.is_nan() { f64::NAN } else { value });
+    let plain = of.observed.0.map(|value| if value.is_nan() { f64::NAN } else { value });
     (of.safety_force.map(f64::to_bits).into(), plain.map(f64::to_bits), of.tripped.bits())
 }
 

@@ -115,8 +115,7 @@ fn turned(seen: &Observation<3>, by: &Rotation3<f64>) -> Observation<3> {
 
 /// The whole state of an intervention, bit for bit; zeros of either sign are one.
 fn bits<const N: usize>(step: &Intervention<N>) -> ([u64; 4], u8) {
-    let values = [step.velocity_force, step.grasp, step.windowed_energy_j, step.energy_j];
-    (values.map(|value| (value + 0.0).to_bits()), step.tripped.bits())
+    (step.observed.0.map(|value| (value + 0.0).to_bits()), step.tripped.bits())
 }
 
 /// Whether an observed value is so near its threshold that rounding may decide.
@@ -126,9 +125,9 @@ fn is_close<const N: usize>(
     settings: &SafetySettings,
 ) -> bool {
     [
-        (step.velocity_force, 1.0),
-        (step.grasp, settings.grasp_threshold),
-        (step.windowed_energy_j, settings.energy_threshold_j),
+        (step.observed[ControllerKind::Vfc], 1.0),
+        (step.observed[ControllerKind::Hsc], settings.grasp_threshold),
+        (step.observed[ControllerKind::Wsc], settings.energy_threshold_j),
         (seen.rendered_force.norm(), settings.hsc_force_threshold_n),
     ]
     .iter()
@@ -136,7 +135,9 @@ fn is_close<const N: usize>(
 }
 
 fn is_unsafe(tripped: Tripped) -> bool {
-    [Tripped::VFC, Tripped::HSC, Tripped::WSC].into_iter().any(|who| tripped.contains(who))
+    [Tripped::of(ControllerKind::Vfc), Tripped::of(ControllerKind::Hsc), Tripped::of(ControllerKind::Wsc)]
+        .into_iter()
+        .any(|who| tripped.contains(who))
 }
 
 /// The cap, the power bound, and faults that stay, over N axes.
@@ -191,7 +192,7 @@ proptest! {
                 let rounding = 4.0 * f64::EPSILON * (f_v.norm() + f_c.norm()) * v.norm();
                 prop_assert!((f_v + f_c).dot(&v) <= rounding);
                 prop_assert!((f_v + f_c + v * settings.damping).norm() <= 1e-14 * (1.0 + f_c.norm()));
-            } else if step.tripped == Tripped::PC {
+            } else if step.tripped == Tripped::of(ControllerKind::Pc) {
                 prop_assert!(f_c.dot(&v) < 0.0);
                 prop_assert!(f_c.norm() <= settings.pc_max_damping * v.norm() * (1.0 + 1e-15));
             } else if !step.tripped.any() {
@@ -246,8 +247,8 @@ proptest! {
             prop_assert_eq!(one.grasp_force * s, other.grasp_force);
             prop_assert_eq!(one.owed_energy_j * s * s, other.owed_energy_j);
             let mut rescaled = one.intervention;
-            rescaled.windowed_energy_j *= s * s;
-            rescaled.energy_j *= s * s;
+            rescaled.observed[ControllerKind::Wsc] *= s * s;
+            rescaled.observed[ControllerKind::Pc] *= s * s;
             prop_assert_eq!(bits(&rescaled), bits(&other.intervention));
         }
     }
@@ -271,10 +272,10 @@ proptest! {
             let (one, other) = (observers.step(&seen).unwrap(), turned_observers.step(&turned).unwrap());
             // E_so and PO sum at most 100 products below 36 N * 4 m/s (dT is 1 for PO).
             let near = |a: f64, b: f64, size: f64| (a - b).abs() <= 1e-12 * size.max(a.abs());
-            prop_assert!(near(one.velocity_force, other.velocity_force, 1.0));
-            prop_assert!(near(one.grasp, other.grasp, 1.0));
-            prop_assert!(near(one.windowed_energy_j, other.windowed_energy_j, 10.0));
-            prop_assert!(near(one.energy_j, other.energy_j, 10.0));
+            prop_assert!(near(one.observed[ControllerKind::Vfc], other.observed[ControllerKind::Vfc], 1.0));
+            prop_assert!(near(one.observed[ControllerKind::Hsc], other.observed[ControllerKind::Hsc], 1.0));
+            prop_assert!(near(one.observed[ControllerKind::Wsc], other.observed[ControllerKind::Wsc], 10.0));
+            prop_assert!(near(one.observed[ControllerKind::Pc], other.observed[ControllerKind::Pc], 10.0));
             let energy_j = passivity.step(&seen.velocity, &seen.rendered_force);
             let turned_j = turned_passivity.step(&turned.velocity, &turned.rendered_force);
             prop_assert!(near(energy_j, turned_j, 1e4));
@@ -441,7 +442,7 @@ proptest! {
             let seen = Observation::exact(Axes::from([velocity]), Axes::from([2.0]), Axes::zeros());
             let step = controller.step(&seen).unwrap();
             let gain = step.safety_force[0] / (-2.0 - settings.damping * velocity);
-            prop_assert_eq!(step.tripped.contains(Tripped::VFC), is_unsafe);
+            prop_assert_eq!(step.tripped.contains(Tripped::of(ControllerKind::Vfc)), is_unsafe);
             prop_assert_eq!(step.tripped.contains(Tripped::HELD), gain > 0.0 && !is_unsafe);
             if is_unsafe {
                 prop_assert_eq!(gain, 1.0, "restored at once");
@@ -527,7 +528,7 @@ proptest! {
         for sample in &samples {
             let (v, f_v) = (axes::<3>(&sample[0]), axes::<3>(&sample[1]));
             let tick = layer.tick(&Axes::zeros(), Some(&v), &f_v);
-            let missing = (-tick.intervention.energy_j).max(0.0);
+            let missing = (-tick.intervention.observed[ControllerKind::Pc]).max(0.0);
             prop_assert!((0.0..=missing).contains(&tick.owed_energy_j));
             let paid = -(tick.device_force - tick.rendered_force).dot(&v) * PERIOD_S;
             if (0.0..missing).contains(&paid) {

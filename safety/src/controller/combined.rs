@@ -1,25 +1,20 @@
 //! Controllers combined: any of them trips, one law answers.
 
-use nalgebra::{SimdBool as _, Vector3};
+use nalgebra::{SimdBool as _, SimdValue as _, Vector3};
 
 use crate::{
     Axes, DeviceModel, Fault, Observation, ParameterError, Real,
-    controller::{
-        ControllerKind, Controllers, HandGraspController, Intervention, PassivityController, Response,
-        VelocityForceController, WindowedSafetyController, cancel_and_damp, dampable,
-    },
-    lanes::{nowhere, option, pack},
-    observer::{
-        HandGraspObserver, SafetyObserver, VelocityForceForm, VelocityForceObserver, WindowedSafetyObserver,
-    },
-    parameter::{in_range, non_negative, positive, whole},
+    controller::{Built, ControllerKind, Controllers, PerController, Tripped, cancel_and_damp, dampable},
+    lanes::{nowhere, pack},
+    observer::VelocityForceForm,
+    parameter::{in_range, positive},
 };
 
 /// Which controllers watch, their thresholds, and how an intervention begins and ends.
 ///
 /// A controller that is not asked for is not built, and an observer that no controller reads is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // unknown keys are the table's to refuse: it flattens this
+#[cfg_attr(feature = "serde", derive(serde::Deserialize))] // unknown keys are the table's to refuse: it flattens this
 pub struct SafetySettings {
     /// Which of them watch.
     pub controllers: Controllers,
@@ -82,10 +77,7 @@ impl Default for SafetySettings {
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SafetyController<const N: usize, S = f64> {
-    vfc: Option<VelocityForceController<S>>,
-    hsc: Option<HandGraspController<S>>,
-    wsc: Option<WindowedSafetyController<N, S>>,
-    pc: Option<PassivityController<N, S>>,
+    controllers: Built<N, S>,
     damping: S,
     hold_off_ticks: S,
     ramp_ticks: S,
@@ -113,46 +105,11 @@ impl<const N: usize> SafetyController<N> {
             // Counted in S, of which each lane has its own.
             Ok((value / period_s).round())
         };
-        let SafetySettings { energy_ratio, window, .. } = *settings;
-        let [vfc_on, hsc_on, wsc_on, pc_on] =
-            ControllerKind::ALL.map(|kind| settings.controllers.contains(kind));
-        let named = |name| move |error: ParameterError| error.of_field("force_threshold_n", name);
-        // All are checked, also those that are not asked for: a wrong number is wrong before it is needed.
-        let vfc = VelocityForceObserver::new(
-            settings.velocity_threshold,
-            settings.vfc_force_threshold_n,
-            settings.vfc_form,
-        )
-        .map_err(named("vfc_force_threshold_n"))?;
-        let hsc = HandGraspController::new(
-            HandGraspObserver::new(settings.grasp_floor_n)?,
-            settings.grasp_threshold,
-            settings.hsc_force_threshold_n,
-        )
-        .map_err(named("hsc_force_threshold_n"))?;
-        whole("window", "w", window, 1, WindowedSafetyObserver::<N>::MAX_WINDOW, "1 to 3600000 ticks")?;
-        // A window that nobody reads is not reserved.
-        let window = if wsc_on { window } else { 1 };
-        let wso = WindowedSafetyObserver::new(*device, period_s, energy_ratio, window)?;
-        let wsc = WindowedSafetyController::new(wso, settings.energy_threshold_j)?;
-        let so = SafetyObserver::new(*device, period_s, energy_ratio)?;
-        // How much damping a device stands is asked only where it is applied: the defaults suit a stylus at 1 kHz.
-        let stands = |is_used, name, symbol, value| {
-            if is_used {
-                dampable(name, symbol, value, device, period_s)
-            } else {
-                non_negative(name, symbol, value)
-            }
-        };
-        let alpha = stands(pc_on, "pc_max_damping", "alpha", settings.pc_max_damping)?;
-        let pc = PassivityController::new(so, device, period_s, if pc_on { alpha } else { 0.0 })?;
-        let damps = vfc_on || hsc_on || wsc_on;
-        let damping = stands(damps, "damping", "mu", settings.damping)?;
+        let controllers = Built::new(device, period_s, settings)?;
+        let damps = settings.controllers.iter().any(|kind| !kind.adds_force());
+        let damping = dampable("damping", "mu", settings.damping, device, period_s, damps)?;
         Ok(Self {
-            vfc: vfc_on.then(|| VelocityForceController::new(vfc)),
-            hsc: hsc_on.then_some(hsc),
-            wsc: wsc_on.then_some(wsc),
-            pc: pc_on.then_some(pc),
+            controllers,
             damping,
             hold_off_ticks: ticks("hold_off_s", settings.hold_off_s)?,
             ramp_ticks: ticks("release_ramp_s", settings.release_ramp_s)?,
@@ -186,10 +143,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// the period, the window and the form of VFC may not.
     pub fn gather(of: &[SafetyController<N>]) -> Option<Self> {
         Some(Self {
-            vfc: option(of, |one| one.vfc, VelocityForceController::gather)?,
-            hsc: option(of, |one| one.hsc, HandGraspController::gather)?,
-            wsc: option(of, |one| one.wsc.clone(), WindowedSafetyController::gather)?,
-            pc: option(of, |one| one.pc.clone(), PassivityController::gather)?,
+            controllers: Built::gather(&of.iter().map(|one| &one.controllers).collect::<Vec<_>>())?,
             damping: pack(of, |one| one.damping)?,
             hold_off_ticks: pack(of, |one| one.hold_off_ticks)?,
             ramp_ticks: pack(of, |one| one.ramp_ticks)?,
@@ -203,25 +157,13 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let unobserved = (S::splat(f64::NAN), nowhere::<S>());
-        let (velocity_force, vfc) = match &self.vfc {
-            Some(vfc) => vfc.judge(seen),
-            None => unobserved,
+        let verdicts = if self.controllers.reads_aligned_force() {
+            self.controllers.step(&self.felt(seen))
+        } else {
+            self.controllers.step(seen)
         };
-        let (grasp, hsc) = match &self.hsc {
-            Some(hsc) => hsc.judge(&self.felt(seen)),
-            None => unobserved,
-        };
-        let (windowed_energy_j, wsc) = match &mut self.wsc {
-            Some(wsc) => wsc.step(seen),
-            None => unobserved,
-        };
-        let pc = match &mut self.pc {
-            Some(pc) => Some(pc.step(seen)),
-            None => None,
-        };
-
-        let is_unsafe = vfc | hsc | wsc;
+        let tripped = verdicts.tripped();
+        let is_unsafe = tripped.0.iter().fold(nowhere::<S>(), |any, one| any | *one);
         let gain = self.gain(is_unsafe);
         self.let_through = all - gain;
         let is_on = gain.simd_gt(nothing);
@@ -229,28 +171,10 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             || cancel_and_damp(seen, self.damping * authority) * gain,
             Axes::zeros, // not -0.0: records stay clean
         );
-        let mut response = Response {
-            safety_force,
-            acts: is_on,
-            vfc,
-            hsc,
-            wsc,
-            pc: nowhere::<S>(),
-            held: is_on & !is_unsafe,
-            velocity_force,
-            grasp,
-            windowed_energy_j,
-            energy_j: unobserved.0,
-        };
-        if let Some(action) = pc {
-            let pushes = action.force.iter().fold(nowhere::<S>(), |any, force| any | force.simd_ne(nothing));
-            response.pc = gain.simd_lt(all) & pushes;
-            response.acts = is_on | response.pc;
-            response.safety_force = response
-                .pc
-                .if_else(|| safety_force + action.force * ((all - gain) * authority), || safety_force);
-            response.energy_j = action.energy_j;
-        }
+        let held = is_on & !is_unsafe;
+        let mut response =
+            Response { safety_force, acts: is_on, tripped, held, observed: verdicts.observed() };
+        verdicts.add_forces(gain, authority, &mut response);
         response
     }
 
@@ -298,41 +222,106 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         next.x
     }
 
-    /// Which of `S_vf`, `S_h`, `E_wso`, `E_so` are observed.
-    pub fn observed(&self) -> [bool; 4] {
-        [self.vfc.is_some(), self.hsc.is_some(), self.wsc.is_some(), self.pc.is_some()]
+    /// Which of them watch.
+    pub fn kinds(&self) -> Controllers {
+        self.controllers.kinds()
     }
 
     /// Whether a controller reads the grasp force.
     #[inline(always)]
     pub fn needs_grasp_force(&self) -> bool {
-        self.hsc.is_some() || self.wsc.is_some() || self.pc.is_some()
+        self.controllers.reads_grasp_force()
     }
 
-    /// Energy in J that PC asked for (`E_so` of the tick) and the force `delivered` beyond `F_v` did not dissipate; 0
+    /// Energy in J that PC requested (`E_so` of the tick) and the force `delivered` beyond `F_v` did not dissipate; 0
     /// without PC.
     #[inline(always)]
-    pub fn owed_energy_j(&self, energy_j: S, delivered: &Axes<N, S>, velocity: &Axes<N, S>) -> S {
-        let nothing = S::splat(0.0);
-        self.pc.as_ref().map_or(nothing, |pc| pc.owed_energy_j(energy_j, delivered, velocity))
+    pub fn owed_energy_j(
+        &self,
+        observed: &PerController<S>,
+        delivered: &Axes<N, S>,
+        velocity: &Axes<N, S>,
+    ) -> S {
+        self.controllers.owed_energy_j(observed, delivered, velocity)
     }
 
-    /// Forgets all energy and ends any intervention.
+    /// Clears all energy and ends any intervention.
     pub fn reset(&mut self) {
-        if let Some(wsc) = self.wsc.as_mut() {
-            wsc.reset();
-        }
-        if let Some(pc) = self.pc.as_mut() {
-            pc.reset();
-        }
+        self.controllers.reset();
         (self.on_for, self.fading_for, self.let_through) = (S::splat(0.0), S::splat(0.0), S::splat(1.0));
+    }
+}
+
+/// What the safety controllers add at one tick, and what they saw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intervention<const N: usize> {
+    /// `F_c` in N.
+    pub safety_force: Axes<N>,
+    /// Who tripped.
+    pub tripped: Tripped,
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where the controller is not built.
+    pub observed: PerController<f64>,
+}
+
+impl<const N: usize> Intervention<N> {
+    /// No force, and nothing was observed.
+    pub fn none() -> Self {
+        Self {
+            safety_force: Axes::zeros(),
+            tripped: Tripped::NONE,
+            observed: PerController::repeat(f64::NAN),
+        }
+    }
+}
+
+/// What the safety controllers add at one tick, and what they saw, in each lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Response<const N: usize, S: Real = f64> {
+    /// `F_c` in N.
+    pub safety_force: Axes<N, S>,
+    /// Where any of them acts.
+    pub acts: S::SimdBool,
+    /// Where each called the tick unsafe, or adds a force of its own.
+    pub tripped: PerController<S::SimdBool>,
+    /// Where no controller does now, but the minimum time on or the release ramp has not ended.
+    pub held: S::SimdBool,
+    /// The observers' values; NaN where the controller is not built.
+    pub observed: PerController<S>,
+}
+
+impl<const N: usize, S: Real> Response<N, S> {
+    /// The intervention in one lane.
+    #[inline]
+    pub fn lane(&self, lane: usize) -> Intervention<N> {
+        let is_set = |mask: S::SimdBool| mask.bitmask() >> lane & 1 == 1;
+        let tripped = ControllerKind::ALL
+            .into_iter()
+            .filter(|kind| is_set(self.tripped[*kind]))
+            .fold(Tripped::NONE, |all, kind| all.and(Tripped::of(kind)));
+        Intervention {
+            safety_force: self.safety_force.extract(lane),
+            tripped: if is_set(self.held) { tripped.and(Tripped::HELD) } else { tripped },
+            observed: PerController(self.observed.0.map(|value| value.extract(lane))),
+        }
+    }
+
+    /// Adds the `force` of a controller in the share `1 - gain` that an intervention leaves.
+    #[inline(always)]
+    pub(super) fn add_force(&mut self, kind: ControllerKind, force: &Axes<N, S>, gain: S, authority: S) {
+        let (nothing, all) = (S::splat(0.0), S::splat(1.0));
+        let pushes = force.iter().fold(nowhere::<S>(), |any, force| any | force.simd_ne(nothing));
+        let acts = gain.simd_lt(all) & pushes;
+        let without = self.safety_force;
+        self.tripped[kind] = acts;
+        self.acts = self.acts | acts;
+        self.safety_force = acts.if_else(|| without + force * ((all - gain) * authority), || without);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::controller::Tripped;
+    use simba::simd::{AutoBoolx4, AutoF64x4};
 
     const PERIOD_S: f64 = 1e-3;
 
@@ -369,11 +358,9 @@ mod tests {
             let velocity = 0.7 + 49.0 * 0.01;
             let expected = if places == 0 { 0.0 } else { -2.0 - 5.0 * velocity };
             assert!((last.safety_force[0] - expected).abs() < 1e-12, "{places}: {last:?}");
-            assert_eq!(controller.observed(), [places & 1 != 0, places & 2 != 0, places & 4 != 0, false]);
+            assert_eq!(controller.kinds(), watching(places).controllers);
             assert_eq!(controller.needs_grasp_force(), places & 6 != 0);
-            for (value, bit) in
-                [last.velocity_force, last.grasp, last.windowed_energy_j].into_iter().zip([1, 2, 4])
-            {
+            for (value, bit) in last.observed.0.into_iter().zip([1, 2, 4, 8]) {
                 assert_eq!(value.is_nan(), places & bit == 0);
             }
         }
@@ -385,7 +372,7 @@ mod tests {
             let mut controller = controller(&watching(1));
             let step = controller.step_with_authority(&seen(1.0, 2.0), authority).unwrap();
             assert_eq!(step.safety_force[0], -2.0 - 5.0 * authority);
-            assert_eq!(step.tripped, Tripped::VFC);
+            assert_eq!(step.tripped, Tripped::of(ControllerKind::Vfc));
         }
     }
 
@@ -434,14 +421,17 @@ mod tests {
         for tick in 0..40 {
             let (one, two) = (alone.step(&push(tick)).unwrap(), both.step(&push(tick)).unwrap());
             if tick == 20 {
-                assert_eq!(two.tripped, Tripped::VFC, "not beside it");
+                assert_eq!(two.tripped, Tripped::of(ControllerKind::Vfc), "not beside it");
                 assert!((two.safety_force[0] - (-2.0 - 5.0)).abs() < 1e-12);
             } else if tick < 20 {
                 assert_eq!((one.safety_force, one.tripped), (two.safety_force, two.tripped));
-                assert_eq!(one.tripped == Tripped::PC, one.safety_force[0] != 0.0);
+                assert_eq!(one.tripped == Tripped::of(ControllerKind::Pc), one.safety_force[0] != 0.0);
             }
         }
-        assert!(alone.step(&push(1)).unwrap().tripped.contains(Tripped::PC), "it acts here");
+        assert!(
+            alone.step(&push(1)).unwrap().tripped.contains(Tripped::of(ControllerKind::Pc)),
+            "it acts here"
+        );
         let half = alone.clone().step_with_authority(&push(1), 0.5).unwrap().safety_force[0];
         assert_eq!(half, alone.step(&push(1)).unwrap().safety_force[0] * 0.5);
     }
@@ -495,10 +485,14 @@ mod tests {
             let gain = -intervention.safety_force[0] / (2.0 + 0.5 * 5.0 * seen.velocity[0]);
             let expected = intervention.safety_force[0] + (1.0 - gain) * alone.safety_force[0];
             assert!((both.safety_force[0] - expected).abs() < 1e-14, "{tick}: {both:?} {expected}");
-            assert_eq!(both.pc, alone.pc && gain < 1.0, "{tick}");
-            assert_eq!(both.acts, gain > 0.0 || both.pc, "{tick}");
-            assert_eq!(both.energy_j, alone.energy_j);
-            partly += u32::from(both.pc && gain > 0.0);
+            assert_eq!(
+                both.tripped[ControllerKind::Pc],
+                alone.tripped[ControllerKind::Pc] && gain < 1.0,
+                "{tick}"
+            );
+            assert_eq!(both.acts, gain > 0.0 || both.tripped[ControllerKind::Pc], "{tick}");
+            assert_eq!(both.observed[ControllerKind::Pc], alone.observed[ControllerKind::Pc]);
+            partly += u32::from(both.tripped[ControllerKind::Pc] && gain > 0.0);
         }
         assert!(partly >= 19, "the ramp: {partly}");
     }
@@ -513,11 +507,42 @@ mod tests {
             let seen = Observation::exact(Axes::<2>::from(velocity), Axes::zeros(), Axes::zeros());
             let response = controller.respond(&seen, 1.0);
             let moves = velocity != [0.0; 2];
-            assert_eq!((response.pc, response.acts), (moves, moves), "{velocity:?}");
+            assert_eq!((response.tripped[ControllerKind::Pc], response.acts), (moves, moves), "{velocity:?}");
             for (force, velocity) in response.safety_force.iter().zip(velocity) {
                 assert_eq!(*force < 0.0, velocity > 0.0);
                 assert_eq!(*force == 0.0, velocity == 0.0);
             }
+        }
+    }
+
+    #[test]
+    fn each_lane_has_its_own_answer() {
+        for lane in 0..4 {
+            let only = |place: usize| {
+                let mut mask = AutoBoolx4::splat(false);
+                mask.replace((lane + place) % 4, true);
+                mask
+            };
+            let number = |from: f64| AutoF64x4::new(from, from + 1.0, from + 2.0, from + 3.0);
+            let response = Response::<1, AutoF64x4> {
+                safety_force: Axes::<1, AutoF64x4>::new(number(1.0)),
+                acts: only(0),
+                tripped: PerController([0, 1, 2, 3].map(only)),
+                held: only(0),
+                observed: PerController([10.0, 20.0, 30.0, 40.0].map(number)),
+            };
+            let own = response.lane(lane);
+            assert_eq!(own.tripped, Tripped::from_bits(1 | 16));
+            for (place, one) in [
+                (1, Tripped::of(ControllerKind::Hsc)),
+                (2, Tripped::of(ControllerKind::Wsc)),
+                (3, Tripped::of(ControllerKind::Pc)),
+            ] {
+                assert_eq!(response.lane((lane + place) % 4).tripped, one);
+            }
+            let place = lane as f64;
+            assert_eq!(own.safety_force[0], 1.0 + place);
+            assert_eq!(own.observed.0, [10.0, 20.0, 30.0, 40.0].map(|from| from + place));
         }
     }
 }

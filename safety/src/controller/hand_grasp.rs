@@ -1,7 +1,8 @@
 //! Hand safety controller, HSC.
 
 use crate::{
-    Observation, ParameterError, Real,
+    About, DeviceModel, Observation, ParameterError, Real,
+    controller::{Controller, Observed, SafetySettings, Verdict},
     lanes::{norm, pack, part},
     observer::HandGraspObserver,
     parameter::{in_range, non_negative},
@@ -11,13 +12,13 @@ use crate::{
 ///
 /// Source: paper Eq. 14 with the criterion of Eq. 8.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HandGraspController<S = f64> {
+pub struct HandGraspController<const N: usize, S = f64> {
     observer: HandGraspObserver<S>,
     grasp_threshold: S,
     force_threshold_n: S,
 }
 
-impl HandGraspController {
+impl<const N: usize> HandGraspController<N> {
     /// Grasp threshold zeta (above 1; the paper uses 1.5), force threshold `F_t` in N (>= 0).
     pub fn new(
         observer: HandGraspObserver,
@@ -39,9 +40,26 @@ impl HandGraspController {
     }
 }
 
-impl<S: Real> HandGraspController<S> {
-    /// As many controllers as there are lanes; None for another number of them.
-    pub fn gather(of: &[HandGraspController]) -> Option<Self> {
+impl<const N: usize, S: Real> Controller<N, S> for HandGraspController<N, S> {
+    type One = HandGraspController<N>;
+    const ABOUT: &'static About = &About { name: "hsc", title: "hand grasp", source: "paper Eq. 14" };
+    const OBSERVED: &'static Observed =
+        &Observed { symbol: "S_h", column: "grasp", meaning: "S_h; null where not observed" };
+    const READS_GRASP_FORCE: bool = true;
+    const READS_ALIGNED_FORCE: bool = true;
+
+    fn build(
+        _: &DeviceModel<N>,
+        _: f64,
+        settings: &SafetySettings,
+        _: bool,
+    ) -> Result<Self::One, ParameterError> {
+        let observer = HandGraspObserver::new(settings.grasp_floor_n)?;
+        HandGraspController::new(observer, settings.grasp_threshold, settings.hsc_force_threshold_n)
+            .map_err(|error| error.of_field("force_threshold_n", "hsc_force_threshold_n"))
+    }
+
+    fn gather(of: &[Self::One]) -> Option<Self> {
         Some(Self {
             observer: part(of, |one| one.observer, HandGraspObserver::gather)?,
             grasp_threshold: pack(of, |one| one.grasp_threshold)?,
@@ -49,14 +67,18 @@ impl<S: Real> HandGraspController<S> {
         })
     }
 
-    /// `S_h` and whether it is unsafe.
     #[inline(always)]
-    pub fn judge<const N: usize>(&self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
+    fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.observe(seen);
         // F_t is there because S_h means little of small forces, so it must hold for the force that S_h is made of.
         let pushing = norm(&seen.rendered_force).simd_gt(self.force_threshold_n)
             & norm(&seen.aligned_rendered_force).simd_gt(self.force_threshold_n);
-        (observed, pushing & observed.simd_gt(self.grasp_threshold))
+        Verdict::without_force(observed, pushing & observed.simd_gt(self.grasp_threshold))
+    }
+
+    /// zeta, of Eq. 8.
+    fn threshold(settings: &SafetySettings) -> f64 {
+        settings.grasp_threshold
     }
 }
 
@@ -68,14 +90,14 @@ mod tests {
     #[test]
     fn both_conditions_must_hold() {
         let observer = HandGraspObserver::new(1e-3).unwrap();
-        let controller = HandGraspController::new(observer, 1.5, 1.0).unwrap();
+        let mut controller = HandGraspController::<1>::new(observer, 1.5, 1.0).unwrap();
         for (rendered, grasp, trips) in
             [(3.0, -3.0, false), (3.0, -1.9, true), (3.0, -2.1, false), (0.9, 0.0, false), (1.1, 0.0, true)]
         {
             let seen =
                 Observation::exact(Axes::<1>::zeros(), Axes::<1>::new(rendered), Axes::<1>::new(grasp));
-            assert_eq!(controller.judge(&seen).1, trips, "{rendered} {grasp}");
+            assert_eq!(controller.step(&seen).is_unsafe, trips, "{rendered} {grasp}");
         }
-        assert!(HandGraspController::new(observer, 1.0, 1.0).is_err());
+        assert!(HandGraspController::<1>::new(observer, 1.0, 1.0).is_err());
     }
 }

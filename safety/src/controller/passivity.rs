@@ -3,20 +3,11 @@
 use nalgebra::SimdBool as _;
 
 use crate::{
-    Axes, DeviceModel, Observation, ParameterError, Real,
-    controller::dampable,
-    lanes::{lesser, pack, part, shared},
+    About, Axes, DeviceModel, Observation, ParameterError, Real,
+    controller::{Controller, Observed, SafetySettings, Verdict, dampable},
+    lanes::{lesser, nowhere, pack, part, shared},
     observer::SafetyObserver,
 };
-
-/// What the passivity controller does at one tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PassivityAction<const N: usize, S = f64> {
-    /// `E_so` in J.
-    pub energy_j: S,
-    /// `F_pc` in N, against the motion.
-    pub force: Axes<N, S>,
-}
 
 /// PC: dissipates what the safety observer finds missing.
 ///
@@ -25,7 +16,7 @@ pub struct PassivityAction<const N: usize, S = f64> {
 /// The paper prints `-E_so / (V dT)`: there a force counts against the motion, here a positive force pushes
 /// along +x (`docs/architecture.md`, signs). The division by V is bounded: the force never exceeds `alpha V` with
 /// alpha the largest damping that the sampled device stands, so it goes to zero with V instead of to infinity.
-/// What the bound leaves unpaid stays in `E_so` and is asked for again at the next tick.
+/// What the bound leaves unpaid stays in `E_so` and is requested again at the next tick.
 ///
 /// Source: paper Eq. 12; Hannaford and Ryu 2002, section IV.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,14 +34,32 @@ impl<const N: usize> PassivityController<N> {
         period_s: f64,
         max_damping: f64,
     ) -> Result<Self, ParameterError> {
-        let max_damping = dampable("max_damping", "alpha", max_damping, device, period_s)?;
+        let max_damping = dampable("max_damping", "alpha", max_damping, device, period_s, true)?;
         Ok(Self { observer, period_s, max_damping })
     }
 }
 
-impl<const N: usize, S: Real> PassivityController<N, S> {
-    /// As many controllers as there are lanes, all of one period; else None.
-    pub fn gather(of: &[PassivityController<N>]) -> Option<Self> {
+impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
+    type One = PassivityController<N>;
+    const ABOUT: &'static About = &About { name: "pc", title: "passivity", source: "paper Eq. 12" };
+    const OBSERVED: &'static Observed =
+        &Observed { symbol: "E_so [J]", column: "energy_j", meaning: "E_so in J; null where not observed" };
+    const READS_GRASP_FORCE: bool = true;
+    const ADDS_FORCE: bool = true;
+
+    fn build(
+        device: &DeviceModel<N>,
+        period_s: f64,
+        settings: &SafetySettings,
+        is_used: bool,
+    ) -> Result<Self::One, ParameterError> {
+        let observer = SafetyObserver::new(*device, period_s, settings.energy_ratio)?;
+        let alpha = dampable("pc_max_damping", "alpha", settings.pc_max_damping, device, period_s, is_used)?;
+        PassivityController::new(observer, device, period_s, if is_used { alpha } else { 0.0 })
+    }
+
+    /// All of one period.
+    fn gather(of: &[Self::One]) -> Option<Self> {
         Some(Self {
             observer: part(of, |one| one.observer.clone(), SafetyObserver::gather)?,
             period_s: shared(of, |one| one.period_s)?,
@@ -58,9 +67,9 @@ impl<const N: usize, S: Real> PassivityController<N, S> {
         })
     }
 
-    /// `E_so` and `F_pc` after this tick.
+    /// `F_pc` in N, against the motion; nothing is unsafe.
     #[inline(always)]
-    pub fn step(&mut self, seen: &Observation<N, S>) -> PassivityAction<N, S> {
+    fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let energy_j = self.observer.step(seen);
         let squared_speed = seen.velocity.dot(&seen.velocity);
         let nothing = S::splat(0.0);
@@ -69,19 +78,21 @@ impl<const N: usize, S: Real> PassivityController<N, S> {
             let missing = -energy_j / (squared_speed * S::splat(self.period_s));
             seen.velocity * -lesser(missing, self.max_damping)
         });
-        PassivityAction { energy_j, force }
+        Verdict { observed: energy_j, is_unsafe: nowhere::<S>(), force }
     }
 
-    /// Energy in J that `E_so` asked for and the force `delivered` (N, after every limit) will not have
-    /// dissipated by the end of this tick.
+    /// 0, of Eq. 12.
+    fn threshold(_: &SafetySettings) -> f64 {
+        0.0
+    }
+
     #[inline(always)]
-    pub fn owed_energy_j(&self, energy_j: S, delivered: &Axes<N, S>, velocity: &Axes<N, S>) -> S {
+    fn owed_energy_j(&self, energy_j: S, delivered: &Axes<N, S>, velocity: &Axes<N, S>) -> S {
         let dissipated = -delivered.dot(velocity) * S::splat(self.period_s);
         above_zero(-energy_j - above_zero(dissipated))
     }
 
-    /// Forgets all energy.
-    pub fn reset(&mut self) {
+    fn reset(&mut self) {
         self.observer.reset();
     }
 }
@@ -116,9 +127,9 @@ mod tests {
         let mut seen = ejected(0.5);
         seen.grasp_force = Axes::<1>::new((0.157 * 0.25 - 0.005) / (0.5 * PERIOD));
         let action = controller.step(&seen);
-        assert!((action.energy_j + 0.005).abs() < 1e-15);
-        assert!((action.force[0] - action.energy_j / (0.5 * PERIOD)).abs() < 1e-10);
-        assert!(controller.owed_energy_j(action.energy_j, &action.force, &Axes::<1>::new(0.5)) < 1e-15);
+        assert!((action.observed + 0.005).abs() < 1e-15);
+        assert!((action.force[0] - action.observed / (0.5 * PERIOD)).abs() < 1e-10);
+        assert!(controller.owed_energy_j(action.observed, &action.force, &Axes::<1>::new(0.5)) < 1e-15);
     }
 
     #[test]
@@ -129,8 +140,8 @@ mod tests {
             let action = controller.step(&ejected(v));
             assert!(action.force[0].abs() <= 20.0 * v.abs() * (1.0 + 1e-15), "{v}");
             assert!(action.force[0] * v <= 0.0, "against the motion at {v}");
-            let owed = controller.owed_energy_j(action.energy_j, &action.force, &Axes::<1>::new(v));
-            let expected = -action.energy_j - 20.0 * v * v * PERIOD;
+            let owed = controller.owed_energy_j(action.observed, &action.force, &Axes::<1>::new(v));
+            let expected = -action.observed - 20.0 * v * v * PERIOD;
             assert!((owed - expected).abs() <= 1e-15, "{v}: {owed} {expected}");
         }
         controller.reset();
@@ -144,18 +155,18 @@ mod tests {
         let mut seen = ejected(0.5);
         seen.grasp_force = Axes::<1>::new(1e3);
         let action = controller.step(&seen);
-        assert!(action.energy_j > 0.0);
+        assert!(action.observed > 0.0);
         assert_eq!(action.force[0], 0.0);
         // At rest, with energy left over and with energy missing.
         assert_eq!(controller.step(&ejected(0.0)).force[0], 0.0);
         let mut taken = ejected(0.5);
         taken.grasp_force = Axes::<1>::new(-2e3);
-        assert!(controller.step(&taken).energy_j < 0.0);
+        assert!(controller.step(&taken).observed < 0.0);
         assert_eq!(controller.step(&ejected(0.0)).force[0], 0.0);
         // Nothing is left of that after a reset.
         controller.reset();
         assert_eq!(controller, self::controller(20.0));
-        assert_eq!(controller.step(&ejected(0.0)).energy_j, 0.0);
+        assert_eq!(controller.step(&ejected(0.0)).observed, 0.0);
     }
 
     #[test]

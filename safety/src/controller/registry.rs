@@ -1,38 +1,216 @@
-//! The controllers by name, and sets of them.
+//! What comes from the lines of the registry: kinds, sets, bits, and the controllers that a tick steps.
 
-use std::fmt::{self, Debug, Formatter};
+use std::{
+    fmt::{self, Debug, Formatter},
+    ops::{Index, IndexMut},
+};
 
-/// A controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(
-    feature = "serde",
-    derive(serde::Deserialize, schemars::JsonSchema),
-    serde(rename_all = "kebab-case")
-)]
-pub enum ControllerKind {
-    /// [`VelocityForceController`](super::VelocityForceController).
-    Vfc,
-    /// [`HandGraspController`](super::HandGraspController).
-    Hsc,
-    /// [`WindowedSafetyController`](super::WindowedSafetyController).
-    Wsc,
-    /// [`PassivityController`](super::PassivityController).
-    Pc,
+use super::ControllerKind;
+
+/// Declares all that depends on which controllers there are; each line is `Kind: file::Type;`.
+///
+/// The controllers lie side by side in a struct, so that a tick knows each at compile time.
+macro_rules! controllers {
+    ($($(#[$doc:meta])* $kind:ident: $file:ident::$controller:ident;)+) => {
+        $(pub use $file::$controller;)+
+
+        /// A controller.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "snake_case"))]
+        pub enum ControllerKind {
+            $($(#[$doc])* $kind,)+
+        }
+
+        impl ControllerKind {
+            /// All of them, in the order of the registry.
+            pub const ALL: [Self; [$(stringify!($kind)),+].len()] = [$(Self::$kind),+];
+
+            /// What it is called.
+            pub const fn about(self) -> &'static About {
+                match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::ABOUT,)+ }
+            }
+
+            /// What its observer's value is called.
+            pub const fn observed(self) -> &'static Observed {
+                match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::OBSERVED,)+ }
+            }
+
+            /// What its observer's value is compared with.
+            pub fn threshold(self, settings: &SafetySettings) -> f64 {
+                match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::threshold(settings),)+ }
+            }
+
+            /// Whether it adds a force of its own; the others call for `-F_v - mu V`.
+            pub const fn adds_force(self) -> bool {
+                match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::ADDS_FORCE,)+ }
+            }
+
+            /// Whether it compares `F_v` with `F_h`.
+            pub(crate) const fn reads_aligned_force(self) -> bool {
+                match self { $(Self::$kind => <$controller<1> as Controller<1, f64>>::READS_ALIGNED_FORCE,)+ }
+            }
+        }
+
+        /// The controllers that watch; the others are not built.
+        #[derive(Clone, Debug, PartialEq)]
+        struct Built<const N: usize, S = f64> {
+            $($file: Option<$controller<N, S>>,)+
+        }
+
+        impl<const N: usize> Built<N> {
+            fn new(
+                device: &DeviceModel<N>,
+                period_s: f64,
+                settings: &SafetySettings,
+            ) -> Result<Self, ParameterError> {
+                // All are checked, also those that do not watch: a wrong number is wrong before it is needed.
+                $(let $file = {
+                    let is_used = settings.controllers.contains(ControllerKind::$kind);
+                    let built =
+                        <$controller<N> as Controller<N, f64>>::build(device, period_s, settings, is_used)?;
+                    is_used.then_some(built)
+                };)+
+                Ok(Self { $($file),+ })
+            }
+        }
+
+        impl<const N: usize, S: Real> Built<N, S> {
+            /// As many as there are lanes, all of which have built the same; else None.
+            fn gather(of: &[&Built<N>]) -> Option<Self> {
+                Some(Self { $($file: option(of, |one| one.$file.clone(), Controller::gather)?,)+ })
+            }
+
+            #[inline(always)]
+            fn step(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
+                Verdicts {
+                    $($file: match &mut self.$file {
+                        Some(controller) => Some(controller.step(seen)),
+                        None => None,
+                    },)+
+                }
+            }
+
+            #[inline(always)]
+            fn reads_grasp_force(&self) -> bool {
+                false $(|| $controller::<N, S>::READS_GRASP_FORCE && self.$file.is_some())+
+            }
+
+            #[inline(always)]
+            fn reads_aligned_force(&self) -> bool {
+                false $(|| $controller::<N, S>::READS_ALIGNED_FORCE && self.$file.is_some())+
+            }
+
+            /// Energy in J that the force `delivered` owes to all of them.
+            #[inline(always)]
+            fn owed_energy_j(
+                &self,
+                observed: &PerController<S>,
+                delivered: &Axes<N, S>,
+                velocity: &Axes<N, S>,
+            ) -> S {
+                let mut owed = S::splat(0.0);
+                $(if $controller::<N, S>::ADDS_FORCE {
+                    if let Some(controller) = &self.$file {
+                        owed += controller.owed_energy_j(
+                            observed[ControllerKind::$kind], delivered, velocity);
+                    }
+                })+
+                owed
+            }
+
+            fn kinds(&self) -> Controllers {
+                Controllers::NONE $(.with(ControllerKind::$kind, self.$file.is_some()))+
+            }
+
+            fn reset(&mut self) {
+                $(if let Some(controller) = &mut self.$file {
+                    controller.reset();
+                })+
+            }
+        }
+
+        /// What those that watch make of one tick.
+        struct Verdicts<const N: usize, S: Real> {
+            $($file: Option<Verdict<N, S>>,)+
+        }
+
+        impl<const N: usize, S: Real> Verdicts<N, S> {
+            /// Where each calls the tick unsafe.
+            #[inline(always)]
+            fn tripped(&self) -> PerController<S::SimdBool> {
+                PerController([$(match &self.$file {
+                    Some(verdict) => verdict.is_unsafe,
+                    None => nowhere::<S>(),
+                }),+])
+            }
+
+            /// The observers' values, NaN without.
+            #[inline(always)]
+            fn observed(&self) -> PerController<S> {
+                PerController([$(match &self.$file {
+                    Some(verdict) => verdict.observed,
+                    None => S::splat(f64::NAN),
+                }),+])
+            }
+
+            /// Adds the force of each that has one, in the share `1 - gain` that an intervention leaves.
+            #[inline(always)]
+            fn add_forces(&self, gain: S, authority: S, response: &mut Response<N, S>) {
+                $(if $controller::<N, S>::ADDS_FORCE {
+                    if let Some(verdict) = &self.$file {
+                        response.add_force(ControllerKind::$kind, &verdict.force, gain, authority);
+                    }
+                })+
+            }
+        }
+    };
 }
+pub(super) use controllers;
+
+/// How many controllers there are.
+const COUNT: usize = ControllerKind::ALL.len();
 
 impl ControllerKind {
-    /// All of them, in the order of their bits in [`Tripped`](super::Tripped).
-    pub const ALL: [Self; 4] = [Self::Vfc, Self::Hsc, Self::Wsc, Self::Pc];
+    /// Its bit in [`Tripped`]; that of [`Tripped::HELD`], after the first four, belongs to no controller.
+    const fn bit(self) -> u8 {
+        let place = self as u8;
+        1 << (place + (place >= Tripped::HELD.0.trailing_zeros() as u8) as u8)
+    }
+}
+
+/// A value for each controller.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PerController<T>(
+    /// In the order of [`ControllerKind::ALL`].
+    pub [T; COUNT],
+);
+
+impl<T: Copy> PerController<T> {
+    /// The same value for all.
+    pub const fn repeat(value: T) -> Self {
+        Self([value; COUNT])
+    }
+}
+
+impl<T> Index<ControllerKind> for PerController<T> {
+    type Output = T;
+
+    #[inline(always)]
+    fn index(&self, kind: ControllerKind) -> &T {
+        &self.0[kind as usize]
+    }
+}
+
+impl<T> IndexMut<ControllerKind> for PerController<T> {
+    #[inline(always)]
+    fn index_mut(&mut self, kind: ControllerKind) -> &mut T {
+        &mut self.0[kind as usize]
+    }
 }
 
 /// A set of controllers; in JSON the list of their names.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
-#[cfg_attr(
-    feature = "serde",
-    derive(serde::Deserialize, schemars::JsonSchema),
-    serde(from = "Vec<ControllerKind>"),
-    schemars(with = "Vec<ControllerKind>")
-)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(from = "Vec<ControllerKind>"))]
 pub struct Controllers(u8);
 
 impl Controllers {
@@ -77,5 +255,111 @@ impl From<Vec<ControllerKind>> for Controllers {
 impl Debug for Controllers {
     fn fmt(&self, formatter: &mut Formatter<'_>) -> fmt::Result {
         formatter.debug_set().entries(self.iter()).finish()
+    }
+}
+
+/// Which controllers called the tick unsafe.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tripped(u8);
+
+impl Tripped {
+    /// Nobody.
+    pub const NONE: Self = Self(0);
+    /// No controller now, but its minimum time on or the release ramp has not ended.
+    pub const HELD: Self = Self(16);
+
+    /// One controller.
+    pub const fn of(kind: ControllerKind) -> Self {
+        Self(kind.bit())
+    }
+
+    /// From [`bits`](Self::bits); bits without meaning are dropped.
+    pub fn from_bits(bits: u8) -> Self {
+        let all = ControllerKind::ALL.into_iter().fold(Self::HELD, |all, kind| all.and(Self::of(kind)));
+        Self(bits & all.0)
+    }
+
+    /// Whether anything is set.
+    pub fn any(self) -> bool {
+        self.0 != 0
+    }
+
+    /// Whether all of `other` is set.
+    pub fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// What is set here or there.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Names of what is set: the controllers in the order of the registry, then "held".
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        let names = ControllerKind::ALL.map(|kind| (Self::of(kind), kind.about().name));
+        let named = names.into_iter().chain([(Self::HELD, "held")]);
+        named.filter(move |(bit, _)| self.contains(*bit)).map(|(_, name)| name)
+    }
+
+    /// The bits, for records: VFC 1, HSC 2, WSC 4, PC 8, held 16.
+    pub fn bits(self) -> u8 {
+        self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bits_and_names_are_of_the_controllers_that_tripped() {
+        let named: Vec<_> = ControllerKind::ALL
+            .into_iter()
+            .map(|kind| (Tripped::of(kind), kind.about().name))
+            .chain([(Tripped::HELD, "held")])
+            .collect();
+        assert_eq!(
+            named[..4].iter().map(|(bit, name)| (bit.bits(), *name)).collect::<Vec<_>>(),
+            [(1, "vfc"), (2, "hsc"), (4, "wsc"), (8, "pc")]
+        );
+        let known: u8 = named.iter().map(|(bit, _)| bit.bits()).sum();
+        assert_eq!(known.count_ones() as usize, named.len(), "a bit of one's own");
+        for bits in 0..=u8::MAX {
+            let tripped = Tripped::from_bits(bits);
+            assert_eq!((tripped.bits(), tripped.any()), (bits & known, bits & known != 0));
+            let mut expected = Vec::new();
+            for (one, name) in &named {
+                let is_set = bits & one.bits() != 0;
+                assert_eq!(tripped.contains(*one), is_set);
+                assert_eq!(tripped.and(*one), Tripped::from_bits(bits | one.bits()));
+                if is_set {
+                    expected.push(*name);
+                }
+            }
+            assert_eq!(tripped.names().collect::<Vec<_>>(), expected);
+            assert!(tripped.contains(Tripped::NONE) && tripped.contains(tripped));
+        }
+    }
+
+    #[test]
+    fn a_set_has_what_was_put_in() {
+        for bits in 0..1_usize << COUNT {
+            let is_in = |kind: ControllerKind| bits >> kind as usize & 1 == 1;
+            let set: Controllers = ControllerKind::ALL.into_iter().filter(|kind| is_in(*kind)).collect();
+            for kind in ControllerKind::ALL {
+                assert_eq!(set.contains(kind), is_in(kind));
+                assert!(set.with(kind, true).contains(kind) && !set.with(kind, false).contains(kind));
+                assert_eq!(set.with(kind, is_in(kind)), set);
+            }
+            assert_eq!(
+                set.iter().collect::<Vec<_>>(),
+                Vec::from_iter(set.iter().filter(|kind| is_in(*kind)))
+            );
+        }
+        assert_eq!(
+            format!("{:?}", Controllers::from([ControllerKind::Pc, ControllerKind::Vfc])),
+            "{Vfc, Pc}"
+        );
     }
 }

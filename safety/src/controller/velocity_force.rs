@@ -1,30 +1,58 @@
 //! Velocity and force controller, VFC.
 
-use crate::{Observation, Real, lanes::part, observer::VelocityForceObserver};
+use crate::{
+    About, DeviceModel, Observation, ParameterError, Real,
+    controller::{Controller, Observed, SafetySettings, Verdict},
+    lanes::part,
+    observer::VelocityForceObserver,
+};
 
 /// VFC: unsafe while `S_vf > 1`.
 ///
 /// Source: paper Eq. 2.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VelocityForceController<S = f64> {
+pub struct VelocityForceController<const N: usize, S = f64> {
     observer: VelocityForceObserver<S>,
 }
 
-impl<S: Real> VelocityForceController<S> {
+impl<const N: usize, S> VelocityForceController<N, S> {
     /// A controller on that observer.
     pub fn new(observer: VelocityForceObserver<S>) -> Self {
         Self { observer }
     }
+}
 
-    /// As many controllers as there are lanes, all of one form; else None.
-    pub fn gather(of: &[VelocityForceController]) -> Option<Self> {
+impl<const N: usize, S: Real> Controller<N, S> for VelocityForceController<N, S> {
+    type One = VelocityForceController<N>;
+    const ABOUT: &'static About = &About { name: "vfc", title: "velocity and force", source: "paper Eq. 2" };
+    const OBSERVED: &'static Observed =
+        &Observed { symbol: "S_vf", column: "velocity_force", meaning: "S_vf; null where not observed" };
+
+    fn build(
+        _: &DeviceModel<N>,
+        _: f64,
+        settings: &SafetySettings,
+        _: bool,
+    ) -> Result<Self::One, ParameterError> {
+        let SafetySettings { velocity_threshold, vfc_force_threshold_n, vfc_form, .. } = *settings;
+        VelocityForceObserver::new(velocity_threshold, vfc_force_threshold_n, vfc_form)
+            .map(VelocityForceController::new)
+            .map_err(|error| error.of_field("force_threshold_n", "vfc_force_threshold_n"))
+    }
+
+    /// All of one form.
+    fn gather(of: &[Self::One]) -> Option<Self> {
         part(of, |one| one.observer, VelocityForceObserver::gather).map(Self::new)
     }
 
-    /// `S_vf` and whether it is unsafe.
     #[inline(always)]
-    pub fn judge<const N: usize>(&self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
+    fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.observe(seen);
-        (observed, observed.simd_gt(S::splat(1.0)))
+        Verdict::without_force(observed, observed.simd_gt(S::splat(1.0)))
+    }
+
+    /// 1, of Eq. 1.
+    fn threshold(_: &SafetySettings) -> f64 {
+        1.0
     }
 }

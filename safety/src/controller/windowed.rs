@@ -1,10 +1,11 @@
 //! Windowing safety controller, WSC.
 
 use crate::{
-    Observation, ParameterError, Real,
+    About, DeviceModel, Observation, ParameterError, Real,
+    controller::{Controller, Observed, SafetySettings, Verdict},
     lanes::{pack, part},
     observer::WindowedSafetyObserver,
-    parameter::in_range,
+    parameter::{in_range, whole},
 };
 
 /// WSC: unsafe while `E_wso < delta`, with delta negative.
@@ -31,24 +32,50 @@ impl<const N: usize> WindowedSafetyController<N> {
     }
 }
 
-impl<const N: usize, S: Real> WindowedSafetyController<N, S> {
-    /// As many controllers as there are lanes, if their observers can be gathered; else None.
-    pub fn gather(of: &[WindowedSafetyController<N>]) -> Option<Self> {
+impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S> {
+    type One = WindowedSafetyController<N>;
+    const ABOUT: &'static About = &About { name: "wsc", title: "windowed energy", source: "paper Eq. 13" };
+    const OBSERVED: &'static Observed = &Observed {
+        symbol: "E_wso [J]",
+        column: "windowed_energy_j",
+        meaning: "E_wso in J; null where not observed",
+    };
+    const READS_GRASP_FORCE: bool = true;
+
+    fn build(
+        device: &DeviceModel<N>,
+        period_s: f64,
+        settings: &SafetySettings,
+        is_used: bool,
+    ) -> Result<Self::One, ParameterError> {
+        let SafetySettings { window, energy_ratio, energy_threshold_j, .. } = *settings;
+        whole("window", "w", window, 1, WindowedSafetyObserver::<N>::MAX_WINDOW, "1 to 3600000 ticks")?;
+        // A window that nobody reads is not reserved.
+        let window = if is_used { window } else { 1 };
+        let observer = WindowedSafetyObserver::new(*device, period_s, energy_ratio, window)?;
+        WindowedSafetyController::new(observer, energy_threshold_j)
+    }
+
+    /// If their observers can be gathered.
+    fn gather(of: &[Self::One]) -> Option<Self> {
         Some(Self {
             observer: part(of, |one| one.observer.clone(), WindowedSafetyObserver::gather)?,
             energy_threshold_j: pack(of, |one| one.energy_threshold_j)?,
         })
     }
 
-    /// `E_wso` in J after this tick and whether it is unsafe.
     #[inline(always)]
-    pub fn step(&mut self, seen: &Observation<N, S>) -> (S, S::SimdBool) {
+    fn step(&mut self, seen: &Observation<N, S>) -> Verdict<N, S> {
         let observed = self.observer.step(seen);
-        (observed, observed.simd_lt(self.energy_threshold_j))
+        Verdict::without_force(observed, observed.simd_lt(self.energy_threshold_j))
     }
 
-    /// Forgets all energy.
-    pub fn reset(&mut self) {
+    /// delta, of Eq. 10.
+    fn threshold(settings: &SafetySettings) -> f64 {
+        settings.energy_threshold_j
+    }
+
+    fn reset(&mut self) {
         self.observer.reset();
     }
 }
@@ -56,7 +83,7 @@ impl<const N: usize, S: Real> WindowedSafetyController<N, S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Axes, DeviceModel};
+    use crate::Axes;
 
     #[test]
     fn it_is_unsafe_below_its_threshold_and_forgets_by_a_reset() {
@@ -68,7 +95,7 @@ mod tests {
         // E = -m V^2 / (2 eta) is -0.03 J at 0.437 m/s.
         for (v, is_unsafe) in [(0.43, false), (0.44, true), (-0.44, true), (0.0, false)] {
             controller.reset();
-            let (energy_j, seen) = controller.step(&thrown(v));
+            let Verdict { observed: energy_j, is_unsafe: seen, .. } = controller.step(&thrown(v));
             assert!((energy_j + 0.157 * v * v).abs() < 1e-12, "{v}: {energy_j}");
             assert_eq!(seen, is_unsafe, "{v}");
         }

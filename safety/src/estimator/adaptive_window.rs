@@ -2,11 +2,10 @@
 
 use nalgebra::SimdValue;
 
-use super::straight_line::{Fit, Series, slope, widest_line};
 use super::{Estimator, MAX_WINDOW, Motion};
 use crate::lanes::shared;
 use crate::parameter::{ParameterError, in_range, positive};
-use crate::{Axes, Real};
+use crate::{About, Axes, Real};
 
 /// V is the slope of the longest straight line that stays within the noise bound d of every sample it spans.
 ///
@@ -38,6 +37,13 @@ pub struct AdaptiveWindow<const N: usize> {
 }
 
 impl<const N: usize> AdaptiveWindow<N> {
+    /// What it is called.
+    pub const ABOUT: About = About {
+        name: "adaptive-window",
+        title: "longest straight line through the last samples",
+        source: "Janabi-Sharifi, Hayward and Chen 2000",
+    };
+
     /// An estimator for positions sampled every `period_s` with windows of up to `max_window` ticks (at most
     /// [`MAX_WINDOW`]) and the noise bound d = `noise_bound_m`.
     ///
@@ -62,12 +68,18 @@ impl<const N: usize> AdaptiveWindow<N> {
     }
 
     /// Whether these can be the lanes of one estimator: as many, of one period.
-    pub(super) fn are_lanes(of: &[Self], lanes: usize) -> bool {
+    fn are_lanes(of: &[Self], lanes: usize) -> bool {
         of.len() == lanes && shared(of, |one| one.period_s).is_some()
     }
 }
 
 impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
+    type One = Self;
+
+    fn gather(of: &[Self]) -> Option<Self> {
+        if let [one] = of { Some(one.clone()) } else { None }
+    }
+
     fn step(&mut self, position: &Axes<N>) -> Motion<N> {
         if !self.started {
             self.reset(position);
@@ -94,6 +106,13 @@ impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
 
 /// One estimator for each lane: how far back a window reaches depends on the samples of its lane.
 impl<const N: usize, S: Real> Estimator<N, S> for Box<[AdaptiveWindow<N>]> {
+    type One = Self;
+
+    fn gather(of: &[Self::One]) -> Option<Self> {
+        let lanes: Vec<_> = of.iter().flatten().cloned().collect();
+        AdaptiveWindow::are_lanes(&lanes, S::LANES).then(|| lanes.into())
+    }
+
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let mut motion = Motion::<N, S> { velocity: Axes::zeros(), acceleration: Axes::zeros() };
         for (lane, estimator) in self.iter_mut().enumerate() {
@@ -117,6 +136,23 @@ impl<const N: usize, S: Real> Estimator<N, S> for Box<[AdaptiveWindow<N>]> {
             estimator.reset(&position.extract(lane));
         }
     }
+}
+
+impl<const N: usize> From<AdaptiveWindow<N>> for Box<[AdaptiveWindow<N>]> {
+    fn from(one: AdaptiveWindow<N>) -> Self {
+        Self::from([one])
+    }
+}
+
+/// The line whose slope is the estimate; it passes through the newest sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
+pub enum Fit {
+    /// Slope of the chord from the oldest to the newest sample of the window.
+    #[default]
+    End,
+    /// Least-squares slope over the window.
+    Best,
 }
 
 /// How a window is chosen.
@@ -191,6 +227,92 @@ impl Axis {
 fn push(series: &mut Series, value: f64, max_window: usize) {
     series.copy_within(..max_window, 1);
     series[0] = value;
+}
+
+/// Values of one axis, newest first.
+type Series = [f64; MAX_WINDOW + 1];
+
+/// The longest window, in ticks, whose line stays within `bound(lag)` of each of its samples, and its slope.
+///
+/// A sample allows the slopes of one interval; all samples of a window together allow the intersection, which is
+/// carried along as the window grows. `series` holds at least two samples, newest first.
+///
+/// Samples of an encoder meet their bound exactly, and often: each is a whole number of quanta, and so is the bound.
+/// There rounding must not decide, which goes by how far from zero a device stands. So the bound is widened by what
+/// rounding may add: a sample is wrong by eps/2 of `size(lag)`, and line and difference add a few times that.
+/// What is truly beyond the bound is so by at least a quantum / window, far above it.
+fn widest_line(
+    fit: Fit,
+    series: &[f64],
+    bound: impl Fn(usize) -> f64,
+    size: impl Fn(usize) -> f64,
+) -> (usize, f64) {
+    let newest = series[0];
+    let newest_size = size(0);
+    let mut sums = Sums::default();
+    let (mut lowest, mut highest) = (f64::NEG_INFINITY, f64::INFINITY);
+    let mut widest = (1, newest - series[1]);
+    for (lag, sample) in series.iter().enumerate().skip(1) {
+        let ticks = lag as f64;
+        // One division a lag: they are what this loop costs.
+        let per_tick = 1.0 / ticks;
+        let rise = newest - sample;
+        let slope = match fit {
+            Fit::End => rise * per_tick,
+            Fit::Best => sums.add(ticks, rise).least_squares_slope(ticks),
+        };
+        let roundings = match fit {
+            // Both samples, their difference, the interval and the slope: less than 4 each.
+            Fit::End => 8.0,
+            // Sums of so many terms add 12 eps to the slope (Higham 2002, section 4.2), per tick of lag.
+            Fit::Best => 8.0 + 12.0 * ticks,
+        };
+        let bound = bound(lag);
+        let room = bound + roundings * f64::EPSILON * (newest_size + size(lag) + bound);
+        lowest = lowest.max((rise - room) * per_tick);
+        highest = highest.min((rise + room) * per_tick);
+        if !(lowest..=highest).contains(&slope) {
+            break;
+        }
+        widest = (lag, slope);
+    }
+    widest
+}
+
+/// The slope per tick over a given window.
+fn slope(fit: Fit, series: &Series, window: usize) -> f64 {
+    let newest = series[0];
+    match fit {
+        Fit::End => (newest - series[window]) / window as f64,
+        Fit::Best => {
+            let mut sums = Sums::default();
+            for (lag, sample) in series[..=window].iter().enumerate() {
+                sums.add(lag as f64, newest - sample);
+            }
+            sums.least_squares_slope(window as f64)
+        }
+    }
+}
+
+/// What least squares needs of the rises since each lag.
+#[derive(Default)]
+struct Sums {
+    rise: f64,
+    moment: f64,
+}
+
+impl Sums {
+    fn add(&mut self, ticks: f64, rise: f64) -> &Self {
+        self.rise += rise;
+        self.moment += ticks * rise;
+        self
+    }
+
+    /// 6 sum (2 l - i) rise\[l\] / (i (i+1) (i+2)) over l = 0 ... i.
+    fn least_squares_slope(&self, window: f64) -> f64 {
+        let scale = window * (window + 1.0) * (window + 2.0);
+        6.0 * (2.0 * self.moment - window * self.rise) / scale
+    }
 }
 
 #[cfg(test)]
@@ -397,5 +519,25 @@ mod tests {
         assert!(AdaptiveWindow::<1>::new(PERIOD_S, 0.0, 32, Fit::End).is_err());
         assert!(AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, 0, Fit::End).is_err());
         assert!(AdaptiveWindow::<1>::new(PERIOD_S, BOUND_M, 129, Fit::End).is_err());
+    }
+
+    #[test]
+    fn the_interval_test_finds_the_window_that_testing_each_sample_finds() {
+        let mut series = [0.0; MAX_WINDOW + 1];
+        for (lag, sample) in series.iter_mut().enumerate() {
+            let t = lag as f64;
+            *sample = 40.0 * (t / 17.0).sin() + (t * t * 0.37).sin();
+        }
+        for fit in [Fit::End, Fit::Best] {
+            for bound in [0.5, 1.1, 2.0, 4.0, 8.0, 16.0] {
+                let direct = (1..=MAX_WINDOW).take_while(|window| {
+                    let slope = slope(fit, &series, *window);
+                    (1..=*window).all(|lag| (series[0] - series[lag] - lag as f64 * slope).abs() <= bound)
+                });
+                let (found, rate) = widest_line(fit, &series, |_| bound, |lag| series[lag].abs());
+                assert_eq!(direct.last(), Some(found), "{fit:?} {bound}");
+                assert!((rate - slope(fit, &series, found)).abs() < 1e-12);
+            }
+        }
     }
 }

@@ -3,7 +3,7 @@
 use super::{Estimator, Motion};
 use crate::lanes::{option, pack, shared};
 use crate::parameter::{ParameterError, positive};
-use crate::{Axes, Real};
+use crate::{About, Axes, Real};
 
 /// V\[n\] = (x\[n\] - x\[n-1\]) / dT and A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///
@@ -24,6 +24,10 @@ pub struct BackwardDifference<const N: usize, S = f64> {
 }
 
 impl<const N: usize> BackwardDifference<N> {
+    /// What it is called.
+    pub const ABOUT: About =
+        About { name: "backward-difference", title: "differences of the position", source: "paper Eq. 4" };
+
     /// An estimator for positions sampled every `period_s`.
     pub fn new(period_s: f64) -> Result<Self, ParameterError> {
         Ok(Self {
@@ -35,9 +39,11 @@ impl<const N: usize> BackwardDifference<N> {
     }
 }
 
-impl<const N: usize, S: Real> BackwardDifference<N, S> {
-    /// As many estimators as there are lanes, all of one period; else None.
-    pub fn gather(of: &[BackwardDifference<N>]) -> Option<Self> {
+impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
+    type One = BackwardDifference<N>;
+
+    /// All of one period.
+    fn gather(of: &[BackwardDifference<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
             previous_position: option(of, |one| one.previous_position, |them| pack(them, |at| *at))?,
@@ -45,9 +51,7 @@ impl<const N: usize, S: Real> BackwardDifference<N, S> {
             previous_force: pack(of, |one| one.previous_force)?,
         })
     }
-}
 
-impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
     #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let period_s = S::splat(self.period_s);

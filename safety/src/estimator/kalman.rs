@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{Estimator, Motion};
 use crate::lanes::{option, pack, shared};
 use crate::parameter::{ParameterError, in_range, positive};
-use crate::{Axes, Real};
+use crate::{About, Axes, Real};
 
 /// Kalman filter of the state (x, v, a) with white jerk of spectral density q in m²/s⁵ and a position that is
 /// rounded to a quantum, which is taken as noise of variance R = quantum² / 12:
@@ -45,6 +45,13 @@ pub struct Kalman<const N: usize, S = f64> {
 }
 
 impl<const N: usize> Kalman<N> {
+    /// What it is called.
+    pub const ABOUT: About = About {
+        name: "kalman",
+        title: "Kalman filter under white jerk",
+        source: "Bar-Shalom, Li and Kirubarajan 2001, section 6.2.3",
+    };
+
     /// An estimator for positions rounded to `quantum_m` and sampled every `period_s`; `jerk_density` is q in m²/s⁵.
     ///
     /// `omega` dT must lie within 0.001 and 10: below, the filter would take thousands of ticks to see anything;
@@ -69,10 +76,11 @@ impl<const N: usize> Kalman<N> {
     }
 }
 
-impl<const N: usize, S: Real> Kalman<N, S> {
-    /// As many estimators as there are lanes, all of one period and all before their first position or all after it;
-    /// else None.
-    pub fn gather(of: &[Kalman<N>]) -> Option<Self> {
+impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
+    type One = Kalman<N>;
+
+    /// All of one period and all before their first position or all after it.
+    fn gather(of: &[Kalman<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
             gain: pack(of, |one| one.gain)?,
@@ -84,9 +92,7 @@ impl<const N: usize, S: Real> Kalman<N, S> {
             aligned_force: pack(of, |one| one.aligned_force)?,
         })
     }
-}
 
-impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
     #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let [k_x, k_v, k_a] = self.gain.into();

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use super::{BackwardDifference, Estimator, Motion};
 use crate::lanes::{pack, part, shared};
 use crate::parameter::{ParameterError, in_range, positive};
-use crate::{Axes, Real};
+use crate::{About, Axes, Real};
 
 /// A first-order low-pass of cut-off `f_c` on the backward difference D\[n\] = (x\[n\] - x\[n-1\]) / dT:
 ///
@@ -29,6 +29,13 @@ pub struct LowPass<const N: usize, S = f64> {
 }
 
 impl<const N: usize> LowPass<N> {
+    /// What it is called.
+    pub const ABOUT: About = About {
+        name: "low-pass",
+        title: "first-order low-pass on the difference",
+        source: "Franklin, Powell and Workman 1998, section 6.2",
+    };
+
     /// An estimator for positions sampled every `period_s`, with a cut-off of at most half the sample rate.
     pub fn new(period_s: f64, cutoff_hz: f64) -> Result<Self, ParameterError> {
         let difference = BackwardDifference::new(period_s)?;
@@ -47,9 +54,11 @@ impl<const N: usize> LowPass<N> {
     }
 }
 
-impl<const N: usize, S: Real> LowPass<N, S> {
-    /// As many estimators as there are lanes, all of one period; else None.
-    pub fn gather(of: &[LowPass<N>]) -> Option<Self> {
+impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
+    type One = LowPass<N>;
+
+    /// All of one period.
+    fn gather(of: &[LowPass<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,
             share: pack(of, |one| one.share)?,
@@ -58,9 +67,7 @@ impl<const N: usize, S: Real> LowPass<N, S> {
             aligned_force: pack(of, |one| one.aligned_force)?,
         })
     }
-}
 
-impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
     #[inline(always)]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         let difference = self.difference.step(position).velocity;

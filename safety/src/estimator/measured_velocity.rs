@@ -46,7 +46,7 @@ impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
         *device_force
     }
 
-    /// Forgets the past: the next velocity is again taken to have been constant.
+    /// Clears the past: the next velocity is again taken to have been constant.
     pub fn reset(&mut self) {
         self.previous_velocity = None;
     }

@@ -1,32 +1,135 @@
 //! Velocity and acceleration of the device from its sampled position.
 //!
-//! Each estimator is one file. All share one contract ([`Estimator`]); what sets them apart is how much of the
-//! encoder's quantisation they let through and how late they are. [`EstimatorKind`] names them with their
-//! parameters, [`AnyEstimator`] holds any of them. [`MeasuredVelocity`] stands apart: it serves the devices that
-//! measure V themselves.
+//! An estimator is one file here, which implements [`Estimator`], and one entry in the registry below, with its
+//! parameters. What sets them apart is how much of the encoder's quantisation they let through and how late they are.
+//! [`MeasuredVelocity`] stands apart: it serves the devices that measure V themselves.
 
-use crate::{Axes, Real};
+use crate::{About, Axes, ParameterError, Real, lanes::part};
 
 mod adaptive_window;
-mod any;
 mod backward_difference;
 #[cfg(test)]
 mod contract_tests;
 mod kalman;
 mod low_pass;
 mod measured_velocity;
-mod ring;
 mod savitzky_golay;
-mod straight_line;
 
-pub use adaptive_window::AdaptiveWindow;
-pub use any::{AnyEstimator, EstimatorKind};
+pub use adaptive_window::{AdaptiveWindow, Fit};
 pub use backward_difference::BackwardDifference;
 pub use kalman::Kalman;
 pub use low_pass::LowPass;
 pub use measured_velocity::MeasuredVelocity;
 pub use savitzky_golay::SavitzkyGolay;
-pub use straight_line::Fit;
+
+/// Declares all that depends on which estimators there are. Each entry has the parameters of `new` after the period,
+/// in their order, and says how the estimator is kept: as it is, on the heap, or one for each lane.
+macro_rules! estimators {
+    ($($(#[$doc:meta])* $kind:ident { $($(#[$meaning:meta])* $parameter:ident: $number:ty,)* } as $kept:ty;)+) => {
+        /// An estimator and its parameters.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        #[cfg_attr(
+            feature = "serde",
+            derive(serde::Deserialize),
+            serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)
+        )]
+        pub enum EstimatorKind {
+            $($(#[$doc])* $kind { $($(#[$meaning])* $parameter: $number,)* },)+
+        }
+
+        /// Any of the estimators; those with a window lie on the heap, allocated once when built.
+        #[derive(Clone, Debug)]
+        pub enum AnyEstimator<const N: usize, S = f64> {
+            $($(#[$doc])* $kind($kept),)+
+        }
+
+        /// The estimators.
+        pub const ESTIMATORS: [About; [$(stringify!($kind)),+].len()] = [$($kind::<1>::ABOUT),+];
+
+        impl EstimatorKind {
+            /// The estimator for positions sampled every `period_s`.
+            pub fn build<const N: usize>(&self, period_s: f64) -> Result<AnyEstimator<N>, ParameterError> {
+                Ok(match *self {
+                    $(Self::$kind { $($parameter),* } => {
+                        AnyEstimator::$kind($kind::new(period_s, $($parameter),*)?.into())
+                    })+
+                })
+            }
+        }
+
+        impl<const N: usize, S: Real> Estimator<N, S> for AnyEstimator<N, S> {
+            type One = AnyEstimator<N>;
+
+            /// All of one kind.
+            fn gather(of: &[AnyEstimator<N>]) -> Option<Self> {
+                Some(match of.first()? {
+                    $(AnyEstimator::$kind(_) => {
+                        let inside = |one: &AnyEstimator<N>| match one {
+                            AnyEstimator::$kind(inside) => Some(inside.clone()),
+                            _ => None,
+                        };
+                        let all = of.iter().map(inside).collect::<Option<Vec<_>>>()?;
+                        Self::$kind(<$kept as Estimator<N, S>>::gather(&all)?)
+                    })+
+                })
+            }
+
+            #[inline(always)]
+            fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
+                match self { $(Self::$kind(estimator) => estimator.step(position),)+ }
+            }
+
+            #[inline(always)]
+            fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
+                match self { $(Self::$kind(estimator) => estimator.align(device_force),)+ }
+            }
+
+            fn reset(&mut self, position: &Axes<N, S>) {
+                match self { $(Self::$kind(estimator) => estimator.reset(position),)+ }
+            }
+        }
+    };
+}
+
+estimators! {
+    /// [`BackwardDifference`].
+    BackwardDifference {} as BackwardDifference<N, S>;
+    /// [`LowPass`].
+    LowPass {
+        /// Cut-off `f_c` in Hz.
+        cutoff_hz: f64,
+    } as LowPass<N, S>;
+    /// [`AdaptiveWindow`].
+    AdaptiveWindow {
+        /// Noise bound d in m (rad for joints).
+        noise_bound_m: f64,
+        /// Longest window in ticks.
+        max_window: usize,
+        /// The line that is fitted.
+        fit: Fit,
+    } as Box<[AdaptiveWindow<N>]>;
+    /// [`SavitzkyGolay`].
+    SavitzkyGolay {
+        /// Degree p of the polynomial, 2 or 3.
+        degree: usize,
+        /// Samples w in the window.
+        window: usize,
+    } as Box<SavitzkyGolay<N, S>>;
+    /// [`Kalman`].
+    Kalman {
+        /// Spectral density q of the jerk in m²/s⁵ (rad²/s⁵ for joints).
+        jerk_density: f64,
+        /// Position quantum in m (rad for joints).
+        quantum_m: f64,
+    } as Kalman<N, S>;
+}
+
+impl Default for EstimatorKind {
+    /// A Kalman filter for a stylus with a quantum of 23 µm; at 1 kHz its bandwidth is 39 Hz.
+    fn default() -> Self {
+        Self::Kalman { jerk_density: 10.0, quantum_m: 2.3e-5 }
+    }
+}
 
 /// Longest window in ticks that a windowed estimator takes; its memory is reserved for it.
 pub const MAX_WINDOW: usize = 128;
@@ -47,8 +150,14 @@ pub struct Motion<const N: usize, S = f64> {
 /// remembers past forces; one that does not need it never calls it and pays nothing.
 ///
 /// A new estimator takes the device to have rested at the first position it is given.
-pub trait Estimator<const N: usize, S: Real = f64> {
-    /// Takes the position x\[n\] in m and gives V\[n\] and A\[n\].
+pub trait Estimator<const N: usize, S: Real = f64>: Sized {
+    /// The same estimator over `f64`.
+    type One;
+
+    /// As many estimators as there are lanes, if they can be stepped at once; else None.
+    fn gather(of: &[Self::One]) -> Option<Self>;
+
+    /// Takes the position x\[n\] in m and returns V\[n\] and A\[n\].
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S>;
 
     /// Passes the force held over the tick that ended with the newest position through the same kernel that
@@ -58,6 +167,28 @@ pub trait Estimator<const N: usize, S: Real = f64> {
     /// force from m A, so the force must be the same mean, or every step of the device force would look like a hand.
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S>;
 
-    /// Forgets the past: the device has been at rest at `position`, without force.
+    /// Clears the past: the device has been at rest at `position`, without force.
     fn reset(&mut self, position: &Axes<N, S>);
+}
+
+impl<const N: usize, S: Real, T: Estimator<N, S, One: Clone>> Estimator<N, S> for Box<T> {
+    type One = Box<T::One>;
+
+    fn gather(of: &[Self::One]) -> Option<Self> {
+        part(of, |one| T::One::clone(one), T::gather).map(Box::new)
+    }
+
+    #[inline(always)]
+    fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
+        T::step(self, position)
+    }
+
+    #[inline(always)]
+    fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
+        T::align(self, device_force)
+    }
+
+    fn reset(&mut self, position: &Axes<N, S>) {
+        T::reset(self, position);
+    }
 }

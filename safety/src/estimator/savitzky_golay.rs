@@ -1,10 +1,9 @@
 //! Savitzky-Golay: a polynomial fitted to the last samples, differentiated at the newest.
 
-use super::ring::Ring;
 use super::{Estimator, MAX_WINDOW, Motion};
-use crate::lanes::shared;
+use crate::lanes::{pack, shared};
 use crate::parameter::{ParameterError, in_range, positive};
-use crate::{Axes, Real};
+use crate::{About, Axes, Real};
 
 /// One weight per sample of the window, that of the newest first.
 type Weights = [f64; MAX_WINDOW];
@@ -38,6 +37,13 @@ pub struct SavitzkyGolay<const N: usize, S = f64> {
 }
 
 impl<const N: usize> SavitzkyGolay<N> {
+    /// What it is called.
+    pub const ABOUT: About = About {
+        name: "savitzky-golay",
+        title: "polynomial through the last samples",
+        source: "Savitzky and Golay 1964, Gorry 1990",
+    };
+
     /// An estimator for positions sampled every `period_s`: `degree` 2 or 3 over `window` samples, more than
     /// `degree` and at most [`MAX_WINDOW`].
     pub fn new(period_s: f64, degree: usize, window: usize) -> Result<Self, ParameterError> {
@@ -58,10 +64,11 @@ impl<const N: usize> SavitzkyGolay<N> {
     }
 }
 
-impl<const N: usize, S: Real> SavitzkyGolay<N, S> {
-    /// As many estimators as there are lanes, all of one period, degree and window, and as far as each other; else
-    /// None.
-    pub fn gather(of: &[SavitzkyGolay<N>]) -> Option<Self> {
+impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
+    type One = SavitzkyGolay<N>;
+
+    /// All of one period, degree and window, and as far as each other.
+    fn gather(of: &[SavitzkyGolay<N>]) -> Option<Self> {
         let rings =
             |ring: fn(&SavitzkyGolay<N>) -> &Ring<N>| Ring::gather(&of.iter().map(ring).collect::<Vec<_>>());
         Some(Self {
@@ -74,9 +81,7 @@ impl<const N: usize, S: Real> SavitzkyGolay<N, S> {
             started: shared(of, |one| one.started)?,
         })
     }
-}
 
-impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
     #[inline]
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
         if !self.started {
@@ -164,6 +169,50 @@ fn force_weights(acceleration_weights: &Weights) -> Weights {
     weights
 }
 
+/// The last `length` samples of a vector in a ring; never allocates.
+#[derive(Clone, Debug)]
+struct Ring<const N: usize, S = f64> {
+    samples: [Axes<N, S>; MAX_WINDOW],
+    newest: usize,
+    length: usize,
+}
+
+impl<const N: usize, S: Real> Ring<N, S> {
+    /// A ring of `length` zeros, from 1 to [`MAX_WINDOW`].
+    fn new(length: usize) -> Self {
+        Self { samples: [Axes::zeros(); MAX_WINDOW], newest: 0, length: length.clamp(1, MAX_WINDOW) }
+    }
+
+    /// As many rings as there are lanes, all of one length and at the same place; else None.
+    fn gather(of: &[&Ring<N>]) -> Option<Self> {
+        let mut ring = Self::new(shared(of, |one| one.length)?);
+        ring.newest = shared(of, |one| one.newest)?;
+        for (tick, sample) in ring.samples.iter_mut().enumerate() {
+            *sample = pack(of, |one| one.samples[tick])?;
+        }
+        Some(ring)
+    }
+
+    /// Makes every sample equal to `sample`.
+    fn fill(&mut self, sample: &Axes<N, S>) {
+        self.samples.fill(*sample);
+    }
+
+    /// Puts `sample` in the place of the oldest.
+    #[inline]
+    fn push(&mut self, sample: &Axes<N, S>) {
+        self.newest = (self.newest + 1) % self.length;
+        self.samples[self.newest] = *sample;
+    }
+
+    /// The samples from the newest to the oldest.
+    #[inline]
+    fn newest_first(&self) -> impl Iterator<Item = &Axes<N, S>> {
+        let (recent, old) = self.samples[..self.length].split_at(self.newest + 1);
+        recent.iter().rev().chain(old.iter().rev())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -238,5 +287,15 @@ mod tests {
         for (degree, window) in [(1, 10), (4, 10), (2, 2), (3, 3), (2, 129)] {
             assert!(SavitzkyGolay::<1>::new(1e-3, degree, window).is_err());
         }
+    }
+
+    #[test]
+    fn the_newest_comes_first_and_the_oldest_falls_out() {
+        let mut ring = Ring::<1>::new(3);
+        for sample in [1.0, 2.0, 3.0, 4.0, 5.0] {
+            ring.push(&Axes::from([sample]));
+        }
+        let seen: Vec<f64> = ring.newest_first().map(|sample| sample[0]).collect();
+        assert_eq!(seen, [5.0, 4.0, 3.0]);
     }
 }

@@ -1,12 +1,7 @@
 //! The layer as a whole: a hand that holds, lets go and is back, a loop that is late, numbers that cannot be.
 
 use super::*;
-use crate::{
-    Observation,
-    controller::{SafetySettings, Tripped},
-    estimator::{Estimator, EstimatorKind},
-    fault::Signal,
-};
+use crate::controller::Tripped;
 
 const PERIOD: f64 = 1e-3;
 const MASS: f64 = 0.157;
@@ -29,22 +24,23 @@ fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
     let mut estimator = settings.estimator.build::<1>(PERIOD).unwrap();
     let mut kernel_of_rendered = estimator.clone();
     let (mut x, mut v) = (0.0_f64, 0.0);
-    let (mut told, rendered) = (None, Axes::<1>::new(5.0));
+    let (mut commanded, rendered) = (None, Axes::<1>::new(5.0));
     let mut trips = Vec::new();
     for _ in 0..200 {
         let encoded = Axes::<1>::new((x / 2.3e-5).round() * 2.3e-5);
-        // The same chain, with another idea of which force Eq. 4 subtracts.
+        // The same pipeline, with another idea of which force Eq. 4 subtracts.
         let motion = estimator.step(&encoded);
         kernel_of_rendered.step(&encoded);
-        let of_eq_4 = told.map_or(0.0, &force_seen_by_eq_4);
+        let of_eq_4 = commanded.map_or(0.0, &force_seen_by_eq_4);
         let aligned = estimator.align(&Axes::<1>::new(of_eq_4));
         let grasp_force = settings.device.grasp_force(&motion, &aligned);
         let mut seen = Observation::exact(motion.velocity, rendered, grasp_force);
-        seen.aligned_rendered_force = kernel_of_rendered.align(&told.map_or(Axes::zeros(), |_| rendered));
+        seen.aligned_rendered_force =
+            kernel_of_rendered.align(&commanded.map_or(Axes::zeros(), |_| rendered));
         let step = controller.step(&seen).unwrap();
         trips.push(step.tripped.any());
         let force = 5.0 + step.safety_force[0];
-        told = Some(force);
+        commanded = Some(force);
         x += v * PERIOD + force / MASS * PERIOD * PERIOD / 2.0;
         v += force / MASS * PERIOD;
     }
@@ -53,10 +49,10 @@ fn ejected_trips(force_seen_by_eq_4: impl Fn(f64) -> f64) -> Vec<bool> {
 
 #[test]
 fn with_f_v_alone_hsc_switches_itself_off() {
-    let all_told = ejected_trips(|told| told);
+    let all_commanded = ejected_trips(|commanded| commanded);
     let rendered_only = ejected_trips(|_| 5.0);
     let on = |trips: &[bool]| trips[50..].iter().filter(|&&on| on).count();
-    assert_eq!(on(&all_told), 150, "once nobody holds, HSC stays on");
+    assert_eq!(on(&all_commanded), 150, "once nobody holds, HSC stays on");
     // Its own damping cancels F_v; with F_v alone, that looks like a hand that pushes back with 5 N.
     assert!(on(&rendered_only) < 100, "{}", on(&rendered_only));
 }
@@ -106,7 +102,11 @@ fn a_bounded_force_is_no_release() {
     for n in 0..300 {
         let asked = Axes::<1>::new(if n < 100 { 1.0 } else { 30.0 });
         let tick = layer.tick(&still, Some(&still), &asked);
-        assert!(!tick.intervention.tripped.any(), "tick {n}: S_h = {}", tick.intervention.grasp);
+        assert!(
+            !tick.intervention.tripped.any(),
+            "tick {n}: S_h = {}",
+            tick.intervention.observed[ControllerKind::Hsc]
+        );
         assert!(n < 105 || (tick.device_force[0] - 4.0).abs() < 1e-12);
     }
 }
@@ -141,7 +141,10 @@ fn a_hand_that_is_back_gets_its_force_back_over_the_ramp() {
         }
     }
     assert!(!states[499].0.any() && (states[499].1 - 4.0).abs() < 1e-9, "held: all is rendered");
-    assert!(states[500..550].iter().any(|(tripped, _)| tripped.contains(Tripped::HSC)), "let go: it trips");
+    assert!(
+        states[500..550].iter().any(|(tripped, _)| tripped.contains(Tripped::of(ControllerKind::Hsc))),
+        "let go: it trips"
+    );
     assert!(!states[1499].0.any() && (states[1499].1 - 4.0).abs() < 1e-9, "back: all is rendered again");
     assert!(largest_step < 0.3, "over the ramp, not as a step: {largest_step} N");
 }
@@ -169,7 +172,7 @@ fn a_late_loop_does_not_read_several_ticks_as_one() {
 }
 
 #[test]
-fn bad_numbers_stop_at_the_door_in_the_same_tick_and_stay_stopped() {
+fn bad_numbers_are_refused_in_the_same_tick_and_stay_stopped() {
     let good = Axes::<1>::new(0.0);
     for (x, v, f, name) in [
         (f64::NAN, 0.0, 0.0, "position is not a finite number"),
@@ -207,7 +210,7 @@ fn without_a_controller_the_rendered_force_passes() {
     }
 }
 
-/// What PC asked for and the force that is exerted beyond `F_v` does not dissipate within the tick.
+/// What PC requested and the force that is exerted beyond `F_v` does not dissipate within the tick.
 #[test]
 fn energy_is_owed_by_the_force_that_is_exerted() {
     let safety = SafetySettings { controllers: [ControllerKind::Pc].into(), ..SafetySettings::default() };
@@ -221,7 +224,7 @@ fn energy_is_owed_by_the_force_that_is_exerted() {
             let tick = layer.tick(&Axes::zeros(), Some(&v), &rendered);
             let beyond = tick.device_force[0] - tick.rendered_force[0];
             let dissipated = (-beyond * tick.motion.velocity[0] * PERIOD).max(0.0);
-            let expected = (-tick.intervention.energy_j - dissipated).max(0.0);
+            let expected = (-tick.intervention.observed[ControllerKind::Pc] - dissipated).max(0.0);
             assert!((tick.owed_energy_j - expected).abs() < 1e-15, "{n}: {tick:?} {expected}");
             owed += u32::from(expected > 0.0);
         }

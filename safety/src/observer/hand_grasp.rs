@@ -1,7 +1,7 @@
 //! Hand grasp observer, HGO.
 
 use crate::{
-    Observation, ParameterError, Real,
+    About, Observation, ParameterError, Real,
     lanes::{norm, pack},
     parameter::positive,
 };
@@ -18,6 +18,9 @@ pub struct HandGraspObserver<S = f64> {
 }
 
 impl HandGraspObserver {
+    /// What it is called.
+    pub const ABOUT: About = About { name: "hgo", title: "hand grasp", source: "paper Eq. 5" };
+
     /// The floor alpha in N (> 0) keeps the ratio finite; the paper uses 0.001 N.
     pub fn new(grasp_floor_n: f64) -> Result<Self, ParameterError> {
         Ok(Self { grasp_floor_n: positive("grasp_floor_n", "alpha", grasp_floor_n)? })

@@ -1,7 +1,7 @@
 //! Energy-based passivity observer, PO.
 
 use crate::{
-    Axes, Real,
+    About, Axes, Real,
     lanes::{option, pack},
 };
 
@@ -21,6 +21,10 @@ pub struct PassivityObserver<const N: usize, S = f64> {
 }
 
 impl<const N: usize> PassivityObserver<N> {
+    /// What it is called.
+    pub const ABOUT: About =
+        About { name: "po", title: "passivity", source: "Hannaford and Ryu 2002, Eq. 5" };
+
     /// An observer without past.
     pub fn new() -> Self {
         Self::default()
@@ -52,7 +56,7 @@ impl<const N: usize, S: Real> PassivityObserver<N, S> {
         self.energy_j
     }
 
-    /// Forgets all energy.
+    /// Clears all energy.
     pub fn reset(&mut self) {
         *self = Self::default();
     }

@@ -3,7 +3,7 @@
 use nalgebra::SimdBool as _;
 
 use crate::{
-    DeviceModel, Observation, ParameterError, Real,
+    About, DeviceModel, Observation, ParameterError, Real,
     lanes::{pack, part, shared},
     parameter::{positive, ratio},
 };
@@ -25,6 +25,9 @@ pub struct SafetyObserver<const N: usize, S = f64> {
 }
 
 impl<const N: usize> SafetyObserver<N> {
+    /// What it is called.
+    pub const ABOUT: About = About { name: "so", title: "energy of the hand", source: "paper Eq. 9" };
+
     /// Period dT in s (> 0), energy ratio eta in (0, 1].
     pub fn new(device: DeviceModel<N>, period_s: f64, energy_ratio: f64) -> Result<Self, ParameterError> {
         Ok(Self {
@@ -57,7 +60,7 @@ impl<const N: usize, S: Real> SafetyObserver<N, S> {
         self.hand_energy_j.total() - self.device.kinetic_energy_j(&seen.velocity) * self.per_ratio
     }
 
-    /// Forgets all energy.
+    /// Clears all energy.
     pub fn reset(&mut self) {
         self.hand_energy_j = CompensatedSum::default();
     }

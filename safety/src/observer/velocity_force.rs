@@ -3,18 +3,14 @@
 use nalgebra::SimdBool as _;
 
 use crate::{
-    Observation, ParameterError, Real,
+    About, Observation, ParameterError, Real,
     lanes::{lesser, norm, pack, shared},
     parameter::positive,
 };
 
 /// How velocity and force are held against their thresholds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(
-    feature = "serde",
-    derive(serde::Deserialize, schemars::JsonSchema),
-    serde(rename_all = "kebab-case")
-)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
 pub enum VelocityForceForm {
     /// `S_vf = V·F_v / (V_t F_t)`: Eq. 1 as printed. A large force trips it well below `V_t`.
     #[default]
@@ -35,6 +31,9 @@ pub struct VelocityForceObserver<S = f64> {
 }
 
 impl VelocityForceObserver {
+    /// What it is called.
+    pub const ABOUT: About = About { name: "vfo", title: "velocity and force", source: "paper Eq. 1" };
+
     /// Thresholds `V_t` in m/s and `F_t` in N, both > 0.
     pub fn new(
         velocity_threshold: f64,
@@ -90,7 +89,7 @@ mod tests {
     fn table() {
         let product = VelocityForceObserver::new(0.6, 1.0, VelocityForceForm::Product).unwrap();
         let both = VelocityForceObserver::new(0.6, 1.0, VelocityForceForm::Both).unwrap();
-        for (v, f, as_printed, as_told) in [
+        for (v, f, as_printed, as_described) in [
             (0.6, 1.0, 1.0, 1.0),
             (0.1, 7.8, 1.3, 1.0 / 6.0),
             (3.0, 0.5, 2.5, 0.5),
@@ -98,7 +97,7 @@ mod tests {
             (1.0, 0.0, 0.0, 0.0),
         ] {
             assert!((product.observe(&seen(v, f)) - as_printed).abs() < 1e-12, "{v} {f}");
-            assert!((both.observe(&seen(v, f)) - as_told).abs() < 1e-12, "{v} {f}");
+            assert!((both.observe(&seen(v, f)) - as_described).abs() < 1e-12, "{v} {f}");
         }
         // Another V_t and F_t: P = 0.9 W against 0.3 m/s and 2 N.
         let observed = |form| VelocityForceObserver::new(0.3, 2.0, form).unwrap().observe(&seen(0.6, 1.5));

@@ -1,7 +1,7 @@
 //! Windowed safety observer, WSO.
 
 use crate::{
-    DeviceModel, Observation, ParameterError, Real,
+    About, DeviceModel, Observation, ParameterError, Real,
     lanes::{pack, part, shared},
     parameter::{positive, ratio, whole},
 };
@@ -30,6 +30,10 @@ pub struct WindowedSafetyObserver<const N: usize, S = f64> {
 }
 
 impl<const N: usize> WindowedSafetyObserver<N> {
+    /// What it is called.
+    pub const ABOUT: About =
+        About { name: "wso", title: "energy of the hand in a window", source: "paper Eq. 11" };
+
     /// Longest window: an hour at 1 kHz.
     pub const MAX_WINDOW: usize = 3_600_000;
 
@@ -90,7 +94,7 @@ impl<const N: usize, S: Real> WindowedSafetyObserver<N, S> {
         }
     }
 
-    /// Forgets all energy.
+    /// Clears all energy.
     pub fn reset(&mut self) {
         let nothing = S::splat(0.0);
         self.power.fill(nothing);

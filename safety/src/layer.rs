@@ -1,0 +1,390 @@
+//! The whole pipeline of one master tick: from a device sample to the force that the device is commanded to exert.
+
+use nalgebra::SimdValue as _;
+
+use crate::{
+    Axes, DeviceModel, Fault, Observation, ParameterError, Real, Signal,
+    controller::{ControllerKind, Intervention, Response, SafetyController, SafetySettings},
+    estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
+    is_within,
+    lanes::{option, pack, part},
+    limiter::{Acted, Limiter, LimiterSettings, SaturatedForce},
+};
+
+#[cfg(test)]
+mod tests;
+
+/// How a safety layer is built.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LayerSettings<const N: usize> {
+    /// Dynamics of the device, for the grasp force and the kinetic energy.
+    pub device: DeviceModel<N>,
+    /// dT in s.
+    pub period_s: f64,
+    /// How V and A are had from positions, for a device that does not measure its velocity.
+    pub estimator: EstimatorKind,
+    /// Observers and controllers.
+    pub safety: SafetySettings,
+    /// Bounds on the device force.
+    pub limiter: LimiterSettings,
+}
+
+/// Estimator, grasp force, observers, controllers and limiter in one step.
+///
+/// The limiter stands at both ends: before the observers, so that they see the force that can be rendered, and after
+/// the controllers, so that nothing leaves unbounded.
+///
+/// Source: paper Eq. 1 to 14, in the order of `docs/architecture.md`, "One master tick".
+#[derive(Clone, Debug)]
+pub struct SafetyLayer<const N: usize, S = f64> {
+    device: DeviceModel<N, S>,
+    estimator: AnyEstimator<N, S>,
+    measured: MeasuredVelocity<N, S>,
+    /// The estimator once more, as the kernel for `F_v`; only where a controller compares `F_v` with `F_h`.
+    rendered: Option<AnyEstimator<N, S>>,
+    last_rendered: Axes<N, S>,
+    /// What the device can render of what is requested: norm, growth and ramp-in of `F_v` alone.
+    rendering: Limiter<N, S>,
+    controller: SafetyController<N, S>,
+    /// The bounds on the sum.
+    limiter: Limiter<N, S>,
+    device_force: Axes<N, S>,
+    fault: Option<Fault>,
+}
+
+impl<const N: usize> SafetyLayer<N> {
+    /// A layer for a device at rest, without force.
+    pub fn new(settings: &LayerSettings<N>) -> Result<Self, ParameterError> {
+        let LayerSettings { device, period_s, estimator, safety, limiter } = settings;
+        Ok(Self {
+            device: *device,
+            estimator: estimator.build(*period_s)?,
+            measured: MeasuredVelocity::new(*period_s)?,
+            rendered: safety
+                .controllers
+                .iter()
+                .any(ControllerKind::reads_aligned_force)
+                .then(|| estimator.build(*period_s))
+                .transpose()?,
+            last_rendered: Axes::zeros(),
+            controller: SafetyController::new(device, *period_s, safety)?,
+            rendering: Limiter::new(*period_s, *limiter)?,
+            limiter: Limiter::new(*period_s, LimiterSettings { ramp_in_s: 0.0, ..*limiter })?,
+            device_force: Axes::zeros(),
+            fault: None,
+        })
+    }
+
+    /// One tick: position x in m, velocity V in m/s if the device measures it (at every tick or at none), `F_v`
+    /// in N.
+    ///
+    /// A number that is not finite or absurd gives zero force at this tick and a fault that stays until
+    /// [`reset`](Self::reset).
+    pub fn tick(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        requested_force: &Axes<N>,
+    ) -> SafetyTick<N> {
+        self.tick_with_authority(position, velocity, requested_force, 1.0)
+    }
+
+    /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
+    pub fn tick_with_authority(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        requested_force: &Axes<N>,
+        authority: f64,
+    ) -> SafetyTick<N> {
+        let checked = match self.fault {
+            Some(fault) => Err(fault),
+            None => Signal::Position
+                .check(position)
+                .and_then(|()| velocity.map_or(Ok(()), |v| Signal::Velocity.check(v)))
+                .and_then(|()| Signal::RenderedForce.check(requested_force)),
+        };
+        let perceived = checked.and_then(|()| {
+            let perceived = self.perceive(position, velocity, requested_force);
+            perceived.seen.check().map(|()| perceived)
+        });
+        match perceived {
+            Ok(perceived) => self.decide(&perceived, authority).lane(0),
+            Err(fault) => self.stop(fault),
+        }
+    }
+
+    /// A tick that was missed: the device has kept its force, and was at `position` (between two samples) by then.
+    ///
+    /// Estimator and observers are carried along, so that a late loop does not read several ticks of motion as one;
+    /// nothing is decided. The next [`tick`](Self::tick) refuses what is not finite.
+    pub fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
+        if self.fault.is_none() && is_within(position, Signal::Position.bound()) {
+            let rendered_force = self.last_rendered;
+            let (_, seen) = self.observe(position, velocity, &rendered_force);
+            // A bad number would be met again at the tick, which names it.
+            let _ = self.controller.step(&seen);
+        }
+    }
+
+    /// Renders no force from now on, until [`reset`](Self::reset): a fault that only others can see.
+    pub fn fail(&mut self, fault: Fault) {
+        self.fault.get_or_insert(fault);
+    }
+
+    fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
+        self.fault = Some(fault);
+        self.device_force = Axes::zeros();
+        self.rendering.reset();
+        self.limiter.reset();
+        SafetyTick {
+            motion: Motion { velocity: Axes::zeros(), acceleration: Axes::zeros() },
+            rendered_force: Axes::zeros(),
+            grasp_force: Axes::zeros(),
+            device_force: Axes::zeros(),
+            intervention: Intervention::none(),
+            acted: Acted::default(),
+            owed_energy_j: 0.0,
+            fault: Some(fault),
+        }
+    }
+
+    /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
+    pub fn restart(&mut self, position: &Axes<N>) -> Result<(), Fault> {
+        let fault = self.fault;
+        let restarted = self.reset(position);
+        self.fault = fault;
+        restarted
+    }
+
+    /// Clears a fault and the past: the device rests at `position`, and its force rises from zero again.
+    pub fn reset(&mut self, position: &Axes<N>) -> Result<(), Fault> {
+        Signal::Position.check(position)?;
+        self.rest_at(position);
+        self.fault = None;
+        Ok(())
+    }
+}
+
+impl<const N: usize, S: Real> SafetyLayer<N, S> {
+    /// As many layers as there are lanes, without fault, whose parts can be gathered; else None. Period, estimator
+    /// and what is watched must be the same in all; thresholds, bounds, times and the device need not.
+    pub fn gather(of: &[SafetyLayer<N>]) -> Option<Self> {
+        if of.iter().any(|one| one.fault.is_some()) {
+            return None;
+        }
+        Some(Self {
+            device: part(of, |one| one.device, DeviceModel::gather)?,
+            estimator: part(of, |one| one.estimator.clone(), AnyEstimator::gather)?,
+            measured: part(of, |one| one.measured.clone(), MeasuredVelocity::gather)?,
+            rendered: option(of, |one| one.rendered.clone(), AnyEstimator::gather)?,
+            last_rendered: pack(of, |one| one.last_rendered)?,
+            rendering: part(of, |one| one.rendering.clone(), Limiter::gather)?,
+            controller: part(of, |one| one.controller.clone(), SafetyController::gather)?,
+            limiter: part(of, |one| one.limiter.clone(), Limiter::gather)?,
+            device_force: pack(of, |one| one.device_force)?,
+            fault: None,
+        })
+    }
+
+    /// One tick as [`tick_with_authority`](SafetyLayer::tick_with_authority), in each lane and without its checks: a
+    /// bad number stops nothing. Where [`Advance::seen`] does not [pass](Observation::passes), or a number that is given
+    /// here would not, the checked tick would have stopped.
+    #[inline(always)]
+    pub fn advance(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        requested_force: &Axes<N, S>,
+        authority: S,
+    ) -> Advance<N, S> {
+        let perceived = self.perceive(position, velocity, requested_force);
+        self.decide(&perceived, authority)
+    }
+
+    #[inline(always)]
+    fn perceive(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        requested_force: &Axes<N, S>,
+    ) -> Perceived<N, S> {
+        // The observers compare F_v with the hand. A force that the device cannot or must not render yet would look
+        // like one that nobody holds, so F_v is bounded before it is observed. At V = 0 the power bound is idle.
+        let rendering = self.rendering.limit(requested_force, &Axes::zeros());
+        let (motion, seen) = self.observe(position, velocity, &rendering.force);
+        Perceived { rendering, motion, seen }
+    }
+
+    #[inline(always)]
+    fn decide(&mut self, perceived: &Perceived<N, S>, authority: S) -> Advance<N, S> {
+        let Perceived { rendering, motion, seen } = *perceived;
+        let response = self.controller.respond(&seen, authority);
+        let rendered_force = seen.rendered_force;
+        let limited = self.limiter.limit(&(rendered_force + response.safety_force), &motion.velocity);
+        let delivered = limited.force - rendered_force;
+        let owed_energy_j = self.controller.owed_energy_j(&response.observed, &delivered, &motion.velocity);
+        self.device_force = limited.force;
+        Advance {
+            motion,
+            rendered_force,
+            grasp_force: seen.grasp_force,
+            aligned_rendered_force: seen.aligned_rendered_force,
+            device_force: limited.force,
+            response,
+            rendering,
+            limited,
+            owed_energy_j,
+        }
+    }
+
+    /// V and A, and what the observers see of them.
+    #[inline(always)]
+    fn observe(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        rendered_force: &Axes<N, S>,
+    ) -> (Motion<N, S>, Observation<N, S>) {
+        let motion = match velocity {
+            Some(velocity) => self.measured.step(velocity),
+            None => self.estimator.step(position),
+        };
+        let grasp_force = if self.controller.needs_grasp_force() {
+            let aligned = match velocity {
+                Some(_) => self.measured.align(&self.device_force),
+                None => self.estimator.align(&self.device_force),
+            };
+            self.device.grasp_force(&motion, &aligned)
+        } else {
+            Axes::zeros()
+        };
+        let aligned_rendered_force = self.align_rendered(position, velocity, rendered_force);
+        let seen = Observation {
+            velocity: motion.velocity,
+            rendered_force: *rendered_force,
+            grasp_force,
+            aligned_rendered_force,
+        };
+        (motion, seen)
+    }
+
+    /// `F_v` of the past ticks through the kernel of A, only where an observer compares it with `F_h`.
+    #[inline(always)]
+    fn align_rendered(
+        &mut self,
+        position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
+        rendered_force: &Axes<N, S>,
+    ) -> Axes<N, S> {
+        let last = std::mem::replace(&mut self.last_rendered, *rendered_force);
+        match (&mut self.rendered, velocity) {
+            // F_h is a mean over the last tick, in which the last force was rendered.
+            (Some(_), Some(_)) => last,
+            (Some(kernel), None) => {
+                // A kernel that depends on the motion must see the same motion.
+                kernel.step(position);
+                kernel.align(&last)
+            }
+            (None, _) => *rendered_force,
+        }
+    }
+
+    /// Clears the past: the device rests at `position`, and its force rises from zero again.
+    pub fn rest_at(&mut self, position: &Axes<N, S>) {
+        self.estimator.reset(position);
+        self.measured.reset();
+        if let Some(kernel) = &mut self.rendered {
+            kernel.reset(position);
+        }
+        self.last_rendered = Axes::zeros();
+        self.controller.reset();
+        self.rendering.reset();
+        self.limiter.reset();
+        self.device_force = Axes::zeros();
+    }
+}
+
+/// What is known before the controllers decide.
+#[derive(Clone, Copy)]
+struct Perceived<const N: usize, S: Real> {
+    rendering: SaturatedForce<N, S>,
+    motion: Motion<N, S>,
+    seen: Observation<N, S>,
+}
+
+/// What the safety layer saw and decided at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SafetyTick<const N: usize> {
+    /// V and A.
+    pub motion: Motion<N>,
+    /// `F_v` in N as far as the device can render it: what the observers saw.
+    pub rendered_force: Axes<N>,
+    /// `F_h` in N; zero when no controller reads it.
+    pub grasp_force: Axes<N>,
+    /// `F_device` in N: what the device is to exert until the next tick.
+    pub device_force: Axes<N>,
+    /// `F_c` and the observers' values.
+    pub intervention: Intervention<N>,
+    /// Which bounds acted.
+    pub acted: Acted,
+    /// Energy in J that PC requested and the bounds kept it from dissipating.
+    pub owed_energy_j: f64,
+    /// Why the force is zero, if it is so because of a bad number. Stays until
+    /// [`SafetyLayer::reset`](SafetyLayer::reset).
+    pub fault: Option<Fault>,
+}
+
+/// What the safety layer saw and decided at one tick, in each lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Advance<const N: usize, S: Real = f64> {
+    /// V and A.
+    pub motion: Motion<N, S>,
+    /// `F_v` in N as far as the device can render it: what the observers saw.
+    pub rendered_force: Axes<N, S>,
+    /// `F_h` in N; zero when no controller reads it.
+    pub grasp_force: Axes<N, S>,
+    /// `F_v` in N as late as `F_h`.
+    pub aligned_rendered_force: Axes<N, S>,
+    /// `F_device` in N: what the device is to exert until the next tick.
+    pub device_force: Axes<N, S>,
+    /// `F_c` and the observers' values.
+    pub response: Response<N, S>,
+    /// `F_v` and where it was bounded.
+    pub rendering: SaturatedForce<N, S>,
+    /// `F_device` and where it was bounded.
+    pub limited: SaturatedForce<N, S>,
+    /// Energy in J that PC requested and the bounds kept it from dissipating.
+    pub owed_energy_j: S,
+}
+
+impl<const N: usize, S: Real> Advance<N, S> {
+    /// What the observers saw.
+    #[inline(always)]
+    pub fn seen(&self) -> Observation<N, S> {
+        Observation {
+            velocity: self.motion.velocity,
+            rendered_force: self.rendered_force,
+            grasp_force: self.grasp_force,
+            aligned_rendered_force: self.aligned_rendered_force,
+        }
+    }
+
+    /// The tick of one lane.
+    #[inline(always)]
+    pub fn lane(&self, lane: usize) -> SafetyTick<N> {
+        SafetyTick {
+            motion: Motion {
+                velocity: self.motion.velocity.extract(lane),
+                acceleration: self.motion.acceleration.extract(lane),
+            },
+            rendered_force: self.rendered_force.extract(lane),
+            grasp_force: self.grasp_force.extract(lane),
+            device_force: self.device_force.extract(lane),
+            intervention: self.response.lane(lane),
+            acted: self.rendering.acted(lane).and(self.limited.acted(lane)),
+            owed_energy_j: self.owed_energy_j.extract(lane),
+            fault: None,
+        }
+    }
+}
