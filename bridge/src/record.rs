@@ -1,6 +1,6 @@
 //! What a run leaves behind: one flat record per tick and side.
 
-use haptether_safety::{Axes, Fault};
+use haptether_safety::{Axes, Fault, controller::PerController};
 
 use crate::{
     endpoint::{Exchange, MasterTick, SlaveTick},
@@ -55,8 +55,8 @@ pub struct MasterRecord<const N: usize> {
     pub safety_force: Axes<N>,
     /// `F_device` in N.
     pub device_force: Axes<N>,
-    /// `S_vf`, `S_h`, `E_wso` in J; NaN where not observed.
-    pub observers: [f64; 3],
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where not observed.
+    pub observers: PerController<f64>,
     /// Who tripped, [`haptether_safety::controller::Tripped::bits`].
     pub tripped: u8,
     /// Which bounds acted, [`haptether_safety::Acted::bits`].
@@ -93,7 +93,7 @@ impl<const N: usize> MasterRecord<N> {
             grasp_force: zeros,
             safety_force: zeros,
             device_force: zeros,
-            observers: [f64::NAN; 3],
+            observers: PerController::repeat(f64::NAN),
             tripped: 0,
             acted: 0,
             state: LadderState::Disengaged,
@@ -130,7 +130,7 @@ impl<const N: usize> MasterRecord<N> {
             grasp_force: tick.safety.grasp_force,
             safety_force: intervention.safety_force,
             device_force: tick.safety.device_force,
-            observers: [intervention.velocity_force, intervention.grasp, intervention.windowed_energy_j],
+            observers: intervention.observed,
             tripped: intervention.tripped.bits(),
             acted: tick.safety.acted.bits(),
             state: tick.state,

@@ -7,7 +7,7 @@ use haptether_bridge::{
     live::{Granted, LoopReport},
     recorder::{Recorded, RecordingReport},
 };
-use haptether_safety::Axes;
+use haptether_safety::{Axes, controller::ControllerKind};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 
@@ -126,9 +126,9 @@ macro_rules! columns {
 
 columns!(MasterTrace, MasterRows, record, {
     time_s => seconds(record.time_ns),
-    velocity_force => record.observers[0],
-    grasp => record.observers[1],
-    windowed_energy_j => record.observers[2],
+    velocity_force => record.observers[ControllerKind::Vfc],
+    grasp => record.observers[ControllerKind::Hsc],
+    windowed_energy_j => record.observers[ControllerKind::Wsc],
     tripped => record.tripped,
     acted => record.acted,
     state => record.state.code(),

@@ -3,7 +3,8 @@
 use haptether_bridge::{DelayLine, LocalLoop, LocalTick, Watch};
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, SimulatedMaster};
 use haptether_safety::{
-    Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer, estimator::EstimatorKind,
+    Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer, controller::ControllerKind,
+    estimator::EstimatorKind,
 };
 use haptether_slave::{
     ArmParameters, PushShape, Pusher, RenderedPush, RenderedWall, RenderedWalls, SimulatedSlave, Wall,
@@ -93,7 +94,7 @@ impl PyHapticDevice {
 }
 
 impl PyHapticDevice {
-    /// The estimator that is taken when none is asked for: the default, for this encoder.
+    /// The estimator that is taken when none is given: the default, for this encoder.
     pub(crate) fn estimator(&self) -> EstimatorKind {
         match EstimatorKind::default() {
             EstimatorKind::Kalman { jerk_density, .. } if self.inner.encoder_quantum > 0.0 => {
@@ -288,10 +289,10 @@ impl LocalRecord {
             rendered_force: tick.asked_force[0],
             grasp_force: tick.grasp_force[0],
             device_force: tick.device_force[0],
-            velocity_force: intervention.velocity_force,
-            grasp: intervention.grasp,
-            windowed_energy_j: intervention.windowed_energy_j,
-            energy_j: intervention.energy_j,
+            velocity_force: intervention.observed[ControllerKind::Vfc],
+            grasp: intervention.observed[ControllerKind::Hsc],
+            windowed_energy_j: intervention.observed[ControllerKind::Wsc],
+            energy_j: intervention.observed[ControllerKind::Pc],
             tripped: intervention.tripped.bits(),
         }
     }

@@ -7,7 +7,8 @@ mod layer;
 mod limiter;
 mod observer;
 
-use pyo3::prelude::*;
+use haptether_safety::{About, controller::ControllerKind, estimator::ESTIMATORS, observer::OBSERVERS};
+use pyo3::{prelude::*, types::PyTuple};
 
 use controller::PySafetyController;
 pub(crate) use controller::PySafetySettings;
@@ -34,5 +35,14 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<layer::PySafetyTick>()?;
     module.add_class::<layer::PySafetyTicks>()?;
     module.add_function(wrap_pyfunction!(controller::fault_message, module)?)?;
+    let lists = [
+        ("CONTROLLERS", &ControllerKind::ALL.map(|kind| *kind.about()) as &[About]),
+        ("OBSERVERS", &OBSERVERS),
+        ("ESTIMATORS", &ESTIMATORS),
+    ];
+    for (name, list) in lists {
+        let rows = list.iter().map(|about| (about.name, about.title, about.source));
+        module.add(name, PyTuple::new(module.py(), rows.collect::<Vec<_>>())?)?;
+    }
     Ok(())
 }

@@ -10,7 +10,7 @@ use crate::{
 
 /// Bounds on the force that a device is commanded to exert.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(deny_unknown_fields))]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct LimiterSettings {
     /// Largest `|F|` in N.
     pub max_force_n: f64,

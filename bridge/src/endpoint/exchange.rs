@@ -1,6 +1,6 @@
 //! What both endpoints have: a link, a ladder, and what goes out next.
 
-use haptether_safety::{Axes, Fault};
+use haptether_safety::{Axes, Fault, controller::PerController};
 
 use crate::{
     fault_text::{FaultText, HeardText, SpokenText},
@@ -225,7 +225,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// What the observers of this side are held against.
-    pub(super) fn hold_against(&mut self, thresholds: [f64; 4]) {
+    pub(super) fn hold_against(&mut self, thresholds: PerController<f64>) {
         self.flight.hold_against(thresholds);
     }
 

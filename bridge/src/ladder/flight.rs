@@ -1,5 +1,6 @@
 //! The flight recorder: the last states and commands of a side, in a fixed room.
 
+use haptether_safety::controller::PerController;
 use serde::Serialize;
 
 use super::{
@@ -118,7 +119,7 @@ impl FlightRecorder {
     }
 
     /// What the observers of this side are held against, see [`super::thresholds`].
-    pub(crate) fn hold_against(&mut self, thresholds: [f64; 4]) {
+    pub(crate) fn hold_against(&mut self, thresholds: PerController<f64>) {
         self.interventions.hold_against(thresholds);
     }
 
@@ -405,11 +406,14 @@ mod tests {
 
     #[test]
     fn interventions_are_held_against_their_thresholds() {
-        use haptether_safety::controller::Tripped;
+        use haptether_safety::controller::{PerController, Tripped};
         let mut recorder = FlightRecorder::new("master");
-        recorder.hold_against([1.0, 1.5, -0.03, 0.0]);
+        recorder.hold_against(PerController([1.0, 1.5, -0.03, 0.0]));
         for (time_ns, tripped) in [(0, 0), (1_000_000_000, 2), (2_000_000_000, 0), (3_000_000_000, 2)] {
-            let observed = Observed { tripped: Tripped::from_bits(tripped), values: [0.0, 2.0, 0.0, 0.0] };
+            let observed = Observed {
+                tripped: Tripped::from_bits(tripped),
+                values: PerController([0.0, 2.0, 0.0, 0.0]),
+            };
             let entry = FlightEntry { observed, ..at(5 + time_ns) };
             recorder.take(entry, &History::default(), None);
         }

@@ -1,11 +1,7 @@
 //! The last interventions of the safety controllers, in a fixed room.
 
-use haptether_safety::controller::{Intervention, SafetySettings, Tripped};
+use haptether_safety::controller::{ControllerKind, Intervention, PerController, SafetySettings, Tripped};
 use serde::Serialize;
-
-/// The controllers, in the order in which [`Observed`] and the thresholds have their values.
-const CONTROLLERS: [(Tripped, &str); 4] =
-    [(Tripped::VFC, "S_vf"), (Tripped::HSC, "S_h"), (Tripped::WSC, "E_wso [J]"), (Tripped::PC, "E_so [J]")];
 
 /// What the safety controllers saw at a tick, and which of them tripped.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,23 +9,22 @@ pub struct Observed {
     /// Who tripped.
     pub tripped: Tripped,
     /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where not observed.
-    pub values: [f64; 4],
+    pub values: PerController<f64>,
 }
 
 impl Observed {
     /// A side without controllers.
-    pub const NOTHING: Self = Self { tripped: Tripped::NONE, values: [f64::NAN; 4] };
+    pub const NOTHING: Self = Self { tripped: Tripped::NONE, values: PerController::repeat(f64::NAN) };
 
     /// What is kept of an intervention.
     pub fn of<const N: usize>(seen: &Intervention<N>) -> Self {
-        let values = [seen.velocity_force, seen.grasp, seen.windowed_energy_j, seen.energy_j];
-        Self { tripped: seen.tripped, values }
+        Self { tripped: seen.tripped, values: seen.observed }
     }
 }
 
 /// What the observers are held against: 1 of Eq. 1, zeta of Eq. 8, delta of Eq. 10, 0 of Eq. 12.
-pub fn thresholds(settings: &SafetySettings) -> [f64; 4] {
-    [1.0, settings.grasp_threshold, settings.energy_threshold_j, 0.0]
+pub fn thresholds(settings: &SafetySettings) -> PerController<f64> {
+    PerController(ControllerKind::ALL.map(|kind| kind.threshold(settings)))
 }
 
 /// How many interventions are kept.
@@ -42,37 +37,42 @@ struct Span {
     ended_ns: u64,
     tripped: Tripped,
     /// Each observer at the tick at which its controller tripped first.
-    values: [f64; 4],
+    values: PerController<f64>,
 }
 
 impl Span {
-    const EMPTY: Self = Self { begun_ns: 0, ended_ns: 0, tripped: Tripped::NONE, values: [f64::NAN; 4] };
+    const EMPTY: Self =
+        Self { begun_ns: 0, ended_ns: 0, tripped: Tripped::NONE, values: PerController::repeat(f64::NAN) };
 
     fn take(&mut self, now_ns: u64, seen: &Observed) {
         self.ended_ns = now_ns;
-        for ((bit, _), (kept, value)) in CONTROLLERS.iter().zip(self.values.iter_mut().zip(seen.values)) {
-            if seen.tripped.contains(*bit) && !self.tripped.contains(*bit) {
-                *kept = value;
+        for kind in ControllerKind::ALL {
+            if seen.tripped.contains(Tripped::of(kind)) && !self.tripped.contains(Tripped::of(kind)) {
+                self.values[kind] = seen.values[kind];
             }
         }
-        self.tripped = Tripped::from_bits(self.tripped.bits() | seen.tripped.bits());
+        self.tripped = self.tripped.and(seen.tripped);
     }
 }
 
 /// The last interventions; nothing in it is allocated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Interventions {
-    thresholds: [f64; 4],
+    thresholds: PerController<f64>,
     spans: [Span; KEPT],
     count: usize,
     is_on: bool,
 }
 
 impl Interventions {
-    pub(super) const NONE: Self =
-        Self { thresholds: [f64::NAN; 4], spans: [Span::EMPTY; KEPT], count: 0, is_on: false };
+    pub(super) const NONE: Self = Self {
+        thresholds: PerController::repeat(f64::NAN),
+        spans: [Span::EMPTY; KEPT],
+        count: 0,
+        is_on: false,
+    };
 
-    pub(super) fn hold_against(&mut self, thresholds: [f64; 4]) {
+    pub(super) fn hold_against(&mut self, thresholds: PerController<f64>) {
         self.thresholds = thresholds;
     }
 
@@ -101,18 +101,18 @@ impl Interventions {
         (first..self.count)
             .map(|index| {
                 let span = &self.spans[index % KEPT];
-                let of = |place: usize, &(bit, observer): &(Tripped, &'static str)| {
-                    span.tripped.contains(bit).then(|| Trip {
-                        controller: bit.names().next().unwrap_or_default(),
-                        observer,
-                        observed: finite(span.values[place]),
-                        threshold: finite(self.thresholds[place]),
+                let trip = |kind: ControllerKind| {
+                    span.tripped.contains(Tripped::of(kind)).then(|| Trip {
+                        controller: kind.about().name,
+                        observer: kind.observed().symbol,
+                        observed: finite(span.values[kind]),
+                        threshold: finite(self.thresholds[kind]),
                     })
                 };
                 Row {
                     time_s: seconds(span.begun_ns),
                     until_s: seconds(span.ended_ns),
-                    trips: CONTROLLERS.iter().enumerate().filter_map(|(place, one)| of(place, one)).collect(),
+                    trips: ControllerKind::ALL.into_iter().filter_map(trip).collect(),
                 }
             })
             .collect()
@@ -144,20 +144,21 @@ mod tests {
     use super::*;
 
     fn seen(tripped: u8, grasp: f64, energy_j: f64) -> Observed {
-        Observed { tripped: Tripped::from_bits(tripped), values: [f64::NAN, grasp, energy_j, f64::NAN] }
+        let values = PerController([f64::NAN, grasp, energy_j, f64::NAN]);
+        Observed { tripped: Tripped::from_bits(tripped), values }
     }
 
     #[test]
     fn observers_are_held_against_what_their_controllers_have() {
         let settings =
             SafetySettings { grasp_threshold: 1.7, energy_threshold_j: -0.2, ..SafetySettings::default() };
-        assert_eq!(thresholds(&settings), [1.0, 1.7, -0.2, 0.0]);
+        assert_eq!(thresholds(&settings).0, [1.0, 1.7, -0.2, 0.0]);
     }
 
     #[test]
     fn an_intervention_keeps_what_each_controller_saw_when_it_tripped() {
         let mut kept = Interventions::NONE;
-        kept.hold_against([1.0, 1.5, -0.03, 0.0]);
+        kept.hold_against(PerController([1.0, 1.5, -0.03, 0.0]));
         // WSC trips, HSC joins, both are held, then all is well.
         let ticks = [
             seen(0, 1.0, 0.1),

@@ -1,5 +1,6 @@
 //! What stands in a recording, and what it means.
 
+use haptether_safety::controller::ControllerKind;
 use serde_json::json;
 
 use super::SecurityMark;
@@ -133,8 +134,11 @@ impl<const N: usize> Recorded for MasterRecord<N> {
     }
 
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
-        let [velocity_force, grasp, windowed_energy_j] = self.observers;
-        for field in [
+        let observed = ControllerKind::cancelling().map(|kind| {
+            let about = kind.observed();
+            (about.column, about.meaning, Value::Number(self.observers[kind]))
+        });
+        let signals = [
             ("time_ns", TIME, Value::Count(self.time_ns)),
             ("position", "x in m, as measured", Value::Axes(self.position.as_slice())),
             ("true_position", "x in m of a modelled device", Value::Axes(self.true_position.as_slice())),
@@ -144,9 +148,8 @@ impl<const N: usize> Recorded for MasterRecord<N> {
             ("grasp_force", "F_h in N, as estimated", Value::Axes(self.grasp_force.as_slice())),
             ("safety_force", "F_c in N", Value::Axes(self.safety_force.as_slice())),
             ("device_force", "F_device in N", Value::Axes(self.device_force.as_slice())),
-            ("velocity_force", "S_vf; null where not observed", Value::Number(velocity_force)),
-            ("grasp", "S_h; null where not observed", Value::Number(grasp)),
-            ("windowed_energy_j", "E_wso in J; null where not observed", Value::Number(windowed_energy_j)),
+        ];
+        let state = [
             ("tripped", "bits of the controllers that tripped", Value::Count(self.tripped.into())),
             ("acted", "bits of the limiter's bounds that acted", Value::Count(self.acted.into())),
             ("state", STATE, Value::Name(self.state.name())),
@@ -159,7 +162,8 @@ impl<const N: usize> Recorded for MasterRecord<N> {
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
             ("fault", FAULT, Value::Count(self.fault.into())),
-        ] {
+        ];
+        for field in signals.into_iter().chain(observed).chain(state) {
             take(field);
         }
     }

@@ -3,6 +3,8 @@ use std::{
     sync::{Mutex, mpsc},
 };
 
+use haptether_safety::controller::PerController;
+
 use super::*;
 use crate::{FaultText, LadderState, PeerCause, Reason, record::MasterRecord, wire::Role};
 
@@ -13,7 +15,7 @@ fn record(tick: u64) -> MasterRecord<2> {
     MasterRecord {
         time_ns: tick * 1_000_000,
         position: [tick as f64, -0.1].into(),
-        observers: [0.25, f64::NAN, f64::INFINITY],
+        observers: PerController([0.25, f64::NAN, f64::INFINITY, f64::NAN]),
         state: LadderState::Engaged,
         reason: 1,
         age_ns: u64::MAX,

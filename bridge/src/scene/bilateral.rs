@@ -6,7 +6,10 @@ use std::{
 };
 
 use haptether_netsim::{ClockSettings, EndpointClock};
-use haptether_safety::{Axes, Fault, controller::Tripped};
+use haptether_safety::{
+    Axes, Fault,
+    controller::{ControllerKind, Tripped},
+};
 use haptether_slave::SimulatedSlave;
 
 use super::{
@@ -256,8 +259,7 @@ impl<const N: usize> Watched<N> {
             self.samples[1] += 1;
         }
         let age_s = if record.age_ns == u64::MAX { f64::NAN } else { record.age_ns as f64 * 1e-9 };
-        let [velocity_force, grasp, windowed_energy_j] = record.observers;
-        self.near.take(&[
+        let signals = [
             ("time_s", Sample::Scalar(time_s)),
             ("position", Sample::Vector(&record.true_position)),
             ("measured_position", Sample::Vector(&record.position)),
@@ -267,13 +269,15 @@ impl<const N: usize> Watched<N> {
             ("grasp_force", Sample::Vector(&record.grasp_force)),
             ("safety_force", Sample::Vector(&record.safety_force)),
             ("device_force", Sample::Vector(&record.device_force)),
-            ("velocity_force", Sample::Scalar(velocity_force)),
-            ("grasp", Sample::Scalar(grasp)),
-            ("windowed_energy_j", Sample::Scalar(windowed_energy_j)),
+        ];
+        let observed = ControllerKind::cancelling()
+            .map(|kind| (kind.observed().column, Sample::Scalar(record.observers[kind])));
+        let state = [
             ("tripped", Sample::Scalar(f64::from(record.tripped))),
             ("state", Sample::Scalar(f64::from(record.state.code()))),
             ("age_s", Sample::Scalar(age_s)),
-        ]);
+        ];
+        self.near.take(signals.into_iter().chain(observed).chain(state));
         self.newest = Some(*record);
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
@@ -297,13 +301,16 @@ impl<const N: usize> Watched<N> {
             self.squares[0] += (record.position - *far - wanted).norm_squared();
             self.samples[0] += 1;
         }
-        self.far.take(&[
-            ("slave_time_s", Sample::Scalar(time_s)),
-            ("slave_position", Sample::Vector(&record.position)),
-            ("slave_command", Sample::Vector(&record.command)),
-            ("environment_force", Sample::Vector(&record.environment_force)),
-            ("slave_state", Sample::Scalar(f64::from(record.state.code()))),
-        ]);
+        self.far.take(
+            [
+                ("slave_time_s", Sample::Scalar(time_s)),
+                ("slave_position", Sample::Vector(&record.position)),
+                ("slave_command", Sample::Vector(&record.command)),
+                ("environment_force", Sample::Vector(&record.environment_force)),
+                ("slave_state", Sample::Scalar(f64::from(record.state.code()))),
+            ]
+            .into_iter(),
+        );
         ControlFlow::Continue(())
     }
 

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use haptether_master::SimulatedMaster;
-use haptether_safety::Real;
+use haptether_safety::{Real, controller::ControllerKind};
 use nalgebra::SimdBool as _;
 
 use super::{
@@ -262,7 +262,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
 #[inline]
 fn record<const N: usize>(recorder: &mut Recorder, time_s: f64, tick: &LocalTick<N>) {
     let intervention = tick.response.lane(0);
-    recorder.take(&[
+    let signals = [
         ("time_s", Sample::Scalar(time_s)),
         ("position", Sample::Vector(&tick.position)),
         ("velocity", Sample::Vector(&tick.velocity)),
@@ -272,10 +272,10 @@ fn record<const N: usize>(recorder: &mut Recorder, time_s: f64, tick: &LocalTick
         ("grasp_force", Sample::Vector(&tick.grasp_force)),
         ("safety_force", Sample::Vector(&intervention.safety_force)),
         ("device_force", Sample::Vector(&tick.device_force)),
-        ("velocity_force", Sample::Scalar(intervention.velocity_force)),
-        ("grasp", Sample::Scalar(intervention.grasp)),
-        ("windowed_energy_j", Sample::Scalar(intervention.windowed_energy_j)),
-        ("energy_j", Sample::Scalar(intervention.energy_j)),
-        ("tripped", Sample::Scalar(f64::from(intervention.tripped.bits()))),
-    ]);
+    ];
+    let observed = ControllerKind::ALL
+        .into_iter()
+        .map(|kind| (kind.observed().column, Sample::Scalar(intervention.observed[kind])));
+    let tripped = ("tripped", Sample::Scalar(f64::from(intervention.tripped.bits())));
+    recorder.take(signals.into_iter().chain(observed).chain([tripped]));
 }

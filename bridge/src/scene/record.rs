@@ -52,23 +52,24 @@ impl Recorder {
 
     /// Takes a tick: the same signals in the same order each time.
     #[inline]
-    pub(crate) fn take<const N: usize>(&mut self, samples: &[(&'static str, Sample<'_, N>)]) {
+    pub(crate) fn take<'a, const N: usize>(
+        &mut self,
+        samples: impl Iterator<Item = (&'static str, Sample<'a, N>)>,
+    ) {
         if self.every == 0 {
             return;
         }
-        if self.signals.is_empty() {
-            let signal = |(name, sample): &(&'static str, Sample<'_, N>)| {
-                let width = if matches!(sample, Sample::Vector(_)) { N } else { 1 };
-                let samples = usize::try_from(self.max_ticks.div_ceil(self.every)).unwrap_or(0);
-                Signal { name, width, values: Vec::with_capacity(samples * width) }
-            };
-            self.signals = samples.iter().map(signal).collect();
-        }
         if self.ticks.is_multiple_of(self.every) {
-            for (signal, (_, sample)) in self.signals.iter_mut().zip(samples) {
+            for (place, (name, sample)) in samples.enumerate() {
+                if place == self.signals.len() {
+                    let width = if matches!(sample, Sample::Vector(_)) { N } else { 1 };
+                    let room = usize::try_from(self.max_ticks.div_ceil(self.every)).unwrap_or(0);
+                    self.signals.push(Signal { name, width, values: Vec::with_capacity(room * width) });
+                }
+                let values = &mut self.signals[place].values;
                 match sample {
-                    Sample::Vector(vector) => signal.values.extend_from_slice(vector.as_slice()),
-                    Sample::Scalar(scalar) => signal.values.push(*scalar),
+                    Sample::Vector(vector) => values.extend_from_slice(vector.as_slice()),
+                    Sample::Scalar(scalar) => values.push(scalar),
                 }
             }
         }
@@ -197,13 +198,13 @@ mod tests {
         let mut recorder = Recorder::new(3, 10);
         for tick in 0..10 {
             let x = Axes::<2>::new(f64::from(tick), -1.0);
-            recorder.take(&[("t", Sample::Scalar(f64::from(tick))), ("x", Sample::Vector(&x))]);
+            recorder.take([("t", Sample::Scalar(f64::from(tick))), ("x", Sample::Vector(&x))].into_iter());
         }
         let signals = recorder.into_signals();
         assert_eq!(signals[0].values, [0.0, 3.0, 6.0, 9.0]);
         assert_eq!((signals[1].width, signals[1].values.len()), (2, 8));
         let mut nothing = Recorder::new(0, 10);
-        nothing.take::<1>(&[("t", Sample::Scalar(0.0))]);
+        nothing.take::<1>([("t", Sample::Scalar(0.0))].into_iter());
         assert!(nothing.into_signals().is_empty());
     }
 }

@@ -2,7 +2,7 @@
 
 use haptether_safety::{
     Axes, Fault,
-    controller::{ControllerKind, SafetyController, SafetySettings},
+    controller::{ControllerKind, Intervention, SafetyController, SafetySettings},
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
@@ -44,7 +44,8 @@ impl PySafetySettings {
         hold_off_s: f64,
         release_ramp_s: f64,
     ) -> PyResult<Self> {
-        let mut settings = SafetySettings {
+        let settings = SafetySettings {
+            controllers: controllers.iter().map(|name| named(name)).collect::<PyResult<_>>()?,
             damping,
             velocity_threshold,
             vfc_force_threshold_n,
@@ -58,27 +59,21 @@ impl PySafetySettings {
             pc_max_damping,
             hold_off_s,
             release_ramp_s,
-            ..SafetySettings::default()
         };
-        for name in &controllers {
-            let kind = match name.as_str() {
-                "vfc" => ControllerKind::Vfc,
-                "hsc" => ControllerKind::Hsc,
-                "wsc" => ControllerKind::Wsc,
-                "pc" => ControllerKind::Pc,
-                other => {
-                    let text = format!("controllers: {other:?} is none of \"vfc\", \"hsc\", \"wsc\", \"pc\"");
-                    return Err(PyValueError::new_err(text));
-                }
-            };
-            settings.controllers = settings.controllers.with(kind, true);
-        }
         Ok(Self { inner: settings })
     }
 
     fn __repr__(&self) -> String {
         format!("{:?}", self.inner)
     }
+}
+
+/// The controller with that name.
+fn named(name: &str) -> PyResult<ControllerKind> {
+    ControllerKind::ALL.into_iter().find(|kind| kind.about().name == name).ok_or_else(|| {
+        let names = ControllerKind::ALL.map(|kind| format!("{:?}", kind.about().name)).join(", ");
+        PyValueError::new_err(format!("controllers: {name:?} is none of {names}"))
+    })
 }
 
 per_axes!(
@@ -152,27 +147,20 @@ impl PySafetyController {
             if let Some(aligned) = &aligned_rendered_force {
                 seen.aligned_rendered_force = aligned.axes("aligned_rendered_force")?;
             }
-            Ok(match controller.step(&seen) {
-                Ok(step) => PyIntervention {
-                    safety_force: sample_out(py, &step.safety_force),
-                    device_force: sample_out(py, &(seen.rendered_force + step.safety_force)),
-                    tripped: step.tripped.bits(),
-                    fault: 0,
-                    velocity_force: step.velocity_force,
-                    grasp: step.grasp,
-                    windowed_energy_j: step.windowed_energy_j,
-                    energy_j: step.energy_j,
-                },
-                Err(fault) => PyIntervention {
-                    safety_force: sample_out(py, &Axes::<N>::zeros()),
-                    device_force: sample_out(py, &Axes::<N>::zeros()),
-                    tripped: 0,
-                    fault: fault.code(),
-                    velocity_force: f64::NAN,
-                    grasp: f64::NAN,
-                    windowed_energy_j: f64::NAN,
-                    energy_j: f64::NAN,
-                },
+            let (step, fault) = match controller.step(&seen) {
+                Ok(step) => (step, 0),
+                Err(fault) => (Intervention::none(), fault.code()),
+            };
+            let rendered = if fault == 0 { seen.rendered_force } else { Axes::zeros() };
+            Ok(PyIntervention {
+                safety_force: sample_out(py, &step.safety_force),
+                device_force: sample_out(py, &(rendered + step.safety_force)),
+                tripped: step.tripped.bits(),
+                fault,
+                velocity_force: step.observed[ControllerKind::Vfc],
+                grasp: step.observed[ControllerKind::Hsc],
+                windowed_energy_j: step.observed[ControllerKind::Wsc],
+                energy_j: step.observed[ControllerKind::Pc],
             })
         })
     }
@@ -193,50 +181,39 @@ impl PySafetyController {
         let (mut safety, mut device) = (Vec::with_capacity(size), Vec::with_capacity(size));
         let (mut tripped, mut faults) = (Vec::with_capacity(ticks), Vec::with_capacity(ticks));
         // A column that no observer fills is not kept.
-        let mut values: [Vec<f64>; 4] = Default::default();
-        let kept = with_axes!(&self.inner, AnyController, controller => controller.observed());
-        for (column, kept) in values.iter_mut().zip(kept) {
-            column.reserve_exact(if kept { ticks } else { 0 });
-        }
+        let kinds = with_axes!(&self.inner, AnyController, controller => controller.kinds());
+        let mut observed: Vec<_> = kinds.iter().map(|kind| (kind, Vec::with_capacity(ticks))).collect();
         py.detach(|| {
             with_axes!(&mut self.inner, AnyController, controller => {
                 for tick in 0..ticks {
-                    let observed = seen.at::<N>(tick);
-                    let numbers = match controller.step(&observed) {
-                        Ok(step) => {
-                            safety.extend_from_slice(step.safety_force.as_slice());
-                            device.extend_from_slice((observed.rendered_force + step.safety_force).as_slice());
-                            tripped.push(step.tripped.bits());
-                            faults.push(0);
-                            [step.velocity_force, step.grasp, step.windowed_energy_j, step.energy_j]
-                        }
-                        Err(fault) => {
-                            safety.extend_from_slice(&[0.0; N]);
-                            device.extend_from_slice(&[0.0; N]);
-                            tripped.push(0);
-                            faults.push(fault.code());
-                            [f64::NAN; 4]
-                        }
+                    let seen = seen.at::<N>(tick);
+                    let (step, rendered, fault) = match controller.step(&seen) {
+                        Ok(step) => (step, seen.rendered_force, 0),
+                        Err(fault) => (Intervention::none(), Axes::zeros(), fault.code()),
                     };
-                    for ((column, kept), number) in values.iter_mut().zip(kept).zip(numbers) {
-                        if kept {
-                            column.push(number);
-                        }
+                    safety.extend_from_slice(step.safety_force.as_slice());
+                    device.extend_from_slice((rendered + step.safety_force).as_slice());
+                    tripped.push(step.tripped.bits());
+                    faults.push(fault);
+                    for (kind, values) in &mut observed {
+                        values.push(step.observed[*kind]);
                     }
                 }
             });
         });
-        let [vfo, hgo, wso, so] = values;
-        let observed = |kept: bool, values: Vec<f64>| kept.then(|| column(py, values));
+        let mut column_of = |wanted: ControllerKind| {
+            let place = observed.iter().position(|(kind, _)| *kind == wanted)?;
+            Some(column(py, observed.swap_remove(place).1))
+        };
         Ok(PyInterventions {
             safety_force: seen.velocity.shaped(py, safety)?,
             device_force: seen.velocity.shaped(py, device)?,
             tripped: column(py, tripped),
             fault: column(py, faults),
-            velocity_force: observed(kept[0], vfo),
-            grasp: observed(kept[1], hgo),
-            windowed_energy_j: observed(kept[2], wso),
-            energy_j: observed(kept[3], so),
+            velocity_force: column_of(ControllerKind::Vfc),
+            grasp: column_of(ControllerKind::Hsc),
+            windowed_energy_j: column_of(ControllerKind::Wsc),
+            energy_j: column_of(ControllerKind::Pc),
         })
     }
 

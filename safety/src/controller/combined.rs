@@ -14,7 +14,7 @@ use crate::{
 ///
 /// A controller that is not asked for is not built, and an observer that no controller reads is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize))] // unknown keys are the table's to refuse: it flattens this
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // unknown keys are the table's to refuse: it flattens this
 pub struct SafetySettings {
     /// Which of them watch.
     pub controllers: Controllers,
@@ -106,7 +106,7 @@ impl<const N: usize> SafetyController<N> {
             Ok((value / period_s).round())
         };
         let controllers = Built::new(device, period_s, settings)?;
-        let damps = settings.controllers.iter().any(|kind| !kind.adds_force());
+        let damps = ControllerKind::cancelling().any(|kind| settings.controllers.contains(kind));
         let damping = dampable("damping", "mu", settings.damping, device, period_s, damps)?;
         Ok(Self {
             controllers,
@@ -157,13 +157,9 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let verdicts = if self.controllers.reads_aligned_force() {
-            self.controllers.step(&self.felt(seen))
-        } else {
-            self.controllers.step(seen)
-        };
-        let tripped = verdicts.tripped();
-        let is_unsafe = tripped.0.iter().fold(nowhere::<S>(), |any, one| any | *one);
+        let felt = if self.controllers.reads_aligned_force() { self.felt(seen) } else { *seen };
+        let verdicts = self.controllers.step(&felt);
+        let is_unsafe = verdicts.is_unsafe();
         let gain = self.gain(is_unsafe);
         self.let_through = all - gain;
         let is_on = gain.simd_gt(nothing);
@@ -172,9 +168,14 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             Axes::zeros, // not -0.0: records stay clean
         );
         let held = is_on & !is_unsafe;
-        let mut response =
-            Response { safety_force, acts: is_on, tripped, held, observed: verdicts.observed() };
-        verdicts.add_forces(gain, authority, &mut response);
+        let mut response = Response {
+            safety_force,
+            acts: is_on,
+            tripped: verdicts.tripped(),
+            held,
+            observed: verdicts.observed(),
+        };
+        verdicts.add_forces(&self.controllers, gain, authority, &mut response);
         response
     }
 

@@ -16,7 +16,7 @@ macro_rules! controllers {
 
         /// A controller.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        #[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "snake_case"))]
+        #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(rename_all = "snake_case"))]
         pub enum ControllerKind {
             $($(#[$doc])* $kind,)+
         }
@@ -84,8 +84,8 @@ macro_rules! controllers {
             fn step(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
                 Verdicts {
                     $($file: match &mut self.$file {
-                        Some(controller) => Some(controller.step(seen)),
-                        None => None,
+                        Some(controller) => controller.step(seen),
+                        None => Verdict::without_force(S::splat(f64::NAN), nowhere::<S>()),
                     },)+
                 }
             }
@@ -129,37 +129,35 @@ macro_rules! controllers {
             }
         }
 
-        /// What those that watch make of one tick.
+        /// What each makes of one tick; of one that is not built, NaN and nothing.
         struct Verdicts<const N: usize, S: Real> {
-            $($file: Option<Verdict<N, S>>,)+
+            $($file: Verdict<N, S>,)+
         }
 
         impl<const N: usize, S: Real> Verdicts<N, S> {
             /// Where each calls the tick unsafe.
             #[inline(always)]
             fn tripped(&self) -> PerController<S::SimdBool> {
-                PerController([$(match &self.$file {
-                    Some(verdict) => verdict.is_unsafe,
-                    None => nowhere::<S>(),
-                }),+])
+                PerController([$(self.$file.is_unsafe),+])
             }
 
-            /// The observers' values, NaN without.
+            /// Where any of them does.
+            #[inline(always)]
+            fn is_unsafe(&self) -> S::SimdBool {
+                nowhere::<S>() $(| self.$file.is_unsafe)+
+            }
+
+            /// The observers' values.
             #[inline(always)]
             fn observed(&self) -> PerController<S> {
-                PerController([$(match &self.$file {
-                    Some(verdict) => verdict.observed,
-                    None => S::splat(f64::NAN),
-                }),+])
+                PerController([$(self.$file.observed),+])
             }
 
             /// Adds the force of each that has one, in the share `1 - gain` that an intervention leaves.
             #[inline(always)]
-            fn add_forces(&self, gain: S, authority: S, response: &mut Response<N, S>) {
-                $(if $controller::<N, S>::ADDS_FORCE {
-                    if let Some(verdict) = &self.$file {
-                        response.add_force(ControllerKind::$kind, &verdict.force, gain, authority);
-                    }
+            fn add_forces(&self, built: &Built<N, S>, gain: S, authority: S, response: &mut Response<N, S>) {
+                $(if $controller::<N, S>::ADDS_FORCE && built.$file.is_some() {
+                    response.add_force(ControllerKind::$kind, &self.$file.force, gain, authority);
                 })+
             }
         }
@@ -171,6 +169,11 @@ pub(super) use controllers;
 const COUNT: usize = ControllerKind::ALL.len();
 
 impl ControllerKind {
+    /// Those that call for `-F_v - mu V`, whose values every record of a master has.
+    pub fn cancelling() -> impl Iterator<Item = Self> {
+        Self::ALL.into_iter().filter(|kind| !kind.adds_force())
+    }
+
     /// Its bit in [`Tripped`]; that of [`Tripped::HELD`], after the first four, belongs to no controller.
     const fn bit(self) -> u8 {
         let place = self as u8;
@@ -210,7 +213,12 @@ impl<T> IndexMut<ControllerKind> for PerController<T> {
 
 /// A set of controllers; in JSON the list of their names.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(from = "Vec<ControllerKind>"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(from = "Vec<ControllerKind>"),
+    schemars(with = "Vec<ControllerKind>")
+)]
 pub struct Controllers(u8);
 
 impl Controllers {

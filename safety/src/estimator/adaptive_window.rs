@@ -146,7 +146,11 @@ impl<const N: usize> From<AdaptiveWindow<N>> for Box<[AdaptiveWindow<N>]> {
 
 /// The line whose slope is the estimate; it passes through the newest sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum Fit {
     /// Slope of the chord from the oldest to the newest sample of the window.
     #[default]

@@ -30,7 +30,7 @@ macro_rules! estimators {
         #[derive(Clone, Copy, Debug, PartialEq)]
         #[cfg_attr(
             feature = "serde",
-            derive(serde::Deserialize),
+            derive(serde::Deserialize, schemars::JsonSchema),
             serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)
         )]
         pub enum EstimatorKind {

@@ -10,7 +10,11 @@ use crate::{
 
 /// How velocity and force are held against their thresholds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(rename_all = "kebab-case"))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Deserialize, schemars::JsonSchema),
+    serde(rename_all = "kebab-case")
+)]
 pub enum VelocityForceForm {
     /// `S_vf = V·F_v / (V_t F_t)`: Eq. 1 as printed. A large force trips it well below `V_t`.
     #[default]
