@@ -1,6 +1,11 @@
 """Safety observers, controllers and limits that stand between a remote push and a hand."""
 
+from typing import Literal, TypeAlias
+
 from haptether._core import (
+    CONTROLLERS,
+    ESTIMATORS,
+    OBSERVERS,
     DeviceModel,
     Estimator,
     EstimatorKind,
@@ -21,7 +26,14 @@ from haptether._core import (
     fault_message,
 )
 
+ControllerName: TypeAlias = Literal["vfc", "hsc", "wsc", "pc"]
+"""The names of `CONTROLLERS`, for scenes and type checkers."""
+
 __all__ = [
+    "CONTROLLERS",
+    "ESTIMATORS",
+    "OBSERVERS",
+    "ControllerName",
     "DeviceModel",
     "Estimator",
     "EstimatorKind",

@@ -328,7 +328,7 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
             yield wrong(("master", "position"), master["position"][axis], allowed)
     most = max_damping(master["mass_kg"], run["period_s"])
     allowed = f"at most m / (5 dT) = {most:g}"
-    if {"vfc", "hsc", "wsc"} & set(safety["controllers"]) and safety["damping"] > most:
+    if set(safety["controllers"]) - {"pc"} and safety["damping"] > most:
         yield wrong(("safety", "damping"), safety["damping"], allowed)
     if "pc" in safety["controllers"] and safety["pc_max_damping"] > most:
         yield wrong(("safety", "pc_max_damping"), safety["pc_max_damping"], allowed)

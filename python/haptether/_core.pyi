@@ -20,7 +20,12 @@ from typing import Any, ClassVar, Literal, TypeAlias, final, overload
 import numpy as np
 import numpy.typing as npt
 
+from haptether.safety import ControllerName
+
 __all__ = [
+    "CONTROLLERS",
+    "ESTIMATORS",
+    "OBSERVERS",
     "Arm",
     "DeviceModel",
     "DirectionStatistics",
@@ -92,6 +97,13 @@ _Sample: TypeAlias = float | Sequence[float] | _Array
 _Rows: TypeAlias = tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float]]
 
 __version__: str
+
+CONTROLLERS: tuple[tuple[str, str, str], ...]
+"""Name, title and source of each safety controller, in the order of the bits of `tripped`."""
+OBSERVERS: tuple[tuple[str, str, str], ...]
+"""Name, title and source of each safety observer."""
+ESTIMATORS: tuple[tuple[str, str, str], ...]
+"""Name, title and source of each estimator of velocity and acceleration."""
 """Version of the distribution, as in `pip show haptether`."""
 
 # ---------------------------------------------------------------------------------------------- safety
@@ -439,7 +451,7 @@ class SafetyObserver:
         """
 
     def reset(self) -> None:
-        """Forgets all energy."""
+        """Clears all energy."""
 
 @final
 class WindowedSafetyObserver:
@@ -493,7 +505,7 @@ class WindowedSafetyObserver:
         """
 
     def reset(self) -> None:
-        """Forgets all energy."""
+        """Clears all energy."""
 
 @final
 class PassivityObserver:
@@ -537,7 +549,7 @@ class PassivityObserver:
         """
 
     def reset(self) -> None:
-        """Forgets all energy and the last position."""
+        """Clears all energy and the last position."""
 
 @final
 class SafetySettings:
@@ -571,7 +583,7 @@ class SafetySettings:
 
     def __new__(
         cls,
-        controllers: Sequence[Literal["vfc", "hsc", "wsc", "pc"]] = ...,
+        controllers: Sequence[ControllerName] = ...,
         *,
         damping: float = 5.0,
         velocity_threshold: float = 0.6,
@@ -660,7 +672,7 @@ class SafetyController:
         """
 
     def reset(self) -> None:
-        """Forgets all energy and ends any intervention."""
+        """Clears all energy and ends any intervention."""
 
 @final
 class Intervention:

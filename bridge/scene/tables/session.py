@@ -29,6 +29,7 @@ from haptether.bridge.scene.tables.ranges import (
 )
 from haptether.bridge.scene.tables.slave import EnvironmentTable, SlaveTable
 from haptether.netsim import LinkSettings
+from haptether.safety import ControllerName
 
 
 class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -222,7 +223,7 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     Source: paper section 4 (thresholds).
     """
 
-    controllers: tuple[Literal["vfc", "hsc", "wsc", "pc"], ...] = ()
+    controllers: tuple[ControllerName, ...] = ()
     """Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12); by default nobody."""
     signals: Literal["estimated", "true"] = "estimated"
     """What the observers are told: what the estimator makes of measured positions, as live, or the model's own."""

@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class List:
-    """Say what there is to name: drivers of devices, presets of devices, scenes, networks.
+    """Say what there is to name: drivers of devices, presets of devices, scenes, networks, and who watches a hand.
 
     Drivers are entry points of the groups `haptether.masters` and `haptether.slaves`; other packages that are installed
     may bring more.
@@ -33,6 +33,7 @@ class List:
         from haptether.cli.shared.screen import screen
         from haptether.master import DEVICE_PRESETS
         from haptether.netsim import PRESETS
+        from haptether.safety import CONTROLLERS, ESTIMATORS, OBSERVERS
 
         check_target(self.json)
         kinds: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -42,9 +43,20 @@ class List:
             "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
         }
+        registries = {
+            "[safety] controllers": ("what intervenes when the hand is not safe", CONTROLLERS),
+            "observer": ("what the controllers act on", OBSERVERS),
+            "[safety.estimator] kind": ("how velocity and acceleration are had from the position", ESTIMATORS),
+        }
         console = screen(self.json)
         for key, (what, names) in kinds.items():
             console.print(f"{key}: {what}", style="bold")
             console.print(Padding(", ".join(names) or "-", (0, 0, 0, 2)))
-        write_report(self.json, {key: list(names) for key, (_, names) in kinds.items()})
+        for key, (what, registry) in registries.items():
+            console.print(f"{key}: {what}", style="bold")
+            for name, title, source in registry:
+                console.print(Padding(f"{name}: {title} ({source})", (0, 0, 0, 2)))
+        report = {key: list(names) for key, (_, names) in kinds.items()}
+        report |= {key: [name for name, _, _ in registry] for key, (_, registry) in registries.items()}
+        write_report(self.json, report)
         return 0
