@@ -155,7 +155,7 @@ class DeviceModel:
     def grasp_force(self, velocity: _Array, acceleration: _Array, aligned_device_force: _Array) -> _Array:
         """Force of the hand on the device: `F_h = m A + b V + c sign(V) - F_device`.
 
-        The paper subtracts F_v. F_device is all the force the device was told to exert, F_v + F_c: with
+        The paper subtracts F_v. F_device is all the force that the device was commanded to exert, F_v + F_c: with
         F_v alone the controller's own force would look like a hand.
 
         Args:
@@ -411,7 +411,7 @@ class SafetyObserver:
 
     `E_so(n) = dT sum_{i=1..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 
-    It never forgets, so a long press hides a later ejection.
+    It keeps all energy, so a long press hides a later ejection.
 
     Args:
         device: M, and the number of axes.
@@ -634,7 +634,7 @@ class SafetyController:
     ) -> Intervention:
         """F_c of one tick.
 
-        A number that is not finite or absurd is no error here: it gives a fault and zero force, and
+        A number that is not finite or absurd is no error here: it returns a fault and zero force, and
         changes no state.
 
         Args:
@@ -751,7 +751,7 @@ class Interventions:
 
 @final
 class LimiterSettings:
-    """Bounds on the force that a device is told to exert; checked where a limiter is built.
+    """Bounds on the force that a device is commanded to exert; checked where a limiter is built.
 
     Args:
         max_force_n: Largest |F| in N, above 0; a PHANTOM Desktop exerts 7.9 N.
@@ -794,7 +794,7 @@ class Limiter:
         """Limits the force of one tick.
 
         Args:
-            force: Force in N that is asked for.
+            force: Requested force in N.
             velocity: V in m/s.
 
         Returns:
@@ -828,7 +828,7 @@ def fault_message(code: int) -> str | None:
 
 @final
 class SafetyLayer:
-    """Estimator, grasp force, observers, controllers and limiter: the whole chain of one master tick.
+    """Estimator, grasp force, observers, controllers and limiter: the whole pipeline of one master tick.
 
     The same code runs in the live endpoint. Keeps its state from call to call.
 
@@ -859,7 +859,7 @@ class SafetyLayer:
         """Number of axes."""
 
     def step(self, position: _Sample, rendered_force: _Sample, velocity: _Sample | None = None) -> SafetyTick:
-        """One tick. A number that is not finite or absurd gives zero force and a fault that stays.
+        """One tick. A number that is not finite or absurd returns zero force and a fault that stays.
 
         Args:
             position: x in m.
@@ -926,7 +926,7 @@ class SafetyTick:
 
     @property
     def owed_energy_j(self) -> float:
-        """Energy in J that PC asked for and the bounds kept it from dissipating."""
+        """Energy in J that PC requested and the bounds kept it from dissipating."""
 
 @final
 class SafetyTicks:
@@ -970,7 +970,7 @@ class SafetyTicks:
 
     @property
     def owed_energy_j(self) -> _Array:
-        """Energy in J that PC asked for and the bounds kept it from dissipating, shape `(n_ticks,)`."""
+        """Energy in J that PC requested and the bounds kept it from dissipating, shape `(n_ticks,)`."""
 
 # ---------------------------------------------------------------------------------------------- master
 

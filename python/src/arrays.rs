@@ -116,7 +116,7 @@ impl Sample {
     }
 
     /// As a parameter of `N` axes: one value serves all.
-    pub(crate) fn spread<const N: usize>(&self, name: &str) -> PyResult<Axes<N>> {
+    pub(crate) fn broadcast<const N: usize>(&self, name: &str) -> PyResult<Axes<N>> {
         match self {
             Self::One(value) => Ok(Axes::repeat(*value)),
             Self::Many(_) => self.axes(name),

@@ -46,7 +46,7 @@ impl<const N: usize> DeviceModel<N> {
         Self { mass: Axes::repeat(0.157), viscous: Axes::repeat(-0.005), coulomb: Axes::repeat(0.038) }
     }
 
-    /// The least of the masses: it bounds the damping that a sampled controller may apply.
+    /// The smallest of the masses: it bounds the damping that a sampled controller may apply.
     pub fn lightest_kg(&self) -> f64 {
         self.mass.min()
     }

@@ -78,7 +78,7 @@ impl<const N: usize> SafetyLayer<N> {
     /// One tick: position x in m, velocity V in m/s if the device measures it (at every tick or at none), `F_v`
     /// in N.
     ///
-    /// A number that is not finite or absurd gives zero force at this tick and a fault that stays until
+    /// A number that is not finite or absurd returns zero force at this tick and a fault that stays until
     /// [`reset`](Self::reset).
     pub fn tick(
         &mut self,

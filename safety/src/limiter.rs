@@ -280,16 +280,16 @@ mod tests {
     fn the_ramp_is_a_line_from_zero() {
         let settings = LimiterSettings { ramp_in_s: 8e-3, ..OPEN };
         let mut limiter = Limiter::<2>::new(1e-3, settings).unwrap();
-        let asked = Axes::<2>::new(3.0, -4.0);
+        let requested = Axes::<2>::new(3.0, -4.0);
         for tick in 0..20_u8 {
-            let Limited { force, acted } = limiter.step(&asked, &Axes::zeros());
+            let Limited { force, acted } = limiter.step(&requested, &Axes::zeros());
             // Eighths are exact.
-            assert_eq!(force, asked * (f64::from(tick.min(8)) / 8.0));
+            assert_eq!(force, requested * (f64::from(tick.min(8)) / 8.0));
             assert_eq!(acted.contains(Acted::RAMP), tick < 8);
         }
         limiter.reset();
-        assert_eq!(limiter.step(&asked, &Axes::zeros()).force, Axes::<2>::zeros());
-        assert_eq!(limiter.step(&asked, &Axes::zeros()).force, asked / 8.0);
+        assert_eq!(limiter.step(&requested, &Axes::zeros()).force, Axes::<2>::zeros());
+        assert_eq!(limiter.step(&requested, &Axes::zeros()).force, requested / 8.0);
     }
 
     #[test]
@@ -313,7 +313,7 @@ mod tests {
     #[test]
     fn each_bound_reports_itself() {
         let still = Axes::<1>::zeros();
-        let asked = Axes::<1>::new(10.0);
+        let requested = Axes::<1>::new(10.0);
         for (settings, velocity, force, bound) in [
             (LimiterSettings { max_force_n: 4.0, ..OPEN }, still, 4.0, Acted::NORM),
             (LimiterSettings { max_slew_n_per_s: 500.0, ..OPEN }, still, 0.5, Acted::SLEW),
@@ -321,7 +321,7 @@ mod tests {
             (LimiterSettings { ramp_in_s: 0.01, ..OPEN }, still, 0.0, Acted::RAMP),
             (OPEN, still, 10.0, Acted(0)),
         ] {
-            let limited = Limiter::new(1e-3, settings).unwrap().step(&asked, &velocity);
+            let limited = Limiter::new(1e-3, settings).unwrap().step(&requested, &velocity);
             assert!((limited.force[0] - force).abs() < 1e-12, "{settings:?}");
             assert_eq!(limited.acted, bound, "{settings:?}");
         }
@@ -361,9 +361,9 @@ mod tests {
             };
             let mut limiter = Limiter::<3>::new(1e-3, settings).unwrap();
             let mut last = Axes::<3>::zeros();
-            for (asked, velocity) in ticks {
-                let (asked, velocity) = (Axes::from(asked), Axes::from(velocity));
-                let Limited { force, acted } = limiter.step(&asked, &velocity);
+            for (requested, velocity) in ticks {
+                let (requested, velocity) = (Axes::from(requested), Axes::from(velocity));
+                let Limited { force, acted } = limiter.step(&requested, &velocity);
                 prop_assert!(force.norm() <= 7.9 * (1.0 + 1e-12));
                 prop_assert!(force.dot(&velocity) <= 5.0 + 1e-9);
                 if !acted.contains(Acted::POWER) {
@@ -376,7 +376,7 @@ mod tests {
         /// The limiter knows no axes: limiting a rotated force gives the rotated limited force.
         #[test]
         fn rotates_with_the_frame(
-            asked in prop::array::uniform2(-20.0..20.0f64),
+            requested in prop::array::uniform2(-20.0..20.0f64),
             velocity in prop::array::uniform2(-3.0..3.0f64),
             angle in 0.0..6.3f64,
         ) {
@@ -384,10 +384,10 @@ mod tests {
             let settings = LimiterSettings { max_power_w: 2.0, ramp_in_s: 0.0, ..LimiterSettings::default() };
             let mut straight = Limiter::<2>::new(1e-3, settings).unwrap();
             let mut turned = straight.clone();
-            let (asked, velocity) = (Axes::from(asked), Axes::from(velocity));
+            let (requested, velocity) = (Axes::from(requested), Axes::from(velocity));
             for _ in 0..12 {
-                let a = straight.step(&asked, &velocity).force;
-                let b = turned.step(&(rotation * asked), &(rotation * velocity)).force;
+                let a = straight.step(&requested, &velocity).force;
+                let b = turned.step(&(rotation * requested), &(rotation * velocity)).force;
                 prop_assert!((rotation * a - b).norm() < 1e-9);
             }
         }

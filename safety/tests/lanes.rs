@@ -27,7 +27,7 @@ const LANES: usize = AutoF64x8::LANES;
 type Sample = [[f64; 3]; 4];
 type Tick = [Sample; LANES];
 
-/// What enters the chain at a tick.
+/// What enters the pipeline at a tick.
 #[derive(Clone, Copy)]
 struct Input<const N: usize, S: Real = f64> {
     position: Axes<N, S>,

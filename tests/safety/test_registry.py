@@ -99,7 +99,10 @@ impl<const N: usize, S: Real> Controller<N, S> for SpeedController<N, S> {
     }
 }
 """
-USE = """use haptether_safety::{
+USE = """//! The controller that was added.
+#![allow(clippy::unwrap_used)] // a test may
+
+use haptether_safety::{
     Axes, DeviceModel, Observation,
     controller::{ControllerKind, SafetyController, SafetySettings, Tripped},
 };
@@ -119,7 +122,7 @@ fn it_has_a_name_a_bit_and_a_column_and_it_intervenes() {
         assert_eq!(gathered.respond(&seen, 1.0).lane(0).safety_force, step.safety_force);
         assert_eq!((step.observed[kind], step.tripped == Tripped::of(kind)), (speed, trips));
         let force = if trips { [-2.0, -5.0 * speed] } else { [0.0; 2] };
-        assert_eq!(step.safety_force, force.into());
+        assert_eq!(step.safety_force, Axes::from(force));
     }
 }
 """

@@ -29,9 +29,9 @@ impl PyDeviceModel {
             axes,
             AnyDevice,
             DeviceModel::<N>::new(
-                mass_kg.spread("mass_kg")?,
-                viscous.spread("viscous")?,
-                coulomb.spread("coulomb")?,
+                mass_kg.broadcast("mass_kg")?,
+                viscous.broadcast("viscous")?,
+                coulomb.broadcast("coulomb")?,
             )
             .map_err(refuse)?
         );

@@ -73,12 +73,12 @@ impl PyLimiter {
         py.detach(|| {
             with_axes!(&mut self.inner, AnyLimiter, limiter => {
                 for tick in 0..force.ticks {
-                    let (asked, moving) = (force.at::<N>(tick), velocity.at(tick));
+                    let (requested, moving) = (force.at::<N>(tick), velocity.at(tick));
                     Signal::RenderedForce
-                        .check(&asked)
+                        .check(&requested)
                         .and_then(|()| Signal::Velocity.check(&moving))
                         .map_err(|fault| PyValueError::new_err(format!("tick {tick}: {fault}")))?;
-                    let step = limiter.step(&asked, &moving);
+                    let step = limiter.step(&requested, &moving);
                     limited.extend_from_slice(step.force.as_slice());
                     acted.push(step.acted.bits());
                 }

@@ -12,7 +12,7 @@ use crate::{
 
 /// Which controllers watch, their thresholds, and how an intervention begins and ends.
 ///
-/// A controller that is not asked for is not built, and an observer that no controller reads is not computed.
+/// A controller that does not watch is not built, and an observer that no controller reads is not computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // unknown keys are the table's to refuse: it flattens this
 pub struct SafetySettings {
@@ -42,7 +42,7 @@ pub struct SafetySettings {
     pub pc_max_damping: f64,
     /// Least duration of an intervention in s.
     pub hold_off_s: f64,
-    /// Time in s over which an intervention fades out; 0 gives the rendered force back as a step.
+    /// Time in s over which an intervention fades out; 0 returns the rendered force as a step.
     pub release_ramp_s: f64,
 }
 
@@ -93,7 +93,7 @@ impl<const N: usize> SafetyController<N> {
     /// Longest hold-off or ramp in s.
     pub const MAX_HOLD_S: f64 = 60.0;
 
-    /// Builds what `settings` asks for, for a device sampled every `period_s`.
+    /// Builds what `settings` name, for a device sampled every `period_s`.
     pub fn new(
         device: &DeviceModel<N>,
         period_s: f64,

@@ -1,4 +1,4 @@
-//! Backward differences: the least late estimator, and the one that lets all quantisation through.
+//! Backward differences: the estimator that lags least, and the one that lets all quantisation through.
 
 use super::{Estimator, Motion};
 use crate::lanes::{option, pack, shared};

@@ -49,8 +49,8 @@ impl<const N: usize> SavitzkyGolay<N> {
     pub fn new(period_s: f64, degree: usize, window: usize) -> Result<Self, ParameterError> {
         positive("period_s", "dT", period_s)?;
         in_range("degree", "p", degree as f64, 2.0, 3.0, "2 or 3")?;
-        let (least, most) = (degree as f64 + 1.0, MAX_WINDOW as f64);
-        in_range("window", "w", window as f64, least, most, "above the degree and at most 128")?;
+        let (min, max) = (degree as f64 + 1.0, MAX_WINDOW as f64);
+        in_range("window", "w", window as f64, min, max, "above the degree and at most 128")?;
         let [velocity_weights, acceleration_weights] = end_point_weights(degree, window);
         Ok(Self {
             period_s,

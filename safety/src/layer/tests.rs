@@ -100,8 +100,8 @@ fn a_bounded_force_is_no_release() {
     let mut layer = SafetyLayer::new(&LayerSettings { limiter, ..settings(safety) }).unwrap();
     let still = Axes::<1>::zeros();
     for n in 0..300 {
-        let asked = Axes::<1>::new(if n < 100 { 1.0 } else { 30.0 });
-        let tick = layer.tick(&still, Some(&still), &asked);
+        let requested = Axes::<1>::new(if n < 100 { 1.0 } else { 30.0 });
+        let tick = layer.tick(&still, Some(&still), &requested);
         assert!(
             !tick.intervention.tripped.any(),
             "tick {n}: S_h = {}",

@@ -35,7 +35,7 @@ pub const OBSERVERS: [About; 5] = [
 pub struct Observation<const N: usize, S = f64> {
     /// V in m/s.
     pub velocity: Axes<N, S>,
-    /// `F_v` in N: what the remote side asks to be felt.
+    /// `F_v` in N: what the remote side requests.
     pub rendered_force: Axes<N, S>,
     /// `F_h` in N: estimated force of the hand on the device (Eq. 4).
     pub grasp_force: Axes<N, S>,

@@ -12,7 +12,7 @@ use crate::{
 ///
 /// `E_so(n) = dT sum_{i=1..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 ///
-/// It never forgets, so a long press hides a later ejection; the windowed observer exists for that.
+/// It keeps all energy, so a long press hides a later ejection; the windowed observer exists for that.
 ///
 /// Source: paper Eq. 9.
 #[derive(Clone, Debug, PartialEq)]

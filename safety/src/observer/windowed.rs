@@ -149,16 +149,16 @@ mod tests {
         const WINDOW: usize = 100;
         const SPIKE_EVERY: usize = 1_000_000;
         let mut observer = observer(WINDOW);
-        let mut plain = 0.0;
-        let mut plain_ring = [0.0; WINDOW];
+        let mut raw = 0.0;
+        let mut raw_ring = [0.0; WINDOW];
         let mut state = 1;
         let mut worst: f64 = 0.0;
         for n in 0..100_000_000 {
             let size = if n % SPIKE_EVERY == 0 { 1e6 } else { 1.0 };
             let power = 10.0 * size * noise(&mut state);
             observer.push(power);
-            plain += power - plain_ring[n % WINDOW];
-            plain_ring[n % WINDOW] = power;
+            raw += power - raw_ring[n % WINDOW];
+            raw_ring[n % WINDOW] = power;
             // The spike leaves the ring after WINDOW ticks; one further window is allowed.
             if n % SPIKE_EVERY == 2 * WINDOW {
                 let sum: f64 = observer.power.iter().sum();
@@ -166,7 +166,7 @@ mod tests {
             }
         }
         assert!(worst < 1e-11, "{worst:e} J");
-        let sum: f64 = plain_ring.iter().sum();
-        assert!(1e-3 * (plain - sum).abs() > 1e-11, "the plain sum would have done");
+        let sum: f64 = raw_ring.iter().sum();
+        assert!(1e-3 * (raw - sum).abs() > 1e-11, "the plain sum would have done");
     }
 }
