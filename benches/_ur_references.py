@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.slave import QuadraticProgram
-from haptether.slave.ur_chain import DhRows, cos_sin
+from haptether.slave.ur.kinematics.chain import DhRows, cos_sin
 
 Array = npt.NDArray[np.float64]
 Extended = npt.NDArray[np.longdouble]

@@ -42,7 +42,7 @@ from haptether.slave import (
     model_limits,
     ur_model,
 )
-from haptether.slave.ur_chain import dh_rows
+from haptether.slave.ur.kinematics.chain import dh_rows
 
 Array = npt.NDArray[np.float64]
 Work = Callable[[int], object]

@@ -7,8 +7,10 @@ from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
 from haptether.slave.device import SlaveDevice, SlaveSample
 
 if TYPE_CHECKING:
-    from haptether.slave.quadratic_solver import QuadraticProgram
-    from haptether.slave.streaming_limits import (
+    from haptether.slave.ur.driver import UrSlave
+    from haptether.slave.ur.kinematics.arm import Rates, UrKinematics
+    from haptether.slave.ur.kinematics.calibration import UrCalibration, read_calibration
+    from haptether.slave.ur.kinematics.constraints import (
         SelfKeepOut,
         StreamingCost,
         StreamingLimits,

@@ -133,6 +133,7 @@ class UrEmulator:
             raise ValueError(message)
 
     def _controller(self) -> "tuple[Controller, ToolEnvironment]":
+        from haptether.slave.ur.kinematics.models import ur_model
         from haptether.slave.ur_emulator import (
             Controller,
             ControllerSettings,
@@ -140,7 +141,6 @@ class UrEmulator:
             ToolEnvironment,
             WrenchSensing,
         )
-        from haptether.slave.ur_models import ur_model
 
         environment = ToolEnvironment(self._scene())
         settings = ControllerSettings(

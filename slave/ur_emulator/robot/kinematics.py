@@ -12,7 +12,7 @@ from haptether.slave.ur_kinematics import UrKinematics
 from haptether.slave.ur_pose import pose_from_transform, transform_from_pose
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_models import UrModel
+    from haptether.slave.ur.kinematics.models import UrModel
 
 Array = npt.NDArray[np.float64]
 Joints = tuple[float, ...]

@@ -15,7 +15,7 @@ from haptether.slave.ur_emulator.script.program import ScriptError, Thread
 from haptether.slave.ur_pose import pose_from_transform
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_models import UrModel
+    from haptether.slave.ur.kinematics.models import UrModel
 
 MAX_ACCELERATION: Final = 50.0
 """rad/s² of a joint at its largest torque: its inertia is that torque over this."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.ur.virtual import DONE, START, UP, World, lifted, shifted
 
+from haptether.slave.ur.kinematics.pose import pose_trans
 from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.script.control_script import RUNNING
 from haptether.slave.ur_pose import pose_trans

@@ -10,7 +10,7 @@ import pytest
 from tests.ur.virtual import START, UP, World
 
 from haptether.slave import ur_model
-from haptether.slave.ur_chain import DhRows, chain_transform, dh_rows
+from haptether.slave.ur.kinematics.chain import DhRows, chain_transform, dh_rows
 from haptether.slave.ur_emulator import ControllerVersion, SafetyLimits
 from haptether.slave.ur_emulator.connections import SCRIPT, PeerFactory
 from haptether.slave.ur_emulator.dashboard import Dashboard

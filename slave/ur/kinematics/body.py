@@ -9,9 +9,9 @@ far upper arm and forearm lie beside the plane through the shoulder, "measured f
 from dataclasses import dataclass
 from typing import Final
 
-from haptether.slave.symbolic import Symbol, casadi_module
-from haptether.slave.ur_chain import Chain
-from haptether.slave.ur_models import SAME_ARM, UrModel
+from haptether.slave.ur.kinematics.chain import Chain
+from haptether.slave.ur.kinematics.models import SAME_ARM, UrModel
+from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 Vector = tuple[float, float, float]
 

@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from haptether.slave.buffered import Buffered, Numbers
-from haptether.slave.symbolic import Symbol, casadi_module
-from haptether.slave.ur_chain import (
+from haptether.slave.ur.kinematics.buffered import Buffered, Numbers
+from haptether.slave.ur.kinematics.chain import (
     Chain,
     dh_rows,
     jacobian_determinant,
     symbolic_chain,
     tool_transform,
 )
-from haptether.slave.ur_models import UrModel
+from haptether.slave.ur.kinematics.models import UrModel
+from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_calibration import UrCalibration
+    from haptether.slave.ur.kinematics.calibration import UrCalibration
 
 Array: TypeAlias = npt.NDArray[np.float64]
 

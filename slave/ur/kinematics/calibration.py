@@ -21,8 +21,8 @@ from typing import Final
 
 import msgspec
 
-from haptether.slave.ur_chain import deviation, dh_rows
-from haptether.slave.ur_models import Six, UrModel
+from haptether.slave.ur.kinematics.chain import deviation, dh_rows
+from haptether.slave.ur.kinematics.models import Six, UrModel
 
 # Per joint; several times what published calibrations of real arms have (446 m, 7.2 rad, 0.63 m, 0.014 rad).
 LIMITS: Final[dict[str, Six]] = {

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from haptether.slave.ur_pose import (
+from haptether.slave.ur.kinematics.pose import (
     matrix_from_quat_wxyz,
     matrix_from_rotvec,
     pose_difference,

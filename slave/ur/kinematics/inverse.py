@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether._core import UrInverseSolver
-from haptether.slave.ur_chain import DhRows, dh_rows, tool_transform
-from haptether.slave.ur_models import UrModel
+from haptether.slave.ur.kinematics.chain import DhRows, dh_rows, tool_transform
+from haptether.slave.ur.kinematics.models import UrModel
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_calibration import UrCalibration
+    from haptether.slave.ur.kinematics.calibration import UrCalibration
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Matrix: TypeAlias = Array | Sequence[Sequence[float]]

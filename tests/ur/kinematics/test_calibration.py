@@ -7,7 +7,7 @@ import pytest
 
 from _ur_arms import CALIBRATIONS
 from haptether.slave import UrCalibration, UrKinematics, UrModel, read_calibration, ur_model
-from haptether.slave.ur_chain import deviation, dh_rows
+from haptether.slave.ur.kinematics.chain import deviation, dh_rows
 
 ZEROS = "0.0, 0.0, 0.0, 0.0, 0.0"
 

@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from haptether.slave.symbolic import Symbol, casadi_module
+from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Numbers: TypeAlias = Array | Sequence[float]

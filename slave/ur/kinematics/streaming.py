@@ -13,11 +13,11 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from haptether.slave.quadratic_solver import QuadraticProgram, QuadraticSolver
-from haptether.slave.speed_limit import CLOSE, SpeedLimit
-from haptether.slave.streaming_limits import StreamingCost, StreamingLimits
-from haptether.slave.streaming_problem import streaming_problem
-from haptether.slave.ur_kinematics import UrKinematics
+from haptether.slave.ur.kinematics.arm import UrKinematics
+from haptether.slave.ur.kinematics.constraints import StreamingCost, StreamingLimits
+from haptether.slave.ur.kinematics.problem import streaming_problem
+from haptether.slave.ur.kinematics.quadratic import QuadraticProgram, QuadraticSolver
+from haptether.slave.ur.kinematics.speed_limit import CLOSE, SpeedLimit
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Numbers: TypeAlias = Array | Sequence[float]

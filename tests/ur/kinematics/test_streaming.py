@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import scipy.optimize
-from tests.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, steps
+from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, steps
 
 from _ur_arms import TOOL
 from haptether.slave import QuadraticProgram, StreamingCost, StreamingLimits, UrKinematics, UrStreaming

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from tests.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, steps
+from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, steps
 
 from haptether.slave import (
     SelfKeepOut,

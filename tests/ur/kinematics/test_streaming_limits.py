@@ -9,12 +9,12 @@ import pytest
 import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, WALL, steps
+from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, WALL, steps
 
 from _ur_arms import CALIBRATIONS, TOOL
 from haptether.slave import StreamingLimits, UrKinematics, UrStreaming
-from haptether.slave.ur_body import Ball, Capsule, arm_body
-from haptether.slave.ur_chain import DhRows, cos_sin, dh_rows
+from haptether.slave.ur.kinematics.body import Ball, Capsule, arm_body
+from haptether.slave.ur.kinematics.chain import DhRows, cos_sin, dh_rows
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import pytest
 
 from _ur_arms import CALIBRATIONS, TOOL
 from haptether.slave import UR_MODELS, UrCalibration, UrInverse, UrKinematics, UrModel, ur_model
-from haptether.slave.ur_chain import chain_transform, dh_rows
+from haptether.slave.ur.kinematics.chain import chain_transform, dh_rows
 
 Array = npt.NDArray[np.float64]
 

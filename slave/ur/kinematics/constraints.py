@@ -5,7 +5,7 @@ from typing import Final
 
 import msgspec
 
-from haptether.slave.ur_models import Six, UrModel
+from haptether.slave.ur.kinematics.models import Six, UrModel
 
 UNIT: Final = 1e-9
 

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from haptether.slave.symbolic import Symbol, casadi_module
-from haptether.slave.ur_models import Six, UrModel
+from haptether.slave.ur.kinematics.models import Six, UrModel
+from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_calibration import UrCalibration
+    from haptether.slave.ur.kinematics.calibration import UrCalibration
 
 Array: TypeAlias = npt.NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from haptether.slave.buffered import Buffered
-from haptether.slave.streaming_limits import StreamingCost, StreamingLimits
-from haptether.slave.symbolic import Symbol, casadi_module
-from haptether.slave.ur_body import Distance, arm_body, clearance, height, tool_height
-from haptether.slave.ur_kinematics import UrKinematics
+from haptether.slave.ur.kinematics.arm import UrKinematics
+from haptether.slave.ur.kinematics.body import Distance, arm_body, clearance, height, tool_height
+from haptether.slave.ur.kinematics.buffered import Buffered
+from haptether.slave.ur.kinematics.constraints import StreamingCost, StreamingLimits
+from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 UNBOUNDED: Final = 1e30
 """What daqp takes for infinite."""
