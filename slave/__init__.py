@@ -9,7 +9,7 @@ from haptether.slave.device import SlaveDevice, SlaveSample
 if TYPE_CHECKING:
     from haptether.slave.ur.driver import UrSlave
     from haptether.slave.ur.kinematics.arm import Rates, UrKinematics
-    from haptether.slave.ur.kinematics.calibration import UrCalibration, read_calibration
+    from haptether.slave.ur.kinematics.chain import UrCalibration, read_calibration
     from haptether.slave.ur.kinematics.constraints import (
         SelfKeepOut,
         StreamingCost,
@@ -17,13 +17,10 @@ if TYPE_CHECKING:
         WorkspacePlane,
         model_limits,
     )
-    from haptether.slave.ur.driver import UrSlave
-    from haptether.slave.ur.options import UrOptions
-    from haptether.slave.ur_calibration import UrCalibration, read_calibration
-    from haptether.slave.ur_inverse import UrInverse
-    from haptether.slave.ur_kinematics import Rates, UrKinematics
-    from haptether.slave.ur_models import UR_MODELS, UrModel, WrenchSensor, ur_model
-    from haptether.slave.ur_streaming import UrStreaming
+    from haptether.slave.ur.kinematics.inverse import UrInverse
+    from haptether.slave.ur.kinematics.models import UR_MODELS, UrModel, WrenchSensor, ur_model
+    from haptether.slave.ur.kinematics.streaming import QuadraticProgram, UrStreaming
+    from haptether.slave.ur_options import UrOptions
 
 __all__ = [
     "UR_MODELS",
@@ -55,24 +52,24 @@ __all__ = [
 
 # Whoever has no UR arm does not wait for NumPy.
 WHERE: Final = {
-    "UR_MODELS": "ur_models",
-    "QuadraticProgram": "quadratic_solver",
-    "Rates": "ur_kinematics",
-    "SelfKeepOut": "streaming_limits",
-    "StreamingCost": "streaming_limits",
-    "StreamingLimits": "streaming_limits",
-    "UrCalibration": "ur_calibration",
-    "UrInverse": "ur_inverse",
-    "UrKinematics": "ur_kinematics",
-    "UrModel": "ur_models",
-    "UrOptions": "ur.options",
+    "UR_MODELS": "ur.kinematics.models",
+    "QuadraticProgram": "ur.kinematics.streaming",
+    "Rates": "ur.kinematics.arm",
+    "SelfKeepOut": "ur.kinematics.constraints",
+    "StreamingCost": "ur.kinematics.constraints",
+    "StreamingLimits": "ur.kinematics.constraints",
+    "UrCalibration": "ur.kinematics.chain",
+    "UrInverse": "ur.kinematics.inverse",
+    "UrKinematics": "ur.kinematics.arm",
+    "UrModel": "ur.kinematics.models",
+    "UrOptions": "ur_options",
     "UrSlave": "ur.driver",
-    "UrStreaming": "ur_streaming",
-    "WorkspacePlane": "streaming_limits",
-    "WrenchSensor": "ur_models",
-    "model_limits": "streaming_limits",
-    "read_calibration": "ur_calibration",
-    "ur_model": "ur_models",
+    "UrStreaming": "ur.kinematics.streaming",
+    "WorkspacePlane": "ur.kinematics.constraints",
+    "WrenchSensor": "ur.kinematics.models",
+    "model_limits": "ur.kinematics.constraints",
+    "read_calibration": "ur.kinematics.chain",
+    "ur_model": "ur.kinematics.models",
 }
 
 

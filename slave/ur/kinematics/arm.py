@@ -1,31 +1,26 @@
 """Forward kinematics, Jacobian, manipulability and their time derivatives of a UR arm.
 
-The expressions are CasADi's. Each is compiled when it is first asked for; what is not asked for costs nothing.
+The expressions are CasADi's. Each is compiled when it is first used; what is not used costs nothing.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from haptether.slave.ur.kinematics.buffered import Buffered, Numbers
 from haptether.slave.ur.kinematics.chain import (
     Chain,
+    UrCalibration,
     dh_rows,
     jacobian_determinant,
     symbolic_chain,
     tool_transform,
 )
 from haptether.slave.ur.kinematics.models import UrModel
-from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
-
-if TYPE_CHECKING:
-    from haptether.slave.ur.kinematics.calibration import UrCalibration
-
-Array: TypeAlias = npt.NDArray[np.float64]
+from haptether.slave.ur.kinematics.pose import Array, Numbers
+from haptether.slave.ur.kinematics.symbolic import Buffered, Symbol, casadi_module
 
 
 class Rates(NamedTuple):
@@ -57,7 +52,7 @@ class UrKinematics:
     def __init__(
         self,
         model: UrModel,
-        calibration: "UrCalibration | None" = None,
+        calibration: UrCalibration | None = None,
         tool: Array | Sequence[Sequence[float]] | None = None,
     ) -> None:
         if calibration is not None:

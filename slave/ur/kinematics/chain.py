@@ -2,28 +2,113 @@
 
 `base_from_tool = T_1(q_1) ... T_6(q_6) flange_from_tool` with `T_i = Rz(q_i + theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`.
 
+What one unit's kinematics differ by from its model is in `calibration.toml`. Its four keys are those of the
+controller's `calibration.conf`, six numbers each, in m and rad:
+
+    delta_theta = [2.1e-5, 0.97, -1.86, 0.89, 5.7e-5, -7.5e-5]
+    delta_a = [3.9e-4, 0.184, 0.145, -6.4e-5, 7.8e-6, 0.0]
+    delta_d = [4.0e-5, 278.2, -183.7, -94.5, 3.0e-4, 1.2e-4]
+    delta_alpha = [-2.7e-4, 1.3e-3, -3.2e-3, 6.5e-4, -5.9e-4, 0.0]
+
+Axes 2, 3 and 4 are all but parallel, so that their common normals, from which `d` and `theta` count, lie wherever the
+last micrometre puts them: hundreds of metres away, and back again with the next row. So these rows have wide bounds
+each, and the chain as a whole a narrow one.
+
 Source: J. Denavit, R. S. Hartenberg, "A Kinematic Notation for Lower-Pair Mechanisms", J. Applied Mechanics 22, 1955,
-in the form of Universal Robots, "DH Parameters for calculations of kinematics and dynamics".
+in the form of Universal Robots, "DH Parameters for calculations of kinematics and dynamics"; Universal Robots' ROS
+driver, `ur_calibration`, "algorithm": why the rows of a real arm look like that.
 """
 
 import itertools
 import math
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import Final
 
+import msgspec
 import numpy as np
-import numpy.typing as npt
 
 from haptether.slave.ur.kinematics.models import Six, UrModel
+from haptether.slave.ur.kinematics.pose import Array
 from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
-if TYPE_CHECKING:
-    from haptether.slave.ur.kinematics.calibration import UrCalibration
+NOT_ROTATION: Final = 1e-9
+"""How far a tool's rotation may be from one."""
 
-Array: TypeAlias = npt.NDArray[np.float64]
+# Per joint; several times what published calibrations of real arms have (446 m, 7.2 rad, 0.63 m, 0.014 rad).
+LIMITS: Final[dict[str, Six]] = {
+    "delta_theta": (0.1, 12.6, 12.6, 12.6, 0.1, 0.1),
+    "delta_a": (0.02, 2.0, 2.0, 0.02, 0.02, 0.02),
+    "delta_d": (0.02, 2000.0, 2000.0, 2000.0, 0.02, 0.02),
+    "delta_alpha": (0.05, 0.05, 0.05, 0.05, 0.05, 0.05),
+}
+# What a mounted arm of that model may be off; published ones are off by millimetres and mrad.
+MAX_M: Final = 0.05
+MAX_RAD: Final = 0.05
+NONE: Final[Six] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-NOT_ROTATION = 1e-9
+
+class UrCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Deltas to the Denavit-Hartenberg rows of a model, base to flange.
+
+    Raises:
+        ValueError: A delta is not finite, or larger than any arm has.
+    """
+
+    delta_theta: Six = NONE
+    """rad."""
+    delta_a: Six = NONE
+    """m."""
+    delta_d: Six = NONE
+    """m."""
+    delta_alpha: Six = NONE
+    """rad."""
+
+    def __post_init__(self) -> None:
+        for key, limits in LIMITS.items():
+            deltas: Six = getattr(self, key)
+            if len(deltas) != 6:
+                message = f"{key} has {len(deltas)} numbers: must have 6"
+                raise ValueError(message)
+            for joint, (delta, limit) in enumerate(zip(deltas, limits, strict=True), start=1):
+                if not (math.isfinite(delta) and abs(delta) <= limit):
+                    message = f"{key} of joint {joint} = {delta!r}: must be finite and within +-{limit:g}"
+                    raise ValueError(message)
+
+    def check(self, model: UrModel) -> None:
+        """Refuses deltas that cannot be of an arm of this model, above all those of another model.
+
+        Raises:
+            ValueError: The tool would be more than 0.05 m or 0.05 rad from where the model has it.
+        """
+        metres, radians = deviation(dh_rows(model, self), dh_rows(model))
+        if metres > MAX_M or radians > MAX_RAD:
+            message = (
+                f"deltas move the flange of a {model.name} by {metres:.3g} m and {radians:.3g} rad: "
+                f"must be at most {MAX_M:g} m and {MAX_RAD:g} rad"
+            )
+            raise ValueError(message)
+
+
+def read_calibration(path: Path | str, model: UrModel) -> UrCalibration:
+    """The deltas in a `calibration.toml`, held to a model; a key that is absent is six zeros.
+
+    Raises:
+        ValueError: Not TOML, an unknown key, a wrong length, a number that is not finite or absurdly large, or deltas
+            of another model; names file and key.
+        OSError: The file cannot be read.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        calibration = msgspec.convert(table, UrCalibration)
+        calibration.check(model)
+    except ValueError as error:
+        # msgspec's ValidationError and tomllib's TOMLDecodeError are ValueErrors too.
+        message = f"{path}: {error}"
+        raise ValueError(message) from None
+    return calibration
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +121,7 @@ class DhRows:
     alpha: Six
 
 
-def dh_rows(model: UrModel, calibration: "UrCalibration | None" = None) -> DhRows:
+def dh_rows(model: UrModel, calibration: UrCalibration | None = None) -> DhRows:
     """The rows of the model with the deltas of the unit added."""
     if calibration is None:
         return DhRows((0.0,) * 6, model.a, model.d, model.alpha)
@@ -64,8 +149,9 @@ def tool_transform(flange_from_tool: Array | Sequence[Sequence[float]] | None) -
     tool = np.array(flange_from_tool, dtype=np.float64)
     rigid = tool.shape == (4, 4) and bool(np.isfinite(tool).all()) and tool[3].tolist() == [0.0, 0.0, 0.0, 1.0]
     if rigid:
-        turn = tool[:3, :3]
-        rigid = float(np.abs(turn.T @ turn - np.eye(3)).max()) <= NOT_ROTATION and float(np.linalg.det(turn)) > 0
+        rotation = tool[:3, :3]
+        off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+        rigid = off <= NOT_ROTATION and float(np.linalg.det(rotation)) > 0
     if not rigid:
         message = f"tool = {tool.tolist()}: must be a (4, 4) rigid transform, last row (0, 0, 0, 1)"
         raise ValueError(message)
@@ -81,7 +167,7 @@ def cos_sin(angle: float) -> tuple[float, float]:
 
 
 def chain_transform(rows: DhRows, q: Array | Sequence[float], flange_from_tool: Array | None = None) -> Array:
-    """The tool in the base, shape (4, 4), in plain NumPy: for set-up and as a second opinion, not for loops."""
+    """The tool in the base, shape (4, 4), in NumPy: for set-up and as a second opinion, not for loops."""
     base_from_link = np.eye(4)
     for angle, offset, a, d, alpha in zip(q, rows.theta, rows.a, rows.d, rows.alpha, strict=True):
         (c, s), (ca, sa) = cos_sin(angle + offset), cos_sin(alpha)
@@ -133,32 +219,32 @@ def symbolic_chain(rows: DhRows, flange_from_tool: Array) -> Chain:
     """
     casadi = casadi_module()
     q = casadi.SX.sym("q", 6)
-    turn, origin = casadi.SX.eye(3), casadi.SX.zeros(3)
+    rotation, origin = casadi.SX.eye(3), casadi.SX.zeros(3)
     axes, steps, frames = [], [], []
     for i in range(6):
         angle = q[i] + rows.theta[i]
         c, s = casadi.cos(angle), casadi.sin(angle)
         ca, sa = cos_sin(rows.alpha[i])
-        x, y, z = turn[:, 0], turn[:, 1], turn[:, 2]
-        turned_x, turned_y = c * x + s * y, c * y - s * x
+        x, y, z = rotation[:, 0], rotation[:, 1], rotation[:, 2]
+        rotated_x, rotated_y = c * x + s * y, c * y - s * x
         axes.append(z)
-        steps.append((rows.a[i] * turned_x, rows.d[i] * z))
-        turn = casadi.horzcat(turned_x, ca * turned_y + sa * z, ca * z - sa * turned_y)
-        origin = origin + rows.d[i] * z + rows.a[i] * turned_x
-        frames.append((turn, origin))
+        steps.append((rows.a[i] * rotated_x, rows.d[i] * z))
+        rotation = casadi.horzcat(rotated_x, ca * rotated_y + sa * z, ca * z - sa * rotated_y)
+        origin = origin + rows.d[i] * z + rows.a[i] * rotated_x
+        frames.append((rotation, origin))
 
-    reach = casadi.mtimes(turn, casadi.SX(casadi.DM(flange_from_tool[:3, 3])))
+    reach = casadi.mtimes(rotation, casadi.SX(casadi.DM(flange_from_tool[:3, 3])))
     position = origin + reach
     columns = []
     for z, (along_x, along_z) in zip(reversed(axes), reversed(steps), strict=True):
         reach = reach + along_x
         columns.append(casadi.vertcat(casadi.cross(z, reach), z))
         reach = reach + along_z
-    rotation = casadi.mtimes(turn, casadi.SX(casadi.DM(flange_from_tool[:3, :3])))
+    base_from_tool = casadi.mtimes(rotation, casadi.SX(casadi.DM(flange_from_tool[:3, :3])))
     last = casadi.SX(casadi.DM([[0.0, 0.0, 0.0, 1.0]]))
     return Chain(
         q=q,
-        transform=casadi.densify(casadi.vertcat(casadi.horzcat(rotation, position), last)),
+        transform=casadi.densify(casadi.vertcat(casadi.horzcat(base_from_tool, position), last)),
         jacobian=casadi.densify(casadi.horzcat(*reversed(columns))),
         joint_frames=tuple(frames),
     )

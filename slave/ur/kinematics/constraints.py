@@ -1,17 +1,26 @@
-"""What a streamed motion must keep to. A limit that is not named is not in the problem."""
+"""What a streamed motion must keep to, and the distances that it must keep: to planes, and of the arm to itself.
+
+A limit that is not named is not in the problem. Where the body of an arm is, is known roughly: balls and capsules on
+its links. A guide for a planner, not a safety function: the links' radii are chosen, and a gripper is known only by a
+ball.
+
+Source: Universal Robots' ROS description, `config/<model>/physical_parameters.yaml` and `visual_parameters.yaml`: how
+far upper arm and forearm lie beside the plane through the shoulder, "measured from model".
+"""
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import msgspec
 
-from haptether.slave.ur.kinematics.models import Six, UrModel
+from haptether.slave.ur.kinematics.chain import Chain
+from haptether.slave.ur.kinematics.models import SAME_ARM, Six, UrModel
+from haptether.slave.ur.kinematics.pose import Vector
+from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 UNIT: Final = 1e-9
-
-
-def _refuse(name: str, seen: object, allowed: str) -> ValueError:
-    return ValueError(f"{name} = {seen}: must be {allowed}")
+"""How far the length of a normal may be from 1."""
 
 
 class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -29,9 +38,9 @@ class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.offset_m):
-            raise _refuse("offset_m", self.offset_m, "finite")
+            raise _out_of_range("offset_m", self.offset_m, "finite")
         if not abs(math.hypot(*self.normal) - 1) <= UNIT:
-            raise _refuse("normal", list(self.normal), "of length 1")
+            raise _out_of_range("normal", list(self.normal), "of length 1")
 
 
 class SelfKeepOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -44,13 +53,13 @@ class SelfKeepOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     margin_m: float = 0.01
     """Left between the surfaces, m."""
     radius_m: float | None = None
-    """Of all links, m; without it that of the model in `ur_body`."""
+    """Of all links, m; without it that of the model."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.margin_m < math.inf:
-            raise _refuse("margin_m", self.margin_m, "0 or more")
+            raise _out_of_range("margin_m", self.margin_m, "0 or more")
         if self.radius_m is not None and not 0 < self.radius_m < math.inf:
-            raise _refuse("radius_m", self.radius_m, "above 0")
+            raise _out_of_range("radius_m", self.radius_m, "above 0")
 
 
 class StreamingLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -61,7 +70,7 @@ class StreamingLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """
 
     position_min: Six | None = None
-    """rad, -inf for a joint that turns without end."""
+    """rad, -inf for a joint without ends."""
     position_max: Six | None = None
     """rad."""
     max_speed: Six | None = None
@@ -79,17 +88,17 @@ class StreamingLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         if (self.position_min is None) != (self.position_max is None):
             message = "position_min and position_max: must both be given or both be left out"
             raise ValueError(message)
-        for least, most in zip(self.position_min or (), self.position_max or (), strict=True):
-            if not least < most:
-                raise _refuse("position_min", least, f"less than position_max = {most}")
+        for low, high in zip(self.position_min or (), self.position_max or (), strict=True):
+            if not low < high:
+                raise _out_of_range("position_min", low, f"less than position_max = {high}")
         for name in ("max_speed", "max_acceleration"):
             for number in getattr(self, name) or ():
                 if not 0 < number < math.inf:
-                    raise _refuse(name, number, "above 0 for every joint")
+                    raise _out_of_range(name, number, "above 0 for every joint")
         if self.max_tool_speed is not None and not 0 < self.max_tool_speed < math.inf:
-            raise _refuse("max_tool_speed", self.max_tool_speed, "above 0")
+            raise _out_of_range("max_tool_speed", self.max_tool_speed, "above 0")
         if not 0 < self.approach_rate_hz < math.inf:
-            raise _refuse("approach_rate_hz", self.approach_rate_hz, "above 0")
+            raise _out_of_range("approach_rate_hz", self.approach_rate_hz, "above 0")
 
 
 def model_limits(model: UrModel, max_acceleration: float = 8.0) -> StreamingLimits:
@@ -123,8 +132,169 @@ class StreamingCost(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def __post_init__(self) -> None:
         for number in self.weights:
             if not 0 < number < math.inf:
-                raise _refuse("weights", number, "above 0 for every axis")
+                raise _out_of_range("weights", number, "above 0 for every axis")
         if not 0 <= self.damping < math.inf:
-            raise _refuse("damping", self.damping, "0 or more")
+            raise _out_of_range("damping", self.damping, "0 or more")
         if not 0 < self.damping_below < math.inf:
-            raise _refuse("damping_below", self.damping_below, "above 0")
+            raise _out_of_range("damping_below", self.damping_below, "above 0")
+
+
+# How far upper arm and forearm lie along the axes of joints 2 and 3, m.
+OFFSETS_M: Final[dict[str, tuple[float, float]]] = {
+    "ur3": (0.1198, 0.0275),
+    "ur5": (0.13585, 0.0165),
+    "ur10": (0.220941, 0.049042),
+    "ur3e": (0.120, 0.027),
+    "ur5e": (0.138, 0.007),
+    "ur10e": (0.1762, 0.0393),
+    "ur16e": (0.1762, 0.0393),
+    "ur20": (0.260, 0.043),
+    "ur30": (0.260, 0.043),
+}
+
+# Chosen: the cylinder that the vendor gives for the base (0.06 m for a UR5e, 0.075 m for a UR10e and UR20), and more
+# for the two large arms, whose joints are wider than that.
+RADII_M: Final[dict[str, float]] = {
+    "ur3": 0.06,
+    "ur5": 0.06,
+    "ur10": 0.075,
+    "ur3e": 0.06,
+    "ur5e": 0.06,
+    "ur10e": 0.075,
+    "ur16e": 0.075,
+    "ur20": 0.1,
+    "ur30": 0.1,
+}
+
+# Adds less than 0.1 um to a distance, and keeps its slope finite at 0.
+ROUNDED_M: Final = 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """A ball on a link; link 0 is the base, link i follows joint i."""
+
+    name: str
+    link: int
+    place: Vector
+    """Of the centre in the link's frame, m."""
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """A cylinder with round ends on a link."""
+
+    name: str
+    link: int
+    start: Vector
+    end: Vector
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What may touch something, and what it may touch of the arm itself."""
+
+    balls: tuple[Ball, ...]
+    """From the elbow to the flange."""
+    capsules: tuple[Capsule, ...]
+    """From the base to the elbow."""
+    pairs: tuple[tuple[int, int], ...]
+    """Ball and capsule that are not neighbours."""
+
+
+def arm_body(model: UrModel, radius_m: float | None = None) -> Body:
+    """Balls along forearm and wrist, capsules along base, shoulder and upper arm."""
+    arm = SAME_ARM.get(model.name, model.name)
+    upper, lower = OFFSETS_M[arm]
+    radius = RADII_M[arm] if radius_m is None else radius_m
+    origin = (0.0, 0.0, 0.0)
+    balls = (
+        Ball("elbow", 2, (0.0, 0.0, upper), radius),
+        Ball("forearm", 3, (-model.a[2] / 2, 0.0, lower), radius),
+        Ball("wrist 1", 3, (0.0, 0.0, lower), radius),
+        Ball("wrist 2", 4, origin, radius),
+        Ball("wrist 3", 5, origin, radius),
+        Ball("flange", 6, origin, radius),
+    )
+    capsules = (
+        Capsule("base", 0, origin, (0.0, 0.0, model.d[0]), radius),
+        Capsule("shoulder", 1, origin, (0.0, 0.0, upper), radius),
+        Capsule("upper arm", 2, (-model.a[1], 0.0, upper), (0.0, 0.0, upper), radius),
+    )
+    # The elbow is on the upper arm, the forearm hangs on it, and wrist 1 folds beside it.
+    base_and_shoulder = tuple((ball, capsule) for ball in range(1, 6) for capsule in (0, 1))
+    return Body(balls, capsules, base_and_shoulder + tuple((ball, 2) for ball in (3, 4, 5)))
+
+
+@dataclass(frozen=True, slots=True)
+class Distance:
+    """A distance in m and its gradient by the joint angles, (1, 6), as expressions."""
+
+    value: Symbol
+    gradient: Symbol
+
+
+def clearance(chain: Chain, ball: Ball, capsule: Capsule, margin_m: float) -> Distance:
+    """How far the two are apart, less a margin.
+
+    The capsule's nearest point is `s + t (e - s)` with `t = clip((c - s)'(e - s) / |e - s|^2, 0, 1)`. To first order
+    only the ball's motion against the capsule's link changes the distance: the nearest point moves across.
+
+    Source: C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.2.
+    """
+    casadi = casadi_module()
+    centre = _in_base(chain, ball.link, ball.place)
+    start, end = _in_base(chain, capsule.link, capsule.start), _in_base(chain, capsule.link, capsule.end)
+    length = sum((one - other) ** 2 for one, other in zip(capsule.end, capsule.start, strict=True))
+    along = casadi.fmin(casadi.fmax(casadi.dot(centre - start, end - start) / length, 0.0), 1.0)
+    apart = centre - start - along * (end - start)
+    distance = casadi.sqrt(casadi.dot(apart, apart) + ROUNDED_M**2)
+    gradient = _gradient(chain, apart / distance, centre, range(capsule.link, ball.link))
+    return Distance(distance - ball.radius_m - capsule.radius_m - margin_m, gradient)
+
+
+def height(chain: Chain, normal: Vector, offset_m: float, ball: Ball) -> Distance:
+    """How far a ball is above a plane."""
+    casadi = casadi_module()
+    direction, centre = casadi.SX(casadi.DM(list(normal))), _in_base(chain, ball.link, ball.place)
+    value = casadi.dot(direction, centre) - ball.radius_m - offset_m
+    return Distance(value, _gradient(chain, direction, centre, range(ball.link)))
+
+
+def tool_height(chain: Chain, normal: Vector, offset_m: float) -> Distance:
+    """How far the tool point is above a plane."""
+    casadi = casadi_module()
+    direction = casadi.SX(casadi.DM(list(normal)))
+    value = casadi.dot(direction, chain.transform[:3, 3]) - offset_m
+    return Distance(value, casadi.mtimes(direction.T, chain.jacobian[:3, :]))
+
+
+def _in_base(chain: Chain, link: int, place: Vector) -> Symbol:
+    """A point of a link in the base frame, (3, 1)."""
+    casadi = casadi_module()
+    rotation, origin = _frame(chain, link)
+    return origin + casadi.mtimes(rotation, casadi.SX(casadi.DM(list(place))))
+
+
+def _frame(chain: Chain, link: int) -> tuple[Symbol, Symbol]:
+    casadi = casadi_module()
+    return (casadi.SX.eye(3), casadi.SX.zeros(3)) if link == 0 else chain.joint_frames[link - 1]
+
+
+def _gradient(chain: Chain, direction: Symbol, point: Symbol, joints: range) -> Symbol:
+    """Of `direction . point` by the joints that move it.
+
+    `direction . (z x (point - o)) = z . ((point - o) x direction)`; joint i, from 0, turns about z of the frame i.
+    """
+    casadi = casadi_module()
+    columns = [casadi.SX(0)] * 6
+    for joint in joints:
+        rotation, origin = _frame(chain, joint)
+        columns[joint] = casadi.dot(rotation[:, 2], casadi.cross(point - origin, direction))
+    return casadi.horzcat(*columns)
+
+
+def _out_of_range(name: str, seen: object, allowed: str) -> ValueError:
+    return ValueError(f"{name} = {seen}: must be {allowed}")

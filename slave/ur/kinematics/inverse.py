@@ -1,21 +1,16 @@
 """Inverse kinematics of UR arms: all eight branches in closed form, or the one nearest to where the arm was."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from haptether._core import UrInverseSolver
-from haptether.slave.ur.kinematics.chain import DhRows, dh_rows, tool_transform
+from haptether.slave.ur.kinematics.chain import DhRows, UrCalibration, dh_rows, tool_transform
 from haptether.slave.ur.kinematics.models import UrModel
+from haptether.slave.ur.kinematics.pose import Array, Numbers
 
-if TYPE_CHECKING:
-    from haptether.slave.ur.kinematics.calibration import UrCalibration
-
-Array: TypeAlias = npt.NDArray[np.float64]
 Matrix: TypeAlias = Array | Sequence[Sequence[float]]
-Numbers: TypeAlias = Array | Sequence[float]
 
 
 class UrInverse:
@@ -40,7 +35,7 @@ class UrInverse:
     def __init__(
         self,
         model: UrModel,
-        calibration: "UrCalibration | None" = None,
+        calibration: UrCalibration | None = None,
         tool: Matrix | None = None,
     ) -> None:
         if calibration is not None:
@@ -48,7 +43,7 @@ class UrInverse:
         self.model = model
         self.calibration = calibration
         self.reason = ""
-        """Why the last call of `nearest` gave no posture; empty if it gave one."""
+        """Why the last call of `nearest` found no posture; empty if it found one."""
         self._solver = UrInverseSolver(
             _rows(dh_rows(model)),
             None if calibration is None else _rows(dh_rows(model, calibration)),
@@ -60,8 +55,8 @@ class UrInverse:
     def all(self, base_from_tool: Matrix) -> Array:
         """Every posture that has the tool there, (n, 6) in rad, n up to 8; n is 0 where the arm does not reach.
 
-        Each joint is within -pi to pi, whatever its limits; turns are for the caller to add. Two branches that meet at
-        a singularity are there twice. Where q5 is 0 or pi, q6 is free, and any.
+        Each joint is within -pi to pi, whatever its limits; multiples of 2 pi are for the caller to add. Two branches
+        that meet at a singularity are there twice. Where q5 is 0 or pi, q6 is free, and any.
 
         Args:
             base_from_tool: Rigid transform, (4, 4). A rotation in single precision is moved to the nearest one.
@@ -74,9 +69,10 @@ class UrInverse:
     def nearest(self, base_from_tool: Matrix, q_near: Numbers) -> Array | None:
         """The posture within the limits that is nearest to `q_near`, or None: then `reason` says why.
 
-        Nearest by the sum of squares over the joints, each at the turn that its limits allow. Where q5 is 0 or pi, q6
-        stays as near to where it was as the reach allows. Where two branches meet (arm stretched or folded, wrist over
-        the base's axis), the arm may leave on either: give where it is about to be, and it goes straight through.
+        Nearest by the sum of squares over the joints, each with the multiple of 2 pi that its limits allow. Where q5 is
+        0 or pi, q6 stays as near to where it was as the reach allows. Where two branches meet (arm stretched or folded,
+        wrist over the base's axis), the arm may leave on either: give where it is about to be, and it goes straight
+        through.
 
         Args:
             base_from_tool: Rigid transform, (4, 4). A rotation in single precision is moved to the nearest one.

@@ -1,7 +1,7 @@
 """What the UR arms are: their geometry, their limits, and the sensor in their flange.
 
 Denavit-Hartenberg rows in the vendor's convention, `T_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`, in the frame that
-the controller calls base (ROS's `base_link` is that frame turned by pi about z).
+the controller calls base (ROS's `base_link` is that frame rotated by pi about z).
 
 Source: Universal Robots, "DH Parameters for calculations of kinematics and dynamics" (geometry, link masses), "Max.
 joint torques", and the vendor's ROS description, `config/<model>/joint_limits.yaml` (speeds, torques); data sheets
@@ -14,8 +14,6 @@ from typing import Final
 
 Six = tuple[float, float, float, float, float, float]
 """One number a joint, from the base to the flange."""
-
-TURN: Final = 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +42,7 @@ class UrModel:
     alpha: Six
     """Link twists in rad."""
     position_min: Six
-    """Least joint angles in rad, -inf for a joint that turns without end."""
+    """Smallest joint angles in rad, -inf for a joint without ends."""
     position_max: Six
     """Largest joint angles in rad."""
     max_speed: Six
@@ -158,7 +156,7 @@ VENDOR: Final = "Universal Robots, DH parameters for calculations of kinematics 
 def _model(name: str) -> UrModel:
     arm = SAME_ARM.get(name, name)
     d1, a2, a3, d4, d5, d6 = GEOMETRY[arm]
-    last = math.inf if arm in ENDLESS_WRIST else TURN
+    last = math.inf if arm in ENDLESS_WRIST else math.tau
     v1, v2, v3, v4, v5, v6 = (math.radians(speed) for speed in SPEEDS_DEG_S[arm])
     return UrModel(
         name=name,
@@ -166,8 +164,8 @@ def _model(name: str) -> UrModel:
         d=(d1, 0.0, 0.0, d4, d5, d6),
         alpha=ALPHA,
         # ROS's narrower range of the elbow is a convention of its planners; the controller allows a full turn.
-        position_min=(-TURN, -TURN, -TURN, -TURN, -TURN, -last),
-        position_max=(TURN, TURN, TURN, TURN, TURN, last),
+        position_min=(-math.tau, -math.tau, -math.tau, -math.tau, -math.tau, -last),
+        position_max=(math.tau, math.tau, math.tau, math.tau, math.tau, last),
         max_speed=(v1, v2, v3, v4, v5, v6),
         max_torque=TORQUES_NM[arm],
         link_masses_kg=MASSES_KG[arm],

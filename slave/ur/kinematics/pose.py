@@ -1,7 +1,7 @@
 """Rotation vectors and poses as the UR controller writes them; inside, rotations are matrices or `quat_wxyz`.
 
 A pose is `(x, y, z, rx, ry, rz)`: metres, and axis times angle in rad. All go through the unit quaternion, whose half
-angle is well conditioned from 0 to pi. Results are plain floats and NumPy arrays; arguments are sequences of numbers.
+angle is well conditioned from 0 to pi. Results are floats and NumPy arrays; arguments are sequences of numbers.
 
 Source: K. Shoemake, "Animating Rotation with Quaternion Curves", 1985; S. W. Shepperd, "Quaternion from Rotation
 Matrix", J. Guidance and Control 1(3), 1978.
@@ -161,20 +161,20 @@ def pose_from_transform(transform: Array) -> Array:
 
 
 def pose_difference(base_from_goal: Array, base_from_tool: Array) -> Array:
-    """What takes one frame to the other, in the base: translation in m over rotation vector in rad, (6,).
+    """From one frame to the other, in the base: translation in m over rotation vector in rad, (6,).
 
     `(p* - p, log(R* R'))`. Times a rate, it is the twist that leads there.
 
     Raises:
         ValueError: Not a rotation, or not finite.
     """
-    turn = base_from_goal[:3, :3] @ base_from_tool[:3, :3].T
+    rotation = base_from_goal[:3, :3] @ base_from_tool[:3, :3].T
     x, y, z = _finite("translation", base_from_goal[:3, 3] - base_from_tool[:3, 3], 3)
-    return np.array((x, y, z, *rotvec_from_matrix(turn)))
+    return np.array((x, y, z, *rotvec_from_matrix(rotation)))
 
 
 def pose_trans(a_from_b: Numbers, b_from_c: Numbers) -> Array:
-    """Pose of c in a, shape (6,): what URScript's `pose_trans` gives.
+    """Pose of c in a, shape (6,): as URScript's `pose_trans`.
 
     Raises:
         ValueError: Not six finite numbers.
@@ -183,7 +183,7 @@ def pose_trans(a_from_b: Numbers, b_from_c: Numbers) -> Array:
 
 
 def pose_inv(a_from_b: Numbers) -> Array:
-    """Pose of a in b, shape (6,): what URScript's `pose_inv` gives.
+    """Pose of a in b, shape (6,): as URScript's `pose_inv`.
 
     Raises:
         ValueError: Not six finite numbers.

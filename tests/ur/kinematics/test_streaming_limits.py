@@ -13,8 +13,8 @@ from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S,
 
 from _ur_arms import CALIBRATIONS, TOOL
 from haptether.slave import StreamingLimits, UrKinematics, UrStreaming
-from haptether.slave.ur.kinematics.body import Ball, Capsule, arm_body
 from haptether.slave.ur.kinematics.chain import DhRows, cos_sin, dh_rows
+from haptether.slave.ur.kinematics.constraints import Ball, Capsule, arm_body
 
 Array = npt.NDArray[np.float64]
 
