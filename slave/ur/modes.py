@@ -26,8 +26,14 @@ MAX_BEHIND_M: Final = 0.02
 """How far the joints may stay behind it: what more there is would be made up for at once, somewhere else."""
 JOINT_ACCELERATION: Final = 25.0
 """rad/s² at most: what the bounds of the tool need over the shortest lever, not what makes it smooth."""
+APPROACH_HZ: Final = 10.0
+"""A distance to a plane, or of the arm to itself, shrinks at most at this rate times what is left of it; of a tool that
+may be faster than 1 m/s so much slower that it brakes with 10 m/s²."""
 JOINT_SPEED_SHARE: Final = 0.9
 """Of the largest speed of a joint: what is commanded stays this far below."""
+
+
+UNKNOWN_CAUSE: Final = "its joints are at their limits, or the arm is near a singularity"
 
 
 class UnreachableError(ValueError):
@@ -201,7 +207,9 @@ class JointTracking:
     (`UrStreaming`): near a singularity, or at the end of a joint, the tool stays behind instead of a joint
     going faster than it may. The set point is fed forward, so this smooths nothing: `(x_set - x)/T` takes out what
     joint velocities that are even over a period miss of a straight line, and what the limits have kept the tool from.
-    Bounds of speed, acceleration and workspace are those of the set point.
+    Bounds of speed and acceleration are those of the set point. The planes of the workspace are limits here as well, before
+    which the joints brake (the set point stops on them at once), as is a keep-out of the arm from itself, of which the set
+    point knows nothing.
 
     The unit's chain is only nearly that of its model, so motion is counted from where both have the tool at the begin:
     what they differ by stays where it was, and the first command is exactly where the joints are.
@@ -213,7 +221,7 @@ class JointTracking:
     """
 
     def __init__(self, kinematics: "UrKinematics", options: UrOptions, period_s: float) -> None:
-        from haptether.slave.streaming_limits import StreamingLimits  # noqa: PLC0415  # with CasADi
+        from haptether.slave.ur.kinematics.constraints import SelfKeepOut, StreamingLimits  # noqa: PLC0415  # with CasADi
         from haptether.slave.ur_streaming import UrStreaming  # noqa: PLC0415
 
         model = kinematics.model
@@ -223,12 +231,16 @@ class JointTracking:
             position_max=model.position_max,
             max_speed=(speeds[0], speeds[1], speeds[2], speeds[3], speeds[4], speeds[5]),
             max_acceleration=(JOINT_ACCELERATION,) * 6,
+            planes=options.planes,
+            self_keep_out=SelfKeepOut(),
+            approach_rate_hz=APPROACH_HZ / max(1.0, options.max_speed),
         )
         self._kinematics = kinematics
         self._streaming = UrStreaming(kinematics, limits, period_s=period_s)
         self._period_s = period_s
         self._rate_hz = 1.0 / (CORRECTION_PERIODS * period_s)
         self._max_behind_m = max(options.max_jump, MAX_BEHIND_M)
+        self._braking_m = options.max_speed / limits.approach_rate_hz
         self._rotation = np.eye(3)
         self._twist = np.zeros(6)
         self.offset = np.zeros(3)
@@ -242,6 +254,7 @@ class JointTracking:
         self._rotation = np.array(transform[:3, :3])
         self.offset = transform[:3, 3] - np.array(state.pose[:3])
         self.q, self.qd = np.array(state.q), np.zeros(6)
+        self._streaming.begin(self.q, self.offset)
 
     def follow(self, position: Three, velocity: Three, elapsed_s: float) -> None:
         """Goes on for a time in s, in whole periods.
@@ -262,7 +275,11 @@ class JointTracking:
             self.q = self.q + self.qd * self._period_s
         away = float(np.linalg.norm(behind))
         if away > self._max_behind_m:
-            why = self._streaming.reason or "its joints are at their limits, or the arm is near a singularity"
+            # Before a plane it brakes, and the set point stops on it: that is no fault, and made up for slowly.
+            away = float(np.linalg.norm(self._streaming.beside_planes(behind, self._braking_m)))
+        if away > self._max_behind_m:
+            held_by = self._streaming.held_by
+            why = self._streaming.reason or (f"held back by {held_by}" if held_by else UNKNOWN_CAUSE)
             message = f"the tool cannot follow: {1e3 * away:.0f} mm behind {_text(position)} m: {why}"
             raise UnreachableError(message)
 

@@ -36,6 +36,12 @@ class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     whole_arm: bool = False
     """For the balls of elbow, forearm, wrist and flange, as a table is; else for the tool point alone."""
 
+    @classmethod
+    def through(cls, nx: float, ny: float, nz: float, d: float) -> "WorkspacePlane":
+        """The plane `n . p = d` for the tool point, with a normal of any length above 0."""
+        length = math.hypot(nx, ny, nz)
+        return cls(normal=(nx / length, ny / length, nz / length), offset_m=d / length)
+
     def __post_init__(self) -> None:
         if not math.isfinite(self.offset_m):
             raise _out_of_range("offset_m", self.offset_m, "finite")

@@ -1,4 +1,8 @@
-"""Inverse kinematics of UR arms: all eight branches in closed form, or the one nearest to where the arm was."""
+"""Inverse kinematics of UR arms: all eight branches in closed form, or the one nearest to where the arm was.
+
+The emulated controller answers with it. The driver does not need it: an arm is led from where its joints are, and joint
+velocities (`streaming`) never leave the branch.
+"""
 
 from collections.abc import Sequence
 from typing import TypeAlias

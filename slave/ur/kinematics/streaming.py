@@ -32,7 +32,7 @@ from haptether.slave.ur.kinematics.constraints import (
     height,
     tool_height,
 )
-from haptether.slave.ur.kinematics.pose import Array, Numbers
+from haptether.slave.ur.kinematics.pose import Array, Numbers, Vector
 from haptether.slave.ur.kinematics.symbolic import Buffered, Symbol, casadi_module
 
 # Solutions that the search for its multiplier may take; 1 to 4 are usual.
@@ -96,13 +96,17 @@ class UrStreaming:
         """What each row of the program is, as text."""
         self._function = problem.function
         memory, n = problem.function.memory, len(problem.rows)
+        self._floors = np.zeros(n)
+        self._parameters = (self._floors,) if n else ()
+        self._normals = np.array(problem.normals)
+        self._distances = memory[5]
         self._program = QuadraticProgram(
             memory[0].reshape(6, 6), memory[1], memory[2].reshape(n, 6), memory[3], memory[4]
         )
         self._solver = QuadraticSolver()
         self._speed_limit: SpeedLimit | None = None
         if limits.max_tool_speed is not None:
-            self._speed_limit = SpeedLimit(limits.max_tool_speed, memory[5].reshape(3, 6), memory[6].reshape(6, 6))
+            self._speed_limit = SpeedLimit(limits.max_tool_speed, memory[6].reshape(3, 6), memory[7].reshape(6, 6))
         self._step = None if limits.max_acceleration is None else np.array(limits.max_acceleration) * period_s
 
     @property
@@ -114,6 +118,38 @@ class UrStreaming:
     def multipliers(self) -> Array:
         """Of the last solution, (6 + n,): positive where an upper bound holds, negative where a lower one does."""
         return self._solver.multipliers
+
+    @property
+    def held_by(self) -> str:
+        """Which distances held the last solution back, as text; empty where none did."""
+        held = self.multipliers[6:] < 0
+        return ", ".join(row for row, is_held in zip(self.rows, held, strict=False) if is_held)
+
+    def beside_planes(self, vector: Array, within_m: float) -> Array:
+        """A vector, (3,), without its parts towards the planes that the last call of `velocity` found so near, in m."""
+        for normal, distance in zip(self._normals, self._distances - self._floors, strict=True):
+            if distance < within_m and (towards := float(normal @ vector)) < 0:
+                vector = vector - towards * normal
+        return vector
+
+    def begin(self, q: Numbers, offset: Numbers = (0.0, 0.0, 0.0)) -> None:
+        """Motion begins at joint angles: what is nearer there than it may be need not go away, but goes no nearer.
+
+        Without this call every distance is kept above 0, and what is below comes back at up to 1 mm/s.
+
+        Args:
+            q: Joint angles, (6,), rad.
+            offset: From the frame of the planes to that of the model, (3,), m: an arm of which the model is right to a
+                few mm keeps its planes where its controller has them.
+
+        Raises:
+            ValueError: A number is not finite.
+        """
+        if not self._parameters:
+            return
+        self._floors[:] = self._normals @ np.array(offset, dtype=np.float64)
+        self._function.all(q, np.zeros(6), np.zeros(6), self._floors)
+        np.minimum(self._floors, self._distances, out=self._floors)
 
     def velocity(self, q: Numbers, qd: Numbers, twist: Numbers) -> Array:
         """Joint velocities for the next period, (6,), rad/s.
@@ -128,7 +164,7 @@ class UrStreaming:
                 in rad/s.
         """
         try:
-            self._function.all(q, qd, twist)
+            self._function.all(q, qd, twist, *self._parameters)
         except (TypeError, ValueError) as error:
             self.reason = str(error)
             return self._braking(qd)
@@ -208,13 +244,15 @@ RETURN_M_S: Final = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class StreamingProblem:
-    """The program as a function of (q, qd before, twist)."""
+    """The program as a function of (q, qd before, twist) and, where it has rows, what each distance stays above (m)."""
 
     function: Buffered
-    """Results: H (6, 6), f (6), A' (6, rows), lower and upper (6 + rows) and, with a tool speed limit, J' (6, 3) of the
-    tool point and J'J (6, 6)."""
+    """Results: H (6, 6), f (6), A' (6, rows), lower and upper (6 + rows), distances (rows) and, with a limit of the
+    tool's speed, J' (6, 3) of the tool point and J'J (6, 6)."""
     rows: tuple[str, ...]
     """What each row of A is, as text."""
+    normals: tuple[Vector, ...]
+    """Of each row the plane's normal; 0 where the distance is not to a plane."""
 
 
 def streaming_problem(
@@ -231,21 +269,22 @@ def streaming_problem(
     hessian = casadi.mtimes(weighted, chain.jacobian) + damping * casadi.SX.eye(6)
     lower, upper = _joint_bounds(q, before, limits, period_s)
 
-    names: list[str] = []
-    gradients: list[Symbol] = []
-    for name, distance in _distances(kinematics, limits):
-        names.append(name)
-        gradients.append(distance.gradient)
+    distances = _distances(kinematics, limits)
+    floors = casadi.SX.sym("floors", len(distances))
+    for row, (_, _, distance) in enumerate(distances):
         # d(distance)/dt >= -rate distance: an approach that would take for ever.
-        lower.append(casadi.fmin(-limits.approach_rate_hz * distance.value, RETURN_M_S))
+        lower.append(casadi.fmin(-limits.approach_rate_hz * (distance.value - floors[row]), RETURN_M_S))
         upper.append(UNBOUNDED)
 
-    rows = casadi.vertcat(*gradients).T if gradients else casadi.SX(6, 0)
+    rows = casadi.vertcat(*[distance.gradient for _, _, distance in distances]).T if distances else casadi.SX(6, 0)
     results = [hessian, -casadi.mtimes(weighted, twist), rows, casadi.vertcat(*lower), casadi.vertcat(*upper)]
+    results.append(casadi.vertcat(*[distance.value for _, _, distance in distances]) if distances else casadi.SX(0, 1))
     if limits.max_tool_speed is not None:
         linear = chain.jacobian[:3, :]
         results += [linear.T, casadi.mtimes(linear.T, linear)]
-    return StreamingProblem(Buffered("streaming", [q, before, twist], results), tuple(names))
+    function = Buffered("streaming", [q, before, twist, *([floors] if distances else [])], results)
+    names, normals = tuple(name for name, _, _ in distances), tuple(normal for _, normal, _ in distances)
+    return StreamingProblem(function, names, normals)
 
 
 def _damping(kinematics: UrKinematics, cost: StreamingCost) -> Symbol:
@@ -307,19 +346,20 @@ def _last_speed(distance: Symbol, step: float, period_s: float) -> Symbol:
     return left / ((n + 1) * period_s) + n * step / 2
 
 
-def _distances(kinematics: UrKinematics, limits: StreamingLimits) -> list[tuple[str, Distance]]:
-    """The distances that must stay above 0, each with what it is of."""
+def _distances(kinematics: UrKinematics, limits: StreamingLimits) -> list[tuple[str, Vector, Distance]]:
+    """The distances that are kept, each with what it is of, as text, and the normal of its plane, if it is to one."""
     chain, keep_out = kinematics.chain, limits.self_keep_out
     body = arm_body(kinematics.model, None if keep_out is None else keep_out.radius_m)
-    found = []
+    found: list[tuple[str, Vector, Distance]] = []
     for number, plane in enumerate(limits.planes):
-        where = f"planes[{number}]"
-        found.append((f"{where}, tool", tool_height(chain, plane.normal, plane.offset_m)))
+        where, normal = f"planes[{number}]", plane.normal
+        found.append((f"{where}, tool", normal, tool_height(chain, normal, plane.offset_m)))
         if plane.whole_arm:
-            found += [(f"{where}, {b.name}", height(chain, plane.normal, plane.offset_m, b)) for b in body.balls]
+            found += [(f"{where}, {b.name}", normal, height(chain, normal, plane.offset_m, b)) for b in body.balls]
     if keep_out is not None:
-        pairs = [(body.balls[ball], body.capsules[capsule]) for ball, capsule in body.pairs]
-        found += [(f"{b.name} to {c.name}", clearance(chain, b, c, keep_out.margin_m)) for b, c in pairs]
+        for ball, capsule in ((body.balls[ball], body.capsules[capsule]) for ball, capsule in body.pairs):
+            distance = clearance(chain, ball, capsule, keep_out.margin_m)
+            found.append((f"{ball.name} to {capsule.name}", (0.0, 0.0, 0.0), distance))
     return found
 
 

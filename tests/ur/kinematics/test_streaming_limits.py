@@ -176,6 +176,27 @@ def test_a_plane_is_approached_and_kept() -> None:
     assert x[-1] == pytest.approx(0.6, abs=1e-3)
 
 
+def test_what_begins_beyond_a_plane_stays_but_goes_no_further() -> None:
+    limits = msgspec.structs.replace(JOINTS, planes=(WALL,))
+    kinematics = UrKinematics(MODEL)
+    q = np.array((-0.2 + math.pi, -1.2, 1.1, -2.0, -1.57, 0.0))
+    begin = kinematics.forward(q)[0, 3]
+    assert begin > 0.61
+    still, outward = np.zeros((200, 6)), np.repeat(np.array(((0.2, 0.1, 0.0, 0.0, 0.0, 0.0),)), 200, axis=0)
+    for twists in (still, outward):
+        streaming = UrStreaming(kinematics, limits, period_s=PERIOD_S)
+        streaming.begin(q)
+        places, _, reasons = drive(streaming, q, twists)
+        assert not reasons
+        x = np.array([kinematics.forward(place)[0, 3] for place in places])
+        # On a path that bends by 1/0.7 m at 0.1 m/s, while the sideways speed builds up.
+        assert np.abs(x - begin).max() < 5e-6
+        assert streaming.held_by == ("planes[0], tool" if twists is outward else "")
+    # Without a begin it comes back, at 1 mm/s.
+    places, _, _ = drive(UrStreaming(kinematics, limits, period_s=PERIOD_S), q, still)
+    assert kinematics.forward(places[-1])[0, 3] - begin == pytest.approx(-0.4e-3, abs=2e-5)
+
+
 @pytest.mark.parametrize("calibration", ["ur5", None])
 def test_joints_stay_slow_through_the_wrists_singularity(calibration: str | None) -> None:
     model, deltas = CALIBRATIONS[calibration] if calibration else (MODEL, None)

@@ -1,0 +1,159 @@
+"""An arm that is led by joint angles stays within the planes of its workspace and clear of itself."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from tests.ur.fake_rtde import START_Q
+
+from haptether.slave import SelfKeepOut, StreamingLimits, UrKinematics, UrStreaming, ur_model
+from haptether.slave.ur.kinematics import streaming
+from haptether.slave.ur.kinematics.constraints import arm_body
+from haptether.slave.ur.kinematics.pose import pose_from_transform
+from haptether.slave.ur_joints import Joints, UnreachableError
+from haptether.slave.ur_options import ur_options
+from haptether.slave.ur_setpoint import SetPoint
+from haptether.slave.ur_state import UrState
+
+Array = npt.NDArray[np.float64]
+
+MODEL = ur_model("ur5e")
+INWARD = np.array((0.143, 0.436, 0.0)) / math.hypot(0.143, 0.436)
+"""From the tool of the start to the axis of the base."""
+
+
+@dataclass
+class Led:
+    """What became of an arm that was led."""
+
+    q: Array
+    """Joint angles at each period, (n, 6)."""
+    away: Array
+    """Of the tool, as the controller has it, from where it began: (n, 3), m."""
+    behind: Array
+    """Of the tool from its set point, (n, 3), m."""
+    fault: str
+
+
+def led(
+    towards: Array,
+    length_m: float,
+    *,
+    speed: float = 0.25,
+    period_s: float = 0.002,
+    off: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    q: tuple[float, ...] = START_Q,
+    **given: Any,  # noqa: ANN401  # options
+) -> Led:
+    """Leads the tool along a straight line at a speed, and lets it settle; the controller has it `off` away."""
+    kinematics = UrKinematics(MODEL)
+    pose = pose_from_transform(np.array(kinematics.forward(q)))
+    pose[:3] += off
+    state = UrState(1.0, q, q, (0.0,) * 6, tuple(pose.tolist()), (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2, 1.0)
+    options = ur_options({"host": "fake", "max_speed": speed} | given)
+    joints = Joints(kinematics, options, period_s)
+    point = SetPoint(options.max_speed, options.max_acceleration, period_s, options.workspace)
+    home = np.array(pose[:3])
+    joints.begin(state)
+    point.begin((home[0], home[1], home[2]))
+    angles, away, behind, fault = [], [], [], ""
+    for index in range(round((length_m / speed + 1.0) / period_s)):
+        x, y, z = (home + towards * min(length_m, speed * period_s * index)).tolist()
+        v = speed if speed * period_s * index < length_m else 0.0
+        vx, vy, vz = (v * towards).tolist()
+        point.step((x, y, z), (vx, vy, vz), period_s)
+        try:
+            joints.follow(point, period_s)
+        except UnreachableError as error:
+            fault = str(error)
+            break
+        angles.append(joints.q)
+        there = kinematics.forward(joints.q)[:3, 3] + off
+        away.append(there - home)
+        behind.append(np.array(point.position) - there)
+    return Led(np.array(angles), np.array(away), np.array(behind), fault)
+
+
+def plane_ahead(towards: Array, at_m: float, off: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[float]:
+    """The plane across the way, so far ahead of the start; its normal has a length of 3."""
+    home = np.array(UrKinematics(MODEL).forward(START_Q))[:3, 3] + off
+    return [*(-3.0 * towards).tolist(), -3.0 * (float(towards @ home) + at_m)]
+
+
+@pytest.mark.parametrize("period_s", [0.002, 0.008])
+@pytest.mark.parametrize(
+    ("speed", "acceleration"), [(0.25, 5.0), (1.0, 5.0), (1.0, 20.0), (3.0, 20.0)], ids=lambda value: f"{value:g}"
+)
+def test_an_arm_that_is_led_beyond_a_plane_stops_at_it(speed: float, acceleration: float, period_s: float) -> None:
+    towards = np.array((1.0, 0.0, -0.3)) / math.hypot(1.0, 0.3)
+    arm = led(
+        towards, 0.15, speed=speed, period_s=period_s, max_acceleration=acceleration,
+        workspace=[plane_ahead(towards, 0.06)],
+    )  # fmt: skip
+    assert arm.fault == ""
+    along = arm.away @ towards
+    # It comes to the plane from within, at a rate of 10 Hz, or less where that would take more than 10 m/s^2; the path
+    # of a period bends by less than 1 um.
+    assert along.max() <= 0.06 + 1e-6
+    assert along[-1] == pytest.approx(0.06, abs=1e-4 + 0.06 * math.exp(-10.0 / max(1.0, speed)))
+
+
+def test_the_plane_is_where_the_controller_has_the_tool() -> None:
+    # As much as another model of the same size would be off, and more than the tool is from the plane.
+    off = (0.004, -0.003, 0.002)
+    towards = np.array((1.0, 0.0, 0.0))
+    arm = led(towards, 0.1, off=off, workspace=[plane_ahead(towards, 0.003, off)])
+    along = arm.away @ towards
+    assert arm.fault == ""
+    assert along.max() <= 0.003 + 1e-6
+    assert along[-1] == pytest.approx(0.003, abs=1e-4)
+
+
+def test_far_from_planes_and_from_itself_commands_are_the_same_to_the_bit() -> None:
+    towards = np.array((0.6, 0.0, 0.8))
+    free = led(towards, 0.15)
+    bounded = led(towards, 0.15, workspace=[plane_ahead(towards, 0.4), [0.0, 0.0, 1.0, -0.5]])
+    assert free.fault == bounded.fault == ""
+    assert free.q.tobytes() == bounded.q.tobytes()
+
+
+def clearances(path: Array) -> tuple[Array, tuple[str, ...]]:
+    """Distances of the arm from itself, with the margin of the driver taken off, of the joint angles of a path."""
+    steps = UrStreaming(UrKinematics(MODEL), StreamingLimits(self_keep_out=SelfKeepOut()), period_s=0.002)
+    found = []
+    for q in path:
+        # Without bounds the row of a distance d has the lower bound -10 d; below 0 it is cut at 1 mm/s.
+        steps.velocity(q, np.zeros(6), np.zeros(6))
+        found.append(-steps.program.lower[6:] / 10.0)
+    return np.array(found), steps.rows
+
+
+def test_an_arm_that_is_led_into_itself_stays_clear_and_says_why() -> None:
+    arm = led(INWARD, 0.44)
+    distances, rows = clearances(arm.q)
+    assert distances.min() >= -1e-5
+    nearest = rows[int(distances[-1].argmin())]
+    assert "the tool cannot follow" in arm.fault
+    assert f"held back by {nearest}" in arm.fault
+
+
+def test_without_the_keep_out_it_would_hit_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The same line, with links so thin that they hardly meet: what the test above must not owe to anything else.
+    with monkeypatch.context() as patch:
+        patch.setattr(streaming, "arm_body", lambda model, _: arm_body(model, 1e-3))
+        arm = led(INWARD, 0.44)
+    distances, _ = clearances(arm.q)
+    assert distances.min() < -9e-5
+
+
+@pytest.mark.parametrize("towards", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0)])
+def test_an_arm_that_begins_closer_to_itself_than_it_may_does_not_move_by_itself(towards: tuple[float, ...]) -> None:
+    folded = (0.0, -1.57, 2.7, -1.2, -1.57, 0.0)
+    distances, _ = clearances(np.array([folded]))
+    assert distances.min() < 0
+    still = led(np.array(towards), 0.0, q=folded)
+    assert still.fault == ""
+    assert np.abs(still.q - folded).max() < 1e-9
