@@ -89,7 +89,7 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     @property
     def planes(self) -> tuple[WorkspacePlane, ...]:
         """Those of `workspace`, their normals of length 1."""
-        return tuple(_plane(*numbers) for numbers in self.workspace)
+        return tuple(WorkspacePlane.through(*numbers) for numbers in self.workspace)
 
 
 def ur_options(given: Mapping[str, Any]) -> UrOptions:
@@ -141,11 +141,6 @@ def _check(options: UrOptions) -> None:
             raise _wrong("workspace", plane, "must have a normal of some length")
     if options.force_source == "raw" and not model.wrench.measured:
         raise _wrong("force_source", "raw", f"a {model.name} has no sensor in its flange: must be tcp")
-
-
-def _plane(x: float, y: float, z: float, d: float) -> WorkspacePlane:
-    length = math.hypot(x, y, z)
-    return WorkspacePlane(normal=(x / length, y / length, z / length), offset_m=d / length)
 
 
 def _numbers(value: object) -> Iterator[float]:

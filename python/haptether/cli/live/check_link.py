@@ -253,7 +253,7 @@ def _numbers(scene: "Scene") -> dict[str, Any]:
 
 
 def _arm(slave: dict[str, Any]) -> "Follower":
-    """K_s and B_s that a control amounts to, as `slave/src/arm.rs` has them."""
+    """K_s and B_s that a control amounts to, as `slave/src/arm/model.rs` has them."""
     import math
 
     from haptether.studies import Follower
