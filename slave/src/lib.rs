@@ -5,56 +5,34 @@
 //! construction.
 
 mod arm;
-mod arm_drive;
 mod axes;
-mod body;
-mod coarse;
 mod contact;
-mod dormand_prince;
-mod environment;
-mod force_sensor;
-mod held;
-mod linear;
-mod located;
-mod motion;
-mod object;
-mod pusher;
-mod random;
-mod reach;
-mod rendered;
-mod set_point;
+mod one_axis;
 mod settings;
-mod shape;
 mod simulated;
-mod solve;
 mod solver;
-mod transition;
-mod ur_inverse;
-mod ur_nearest;
-mod ur_refine;
-mod ur_rows;
+mod ur;
 mod wall;
-mod window;
 
-pub use arm::{ArmControl, ArmModel, ArmParameters};
+pub use arm::force_sensor::ForceSensor;
+pub use arm::model::{ArmControl, ArmModel, ArmParameters};
 pub use axes::Axes;
-pub use body::FreeBody;
-pub use contact::{Contact, ContactLaw, FULL_SLIP};
-pub use environment::Environment;
-pub use force_sensor::ForceSensor;
-pub use motion::ObjectMotion;
-pub use object::Object;
-pub use pusher::{PushShape, Pusher, Series};
-pub use rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
+pub use contact::body::FreeBody;
+pub use contact::environment::Environment;
+pub use contact::law::{Contact, ContactLaw, FULL_SLIP};
+pub use contact::motion::ObjectMotion;
+pub use contact::object::Object;
+pub use contact::pusher::{PushShape, Pusher, Series};
+pub use contact::rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
+pub use contact::shape::Shape;
 pub use settings::{
     ArmSettings, BodySettings, ContactLawKind, ContactSettings, ControlKind, ForceSensorSettings,
     ObjectMotionSettings, ObjectSettings, PushKind, PusherSettings, SeriesSettings, ShapeSettings,
 };
-pub use shape::Shape;
 pub use simulated::{SimulatedSlave, SlaveSample};
-pub use ur_inverse::{UrBranches, UrUnreached};
-pub use ur_nearest::UrInverse;
-pub use ur_rows::{UrPose, UrRows};
+pub use ur::inverse::{UrBranches, UrUnreached};
+pub use ur::nearest::UrInverse;
+pub use ur::rows::{UrPose, UrRows};
 pub use wall::Wall;
 
 /// A parameter that a model cannot have.

@@ -2,11 +2,11 @@
 
 use crate::{
     ArmModel, ArmParameters, Axes, Environment, ForceSensor, ModelError, Pusher, Wall,
-    arm_drive::ArmDrive,
+    arm::drive::ArmDrive,
     axes::{all_finite, require_axes},
-    held::HeldArm,
-    linear::LinearArm,
-    solve::{Drive, Tool},
+    one_axis::HeldArm,
+    solver::adaptive::{Drive, Tool},
+    solver::linear::LinearArm,
 };
 
 /// What the slave tells at one tick.

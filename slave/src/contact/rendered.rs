@@ -6,8 +6,9 @@ use nalgebra::{ClosedAddAssign, ClosedMulAssign, ClosedSubAssign, Scalar, SimdPa
 use num_traits::{One, Zero};
 
 use crate::{
-    ModelError, PushShape, require,
-    window::{Window, whole_ns},
+    ModelError, PushShape,
+    contact::window::{Window, whole_ns},
+    require,
 };
 
 type Axes<const N: usize, S = f64> = nalgebra::SVector<S, N>;

@@ -1,6 +1,6 @@
 //! How an object moves on its own.
 
-use crate::{Axes, ModelError, axes::require_axes, require, window::Window};
+use crate::{Axes, ModelError, axes::require_axes, contact::window::Window, require};
 
 /// Constant velocity for a while, and a sine on top.
 ///

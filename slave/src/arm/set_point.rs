@@ -1,6 +1,6 @@
 //! The set position of one axis, limited in speed and acceleration.
 
-use crate::arm::Limits;
+use crate::arm::model::Limits;
 
 /// Distance in m that counts as none: far above rounding at a metre, far below what a controller shows.
 const THERE: f64 = 1e-13;

@@ -2,9 +2,9 @@
 
 use crate::{
     ArmControl, ArmModel, Axes,
-    arm::{Command, Limits},
-    set_point::SetPoint,
-    solve::Tool,
+    arm::model::{Command, Limits},
+    arm::set_point::SetPoint,
+    solver::adaptive::Tool,
 };
 
 /// How much faster than the velocity control its limited set velocity is.

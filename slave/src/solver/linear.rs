@@ -1,7 +1,10 @@
 //! An arm among planes across the axes and springs: linear between contacts, axis by axis, and advanced exactly, as
 //! long as it stays clear of all other objects.
 
-use crate::{Environment, Object, arm_drive::ArmDrive, contact::Mode, solve::Tool, transition::Transition};
+use crate::{
+    Environment, Object, arm::drive::ArmDrive, contact::law::Mode, solver::adaptive::Tool,
+    solver::transition::Transition,
+};
 
 /// Longest piece in s.
 const LONGEST: f64 = 1e-3;

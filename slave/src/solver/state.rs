@@ -1,6 +1,6 @@
 //! The state of tool and bodies, its slopes and the error of a step.
 
-use crate::{Axes, dormand_prince::ERROR};
+use crate::{Axes, solver::dormand_prince::ERROR};
 
 /// Error of one step, relative and in m or m/s.
 const RELATIVE: f64 = 1e-10;

@@ -2,10 +2,10 @@
 
 use crate::{
     Axes, Environment,
-    body::STANDS,
-    dormand_prince::dense,
-    solve::{SHORTEST, Tool},
-    solver::{Piece, Solver, TOOL},
+    contact::body::STANDS,
+    solver::adaptive::{SHORTEST, Tool},
+    solver::dormand_prince::dense,
+    solver::state::{Piece, Solver, TOOL},
 };
 
 impl<const N: usize> Environment<N> {

@@ -20,7 +20,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Vector2, Vector3};
 
-use crate::{UrPose, ur_rows::UrLengths};
+use crate::{UrPose, ur::rows::UrLengths};
 
 /// What m may be off by, and how far out of reach a pose may be.
 #[derive(Clone, Copy, Debug, PartialEq)]

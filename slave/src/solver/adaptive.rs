@@ -2,11 +2,11 @@
 
 use crate::{
     Axes, Environment,
-    arm_drive::ArmDrive,
+    arm::drive::ArmDrive,
     axes::all_finite,
-    contact::Mode,
-    dormand_prince::{NODES, STAGES},
-    solver::{Piece, Solver, TOOL},
+    contact::law::Mode,
+    solver::dormand_prince::{NODES, STAGES},
+    solver::state::{Piece, Solver, TOOL},
 };
 
 /// Longest step in s, whatever the estimated error.

@@ -4,9 +4,9 @@ use std::f64::consts::PI;
 
 use crate::{
     ModelError, UrBranches, UrPose, UrRows, UrUnreached,
-    ur_inverse::{ROUNDING, Slack, closed_form, wrapped},
-    ur_refine::{CLOSE, UrChain},
-    ur_rows::UrLengths,
+    ur::inverse::{ROUNDING, Slack, closed_form, wrapped},
+    ur::refine::{CLOSE, UrChain},
+    ur::rows::UrLengths,
 };
 
 /// How far the reach of a unit may differ from that of its model; its turns are taken as they are.

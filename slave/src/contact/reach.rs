@@ -1,6 +1,6 @@
 //! Which objects can be touched soon.
 
-use crate::{Axes, object::Object};
+use crate::{Axes, contact::object::Object};
 
 /// Distance in m within which an object is asked at every instant.
 const NEAR: f64 = 0.01;

@@ -3,8 +3,8 @@
 use crate::{
     Axes, ModelError,
     axes::require_axes,
+    contact::window::{Window, whole_ns},
     require,
-    window::{Window, whole_ns},
 };
 
 /// Values over time: linear between its points, constant outside.

@@ -2,10 +2,10 @@
 
 use crate::{
     Axes, Object, Pusher,
-    contact::{Mode, Reaction},
-    reach::Reach,
-    solve::{Drive, Tool},
-    solver::Solver,
+    contact::law::{Mode, Reaction},
+    contact::reach::Reach,
+    solver::adaptive::{Drive, Tool},
+    solver::state::Solver,
 };
 
 /// Objects and pushers.

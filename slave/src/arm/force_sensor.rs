@@ -1,6 +1,6 @@
 //! A force sensor between the tool and the arm.
 
-use crate::{Axes, ModelError, axes::require_axes, random::normal, require};
+use crate::{Axes, ModelError, arm::random::normal, axes::require_axes, require};
 
 /// Streams of the noise, one per axis: apart from those that the same seed has in the network.
 const STREAM: u64 = 0x5E << 32;

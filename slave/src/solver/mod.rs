@@ -1,0 +1,9 @@
+//! Arm and bodies advanced in time: exactly between contacts where their motion is linear, else by an adaptive method.
+
+pub(crate) mod adaptive;
+mod coarse;
+mod dormand_prince;
+pub(crate) mod linear;
+mod located;
+pub(crate) mod state;
+mod transition;
