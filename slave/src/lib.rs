@@ -5,35 +5,32 @@
 //! construction.
 
 mod arm;
-mod axes;
 mod contact;
 mod one_axis;
 mod settings;
 mod simulated;
 mod solver;
 mod ur;
-mod wall;
 
 pub use arm::force_sensor::ForceSensor;
 pub use arm::model::{ArmControl, ArmModel, ArmParameters};
-pub use axes::Axes;
-pub use contact::body::FreeBody;
 pub use contact::environment::Environment;
 pub use contact::law::{Contact, ContactLaw, FULL_SLIP};
-pub use contact::motion::ObjectMotion;
-pub use contact::object::Object;
+pub use contact::object::{FreeBody, Object, ObjectMotion, Shape};
 pub use contact::pusher::{PushShape, Pusher, Series};
 pub use contact::rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
-pub use contact::shape::Shape;
+pub use one_axis::Wall;
 pub use settings::{
     ArmSettings, BodySettings, ContactLawKind, ContactSettings, ControlKind, ForceSensorSettings,
     ObjectMotionSettings, ObjectSettings, PushKind, PusherSettings, SeriesSettings, ShapeSettings,
 };
 pub use simulated::{SimulatedSlave, SlaveSample};
+pub use ur::chain::{UrPose, UrRows};
 pub use ur::inverse::{UrBranches, UrUnreached};
 pub use ur::nearest::UrInverse;
-pub use ur::rows::{UrPose, UrRows};
-pub use wall::Wall;
+
+/// One value along each of N axes: m, m/s or N.
+pub type Axes<const N: usize> = nalgebra::SVector<f64, N>;
 
 /// A parameter that a model cannot have.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -54,4 +51,18 @@ pub(crate) fn require(
     allowed: &'static str,
 ) -> Result<(), ModelError> {
     if seen.is_finite() && holds { Ok(()) } else { Err(ModelError { name, seen, allowed }) }
+}
+
+/// Requires of every axis what `require` requires of a number.
+pub(crate) fn require_axes<const N: usize>(
+    name: &'static str,
+    seen: &Axes<N>,
+    holds: impl Fn(f64) -> bool,
+    allowed: &'static str,
+) -> Result<(), ModelError> {
+    seen.iter().try_for_each(|&value| require(name, value, holds(value), allowed))
+}
+
+pub(crate) fn all_finite<const N: usize>(values: &Axes<N>) -> bool {
+    values.iter().all(|value| value.is_finite())
 }

@@ -2,7 +2,42 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use crate::{ArmParameters, ModelError, Pusher, Wall, require};
+use crate::{ArmParameters, ModelError, Pusher, require};
+
+/// A spring wall that fills x below its surface and pushes along +x.
+///
+/// `F = K (x_w - x)` inside, 0 outside.
+///
+/// Source: paper Eq. 15 with B = 0, which section 4 uses throughout.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wall {
+    surface: f64,
+    stiffness: f64,
+}
+
+impl Wall {
+    /// Surface `x_w` in m, stiffness K in N/m (>= 0).
+    pub fn new(surface: f64, stiffness: f64) -> Result<Self, ModelError> {
+        require("wall position", surface, true, "finite")?;
+        require("wall stiffness", stiffness, stiffness >= 0.0, "finite and 0 or more")?;
+        Ok(Self { surface, stiffness })
+    }
+
+    /// Force on the tool in N at x in m.
+    pub fn force(&self, position: f64) -> f64 {
+        self.stiffness * (self.surface - position).max(0.0)
+    }
+
+    /// K in N/m.
+    pub fn stiffness(&self) -> f64 {
+        self.stiffness
+    }
+
+    /// `x_w` in m.
+    pub fn surface(&self) -> f64 {
+        self.surface
+    }
+}
 
 /// Arm, wall and pusher along one axis.
 ///
@@ -27,23 +62,23 @@ pub(crate) struct HeldArm {
 /// Longest step in s: a push or a set position is sampled at least this often.
 const LONGEST_STEP: f64 = 1e-3;
 
-/// One of the two linear motions, with `e^{A h}` for the usual step at hand.
+/// One of the two linear motions, with `e^{A h}` for the longest step at hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Regime {
     stiffness: f64,
     system: Matrix2<f64>,
-    usual: Matrix2<f64>,
+    longest: Matrix2<f64>,
 }
 
 impl Regime {
     fn new(arm: &ArmParameters, wall_stiffness: f64) -> Self {
         let stiffness = arm.stiffness() + wall_stiffness;
         let system = Matrix2::new(0.0, 1.0, -stiffness / arm.mass_kg, -2.0 * arm.pole());
-        Self { stiffness, system, usual: (system * LONGEST_STEP).exp() }
+        Self { stiffness, system, longest: (system * LONGEST_STEP).exp() }
     }
 
     fn advanced(&self, state: Vector2<f64>, rest: Vector2<f64>, h: f64) -> Vector2<f64> {
-        let transition = if h == LONGEST_STEP { self.usual } else { (self.system * h).exp() };
+        let transition = if h == LONGEST_STEP { self.longest } else { (self.system * h).exp() };
         rest + transition * (state - rest)
     }
 }
@@ -91,13 +126,13 @@ impl HeldArm {
         self.now_ns = now_ns;
     }
 
-    /// Commands the set position that has been reached, and gives it in m: the arm stays where it is.
+    /// Commands the set position that has been reached, and returns it in m: the arm stays where it is.
     pub(crate) fn stop(&mut self) -> f64 {
         self.commanded = self.set_position;
         self.commanded
     }
 
-    /// Advances to `now_ns` (monotonic) and tells x in m, V in m/s and `F_e` in N there.
+    /// Advances to `now_ns` (monotonic) and returns x in m, V in m/s and `F_e` in N there.
     pub(crate) fn read(&mut self, now_ns: u64) -> [f64; 3] {
         let mut left = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
         let mut time = self.pusher_time(self.now_ns);
@@ -133,8 +168,8 @@ impl HeldArm {
     }
 
     fn advance(&mut self, time: f64, step: f64) {
-        let most = self.arm.max_speed * step;
-        self.set_position += (self.commanded - self.set_position).clamp(-most, most);
+        let limit = self.arm.max_speed * step;
+        self.set_position += (self.commanded - self.set_position).clamp(-limit, limit);
         let pull = self.arm.stiffness() * self.set_position + self.push(time);
         let mut left = step;
         // In and out of a wall within one step is two crossings; more would need a pole above the step rate.
@@ -162,6 +197,19 @@ impl HeldArm {
             self.state = regime.advanced(self.state, rest, after);
             self.state.x = self.wall.surface();
             left -= after;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wall_pushes_out_and_never_pulls() {
+        let wall = Wall::new(0.1, 200.0).unwrap();
+        for (x, f) in [(0.2, 0.0), (0.1, 0.0), (0.06, 8.0)] {
+            assert!((wall.force(x) - f).abs() < 1e-12, "{x}");
         }
     }
 }

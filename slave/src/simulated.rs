@@ -1,15 +1,14 @@
 //! A simulated slave: an arm in an environment, advanced in time under held commands.
 
 use crate::{
-    ArmModel, ArmParameters, Axes, Environment, ForceSensor, ModelError, Pusher, Wall,
-    arm::drive::ArmDrive,
-    axes::{all_finite, require_axes},
+    ArmModel, ArmParameters, Axes, Environment, ForceSensor, ModelError, Pusher, Wall, all_finite,
+    arm::drive::{ArmDrive, Tool},
     one_axis::HeldArm,
-    solver::adaptive::{Drive, Tool},
-    solver::linear::LinearArm,
+    require_axes,
+    solver::{adaptive::Drive, linear::LinearArm},
 };
 
-/// What the slave tells at one tick.
+/// What the slave measures at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveSample<const N: usize = 1> {
     /// Tool position in m.
@@ -170,7 +169,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Stays where it is: brakes within its limits. Gives where it comes to rest, in m.
+    /// Stays where it is: brakes within its limits. Returns where it comes to rest, in m.
     pub fn stop(&mut self) -> Axes<N> {
         match &mut self.plant {
             Plant::Held(held) => Axes::from_element(held.stop()),
@@ -178,7 +177,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Advances to `now_ns` (monotonic) and tells what the arm measures there.
+    /// Advances to `now_ns` (monotonic) and returns what the arm measures there.
     pub fn read(&mut self, now_ns: u64) -> SlaveSample<N> {
         let advanced = now_ns > self.now_ns;
         let from = self.now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
@@ -246,7 +245,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Steps so far that were too stiff to be followed to the usual accuracy and were taken by a stable method of
+    /// Steps so far that were too stiff to be followed to full accuracy and were taken by a stable method of
     /// order 1.
     pub fn coarse_steps(&self) -> u64 {
         match &self.plant {

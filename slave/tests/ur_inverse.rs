@@ -248,12 +248,12 @@ fn what_is_out_of_reach_is_said_to_be() {
     let mut place = Matrix4::identity();
     place[(0, 3)] = 2.0;
     let far = inverse.nearest(&pose(&place), &NONE).unwrap_err();
-    assert!(matches!(far, UrUnreached::Elbow { most_m, .. } if (most_m - 0.8172).abs() < 1e-12), "{far}");
+    assert!(matches!(far, UrUnreached::Elbow { max_m, .. } if (max_m - 0.8172).abs() < 1e-12), "{far}");
     place[(0, 3)] = 0.05;
     let inside = inverse.nearest(&pose(&place), &NONE).unwrap_err();
     assert!(
-        matches!(inside, UrUnreached::Shoulder { radius_m, least_m }
-        if (radius_m - 0.05).abs() < 1e-12 && least_m == 0.1333),
+        matches!(inside, UrUnreached::Shoulder { radius_m, min_m }
+        if (radius_m - 0.05).abs() < 1e-12 && min_m == 0.1333),
         "{inside}"
     );
     assert_eq!(inverse.all(&pose(&place)).unreached(), Some(inside));

@@ -3,14 +3,12 @@
 use crate::{
     ArmControl, ArmModel, Axes,
     arm::model::{Command, Limits},
-    arm::set_point::SetPoint,
-    solver::adaptive::Tool,
 };
 
 /// How much faster than the velocity control its limited set velocity is.
 const FOLLOWS: f64 = 10.0;
 
-/// An arm and what it is told.
+/// An arm under a command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ArmDrive<const N: usize> {
     model: ArmModel,
@@ -44,10 +42,10 @@ impl<const N: usize> ArmDrive<N> {
         self.command = command;
     }
 
-    /// Stays: brakes the set position, or the tool of a velocity control. Gives where it comes to rest, in m.
+    /// Stays: brakes the set position, or the tool of a velocity control. Returns where it comes to rest, in m.
     ///
     /// A set position that rests stays as it is: one that went to where the tool is would let an arm that leans on
-    /// something, or carries something, give way. A velocity control has none. A control that used the velocity of
+    /// something, or carries something, yield. A velocity control has none. A control that used the velocity of
     /// the command loses it: from V at x, `M x'' + B x' + K (x - x*) = 0` comes to rest without a swing for
     /// `x* >= x + 2 M V / B`, if it is damped critically or more; with less damping it swings least near
     /// `x + V sqrt(M / K)`. Stopped again before another command, it stays as it is.
@@ -69,8 +67,8 @@ impl<const N: usize> ArmDrive<N> {
             }
             // As far beyond the set position as its speed takes it there; without speed not at all.
             let set = self.set_points[axis].nearest_rest(&limits);
-            let (least, most) = if coast < 0.0 { (2.0 * coast, 0.0) } else { (0.0, 2.0 * coast) };
-            set + (position + coast - set).max(least).min(most)
+            let (low, high) = if coast < 0.0 { (2.0 * coast, 0.0) } else { (0.0, 2.0 * coast) };
+            set + (position + coast - set).max(low).min(high)
         });
         self.command(Some(rest), Axes::zeros());
         self.stops = true;
@@ -94,7 +92,7 @@ impl<const N: usize> ArmDrive<N> {
 
     /// How long the present phases last, in s.
     pub(crate) fn phase(&self) -> f64 {
-        self.set_points.iter().fold(f64::INFINITY, |least, set_point| least.min(set_point.phase))
+        self.set_points.iter().fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))
     }
 
     /// Moves the set position on by `step` in s, no further than the present phases last.
@@ -134,10 +132,10 @@ impl<const N: usize> ArmDrive<N> {
         let target =
             self.command.position.map_or_else(Axes::zeros, |at| (at - tool.position) * (0.25 * pole));
         let target = self.within_speed(&(target + self.command.velocity));
-        let most = self.model.limits().acceleration;
-        let (set, change) = if most.is_finite() {
+        let limit = self.model.limits().acceleration;
+        let (set, change) = if limit.is_finite() {
             let change = (target - tool.set_velocity) * (FOLLOWS * pole);
-            (tool.set_velocity, change.map(|a| a.clamp(-most, most)))
+            (tool.set_velocity, change.map(|a| a.clamp(-limit, limit)))
         } else {
             (target, Axes::zeros())
         };
@@ -148,5 +146,114 @@ impl<const N: usize> ArmDrive<N> {
     pub(crate) fn inertia(&self) -> (f64, f64, f64) {
         let (stiffness, damping, _) = self.model.impedance();
         (self.model.mass_kg(), stiffness, damping)
+    }
+}
+
+/// The tool of an arm that moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Tool<const N: usize> {
+    pub(crate) position: Axes<N>,
+    pub(crate) velocity: Axes<N>,
+    /// Of a velocity control with a limited acceleration, in m/s.
+    pub(crate) set_velocity: Axes<N>,
+}
+
+/// Distance in m that counts as none: far above rounding at a metre, far below what a controller shows.
+const THERE: f64 = 1e-13;
+
+/// A set position that goes to its target as fast as its limits allow.
+///
+/// With a limit on the acceleration it accelerates, cruises and brakes to rest at the target: the time-optimal motion.
+/// Each phase has a constant acceleration, so it is exact.
+///
+/// Source: the double integrator, e.g. A. E. Bryson, Y.-C. Ho, "Applied optimal control", 1975, section 3.9.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct SetPoint {
+    pub(crate) position: f64,
+    pub(crate) velocity: f64,
+    pub(crate) acceleration: f64,
+    /// What is left of the present phase, in s.
+    pub(crate) phase: f64,
+    /// Whether the target is reached when the phase ends.
+    arrives: bool,
+}
+
+impl SetPoint {
+    pub(crate) fn at_rest(position: f64) -> Self {
+        Self { position, velocity: 0.0, acceleration: 0.0, phase: f64::INFINITY, arrives: false }
+    }
+
+    /// Chooses the phase that begins now.
+    pub(crate) fn plan(&mut self, target: f64, limits: &Limits) {
+        let away = target - self.position;
+        self.arrives = true;
+        if limits.acceleration.is_finite() {
+            self.plan_smooth(away, limits);
+        } else {
+            self.acceleration = 0.0;
+            if away == 0.0 || limits.speed.is_infinite() {
+                self.velocity = 0.0;
+                self.position = target;
+                self.phase = f64::INFINITY;
+            } else {
+                self.velocity = limits.speed.copysign(away);
+                self.phase = away.abs() / limits.speed;
+            }
+        }
+    }
+
+    fn plan_smooth(&mut self, away: f64, limits: &Limits) {
+        let Limits { speed, acceleration } = *limits;
+        // What is left of the way when it brakes at once.
+        let spare = away - self.velocity * self.velocity.abs() / (2.0 * acceleration);
+        if spare.abs() <= THERE {
+            if self.velocity == 0.0 {
+                self.position += away;
+                self.acceleration = 0.0;
+                self.phase = f64::INFINITY;
+            } else {
+                self.acceleration = -acceleration.copysign(self.velocity);
+                self.phase = self.velocity.abs() / acceleration;
+            }
+            return;
+        }
+        self.arrives = false;
+        let towards = 1_f64.copysign(spare);
+        let (present, spare) = (self.velocity * towards, spare.abs());
+        if present >= speed * (1.0 - 1e-12) {
+            self.acceleration = 0.0;
+            self.phase = spare / present;
+        } else {
+            // It would be as fast as this where it has to brake.
+            let way = away * towards;
+            let peak = (acceleration * way + 0.5 * present * present).max(0.0).sqrt().min(speed);
+            self.acceleration = acceleration * towards;
+            // A phase that rounding has made empty must end nevertheless.
+            self.phase = ((peak - present) / acceleration).max(1e-12);
+        }
+    }
+
+    /// Moves on by `step` in s, no further than the phase lasts.
+    pub(crate) fn advance(&mut self, step: f64, target: f64, limits: &Limits) {
+        if self.phase.is_infinite() {
+            return;
+        }
+        let whole = step >= self.phase * (1.0 - 1e-12);
+        if whole && self.arrives {
+            *self = Self::at_rest(target);
+            return;
+        }
+        self.position += step * (self.velocity + 0.5 * step * self.acceleration);
+        self.velocity = (self.velocity + step * self.acceleration).clamp(-limits.speed, limits.speed);
+        self.phase -= step;
+    }
+
+    /// Where it comes to rest if it brakes at once.
+    pub(crate) fn nearest_rest(&self, limits: &Limits) -> f64 {
+        if limits.acceleration.is_finite() {
+            self.position + self.velocity * self.velocity.abs() / (2.0 * limits.acceleration)
+        } else {
+            self.position
+        }
     }
 }

@@ -3,5 +3,3 @@
 pub(crate) mod drive;
 pub(crate) mod force_sensor;
 pub(crate) mod model;
-mod random;
-mod set_point;

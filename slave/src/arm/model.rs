@@ -144,7 +144,7 @@ impl ArmModel {
     }
 }
 
-/// What an arm is told: a position to go to, if any, and the velocity there.
+/// A command: a position to go to, if any, and the velocity there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Command<const N: usize> {
     pub(crate) position: Option<Axes<N>>,

@@ -3,8 +3,6 @@
 use crate::{
     Axes, Object, Pusher,
     contact::law::{Mode, Reaction},
-    contact::reach::Reach,
-    solver::adaptive::{Drive, Tool},
     solver::state::Solver,
 };
 
@@ -70,23 +68,14 @@ impl<const N: usize> Environment<N> {
         force
     }
 
-    /// Whether the tool was inside an object when the force was last asked for; a spring has no inside.
+    /// Whether the tool was inside an object when the force was last computed; a spring has no inside.
     pub fn touches(&self) -> bool {
         self.touches
     }
 
-    /// The same force with every object asked, near or not: what [`Environment::force`] is held to.
+    /// The same force from every object, near or not: what [`Environment::force`] is held to.
     pub fn force_of_all(&self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
         self.force_of(0..self.objects.len(), position, velocity, time_s).0
-    }
-
-    /// Moves the free bodies over a step in s that begins at `time_s`, while the tool moves from a position at a
-    /// constant velocity.
-    pub fn advance(&mut self, time_s: f64, step_s: f64, position: &Axes<N>, velocity: &Axes<N>) {
-        if self.bodies > 0 && step_s > 0.0 {
-            let mut tool = Tool { position: *position, velocity: *velocity, set_velocity: Axes::zeros() };
-            self.solve(&mut Drive::Straight, &mut tool, time_s, step_s);
-        }
     }
 
     /// Where object `index` is in m, if it is a free body: its plane's point, its centre or its anchor.
@@ -100,7 +89,7 @@ impl<const N: usize> Environment<N> {
         Some(self.objects.get(index)?.body()?.velocity)
     }
 
-    /// Steps so far that were too stiff to be followed to the usual accuracy and were taken by a stable method of
+    /// Steps so far that were too stiff to be followed to full accuracy and were taken by a stable method of
     /// order 1.
     pub fn coarse_steps(&self) -> u64 {
         self.solver.coarse_steps
@@ -130,12 +119,18 @@ impl<const N: usize> Environment<N> {
     }
 
     /// Whether the tool can touch none of the objects `apart` within `span` in s at up to twice its speed.
-    pub(crate) fn is_clear(&mut self, apart: &[bool], tool: &Tool<N>, time_s: f64, span: f64) -> bool {
-        let margin = 2.0 * span * tool.velocity.norm();
-        if !self.reach.covers(&tool.position, time_s + span, margin) {
-            self.look(&tool.position, &tool.velocity, time_s);
+    pub(crate) fn is_clear(
+        &mut self,
+        apart: &[bool],
+        (position, velocity): (&Axes<N>, &Axes<N>),
+        time_s: f64,
+        span: f64,
+    ) -> bool {
+        let margin = 2.0 * span * velocity.norm();
+        if !self.reach.covers(position, time_s + span, margin) {
+            self.look(position, velocity, time_s);
         }
-        self.reach.covers(&tool.position, time_s + span, margin)
+        self.reach.covers(position, time_s + span, margin)
             && !self.reach.near.iter().any(|&index| apart[index])
     }
 
@@ -239,5 +234,61 @@ impl<const N: usize> Environment<N> {
         }
         let (distance, normal) = object.shape().surface(place);
         object.contact().reaction(distance, &normal, velocity)
+    }
+}
+
+/// Distance in m within which an object is looked at in every step.
+const NEAR: f64 = 0.01;
+
+/// The objects near a place, and how far anything may move before another one can be touched.
+///
+/// An object at distance d cannot be touched before tool and object have moved by d between them. So all others are
+/// left alone until the tool's way and the fastest object's way together reach the smallest of their distances: what is
+/// left out would have exerted no force.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Reach<const N: usize> {
+    /// In the order of the objects, so that forces are added in the same order as without leaving any out.
+    pub(crate) near: Vec<usize>,
+    place: Axes<N>,
+    time: f64,
+    /// Least distance in m among those that are not near; negative before the first look.
+    clearance: f64,
+    /// Top speed in m/s among those that are not near.
+    speed: f64,
+}
+
+impl<const N: usize> Reach<N> {
+    pub(crate) fn new(objects: usize) -> Self {
+        let near = Vec::with_capacity(objects);
+        Self { near, place: Axes::zeros(), time: 0.0, clearance: -1.0, speed: 0.0 }
+    }
+
+    /// Whether none but the near objects can be touched at `place` in m, `time` in s, nor within `margin` in m of it.
+    pub(crate) fn covers(&self, place: &Axes<N>, time: f64, margin: f64) -> bool {
+        (place - self.place).norm() + self.speed * (time - self.time).abs() + margin < self.clearance
+    }
+
+    /// Looks at all objects again; those within `radius` in m, or a little more, are near.
+    pub(crate) fn look(&mut self, objects: &[Object<N>], place: &Axes<N>, time: f64, radius: f64) {
+        let radius = radius.max(NEAR);
+        self.near.clear();
+        self.place = *place;
+        self.time = time;
+        self.clearance = f64::INFINITY;
+        self.speed = 0.0;
+        for (index, object) in objects.iter().enumerate() {
+            let (displacement, _) = object.place(time, time);
+            let clearance = object.shape().clearance(&(place - displacement));
+            if clearance < radius {
+                self.near.push(index);
+            } else {
+                self.clearance = self.clearance.min(clearance);
+                self.speed = self.speed.max(object.top_speed());
+            }
+        }
+        if self.clearance.is_finite() {
+            // Distances carry rounding; what is near costs little.
+            self.clearance -= 1e-9 * self.clearance + 1e-14 * place.norm();
+        }
     }
 }

@@ -2,9 +2,8 @@
 
 use crate::{
     Axes, ModelError,
-    axes::require_axes,
     contact::window::{Window, whole_ns},
-    require,
+    require, require_axes,
 };
 
 /// Values over time: linear between its points, constant outside.

@@ -1,12 +1,10 @@
 //! Tool and free bodies, advanced together by an adaptive integrator with located contact.
 
 use crate::{
-    Axes, Environment,
-    arm::drive::ArmDrive,
-    axes::all_finite,
+    Axes, Environment, all_finite,
+    arm::drive::{ArmDrive, Tool},
     contact::law::Mode,
-    solver::dormand_prince::{NODES, STAGES},
-    solver::state::{Piece, Solver, TOOL},
+    solver::state::{NODES, Piece, STAGES, Solver, TOOL},
 };
 
 /// Longest step in s, whatever the estimated error.
@@ -18,15 +16,6 @@ const MAX_ATTEMPTS: u32 = 20_000;
 /// Attempts for the shortest piece.
 const MIN_ATTEMPTS: u32 = 1_000;
 
-/// The tool as the solver sees it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Tool<const N: usize> {
-    pub(crate) position: Axes<N>,
-    pub(crate) velocity: Axes<N>,
-    /// Of a velocity control with a limited acceleration, in m/s.
-    pub(crate) set_velocity: Axes<N>,
-}
-
 /// What moves the tool.
 pub(crate) enum Drive<'a, const N: usize> {
     /// Nothing resists and nothing helps: a straight line.
@@ -35,6 +24,15 @@ pub(crate) enum Drive<'a, const N: usize> {
 }
 
 impl<const N: usize> Environment<N> {
+    /// Moves the free bodies over a step in s that begins at `time_s`, while the tool moves from a position at a
+    /// constant velocity.
+    pub fn advance(&mut self, time_s: f64, step_s: f64, position: &Axes<N>, velocity: &Axes<N>) {
+        if self.bodies > 0 && step_s > 0.0 {
+            let mut tool = Tool { position: *position, velocity: *velocity, set_velocity: Axes::zeros() };
+            self.solve(&mut Drive::Straight, &mut tool, time_s, step_s);
+        }
+    }
+
     /// Advances tool and bodies by `span` in s from `from` in s on.
     pub(crate) fn solve(&mut self, drive: &mut Drive<'_, N>, tool: &mut Tool<N>, from: f64, span: f64) {
         // Time since `from`: late in a run, seconds since the start could not tell two short steps apart.
@@ -67,8 +65,8 @@ impl<const N: usize> Environment<N> {
         let mut done = begin;
         let mut attempts = 0;
         // What was too stiff a moment ago will hardly be worth the whole trial again.
-        let most = allowed_attempts(end - begin);
-        let patience = most / if std::mem::take(&mut solver.gave_up) { 200 } else { 10 };
+        let limit = allowed_attempts(end - begin);
+        let patience = limit / if std::mem::take(&mut solver.gave_up) { 200 } else { 10 };
         // Until when the bodies that nothing can touch have been moved.
         let mut coasted = begin;
         let mut known = false;
@@ -106,8 +104,8 @@ impl<const N: usize> Environment<N> {
                 }
                 break;
             }
-            if attempts > most
-                || (attempts > patience && slow(attempts, most, (done - begin) / (end - begin)))
+            if attempts > limit
+                || (attempts > patience && slow(attempts, limit, (done - begin) / (end - begin)))
             {
                 coasted = self.coarsely(drive, &mut solver, piece, (done, end), (begin, coasted));
                 break;
@@ -192,7 +190,7 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// The rest of a piece by a method that is stable at any stiffness; tells until when the far bodies have moved.
+    /// The rest of a piece by a method that is stable at any stiffness; returns until when the far bodies have moved.
     fn coarsely(
         &mut self,
         drive: &Drive<'_, N>,
@@ -232,7 +230,7 @@ fn allowed_attempts(span: f64) -> u32 {
     share.clamp(MIN_ATTEMPTS, MAX_ATTEMPTS)
 }
 
-/// Whether so many attempts have brought so small a share of the piece that its rest would need more than `most`.
-fn slow(attempts: u32, most: u32, done: f64) -> bool {
-    f64::from(attempts) > f64::from(most) * done
+/// Whether so many attempts have brought so small a share of the piece that its rest would need more than `limit`.
+fn slow(attempts: u32, limit: u32, done: f64) -> bool {
+    f64::from(attempts) > f64::from(limit) * done
 }

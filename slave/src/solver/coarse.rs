@@ -3,10 +3,9 @@
 use nalgebra::SMatrix;
 
 use crate::{
-    Axes, Environment,
-    axes::all_finite,
-    solver::adaptive::{Drive, Tool},
-    solver::state::TOOL,
+    Axes, Environment, all_finite,
+    arm::drive::Tool,
+    solver::{adaptive::Drive, state::TOOL},
 };
 
 impl<const N: usize> Environment<N> {
@@ -77,7 +76,7 @@ impl<const N: usize> Environment<N> {
             });
             let slot = TOOL + 2 * self.slots[index];
             let Some(body) = self.objects[index].body_mut() else { continue };
-            let rests = moving.norm() <= crate::contact::body::STANDS && body.holds(&reaction);
+            let rests = moving.norm() <= crate::contact::object::STANDS && body.holds(&reaction);
             body.stands = rests;
             let drag = body.drag(&moving);
             let weight = body.mass_kg + step * (damping + drag + step * stiffness);

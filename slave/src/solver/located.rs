@@ -2,10 +2,12 @@
 
 use crate::{
     Axes, Environment,
-    contact::body::STANDS,
-    solver::adaptive::{SHORTEST, Tool},
-    solver::dormand_prince::dense,
-    solver::state::{Piece, Solver, TOOL},
+    arm::drive::Tool,
+    contact::object::STANDS,
+    solver::{
+        adaptive::SHORTEST,
+        state::{Piece, Solver, TOOL, dense},
+    },
 };
 
 impl<const N: usize> Environment<N> {
@@ -89,7 +91,7 @@ impl<const N: usize> Environment<N> {
         (state[0] - displacement, state[1] - velocity)
     }
 
-    /// Takes note on which piece of its law each near object is, and which body friction holds; tells whether a body
+    /// Takes note on which piece of its law each near object is, and which body friction holds; returns whether a body
     /// has come to rest just now.
     pub(crate) fn settle(&mut self, solver: &mut Solver<N>, piece: Piece, now: f64) -> bool {
         let mut came_to_rest = false;

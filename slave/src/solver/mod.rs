@@ -2,8 +2,6 @@
 
 pub(crate) mod adaptive;
 mod coarse;
-mod dormand_prince;
 pub(crate) mod linear;
 mod located;
 pub(crate) mod state;
-mod transition;

@@ -1,6 +1,11 @@
-//! The state of tool and bodies, its slopes and the error of a step.
+//! The state of tool and bodies in steps of the Runge-Kutta method of Dormand and Prince, of order 5 with an estimate of
+//! order 4 and a continuous extension.
+//!
+//! Source: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6, 1980;
+//! continuous extension: E. Hairer, S. P. Norsett, G. Wanner, "Solving ordinary differential equations I", 2nd ed.,
+//! section II.6.
 
-use crate::{Axes, solver::dormand_prince::ERROR};
+use crate::Axes;
 
 /// Error of one step, relative and in m or m/s.
 const RELATIVE: f64 = 1e-10;
@@ -74,4 +79,82 @@ pub(crate) struct Piece {
     pub(crate) origin: f64,
     /// A time within the present smooth piece, in s.
     pub(crate) inside: f64,
+}
+
+/// Times of the stages, as shares of the step.
+pub(crate) const NODES: [f64; 7] = [0.0, 1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0, 1.0];
+
+/// Weights of the slopes before each stage; the last row is the solution of order 5.
+pub(crate) const STAGES: [&[f64]; 7] = [
+    &[],
+    &[1.0 / 5.0],
+    &[3.0 / 40.0, 9.0 / 40.0],
+    &[44.0 / 45.0, -56.0 / 15.0, 32.0 / 9.0],
+    &[19372.0 / 6561.0, -25360.0 / 2187.0, 64448.0 / 6561.0, -212.0 / 729.0],
+    &[9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0],
+    &[35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0],
+];
+
+/// Order 5 less order 4.
+pub(crate) const ERROR: [f64; 7] =
+    [71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0 / 339_200.0, 22.0 / 525.0, -1.0 / 40.0];
+
+/// Weights of the slopes for the state at share `theta` of the step, of order 4.
+pub(crate) fn dense(theta: f64) -> [f64; 7] {
+    const D: [f64; 7] = [
+        -12_715_105_075.0 / 11_282_082_432.0,
+        0.0,
+        87_487_479_700.0 / 32_700_410_799.0,
+        -10_690_763_975.0 / 1_880_347_072.0,
+        701_980_252_875.0 / 199_316_789_632.0,
+        -1_453_857_185.0 / 822_651_844.0,
+        69_997_945.0 / 29_380_423.0,
+    ];
+    let rest = 1.0 - theta;
+    let mut weights = [0.0; 7];
+    for (stage, weight) in weights.iter_mut().enumerate() {
+        let end = STAGES[6].get(stage).copied().unwrap_or(0.0);
+        let first = f64::from(u8::from(stage == 0));
+        let last = f64::from(u8::from(stage == 6));
+        // theta (dy + rest (k_1 - dy + theta (2 dy - k_1 - k_7 + rest D)))
+        let bend = 2.0 * end - first - last + rest * D[stage];
+        *weight = theta * (end + rest * (first - end + theta * bend));
+    }
+    weights
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tableau_is_consistent() {
+        for (stage, row) in STAGES.iter().enumerate() {
+            assert!((row.iter().sum::<f64>() - NODES[stage]).abs() < 1e-14, "{stage}");
+        }
+        assert!(ERROR.iter().sum::<f64>().abs() < 1e-16);
+        // Order 5 integrates t^4 exactly, order 4 t^3.
+        let moment = |weights: &[f64], power: i32| -> f64 {
+            weights.iter().zip(NODES).map(|(b, c)| b * c.powi(power)).sum()
+        };
+        for power in 1..5_i32 {
+            assert!((moment(STAGES[6], power) - 1.0 / f64::from(power + 1)).abs() < 1e-14, "{power}");
+        }
+        for power in 1..4 {
+            assert!(moment(&ERROR, power).abs() < 1e-15, "{power}");
+        }
+    }
+
+    #[test]
+    fn the_extension_is_of_order_four_everywhere() {
+        for tenth in 0..=10_u8 {
+            let theta = f64::from(tenth) / 10.0;
+            let weights = dense(theta);
+            for power in 0..4_i32 {
+                let sum: f64 = weights.iter().zip(NODES).map(|(b, c)| b * c.powi(power)).sum();
+                let exact = theta.powi(power + 1) / f64::from(power + 1);
+                assert!((sum - exact).abs() < 1e-14, "{theta} {power}: {sum} {exact}");
+            }
+        }
+    }
 }

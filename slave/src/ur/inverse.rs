@@ -20,40 +20,40 @@ use std::f64::consts::PI;
 
 use nalgebra::{Vector2, Vector3};
 
-use crate::{UrPose, ur::rows::UrLengths};
+use crate::{UrPose, ur::chain::UrLengths};
 
 /// What m may be off by, and how far out of reach a pose may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Slack {
     /// rad: over the sine of q5, it leaves q6 open.
-    pub(crate) turn: f64,
+    pub(crate) rotation: f64,
     /// m: such a pose gets the posture that comes nearest.
     pub(crate) place_m: f64,
 }
 
 /// Rounding, with what the pose brings along.
-pub(crate) const ROUNDING: Slack = Slack { turn: 1e-14, place_m: 4e-13 };
+pub(crate) const ROUNDING: Slack = Slack { rotation: 1e-14, place_m: 4e-13 };
 
 /// Why a pose cannot be had.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum UrUnreached {
     /// The wrist's centre is within the cylinder around the base's axis that no posture enters.
-    #[error("wrist centre {radius_m:.6} m from the axis of the base: must be at least {least_m:.6} m")]
+    #[error("wrist centre {radius_m:.6} m from the axis of the base: must be at least {min_m:.6} m")]
     Shoulder {
         /// Of the wrist's centre, m.
         radius_m: f64,
         /// That can be had, m.
-        least_m: f64,
+        min_m: f64,
     },
     /// The wrist is farther from the shoulder than the arm is long, or nearer than it folds.
-    #[error("wrist {reach_m:.6} m from the shoulder: must be within {least_m:.6} to {most_m:.6} m")]
+    #[error("wrist {reach_m:.6} m from the shoulder: must be within {min_m:.6} to {max_m:.6} m")]
     Elbow {
         /// Of the branch that comes nearest, m.
         reach_m: f64,
         /// Folded, m.
-        least_m: f64,
+        min_m: f64,
         /// Stretched, m.
-        most_m: f64,
+        max_m: f64,
     },
     /// Every branch has a joint that would leave its limits.
     #[error("joint {joint} at {angle:.6} rad: no turn of it is within its limits in any branch")]
@@ -112,14 +112,14 @@ impl UrBranches {
     }
 
     /// Keeps the reason that comes nearest to having been none.
-    fn miss_elbow(&mut self, reach_m: f64, least_m: f64, most_m: f64) {
-        let short = |reach: f64| (reach - most_m).max(least_m - reach);
+    fn miss_elbow(&mut self, reach_m: f64, min_m: f64, max_m: f64) {
+        let short = |reach: f64| (reach - max_m).max(min_m - reach);
         let closer = match self.unreached {
             Some(UrUnreached::Elbow { reach_m: before, .. }) => short(reach_m) < short(before),
             _ => true,
         };
         if closer {
-            self.unreached = Some(UrUnreached::Elbow { reach_m, least_m, most_m });
+            self.unreached = Some(UrUnreached::Elbow { reach_m, min_m, max_m });
         }
     }
 }
@@ -134,30 +134,30 @@ pub(crate) fn wrapped(angle: f64) -> f64 {
 /// Where q5 is so near 0 or pi that q6 is open, q6 is as near to `q6` as that allows.
 pub(crate) fn closed_form(arm: &UrLengths, flange: &UrPose, q6: Option<f64>, slack: Slack) -> UrBranches {
     let mut found = UrBranches::none();
-    let (turn, place) = (&flange.turn, &flange.place);
-    let z6 = turn.column(2);
+    let (rotation, place) = (&flange.rotation, &flange.place);
+    let z6 = rotation.column(2);
     let centre = place - z6 * arm.d6;
     let radius = centre.x.hypot(centre.y);
-    let least = arm.d4.abs();
-    if radius < least - slack.place_m {
-        found.unreached = Some(UrUnreached::Shoulder { radius_m: radius, least_m: least });
+    let inner = arm.d4.abs();
+    if radius < inner - slack.place_m {
+        found.unreached = Some(UrUnreached::Shoulder { radius_m: radius, min_m: inner });
         return found;
     }
     // u'c = d4 means radius sin(q1 - angle of c) = d4.
-    let along = ((radius - least) * (radius + least)).max(0.0).sqrt();
+    let along = ((radius - inner) * (radius + inner)).max(0.0).sqrt();
     let bearing = centre.y.atan2(centre.x);
-    let (most, fold) = (arm.a2.abs() + arm.a3.abs(), (arm.a2.abs() - arm.a3.abs()).abs());
+    let (stretched, fold) = (arm.a2.abs() + arm.a3.abs(), (arm.a2.abs() - arm.a3.abs()).abs());
     for side in [1.0, -1.0] {
         let q1 = bearing + arm.d4.atan2(side * along);
         let (s1, c1) = q1.sin_cos();
-        let m = turn.tr_mul(&Vector3::new(s1, -c1, 0.0));
+        let m = rotation.tr_mul(&Vector3::new(s1, -c1, 0.0));
         let across = m.x.hypot(m.y);
-        let open = (slack.turn / across.max(f64::MIN_POSITIVE)).min(PI);
+        let open = (slack.rotation / across.max(f64::MIN_POSITIVE)).min(PI);
         let in_plane = |v: &Vector3<f64>| Vector2::new(c1 * v.x + s1 * v.y, v.z);
         let wrist = Wrist {
             centre: in_plane(&centre) - Vector2::new(0.0, arm.d1),
-            x6: in_plane(&turn.column(0).into()),
-            y6: in_plane(&turn.column(1).into()),
+            x6: in_plane(&rotation.column(0).into()),
+            y6: in_plane(&rotation.column(1).into()),
             d5: arm.d5,
         };
         for bend in [1.0, -1.0] {
@@ -165,23 +165,23 @@ pub(crate) fn closed_form(arm: &UrLengths, flange: &UrPose, q6: Option<f64>, sla
             let seen = (-bend * m.y).atan2(bend * m.x);
             let mut q6 = seen + wrapped(q6.unwrap_or(seen) - seen).clamp(-open, open);
             let mut reach = wrist.place(q6).norm();
-            if let Some(other) = wrist.brought_within(fold, most, reach, q6)
+            if let Some(other) = wrist.brought_within(fold, stretched, reach, q6)
                 && wrapped(other - seen).abs() <= open
             {
                 q6 = other;
                 reach = wrist.place(q6).norm();
             }
-            if reach > most + slack.place_m || reach < fold - slack.place_m {
-                found.miss_elbow(reach, fold, most);
+            if reach > stretched + slack.place_m || reach < fold - slack.place_m {
+                found.miss_elbow(reach, fold, stretched);
                 continue;
             }
             let (s5, c5) = q5.sin_cos();
             let (s6, c6) = q6.sin_cos();
             // The x axis of frame 4 as the flange sees it.
-            let x4 = turn * Vector3::new(c5 * c6, -c5 * s6, -s5);
+            let x4 = rotation * Vector3::new(c5 * c6, -c5 * s6, -s5);
             let q234 = x4.z.atan2(c1 * x4.x + s1 * x4.y);
             // tan^2(q3/2) of the angle between the links, each factor a difference of what is measured.
-            let bent = ((most - reach) * (most + reach)).max(0.0).sqrt();
+            let bent = ((stretched - reach) * (stretched + reach)).max(0.0).sqrt();
             let straight = ((reach - fold) * (reach + fold)).max(0.0).sqrt();
             let between = 2.0 * bent.atan2(straight);
             // With a2 and a3 of opposite signs, stretched is q3 = pi.
@@ -216,9 +216,9 @@ impl Wrist {
     /// The nearest q6 that has the wrist within reach, if it is not.
     ///
     /// For a q6 that is free: then x6 and y6 are square, and `reach^2 = c^2 + d5^2 + 2 d5 k cos(q6 - phase)`.
-    fn brought_within(&self, fold: f64, most: f64, reach: f64, q6: f64) -> Option<f64> {
-        let limit = if reach > most {
-            most
+    fn brought_within(&self, fold: f64, stretched: f64, reach: f64, q6: f64) -> Option<f64> {
+        let limit = if reach > stretched {
+            stretched
         } else if reach < fold {
             fold
         } else {

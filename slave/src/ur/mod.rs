@@ -1,6 +1,5 @@
 //! Inverse kinematics of UR arms.
 
+pub(crate) mod chain;
 pub(crate) mod inverse;
 pub(crate) mod nearest;
-mod refine;
-pub(crate) mod rows;

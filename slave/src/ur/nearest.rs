@@ -4,15 +4,14 @@ use std::f64::consts::PI;
 
 use crate::{
     ModelError, UrBranches, UrPose, UrRows, UrUnreached,
+    ur::chain::{CLOSE, UrChain, UrLengths},
     ur::inverse::{ROUNDING, Slack, closed_form, wrapped},
-    ur::refine::{CLOSE, UrChain},
-    ur::rows::UrLengths,
 };
 
 /// How far the reach of a unit may differ from that of its model; its turns are taken as they are.
 const UNIT: Slack = Slack { place_m: 0.05, ..ROUNDING };
 /// The same, and its turns may differ too.
-const LOOSE_UNIT: Slack = Slack { turn: 0.02, ..UNIT };
+const LOOSE_UNIT: Slack = Slack { rotation: 0.02, ..UNIT };
 /// Sine of q5 below which that matters.
 const BESIDE: f64 = 0.2;
 /// Values of q6 that are tried where the turns of the unit leave it open.
@@ -31,8 +30,8 @@ pub struct UrInverse {
     arm: UrLengths,
     /// Of a unit that differs from its model.
     unit: Option<UrChain>,
-    least: [f64; 6],
-    most: [f64; 6],
+    lower: [f64; 6],
+    upper: [f64; 6],
 }
 
 impl UrInverse {
@@ -44,14 +43,14 @@ impl UrInverse {
     pub fn new(
         model: &UrRows,
         unit: Option<&UrRows>,
-        least: [f64; 6],
-        most: [f64; 6],
+        lower: [f64; 6],
+        upper: [f64; 6],
     ) -> Result<Self, ModelError> {
         let arm = model.lengths()?;
         if let Some(rows) = unit {
             rows.check_finite()?;
         }
-        for (&low, &high) in least.iter().zip(&most) {
+        for (&low, &high) in lower.iter().zip(&upper) {
             if low.is_nan() || high.is_nan() || low >= high {
                 return Err(ModelError {
                     name: "position_min",
@@ -60,7 +59,7 @@ impl UrInverse {
                 });
             }
         }
-        Ok(Self { arm, unit: unit.map(UrChain::new), least, most })
+        Ok(Self { arm, unit: unit.map(UrChain::new), lower, upper })
     }
 
     /// All branches, each joint within -pi to pi, whatever the limits. Where q6 is free it is any.
@@ -157,17 +156,17 @@ impl UrInverse {
     fn within_limits(&self, posture: &[f64; 6]) -> Result<[f64; 6], UrUnreached> {
         let mut turned = [0.0; 6];
         for (i, turned) in turned.iter_mut().enumerate() {
-            let (least, most) = (self.least[i], self.most[i]);
+            let (lower, upper) = (self.lower[i], self.upper[i]);
             let mut angle = posture[i];
-            if angle > most + SLACK_RAD {
-                angle -= 2.0 * PI * ((angle - most - SLACK_RAD) / (2.0 * PI)).ceil();
-            } else if angle < least - SLACK_RAD {
-                angle += 2.0 * PI * ((least - SLACK_RAD - angle) / (2.0 * PI)).ceil();
+            if angle > upper + SLACK_RAD {
+                angle -= 2.0 * PI * ((angle - upper - SLACK_RAD) / (2.0 * PI)).ceil();
+            } else if angle < lower - SLACK_RAD {
+                angle += 2.0 * PI * ((lower - SLACK_RAD - angle) / (2.0 * PI)).ceil();
             }
-            if angle > most + SLACK_RAD || angle < least - SLACK_RAD {
+            if angle > upper + SLACK_RAD || angle < lower - SLACK_RAD {
                 return Err(UrUnreached::Limits { joint: i + 1, angle: posture[i] });
             }
-            *turned = angle.clamp(least, most);
+            *turned = angle.clamp(lower, upper);
         }
         Ok(turned)
     }
