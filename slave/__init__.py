@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur.kinematics.inverse import UrInverse
     from haptether.slave.ur.kinematics.models import UR_MODELS, UrModel, WrenchSensor, ur_model
     from haptether.slave.ur.kinematics.streaming import QuadraticProgram, UrStreaming
-    from haptether.slave.ur_options import UrOptions
+    from haptether.slave.ur.options import UrOptions
 
 __all__ = [
     "UR_MODELS",
@@ -62,7 +62,7 @@ WHERE: Final = {
     "UrInverse": "ur.kinematics.inverse",
     "UrKinematics": "ur.kinematics.arm",
     "UrModel": "ur.kinematics.models",
-    "UrOptions": "ur_options",
+    "UrOptions": "ur.options",
     "UrSlave": "ur.driver",
     "UrStreaming": "ur.kinematics.streaming",
     "WorkspacePlane": "ur.kinematics.constraints",

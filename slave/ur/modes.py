@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from haptether.slave.ur.connection import Control, Order
+from haptether.slave.ur.kinematics.pose import matrix_from_rotvec, rotvec_from_matrix
 from haptether.slave.ur.options import Three, UrOptions
 from haptether.slave.ur.state import Numbers, UrState
 from haptether.slave.ur.stop import joint_deceleration, tool_deceleration
-from haptether.slave.ur_pose import matrix_from_rotvec, rotvec_from_matrix
 
 if TYPE_CHECKING:
-    from haptether.slave.ur_kinematics import UrKinematics
-    from haptether.slave.ur_models import UrModel
+    from haptether.slave.ur.kinematics.arm import UrKinematics
+    from haptether.slave.ur.kinematics.models import UrModel
 
 DIRECT_TORQUE_SINCE: Final = (5, 26)
 ROTATION_SPEED: Final = 0.5
@@ -207,9 +207,9 @@ class JointTracking:
     (`UrStreaming`): near a singularity, or at the end of a joint, the tool stays behind instead of a joint
     going faster than it may. The set point is fed forward, so this smooths nothing: `(x_set - x)/T` takes out what
     joint velocities that are even over a period miss of a straight line, and what the limits have kept the tool from.
-    Bounds of speed and acceleration are those of the set point. The planes of the workspace are limits here as well, before
-    which the joints brake (the set point stops on them at once), as is a keep-out of the arm from itself, of which the set
-    point knows nothing.
+    Bounds of speed and acceleration are those of the set point. The planes of the workspace are limits here as well,
+    before which the joints brake (the set point stops on them at once), as is a keep-out of the arm from itself, of
+    which the set point knows nothing.
 
     The unit's chain is only nearly that of its model, so motion is counted from where both have the tool at the begin:
     what they differ by stays where it was, and the first command is exactly where the joints are.
@@ -222,7 +222,7 @@ class JointTracking:
 
     def __init__(self, kinematics: "UrKinematics", options: UrOptions, period_s: float) -> None:
         from haptether.slave.ur.kinematics.constraints import SelfKeepOut, StreamingLimits  # noqa: PLC0415  # with CasADi
-        from haptether.slave.ur_streaming import UrStreaming  # noqa: PLC0415
+        from haptether.slave.ur.kinematics.streaming import UrStreaming  # noqa: PLC0415
 
         model = kinematics.model
         speeds = [JOINT_SPEED_SHARE * speed for speed in model.max_speed]
@@ -318,10 +318,10 @@ def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
         return ServoL(options, period_s)
     if options.mode == "speedl":
         return SpeedL(options, period_s)
-    from haptether.slave.ur_calibration import read_calibration  # noqa: PLC0415  # with CasADi
-    from haptether.slave.ur_kinematics import UrKinematics  # noqa: PLC0415
-    from haptether.slave.ur_models import ur_model  # noqa: PLC0415
-    from haptether.slave.ur_pose import transform_from_pose  # noqa: PLC0415
+    from haptether.slave.ur.kinematics.arm import UrKinematics  # noqa: PLC0415
+    from haptether.slave.ur.kinematics.chain import read_calibration  # noqa: PLC0415  # with CasADi
+    from haptether.slave.ur.kinematics.models import ur_model  # noqa: PLC0415
+    from haptether.slave.ur.kinematics.pose import transform_from_pose  # noqa: PLC0415
 
     model = ur_model(options.model)
     calibration = read_calibration(options.calibration, model) if options.calibration is not None else None

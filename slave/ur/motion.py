@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from haptether.slave.streaming_limits import WorkspacePlane
 from haptether.slave.ur.connection import RtdeConnection
+from haptether.slave.ur.kinematics.constraints import WorkspacePlane
 from haptether.slave.ur.modes import Mode, UnreachableError
 from haptether.slave.ur.options import Three, UrOptions
 from haptether.slave.ur.state import UrState

@@ -8,8 +8,8 @@ import msgspec
 from msgspec import Meta
 
 from haptether.slave.allowed import allowed
-from haptether.slave.streaming_limits import WorkspacePlane
-from haptether.slave.ur_models import MAX_PAYLOAD_KG, UR_MODELS, ur_model
+from haptether.slave.ur.kinematics.constraints import WorkspacePlane
+from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS, ur_model
 
 Three: TypeAlias = tuple[float, float, float]
 Six: TypeAlias = tuple[float, float, float, float, float, float]

@@ -3,9 +3,9 @@
 import math
 from typing import TYPE_CHECKING, Final
 
+from haptether.slave.ur.kinematics.pose import matrix_from_rotvec
 from haptether.slave.ur.options import Six, Three
 from haptether.slave.ur.state import Numbers
-from haptether.slave.ur_pose import matrix_from_rotvec
 
 if TYPE_CHECKING:
     import numpy as np

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from haptether.slave.ur.kinematics.pose import pose_from_transform
 from haptether.slave.ur_emulator.robot.kinematics import Joints, Six, six
 from haptether.slave.ur_emulator.robot.robot import Robot
 from haptether.slave.ur_emulator.robot.safety import (
@@ -34,14 +35,13 @@ from haptether.slave.ur_emulator.script.control_script import (
 from haptether.slave.ur_emulator.script.functions import ScriptFunctions
 from haptether.slave.ur_emulator.script.port import Submitted, ignored
 from haptether.slave.ur_emulator.script.program import Program, Registers, RuntimeState, ScriptError, Setup, Thread
-from haptether.slave.ur_pose import pose_from_transform
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
+    from haptether.slave.ur.kinematics.models import UrModel
     from haptether.slave.ur_emulator.robot.contact import Touch, WrenchSensing
     from haptether.slave.ur_emulator.rtde.variables import Value
-    from haptether.slave.ur_models import UrModel
 
 START_UP_S: Final = 0.02
 """Time from the arrival of a program's last line to its first step."""

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from haptether.slave.ur.kinematics.pose import matrix_from_rotvec
 from haptether.slave.ur_emulator.robot.kinematics import Array, Six
 from haptether.slave.ur_emulator.script.program import ScriptError
-from haptether.slave.ur_pose import matrix_from_rotvec
 
 MASS_KG: Final = 50.0
 """Virtual mass at a gain scaling of 1."""

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from haptether.slave.ur_chain import cos_sin, dh_rows
-from haptether.slave.ur_inverse import UrInverse
-from haptether.slave.ur_kinematics import UrKinematics
-from haptether.slave.ur_pose import pose_from_transform, transform_from_pose
+from haptether.slave.ur.kinematics.arm import UrKinematics
+from haptether.slave.ur.kinematics.chain import cos_sin, dh_rows
+from haptether.slave.ur.kinematics.inverse import UrInverse
+from haptether.slave.ur.kinematics.pose import pose_from_transform, transform_from_pose
 
 if TYPE_CHECKING:
     from haptether.slave.ur.kinematics.models import UrModel

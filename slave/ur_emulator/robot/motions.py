@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Protocol
 
+from haptether.slave.ur.kinematics.pose import Quaternion, quat_wxyz_from_rotvec, rotvec_from_quat_wxyz
 from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Joints, Six
 from haptether.slave.ur_emulator.script.program import ScriptError
-from haptether.slave.ur_pose import Quaternion, quat_wxyz_from_rotvec, rotvec_from_quat_wxyz
 
 AT_REST = 1e-9
 """Joint speed in rad/s of a target that rests."""

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from haptether.slave.ur.kinematics.pose import pose_from_transform
 from haptether.slave.ur_emulator.robot.contact import FreeSpace, Touch, WrenchSensing
 from haptether.slave.ur_emulator.robot.force_mode import ForceMode
 from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Array, Joints, Six, six
 from haptether.slave.ur_emulator.robot.motions import Motion, StopJoints, Target, Torque, transition
 from haptether.slave.ur_emulator.script.program import ScriptError, Thread
-from haptether.slave.ur_pose import pose_from_transform
 
 if TYPE_CHECKING:
     from haptether.slave.ur.kinematics.models import UrModel

@@ -16,12 +16,12 @@ from typing import Final
 
 import numpy as np
 
+from haptether.slave.ur.kinematics.pose import matrix_from_rotvec, pose_trans
 from haptether.slave.ur_emulator.robot.kinematics import Array, Six, six
 from haptether.slave.ur_emulator.robot.motions import MoveJoints, MoveTool, Torque
 from haptether.slave.ur_emulator.script.calls import MAX_SHOWN
 from haptether.slave.ur_emulator.script.functions import ScriptFunctions
 from haptether.slave.ur_emulator.script.program import Registers, ScriptError, Setup, Steps, Thread
-from haptether.slave.ur_pose import matrix_from_rotvec, pose_trans
 
 READY, DONE = 1, 2
 REALTIME: Final = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, *range(66, 72)})

@@ -13,10 +13,10 @@ from haptether.slave import SelfKeepOut, StreamingLimits, UrKinematics, UrStream
 from haptether.slave.ur.kinematics import streaming
 from haptether.slave.ur.kinematics.constraints import arm_body
 from haptether.slave.ur.kinematics.pose import pose_from_transform
-from haptether.slave.ur_joints import Joints, UnreachableError
-from haptether.slave.ur_options import ur_options
-from haptether.slave.ur_setpoint import SetPoint
-from haptether.slave.ur_state import UrState
+from haptether.slave.ur.modes import JointTracking, UnreachableError
+from haptether.slave.ur.motion import SetPoint
+from haptether.slave.ur.options import ur_options
+from haptether.slave.ur.state import UrState
 
 Array = npt.NDArray[np.float64]
 
@@ -54,8 +54,8 @@ def led(
     pose[:3] += off
     state = UrState(1.0, q, q, (0.0,) * 6, tuple(pose.tolist()), (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2, 1.0)
     options = ur_options({"host": "fake", "max_speed": speed} | given)
-    joints = Joints(kinematics, options, period_s)
-    point = SetPoint(options.max_speed, options.max_acceleration, period_s, options.workspace)
+    joints = JointTracking(kinematics, options, period_s)
+    point = SetPoint(options.max_speed, options.max_acceleration, period_s, options.planes)
     home = np.array(pose[:3])
     joints.begin(state)
     point.begin((home[0], home[1], home[2]))
@@ -66,7 +66,7 @@ def led(
         vx, vy, vz = (v * towards).tolist()
         point.step((x, y, z), (vx, vy, vz), period_s)
         try:
-            joints.follow(point, period_s)
+            joints.follow(point.position, point.velocity, period_s)
         except UnreachableError as error:
             fault = str(error)
             break

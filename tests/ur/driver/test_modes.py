@@ -8,11 +8,11 @@ import pytest
 from tests.ur.fake_rtde import START_Q
 
 from haptether.slave import UrKinematics, ur_model
+from haptether.slave.ur.kinematics.pose import matrix_from_rotvec, pose_from_transform
 from haptether.slave.ur.modes import JOINT_SPEED_SHARE, JointTracking, UnreachableError, check_mode, ur_mode
 from haptether.slave.ur.motion import SetPoint
 from haptether.slave.ur.options import UrOptions, ur_options
 from haptether.slave.ur.state import UrState
-from haptether.slave.ur_pose import matrix_from_rotvec, pose_from_transform
 
 PERIOD_S = 0.002
 MODEL = ur_model("ur5e")

@@ -6,8 +6,8 @@ import pytest
 
 from haptether.bridge import load_slave
 from haptether.slave import WorkspacePlane
+from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS
 from haptether.slave.ur.options import UrOptions, ur_options
-from haptether.slave.ur_models import MAX_PAYLOAD_KG, UR_MODELS
 
 HOST = {"host": "192.168.1.10"}
 

@@ -9,7 +9,6 @@ from tests.ur.virtual import DONE, START, UP, World, lifted, shifted
 from haptether.slave.ur.kinematics.pose import pose_trans
 from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.script.control_script import RUNNING
-from haptether.slave.ur_pose import pose_trans
 
 # -------------------------------------------------------------------------------------------------- asked and set up
 

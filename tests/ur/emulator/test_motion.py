@@ -8,6 +8,7 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
+from haptether.slave.ur.kinematics.pose import matrix_from_rotvec
 from haptether.slave.ur_emulator.robot.force_mode import ForceMode
 from haptether.slave.ur_emulator.robot.motions import (
     Motion,
@@ -21,7 +22,6 @@ from haptether.slave.ur_emulator.robot.motions import (
     transition,
 )
 from haptether.slave.ur_emulator.robot.robot import JointLoop
-from haptether.slave.ur_pose import matrix_from_rotvec
 
 STEP_S = 0.002
 FAST = (1e9,)
