@@ -1,14 +1,314 @@
-//! Couplings: what each side asks of its device, given the newest of the other side.
+//! Couplings: what each side requests of its device, given the newest of the other side.
 
-mod bounds;
-mod decay;
-mod energy;
-mod frame;
+mod command;
 mod position_force;
 
-pub(crate) use bounds::bounded;
-pub use bounds::{CommandBounds, Limited};
-pub(crate) use decay::decayed;
-pub use energy::{MAX_ENERGY_J, PortEnergy};
-pub use frame::FrameMap;
-pub use position_force::{CouplingError, PositionForce};
+use haptether_safety::Axes;
+use nalgebra::SMatrix;
+
+pub use command::{CommandBounds, Limited};
+pub(crate) use command::{bounded, decayed};
+pub use position_force::PositionForce;
+
+/// A coupling that cannot be.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum CouplingError {
+    /// A scale that couples nothing, or a bound that lets nothing pass.
+    #[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
+    Scale {
+        /// Which.
+        name: &'static str,
+        /// Its symbol.
+        symbol: &'static str,
+        /// What was given.
+        seen: f64,
+    },
+    /// A matrix that is no rotation.
+    #[error("rotation: R' R differs from the identity by {0}, must be by at most 1e-9")]
+    Orthonormal(f64),
+    /// A quaternion that is no rotation.
+    #[error("quat_wxyz has a norm of {0}: must be 1 to within 1e-6")]
+    Quaternion(f64),
+    /// A quaternion for axes that do not span its space.
+    #[error("quat_wxyz: a rotation of {0} axes, must be of 3 axes, or of 2 about z")]
+    Turn(usize),
+    /// A rotation of axes that are not those of one space.
+    #[error("rotation of {0} axes: must be of at most 3")]
+    Rotation(usize),
+}
+
+impl CouplingError {
+    const fn scale(name: &'static str, symbol: &'static str, seen: f64) -> Self {
+        Self::Scale { name, symbol, seen }
+    }
+}
+
+/// Rotation between master and slave, and the slave's axes that do not follow.
+///
+/// `V_s = lambda_p L R V_m`, `F_v = lambda_f R' L F_e`, with R orthonormal and L diagonal of 0 and 1. Then
+/// `F_v · V_m = (lambda_f / lambda_p) F_e · V_s`: no power is made or lost beyond the scales.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameMap<const N: usize> {
+    rotation: SMatrix<f64, N, N>,
+    locked: [bool; N],
+}
+
+impl<const N: usize> Default for FrameMap<N> {
+    fn default() -> Self {
+        Self { rotation: SMatrix::identity(), locked: [false; N] }
+    }
+}
+
+/// How far the norm of a quaternion may be from 1: digits that a person left out.
+const UNIT: f64 = 1e-6;
+
+/// How far R' R may be from the identity, in its largest element.
+const ORTHONORMAL: f64 = 1e-9;
+
+impl<const N: usize> FrameMap<N> {
+    /// With R as rows, orthonormal; for at most 3 axes, because more are no axes of one space.
+    pub fn new(rotation: [[f64; N]; N], locked: [bool; N]) -> Result<Self, CouplingError> {
+        let rotation = SMatrix::<f64, N, N>::from_fn(|row, column| rotation[row][column]);
+        if N > 3 && rotation != Self::straight() {
+            return Err(CouplingError::Rotation(N));
+        }
+        let off = (rotation.transpose() * rotation - Self::straight())
+            .iter()
+            .map(|element| if element.is_nan() { f64::INFINITY } else { element.abs() })
+            .fold(0.0, f64::max);
+        if off > ORTHONORMAL {
+            return Err(CouplingError::Orthonormal(off));
+        }
+        Ok(Self { rotation, locked })
+    }
+
+    /// With R of a unit quaternion, and the slave's axes that are locked, those beyond N left out.
+    ///
+    /// With 2 axes the rotation is about z, which neither has; of 1, 6 or 7 axes there is none.
+    pub fn turned(quat_wxyz: [f64; 4], locked: &[bool]) -> Result<Self, CouplingError> {
+        let norm = quat_wxyz.iter().map(|part| part * part).sum::<f64>().sqrt();
+        if norm.is_nan() || (norm - 1.0).abs() > UNIT {
+            return Err(CouplingError::Quaternion(norm));
+        }
+        let [w, x, y, z] = quat_wxyz.map(|part| part / norm);
+        let lies_in_space = match N {
+            3 => true,
+            2 => x == 0.0 && y == 0.0,
+            _ => x == 0.0 && y == 0.0 && z == 0.0,
+        };
+        if !lies_in_space {
+            return Err(CouplingError::Turn(N));
+        }
+        let rows = [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ];
+        let rotation = SMatrix::<f64, N, N>::from_fn(|row, column| {
+            if N <= 3 { rows[row][column] } else { f64::from(u8::from(row == column)) }
+        });
+        let locked = std::array::from_fn(|axis| locked.get(axis).copied().unwrap_or(false));
+        Ok(Self { rotation, locked })
+    }
+
+    /// Without a rotation.
+    pub fn locking(locked: [bool; N]) -> Self {
+        Self { locked, ..Self::default() }
+    }
+
+    fn straight() -> SMatrix<f64, N, N> {
+        SMatrix::identity()
+    }
+
+    fn lock(&self, mut vector: Axes<N>) -> Axes<N> {
+        for (value, locked) in vector.iter_mut().zip(self.locked) {
+            if locked {
+                *value = 0.0;
+            }
+        }
+        vector
+    }
+
+    /// `L R v`: a motion of the master as one of the slave.
+    pub fn to_slave(&self, of_master: &Axes<N>) -> Axes<N> {
+        if self.rotation == Self::straight() {
+            return self.lock(*of_master);
+        }
+        self.lock(self.rotation * of_master)
+    }
+
+    /// `R' L f`: a force on the slave as one on the master.
+    pub fn to_master(&self, of_slave: &Axes<N>) -> Axes<N> {
+        let unlocked = self.lock(*of_slave);
+        if self.rotation == Self::straight() {
+            return unlocked;
+        }
+        self.rotation.transpose() * unlocked
+    }
+}
+
+/// Largest sum in J that a frame tells; a port of 1 kW takes eleven days to it.
+pub const MAX_ENERGY_J: f64 = 1e9;
+
+/// Cumulative energies at a port, for the couplings that balance them.
+///
+/// `E_in += max(P, 0) dT`, `E_out += max(-P, 0) dT`, where P is the power from the plant into the link: `-F_v·V` at the
+/// master, `F_e·V` of the commanded velocity at the slave. Two sums that only rise survive loss: the newest frame has
+/// all that the lost ones had, where a difference of powers in each frame would not.
+///
+/// Source: Ryu, Artigas and Preusche, *A passive bilateral control scheme for a teleoperator with time-varying
+/// communication delay*, 2010, Eq. 5-8.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PortEnergy {
+    /// From the plant into the link, in J.
+    pub in_j: f64,
+    /// From the link into the plant, in J.
+    pub out_j: f64,
+}
+
+impl PortEnergy {
+    /// Adds a power in W, from the plant into the link, over a time in s; one that is no number adds nothing.
+    pub fn add(&mut self, power_w: f64, over_s: f64) {
+        let energy_j = power_w * over_s;
+        if !energy_j.is_finite() {
+            return;
+        }
+        let sum = if energy_j > 0.0 { &mut self.in_j } else { &mut self.out_j };
+        *sum = (*sum + energy_j.abs()).min(MAX_ENERGY_J);
+    }
+
+    /// Whether both sums can be.
+    pub fn is_possible(&self) -> bool {
+        [self.in_j, self.out_j].iter().all(|sum| (0.0..=MAX_ENERGY_J).contains(sum))
+    }
+}
+
+#[cfg(test)]
+mod frame_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Rodrigues' formula, for an axis along `k` and the angle `a`.
+    fn about(k: [f64; 3], a: f64) -> [[f64; 3]; 3] {
+        let k = Axes::<3>::from(k).normalize();
+        let cross = SMatrix::<f64, 3, 3>::new(0.0, -k[2], k[1], k[2], 0.0, -k[0], -k[1], k[0], 0.0);
+        let matrix = SMatrix::<f64, 3, 3>::identity() + cross * a.sin() + cross * cross * (1.0 - a.cos());
+        std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
+    }
+
+    proptest! {
+        #[test]
+        fn power_is_the_same_on_both_sides(
+            (axis, angle) in (prop::array::uniform3(0.1..1.0f64), -3.0..3.0f64),
+            (velocity, force) in (prop::array::uniform3(-2.0..2.0f64), prop::array::uniform3(-9.0..9.0f64)),
+            locked in prop::array::uniform3(any::<bool>()),
+        ) {
+            let map = FrameMap::new(about(axis, angle), locked).unwrap();
+            let (velocity, force) = (Axes::<3>::from(velocity), Axes::<3>::from(force));
+            let (moved, felt) = (map.to_slave(&velocity), map.to_master(&force));
+            prop_assert!((felt.dot(&velocity) - force.dot(&moved)).abs() < 1e-12);
+            for (axis, locked) in locked.into_iter().enumerate() {
+                prop_assert!(!locked || moved[axis] == 0.0);
+            }
+            let elsewhere = Axes::<3>::from_fn(|axis, _| if locked[axis] { force[axis] } else { 0.0 });
+            prop_assert_eq!(map.to_master(&elsewhere), Axes::<3>::zeros());
+        }
+    }
+
+    #[test]
+    fn a_quarter_turn_goes_the_right_way() {
+        let map = FrameMap::new([[0.0, -1.0], [1.0, 0.0]], [false; 2]).unwrap();
+        assert_eq!(map.to_slave(&Axes::<2>::new(1.0, 0.0)), Axes::<2>::new(0.0, 1.0));
+        assert_eq!(map.to_master(&Axes::<2>::new(0.0, 3.0)), Axes::<2>::new(3.0, 0.0));
+    }
+
+    /// Against Rodrigues' formula.
+    #[test]
+    fn a_quaternion_turns_as_its_axis_and_angle_do() {
+        for (axis, angle) in [([0.0, 0.0, 1.0], 0.7_f64), ([1.0, -2.0, 0.5], 2.1), ([0.0, 1.0, 0.0], -3.0)] {
+            let k = Axes::<3>::from(axis).normalize() * (0.5 * angle).sin();
+            let quat_wxyz = [(0.5 * angle).cos(), k[0], k[1], k[2]];
+            let turned = FrameMap::<3>::turned(quat_wxyz, &[]).unwrap();
+            let expected = FrameMap::new(about(axis, angle), [false; 3]).unwrap();
+            assert!((turned.rotation - expected.rotation).abs().max() < 1e-14);
+            FrameMap::new(
+                std::array::from_fn(|row| std::array::from_fn(|c| turned.rotation[(row, c)])),
+                [false; 3],
+            )
+            .unwrap();
+        }
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let plane = FrameMap::<2>::turned([half, 0.0, 0.0, half], &[false, true]).unwrap();
+        assert!((plane.to_slave(&Axes::<2>::new(0.0, 1.0)) - Axes::<2>::new(-1.0, 0.0)).norm() < 1e-15);
+        assert_eq!(plane.to_slave(&Axes::<2>::new(1.0, 0.0))[1], 0.0, "locked");
+        assert_eq!(FrameMap::<6>::turned([-1.0, 0.0, 0.0, 0.0], &[]), Ok(FrameMap::default()));
+        for (refused, told) in [
+            (
+                FrameMap::<2>::turned([half, half, 0.0, 0.0], &[]).map(|_| ()).unwrap_err(),
+                "a rotation of 2 axes",
+            ),
+            (
+                FrameMap::<1>::turned([half, 0.0, 0.0, half], &[]).map(|_| ()).unwrap_err(),
+                "a rotation of 1 axes",
+            ),
+            (
+                FrameMap::<6>::turned([0.0, 0.0, 0.0, 1.0], &[]).map(|_| ()).unwrap_err(),
+                "a rotation of 6 axes",
+            ),
+            (FrameMap::<3>::turned([0.5; 4].map(|w| 2.0 * w), &[]).map(|_| ()).unwrap_err(), "norm of 2"),
+            (FrameMap::<3>::turned([f64::NAN; 4], &[]).map(|_| ()).unwrap_err(), "norm of NaN"),
+        ] {
+            assert!(refused.to_string().contains(told), "{refused}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_rotation_is_refused() {
+        for rows in [[[1.0, 0.0], [0.1, 1.0]], [[2.0, 0.0], [0.0, 0.5]], [[f64::NAN, 0.0], [0.0, 1.0]]] {
+            assert!(matches!(FrameMap::new(rows, [false; 2]), Err(CouplingError::Orthonormal(_))));
+        }
+        let mut rows = [[0.0; 6]; 6];
+        for axis in 0..6 {
+            rows[axis][(axis + 1) % 6] = 1.0;
+        }
+        let error = FrameMap::new(rows, [false; 6]).unwrap_err();
+        assert_eq!(error.to_string(), "rotation of 6 axes: must be of at most 3");
+    }
+}
+
+#[cfg(test)]
+mod energy_tests {
+    use super::*;
+
+    /// P = sin(2 pi t) W over ten periods: each sum is 10 integral of a half wave, 10 / pi J.
+    #[test]
+    fn a_power_that_swings_fills_both_sums() {
+        let (mut energy, ticks) = (PortEnergy::default(), 100_000);
+        for tick in 0..ticks {
+            // The middle of each step: its error is below (pi dT)^2 / 6 of the whole.
+            let time_s = (f64::from(tick) + 0.5) * 1e-4;
+            energy.add((std::f64::consts::TAU * time_s).sin(), 1e-4);
+        }
+        let exact = 10.0 / std::f64::consts::PI;
+        for sum in [energy.in_j, energy.out_j] {
+            assert!((sum / exact - 1.0).abs() < 2e-8, "{sum} J, must be {exact} J");
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_adds_nothing_and_the_sums_have_an_end() {
+        let mut energy = PortEnergy { in_j: 1.0, out_j: 2.0 };
+        for power_w in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -0.0] {
+            energy.add(power_w, 1.0);
+            assert_eq!(energy, PortEnergy { in_j: 1.0, out_j: 2.0 });
+        }
+        energy.add(1e300, 1.0);
+        energy.add(-1e300, 1.0);
+        assert_eq!(energy, PortEnergy { in_j: MAX_ENERGY_J, out_j: MAX_ENERGY_J });
+        assert!(energy.is_possible());
+        for bad in [-1e-300, f64::NAN, f64::INFINITY, 1.1e9] {
+            assert!(!PortEnergy { in_j: bad, out_j: 0.0 }.is_possible());
+            assert!(!PortEnergy { in_j: 0.0, out_j: bad }.is_possible());
+        }
+    }
+}

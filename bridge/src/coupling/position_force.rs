@@ -2,7 +2,7 @@
 
 use haptether_safety::Axes;
 
-use super::FrameMap;
+use super::{CouplingError, FrameMap};
 
 /// The slave follows the master's position; the master renders the force that the slave measures.
 ///
@@ -20,39 +20,6 @@ pub struct PositionForce<const N: usize> {
     force_scale: f64,
     map: FrameMap<N>,
     anchor: Option<(Axes<N>, Axes<N>)>,
-}
-
-/// A coupling that cannot be.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum CouplingError {
-    /// A scale that couples nothing, or a bound that lets nothing pass.
-    #[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
-    Scale {
-        /// Which.
-        name: &'static str,
-        /// Its symbol.
-        symbol: &'static str,
-        /// What was given.
-        seen: f64,
-    },
-    /// A matrix that is no rotation.
-    #[error("rotation: R' R differs from the identity by {0}, must be by at most 1e-9")]
-    Orthonormal(f64),
-    /// A quaternion that is no rotation.
-    #[error("quat_wxyz has a norm of {0}: must be 1 to within 1e-6")]
-    Quaternion(f64),
-    /// A quaternion for axes that do not span its space.
-    #[error("quat_wxyz: a rotation of {0} axes, must be of 3 axes, or of 2 about z")]
-    Turn(usize),
-    /// A rotation of axes that are not those of one space.
-    #[error("rotation of {0} axes: must be of at most 3")]
-    Rotation(usize),
-}
-
-impl CouplingError {
-    pub(super) const fn scale(name: &'static str, symbol: &'static str, seen: f64) -> Self {
-        Self::Scale { name, symbol, seen }
-    }
 }
 
 fn check(name: &'static str, symbol: &'static str, seen: f64) -> Result<f64, CouplingError> {

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use haptether_safety::Fault;
 use serde::Serialize;
 
-use super::{state::LadderState, table::Reason};
+use super::table::{LadderState, Reason};
 use crate::{fault_text::FaultText, wire::Role};
 
 /// What the peer last said of itself; codes are its own, and may be of a version that knows more.

@@ -1,6 +1,6 @@
 //! What one tick tells a ladder: from the button, and from what the peer's newest frame says and echoes.
 
-use super::{machine::Ladder, state::LadderState};
+use super::{machine::Ladder, table::LadderState};
 use crate::wire::Role;
 
 /// What the newest frame of the peer says.

@@ -3,10 +3,8 @@
 //! The loop never waits for it. What a slow disk does not take in time is dropped and counted; a disk that refuses, or
 //! that has too little space left, ends the recording and nothing else. The file is MCAP with messages in JSON.
 
-mod disk;
 mod fields;
-mod mcap_file;
-mod writer;
+mod file;
 
 use std::{
     io,
@@ -16,16 +14,14 @@ use std::{
         atomic::{AtomicU64, Ordering},
         mpsc,
     },
+    thread,
     time::Duration,
 };
 
 pub use fields::{Field, Recorded, Value};
+use file::{FreeSpace, McapFile};
 
-use crate::ring::ring;
-
-use mcap_file::McapFile;
-
-use crate::ladder::Diagnosis;
+use crate::{ladder::Diagnosis, ring::ring};
 
 /// Whether frames are sealed; a recording of an unsealed run says so in every record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -169,7 +165,7 @@ pub struct Recorder<R> {
 impl<R: Recorded> Recorder<R> {
     /// Opens the file, writes its head, and starts the thread that writes the rest.
     pub fn begin(settings: &RecorderSettings) -> io::Result<Self> {
-        let free = disk::FreeSpace::beside(&settings.path)?;
+        let free = FreeSpace::beside(&settings.path)?;
         if free.bytes() < settings.min_free_bytes {
             let (free, least) = (free.bytes(), settings.min_free_bytes);
             return Err(io::Error::new(
@@ -177,7 +173,7 @@ impl<R: Recorded> Recorder<R> {
                 format!("{free} bytes are free on the disk, must be at least {least}"),
             ));
         }
-        let file = disk::create(&settings.path)?;
+        let file = file::create(&settings.path)?;
         Self::write_to(file, move || free.bytes(), settings)
     }
 
@@ -192,10 +188,10 @@ impl<R: Recorded> Recorder<R> {
         let (tell, ended) = mpsc::sync_channel(1);
         let (seen, security, min_free_bytes) =
             (Arc::clone(&progress), settings.security, settings.min_free_bytes);
-        std::thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
+        thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
             // The head, too, is written there: not even that may keep a run waiting.
             let file = McapFile::begin::<R>(out, security);
-            writer::write_while_open(file, (waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
+            write_while_open(file, (waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
             let _ = tell.send(());
         })?;
         Ok(Self { records, notes, progress, ended })
@@ -227,6 +223,84 @@ impl<R> Recorder<R> {
             progress.set_end(RecordingEnd::Stuck);
         }
         progress.report()
+    }
+}
+
+/// How long an empty ring is left alone: a small part of the time in which it fills.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// Records of a chunk of the file, after which the disk is looked at; a run that is killed loses one.
+const CHUNK: u64 = 256;
+
+/// Chunks of one size; those that follow are twice as large, up to [`MAX_CHUNK`]. The index of the file is kept in
+/// memory until its end, some 750 bytes a chunk: 3 MB in the first hour at 1 kHz, then 0.7 MB an hour.
+const CHUNKS_OF_A_SIZE: u64 = 1024;
+/// Records of the largest chunk, 4 s at 1 kHz.
+const MAX_CHUNK: u64 = 4096;
+
+/// Writes records until the other end of the ring is gone and all are written, or the disk has had enough.
+fn write_while_open<R: Recorded>(
+    file: McapFile<impl io::Write>,
+    (mut records, mut notes): (rtrb::Consumer<R>, rtrb::Consumer<Note>),
+    progress: &Progress,
+    is_full: &dyn Fn() -> bool,
+) {
+    let mut file = Some(file);
+    let (mut taken, mut chunks, mut chunk_end) = (0, 0, CHUNK);
+    loop {
+        // Looked at first: what was pushed before the end is seen below.
+        let is_last = records.is_abandoned();
+        while let Ok(record) = records.pop() {
+            if let Some(open) = &mut file {
+                open.write(&record);
+                taken += 1;
+                if taken == chunk_end {
+                    look_at_disk(&mut file, taken, progress, is_full);
+                    chunks += 1;
+                    chunk_end += (CHUNK << (chunks / CHUNKS_OF_A_SIZE).min(8)).min(MAX_CHUNK);
+                }
+            }
+        }
+        while let Ok(note) = notes.pop() {
+            if let Some(open) = &mut file {
+                open.note(&note);
+            }
+        }
+        if is_last {
+            look_at_disk(&mut file, taken, progress, is_full);
+            break;
+        }
+        thread::sleep(PAUSE);
+    }
+    if let Some(open) = file {
+        match open.finish() {
+            Some(number) => progress.set_end(RecordingEnd::Refused(number)),
+            None => progress.written.store(taken, Ordering::Relaxed),
+        }
+    }
+}
+
+/// Has what was written so far taken by the system; closes the file where that fails or little space is left.
+fn look_at_disk(
+    file: &mut Option<McapFile<impl io::Write>>,
+    taken: u64,
+    progress: &Progress,
+    is_full: &dyn Fn() -> bool,
+) {
+    if taken == progress.written.load(Ordering::Relaxed) {
+        return;
+    }
+    let Some(open) = file else { return };
+    if let Some(number) = open.flush() {
+        progress.set_end(RecordingEnd::Refused(number));
+        *file = None;
+        return;
+    }
+    progress.written.store(taken, Ordering::Relaxed);
+    if is_full() {
+        progress.set_end(RecordingEnd::LowSpace);
+        // What is there becomes a whole file: the index at its end is small.
+        let _ = file.take().map(McapFile::finish);
     }
 }
 

@@ -199,7 +199,7 @@ fn a_disk_that_is_full_ends_the_recording_and_what_it_took_can_be_read() {
         if room > 10 {
             // Of a chunk that the disk took in part, a part can be read.
             let read = messages(&paper.read()).len() as u64;
-            assert!((report.written..report.written + writer::CHUNK).contains(&read), "{read}, {report:?}");
+            assert!((report.written..report.written + CHUNK).contains(&read), "{read}, {report:?}");
         }
     }
 }

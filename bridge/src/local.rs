@@ -1,0 +1,445 @@
+//! The loop without a network: device, hand and a force that is rendered on the spot.
+
+use haptether_master::{SimulatedMaster, SteppedMaster};
+use haptether_safety::{
+    Axes, Limiter, Observation, Real, SafetyLayer,
+    controller::{Response, SafetyController},
+};
+use haptether_slave::{Environment, RenderedWalls};
+use nalgebra::SimdValue as _;
+
+/// One tick of the loop.
+#[derive(Clone, Copy, Debug)]
+pub struct LocalTick<const N: usize, S: Real = f64> {
+    /// True position in m.
+    pub position: Axes<N, S>,
+    /// True velocity in m/s.
+    pub velocity: Axes<N, S>,
+    /// True force of the hand in N.
+    pub hand_force: Axes<N, S>,
+    /// Force in N of walls that act on the device at every instant.
+    pub wall_force: Axes<N, S>,
+    /// `F_v` in N, as asked for.
+    pub asked_force: Axes<N, S>,
+    /// `F_v` in N, as far as the device can render it.
+    pub rendered_force: Axes<N, S>,
+    /// `F_h` in N, as the observers saw it.
+    pub grasp_force: Axes<N, S>,
+    /// `F_device` in N.
+    pub device_force: Axes<N, S>,
+    /// `F_c` and what the observers said.
+    pub response: Response<N, S>,
+}
+
+/// Device and hand under a force rendered at the servo rate and held over each tick, watched by the safety layer.
+///
+/// Generic over the scalar: with a lane type each lane is a scenario of its own.
+#[derive(Clone, Debug)]
+pub struct LocalLoop<P, R, const N: usize, S: Real = f64> {
+    plant: P,
+    rendering: R,
+    delay: DelayLine<N, S>,
+    watch: Watch<N, S>,
+    period_ns: u64,
+    period_s: f64,
+    tick: u64,
+    last_position: Axes<N, S>,
+}
+
+impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop<P, R, N, S> {
+    /// A loop at time 0 with a period of `period_ns`; what is rendered acts `delay` ticks late.
+    pub fn new(plant: P, rendering: R, delay: DelayLine<N, S>, watch: Watch<N, S>, period_ns: u64) -> Self {
+        let last_position = plant.measured_position();
+        let period_s = period_ns as f64 * 1e-9;
+        Self { plant, rendering, delay, watch, period_ns, period_s, tick: 0, last_position }
+    }
+
+    /// The device and the hand.
+    pub fn plant(&self) -> &P {
+        &self.plant
+    }
+
+    /// What is rendered.
+    pub fn rendering(&self) -> &R {
+        &self.rendering
+    }
+
+    /// Time of the next tick in s.
+    #[inline(always)]
+    pub fn time_s(&self) -> f64 {
+        // The number nearest to the time: a product of seconds lies a rounding beside the times that a scene names.
+        (self.tick * self.period_ns) as f64 / 1e9
+    }
+
+    /// One tick.
+    #[inline(always)]
+    pub fn step(&mut self) -> LocalTick<N, S> {
+        let time_s = self.time_s();
+        self.plant.advance(self.tick * self.period_ns);
+        self.tick += 1;
+        let position = self.plant.measured_position();
+        let mut velocity = Axes::zeros();
+        if self.rendering.needs_velocity() {
+            // What a servo loop has of V when it renders damping.
+            velocity = (position - self.last_position) / S::splat(self.period_s);
+            self.last_position = position;
+        }
+        let asked = self.rendering.force(time_s, self.period_s, &position, &velocity);
+        let asked_force = self.delay.pass(asked);
+        let watched = self.watch.step(&self.plant, &position, &asked_force);
+        self.plant.write(&watched.device_force);
+        LocalTick {
+            position: self.plant.position(),
+            velocity: self.plant.velocity(),
+            hand_force: self.plant.hand_force(),
+            wall_force: self.plant.wall_force(),
+            asked_force,
+            rendered_force: watched.rendered_force,
+            grasp_force: watched.grasp_force,
+            device_force: watched.device_force,
+            response: watched.response,
+        }
+    }
+}
+
+/// Scenarios side by side; none if they differ in what lanes must share.
+pub(crate) fn gather<const N: usize, S: Real + haptether_master::Real>(
+    of: &[&LocalLoop<SteppedMaster<N>, RenderedWalls<N>, N>],
+) -> Option<LocalLoop<SteppedMaster<N, S>, RenderedWalls<N, S>, N, S>> {
+    let first = of.first()?;
+    if of.iter().any(|one| (one.period_ns, one.tick) != (first.period_ns, first.tick)) {
+        return None;
+    }
+    let plants: Vec<_> = of.iter().map(|one| one.plant.clone()).collect();
+    let renderings: Vec<_> = of.iter().map(|one| one.rendering.clone()).collect();
+    let delays: Vec<_> = of.iter().map(|one| &one.delay).collect();
+    let watches: Vec<_> = of.iter().map(|one| &one.watch).collect();
+    let mut last_position = Axes::<N, S>::zeros();
+    for (lane, one) in of.iter().enumerate() {
+        last_position.replace(lane, one.last_position);
+    }
+    Some(LocalLoop {
+        plant: SteppedMaster::gather(&plants)?,
+        rendering: RenderedWalls::gather(&renderings)?,
+        delay: DelayLine::gather(&delays)?,
+        watch: Watch::gather(&watches)?,
+        period_ns: first.period_ns,
+        period_s: first.period_s,
+        tick: first.tick,
+        last_position,
+    })
+}
+
+/// Device and hand, for one scenario or several side by side; time is an argument.
+pub trait LocalPlant<const N: usize, S: Real> {
+    /// Advances to `now_ns`.
+    fn advance(&mut self, now_ns: u64);
+
+    /// x in m, as the encoder sees it.
+    fn measured_position(&self) -> Axes<N, S>;
+
+    /// V in m/s, only from a device that measures it.
+    fn measured_velocity(&self) -> Option<Axes<N, S>>;
+
+    /// True position in m.
+    fn position(&self) -> Axes<N, S>;
+
+    /// True velocity in m/s.
+    fn velocity(&self) -> Axes<N, S>;
+
+    /// True force of the hand in N.
+    fn hand_force(&self) -> Axes<N, S>;
+
+    /// True force in N of walls that act on the device by themselves.
+    fn wall_force(&self) -> Axes<N, S>;
+
+    /// Exerts `force` in N from now on.
+    fn write(&mut self, force: &Axes<N, S>);
+}
+
+impl<const N: usize> LocalPlant<N, f64> for SimulatedMaster<N> {
+    fn advance(&mut self, now_ns: u64) {
+        self.read(now_ns);
+    }
+
+    fn measured_position(&self) -> Axes<N> {
+        self.measured().position
+    }
+
+    fn measured_velocity(&self) -> Option<Axes<N>> {
+        self.measured().velocity
+    }
+
+    fn position(&self) -> Axes<N> {
+        *SimulatedMaster::position(self)
+    }
+
+    fn velocity(&self) -> Axes<N> {
+        *SimulatedMaster::velocity(self)
+    }
+
+    fn hand_force(&self) -> Axes<N> {
+        SimulatedMaster::hand_force(self)
+    }
+
+    fn wall_force(&self) -> Axes<N> {
+        SimulatedMaster::wall_force(self)
+    }
+
+    fn write(&mut self, force: &Axes<N>) {
+        SimulatedMaster::write(self, force);
+    }
+}
+
+impl<const N: usize, S: Real + haptether_master::Real> LocalPlant<N, S> for SteppedMaster<N, S> {
+    #[inline(always)]
+    fn advance(&mut self, now_ns: u64) {
+        SteppedMaster::advance(self, now_ns);
+    }
+
+    #[inline(always)]
+    fn measured_position(&self) -> Axes<N, S> {
+        SteppedMaster::measured_position(self)
+    }
+
+    #[inline(always)]
+    fn measured_velocity(&self) -> Option<Axes<N, S>> {
+        SteppedMaster::measured_velocity(self)
+    }
+
+    #[inline(always)]
+    fn position(&self) -> Axes<N, S> {
+        *SteppedMaster::position(self)
+    }
+
+    #[inline(always)]
+    fn velocity(&self) -> Axes<N, S> {
+        *SteppedMaster::velocity(self)
+    }
+
+    #[inline(always)]
+    fn hand_force(&self) -> Axes<N, S> {
+        *SteppedMaster::hand_force(self)
+    }
+
+    #[inline(always)]
+    fn wall_force(&self) -> Axes<N, S> {
+        SteppedMaster::wall_force(self)
+    }
+
+    #[inline(always)]
+    fn write(&mut self, force: &Axes<N, S>) {
+        SteppedMaster::write(self, force);
+    }
+}
+
+/// A force field that a servo loop samples.
+pub trait Rendering<const N: usize, S: Real> {
+    /// Whether any of it depends on the velocity.
+    fn needs_velocity(&self) -> bool;
+
+    /// The force in N at time t in s, for the position in m and the velocity in m/s that the loop knows; it then acts
+    /// for `period_s`.
+    fn force(
+        &mut self,
+        time_s: f64,
+        period_s: f64,
+        position: &Axes<N, S>,
+        velocity: &Axes<N, S>,
+    ) -> Axes<N, S>;
+
+    /// Steps of free bodies that were too stiff to be followed to the usual accuracy.
+    fn coarse_steps(&self) -> u64 {
+        0
+    }
+}
+
+/// A force field of surfaces.
+pub(crate) trait Surfaces<const N: usize> {
+    /// Whether a point at `position` in m, for which the force was asked for last, is inside an object.
+    fn touches(&self, position: &Axes<N>) -> bool;
+}
+
+impl<const N: usize> Surfaces<N> for RenderedWalls<N> {
+    fn touches(&self, position: &Axes<N>) -> bool {
+        RenderedWalls::touches(self, position)
+    }
+}
+
+impl<const N: usize> Surfaces<N> for SceneRendering<N> {
+    fn touches(&self, _: &Axes<N>) -> bool {
+        self.0.touches()
+    }
+}
+
+impl<const N: usize, S: Real> Rendering<N, S> for RenderedWalls<N, S> {
+    #[inline(always)]
+    fn needs_velocity(&self) -> bool {
+        self.is_damped()
+    }
+
+    #[inline(always)]
+    fn force(&mut self, time_s: f64, _: f64, position: &Axes<N, S>, velocity: &Axes<N, S>) -> Axes<N, S> {
+        RenderedWalls::force(self, time_s, position, velocity)
+    }
+}
+
+/// Any environment, for one scenario.
+#[derive(Clone, Debug)]
+pub struct SceneRendering<const N: usize>(pub Environment<N>);
+
+impl<const N: usize> Rendering<N, f64> for SceneRendering<N> {
+    fn needs_velocity(&self) -> bool {
+        true
+    }
+
+    fn force(&mut self, time_s: f64, period_s: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
+        let force = self.0.force(position, velocity, time_s);
+        self.0.advance(time_s, period_s, position, velocity);
+        force
+    }
+
+    fn coarse_steps(&self) -> u64 {
+        self.0.coarse_steps()
+    }
+}
+
+/// Observers and controllers, told either what a live master knows or the truth.
+#[derive(Clone, Debug)]
+pub enum Watch<const N: usize, S: Real = f64> {
+    /// What the estimator makes of the measured positions, as live.
+    Estimated(Box<SafetyLayer<N, S>>),
+    /// The model's own velocity and force of the hand, for studies that leave estimation out.
+    True {
+        /// Observers and controllers.
+        controller: SafetyController<N, S>,
+        /// Bounds on the force, before the observers and after the controllers as in the layer; none where a study
+        /// switches them off.
+        limiters: Option<[Limiter<N, S>; 2]>,
+    },
+}
+
+/// What was seen and decided at one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Watched<const N: usize, S: Real = f64> {
+    /// `F_v` in N as far as it can be rendered.
+    pub rendered_force: Axes<N, S>,
+    /// `F_h` in N as the observers saw it.
+    pub grasp_force: Axes<N, S>,
+    /// `F_device` in N.
+    pub device_force: Axes<N, S>,
+    /// `F_c` and what the observers said.
+    pub response: Response<N, S>,
+}
+
+impl<const N: usize, S: Real> Watch<N, S> {
+    /// Several side by side; none if they are told different things or are built differently.
+    pub(crate) fn gather(of: &[&Watch<N>]) -> Option<Self> {
+        let (mut layers, mut controllers) = (Vec::new(), Vec::new());
+        let mut bounds = [Vec::new(), Vec::new()];
+        for one in of {
+            match one {
+                Watch::Estimated(layer) => layers.push((**layer).clone()),
+                Watch::True { controller, limiters } => {
+                    controllers.push(controller.clone());
+                    if let Some(limiters) = limiters {
+                        for (bounds, limiter) in bounds.iter_mut().zip(limiters) {
+                            bounds.push(limiter.clone());
+                        }
+                    }
+                }
+            }
+        }
+        if layers.len() == of.len() {
+            return Some(Self::Estimated(Box::new(SafetyLayer::gather(&layers)?)));
+        }
+        let limiters = match bounds[0].len() {
+            0 => None,
+            _ => Some([Limiter::gather(&bounds[0])?, Limiter::gather(&bounds[1])?]),
+        };
+        Some(Self::True { controller: SafetyController::gather(&controllers)?, limiters })
+    }
+
+    /// One tick: `position` in m as measured, `asked` in N.
+    #[inline(always)]
+    pub fn step(
+        &mut self,
+        plant: &impl LocalPlant<N, S>,
+        position: &Axes<N, S>,
+        asked: &Axes<N, S>,
+    ) -> Watched<N, S> {
+        let all = S::splat(1.0);
+        match self {
+            Self::Estimated(layer) => {
+                let tick = layer.advance(position, plant.measured_velocity().as_ref(), asked, all);
+                Watched {
+                    rendered_force: tick.rendered_force,
+                    grasp_force: tick.grasp_force,
+                    device_force: tick.device_force,
+                    response: tick.response,
+                }
+            }
+            Self::True { controller, limiters } => {
+                let (velocity, grasp_force) = (plant.velocity(), plant.hand_force());
+                let rendered_force = match limiters {
+                    Some([rendering, _]) => rendering.limit(asked, &Axes::zeros()).force,
+                    None => *asked,
+                };
+                let response =
+                    controller.respond(&Observation::exact(velocity, rendered_force, grasp_force), all);
+                let sum = rendered_force + response.safety_force;
+                let device_force = match limiters {
+                    Some([_, limiter]) => limiter.limit(&sum, &velocity).force,
+                    None => sum,
+                };
+                Watched { rendered_force, grasp_force, device_force, response }
+            }
+        }
+    }
+}
+
+/// A line of `ticks` values: what goes in comes out so many ticks later; before that, nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DelayLine<const N: usize, S: Real = f64> {
+    under_way: Box<[Axes<N, S>]>,
+    next: usize,
+}
+
+impl<const N: usize, S: Real> DelayLine<N, S> {
+    /// Lines side by side, before their first tick; none if their lengths differ.
+    pub(crate) fn gather(of: &[&DelayLine<N>]) -> Option<Self> {
+        let ticks = of.first()?.under_way.len();
+        of.iter().all(|one| one.under_way.len() == ticks).then(|| Self::new(ticks))
+    }
+
+    /// A line of that many ticks; 0 passes at once.
+    pub fn new(ticks: usize) -> Self {
+        Self { under_way: vec![Axes::zeros(); ticks].into_boxed_slice(), next: 0 }
+    }
+
+    /// Puts one in and takes one out.
+    #[inline(always)]
+    pub fn pass(&mut self, force: Axes<N, S>) -> Axes<N, S> {
+        let Some(slot) = self.under_way.get_mut(self.next) else { return force };
+        let out = std::mem::replace(slot, force);
+        self.next = if self.next + 1 == self.under_way.len() { 0 } else { self.next + 1 };
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_goes_in_comes_out_so_many_ticks_later() {
+        for ticks in [0_usize, 1, 3, 50] {
+            let mut line = DelayLine::<1>::new(ticks);
+            for n in 0..200_usize {
+                let out = line.pass(Axes::<1>::new(n as f64 + 1.0))[0];
+                let expected = if n < ticks { 0.0 } else { (n - ticks) as f64 + 1.0 };
+                assert_eq!(out, expected);
+            }
+        }
+    }
+}
