@@ -14,7 +14,7 @@ use std::{
 };
 
 use haptether_bridge::{
-    LadderSettings, MasterEndpoint, MasterSettings, SlaveEndpoint, SlaveSettings,
+    LadderSettings, LinkTime, MasterEndpoint, MasterSettings, SlaveEndpoint, SlaveSettings,
     coupling::CommandBounds,
     session::{
         Incoming, MAX_DATAGRAM, PreSharedKey, Received, SeededEntropy, Session, SessionEnd, SessionSettings,
@@ -59,8 +59,8 @@ enum Endpoint {
 impl Endpoint {
     fn receive(&mut self, now_ns: u64, payload: &[u8]) {
         match self {
-            Self::Master(master) => master.receive(now_ns, payload).unwrap(),
-            Self::Slave(slave) => slave.receive(now_ns, payload).unwrap(),
+            Self::Master(master) => master.exchange.receive(LinkTime::at(now_ns), payload).unwrap(),
+            Self::Slave(slave) => slave.exchange.receive(LinkTime::at(now_ns), payload).unwrap(),
         }
     }
 
@@ -78,8 +78,8 @@ impl Endpoint {
 
     fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         match self {
-            Self::Master(master) => master.exchange_mut().send(now_ns, buffer),
-            Self::Slave(slave) => slave.exchange_mut().send(now_ns, buffer),
+            Self::Master(master) => master.exchange.send(LinkTime::at(now_ns), buffer),
+            Self::Slave(slave) => slave.exchange.send(LinkTime::at(now_ns), buffer),
         }
     }
 }

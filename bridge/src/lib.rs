@@ -3,8 +3,7 @@
 //! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
-mod act;
-mod channel;
+mod command;
 pub mod coupling;
 mod driven;
 mod endpoint;
@@ -27,11 +26,11 @@ mod side;
 mod virtual_time;
 pub mod wire;
 
-pub use act::OperatorCommand;
+pub use command::OperatorCommand;
 pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
-    EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SlaveEndpoint, SlaveSettings,
-    SlaveTick,
+    EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SideCounts, SlaveEndpoint,
+    SlaveSettings, SlaveTick,
 };
 pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
 pub use ladder::{
@@ -39,10 +38,11 @@ pub use ladder::{
     LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame,
     PeerReport, Reason, Remedy, SimulatedOperator, Step, Transition,
 };
-pub use link::{FrameLink, LinkStatistics, PortState, RejectReason, Status};
+pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
+pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
-pub use side::{MasterSide, Side, SideCounts, SlaveSide, TickTime};
+pub use side::{MasterSide, Side, SlaveSide};
 pub use virtual_time::{Event, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

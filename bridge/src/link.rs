@@ -5,7 +5,7 @@ use haptether_safety::Axes;
 use crate::{
     coupling::PortEnergy,
     fault_text::TextPiece,
-    path::{PathReport, PeerPath},
+    path::PeerPath,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, MAX_FRAME, Role, WireError},
 };
@@ -40,6 +40,30 @@ impl LinkStatistics {
         self.late += too_old;
         self.refused += rejections.total() - repeated - too_old;
         self
+    }
+}
+
+/// When a frame is received or sent, in ns on the endpoint's clock.
+///
+/// Silence counts by ticks; frames and what is known of clocks need the true time, for a loop that woke late would else take
+/// frames before they were sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkTime {
+    /// The time of the tick.
+    pub tick_ns: u64,
+    /// By when a frame has arrived, or when it is sent: the tick's time, or later where the loop is late.
+    pub by_ns: u64,
+}
+
+impl LinkTime {
+    /// Of a tick that is not late.
+    pub const fn at(tick_ns: u64) -> Self {
+        Self { tick_ns, by_ns: tick_ns }
+    }
+
+    /// Of a tick that is `late_ns` late.
+    pub const fn late(tick_ns: u64, late_ns: u64) -> Self {
+        Self { tick_ns, by_ns: tick_ns.saturating_add(late_ns) }
     }
 }
 
@@ -145,9 +169,7 @@ pub struct FrameLink<const N: usize> {
     missing_before: u64,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
-    path: PeerPath,
-    /// How long after the tick's time it is.
-    late_ns: u64,
+    pub(crate) path: PeerPath,
     /// A silent peer may be followed by another session after this time.
     lease_ns: u64,
 }
@@ -166,27 +188,20 @@ impl<const N: usize> FrameLink<N> {
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
             path: PeerPath::default(),
-            late_ns: 0,
             lease_ns,
         }
     }
 
-    /// Until the next call it is `late_ns` later than the tick's time when frames are received and sent. Frames and what
-    /// is known of clocks need the true time: a loop that woke late would else take frames before they were sent.
-    pub fn late(&mut self, late_ns: u64) {
-        self.late_ns = late_ns;
-    }
-
-    /// Takes a datagram that arrived by the tick of `now_ns`; strictly newer frames replace the newest.
+    /// Takes a datagram; strictly newer frames replace the newest.
     ///
-    /// Says whether the frame began a session. A refused datagram changes nothing but its counter.
+    /// Returns whether the frame began a session. A refused datagram changes nothing but its counter.
     ///
     /// In the clear anybody may write any sequence. One that no sender comes to is refused while the session lives; after
     /// the lease's silence it begins a session anew. So no frame takes the link from its peer for longer than that.
-    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, RejectReason> {
+    pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
+        let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame =
             Frame::decode(datagram, self.role.peer()).inspect_err(|_| self.statistics.refused += 1)?;
-        let by_ns = now_ns.saturating_add(self.late_ns);
         let begins = match &self.newest {
             Some(newest)
                 if newest.frame.session == frame.session && newest.is_near(frame.sequence, by_ns) =>
@@ -262,15 +277,15 @@ impl<const N: usize> FrameLink<N> {
         }
     }
 
-    /// Writes the next frame of the tick of `now_ns`.
+    /// Writes the next frame.
     pub fn send<'a>(
         &mut self,
-        now_ns: u64,
+        time: LinkTime,
         status: Status,
         PortState { position, velocity, force, energy }: PortState<N>,
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
-        let sent_ns = now_ns.saturating_add(self.late_ns);
+        let sent_ns = time.by_ns;
         let echo = self.newest.as_ref().map(|newest| Echo {
             session: newest.frame.session,
             sequence: newest.frame.sequence,
@@ -328,19 +343,9 @@ impl<const N: usize> FrameLink<N> {
         self.newest.as_ref().map(|newest| now_ns.saturating_sub(newest.arrived_ns))
     }
 
-    /// Clock of the peer and age of its frames.
+    /// Clock of the peer, age of its frames and counts of their path.
     pub fn path(&self) -> &PeerPath {
         &self.path
-    }
-
-    /// The two sides engage at the ages that the link has now.
-    pub fn anchor(&mut self) {
-        self.path.anchor();
-    }
-
-    /// What is known of the way at `now_ns`: for the end of a run, as it walks the last 2048 sequences.
-    pub fn path_report(&self, now_ns: u64) -> PathReport {
-        self.path.report(now_ns)
     }
 
     /// Counts so far.
@@ -372,7 +377,7 @@ mod tests {
             .map(|n| {
                 slave
                     .send(
-                        n * MS,
+                        LinkTime::at(n * MS),
                         HEARD,
                         PortState { position: Axes::repeat(n as f64 * 1e-3), ..PortState::default() },
                         &mut buffer,
@@ -387,11 +392,11 @@ mod tests {
         let (first, second) = (frames(5, 1), frames(4, 2));
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         for (now_ns, frame) in [(0, &first[0]), (3 * MS, &first[3])] {
-            master.receive(now_ns, frame).unwrap();
+            master.receive(LinkTime::at(now_ns), frame).unwrap();
         }
         assert_eq!(master.statistics().missing, 2);
         for (now_ns, frame) in [(300 * MS, &second[1]), (302 * MS, &second[3])] {
-            master.receive(now_ns, frame).unwrap();
+            master.receive(LinkTime::at(now_ns), frame).unwrap();
         }
         // Of the second its first frame heard is 1: only 2 is missing.
         assert_eq!(master.statistics().missing, 3);
@@ -401,12 +406,12 @@ mod tests {
     fn strictly_newest_wins() {
         let frames = frames(5, 1);
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
-        assert_eq!(master.receive(0, &frames[1]), Ok(true));
-        assert_eq!(master.receive(MS, &frames[3]), Ok(false));
-        assert_eq!(master.receive(MS, &frames[2]), Err(RejectReason::Late(2)));
-        assert_eq!(master.receive(MS, &frames[2]), Err(RejectReason::Duplicate(2)));
-        assert_eq!(master.receive(MS, &frames[3]), Err(RejectReason::Duplicate(3)));
-        assert_eq!(master.receive(MS, &frames[0]), Err(RejectReason::Late(0)));
+        assert_eq!(master.receive(LinkTime::at(0), &frames[1]), Ok(true));
+        assert_eq!(master.receive(LinkTime::at(MS), &frames[3]), Ok(false));
+        assert_eq!(master.receive(LinkTime::at(MS), &frames[2]), Err(RejectReason::Late(2)));
+        assert_eq!(master.receive(LinkTime::at(MS), &frames[2]), Err(RejectReason::Duplicate(2)));
+        assert_eq!(master.receive(LinkTime::at(MS), &frames[3]), Err(RejectReason::Duplicate(3)));
+        assert_eq!(master.receive(LinkTime::at(MS), &frames[0]), Err(RejectReason::Late(0)));
         assert_eq!(master.newest().unwrap().sequence, 3);
         assert_eq!(master.age_ns(5 * MS), Some(4 * MS));
         let counts = master.statistics();
@@ -418,10 +423,10 @@ mod tests {
         let frames = frames(10, 1);
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         for n in [0, 1, 5, 9] {
-            master.receive(0, &frames[n]).unwrap();
+            master.receive(LinkTime::at(0), &frames[n]).unwrap();
         }
         assert_eq!(master.statistics().missing, 6);
-        master.receive(0, &frames[4]).unwrap_err();
+        master.receive(LinkTime::at(0), &frames[4]).unwrap_err();
         assert_eq!(master.statistics().missing, 5);
     }
 
@@ -429,10 +434,10 @@ mod tests {
     fn another_session_waits_for_silence() {
         let (first, second) = (frames(3, 1), frames(3, 2));
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
-        master.receive(0, &first[2]).unwrap();
-        assert_eq!(master.receive(199 * MS, &second[0]), Err(RejectReason::Session(2)));
-        assert_eq!(master.receive(201 * MS, &second[0]), Ok(true));
-        assert_eq!(master.receive(202 * MS, &first[2]), Err(RejectReason::Session(1)));
+        master.receive(LinkTime::at(0), &first[2]).unwrap();
+        assert_eq!(master.receive(LinkTime::at(199 * MS), &second[0]), Err(RejectReason::Session(2)));
+        assert_eq!(master.receive(LinkTime::at(201 * MS), &second[0]), Ok(true));
+        assert_eq!(master.receive(LinkTime::at(202 * MS), &first[2]), Err(RejectReason::Session(1)));
         assert_eq!(master.newest().unwrap().session, 2);
     }
 
@@ -441,12 +446,13 @@ mod tests {
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         let mut slave = FrameLink::<1>::new(Role::Slave, 8, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
-        let request = master.send(10 * MS, HEARD, PortState::default(), &mut buffer).to_vec();
+        let request = master.send(LinkTime::at(10 * MS), HEARD, PortState::default(), &mut buffer).to_vec();
         // The slave's clock is off by hours; it holds the frame for 3 ms.
         let off = 3_600_000 * MS;
-        slave.receive(off, &request).unwrap();
-        let answer = slave.send(off + 3 * MS, HEARD, PortState::default(), &mut buffer).to_vec();
-        master.receive(113 * MS, &answer).unwrap();
+        slave.receive(LinkTime::at(off), &request).unwrap();
+        let answer =
+            slave.send(LinkTime::at(off + 3 * MS), HEARD, PortState::default(), &mut buffer).to_vec();
+        master.receive(LinkTime::at(113 * MS), &answer).unwrap();
         assert_eq!(master.statistics().round_trip_ns, 100 * MS);
     }
 
@@ -478,9 +484,12 @@ mod tests {
                 let (mut buffer, mut last_ms, mut lost_ms) = ([0; MAX_FRAME], 0, 0);
                 for ms in 0..4000_u64 {
                     let now_ns = 10_000 * MS + ms * MS;
-                    let _ =
-                        slave.receive(now_ns, master.send(now_ns, HEARD, PortState::default(), &mut buffer));
-                    let frame = slave.send(now_ns, HEARD, PortState::default(), &mut buffer).to_vec();
+                    let _ = slave.receive(
+                        LinkTime::at(now_ns),
+                        master.send(LinkTime::at(now_ns), HEARD, PortState::default(), &mut buffer),
+                    );
+                    let frame =
+                        slave.send(LinkTime::at(now_ns), HEARD, PortState::default(), &mut buffer).to_vec();
                     if (1000..1000 + pause_ms).contains(&ms) {
                         last_ms = ms;
                         continue;
@@ -488,9 +497,9 @@ mod tests {
                     if ms == 1000 + pause_ms {
                         let of_next =
                             if field == SEQUENCE { frame.clone() } else { changed(&frame, SEQUENCE, ms) };
-                        let _ = master.receive(now_ns, &changed(&of_next, field, value));
+                        let _ = master.receive(LinkTime::at(now_ns), &changed(&of_next, field, value));
                     }
-                    if master.receive(now_ns, &frame).is_ok() {
+                    if master.receive(LinkTime::at(now_ns), &frame).is_ok() {
                         last_ms = ms;
                     }
                     lost_ms = lost_ms.max(ms - last_ms);
@@ -510,9 +519,9 @@ mod tests {
     fn frames_that_overtake_a_second_of_delay_are_news() {
         let frames = frames(2000, 1);
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
-        master.receive(1000 * MS, &frames[0]).unwrap();
-        assert_eq!(master.receive(1001 * MS, &frames[1000]), Ok(false));
-        assert_eq!(master.receive(1002 * MS, &frames[999]), Err(RejectReason::Late(999)));
+        master.receive(LinkTime::at(1000 * MS), &frames[0]).unwrap();
+        assert_eq!(master.receive(LinkTime::at(1001 * MS), &frames[1000]), Ok(false));
+        assert_eq!(master.receive(LinkTime::at(1002 * MS), &frames[999]), Err(RejectReason::Late(999)));
     }
 
     proptest! {
@@ -523,7 +532,7 @@ mod tests {
             let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
             let mut used = None;
             for &n in &order {
-                let fresh = master.receive(0, &frames[n]).is_ok();
+                let fresh = master.receive(LinkTime::at(0), &frames[n]).is_ok();
                 prop_assert_eq!(fresh, used.is_none_or(|used| n > used));
                 if fresh { used = Some(n); }
             }

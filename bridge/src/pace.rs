@@ -2,6 +2,28 @@
 
 use haptether_netsim::EndpointClock;
 
+/// When a tick is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TickTime {
+    /// When the run began, in ns.
+    pub start_ns: u64,
+    /// True time of the tick in ns, which the plant lives by.
+    pub now_ns: u64,
+    /// The tick's deadline in ns on the endpoint's own clock; live, both are the same.
+    pub clock_ns: u64,
+    /// How late the loop woke, in ns; in virtual time only where the endpoint's clock is set.
+    pub overshoot_ns: u64,
+    /// Ticks left out since the last one.
+    pub missed: u64,
+}
+
+impl TickTime {
+    /// A tick on time, on a clock that is right.
+    pub fn at(now_ns: u64) -> Self {
+        Self { now_ns, clock_ns: now_ns, ..Self::default() }
+    }
+}
+
 /// A loop that wakes later than this discards the backlog and holds: what it knows is old.
 const MAX_LATE_NS: u64 = 20_000_000;
 
@@ -96,12 +118,12 @@ pub(crate) struct DevicePace {
     /// When the next sample is due.
     next_ns: u64,
     /// Before which no sample is taken.
-    least_ns: u64,
+    earliest_ns: u64,
 }
 
 impl DevicePace {
     pub(crate) fn new(period_ns: u64) -> Self {
-        Self { period_ns, next_ns: 0, least_ns: 0 }
+        Self { period_ns, next_ns: 0, earliest_ns: 0 }
     }
 
     /// The first sample is due.
@@ -115,15 +137,15 @@ impl DevicePace {
     }
 
     /// Before which there is no tick: a sample that is earlier is kept until then.
-    pub(crate) fn least_ns(&self) -> u64 {
-        self.least_ns
+    pub(crate) fn earliest_ns(&self) -> u64 {
+        self.earliest_ns
     }
 
     /// A tick that this side's clock was waited for.
     pub(crate) fn waited(&mut self, now_ns: u64) -> Wake {
         let wake = Wake::new(self.next_ns, now_ns, self.period_ns);
         self.next_ns = wake.deadline_ns + self.period_ns;
-        self.least_ns = 0;
+        self.earliest_ns = 0;
         wake
     }
 
@@ -134,7 +156,7 @@ impl DevicePace {
         let wake = Wake::new(self.next_ns.min(now_ns), now_ns, self.period_ns);
         let late_ns = now_ns - wake.deadline_ns;
         self.next_ns = wake.deadline_ns + late_ns / PACE_SHARE + self.period_ns;
-        self.least_ns = now_ns + self.period_ns * MIN_EIGHTHS / 8;
+        self.earliest_ns = now_ns + self.period_ns * MIN_EIGHTHS / 8;
         Wake { deadline_ns: now_ns, ..wake }
     }
 }

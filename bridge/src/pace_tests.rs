@@ -33,7 +33,7 @@ impl Device {
         // One ppm of 1 ms is 1 ns.
         self.now_ns += (1_000_000 + drift_ppm).cast_unsigned();
         assert!(
-            self.now_ns >= self.pace.least_ns(),
+            self.now_ns >= self.pace.earliest_ns(),
             "a device that is fast by less than an eighth never waits"
         );
         let wake = self.pace.sampled(self.now_ns);

@@ -5,8 +5,8 @@ use haptether_safety::{Axes, Fault, controller::PerController};
 use crate::{
     endpoint::{Exchange, MasterTick, SlaveTick},
     ladder::LadderState,
+    pace::TickTime,
     plant::Truth,
-    side::TickTime,
 };
 
 /// What the records of both sides say of the ladder.
@@ -23,9 +23,9 @@ const NO_PEER: [u8; 3] = [u8::MAX, 0, 0];
 
 impl LadderSnapshot {
     pub(crate) fn of<const N: usize>(exchange: &Exchange<N>) -> Self {
-        let reason = exchange.last_transition().map_or(0, |last| last.reason.code());
+        let reason = exchange.ladder().history().last().map_or(0, |last| last.reason.code());
         // 0 is what the link says before the first.
-        let round_trip_ns = match exchange.counts().0.round_trip_ns {
+        let round_trip_ns = match exchange.link().statistics().round_trip_ns {
             0 => u64::MAX,
             round_trip_ns => round_trip_ns,
         };
@@ -112,7 +112,7 @@ impl<const N: usize> MasterRecord<N> {
         position: &Axes<N>,
         truth: Option<Truth<N>>,
         tick: &MasterTick<N>,
-        told: LadderSnapshot,
+        snapshot: LadderSnapshot,
     ) -> Self {
         let Truth { position: true_position, velocity, hand_force } = truth.unwrap_or(Truth {
             position: *position,
@@ -134,11 +134,11 @@ impl<const N: usize> MasterRecord<N> {
             tripped: intervention.tripped.bits(),
             acted: tick.safety.acted.bits(),
             state: tick.state,
-            reason: told.reason,
-            peer: told.peer,
-            clutch: told.clutch,
+            reason: snapshot.reason,
+            peer: snapshot.peer,
+            clutch: snapshot.clutch,
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
-            round_trip_ns: told.round_trip_ns,
+            round_trip_ns: snapshot.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
             fault: tick.safety.fault.map_or(0, Fault::code),
         }
@@ -201,7 +201,7 @@ impl<const N: usize> SlaveRecord<N> {
         time: TickTime,
         [position, _, environment_force]: &[Axes<N>; 3],
         tick: &SlaveTick<N>,
-        told: LadderSnapshot,
+        snapshot: LadderSnapshot,
     ) -> Self {
         Self {
             time_ns: time.now_ns - time.start_ns,
@@ -209,12 +209,12 @@ impl<const N: usize> SlaveRecord<N> {
             command: tick.command.unwrap_or(*position),
             environment_force: *environment_force,
             state: tick.state,
-            reason: told.reason,
-            peer: told.peer,
-            clutch: told.clutch,
+            reason: snapshot.reason,
+            peer: snapshot.peer,
+            clutch: snapshot.clutch,
             limited: tick.limited.bits(),
             age_ns: tick.age_ns.unwrap_or(u64::MAX),
-            round_trip_ns: told.round_trip_ns,
+            round_trip_ns: snapshot.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
             fault: tick.fault.map_or(0, Fault::code),
         }

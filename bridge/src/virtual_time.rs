@@ -8,11 +8,14 @@ use haptether_netsim::{
 };
 
 use crate::{
-    channel::Channel,
-    pace::Pace,
-    session::{EndError, MAX_DATAGRAM, Rejections},
-    side::{Side, TickTime},
-    wire::Role,
+    link::LinkTime,
+    pace::{Pace, TickTime},
+    session::{
+        EndError, MAX_DATAGRAM, PreSharedKey, Received, Rejections, SeededEntropy, SessionEnd,
+        SessionSettings,
+    },
+    side::{Side, sealed_frame},
+    wire::{Role, frame_length},
 };
 
 /// How a run in virtual time goes.
@@ -63,29 +66,21 @@ pub struct VirtualCounts {
 
 type Datagram = ([u8; MAX_DATAGRAM], usize);
 
-struct Way {
+/// The network in one direction.
+struct OneWay {
     link: Link,
     in_flight: InFlight<Datagram>,
     index: u64,
     direction: Direction,
 }
 
-impl Way {
+impl OneWay {
     fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         let link = Link::new(direction, seed, settings)?;
         Ok(Self { link, in_flight: InFlight::growing(MAX_IN_FLIGHT), index: 0, direction })
     }
 
-    /// Hands over what is due by `now_ns`, when the receiver's clock shows `clock_ns`; answers go `back`.
-    fn deliver<S: Side>(&mut self, now_ns: u64, clock_ns: u64, to: &mut Loop<'_, S>, back: &mut Self) {
-        while let Some((_, (mut bytes, length))) = self.in_flight.pop_due(now_ns) {
-            if let Some(answer) = to.channel.receive(clock_ns, &mut bytes[..length], to.side) {
-                back.carry(now_ns, &answer, self);
-            }
-        }
-    }
-
-    /// Takes a datagram; `back` is the way that leads to its sender.
+    /// Takes a datagram; `back` leads to its sender.
     fn carry(&mut self, now_ns: u64, datagram: &[u8], back: &mut Self) {
         let size = datagram.len();
         let packet = Packet { direction: self.direction, sent_ns: now_ns, size, index: self.index };
@@ -103,24 +98,55 @@ impl Way {
     }
 }
 
-/// A side with its session and its clock.
-struct Loop<'a, S> {
+/// A side with its session, whose entropy its seed decides, and its clock.
+struct Loop<'a, S, const N: usize> {
     side: &'a mut S,
-    channel: Channel,
+    end: SessionEnd,
+    entropy: SeededEntropy,
     pace: Pace,
 }
 
-impl<S: Side> Loop<'_, S> {
+impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
+    /// Secure with the seed of its keys, insecure without.
+    fn new(
+        side: &'a mut S,
+        role: Role,
+        peer_period_ns: u64,
+        seed: Option<u64>,
+        pace: Pace,
+    ) -> Result<Self, EndError> {
+        let settings = SessionSettings::new(role, frame_length(N), peer_period_ns);
+        let mut entropy = SeededEntropy::new(seed.unwrap_or_default(), role);
+        let end = if seed.is_some() {
+            // Nobody listens in a simulation: any key will do.
+            let key = PreSharedKey::new(b"the key of simulated sides alone")?;
+            SessionEnd::secure(settings, key, &mut entropy)?
+        } else {
+            SessionEnd::insecure(settings)?
+        };
+        Ok(Self { side, end, entropy, pace })
+    }
+
     /// The tick that is due: it takes what `inward` delivers and sends `outward`.
-    fn turn(&mut self, inward: &mut Way, outward: &mut Way) -> S::Record {
+    fn step(&mut self, inward: &mut OneWay, outward: &mut OneWay) -> S::Record {
         let (now_ns, wake) = (self.pace.true_ns, self.pace.wake());
         let clock_ns = wake.deadline_ns;
         if wake.is_stalled() {
             while inward.in_flight.pop_due(now_ns).is_some() {}
-            self.side.stalled(clock_ns);
+            self.side.exchange_mut().stalled(clock_ns);
         }
-        self.side.late(self.pace.late_ns(&wake));
-        inward.deliver(now_ns, clock_ns, self, outward);
+        let time = LinkTime::late(clock_ns, self.pace.late_ns(&wake));
+        while let Some((_, (mut bytes, length))) = inward.in_flight.pop_due(now_ns) {
+            match self.end.receive(clock_ns, &mut bytes[..length], &mut self.entropy) {
+                // A refusal is counted by the link.
+                Ok(Received::Payload { payload, .. }) => {
+                    let _ = self.side.receive(time, payload);
+                }
+                Ok(Received::Reply(answer)) => outward.carry(now_ns, &answer, inward),
+                // A rejection is counted by the session.
+                Ok(Received::Nothing) | Err(_) => {}
+            }
+        }
         let record = self.side.tick(TickTime {
             now_ns,
             clock_ns,
@@ -128,11 +154,12 @@ impl<S: Side> Loop<'_, S> {
             missed: wake.missed,
             ..TickTime::default()
         });
-        let mut buffer = [0; MAX_DATAGRAM];
-        if let Some(hello) = self.channel.poll(clock_ns) {
+        // Seeded randomness does not fail.
+        if let Some(hello) = self.end.poll(clock_ns, &mut self.entropy).ok().flatten() {
             outward.carry(now_ns, &hello, inward);
         }
-        if let Some(datagram) = self.channel.send(clock_ns, self.side, &mut buffer) {
+        let mut buffer = [0; MAX_DATAGRAM];
+        if let Some(datagram) = sealed_frame(&mut self.end.session, time, self.side, &mut buffer) {
             outward.carry(now_ns, datagram, inward);
         }
         self.pace.wait_after(&wake);
@@ -164,41 +191,35 @@ pub enum Event<M, S> {
 /// Both loops begin at time 0. Plants and network live in true time, each endpoint by its own clock: its loop waits
 /// on that, so that a drift stretches the true period, and where it is set forward the loop finds itself late, as a
 /// live one does that was suspended. In a secure session the first ticks send nothing but the handshake.
-pub fn run_virtual<M: Side, S: Side>(
+pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
     mut observe: impl FnMut(Event<M::Record, S::Record>, &S) -> ControlFlow<()>,
 ) -> Result<VirtualCounts, VirtualError> {
     let end_ns = settings.ticks * settings.period_ns;
-    let mut forward = Way::new(Direction::Forward, settings.seed, &settings.forward)?;
-    let mut backward = Way::new(Direction::Backward, settings.seed, &settings.backward)?;
+    let mut forward = OneWay::new(Direction::Forward, settings.seed, &settings.forward)?;
+    let mut backward = OneWay::new(Direction::Backward, settings.seed, &settings.backward)?;
     master.begin(0);
     slave.begin(0);
-    let (near_ns, far_ns) = (settings.period_ns, settings.slave_period_ns);
+    let periods_ns = [settings.period_ns, settings.slave_period_ns];
+    let paces =
+        [Pace::new(settings.master_clock, periods_ns[0]), Pace::new(settings.slave_clock, periods_ns[1])];
     let key = settings.secure.then_some(settings.seed);
-    let mut near = Loop {
-        channel: Channel::new::<M>(Role::Master, far_ns, key)?,
-        pace: Pace::new(settings.master_clock, near_ns),
-        side: master,
-    };
-    let mut far = Loop {
-        channel: Channel::new::<S>(Role::Slave, near_ns, key)?,
-        pace: Pace::new(settings.slave_clock, far_ns),
-        side: slave,
-    };
-    while near.pace.true_ns < end_ns || far.pace.true_ns < end_ns {
-        let event = if near.pace.true_ns <= far.pace.true_ns {
-            Event::Master(near.turn(&mut backward, &mut forward))
+    let mut master = Loop::new(master, Role::Master, periods_ns[1], key, paces[0])?;
+    let mut slave = Loop::new(slave, Role::Slave, periods_ns[0], key, paces[1])?;
+    while master.pace.true_ns < end_ns || slave.pace.true_ns < end_ns {
+        let event = if master.pace.true_ns <= slave.pace.true_ns {
+            Event::Master(master.step(&mut backward, &mut forward))
         } else {
-            Event::Slave(far.turn(&mut forward, &mut backward))
+            Event::Slave(slave.step(&mut forward, &mut backward))
         };
-        if observe(event, far.side).is_break() {
+        if observe(event, slave.side).is_break() {
             break;
         }
     }
     Ok(VirtualCounts {
         overflowed: forward.in_flight.overflowed() + backward.in_flight.overflowed(),
-        rejections: [near.channel.rejections(), far.channel.rejections()],
+        rejections: [master.end.rejections(), slave.end.rejections()],
     })
 }

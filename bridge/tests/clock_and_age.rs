@@ -4,11 +4,12 @@
 use std::ops::ControlFlow;
 
 use haptether_bridge::{
-    Event, FlightRecorder, FrameLink, LadderState, PortState, RejectReason, Side, SideCounts, Status,
-    TickTime, VirtualSettings,
+    Event, Exchange, LadderSettings, LinkTime, OperatorCommand, PeerPath, RejectReason, Side, TickTime,
+    VirtualSettings,
+    coupling::CouplingError,
     path::{ClockFault, PeerOffset},
     run_virtual,
-    wire::{MAX_FRAME, Role, frame_length},
+    wire::Role,
 };
 use haptether_netsim::{ClockSettings as ClockOf, Distribution, EndpointClock, LinkSettings};
 
@@ -18,8 +19,7 @@ const TICKS: u64 = 20_000;
 
 /// A side that only measures.
 struct Measuring {
-    link: FrameLink<1>,
-    flight: FlightRecorder,
+    exchange: Exchange<1>,
     faults: Vec<(u64, ClockFault)>,
 }
 
@@ -37,63 +37,54 @@ struct Known {
 
 impl Measuring {
     fn new(role: Role, session: u64) -> Self {
-        Self {
-            link: FrameLink::new(role, session, 10 * S),
-            flight: FlightRecorder::new("measuring"),
-            faults: Vec::new(),
-        }
+        // A link whose lease outlasts what it meets; nobody presses.
+        let ladder = LadderSettings { stop_after_ns: 10 * S, ..LadderSettings::default() };
+        Self { exchange: Exchange::new(role, session, MS, ladder).unwrap(), faults: Vec::new() }
+    }
+
+    fn path(&self) -> &PeerPath {
+        self.exchange.link().path()
     }
 }
 
-impl Side for Measuring {
+impl Side<1> for Measuring {
     type Record = Known;
-    const FRAME_LENGTH: usize = frame_length(1);
 
     fn begin(&mut self, _: u64) {}
 
-    fn late(&mut self, late_ns: u64) {
-        self.link.late(late_ns);
-    }
-
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
-        let before = self.link.path_report(now_ns).clock_faults;
-        self.link.receive(now_ns, datagram)?;
-        let report = self.link.path_report(now_ns);
+    fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
+        let before = self.path().report(time.tick_ns).clock_faults;
+        self.exchange.receive(time, datagram)?;
+        let report = self.path().report(time.tick_ns);
         if report.clock_faults > before {
-            self.faults.extend(report.last_fault.map(|fault| (now_ns, fault)));
+            self.faults.extend(report.last_fault.map(|fault| (time.tick_ns, fault)));
         }
         Ok(())
     }
 
     fn tick(&mut self, time: TickTime) -> Known {
-        let report = self.link.path_report(time.clock_ns);
+        let report = self.path().report(time.clock_ns);
         Known {
             time,
-            newest: self.link.newest().map(|frame| frame.sequence),
+            newest: self.exchange.link().newest().map(|frame| frame.sequence),
             offset: report.offset,
-            max_age_ns: self.link.path().max_age_ns(time.clock_ns),
+            max_age_ns: self.path().max_age_ns(time.clock_ns),
             steps: report.steps,
         }
     }
 
-    fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        self.link.send(now_ns, Status { hears_peer: true, ..Status::default() }, PortState::default(), buffer)
+    fn command(&mut self, _: u64, _: OperatorCommand) -> Result<bool, CouplingError> {
+        Ok(false)
     }
-
-    fn stalled(&mut self, _: u64) {}
 
     fn rest(&mut self) {}
 
-    fn state(&self) -> LadderState {
-        LadderState::Disengaged
+    fn exchange(&self) -> &Exchange<1> {
+        &self.exchange
     }
 
-    fn counts(&self) -> SideCounts {
-        SideCounts { link: self.link.statistics(), ..SideCounts::default() }
-    }
-
-    fn flight(&self) -> &FlightRecorder {
-        &self.flight
+    fn exchange_mut(&mut self) -> &mut Exchange<1> {
+        &mut self.exchange
     }
 }
 
@@ -204,7 +195,7 @@ fn a_step_is_reported_within_a_round_trip_by_both_sides() {
         assert!(checked[0] > TICKS * 9 / 10 && checked[1] > TICKS * 4 / 10, "{checked:?}");
         for (own, side) in sides.iter().enumerate() {
             assert_eq!(
-                side.link.path_report(u64::MAX >> 1).steps,
+                side.path().report(u64::MAX >> 1).steps,
                 1,
                 "{whose} {step_s}, {own}: {:?}",
                 side.faults

@@ -4,11 +4,11 @@
 use std::{net::SocketAddr, time::Duration};
 
 use haptether_bridge::{
-    Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, MasterEndpoint,
+    Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, LinkTime, MasterEndpoint,
     MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
     coupling::CommandBounds,
     live::{
-        Ineffective, LiveSettings, LiveWatch, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
+        Ineffective, LiveSettings, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
         RealtimeSettings, Security, now_ns, paced_by_device,
     },
     scene::{SceneSpec, driven_master, simulated_master, simulated_slave},
@@ -48,7 +48,7 @@ fn slave() -> SlaveSide<DrivenSlave<1>, 1> {
 }
 
 /// At what a test looks.
-trait Seen: Side {
+trait Seen: Side<1> {
     fn spoil(&mut self, bad: bool);
     /// State of the ladder, and the fault's code.
     fn shown(record: &Self::Record) -> (LadderState, u8);
@@ -90,13 +90,13 @@ fn ticks<S: Seen>(mut side: S, failed_first: bool, met: &[Met]) -> Vec<(LadderSt
     let mut tick = |(n, met): (u64, &Met)| {
         let now_ns = n * MS;
         if met.failed && failed_first {
-            side.device_failed();
+            side.exchange_mut().device_failed(None);
         }
         if met.acknowledged {
-            side.act(now_ns, OperatorCommand::Acknowledge).unwrap();
+            side.command(now_ns, OperatorCommand::Acknowledge).unwrap();
         }
         if met.failed && !failed_first {
-            side.device_failed();
+            side.exchange_mut().device_failed(None);
         }
         side.spoil(met.bad);
         S::shown(&side.tick(TickTime::at(now_ns)))
@@ -133,12 +133,12 @@ fn a_failure_outlasts_an_acknowledgement_of_the_same_tick() {
 }
 
 /// A loop whose driver is here, with nobody at the other end.
-fn paced<S: Seen>(side: S, role: Role) -> (PacedLoop<S>, LiveWatch<S::Record>) {
+fn paced<S: Seen>(side: S, role: Role) -> Paced<S, 1> {
     started(side, role, None)
 }
 
 /// One that a person started at a time of the monotonic clock.
-fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> (PacedLoop<S>, LiveWatch<S::Record>) {
+fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S, 1> {
     let local: SocketAddr = "127.0.0.1:0".parse().unwrap();
     let settings = LiveSettings {
         role,
@@ -155,24 +155,24 @@ fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> (PacedLoop<
 
 /// The same in the loop that drivers turn: an act waits when the sample comes that says so.
 fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
-    let (mut paced, mut watch) = paced(side, role);
+    let (mut paced, mut watch, _) = paced(side, role);
     paced.begin().unwrap();
-    let turn = |paced: &mut PacedLoop<S>, failed: bool| {
+    let step = |paced: &mut PacedLoop<S, 1>, failed: bool| {
         let before = |side: &mut S| {
             if failed {
-                side.device_failed();
+                side.exchange_mut().device_failed(None);
             }
         };
-        let told = paced.turn(before, |side| side.state());
+        let told = paced.step(before, |side| side.exchange().state());
         paced.wait();
         told
     };
-    turn(&mut paced, false);
-    watch.act(OperatorCommand::Acknowledge).unwrap();
-    assert_eq!(turn(&mut paced, true), Some(LadderState::Fault), "{role:?}");
-    assert_eq!(turn(&mut paced, false), Some(LadderState::Fault), "{role:?}");
-    watch.act(OperatorCommand::Acknowledge).unwrap();
-    assert_ne!(turn(&mut paced, false), Some(LadderState::Fault), "{role:?}");
+    step(&mut paced, false);
+    watch.command(OperatorCommand::Acknowledge).unwrap();
+    assert_eq!(step(&mut paced, true), Some(LadderState::Fault), "{role:?}");
+    assert_eq!(step(&mut paced, false), Some(LadderState::Fault), "{role:?}");
+    watch.command(OperatorCommand::Acknowledge).unwrap();
+    assert_ne!(step(&mut paced, false), Some(LadderState::Fault), "{role:?}");
 }
 
 #[test]
@@ -192,11 +192,15 @@ fn only_a_start_of_the_last_seconds_is_a_press() {
         (now_ns() + 60 * SECOND, false),
         (u64::MAX, false),
     ] {
-        let (mut paced, watch) = started(master(), Role::Master, Some(started_ns));
+        let (mut paced, watch, _) = started(master(), Role::Master, Some(started_ns));
         paced.begin().unwrap();
-        paced.turn(|_| {}, |_| {});
+        paced.step(|_| {}, |_| {});
         let void = (1, Some(Ineffective::OldStart));
-        assert_eq!(watch.ineffective_presses(), if counts { (0, None) } else { void }, "{started_ns}");
+        assert_eq!(
+            watch.handle().ineffective_presses(),
+            if counts { (0, None) } else { void },
+            "{started_ns}"
+        );
     }
 }
 
@@ -204,27 +208,27 @@ fn only_a_start_of_the_last_seconds_is_a_press() {
 #[test]
 fn a_press_beside_a_button_is_said_to_do_nothing_from_the_first_tick_on() {
     for (button, ineffective) in [(Some(false), (1, Some(Ineffective::HasButton))), (None, (0, None))] {
-        let (mut paced, watch) = started(master(), Role::Master, Some(now_ns()));
+        let (mut paced, watch, _) = started(master(), Role::Master, Some(now_ns()));
         paced.begin().unwrap();
-        watch.press_clutch();
-        paced.turn(|side| side.plant.clutch = button, |_| {});
-        assert_eq!(watch.ineffective_presses(), ineffective, "{button:?}");
+        watch.handle().press_clutch();
+        paced.step(|side| side.plant.clutch = button, |_| {});
+        assert_eq!(watch.handle().ineffective_presses(), ineffective, "{button:?}");
     }
 }
 
 /// Whoever says at any time that it is mended.
 fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) {
-    let (mut paced, mut watch) = paced(side, role);
+    let (mut paced, mut watch, mut records) = paced(side, role);
     paced.begin().unwrap();
     let failing = std::thread::spawn(move || paced.fail(&FaultText::new("the bus is down")));
     while !failing.is_finished() {
         // Full where the loop has not taken them yet.
-        let _ = watch.act(OperatorCommand::Acknowledge);
+        let _ = watch.command(OperatorCommand::Acknowledge);
         std::thread::sleep(Duration::from_micros(100));
     }
     failing.join().unwrap();
     let mut told = Vec::new();
-    watch.drain(|record| told.push(S::shown(&record).0));
+    records.drain(|record| told.push(S::shown(&record).0));
     assert!(told.len() > 10 && told.iter().all(|state| *state == LadderState::Fault), "{role:?} {told:?}");
 }
 
@@ -254,7 +258,7 @@ fn scene(operator: &Operator) -> SceneSpec<1> {
 
 /// Engages with a slave, loses it for 60 ms, 300 ms or as the loop stands still, and goes on for 8 s with all in order: how
 /// often it engages, with a person who presses anew after 5 s or not.
-fn engagements(mut side: impl Side, slave: &mut impl Side, away: Away, pressed_again: bool) -> usize {
+fn engagements(mut side: impl Side<1>, slave: &mut impl Side<1>, away: Away, pressed_again: bool) -> usize {
     let mut buffer = [0; MAX_FRAME];
     let (mut engagements, mut was) = (0, false);
     side.begin(0);
@@ -267,24 +271,24 @@ fn engagements(mut side: impl Side, slave: &mut impl Side, away: Away, pressed_a
         };
         if !(gone && matches!(away, Away::Blocked)) {
             if tick == 1060 && matches!(away, Away::Blocked) {
-                side.stalled(now_ns);
+                side.exchange_mut().stalled(now_ns);
             }
             if pressed_again && tick == 6000 {
-                side.press_again();
+                side.command(now_ns, OperatorCommand::Press).unwrap();
             }
             side.tick(TickTime::at(now_ns));
-            let frame = side.send(now_ns, &mut buffer);
+            let frame = side.send(LinkTime::at(now_ns), &mut buffer);
             if !gone {
-                let _ = slave.receive(now_ns, frame);
+                let _ = slave.receive(LinkTime::at(now_ns), frame);
             }
         }
         slave.tick(TickTime::at(now_ns));
-        let frame = slave.send(now_ns, &mut buffer);
+        let frame = slave.send(LinkTime::at(now_ns), &mut buffer);
         if !gone {
-            let _ = side.receive(now_ns, frame);
+            let _ = side.receive(LinkTime::at(now_ns), frame);
         }
-        engagements += usize::from(side.state().is_coupled() && !was);
-        was = side.state().is_coupled();
+        engagements += usize::from(side.exchange().state().is_coupled() && !was);
+        was = side.exchange().state().is_coupled();
     }
     engagements
 }

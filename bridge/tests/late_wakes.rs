@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
-    FrameLink, PortState, Status,
+    FrameLink, LinkTime, PortState, Status,
     wire::{MAX_FRAME, Role},
 };
 
@@ -31,26 +31,26 @@ impl Loop {
         }
     }
 
-    /// Takes what has arrived, and gives what it sends with the time at which it leaves.
-    fn turn(&mut self, tells: bool) -> (u64, Vec<u8>) {
+    /// Takes what has arrived, and returns what it sends with the time at which it leaves.
+    fn step(&mut self, knows: bool) -> (u64, Vec<u8>) {
         let (now_ns, woken_ns) = (self.deadline_ns, self.woken_ns);
-        self.link.late(if tells { woken_ns - now_ns } else { 0 });
+        let time = LinkTime { tick_ns: now_ns, by_ns: if knows { woken_ns } else { now_ns } };
         for (_, datagram) in self.inward.extract_if(.., |(arrives_ns, _)| *arrives_ns <= woken_ns) {
-            self.link.receive(now_ns, &datagram).unwrap();
+            self.link.receive(time, &datagram).unwrap();
         }
         let status = Status { hears_peer: true, ..Status::default() };
         let mut buffer = [0; MAX_FRAME];
-        (woken_ns, self.link.send(now_ns, status, PortState::default(), &mut buffer).to_vec())
+        (woken_ns, self.link.send(time, status, PortState::default(), &mut buffer).to_vec())
     }
 }
 
 /// Faults of a clock that each side counts, and the least round trip of the first in ns.
-fn run(tells: bool) -> ([u64; 2], u64) {
+fn run(knows: bool) -> ([u64; 2], u64) {
     let mut loops = [Loop::new(Role::Master, 1, 10 * MS), Loop::new(Role::Slave, 2, 10 * MS + 500 * US)];
     let mut draw = 1_u64;
     for _ in 0..2 * TICKS {
         let turns = usize::from(loops[1].woken_ns < loops[0].woken_ns);
-        let (leaves_ns, datagram) = loops[turns].turn(tells);
+        let (leaves_ns, datagram) = loops[turns].step(knows);
         loops[1 - turns].inward.push((leaves_ns + WAY_NS, datagram));
         // Mostly 20 us late, one wake in sixteen by up to 0.95 ms.
         draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -58,7 +58,8 @@ fn run(tells: bool) -> ([u64; 2], u64) {
         loops[turns].deadline_ns += MS;
         loops[turns].woken_ns = loops[turns].deadline_ns + late_ns;
     }
-    let faults = [0, 1].map(|side: usize| loops[side].link.path_report(loops[side].deadline_ns).clock_faults);
+    let faults =
+        [0, 1].map(|side: usize| loops[side].link.path().report(loops[side].deadline_ns).clock_faults);
     (faults, loops[0].link.statistics().least_round_trip_ns)
 }
 
@@ -71,7 +72,7 @@ fn late_wakes_are_no_fault_of_a_clock() {
 }
 
 #[test]
-fn and_would_be_if_their_lateness_were_not_told() {
+fn and_would_be_if_their_lateness_were_not_known() {
     let (faults, _) = run(false);
     assert!(faults[0] > 0 && faults[1] > 0, "{faults:?}");
 }

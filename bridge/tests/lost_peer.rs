@@ -4,8 +4,9 @@
 use std::{collections::VecDeque, ops::ControlFlow};
 
 use haptether_bridge::{
-    Clutch, FrameLink, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, PortState,
-    Side, SlaveEndpoint, SlavePlant, SlaveSettings, SlaveSide, Status, TickTime, VirtualSettings,
+    Clutch, FrameLink, LadderSettings, LadderState, LinkTime, MasterEndpoint, MasterSettings, MasterSide,
+    OperatorCommand, PortState, Side, SlaveEndpoint, SlavePlant, SlaveSettings, SlaveSide, Status, TickTime,
+    VirtualSettings,
     coupling::CommandBounds,
     run_virtual,
     wire::{Frame, MAX_FRAME, Role},
@@ -83,14 +84,14 @@ fn run_with(
         let now_ns = tick * MS;
         let (there, back) = passes(tick);
         let at_master = master.tick(TickTime::at(now_ns));
-        let frame = master.send(now_ns, &mut buffer);
+        let frame = master.send(LinkTime::at(now_ns), &mut buffer);
         if there {
-            slave.receive(now_ns, frame).unwrap();
+            slave.receive(LinkTime::at(now_ns), frame).unwrap();
         }
         let at_slave = slave.tick(TickTime::at(now_ns));
-        let frame = slave.send(now_ns, &mut buffer);
+        let frame = slave.send(LinkTime::at(now_ns), &mut buffer);
         if back {
-            master.receive(now_ns, frame).unwrap();
+            master.receive(LinkTime::at(now_ns), frame).unwrap();
         }
         history.push([(at_master.state, at_master.device_force[0]), (at_slave.state, at_slave.command[0])]);
     }
@@ -241,16 +242,16 @@ fn a_long_way_engages_and_stays() {
             let now_ns = tick * MS;
             while back.front().is_some_and(|(due, _)| *due <= tick) {
                 let (_, frame): (u64, Vec<u8>) = back.pop_front().unwrap();
-                master.receive(now_ns, &frame).unwrap();
+                master.receive(LinkTime::at(now_ns), &frame).unwrap();
             }
             let state = master.tick(TickTime::at(now_ns)).state;
-            there.push_back((tick + delay, master.send(now_ns, &mut buffer).to_vec()));
+            there.push_back((tick + delay, master.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
             while there.front().is_some_and(|(due, _)| *due <= tick) {
                 let (_, frame): (u64, Vec<u8>) = there.pop_front().unwrap();
-                slave.receive(now_ns, &frame).unwrap();
+                slave.receive(LinkTime::at(now_ns), &frame).unwrap();
             }
             slave.tick(TickTime::at(now_ns));
-            back.push_back((tick + delay.max(1), slave.send(now_ns, &mut buffer).to_vec()));
+            back.push_back((tick + delay.max(1), slave.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
             if state == LadderState::Engaged {
                 engaged_at.get_or_insert(tick);
             } else {
@@ -294,10 +295,11 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
         let pose = Axes::<1>::new(if wild { 500.0 } else { 0.0 });
         let speed = Axes::<1>::new(if wild { 900.0 } else { 0.0 });
         slave
+            .exchange
             .receive(
-                now_ns,
+                LinkTime::at(now_ns),
                 link.send(
-                    now_ns,
+                    LinkTime::at(now_ns),
                     status,
                     PortState { position: pose, velocity: speed, ..PortState::default() },
                     &mut buffer,
@@ -305,8 +307,8 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
             )
             .unwrap();
         let told = slave.tick(now_ns, &still, &still, &still);
-        let answer = slave.exchange_mut().send(now_ns, &mut buffer).to_vec();
-        link.receive(now_ns, &answer).unwrap();
+        let answer = slave.exchange.send(LinkTime::at(now_ns), &mut buffer).to_vec();
+        link.receive(LinkTime::at(now_ns), &answer).unwrap();
         let command = told.command.map_or(0.0, |command| command[0]);
         assert!((command - last).abs() <= 3e-3 + 1e-12, "{tick}: {command}");
         assert!(told.command_velocity.norm() <= 3.0 + 1e-12);
@@ -315,7 +317,11 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
         assert!(tick == 119 || told.limited.any() == (100..119).contains(&tick), "{tick}");
         last = command;
     }
-    assert!(matches!(slave.limited_ticks(), 19 | 20) && last == 0.0, "{} {last}", slave.limited_ticks());
+    assert!(
+        matches!(slave.exchange.counts().limited, 19 | 20) && last == 0.0,
+        "{} {last}",
+        slave.exchange.counts().limited
+    );
 }
 
 /// A network that delivers every frame 50 ms after it was sent, both ways, and a master that sleeps for a while.
@@ -332,23 +338,23 @@ fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState,
                 let (_, frame): (u64, Vec<u8>) = back.pop_front().unwrap();
                 // The live loop throws away what waited while it slept.
                 if !woke {
-                    master.receive(now_ns, &frame).unwrap();
+                    master.receive(LinkTime::at(now_ns), &frame).unwrap();
                 }
             }
             let missed = if woke { asleep.end - asleep.start } else { 0 };
             if woke {
-                master.stalled(now_ns);
+                master.exchange_mut().stalled(now_ns);
             }
             let record = master.tick(TickTime { missed, ..TickTime::at(now_ns) });
-            there.push_back((tick + 50, master.send(now_ns, &mut buffer).to_vec()));
+            there.push_back((tick + 50, master.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
             history.push((record.state, record.device_force[0]));
         }
         while there.front().is_some_and(|(due, _)| *due <= tick) {
             let (_, frame): (u64, Vec<u8>) = there.pop_front().unwrap();
-            slave.receive(now_ns, &frame).unwrap();
+            slave.receive(LinkTime::at(now_ns), &frame).unwrap();
         }
         slave.tick(TickTime::at(now_ns));
-        back.push_back((tick + 50, slave.send(now_ns, &mut buffer).to_vec()));
+        back.push_back((tick + 50, slave.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
     }
     history
 }
@@ -376,7 +382,7 @@ fn a_stopped_master_stays_stopped_whatever_arrives() {
     for tick in 0..3000 {
         let now_ns = tick * MS;
         let record = master.tick(TickTime::at(now_ns));
-        let frame = master.send(now_ns, &mut buffer).to_vec();
+        let frame = master.send(LinkTime::at(now_ns), &mut buffer).to_vec();
         let peer = match tick {
             0..1000 => &mut slave,
             1000..1500 => {
@@ -387,9 +393,9 @@ fn a_stopped_master_stays_stopped_whatever_arrives() {
             }
             _ => &mut restarted,
         };
-        let _ = peer.receive(now_ns, &frame);
+        let _ = peer.receive(LinkTime::at(now_ns), &frame);
         peer.tick(TickTime::at(now_ns));
-        let _ = master.receive(now_ns, peer.send(now_ns, &mut buffer));
+        let _ = master.receive(LinkTime::at(now_ns), peer.send(LinkTime::at(now_ns), &mut buffer));
         if tick >= 1500 {
             assert_eq!((record.state, record.device_force[0]), (LadderState::Stop, 0.0), "{tick}");
         }
@@ -430,9 +436,9 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
             assert_eq!(told.safety.device_force[0], 0.0, "in the same tick");
         }
         let record = master.tick(TickTime::at(now_ns));
-        let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
+        let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
         let at_slave = slave.tick(TickTime::at(now_ns));
-        let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
+        let _ = master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer));
         faults.push((record.state, record.fault, record.device_force[0], at_slave.state));
     }
     let fault = haptether_safety::Fault::from_code(faults[1499].1).unwrap();
@@ -456,26 +462,26 @@ fn frames_tell_the_energy_that_went_through_each_port() {
     for tick in 0..3000 {
         let now_ns = tick * MS;
         let near = master.tick(TickTime::at(now_ns));
-        let frame = Frame::<1>::decode(master.send(now_ns, &mut buffer), Role::Master).unwrap();
+        let frame = Frame::<1>::decode(master.send(LinkTime::at(now_ns), &mut buffer), Role::Master).unwrap();
         let expected = add(0, -near.rendered_force[0] * frame.velocity[0]);
         for (told, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((told - expected).abs() <= 1e-12, "master, {tick}: {told} J, must be {expected} J");
         }
         // Every third frame is lost, and what it told is in the next.
         if tick % 3 != 0 {
-            let _ = slave.receive(now_ns, &buffer[..Frame::<1>::LENGTH]);
+            let _ = slave.receive(LinkTime::at(now_ns), &buffer[..Frame::<1>::LENGTH]);
         }
         let sample = SlavePlant::read(&mut slave.plant, now_ns);
         let told = slave.endpoint.tick(now_ns, &sample[0], &sample[1], &sample[2]);
         if let Some(command) = &told.command {
             SlavePlant::write(&mut slave.plant, command, &told.command_velocity);
         }
-        let frame = Frame::<1>::decode(slave.send(now_ns, &mut buffer), Role::Slave).unwrap();
+        let frame = Frame::<1>::decode(slave.send(LinkTime::at(now_ns), &mut buffer), Role::Slave).unwrap();
         let expected = add(1, sample[2][0] * told.command_velocity[0]);
         for (told, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((told - expected).abs() <= 1e-12, "slave, {tick}: {told} J, must be {expected} J");
         }
-        let _ = master.receive(now_ns, &buffer[..Frame::<1>::LENGTH]);
+        let _ = master.receive(LinkTime::at(now_ns), &buffer[..Frame::<1>::LENGTH]);
     }
     // Into the wall and pressing: energy goes into it at the slave, and comes out of the hand at the master.
     let [[master_in, _], [_, slave_out]] = sums;
@@ -487,10 +493,10 @@ fn a_frame_from_a_stranger_changes_nothing() {
     let (mut master, _) = sides();
     let noise = [7_u8; 124];
     for tick in 0..50 {
-        assert!(master.receive(tick * MS, &noise).is_err());
+        assert!(master.receive(LinkTime::at(tick * MS), &noise).is_err());
         assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Aligning);
     }
-    assert_eq!(master.counts().link.refused, 50);
+    assert_eq!(master.exchange().counts().link.refused, 50);
 }
 
 /// A round trip is measured on one clock, and what the peer held on the other: neither offset nor drift shows in it
@@ -513,7 +519,7 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
             slave_clock: Some(EndpointClock::new(&clock).unwrap()),
         };
         run_virtual(&settings, &mut master, &mut slave, |_, _| ControlFlow::Continue(())).unwrap();
-        for counts in [master.counts(), slave.counts()] {
+        for counts in [master.exchange().counts(), slave.exchange().counts()] {
             assert_eq!(counts.holds, 0, "{drift_ppm}");
             for round_trip_ns in [counts.link.round_trip_ns, counts.link.least_round_trip_ns] {
                 assert!((100 * MS - 100..=102 * MS).contains(&round_trip_ns), "{drift_ppm}: {round_trip_ns}");
@@ -542,7 +548,7 @@ fn run_delayed(
             slave.endpoint = SlaveEndpoint::new(&slave_settings(3)).unwrap();
         }
         if presses.contains(&tick) {
-            master.press_again();
+            master.command(now_ns, OperatorCommand::Press).unwrap();
         }
         let due_at = |sent: u64| if cut.contains(&sent) { cut.end + DELAY } else { sent + DELAY };
         for (from, frames) in under_way.iter_mut().enumerate() {
@@ -551,17 +557,17 @@ fn run_delayed(
                 if keeps || !cut.contains(&sent) {
                     // Of a session that is over it is refused.
                     let _ = if from == 0 {
-                        slave.receive(now_ns, &frame)
+                        slave.receive(LinkTime::at(now_ns), &frame)
                     } else {
-                        master.receive(now_ns, &frame)
+                        master.receive(LinkTime::at(now_ns), &frame)
                     };
                 }
             }
         }
         let near = master.tick(TickTime::at(now_ns)).state;
-        under_way[0].push_back((tick, master.send(now_ns, &mut buffer).to_vec()));
+        under_way[0].push_back((tick, master.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
         let far = slave.tick(TickTime::at(now_ns)).state;
-        under_way[1].push_back((tick, slave.send(now_ns, &mut buffer).to_vec()));
+        under_way[1].push_back((tick, slave.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
         history.push([near, far]);
     }
     history
@@ -613,23 +619,27 @@ fn a_press_out_of_hold_ends_with_the_link() {
     for tick in 0..25_000_u64 {
         let now_ns = tick * MS;
         match tick {
-            1000 => slave.stalled(now_ns),
-            2000 => master.press_again(),
+            1000 => slave.exchange_mut().stalled(now_ns),
+            2000 => assert!(master.command(now_ns, OperatorCommand::Press).unwrap()),
             _ => {}
         }
         for (from, frames) in under_way.iter_mut().enumerate() {
             while frames.front().is_some_and(|(sent, _)| sent + 30 <= tick) {
                 let (sent, frame) = frames.pop_front().unwrap();
                 if !(2085..22_000).contains(&sent) {
-                    if from == 0 { slave.receive(now_ns, &frame) } else { master.receive(now_ns, &frame) }
-                        .unwrap();
+                    if from == 0 {
+                        slave.receive(LinkTime::at(now_ns), &frame)
+                    } else {
+                        master.receive(LinkTime::at(now_ns), &frame)
+                    }
+                    .unwrap();
                 }
             }
         }
         let near = master.tick(TickTime::at(now_ns)).state;
-        under_way[0].push_back((tick, master.send(now_ns, &mut buffer).to_vec()));
+        under_way[0].push_back((tick, master.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
         let far = slave.tick(TickTime::at(now_ns)).state;
-        under_way[1].push_back((tick, slave.send(now_ns, &mut buffer).to_vec()));
+        under_way[1].push_back((tick, slave.send(LinkTime::at(now_ns), &mut buffer).to_vec()));
         states.push([near, far]);
     }
     assert_eq!(states[999], [Engaged; 2]);
@@ -652,7 +662,7 @@ fn a_start_is_a_press_for_as_long_as_any_is() {
         for tick in 0..late + 2000 {
             let now_ns = tick * MS;
             if presses.contains(&tick) {
-                master.press_again();
+                master.command(now_ns, OperatorCommand::Press).unwrap();
             }
             state = master.tick(TickTime::at(now_ns)).state;
             assert_eq!(
@@ -660,11 +670,11 @@ fn a_start_is_a_press_for_as_long_as_any_is() {
                 tick < late.min(5000),
                 "{late} at {tick}: {state:?}"
             );
-            let frame = master.send(now_ns, &mut buffer);
+            let frame = master.send(LinkTime::at(now_ns), &mut buffer);
             if tick >= late {
-                slave.receive(now_ns, frame).unwrap();
+                slave.receive(LinkTime::at(now_ns), frame).unwrap();
                 slave.tick(TickTime::at(now_ns));
-                master.receive(now_ns, slave.send(now_ns, &mut buffer)).unwrap();
+                master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer)).unwrap();
             }
         }
         assert_eq!(state, expected, "{late} {presses:?}");
@@ -677,29 +687,29 @@ fn a_slave_that_is_started_anew_while_the_master_aligns_ends_the_press() {
     use LadderState::{Aligning, Disengaged, Engaged};
     let (mut master, mut slave) = sides();
     // It has seen a fault, and takes up no press.
-    slave.endpoint.device_failed();
+    slave.endpoint.exchange.device_failed(None);
     let mut buffer = [0; MAX_FRAME];
     let mut states = Vec::new();
     for tick in 0..4000_u64 {
         let now_ns = tick * MS;
         if tick == 10 {
-            slave.endpoint.acknowledge(now_ns);
+            slave.endpoint.command(now_ns, OperatorCommand::Acknowledge).unwrap();
         }
         if tick == 1000 {
             slave.endpoint = SlaveEndpoint::new(&slave_settings(3)).unwrap();
         }
         if tick == 20 || tick == 3000 {
-            master.press_again();
+            master.command(now_ns, OperatorCommand::Press).unwrap();
         }
         states.push(master.tick(TickTime::at(now_ns)).state);
-        let frame = master.send(now_ns, &mut buffer);
+        let frame = master.send(LinkTime::at(now_ns), &mut buffer);
         // The old one sees no release.
         if !(20..1000).contains(&tick) {
-            slave.receive(now_ns, frame).unwrap();
+            slave.receive(LinkTime::at(now_ns), frame).unwrap();
         }
         slave.tick(TickTime::at(now_ns));
         if !(1000..1201).contains(&tick) {
-            master.receive(now_ns, slave.send(now_ns, &mut buffer)).unwrap();
+            master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer)).unwrap();
         }
     }
     assert_eq!(states[999], Aligning);

@@ -7,8 +7,8 @@ use std::{
 };
 
 use haptether_bridge::{
-    Clutch, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, TickTime,
+    Clutch, LadderSettings, LadderState, LinkTime, MasterEndpoint, MasterSettings, MasterSide, Side,
+    SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
     coupling::CommandBounds,
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     wire::{MAX_FRAME, Role},
@@ -104,15 +104,18 @@ fn a_tick_of_both_sides_allocates_nothing() {
         for tick in 0..2000 {
             let now_ns = tick * MS;
             tripped |= master.tick(TickTime::at(now_ns)).tripped != 0;
-            let _ = slave.receive(now_ns, master.send(now_ns, &mut buffer));
+            let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
             slave.tick(TickTime::at(now_ns));
-            let _ = master.receive(now_ns, slave.send(now_ns, &mut buffer));
-            let _ = master.receive(now_ns, &[0; 124]);
+            let _ = master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer));
+            let _ = master.receive(LinkTime::at(now_ns), &[0; 124]);
         }
         let allocated = allocations() - before;
 
         assert_eq!(allocated, 0, "{estimator:?}");
-        assert!(tripped && master.state() == LadderState::Engaged, "the run must have done something");
+        assert!(
+            tripped && master.exchange().state() == LadderState::Engaged,
+            "the run must have done something"
+        );
     }
 }
 

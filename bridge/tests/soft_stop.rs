@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
-    FrameLink, LadderSettings, LadderState, OperatorCommand, PortState, Side, SlaveEndpoint, SlaveSettings,
-    SlaveSide, Status, TickTime,
+    FrameLink, LadderSettings, LadderState, LinkTime, OperatorCommand, PortState, Side, SlaveEndpoint,
+    SlaveSettings, SlaveSide, Status, TickTime,
     coupling::CommandBounds,
     wire::{MAX_FRAME, Role},
 };
@@ -53,18 +53,19 @@ impl Bench {
         self.hand += speed * 1e-3;
         let state = if clutch { LadderState::Aligning } else { LadderState::Disengaged };
         // A master is engaged once its slave is.
-        let state = if clutch && self.slave.state().is_coupled() { LadderState::Engaged } else { state };
+        let state =
+            if clutch && self.slave.exchange().state().is_coupled() { LadderState::Engaged } else { state };
         let status = Status { state: state.code(), hears_peer: true, clutch, ..Status::default() };
         let [position, velocity] = [self.hand, speed].map(Axes::<1>::new);
         let sent = PortState { position, velocity, ..PortState::default() };
-        let frame = self.master.send(now_ns, status, sent, &mut buffer).to_vec();
+        let frame = self.master.send(LinkTime::at(now_ns), status, sent, &mut buffer).to_vec();
         if heard {
-            let _ = self.slave.receive(now_ns, &frame);
+            let _ = self.slave.receive(LinkTime::at(now_ns), &frame);
         }
         let record = self.slave.tick(TickTime::at(now_ns));
-        let answer = self.slave.send(now_ns, &mut buffer).to_vec();
+        let answer = self.slave.send(LinkTime::at(now_ns), &mut buffer).to_vec();
         if heard {
-            let _ = self.master.receive(now_ns, &answer);
+            let _ = self.master.receive(LinkTime::at(now_ns), &answer);
         }
         self.tick += 1;
         Shown { state: record.state, command: record.command[0], position: record.position[0] }
@@ -149,7 +150,7 @@ fn a_stop_is_latched() {
         bench.run(320, true, true, SPEED);
         bench.run(500, false, true, SPEED);
         let rest = bench.tick(false, true, 0.0).command;
-        bench.slave.act(bench.tick * MS, OperatorCommand::Acknowledge).unwrap();
+        bench.slave.command(bench.tick * MS, OperatorCommand::Acknowledge).unwrap();
         // The master is back and its clutch was never let go.
         for one in bench.run(500, true, true, SPEED) {
             assert_eq!((one.state, one.command), (LadderState::Stop, rest), "{name}");
@@ -180,7 +181,7 @@ proptest! {
         };
         // The tick before has the same frame.
         let before = bench.tick(false, true, speed);
-        bench.slave.act(bench.tick * MS, act).unwrap();
+        bench.slave.command(bench.tick * MS, act).unwrap();
         let after = bench.tick(false, true, speed);
         prop_assert!(before.state.is_coupled() == (late < 19));
         prop_assert!((after.command - before.command).abs() <= 1e-12, "{before:?} {after:?}");

@@ -5,7 +5,7 @@ use LadderState::{Disengaged, Engaged, Fault, Hold, Stop};
 use std::collections::VecDeque;
 
 use haptether_bridge::{
-    Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, MasterEndpoint,
+    Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, LinkTime, MasterEndpoint,
     MasterSettings, MasterSide, OperatorCommand, Reason, Remedy, Side, SlaveEndpoint, SlaveSettings,
     SlaveSide, TickTime, coupling::CommandBounds, wire::MAX_FRAME,
 };
@@ -70,7 +70,7 @@ impl Pair {
     }
 
     fn states(&self) -> (LadderState, LadderState) {
-        (self.master.state(), self.slave.state())
+        (self.master.exchange().state(), self.slave.exchange().state())
     }
 
     /// `passes` says for each tick whether frames get through to the slave and to the master.
@@ -81,14 +81,14 @@ impl Pair {
             let (there, back) = passes(tick);
             self.master.plant.clutch = Some(self.clutch);
             self.master.tick(TickTime::at(self.now_ns));
-            let frame = self.master.send(self.now_ns, &mut buffer).to_vec();
+            let frame = self.master.send(LinkTime::at(self.now_ns), &mut buffer).to_vec();
             if there {
-                let _ = self.slave.receive(self.now_ns, &frame);
+                let _ = self.slave.receive(LinkTime::at(self.now_ns), &frame);
             }
             self.slave.tick(TickTime::at(self.now_ns));
-            let frame = self.slave.send(self.now_ns, &mut buffer).to_vec();
+            let frame = self.slave.send(LinkTime::at(self.now_ns), &mut buffer).to_vec();
             if back {
-                let _ = self.master.receive(self.now_ns, &frame);
+                let _ = self.master.receive(LinkTime::at(self.now_ns), &frame);
             }
         }
     }
@@ -102,14 +102,14 @@ impl Pair {
 }
 
 /// Where, what, and the steps, as a side has it.
-fn told(side: &impl Side) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
-    let explanation = side.flight().diagnosis().unwrap().explain();
+fn told(side: &impl Side<1>) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
+    let explanation = side.exchange().flight().diagnosis().unwrap().explain();
     let steps = explanation.steps.iter().map(|step| (step.at, step.remedy)).collect();
     (explanation.at, explanation.text, steps)
 }
 
-fn reasons(side: &impl Side) -> Vec<String> {
-    let flight: serde_json::Value = serde_json::from_str(&side.flight().to_json()).unwrap();
+fn reasons(side: &impl Side<1>) -> Vec<String> {
+    let flight: serde_json::Value = serde_json::from_str(&side.exchange().flight().to_json()).unwrap();
     let steps = flight["transitions"].as_array().unwrap();
     steps.iter().map(|step| step["reason"].as_str().unwrap().to_owned()).collect()
 }
@@ -117,8 +117,7 @@ fn reasons(side: &impl Side) -> Vec<String> {
 #[test]
 fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
     let mut pair = Pair::engaged();
-    pair.slave.describe_failure(&FaultText::new(WORDS));
-    pair.slave.device_failed();
+    pair.slave.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     // A driver says so once; two of three frames get lost.
     pair.run(400, |tick| (true, tick % 3 == 0));
     assert_eq!(pair.states(), (Stop, Fault));
@@ -132,14 +131,17 @@ fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
     pair.press();
     assert_eq!(pair.states(), (Stop, Fault));
     assert_eq!(told(&pair.master), expected);
-    pair.slave.act(pair.now_ns, OperatorCommand::Acknowledge).unwrap();
+    pair.slave.command(pair.now_ns, OperatorCommand::Acknowledge).unwrap();
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Stop, Disengaged));
     assert_eq!(told(&pair.master).2, [("master", Remedy::Press)]);
     pair.press();
     assert_eq!(pair.states(), (Engaged, Engaged));
-    assert_eq!((pair.master.flight().diagnosis(), pair.slave.flight().diagnosis()), (None, None));
-    let flight: serde_json::Value = serde_json::from_str(&pair.master.flight().to_json()).unwrap();
+    assert_eq!(
+        (pair.master.exchange().flight().diagnosis(), pair.slave.exchange().flight().diagnosis()),
+        (None, None)
+    );
+    let flight: serde_json::Value = serde_json::from_str(&pair.master.exchange().flight().to_json()).unwrap();
     let causes = flight["causes"].as_array().unwrap();
     assert_eq!(causes[0]["text"], expected.1);
     assert_eq!(
@@ -151,8 +153,7 @@ fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
 #[test]
 fn a_fault_of_the_master_is_told_at_both_sides() {
     let mut pair = Pair::engaged();
-    pair.master.describe_failure(&FaultText::new(WORDS));
-    pair.master.device_failed();
+    pair.master.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     pair.run(400, |tick| (tick % 3 == 0, true));
     assert_eq!(pair.states(), (Fault, Stop));
     let steps = vec![("master", Remedy::Acknowledge), ("master", Remedy::Press)];
@@ -174,8 +175,7 @@ fn a_bad_number_is_told_by_its_code() {
 #[test]
 fn a_fault_from_before_is_told_to_a_master_that_begins() {
     let mut pair = Pair::new();
-    pair.slave.describe_failure(&FaultText::new(WORDS));
-    pair.slave.device_failed();
+    pair.slave.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     pair.run(100, |_| (true, true));
     assert_eq!(told(&pair.master).1, format!("the slave has a fault: {WORDS}"));
 }
@@ -183,7 +183,7 @@ fn a_fault_from_before_is_told_to_a_master_that_begins() {
 #[test]
 fn a_hold_tells_whose_loop_was_late() {
     let mut pair = Pair::engaged();
-    pair.slave.stalled(pair.now_ns);
+    pair.slave.exchange_mut().stalled(pair.now_ns);
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Hold, Hold));
     assert_eq!(
@@ -205,9 +205,9 @@ fn an_orderly_end_is_no_hold() {
         let mut pair = Pair::engaged();
         pair.master.end();
         pair.run(600, |tick| (tick == survivor, false));
-        assert_eq!(pair.slave.state(), Disengaged);
+        assert_eq!(pair.slave.exchange().state(), Disengaged);
         assert_eq!(reasons(&pair.slave).last().unwrap(), Reason::PeerEnded.text());
-        assert_eq!(pair.slave.counts().holds, 0);
+        assert_eq!(pair.slave.exchange().counts().holds, 0);
         assert_eq!(
             told(&pair.slave),
             ("master", "the master has ended".to_owned(), vec![("master", Remedy::Start)])
@@ -216,7 +216,7 @@ fn an_orderly_end_is_no_hold() {
         let mut pair = Pair::engaged();
         pair.slave.end();
         pair.run(600, |tick| (false, tick == survivor));
-        assert_eq!((pair.master.state(), pair.master.counts().holds), (Disengaged, 0));
+        assert_eq!((pair.master.exchange().state(), pair.master.exchange().counts().holds), (Disengaged, 0));
         assert_eq!(pair.master.plant.force[0], 0.0);
         let steps = vec![("slave", Remedy::Start), ("master", Remedy::Press)];
         assert_eq!(told(&pair.master), ("slave", "the slave has ended".to_owned(), steps));
@@ -234,13 +234,13 @@ fn an_end_leads_to_less_force_and_couples_nobody() {
         assert!(pair.master.plant.force[0].abs() <= force);
         force = pair.master.plant.force[0].abs();
     }
-    assert_eq!((force, pair.master.state()), (0.0, Disengaged));
+    assert_eq!((force, pair.master.exchange().state()), (0.0, Disengaged));
     pair.run(300, |_| (false, false));
     pair.slave = slave(3);
     pair.slave.begin(pair.now_ns);
     pair.run(300, |_| (true, true));
-    assert_eq!(pair.master.state(), Disengaged, "the clutch waits, pressed");
-    assert_eq!(pair.master.flight().diagnosis(), None, "another one is there");
+    assert_eq!(pair.master.exchange().state(), Disengaged, "the clutch waits, pressed");
+    assert_eq!(pair.master.exchange().flight().diagnosis(), None, "another one is there");
     pair.press();
     assert_eq!(pair.states(), (Engaged, Engaged));
 }
@@ -249,9 +249,9 @@ fn an_end_leads_to_less_force_and_couples_nobody() {
 #[test]
 fn a_false_end_of_one_side_holds_the_other() {
     let mut pair = Pair::engaged();
-    pair.slave.peer_ended();
+    pair.slave.exchange_mut().peer_ended();
     pair.run(1, |_| (false, true));
-    assert_eq!(pair.slave.state(), Disengaged);
+    assert_eq!(pair.slave.exchange().state(), Disengaged);
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Hold, Disengaged));
     assert_eq!(told(&pair.master).1, "the slave took the master for ended");
@@ -259,7 +259,7 @@ fn a_false_end_of_one_side_holds_the_other() {
     assert_eq!(pair.states(), (Engaged, Engaged));
 
     let mut pair = Pair::engaged();
-    pair.master.peer_ended();
+    pair.master.exchange_mut().peer_ended();
     pair.run(1, |_| (true, false));
     pair.run(100, |_| (true, true));
     // A master that has let go, whatever made it, takes its slave along.
@@ -274,7 +274,7 @@ fn a_quick_press_over_a_long_link_is_not_taken_for_a_departure() {
     let mut pair = Pair::engaged();
     let (mut there, mut back) = (VecDeque::new(), VecDeque::new());
     let mut buffer = [0; MAX_FRAME];
-    let mut holds = pair.master.counts().holds;
+    let mut holds = pair.master.exchange().counts().holds;
     for tick in 0..3000_u64 {
         pair.now_ns += MS;
         let now_ns = pair.now_ns;
@@ -283,29 +283,29 @@ fn a_quick_press_over_a_long_link_is_not_taken_for_a_departure() {
         let released = [400..430, 1000..1030, 1500..1525].iter().any(|open| open.contains(&tick));
         pair.master.plant.clutch = Some(!released);
         pair.master.tick(TickTime::at(now_ns));
-        there.push_back(pair.master.send(now_ns, &mut buffer).to_vec());
+        there.push_back(pair.master.send(LinkTime::at(now_ns), &mut buffer).to_vec());
         pair.slave.tick(TickTime::at(now_ns));
-        back.push_back(pair.slave.send(now_ns, &mut buffer).to_vec());
+        back.push_back(pair.slave.send(LinkTime::at(now_ns), &mut buffer).to_vec());
         if there.len() > 150 {
-            let _ = pair.slave.receive(now_ns, &there.pop_front().unwrap());
-            let _ = pair.master.receive(now_ns, &back.pop_front().unwrap());
+            let _ = pair.slave.receive(LinkTime::at(now_ns), &there.pop_front().unwrap());
+            let _ = pair.master.receive(LinkTime::at(now_ns), &back.pop_front().unwrap());
         }
         if tick == 999 {
             assert_eq!(pair.states(), (Engaged, Engaged));
-            holds = pair.master.counts().holds;
+            holds = pair.master.exchange().counts().holds;
         }
     }
     assert_eq!(pair.states(), (Engaged, Engaged));
-    assert_eq!(pair.master.counts().holds, holds);
+    assert_eq!(pair.master.exchange().counts().holds, holds);
 }
 
 /// A session that is released says the same, where none of the last frames came through.
 #[test]
 fn a_released_session_is_an_end() {
     let mut pair = Pair::engaged();
-    pair.slave.peer_ended();
+    pair.slave.exchange_mut().peer_ended();
     pair.run(600, |_| (false, false));
-    assert_eq!((pair.slave.state(), pair.slave.counts().holds), (Disengaged, 0));
+    assert_eq!((pair.slave.exchange().state(), pair.slave.exchange().counts().holds), (Disengaged, 0));
     assert_eq!(told(&pair.slave).1, "the master has ended");
 }
 
@@ -313,8 +313,7 @@ fn a_released_session_is_an_end() {
 #[test]
 fn a_failure_that_ends_a_run_stays_a_failure() {
     let mut pair = Pair::engaged();
-    pair.slave.describe_failure(&FaultText::new(WORDS));
-    pair.slave.device_failed();
+    pair.slave.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     pair.run(30, |_| (true, true));
     pair.slave.end();
     pair.run(5, |_| (true, true));

@@ -3,9 +3,9 @@
 use std::ops::ControlFlow;
 
 use haptether_bridge::{
-    Clutch, Event, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, PathReport,
-    Reason, Side, SideCounts, SlaveEndpoint, SlaveSettings, SlaveSide, VirtualSettings,
-    coupling::CommandBounds, live::LoopReport, run_virtual, session::Rejections,
+    Clutch, Event, Exchange, LadderSettings, LadderState, MasterEndpoint, MasterSettings, MasterSide, Reason,
+    Side, SlaveEndpoint, SlaveSettings, SlaveSide, VirtualSettings, coupling::CommandBounds,
+    live::LoopReport, run_virtual, session::Rejections,
 };
 use haptether_master::{Hand, SimulatedMaster};
 use haptether_safety::LimiterSettings;
@@ -275,9 +275,10 @@ fn run_bridge(
     });
     let [at_master, at_slave] = counted.map_err(refuse)?.rejections;
     let end_ns = settings.ticks.saturating_sub(1) * settings.period_ns;
-    let report = |(counts, path): (SideCounts, PathReport),
+    let report = |exchange: &Exchange<1>,
                   rejections: Rejections,
                   mut states: Box<dyn Iterator<Item = (u64, LadderState)> + '_>| {
+        let (counts, path) = (exchange.counts(), exchange.link().path().report(end_ns));
         let engaged = states.find(|(_, state)| state.is_coupled());
         LoopReport {
             ticks: settings.ticks,
@@ -292,12 +293,12 @@ fn run_bridge(
         }
     };
     let master_report = report(
-        (master.counts(), master.path(end_ns)),
+        master.exchange(),
         at_master,
         Box::new(master_records.iter().map(|record| (record.time_ns, record.state))),
     );
     let slave_report = report(
-        (slave.counts(), slave.path(end_ns)),
+        slave.exchange(),
         at_slave,
         Box::new(slave_records.iter().map(|record| (record.time_ns, record.state))),
     );

@@ -1,24 +1,25 @@
 //! `haptether.bridge`: both sides live, each with a socket and a loop on its own thread.
 
-use std::{
-    path::PathBuf,
-    sync::{Mutex, MutexGuard, PoisonError},
-    time::Duration,
-};
+use std::{path::PathBuf, sync::Mutex, time::Duration};
 
 use haptether_bridge::{
     OperatorCommand, Side,
-    live::{LiveHandle, run_live},
+    live::{Ineffective, LiveRun, run_live},
     scene::{simulated_master, simulated_slave},
 };
-use pyo3::{exceptions::PyTypeError, prelude::*};
+use pyo3::{
+    exceptions::{PyRuntimeError, PyTypeError},
+    prelude::*,
+};
 
 use crate::{
     axes::{of_axes, refuse},
     bridge::{PyMasterSettings, PySlaveSettings},
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
-    live_options::{realtime_settings, recorder_settings},
-    live_watch::{How, Live, Place, Running, ended, finished_before, not_begun, security, watch_methods},
+    live::{
+        How, Place, Watched, finished_before, locked, not_begun, realtime_settings, recorder_settings,
+        security, watch_methods,
+    },
     scene::{live_periods, scene_axes, scene_spec},
 };
 
@@ -27,37 +28,46 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<LiveSlave>()
 }
 
-type Run<Rows> = Box<dyn Running<Rows>>;
-
-/// Never contended: the mutex only tells Python that the reader of the rings may move between threads.
-fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
-    of.lock().unwrap_or_else(PoisonError::into_inner)
+/// A loop on a thread of its own.
+struct Started<Rows> {
+    run: Mutex<LiveRun>,
+    watched: Watched<Rows>,
 }
 
 /// Without the interpreter: once a first loop has locked the process's memory, the rings of the next take 100 ms to map.
-fn start<S>(py: Python<'_>, side: S, place: Place) -> PyResult<Run<<S::Record as Rowed>::Rows>>
+fn start<S, const N: usize>(
+    py: Python<'_>,
+    side: S,
+    place: Place,
+) -> PyResult<Started<<S::Record as Rowed>::Rows>>
 where
-    S: Side<Record: Rowed> + Send + 'static,
+    S: Side<N, Record: Rowed> + Send + 'static,
 {
     py.detach(|| {
         // Before the loop: it locks what memory there is.
         let (newest, recorder) = (place.newest()?, place.recorder()?);
-        let run =
+        let (run, watch, reader) =
             run_live(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
-        Ok(Box::new(Live::new(run, newest)) as Run<_>)
+        Ok(Started { run: Mutex::new(run), watched: Watched::new(watch, reader, newest) })
     })
 }
 
-/// How long between two looks at whether a loop has ended.
+/// Time between two looks at whether a loop has ended.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
-/// Ends a loop and gives its report. Others may look at it meanwhile, so that nothing is locked while it ends.
-fn join<Rows: 'static>(py: Python<'_>, of: &Mutex<Run<Rows>>) -> PyResult<PyLoopReport> {
-    locked(of).stop();
-    while !locked(of).is_finished() {
+/// Ends a loop and returns its rows and report. Others may look at it meanwhile, so that nothing is locked while it ends.
+fn join<Rows>(
+    py: Python<'_>,
+    run: &Mutex<LiveRun>,
+    watched: &Watched<Rows>,
+) -> PyResult<(Rows, PyLoopReport)> {
+    watched.handle.stop();
+    while !locked(run).is_finished() {
         py.detach(|| std::thread::sleep(LOOK_EVERY));
     }
-    locked(of).join().map(Into::into).ok_or_else(finished_before)
+    let (report, flight) = locked(run).join().ok_or_else(finished_before)?;
+    watched.watch().ended(flight);
+    Ok((watched.rows(), report.into()))
 }
 
 /// A scene in place of a side, as `scene_json` writes it.
@@ -70,22 +80,8 @@ fn json_of<'a>(settings: &'a Bound<'_, PyAny>, class: &str) -> PyResult<&'a [u8]
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveMaster {
-    run: Mutex<Run<MasterRows>>,
-}
-
-impl LiveMaster {
-    fn watch(&self) -> MutexGuard<'_, Run<MasterRows>> {
-        locked(&self.run)
-    }
-
-    pub(crate) fn handle(&self) -> LiveHandle {
-        self.watch().handle()
-    }
-
-    fn act(&self, act: OperatorCommand) -> PyResult<()> {
-        let mut run = self.watch();
-        if run.is_finished() { Err(ended()) } else { run.act(act) }
-    }
+    run: Mutex<LiveRun>,
+    pub(crate) watched: Watched<MasterRows>,
 }
 
 #[pymethods]
@@ -120,7 +116,7 @@ impl LiveMaster {
                 How { security, period_ns, duration_s, patience_s, started_s, keep_s, realtime, record };
             Place::of_master(peer, listen, how)
         };
-        let run = if let Ok(settings) = settings.cast::<PyMasterSettings>() {
+        let Started { run, watched } = if let Ok(settings) = settings.cast::<PyMasterSettings>() {
             let settings = settings.get();
             start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
         } else {
@@ -131,51 +127,37 @@ impl LiveMaster {
                 start(py, simulated_master::<N>(&scene, session).map_err(refuse)?, place)?
             })
         };
-        Ok(Self { run: Mutex::new(run) })
+        Ok(Self { run, watched })
     }
 
     #[getter]
     fn finished(&self) -> bool {
-        self.watch().is_finished()
+        locked(&self.run).is_finished()
     }
 
     #[getter]
     fn realtime(&self) -> String {
-        self.watch().realtime()
+        locked(&self.run).realtime().to_string()
     }
 
     fn press_clutch(&self) {
-        self.watch().press_clutch();
+        self.watched.handle.press_clutch();
     }
 
     fn set_force_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(OperatorCommand::ForceScale(scale))
+        self.command(OperatorCommand::ForceScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
-        let report = join(py, &self.run)?;
-        Ok((MasterTrace { rows: self.watch().rows() }, report))
+        let (rows, report) = join(py, &self.run, &self.watched)?;
+        Ok((MasterTrace { rows }, report))
     }
 }
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveSlave {
-    run: Mutex<Run<SlaveRows>>,
-}
-
-impl LiveSlave {
-    fn watch(&self) -> MutexGuard<'_, Run<SlaveRows>> {
-        locked(&self.run)
-    }
-
-    pub(crate) fn handle(&self) -> LiveHandle {
-        self.watch().handle()
-    }
-
-    fn act(&self, act: OperatorCommand) -> PyResult<()> {
-        let mut run = self.watch();
-        if run.is_finished() { Err(ended()) } else { run.act(act) }
-    }
+    run: Mutex<LiveRun>,
+    pub(crate) watched: Watched<SlaveRows>,
 }
 
 #[pymethods]
@@ -216,7 +198,7 @@ impl LiveSlave {
             };
             Place::of_slave(listen, how)
         };
-        let run = if let Ok(settings) = settings.cast::<PySlaveSettings>() {
+        let Started { run, watched } = if let Ok(settings) = settings.cast::<PySlaveSettings>() {
             let settings = settings.get();
             start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
         } else {
@@ -227,30 +209,30 @@ impl LiveSlave {
                 start(py, simulated_slave::<N>(&scene, session).map_err(refuse)?, place)?
             })
         };
-        Ok(Self { run: Mutex::new(run) })
+        Ok(Self { run, watched })
     }
 
     #[getter]
     fn finished(&self) -> bool {
-        self.watch().is_finished()
+        locked(&self.run).is_finished()
     }
 
     #[getter]
     fn realtime(&self) -> String {
-        self.watch().realtime()
+        locked(&self.run).realtime().to_string()
     }
 
     fn allow_takeover(&self) {
-        self.watch().allow_takeover();
+        self.watched.handle.allow_takeover();
     }
 
     fn set_position_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(OperatorCommand::PositionScale(scale))
+        self.command(OperatorCommand::PositionScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {
-        let report = join(py, &self.run)?;
-        Ok((SlaveTrace { rows: self.watch().rows() }, report))
+        let (rows, report) = join(py, &self.run, &self.watched)?;
+        Ok((SlaveTrace { rows }, report))
     }
 }
 

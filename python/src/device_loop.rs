@@ -1,14 +1,13 @@
-//! `haptether.bridge`: loops that a driver in Python turns, one call a tick.
+//! `haptether.bridge`: loops that a driver in Python steps, one call a tick.
 
 use std::{
     path::PathBuf,
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::{Mutex, MutexGuard},
 };
 
 use haptether_bridge::{
-    DrivenMaster, DrivenSlave, FaultText, FlightRecorder, MasterSide, OperatorCommand, Side, SlaveOrder,
-    SlaveSide,
-    live::{LiveHandle, LiveWatch, LoopReport, PacedLoop, paced_by_device},
+    DrivenMaster, DrivenSlave, FaultText, MasterSide, OperatorCommand, Side, SlaveOrder, SlaveSide,
+    live::{Ended, Ineffective, PacedLoop, paced_by_device},
     scene::{Timed, driven_master, driven_slave},
 };
 use haptether_safety::Axes;
@@ -21,8 +20,10 @@ use pyo3::{
 use crate::{
     axes::{of_axes, refuse},
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
-    live_options::{realtime_settings, recorder_settings},
-    live_watch::{How, Live, Place, Watching, ended, finished_before, not_begun, security, watch_methods},
+    live::{
+        How, Place, Watched, finished_before, not_begun, realtime_settings, recorder_settings, security,
+        watch_methods,
+    },
     scene::{live_periods, scene_axes, scene_spec},
 };
 
@@ -30,8 +31,6 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<MasterLoop>()?;
     module.add_class::<SlaveLoop>()
 }
-
-type Ended = (LoopReport, Option<Box<FlightRecorder>>);
 
 /// The loop of any side.
 trait Paced: Send {
@@ -42,9 +41,9 @@ trait Paced: Send {
     fn end(&mut self) -> Option<Ended>;
 }
 
-impl<S: Side + Send> Paced for PacedLoop<S>
+impl<S: Side<N> + Send, const N: usize> Paced for PacedLoop<S, N>
 where
-    PacedLoop<S>: Send,
+    PacedLoop<S, N>: Send,
 {
     fn begin(&mut self) -> PyResult<String> {
         PacedLoop::begin(self).map(|realtime| realtime.to_string()).map_err(not_begun)
@@ -83,27 +82,26 @@ struct SlaveRead<'a, 'py> {
     fault: Option<&'a str>,
 }
 
-trait MasterTurns: Paced {
-    fn turn<'py>(
+trait MasterSteps: Paced {
+    fn step<'py>(
         &mut self,
         py: Python<'py>,
         read: MasterRead<'_, 'py>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
 }
 
-trait SlaveTurns: Paced {
-    fn turn<'py>(
+trait SlaveSteps: Paced {
+    fn step<'py>(
         &mut self,
         py: Python<'py>,
         read: SlaveRead<'_, 'py>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
 }
 
-/// A fault that the device told with its sample, in its own words.
-fn failed(side: &mut impl Side, fault: Option<&str>) {
+/// A fault that the device reports with its sample, in its own words.
+fn report_fault<const N: usize>(side: &mut impl Side<N>, fault: Option<&str>) {
     if let Some(text) = fault {
-        side.describe_failure(&FaultText::new(text));
-        side.device_failed();
+        side.exchange_mut().device_failed(Some(&FaultText::new(text)));
     }
 }
 
@@ -125,21 +123,21 @@ fn written<'py, const N: usize>(py: Python<'py>, value: &Axes<N>) -> PyResult<Bo
     PyTuple::new(py, value.iter())
 }
 
-impl<const N: usize> MasterTurns for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N>>>
+impl<const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N>>, N>
 where
     Self: Paced,
 {
-    fn turn<'py>(
+    fn step<'py>(
         &mut self,
         py: Python<'py>,
         read: MasterRead<'_, 'py>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let position = read_axes("position", read.position)?;
         let velocity = read.velocity.map(|velocity| read_axes("velocity", velocity)).transpose()?;
-        let force = PacedLoop::turn(
+        let force = PacedLoop::step(
             self,
             |side| {
-                failed(side, read.fault);
+                report_fault(side, read.fault);
                 let plant = &mut side.side.plant;
                 (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
             },
@@ -149,11 +147,11 @@ where
     }
 }
 
-impl<const N: usize> SlaveTurns for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>>>
+impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>>, N>
 where
     Self: Paced,
 {
-    fn turn<'py>(
+    fn step<'py>(
         &mut self,
         py: Python<'py>,
         read: SlaveRead<'_, 'py>,
@@ -163,102 +161,82 @@ where
             read_axes("velocity", read.velocity)?,
             read_axes("force", read.force)?,
         ];
-        let order = PacedLoop::turn(
+        let order = PacedLoop::step(
             self,
             |side| {
-                failed(side, read.fault);
+                report_fault(side, read.fault);
                 side.side.plant.sample = sample;
             },
             |side| *side.side.plant.order(),
         );
         let Some(order) = order else { return Ok(None) };
-        let told = match order {
+        let named = match order {
             SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Move { position, velocity } => {
                 (pyo3::intern!(py, "move"), written(py, &position)?, written(py, &velocity)?)
             }
         };
-        let told: (&Bound<'py, PyString>, _, _) = told;
-        told.into_pyobject(py).map(Some)
+        let named: (&Bound<'py, PyString>, _, _) = named;
+        named.into_pyobject(py).map(Some)
     }
 }
 
-fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
-    of.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// What belongs to the thread of the driver; it waits here with the GIL released, so that nobody else may wait for it.
-fn turned<T>(of: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
+fn own<T: ?Sized>(of: &Mutex<Box<T>>) -> PyResult<MutexGuard<'_, Box<T>>> {
     of.try_lock().map_err(|_| PyRuntimeError::new_err("the loop is turned by another thread"))
 }
 
-/// Ends a loop and gives its report.
+/// Ends a loop and returns its rows and report.
 fn finish<T: Paced + ?Sized, Rows>(
     py: Python<'_>,
-    turns: &Mutex<Box<T>>,
-    watch: &Mutex<Box<dyn Watching<Rows>>>,
+    paced: &Mutex<Box<T>>,
+    watched: &Watched<Rows>,
 ) -> PyResult<(Rows, PyLoopReport)> {
-    let mut turns = turned(turns)?;
-    let loop_of = &mut **turns;
-    let (report, flight) = py.detach(|| loop_of.end()).ok_or_else(finished_before)?;
-    let mut watch = locked(watch);
-    watch.ended(flight);
-    Ok((watch.rows(), report.into()))
+    let mut paced = own(paced)?;
+    let paced = &mut **paced;
+    let (report, flight) = py.detach(|| paced.end()).ok_or_else(finished_before)?;
+    watched.watch().ended(flight);
+    Ok((watched.rows(), report.into()))
 }
 
 macro_rules! loop_methods {
-    ($class:ident, $rows:ident) => {
-        impl $class {
-            fn watch(&self) -> MutexGuard<'_, Box<dyn Watching<$rows>>> {
-                locked(&self.watch)
-            }
-
-            pub(crate) fn handle(&self) -> LiveHandle {
-                self.watch().handle()
-            }
-
-            fn act(&self, act: OperatorCommand) -> PyResult<()> {
-                let mut watch = self.watch();
-                if watch.is_stopped() { Err(ended()) } else { watch.act(act) }
-            }
-        }
-
+    ($class:ident) => {
         #[pymethods]
         impl $class {
             fn begin(&self, py: Python<'_>) -> PyResult<String> {
-                let mut turns = turned(&self.turns)?;
-                let turns = &mut **turns;
+                let mut paced = own(&self.paced)?;
+                let paced = &mut **paced;
                 // Memory is locked here, which takes its time where much is mapped.
-                py.detach(|| turns.begin())
+                py.detach(|| paced.begin())
             }
 
             fn wait(&self, py: Python<'_>) -> PyResult<()> {
-                let mut turns = turned(&self.turns)?;
-                let turns = &mut **turns;
-                py.detach(|| turns.wait());
+                let mut paced = own(&self.paced)?;
+                let paced = &mut **paced;
+                py.detach(|| paced.wait());
                 Ok(())
             }
 
             #[pyo3(signature = (text=""))]
             fn fail(&self, py: Python<'_>, text: &str) -> PyResult<()> {
                 let text = FaultText::new(text);
-                let mut turns = turned(&self.turns)?;
-                let turns = &mut **turns;
-                py.detach(|| turns.fail(&text));
+                let mut paced = own(&self.paced)?;
+                let paced = &mut **paced;
+                py.detach(|| paced.fail(&text));
                 Ok(())
             }
 
             fn announce_end(&self, py: Python<'_>) -> PyResult<()> {
-                let mut turns = turned(&self.turns)?;
-                let turns = &mut **turns;
-                py.detach(|| turns.announce_end());
+                let mut paced = own(&self.paced)?;
+                let paced = &mut **paced;
+                py.detach(|| paced.announce_end());
                 Ok(())
             }
 
             #[getter]
             fn finished(&self) -> bool {
-                self.watch().is_stopped()
+                self.watched.handle.is_stopped()
             }
         }
     };
@@ -266,8 +244,8 @@ macro_rules! loop_methods {
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct MasterLoop {
-    turns: Mutex<Box<dyn MasterTurns>>,
-    watch: Mutex<Box<dyn Watching<MasterRows>>>,
+    paced: Mutex<Box<dyn MasterSteps>>,
+    pub(crate) watched: Watched<MasterRows>,
 }
 
 #[pymethods]
@@ -316,13 +294,13 @@ impl MasterLoop {
                 record: recorder_settings(record, min_free_bytes, insecure),
             };
             let side = driven_master::<N>(&scene, session, simulated_clutch).map_err(refuse)?;
-            let (turns, watch) = prepare(py, side, Place::of_master(peer, listen, how)?)?;
-            Ok(Self { turns: Mutex::new(Box::new(turns)), watch: Mutex::new(watch) })
+            let (paced, watched) = prepare(py, side, Place::of_master(peer, listen, how)?)?;
+            Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
         })
     }
 
     #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None))]
-    fn turn<'py>(
+    fn step<'py>(
         &self,
         py: Python<'py>,
         position: &Bound<'py, PyAny>,
@@ -330,27 +308,27 @@ impl MasterLoop {
         clutch: Option<bool>,
         fault: Option<&str>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        turned(&self.turns)?.turn(py, MasterRead { position, velocity, clutch, fault })
+        own(&self.paced)?.step(py, MasterRead { position, velocity, clutch, fault })
     }
 
     fn press_clutch(&self) {
-        self.watch().press_clutch();
+        self.watched.handle.press_clutch();
     }
 
     fn set_force_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(OperatorCommand::ForceScale(scale))
+        self.command(OperatorCommand::ForceScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
-        let (rows, report) = finish(py, &self.turns, &self.watch)?;
+        let (rows, report) = finish(py, &self.paced, &self.watched)?;
         Ok((MasterTrace { rows }, report))
     }
 }
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SlaveLoop {
-    turns: Mutex<Box<dyn SlaveTurns>>,
-    watch: Mutex<Box<dyn Watching<SlaveRows>>>,
+    paced: Mutex<Box<dyn SlaveSteps>>,
+    pub(crate) watched: Watched<SlaveRows>,
 }
 
 #[pymethods]
@@ -388,13 +366,13 @@ impl SlaveLoop {
                 record: recorder_settings(record, min_free_bytes, insecure),
             };
             let side = driven_slave::<N>(&scene, session).map_err(refuse)?;
-            let (turns, watch) = prepare(py, side, Place::of_slave(listen, how)?)?;
-            Ok(Self { turns: Mutex::new(Box::new(turns)), watch: Mutex::new(watch) })
+            let (paced, watched) = prepare(py, side, Place::of_slave(listen, how)?)?;
+            Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
         })
     }
 
     #[pyo3(signature = (position, velocity, force, *, fault=None))]
-    fn turn<'py>(
+    fn step<'py>(
         &self,
         py: Python<'py>,
         position: &Bound<'py, PyAny>,
@@ -402,40 +380,42 @@ impl SlaveLoop {
         force: &Bound<'py, PyAny>,
         fault: Option<&str>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        turned(&self.turns)?.turn(py, SlaveRead { position, velocity, force, fault })
+        own(&self.paced)?.step(py, SlaveRead { position, velocity, force, fault })
     }
 
     fn allow_takeover(&self) {
-        self.watch().allow_takeover();
+        self.watched.handle.allow_takeover();
     }
 
     fn set_position_scale(&self, scale: f64) -> PyResult<()> {
-        self.act(OperatorCommand::PositionScale(scale))
+        self.command(OperatorCommand::PositionScale(scale))
     }
 
     fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {
-        let (rows, report) = finish(py, &self.turns, &self.watch)?;
+        let (rows, report) = finish(py, &self.paced, &self.watched)?;
         Ok((SlaveTrace { rows }, report))
     }
 }
 
-type Prepared<S> = (PacedLoop<S>, Box<dyn Watching<<<S as Side>::Record as Rowed>::Rows>>);
-
 /// Without the interpreter, as `start` of `LiveMaster`.
-fn prepare<S>(py: Python<'_>, side: S, place: Place) -> PyResult<Prepared<S>>
+fn prepare<S, const N: usize>(
+    py: Python<'_>,
+    side: S,
+    place: Place,
+) -> PyResult<(PacedLoop<S, N>, Watched<<S::Record as Rowed>::Rows>)>
 where
-    S: Side<Record: Rowed> + Send,
+    S: Side<N, Record: Rowed> + Send,
 {
     py.detach(|| {
         let (newest, recorder) = (place.newest()?, place.recorder()?);
-        let (turns, watch): (_, LiveWatch<S::Record>) =
+        let (paced, watch, reader) =
             paced_by_device(side, place.socket, place.settings, place.security, recorder)
                 .map_err(not_begun)?;
-        Ok((turns, Box::new(Live::new(Box::new(watch), newest)) as Box<dyn Watching<_>>))
+        Ok((paced, Watched::new(watch, reader, newest)))
     })
 }
 
-loop_methods!(MasterLoop, MasterRows);
-loop_methods!(SlaveLoop, SlaveRows);
+loop_methods!(MasterLoop);
+loop_methods!(SlaveLoop);
 watch_methods!(MasterLoop);
 watch_methods!(SlaveLoop);

@@ -49,33 +49,33 @@ enum Button {
 }
 
 #[derive(Default)]
-struct Asked {
+struct Requests {
     stop: AtomicBool,
     loops: Mutex<Vec<(LiveHandle, Button)>>,
     acknowledged: Mutex<Option<Instant>>,
 }
 
-impl Asked {
-    fn each(&self, act: impl Fn(&LiveHandle, Button)) {
+impl Requests {
+    fn each(&self, command: impl Fn(&LiveHandle, Button)) {
         for (handle, button) in self.loops.lock().unwrap_or_else(PoisonError::into_inner).iter() {
-            act(handle, *button);
+            command(handle, *button);
         }
     }
 
-    fn ask_to_stop(&self) {
+    fn stop_all(&self) {
         self.stop.store(true, Ordering::SeqCst);
         self.each(|handle, _| handle.stop());
     }
 
-    /// Does what the signals ask for, the stops first: whoever presses and stops wants to stop.
+    /// Does what the signals request, the stops first: whoever presses and stops wants to stop.
     fn take(&self, signals: &[u8]) {
         let count = |number: i32| signals.iter().filter(|signal| i32::from(**signal) == number).count();
         let interrupts = count(libc::SIGINT);
-        let was_asked = self.stop.load(Ordering::SeqCst);
+        let was_stopped = self.stop.load(Ordering::SeqCst);
         if interrupts + count(libc::SIGTERM) + count(libc::SIGHUP) > 0 {
-            self.ask_to_stop();
+            self.stop_all();
         }
-        if interrupts > usize::from(!was_asked) {
+        if interrupts > usize::from(!was_stopped) {
             self.exit();
         }
         if self.stop.load(Ordering::SeqCst) {
@@ -109,12 +109,12 @@ impl Asked {
 }
 
 /// Takes signals until the other end is closed.
-fn relay(mut from: UnixStream, asked: &Asked) {
+fn relay(mut from: UnixStream, requests: &Requests) {
     let mut signals = [0; 64];
     loop {
         match from.read(&mut signals) {
             Ok(0) => return,
-            Ok(count) => asked.take(&signals[..count]),
+            Ok(count) => requests.take(&signals[..count]),
             // That nothing has come is said by an error, too.
             Err(_) => (),
         }
@@ -125,7 +125,7 @@ fn relay(mut from: UnixStream, asked: &Asked) {
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SignalRelay {
     to: UnixStream,
-    asked: Arc<Asked>,
+    requests: Arc<Requests>,
 }
 
 #[pymethods]
@@ -138,10 +138,10 @@ impl SignalRelay {
         let (to, from) = UnixStream::pair()?;
         to.set_nonblocking(true)?;
         from.set_read_timeout(Some(LOOK_EVERY))?;
-        let asked = Arc::new(Asked::default());
-        let theirs = Arc::clone(&asked);
+        let requests = Arc::new(Requests::default());
+        let theirs = Arc::clone(&requests);
         std::thread::Builder::new().name("haptether-signals".into()).spawn(move || relay(from, &theirs))?;
-        Ok(Self { to, asked })
+        Ok(Self { to, requests })
     }
 
     fn fileno(&self) -> RawFd {
@@ -150,30 +150,30 @@ impl SignalRelay {
 
     fn attach(&self, of: &Bound<'_, PyAny>) -> PyResult<()> {
         let attached = if let Ok(of) = of.cast::<LiveMaster>() {
-            (of.get().handle(), Button::Clutch)
+            (of.get().watched.handle.clone(), Button::Clutch)
         } else if let Ok(of) = of.cast::<MasterLoop>() {
-            (of.get().handle(), Button::Clutch)
+            (of.get().watched.handle.clone(), Button::Clutch)
         } else if let Ok(of) = of.cast::<LiveSlave>() {
-            (of.get().handle(), Button::Takeover)
+            (of.get().watched.handle.clone(), Button::Takeover)
         } else if let Ok(of) = of.cast::<SlaveLoop>() {
-            (of.get().handle(), Button::Takeover)
+            (of.get().watched.handle.clone(), Button::Takeover)
         } else {
             return Err(PyTypeError::new_err(format!("{}: is no live loop", of.get_type())));
         };
-        self.asked.loops.lock().unwrap_or_else(PoisonError::into_inner).push(attached);
+        self.requests.loops.lock().unwrap_or_else(PoisonError::into_inner).push(attached);
         if self.stopped() {
-            self.asked.ask_to_stop();
+            self.requests.stop_all();
         }
         Ok(())
     }
 
     fn stop(&self) {
-        self.asked.ask_to_stop();
+        self.requests.stop_all();
     }
 
     #[getter]
     fn stopped(&self) -> bool {
-        self.asked.stop.load(Ordering::SeqCst)
+        self.requests.stop.load(Ordering::SeqCst)
     }
 
     #[getter]
@@ -188,7 +188,7 @@ impl SignalRelay {
     }
 
     fn take_acknowledgement(&self) -> bool {
-        let taken = self.asked.acknowledged.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let taken = self.requests.acknowledged.lock().unwrap_or_else(PoisonError::into_inner).take();
         taken.is_some_and(|at| at.elapsed() < MAX_ACKNOWLEDGEMENT)
     }
 

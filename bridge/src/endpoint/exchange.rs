@@ -6,12 +6,22 @@ use crate::{
     fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
         Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInputs,
-        LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason, Transition,
+        LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
     },
-    link::{FrameLink, LinkStatistics, PortState, RejectReason, Status},
-    path::PathReport,
+    link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
     wire::{Frame, MAX_FRAME, Role},
 };
+
+/// What a side has counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SideCounts {
+    /// Of the link.
+    pub link: LinkStatistics,
+    /// How often the ladder went to HOLD.
+    pub holds: u64,
+    /// Ticks at which a bound acted on the remote command; a master has none.
+    pub limited: u64,
+}
 
 /// The part of an endpoint that talks to the peer.
 #[derive(Clone, Debug)]
@@ -30,11 +40,17 @@ pub struct Exchange<const N: usize> {
     /// Its own, which stands for the peer's until that is known.
     period_ns: u64,
     inputs: LadderInputs,
-    flight: Box<FlightRecorder>,
-    /// Code of this side's fault, 0 without, and the driver's words on it.
+    pub(super) flight: Box<FlightRecorder>,
+    /// Ticks at which a bound acted on the remote command.
+    pub(super) limited_ticks: u64,
+    /// Since the last tick: the peer began a session, the loop was late by more than the ladder allows, the device failed.
+    pub(super) has_begun: bool,
+    has_stalled: bool,
+    pub(super) has_failed: bool,
+    /// Code of this side's fault, 0 without, and the driver's text on it.
     fault: u8,
     spoken: SpokenText,
-    /// Words on a failure that the next tick meets.
+    /// The driver's text on a failure that the next tick meets.
     failing: Option<FaultText>,
     /// What the peer says of its fault.
     heard: HeardText,
@@ -52,7 +68,8 @@ const LONGEST_INTERVAL_NS: u64 = 20_000_000;
 const COUNTED: u64 = 16;
 
 impl<const N: usize> Exchange<N> {
-    pub(super) fn new(
+    /// A part of role `role` that has not heard of its peer; `session` is drawn anew at every start.
+    pub fn new(
         role: Role,
         session: u64,
         period_ns: u64,
@@ -69,6 +86,10 @@ impl<const N: usize> Exchange<N> {
             period_ns,
             inputs: LadderInputs::new(role),
             flight: Box::new(FlightRecorder::new(role.name())),
+            limited_ticks: 0,
+            has_begun: false,
+            has_stalled: false,
+            has_failed: false,
             fault: 0,
             spoken: SpokenText::default(),
             failing: None,
@@ -79,16 +100,11 @@ impl<const N: usize> Exchange<N> {
         })
     }
 
-    /// See [`FrameLink::late`].
-    pub(super) fn late(&mut self, late_ns: u64) {
-        self.link.late(late_ns);
-    }
-
-    /// Takes a datagram that arrived by `now_ns`; says whether it began a session.
-    pub(super) fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<bool, RejectReason> {
-        let is_known = self.newest().is_some();
-        let begins = self.link.receive(now_ns, datagram)?;
-        let Some(&frame) = self.link.newest() else { return Ok(begins) };
+    /// Takes a datagram; a refused one changes nothing but its counter.
+    pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
+        let is_known = self.link.newest().is_some();
+        let begins = self.link.receive(time, datagram)?;
+        let Some(&frame) = self.link.newest() else { return Ok(()) };
         let (sequence, sent_ns) = (frame.sequence, frame.sent_ns);
         if begins {
             (self.heard, self.peer_held) = (HeardText::default(), 0);
@@ -101,10 +117,11 @@ impl<const N: usize> Exchange<N> {
         if begins {
             (self.interval_ns, self.first_interval_ns) = (None, None);
             self.counted = (sequence, sent_ns);
+            self.has_begun = true;
             if is_known {
                 // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled
                 // again by what arrives from the network.
-                self.ladder.new_session(now_ns, self.role == Role::Slave);
+                self.ladder.new_session(time.tick_ns, self.role == Role::Slave);
             }
         } else if sequence > self.counted.0 {
             // By the peer's own clock and count: neither jitter nor loss is in it.
@@ -117,15 +134,15 @@ impl<const N: usize> Exchange<N> {
                 self.first_interval_ns = Some(interval_ns);
             }
         }
-        Ok(begins)
+        Ok(())
     }
 
-    /// Steps the ladder; `clutch` is the master's button. Gives the state and the silence of the peer in ns.
+    /// Steps the ladder; `clutch` is the master's button. Returns the state and the silence of the peer in ns.
     pub(super) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
         let hears = self.link.is_heard();
-        let newest = self.newest().map(|frame| {
+        let newest = self.link.newest().map(|frame| {
             // An echo of another session says nothing of this one.
             let echo = frame.echo.filter(|echo| echo.session == self.link.session());
             PeerFrame {
@@ -146,20 +163,20 @@ impl<const N: usize> Exchange<N> {
         let before = self.ladder.state();
         let state = self.inputs.step(&mut self.ladder, now_ns, clutch, &view);
         if state == LadderState::Hold && self.ladder.history().cause() == Some(Reason::PeerDisengaged) {
-            self.peer_held = self.newest().map_or(self.peer_held, |frame| frame.reason);
+            self.peer_held = self.link.newest().map_or(self.peer_held, |frame| frame.reason);
         }
         if state.is_coupled() && !before.is_coupled() {
-            self.link.anchor();
+            self.link.path.anchor();
         }
         (state, age_ns)
     }
 
-    /// Keeps this tick in the flight recorder: measured position, command and force, and what controllers saw.
-    pub(super) fn keep(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: Observed) {
+    /// Ends a tick: keeps measured position, command and force, and what controllers saw, in the flight recorder.
+    pub(super) fn end_tick(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: Observed) {
         let entry = FlightEntry {
             time_ns: now_ns,
             state: self.ladder.state(),
-            peer: self.newest().and_then(|frame| LadderState::from_code(frame.state)),
+            peer: self.link.newest().and_then(|frame| LadderState::from_code(frame.state)),
             age_ns: self.link.age_ns(now_ns),
             clutch: self.inputs.clutch(),
             gain: self.ladder.gain(),
@@ -168,11 +185,12 @@ impl<const N: usize> Exchange<N> {
         };
         let diagnosis = self.diagnosis();
         self.flight.take(entry, self.ladder.history(), diagnosis.as_ref());
+        (self.has_begun, self.has_stalled, self.has_failed) = (false, false, false);
     }
 
     /// Why the two sides are not coupled; none where nothing is wrong.
     fn diagnosis(&self) -> Option<Diagnosis> {
-        let (state, newest) = (self.ladder.state(), self.newest());
+        let (state, newest) = (self.ladder.state(), self.link.newest());
         let stands = |frame: &Frame<N>| LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
         let peer_failed = newest.is_some_and(|frame| stands(frame) == LadderState::Fault);
         if !(state.is_held() || peer_failed || self.peer_ended || self.ladder.is_unanswered()) {
@@ -209,33 +227,27 @@ impl<const N: usize> Exchange<N> {
         self.ladder.fault(now_ns);
     }
 
-    /// The driver's words on a failure that the next tick meets.
-    pub(super) fn describe_failure(&mut self, text: &FaultText) {
-        self.failing = Some(*text);
+    /// The device has failed, or says so, `text` in the driver's words: zero force or no motion from the next tick on, and
+    /// the peer hears of it.
+    ///
+    /// It counts as a bad number in that tick's sample does, so that no command before the tick undoes it.
+    pub fn device_failed(&mut self, text: Option<&FaultText>) {
+        self.has_failed = true;
+        self.failing = text.copied().or(self.failing);
     }
 
-    /// This side ends: from here on its frames say so, and ask for nothing.
-    pub(super) fn end(&mut self) {
+    /// This side ends: from here on its frames say so, and request nothing.
+    pub fn end(&mut self) {
         self.ending = true;
     }
 
     /// The peer has ended the session that its newest frame is of.
-    pub(super) fn peer_ended(&mut self) {
-        self.peer_ended = self.newest().is_some();
-    }
-
-    /// What the observers of this side are held against.
-    pub(super) fn hold_against(&mut self, thresholds: PerController<f64>) {
-        self.flight.hold_against(thresholds);
-    }
-
-    /// The newest frame of the peer.
-    pub(super) fn newest(&self) -> Option<&Frame<N>> {
-        self.link.newest()
+    pub fn peer_ended(&mut self) {
+        self.peer_ended = self.link.newest().is_some();
     }
 
     /// Writes the frame of this tick.
-    pub fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+    pub fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         // Who ends follows and leads no more, whatever its ladder says.
         let state = match self.ladder.state() {
             state if self.ending && !state.is_held() => LadderState::Disengaged,
@@ -250,15 +262,21 @@ impl<const N: usize> Exchange<N> {
             fault: self.fault,
             text: self.spoken.next_piece(),
         };
-        self.link.send(now_ns, status, self.outgoing, buffer)
+        self.link.send(time, status, self.outgoing, buffer)
     }
 
     /// The loop was late by more than the ladder allows, until `now_ns`.
-    pub(super) fn stalled(&mut self, now_ns: u64) {
+    pub fn stalled(&mut self, now_ns: u64) {
+        self.has_stalled = true;
         self.ladder.stalled(now_ns);
     }
 
-    /// A person at this side says that its fault is mended.
+    /// Whether it was, since the last tick.
+    pub(crate) fn has_stalled(&self) -> bool {
+        self.has_stalled
+    }
+
+    /// The operator at this side says that its fault is mended.
     pub(super) fn acknowledge(&mut self, now_ns: u64) {
         self.fault = 0;
         self.spoken.set(&FaultText::EMPTY);
@@ -270,40 +288,31 @@ impl<const N: usize> Exchange<N> {
         self.ladder.state()
     }
 
-    /// Share of the force that may be rendered, 0 to 1.
-    pub fn gain(&self) -> f64 {
-        self.ladder.gain()
-    }
-
-    /// Whether a press of the clutch would count, were it open.
-    pub fn is_ready(&self) -> bool {
-        self.ladder.is_ready()
-    }
-
     /// Whether the clutch was closed at the last tick.
     pub fn clutch(&self) -> bool {
         self.inputs.clutch()
     }
 
-    /// The last step of the ladder.
-    pub fn last_transition(&self) -> Option<Transition> {
-        self.ladder.history().last()
-    }
-
     /// Where the peer stands and why, [`LadderState::code`], [`Reason::code`] and [`Fault::code`]; none before its first
     /// frame.
     pub fn peer_codes(&self) -> Option<[u8; 3]> {
-        self.newest().map(|frame| [frame.state, frame.reason, frame.fault])
+        self.link.newest().map(|frame| [frame.state, frame.reason, frame.fault])
     }
 
-    /// Counts of the link, and how often the ladder went to HOLD.
-    pub fn counts(&self) -> (LinkStatistics, u64) {
-        (self.link.statistics(), self.ladder.holds())
+    /// What was counted so far.
+    pub fn counts(&self) -> SideCounts {
+        let (link, holds) = (self.link.statistics(), self.ladder.holds());
+        SideCounts { link, holds, limited: self.limited_ticks }
     }
 
-    /// What is known of the way to the peer at `now_ns`.
-    pub fn path_report(&self, now_ns: u64) -> PathReport {
-        self.link.path_report(now_ns)
+    /// The end of the link.
+    pub fn link(&self) -> &FrameLink<N> {
+        &self.link
+    }
+
+    /// The ladder.
+    pub fn ladder(&self) -> &Ladder {
+        &self.ladder
     }
 
     /// The last states and commands.

@@ -7,10 +7,10 @@ use haptether_safety::{
 
 use super::{EndpointError, Exchange, check_period, period_s};
 use crate::{
+    command::OperatorCommand,
     coupling::{CouplingError, FrameMap, PositionForce},
-    fault_text::FaultText,
     ladder::{LadderSettings, LadderState, Observed, thresholds},
-    link::{PortState, RejectReason},
+    link::PortState,
     wire::Role,
 };
 
@@ -51,15 +51,13 @@ pub struct MasterTick<const N: usize> {
 pub struct MasterEndpoint<const N: usize> {
     layer: SafetyLayer<N>,
     coupling: PositionForce<N>,
-    exchange: Exchange<N>,
+    /// What talks to the peer.
+    pub exchange: Exchange<N>,
     /// Position and velocity of the last tick.
     last: Option<(Axes<N>, Option<Axes<N>>)>,
-    has_stalled: bool,
     period_s: f64,
-    /// The fault of the safety layer is mended, as a person says.
+    /// The fault of the safety layer is mended, as the operator says.
     acknowledged: bool,
-    /// The device has failed since the last tick.
-    has_failed: bool,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -75,31 +73,19 @@ impl<const N: usize> MasterEndpoint<N> {
         })?;
         let mut exchange =
             Exchange::new(Role::Master, settings.session, settings.period_ns, settings.ladder)?;
-        exchange.hold_against(thresholds(&settings.safety));
+        exchange.flight.hold_against(thresholds(&settings.safety));
         Ok(Self {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
             exchange,
             last: None,
-            has_stalled: false,
             period_s: period_s(settings.period_ns),
             acknowledged: false,
-            has_failed: false,
         })
     }
 
-    /// Until the next call it is `late_ns` later than the tick's time when datagrams are received and sent.
-    pub fn late(&mut self, late_ns: u64) {
-        self.exchange.late(late_ns);
-    }
-
-    /// Takes a datagram that arrived by `now_ns`.
-    pub fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
-        self.exchange.receive(now_ns, datagram).map(|_| ())
-    }
-
     /// One tick: x in m and, from a device that measures it, V in m/s; `missed` ticks were left out since the last.
-    /// `clutch` is whether the person presses the clutch.
+    /// `clutch` is whether the clutch is pressed.
     pub fn tick(
         &mut self,
         now_ns: u64,
@@ -108,22 +94,23 @@ impl<const N: usize> MasterEndpoint<N> {
         velocity: Option<&Axes<N>>,
         clutch: bool,
     ) -> MasterTick<N> {
-        let has_failed = std::mem::take(&mut self.has_failed);
+        let has_failed = self.exchange.has_failed;
         if has_failed {
             self.exchange.fault(now_ns, Fault::Device);
         }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
-        let asked =
-            self.exchange.newest().map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
+        let requested_force = self
+            .exchange
+            .link()
+            .newest()
+            .map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
         let gain = self.exchange.ladder.gain();
         if std::mem::take(&mut self.acknowledged) {
             // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
             let _ = self.layer.reset(position);
-            self.has_stalled = false;
-        } else if self.has_stalled {
+        } else if self.exchange.has_stalled() {
             // What lies before the gap says nothing of what comes after it. A position that cannot be is met below.
             let _ = self.layer.restart(position);
-            self.has_stalled = false;
         } else {
             self.carry_over(missed, position, velocity);
         }
@@ -132,7 +119,7 @@ impl<const N: usize> MasterEndpoint<N> {
             self.layer.fail(Fault::Device);
         }
         self.last = Some((*position, velocity.copied()));
-        let safety = self.layer.tick_with_authority(position, velocity, &(asked * gain), gain);
+        let safety = self.layer.tick_with_authority(position, velocity, &(requested_force * gain), gain);
         if let Some(fault) = safety.fault {
             self.exchange.fault(now_ns, fault);
         } else {
@@ -144,7 +131,7 @@ impl<const N: usize> MasterEndpoint<N> {
                 PortState { position: *position, velocity, force: safety.device_force, energy };
         }
         let observed = Observed::of(&safety.intervention);
-        self.exchange.keep(now_ns, [position, &safety.device_force, &safety.rendered_force], observed);
+        self.exchange.end_tick(now_ns, [position, &safety.device_force, &safety.rendered_force], observed);
         MasterTick { safety, state: self.exchange.ladder.state(), age_ns }
     }
 
@@ -162,57 +149,19 @@ impl<const N: usize> MasterEndpoint<N> {
         }
     }
 
-    /// The loop was late by more than the ladder allows, until `now_ns`.
-    pub fn stalled(&mut self, now_ns: u64) {
-        self.exchange.stalled(now_ns);
-        self.has_stalled = true;
-    }
-
-    /// The device has failed, or says so: no force from the next tick on, and the peer is told.
-    ///
-    /// It counts as a bad number in that tick's sample does, so that no act before the tick undoes it.
-    pub fn device_failed(&mut self) {
-        self.has_failed = true;
-    }
-
-    /// The driver's words on its failure, of the next tick; see [`Self::device_failed`].
-    pub fn describe_failure(&mut self, text: &FaultText) {
-        self.exchange.describe_failure(text);
-    }
-
-    /// This side ends: from here on its frames say so.
-    pub fn end(&mut self) {
-        self.exchange.end();
-    }
-
-    /// The peer has ended its session.
-    pub fn peer_ended(&mut self) {
-        self.exchange.peer_ended();
-    }
-
-    /// A person at this side says that its fault is mended; the clutch must then be released and pressed.
-    pub fn acknowledge(&mut self, now_ns: u64) {
-        self.acknowledged = self.exchange.state() == LadderState::Fault;
-        self.exchange.acknowledge(now_ns);
-    }
-
-    /// Changes `lambda_f`; how fast the force follows is the limiter's.
-    pub fn set_force_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
-        self.coupling.set_force_scale(scale)
-    }
-
-    /// Changes rotation and locks, which must be those of the slave.
-    pub fn set_map(&mut self, map: FrameMap<N>) {
-        self.coupling.set_map(map);
-    }
-
-    /// What talks to the peer.
-    pub fn exchange(&self) -> &Exchange<N> {
-        &self.exchange
-    }
-
-    /// What talks to the peer.
-    pub fn exchange_mut(&mut self) -> &mut Exchange<N> {
-        &mut self.exchange
+    /// Carries out a command of the operator; returns whether it changed anything.
+    pub fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
+        match command {
+            OperatorCommand::Acknowledge => {
+                self.acknowledged = self.exchange.state() == LadderState::Fault;
+                self.exchange.acknowledge(now_ns);
+            }
+            OperatorCommand::ForceScale(scale) => self.coupling.set_force_scale(scale)?,
+            OperatorCommand::Frame { quat_wxyz, locked } => {
+                self.coupling.set_map(FrameMap::turned(quat_wxyz, &locked)?);
+            }
+            _ => return Ok(false),
+        }
+        Ok(true)
     }
 }

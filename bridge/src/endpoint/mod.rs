@@ -4,7 +4,7 @@ mod exchange;
 mod master;
 mod slave;
 
-pub use exchange::Exchange;
+pub use exchange::{Exchange, SideCounts};
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};
 pub use slave::{SlaveEndpoint, SlaveSettings, SlaveTick};
 

@@ -9,7 +9,7 @@ pub enum Clutch {
     /// [`SimulatedOperator::press_again`].
     #[default]
     Once,
-    /// A simulated person: presses at the start, lets go when it holds or the press was not answered, and presses again
+    /// A simulated operator: presses at the start, lets go when it holds or the press was not answered, and presses again
     /// once both sides have been ready for `reaction_ns`.
     Auto {
         /// Time in ns.
@@ -52,14 +52,14 @@ pub struct SimulatedOperator {
     ready_ns: Option<u64>,
     /// Since it last pressed, the side has had a fault: whoever acknowledges it says when to press.
     has_faulted: bool,
-    asked: bool,
+    requested: bool,
     has_begun: bool,
-    /// When it was asked to press again, in ns.
-    asked_ns: Option<u64>,
+    /// When it was requested to press again, in ns.
+    requested_ns: Option<u64>,
 }
 
 impl SimulatedOperator {
-    /// A person who has not begun.
+    /// An operator who has not begun.
     pub fn new(clutch: Clutch) -> Result<Self, ClutchError> {
         match &clutch {
             Clutch::Auto { reaction_ns } if !(50_000_000..=60_000_000_000).contains(reaction_ns) => {
@@ -83,9 +83,9 @@ impl SimulatedOperator {
             since_ns: 0,
             ready_ns: None,
             has_faulted: false,
-            asked: false,
+            requested: false,
             has_begun: false,
-            asked_ns: None,
+            requested_ns: None,
         })
     }
 
@@ -96,15 +96,15 @@ impl SimulatedOperator {
 
     /// Lets go for a moment and presses again.
     pub fn press_again(&mut self) {
-        self.asked = true;
+        self.requested = true;
     }
 
-    /// What was asked for counts no more: the loop was late, or the device has a button.
-    pub fn forget(&mut self) {
-        (self.asked, self.asked_ns) = (false, None);
+    /// A press that was requested counts no more: the loop was late, or the device has a button.
+    pub fn reset(&mut self) {
+        (self.requested, self.requested_ns) = (false, None);
     }
 
-    /// Has let go: the start was too long ago to be a press. Whether it would have been that of a person.
+    /// Has let go: the start was too long ago to be a press. Whether it would have been that of an operator.
     pub fn release_clutch(&mut self) -> bool {
         std::mem::replace(&mut self.pressed, false) && matches!(self.clutch, Clutch::Once)
     }
@@ -113,7 +113,7 @@ impl SimulatedOperator {
     pub fn at(&mut self, now_ns: u64, state: LadderState, ready: bool) -> bool {
         let reaction_ns = match &self.clutch {
             Clutch::Schedule(times) => {
-                self.asked = false;
+                self.requested = false;
                 let since_ns = now_ns.saturating_sub(self.start_ns);
                 return times.iter().any(|(press, release)| (*press..*release).contains(&since_ns));
             }
@@ -123,10 +123,11 @@ impl SimulatedOperator {
         if !std::mem::replace(&mut self.has_begun, true) {
             self.pressed &= now_ns.saturating_sub(self.start_ns) <= START_NS;
         }
-        if std::mem::take(&mut self.asked) {
-            self.asked_ns = Some(now_ns);
+        if std::mem::take(&mut self.requested) {
+            self.requested_ns = Some(now_ns);
         }
-        self.asked_ns = self.asked_ns.filter(|asked| now_ns.saturating_sub(*asked) <= LATEST_NS);
+        self.requested_ns =
+            self.requested_ns.filter(|requested| now_ns.saturating_sub(*requested) <= LATEST_NS);
         self.has_faulted |= state == LadderState::Fault;
         self.ready_ns = if ready { self.ready_ns.or(Some(now_ns)) } else { None };
         let spent_ns = now_ns.saturating_sub(self.since_ns);
@@ -134,19 +135,19 @@ impl SimulatedOperator {
             // DISENGAGED at the tick after a press: it was not taken up, has ended unanswered, or the peer has ended.
             let in_vain = matches!(state, LadderState::Hold | LadderState::Stop)
                 || state == LadderState::Disengaged && spent_ns > 0 && !self.has_faulted;
-            if self.asked_ns.is_some() || reaction_ns.is_some() && in_vain {
+            if self.requested_ns.is_some() || reaction_ns.is_some() && in_vain {
                 (self.pressed, self.since_ns, self.ready_ns) = (false, now_ns, None);
             }
         } else {
             let ready_for_ns = self.ready_ns.map_or(0, |since| now_ns.saturating_sub(since));
-            let presses = if self.asked_ns.is_some() {
+            let presses = if self.requested_ns.is_some() {
                 spent_ns >= OPEN_NS
             } else {
                 !self.has_faulted
                     && reaction_ns.is_some_and(|reaction| ready_for_ns >= reaction && spent_ns >= reaction)
             };
             if presses {
-                (self.pressed, self.since_ns, self.asked_ns) = (true, now_ns, None);
+                (self.pressed, self.since_ns, self.requested_ns) = (true, now_ns, None);
                 self.has_faulted = false;
             }
         }
@@ -222,21 +223,21 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     #[test]
-    fn a_simulated_person_presses_anew_for_whoever_comes_after_an_end_but_not_after_a_fault() {
+    fn a_simulated_operator_presses_anew_for_whoever_comes_after_an_end_but_not_after_a_fault() {
         use LadderState::{Disengaged, Fault};
         for faulted in [false, true] {
-            let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
-            person.begin(0);
-            assert!(person.at(0, Disengaged, false));
+            let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+            operator.begin(0);
+            assert!(operator.at(0, Disengaged, false));
             for now in 1..1000 {
-                assert!(person.at(now * MS, Engaged, true));
+                assert!(operator.at(now * MS, Engaged, true));
             }
             if faulted {
-                assert!(person.at(1000 * MS, Fault, false));
+                assert!(operator.at(1000 * MS, Fault, false));
             }
             // The other side is there again after a second.
             let pressed: Vec<u64> =
-                (1001..3000).filter(|now| person.at(now * MS, Disengaged, *now >= 2000)).collect();
+                (1001..3000).filter(|now| operator.at(now * MS, Disengaged, *now >= 2000)).collect();
             if faulted {
                 assert_eq!(pressed.len(), 1999, "a fault that was mended couples nothing");
             } else {
@@ -247,9 +248,9 @@ mod tests {
 
     #[test]
     fn a_schedule_is_followed() {
-        let mut person = SimulatedOperator::new(Clutch::Schedule(vec![(0, 5), (8, 9)])).unwrap();
-        person.begin(100);
-        let pressed: Vec<_> = (100..112).filter(|now| person.at(*now, Engaged, true)).collect();
+        let mut operator = SimulatedOperator::new(Clutch::Schedule(vec![(0, 5), (8, 9)])).unwrap();
+        operator.begin(100);
+        let pressed: Vec<_> = (100..112).filter(|now| operator.at(*now, Engaged, true)).collect();
         assert_eq!(pressed, [100, 101, 102, 103, 104, 108]);
         for times in [vec![(5, 5)], vec![(0, 5), (5, 6)], vec![(3, 4), (1, 2)]] {
             let error = SimulatedOperator::new(Clutch::Schedule(times)).unwrap_err();
@@ -258,44 +259,44 @@ mod tests {
     }
 
     #[test]
-    fn a_simulated_person_lets_go_and_presses_once_both_are_ready() {
-        let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
-        person.begin(0);
-        assert!(person.at(0, Aligning, false));
-        assert!(person.at(MS, Engaged, true));
+    fn a_simulated_operator_lets_go_and_presses_once_both_are_ready() {
+        let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        operator.begin(0);
+        assert!(operator.at(0, Aligning, false));
+        assert!(operator.at(MS, Engaged, true));
         // The link is dead until 1 s: a press before would be void.
-        let pressed: Vec<_> = (2..2000).filter(|now| person.at(now * MS, Hold, *now >= 1000)).collect();
+        let pressed: Vec<_> = (2..2000).filter(|now| operator.at(now * MS, Hold, *now >= 1000)).collect();
         assert_eq!(pressed.first(), Some(&1500));
         // It is still held: the press did not count, and the next is another 0.5 s later.
         assert_eq!(pressed, [1500]);
-        let pressed: Vec<_> = (2000..2500).filter(|now| person.at(now * MS, Hold, true)).collect();
+        let pressed: Vec<_> = (2000..2500).filter(|now| operator.at(now * MS, Hold, true)).collect();
         assert_eq!(pressed.first(), Some(&2002));
         assert!(SimulatedOperator::new(Clutch::Auto { reaction_ns: 1 }).is_err());
     }
 
     #[test]
     fn who_presses_once_does_so_again_when_told() {
-        let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
-        person.begin(0);
-        assert!((0..1000).all(|now| person.at(now * MS, Hold, true)));
-        person.press_again();
-        let open = (1000..2000).filter(|now| !person.at(now * MS, Hold, true)).count();
+        let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+        operator.begin(0);
+        assert!((0..1000).all(|now| operator.at(now * MS, Hold, true)));
+        operator.press_again();
+        let open = (1000..2000).filter(|now| !operator.at(now * MS, Hold, true)).count();
         assert_eq!(open, 100);
     }
 
-    /// From 0 on, every ms from `asked` on but those of `asleep`: at which ms it presses.
-    fn presses(asked: &[u64], asleep: std::ops::Range<u64>, forgets: bool) -> Vec<u64> {
-        let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
-        person.begin(0);
-        let (mut was, mut pressed) = (person.at(0, Hold, true), Vec::new());
+    /// From 0 on, every ms from `requested` on but those of `asleep`: at which ms it presses.
+    fn presses(requested: &[u64], asleep: std::ops::Range<u64>, resets: bool) -> Vec<u64> {
+        let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+        operator.begin(0);
+        let (mut was, mut pressed) = (operator.at(0, Hold, true), Vec::new());
         for now in (1..60_000).filter(|now| !asleep.contains(now)) {
-            if asked.contains(&now) {
-                person.press_again();
+            if requested.contains(&now) {
+                operator.press_again();
             }
-            if now == asleep.end && forgets {
-                person.forget();
+            if now == asleep.end && resets {
+                operator.reset();
             }
-            let is = person.at(now * MS, Hold, true);
+            let is = operator.at(now * MS, Hold, true);
             if is && !was {
                 pressed.push(now);
             }
@@ -305,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_that_was_asked_for_is_at_its_time_or_never() {
+    fn a_press_that_was_requested_for_is_at_its_time_or_never() {
         assert_eq!(presses(&[1000], 0..0, false), [1100]);
         // Twice at once is one press; once more after it is another.
         assert_eq!(presses(&[1000, 1001, 1050], 0..0, false), [1100]);
@@ -318,22 +319,26 @@ mod tests {
     }
 
     #[test]
-    fn a_simulated_person_tries_anew_where_a_press_was_not_answered() {
-        let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
-        person.begin(0);
-        assert!(person.at(0, LadderState::Disengaged, false), "the start is a press");
-        assert!((1..5000).all(|now| person.at(now * MS, Aligning, false)));
-        assert!(!person.at(5000 * MS, LadderState::Disengaged, false));
-        let pressed = |now: &u64| person.at(now * MS, LadderState::Disengaged, *now >= 9000);
+    fn a_simulated_operator_tries_anew_where_a_press_was_not_answered() {
+        let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        operator.begin(0);
+        assert!(operator.at(0, LadderState::Disengaged, false), "the start is a press");
+        assert!((1..5000).all(|now| operator.at(now * MS, Aligning, false)));
+        assert!(!operator.at(5000 * MS, LadderState::Disengaged, false));
+        let pressed = |now: &u64| operator.at(now * MS, LadderState::Disengaged, *now >= 9000);
         assert_eq!((5001..9501).filter(pressed).collect::<Vec<_>>(), [9500]);
     }
 
     #[test]
     fn a_start_is_a_press_for_five_seconds() {
         for (first_ms, presses) in [(0, true), (5000, true), (5001, false)] {
-            let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
-            person.begin(7 * MS);
-            assert_eq!(person.at((7 + first_ms) * MS, LadderState::Disengaged, false), presses, "{first_ms}");
+            let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+            operator.begin(7 * MS);
+            assert_eq!(
+                operator.at((7 + first_ms) * MS, LadderState::Disengaged, false),
+                presses,
+                "{first_ms}"
+            );
         }
     }
 
@@ -344,33 +349,33 @@ mod tests {
             (Clutch::Auto { reaction_ns: 500 * MS }, false),
             (Clutch::Schedule(vec![(0, 10)]), false),
         ] {
-            let mut person = SimulatedOperator::new(clutch).unwrap();
-            person.begin(0);
-            assert_eq!((person.release_clutch(), person.release_clutch()), (was_pressed, false));
+            let mut operator = SimulatedOperator::new(clutch).unwrap();
+            operator.begin(0);
+            assert_eq!((operator.release_clutch(), operator.release_clutch()), (was_pressed, false));
         }
     }
 
     #[test]
-    fn a_simulated_person_does_not_press_after_a_fault_until_asked() {
-        let mut person = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
-        person.begin(0);
-        assert!(person.at(0, Aligning, false));
-        assert!(!person.at(MS, Hold, true), "it lets go");
-        assert!(!person.at(2 * MS, LadderState::Fault, true));
-        assert!((3..3000).all(|now| !person.at(now * MS, LadderState::Disengaged, true)));
-        person.press_again();
-        assert!(person.at(3000 * MS, LadderState::Disengaged, true));
-        assert!(person.at(3001 * MS, Engaged, true));
+    fn a_simulated_operator_does_not_press_after_a_fault_until_requested() {
+        let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        operator.begin(0);
+        assert!(operator.at(0, Aligning, false));
+        assert!(!operator.at(MS, Hold, true), "it lets go");
+        assert!(!operator.at(2 * MS, LadderState::Fault, true));
+        assert!((3..3000).all(|now| !operator.at(now * MS, LadderState::Disengaged, true)));
+        operator.press_again();
+        assert!(operator.at(3000 * MS, LadderState::Disengaged, true));
+        assert!(operator.at(3001 * MS, Engaged, true));
     }
 
     #[test]
-    fn who_has_let_go_presses_only_when_asked() {
-        let mut person = SimulatedOperator::new(Clutch::Once).unwrap();
-        person.begin(0);
-        person.release_clutch();
-        assert!((0..1000).all(|now| !person.at(now * MS, LadderState::Disengaged, true)));
-        person.press_again();
-        assert!(person.at(1000 * MS, LadderState::Disengaged, true));
+    fn who_has_let_go_presses_only_when_requested() {
+        let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+        operator.begin(0);
+        operator.release_clutch();
+        assert!((0..1000).all(|now| !operator.at(now * MS, LadderState::Disengaged, true)));
+        operator.press_again();
+        assert!(operator.at(1000 * MS, LadderState::Disengaged, true));
     }
 }
 

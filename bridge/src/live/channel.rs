@@ -8,14 +8,11 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::{
     handshakes::{Handshakes, SecurityEvent, StartError},
-    route::Heard,
+    socket::Received,
 };
 use crate::{
-    channel::sealed_frame,
-    link::RejectReason,
-    session::{
-        Incoming, MAX_DATAGRAM, PreSharedKey, Rejection, Rejections, SealError, Session, SessionSettings,
-    },
+    link::{LinkTime, RejectReason},
+    session::{EndError, Incoming, PreSharedKey, Rejection, Rejections, Session, SessionSettings},
     side::Side,
     wire::{Role, hears_peer},
 };
@@ -31,8 +28,8 @@ pub enum Security {
 
 /// Shortest period of a peer in ns that the window against replay holds 2 s of.
 const PEER_PERIOD_NS: u64 = 100_000;
-/// How often the handshakes are told how the session stands, in ticks.
-const TELL_EVERY: u64 = 4;
+/// How often the handshakes get the standing of the session, in ticks.
+const STANDING_EVERY: u64 = 4;
 /// Answers of the handshakes that one tick takes.
 const MAX_ANSWERS: usize = 4;
 /// How often a release is sent after the last frames: datagrams get lost.
@@ -50,15 +47,21 @@ fn forbid_dumps() {
 /// The session of a live side.
 #[derive(Debug)]
 pub(super) struct LiveChannel {
-    session: Session,
+    pub(super) session: Session,
     handshakes: Option<Handshakes>,
     ticks: u64,
 }
 
 impl LiveChannel {
-    pub(super) fn start<S: Side>(role: Role, period_ns: u64, security: Security) -> Result<Self, StartError> {
-        let settings = SessionSettings::new(role, S::FRAME_LENGTH, period_ns.min(PEER_PERIOD_NS));
-        let cannot = crate::session::EndError::from;
+    /// A session whose frames have so many bytes; without keys yet, if it is secure.
+    pub(super) fn start(
+        role: Role,
+        frame_length: usize,
+        period_ns: u64,
+        security: Security,
+    ) -> Result<Self, StartError> {
+        let settings = SessionSettings::new(role, frame_length, period_ns.min(PEER_PERIOD_NS));
+        let cannot = EndError::from;
         Ok(match security {
             Security::Secure(key) => {
                 forbid_dumps();
@@ -74,22 +77,19 @@ impl LiveChannel {
         })
     }
 
-    pub(super) fn is_secure(&self) -> bool {
-        self.session.is_secure()
-    }
-
     /// Opens a datagram in place and hands what it holds to the side.
-    pub(super) fn receive(
+    pub(super) fn receive<const N: usize>(
         &mut self,
-        now_ns: u64,
+        time: LinkTime,
         from: SocketAddr,
         datagram: &mut [u8],
-        side: &mut impl Side,
-    ) -> Heard {
+        side: &mut impl Side<N>,
+    ) -> Received {
+        let now_ns = time.tick_ns;
         match self.session.open(now_ns, datagram) {
-            Ok(Incoming::Payload { payload, .. }) => match side.receive(now_ns, payload) {
-                Ok(()) => return Heard::News { is_answered: hears_peer(payload) },
-                Err(RejectReason::Late(_) | RejectReason::Duplicate(_)) => return Heard::Again,
+            Ok(Incoming::Payload { payload, .. }) => match side.receive(time, payload) {
+                Ok(()) => return Received::Fresh { is_answered: hears_peer(payload) },
+                Err(RejectReason::Late(_) | RejectReason::Duplicate(_)) => return Received::Repeat,
                 Err(_) => {}
             },
             Ok(Incoming::Handshake { datagram, is_renewal }) => {
@@ -97,75 +97,49 @@ impl LiveChannel {
                     handshakes.hand_over(now_ns, &self.session, from, message, is_renewal);
                 }
             }
-            Err(Rejection::Repeated) => return Heard::Again,
-            Ok(Incoming::Release) => side.peer_ended(),
+            Err(Rejection::Repeated) => return Received::Repeat,
+            Ok(Incoming::Release) => side.exchange_mut().peer_ended(),
             // A rejection is counted by the session.
             Err(_) => {}
         }
-        Heard::Nothing
+        Received::Nothing
     }
 
-    /// Lets time pass, and takes new keys; gives each handshake to send, and where to, to `send`.
+    /// Lets time pass, and takes new keys; hands each handshake, and where it goes, to `send`, each event to `report`.
     pub(super) fn advance(
         &mut self,
         now_ns: u64,
         mut send: impl FnMut(Option<SocketAddr>, &[u8]),
-        mut tell: impl FnMut(SecurityEvent),
+        mut report: impl FnMut(SecurityEvent),
     ) {
         self.session.advance(now_ns);
         if let Some(handshakes) = &mut self.handshakes {
             for _ in 0..MAX_ANSWERS {
-                let Some(told) = handshakes.next() else { break };
-                if let Some(datagram) = told.outcome.reply {
-                    send(told.to, &datagram);
+                let Some(answer) = handshakes.next() else { break };
+                if let Some(datagram) = answer.outcome.reply {
+                    send(answer.to, &datagram);
                 }
-                if let Some(keys) = told.outcome.keys {
+                if let Some(keys) = answer.outcome.keys {
                     self.session.install(now_ns, keys);
                 }
-                if let Some(event) = told.outcome.event {
-                    tell(SecurityEvent::Handshake(event));
+                if let Some(event) = answer.outcome.event {
+                    report(SecurityEvent::Handshake(event));
                 }
             }
-            if self.ticks.is_multiple_of(TELL_EVERY) {
-                handshakes.tell(self.session.standing(now_ns));
+            if self.ticks.is_multiple_of(STANDING_EVERY) {
+                handshakes.set_standing(self.session.standing(now_ns));
             }
             self.ticks += 1;
             if handshakes.has_died() {
-                tell(SecurityEvent::KeysEnd);
+                report(SecurityEvent::KeysEnd);
             }
         }
         while let Some(event) = self.session.poll_event() {
-            tell(SecurityEvent::Session(event));
+            report(SecurityEvent::Session(event));
         }
     }
 
-    /// The side's next frame as it goes over the network; none while there are no keys.
-    pub(super) fn send<'a>(
-        &mut self,
-        now_ns: u64,
-        side: &mut impl Side,
-        buffer: &'a mut [u8; MAX_DATAGRAM],
-    ) -> Option<&'a [u8]> {
-        sealed_frame(&mut self.session, now_ns, side, buffer)
-    }
-
-    /// A datagram that ends the session at the peer.
-    pub(super) fn release<'a>(
-        &mut self,
-        now_ns: u64,
-        buffer: &'a mut [u8; MAX_DATAGRAM],
-    ) -> Result<&'a [u8], SealError> {
-        self.session.release(now_ns, buffer)
-    }
-
-    /// A person at this side lets another master begin.
-    pub(super) fn allow_takeover(&mut self, now_ns: u64, mut tell: impl FnMut(SecurityEvent)) {
-        if let Err(still) = self.session.allow_takeover(now_ns) {
-            tell(SecurityEvent::StillHeard(still));
-        }
-    }
-
-    /// Ends the handshakes; gives what was not taken, by cause.
+    /// Ends the handshakes; returns what was not taken, by cause.
     pub(super) fn end(&mut self) -> Rejections {
         let more = self.handshakes.as_mut().map(Handshakes::end).unwrap_or_default();
         self.session.rejections() + more

@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use super::clock;
+use super::system;
 use crate::session::{
     Bucket, EndError, Handshake, HandshakeDatagram, HandshakeDecision, HandshakeError, HandshakeEvent,
     Outcome, PreSharedKey, Rejection, Rejections, Session, SessionEvent, SessionSettings, Shares, Standing,
@@ -24,31 +24,31 @@ const WAITING: usize = 64;
 const FOR_NEW: usize = WAITING / 2;
 /// How often the thread looks.
 const POLL: Duration = Duration::from_millis(2);
-/// Messages that the thread is given, one each: of new sessions all together, and of the living one. Each costs it some 50 us,
+/// Time in ns for each message that the thread gets: of new sessions all together, and of the living one. Each costs it some 50 us,
 /// so that a flood of recorded ones costs 1 % of a core.
-const GIVEN_NS: u64 = 5_000_000;
+const MESSAGE_NS: u64 = 5_000_000;
 /// Messages of the living session at once: of an epoch that was not there yet, and of the newest that was.
 const NEW_KEYS: u64 = 16;
 const REPEATS: u64 = 8;
 
-/// What the loop tells the thread.
+/// What the loop hands to the thread.
 #[derive(Debug)]
-enum Ask {
+enum Request {
     /// How the session stands, with so many keys of this thread in use.
     Standing(Standing, u64),
     /// A message of a handshake, and where it came from.
     Message(SocketAddr, HandshakeDatagram),
 }
 
-/// What the thread tells the loop.
+/// What the thread returns to the loop.
 #[derive(Debug)]
-pub(super) struct Told {
-    /// Where its datagram goes: whence it was asked, or to the peer.
+pub(super) struct Answer {
+    /// Where its datagram goes: to where the request came from, or to the peer.
     pub(super) to: Option<SocketAddr>,
     pub(super) outcome: Outcome,
 }
 
-/// Which messages the thread is given: recorded ones, however many, keep neither a new master out nor the partner of the
+/// Which messages the thread gets: recorded ones, however many, keep neither a new master out nor the partner of the
 /// living session.
 #[derive(Debug)]
 struct Admission {
@@ -63,7 +63,7 @@ struct Admission {
 impl Admission {
     fn new() -> Self {
         Self {
-            sessions: Shares::new(GIVEN_NS),
+            sessions: Shares::new(MESSAGE_NS),
             renewals: Bucket::default(),
             repeats: Bucket::default(),
             newest: None,
@@ -80,7 +80,7 @@ impl Admission {
     ) -> bool {
         let (session, epoch) = session_and_epoch(message);
         if message_is_answer(message) {
-            return self.newest == Some((session, epoch)) && self.renewals.take(now_ns, GIVEN_NS, NEW_KEYS);
+            return self.newest == Some((session, epoch)) && self.renewals.take(now_ns, MESSAGE_NS, NEW_KEYS);
         }
         if !is_renewal {
             return self.sessions.take(now_ns, from);
@@ -88,8 +88,8 @@ impl Admission {
         // Of an epoch that has proved to be the partner's, repeats take nothing from the next; those below were given up.
         match self.newest.filter(|newest| newest.0 == session).map(|newest| epoch.cmp(&newest.1)) {
             Some(std::cmp::Ordering::Less) => false,
-            Some(std::cmp::Ordering::Equal) => self.repeats.take(now_ns, GIVEN_NS, REPEATS),
-            _ => self.renewals.take(now_ns, GIVEN_NS, NEW_KEYS),
+            Some(std::cmp::Ordering::Equal) => self.repeats.take(now_ns, MESSAGE_NS, REPEATS),
+            _ => self.renewals.take(now_ns, MESSAGE_NS, NEW_KEYS),
         }
     }
 }
@@ -97,8 +97,8 @@ impl Admission {
 /// The loop's end of the thread.
 #[derive(Debug)]
 pub(super) struct Handshakes {
-    asks: rtrb::Producer<Ask>,
-    told: rtrb::Consumer<Told>,
+    requests: rtrb::Producer<Request>,
+    answers: rtrb::Consumer<Answer>,
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<Rejections>>,
     admission: Admission,
@@ -106,37 +106,37 @@ pub(super) struct Handshakes {
     keys: u64,
     /// Messages that were more than their share.
     dropped: u64,
-    was_told: bool,
+    was_reported: bool,
 }
 
 impl Handshakes {
     pub(super) fn start(settings: SessionSettings, key: PreSharedKey) -> Result<Self, StartError> {
         let mut entropy = SystemEntropy::new();
         let handshake = Handshake::new(settings, key, &mut entropy).map_err(EndError::from)?;
-        let (asks, to_answer) = rtrb::RingBuffer::new(WAITING);
-        let (answers, told) = rtrb::RingBuffer::new(WAITING);
+        let (requests, to_answer) = rtrb::RingBuffer::new(WAITING);
+        let (to_loop, answers) = rtrb::RingBuffer::new(WAITING);
         let is_over = Arc::new(AtomicBool::new(false));
         let over = Arc::clone(&is_over);
         let thread = std::thread::Builder::new()
             .name("haptether-keys".into())
-            .spawn(move || answer(handshake, entropy, to_answer, answers, &over))?;
+            .spawn(move || answer(handshake, entropy, to_answer, to_loop, &over))?;
         let admission = Admission::new();
         Ok(Self {
-            asks,
-            told,
+            requests,
+            answers,
             is_over,
             thread: Some(thread),
             admission,
             keys: 0,
             dropped: 0,
-            was_told: false,
+            was_reported: false,
         })
     }
 
-    /// Tells how the session stands, unless the thread has not come to what it was told before.
-    pub(super) fn tell(&mut self, standing: Standing) {
-        if self.asks.slots() == WAITING {
-            let _ = self.asks.push(Ask::Standing(standing, self.keys));
+    /// Hands over how the session stands, unless the thread has not come to the requests before.
+    pub(super) fn set_standing(&mut self, standing: Standing) {
+        if self.requests.slots() == WAITING {
+            let _ = self.requests.push(Request::Standing(standing, self.keys));
         }
     }
 
@@ -151,34 +151,34 @@ impl Handshakes {
     ) {
         let is_new = !is_renewal && !message_is_answer(&message);
         let room = if is_new { FOR_NEW } else { 0 };
-        if self.asks.slots() < room + 2 || !self.admission.admits(now_ns, from, &message, is_renewal) {
+        if self.requests.slots() < room + 2 || !self.admission.admits(now_ns, from, &message, is_renewal) {
             self.dropped += 1;
             return;
         }
-        let _ = self.asks.push(Ask::Standing(session.standing(now_ns), self.keys));
-        let _ = self.asks.push(Ask::Message(from, message));
+        let _ = self.requests.push(Request::Standing(session.standing(now_ns), self.keys));
+        let _ = self.requests.push(Request::Message(from, message));
     }
 
     /// The next answer, if there is one.
-    pub(super) fn next(&mut self) -> Option<Told> {
-        let told = self.told.pop().ok()?;
-        self.keys += u64::from(told.outcome.keys.is_some());
-        if let Some(made) = told.outcome.reply.as_ref().filter(|made| {
-            !message_is_answer(made) || (told.outcome.keys.is_some() && session_and_epoch(made).1 > 0)
+    pub(super) fn next(&mut self) -> Option<Answer> {
+        let answer = self.answers.pop().ok()?;
+        self.keys += u64::from(answer.outcome.keys.is_some());
+        if let Some(made) = answer.outcome.reply.as_ref().filter(|made| {
+            !message_is_answer(made) || (answer.outcome.keys.is_some() && session_and_epoch(made).1 > 0)
         }) {
             self.admission.newest = Some(session_and_epoch(made));
         }
-        Some(told)
+        Some(answer)
     }
 
-    /// Whether the thread has ended by itself; said once.
+    /// Whether the thread has ended by itself; true once.
     pub(super) fn has_died(&mut self) -> bool {
-        let died = !self.was_told && self.thread.as_ref().is_some_and(JoinHandle::is_finished);
-        self.was_told |= died;
+        let died = !self.was_reported && self.thread.as_ref().is_some_and(JoinHandle::is_finished);
+        self.was_reported |= died;
         died
     }
 
-    /// Ends the thread; gives what it did not take, and what was more than its share.
+    /// Ends the thread; returns what it did not take, and what was more than its share.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
         let rejections = self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
@@ -206,37 +206,37 @@ pub enum StartError {
 fn answer(
     mut handshake: Handshake,
     mut entropy: SystemEntropy,
-    mut asks: rtrb::Consumer<Ask>,
-    mut answers: rtrb::Producer<Told>,
+    mut requests: rtrb::Consumer<Request>,
+    mut answers: rtrb::Producer<Answer>,
     is_over: &AtomicBool,
 ) -> Rejections {
     let mut standing = None;
     let mut given = 0;
     while !is_over.load(Ordering::Relaxed) {
-        while let Ok(ask) = asks.pop() {
-            match (ask, &standing) {
+        while let Ok(request) = requests.pop() {
+            match (request, &standing) {
                 // What was said before the newest keys came into use would have this thread ask for them again.
-                (Ask::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
-                (Ask::Message(from, message), Some(known)) => {
-                    let now_ns = clock::now_ns();
+                (Request::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
+                (Request::Message(from, message), Some(known)) => {
+                    let now_ns = system::now_ns();
                     if let Ok(outcome) = handshake.receive(now_ns, from, &message, known, &mut entropy) {
                         let has_keys = outcome.keys.is_some();
                         let to = (!outcome.to_peer).then_some(from);
                         // A full ring means that the loop does not run: nobody waits for keys.
-                        if answers.push(Told { to, outcome }).is_ok() && has_keys {
+                        if answers.push(Answer { to, outcome }).is_ok() && has_keys {
                             given += 1;
                             standing = None;
                         }
                     }
                 }
-                (Ask::Message(..), None) => {}
+                (Request::Message(..), None) => {}
             }
         }
         if let Some(standing) = &standing {
-            match handshake.poll(clock::now_ns(), standing, &mut entropy) {
+            match handshake.poll(system::now_ns(), standing, &mut entropy) {
                 Ok(Some(hello)) => {
                     let outcome = Outcome { reply: Some(hello), ..Outcome::default() };
-                    let _ = answers.push(Told { to: None, outcome });
+                    let _ = answers.push(Answer { to: None, outcome });
                 }
                 // Without randomness there are no keys; another try may find some.
                 Ok(None) | Err(HandshakeError::Entropy(_) | HandshakeError::Noise) => {}

@@ -1,280 +1,81 @@
-//! The live loop of one side.
+//! Who waits for the ticks of a live loop: a thread of its own, or a driver whose device paces it.
 
 use std::{
     io,
-    ops::{Deref, DerefMut},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
-        mpsc,
-    },
+    ops::ControlFlow,
+    sync::{Arc, atomic::Ordering, mpsc},
     thread::JoinHandle,
 };
 
 use super::{
     channel::{LiveChannel, Security},
-    clock,
+    handle::{LiveHandle, LiveWatch, LoopChannels, RecordReader, Shared, channels},
     handshakes::StartError,
-    memory,
-    outlets::RecordSinks,
-    realtime::{self, RealtimeReport, RealtimeSettings},
+    live_loop::{LiveLoop, LiveSettings, LoopReport},
     socket::PeerSocket,
-    turning::{LiveLoop, LoopChannels},
-    watch::LiveWatch,
+    system::{self, Kept, RealtimeReport},
 };
 use crate::{
-    ladder::{Diagnosis, FlightRecorder},
-    link::LinkStatistics,
-    pace::Wake,
-    path::PathReport,
-    recorder::{Recorder, RecordingReport},
-    ring::ring,
-    session::Rejections,
+    fault_text::{FaultText, PIECES},
+    ladder::FlightRecorder,
+    pace::{DevicePace, Wake},
+    recorder::Recorder,
     side::Side,
-    wire::Role,
+    wire::frame_length,
 };
 
-/// How a live loop goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LiveSettings {
-    /// Which side it is.
-    pub role: Role,
-    /// Period in ns.
-    pub period_ns: u64,
-    /// Ends this long after the two sides engaged, in ns.
-    pub duration_ns: Option<u64>,
-    /// Ends if the two sides have not engaged after this time, in ns.
-    pub patience_ns: Option<u64>,
-    /// When a person started this side, in ns of the system's monotonic clock; when it is made, where nobody says.
-    pub started_ns: Option<u64>,
-    /// Records that wait for a reader; further ones are counted and dropped.
-    pub ring: usize,
-    /// What to ask of the system.
-    pub realtime: RealtimeSettings,
-}
-
-/// How a live loop went.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LoopReport {
-    /// Ticks done.
-    pub ticks: u64,
-    /// Ticks left out because the loop woke too late.
-    pub skipped: u64,
-    /// Records that found the ring full.
-    pub dropped_records: u64,
-    /// Frames that the system refused to send.
-    pub unsent: u64,
-    /// Counts of the link.
-    pub link: LinkStatistics,
-    /// What the way did to the peer's frames, and what is known of its clock.
-    pub path: PathReport,
-    /// How often the ladder went to HOLD.
-    pub holds: u64,
-    /// Ticks at which a bound acted on the remote command.
-    pub limited: u64,
-    /// Whether frames were encrypted and authenticated.
-    pub secure: bool,
-    /// Datagrams that the session did not take, by cause; in `link`, too.
-    pub rejections: Rejections,
-    /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
-    pub engaged_ns: u64,
-    /// What the loop's thread got of the system.
-    pub realtime: RealtimeReport,
-    /// What became of the recording; none if there was none.
-    pub recording: Option<RecordingReport>,
-    /// Whether the loop was ended because no memory was left.
-    pub out_of_memory: bool,
-}
-
-/// Events that wait for a reader; further ones are dropped.
-const MAX_EVENTS: usize = 64;
-
-/// Why a press of the clutch did nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Ineffective {
-    /// Something else must be done before; the diagnosis says what.
-    NotYet = 1,
-    /// The loop was late: nobody knows when it was done.
-    Late,
-    /// The device has a button of its own.
-    HasButton,
-    /// The start, which is a press, was too long ago when the loop began.
-    OldStart,
-}
-
-impl Ineffective {
-    /// In words; none where the diagnosis has them.
-    pub fn text(self) -> Option<&'static str> {
-        match self {
-            Self::NotYet => None,
-            Self::Late => Some("the loop was late, and nobody knows when it was pressed: press it again"),
-            Self::HasButton => Some("this device has a button: press that"),
-            Self::OldStart => Some("the start was more than 5 s ago when the loop began: press the clutch"),
-        }
-    }
-
-    pub(super) fn from_code(code: u8) -> Option<Self> {
-        [Self::NotYet, Self::Late, Self::HasButton, Self::OldStart].into_iter().find(|why| *why as u8 == code)
-    }
-}
-
-/// What the loop and those who watch it both see.
-#[derive(Debug, Default)]
-pub(super) struct Shared {
-    pub(super) stop: AtomicBool,
-    pub(super) state: AtomicU8,
-    pub(super) ticks: AtomicU64,
-    /// The peer has answered a frame.
-    pub(super) answered: AtomicBool,
-    /// When the clutch, and the takeover, were asked for last, in ns; 0 where not since the loop looked.
-    pub(super) press_ns: AtomicU64,
-    pub(super) takeover_ns: AtomicU64,
-    /// Presses that did nothing, and why the last of them did not.
-    pub(super) ineffective_presses: AtomicU64,
-    pub(super) ineffective: AtomicU8,
-    /// The device has failed, and the loop ends by that.
-    pub(super) ends: AtomicBool,
-    /// No force, no motion, and the peer has been sent the end.
-    pub(super) at_rest: AtomicBool,
-}
-
-impl Shared {
-    /// Whether the loop must end: it was asked to, or the process has no memory left.
-    pub(super) fn must_end(&self) -> bool {
-        self.stop.load(Ordering::Relaxed) || memory::is_exhausted()
-    }
-
-    /// Why the two sides are not coupled, as the recorder of a side has it.
-    pub(super) fn diagnosis(&self, flight: &FlightRecorder) -> Option<Diagnosis> {
-        let ends = self.ends.load(Ordering::Relaxed);
-        flight.diagnosis().map(|diagnosis| Diagnosis { ends, ..*diagnosis })
-    }
-
-    /// A press did nothing.
-    pub(super) fn reject_press(&self, why: Ineffective) {
-        self.ineffective.store(why as u8, Ordering::Relaxed);
-        self.ineffective_presses.fetch_add(1, Ordering::Release);
-    }
-
-    /// As [`super::LiveWatch::press_clutch`].
-    pub(super) fn press_clutch(&self) {
-        self.press_ns.store(clock::now_ns().max(1), Ordering::Relaxed);
-    }
-
-    /// As [`super::LiveWatch::allow_takeover`].
-    pub(super) fn allow_takeover(&self) {
-        self.takeover_ns.store(clock::now_ns().max(1), Ordering::Relaxed);
-    }
-}
-
-/// States and commands as of a STOP or FAULT that wait for a reader.
-const MAX_FLIGHTS: usize = 2;
-/// Diagnoses that wait for a reader; the loop keeps the newest until there is room.
-const MAX_DIAGNOSES: usize = 16;
-/// Acts that may wait for the loop: it takes all of them at its next tick.
-const MAX_ACTS: usize = 16;
-
-/// What a loop is made of before its time begins, and the other ends of its rings.
-pub(super) type Assembled<R> = (LiveChannel, LoopChannels<R>, LiveWatch<R>);
-
-/// Makes the rings, and a session without keys yet.
-pub(super) fn assemble<S: Side>(
-    socket: &PeerSocket,
-    settings: &LiveSettings,
-    security: Security,
-    recorder: Option<Recorder<S::Record>>,
-) -> Result<Assembled<S::Record>, StartError> {
-    let (producer, records) = ring(settings.ring);
-    let (told, events) = rtrb::RingBuffer::new(MAX_EVENTS);
-    let (flown, flights) = ring(MAX_FLIGHTS);
-    let (diagnosed, diagnoses) = ring(MAX_DIAGNOSES);
-    let (acts, done) = rtrb::RingBuffer::new(MAX_ACTS);
-    let channel = LiveChannel::start::<S>(settings.role, settings.period_ns, security)?;
-    let watch = LiveWatch {
-        records,
-        events,
-        flights,
-        flight: None,
-        diagnoses,
-        diagnosis: None,
-        acts,
-        shared: Arc::default(),
-        address: socket.local_address()?,
-        recording: recorder.as_ref().map(Recorder::recording),
-    };
-    let ways = LoopChannels {
-        records: RecordSinks::new(producer, recorder),
-        events: told,
-        flights: flown,
-        diagnoses: diagnosed,
-        acts: done,
-        started_ns: Some(settings.started_ns.unwrap_or_else(clock::now_ns)),
-    };
-    Ok((channel, ways, watch))
-}
+/// How a loop went, and its last states and commands, for [`LiveWatch::ended`].
+pub type Ended = (LoopReport, Option<Box<FlightRecorder>>);
 
 /// A live loop on its own thread.
 #[derive(Debug)]
-pub struct LiveRun<R> {
-    thread: Option<JoinHandle<(LoopReport, Option<Box<FlightRecorder>>)>>,
-    watch: LiveWatch<R>,
+pub struct LiveRun {
+    thread: Option<JoinHandle<Ended>>,
+    handle: LiveHandle,
     realtime: RealtimeReport,
 }
 
 /// Starts the loop of one side on a thread of its own; `recorder` gets every record, too.
 ///
 /// Fails where real-time scheduling is required and not all of it was granted.
-pub fn run_live<S: Side + Send + 'static>(
+pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
     side: S,
     socket: PeerSocket,
     settings: LiveSettings,
     security: Security,
     recorder: Option<Recorder<S::Record>>,
-) -> Result<LiveRun<S::Record>, StartError> {
-    let (channel, ways, watch) = assemble::<S>(&socket, &settings, security, recorder)?;
-    let shared = Arc::clone(&watch.shared);
-    let (say, heard) = mpsc::sync_channel(1);
+) -> Result<(LiveRun, LiveWatch, RecordReader<S::Record>), StartError> {
+    let channel = LiveChannel::start(settings.role, frame_length(N), settings.period_ns, security)?;
+    let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
+    let (channels, watch, records, shared) =
+        channels(settings.ring, started_ns, socket.local_address()?, recorder);
+    let (to_starter, granted) = mpsc::sync_channel(1);
     let thread = std::thread::Builder::new().name("haptether-loop".into()).spawn(move || {
-        let (realtime, _kept) = realtime::prepare(settings.realtime);
-        let _ = say.send(realtime);
+        let (realtime, _kept) = system::prepare(settings.realtime);
+        let _ = to_starter.send(realtime);
         if realtime.check(settings.realtime.demand).is_err() {
-            let recording = ways.records.end();
+            let recording = channels.records.end();
             return (LoopReport { realtime, recording, ..LoopReport::default() }, None);
         }
-        let mut deadline_ns = clock::now_ns();
-        let mut turning = LiveLoop::begin(side, socket, channel, settings, ways, deadline_ns);
+        let mut deadline_ns = system::now_ns();
+        let mut live_loop = LiveLoop::begin(side, socket, channel, settings, channels, deadline_ns);
         while !shared.must_end() {
-            clock::sleep_until(deadline_ns);
-            let wake = Wake::new(deadline_ns, clock::now_ns(), settings.period_ns);
-            if turning.turn(wake, &shared).is_break() {
+            system::sleep_until(deadline_ns);
+            let wake = Wake::new(deadline_ns, system::now_ns(), settings.period_ns);
+            if live_loop.step(wake, &shared).is_break() {
                 break;
             }
             deadline_ns = wake.deadline_ns + settings.period_ns;
         }
-        let (report, flight) = turning.end(&shared);
+        let (report, flight) = live_loop.end(&shared);
         (LoopReport { realtime, ..report }, Some(flight))
     })?;
-    let realtime = heard.recv().map_err(io::Error::other)?;
+    let realtime = granted.recv().map_err(io::Error::other)?;
     realtime.check(settings.realtime.demand)?;
-    Ok(LiveRun { thread: Some(thread), watch, realtime })
+    Ok((LiveRun { thread: Some(thread), handle: watch.handle().clone(), realtime }, watch, records))
 }
 
-impl<R> Deref for LiveRun<R> {
-    type Target = LiveWatch<R>;
-
-    fn deref(&self) -> &LiveWatch<R> {
-        &self.watch
-    }
-}
-
-impl<R> DerefMut for LiveRun<R> {
-    fn deref_mut(&mut self) -> &mut LiveWatch<R> {
-        &mut self.watch
-    }
-}
-
-impl<R> LiveRun<R> {
+impl LiveRun {
     /// What the loop's thread got of the system.
     pub fn realtime(&self) -> RealtimeReport {
         self.realtime
@@ -285,17 +86,174 @@ impl<R> LiveRun<R> {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Ends the loop and gives its report; none if it was given before or the loop panicked.
-    pub fn join(&mut self) -> Option<LoopReport> {
-        self.watch.stop();
-        let (report, flight) = self.thread.take()?.join().ok()?;
-        self.watch.ended(flight);
-        Some(report)
+    /// Ends the loop and returns how it went; none if it was joined before or the loop panicked.
+    pub fn join(&mut self) -> Option<Ended> {
+        self.handle.stop();
+        self.thread.take()?.join().ok()
     }
 }
 
-impl<R> Drop for LiveRun<R> {
+impl Drop for LiveRun {
     fn drop(&mut self) {
         self.join();
+    }
+}
+
+/// Ticks after a device has failed in which the peer is sent that: frames get lost, and the driver's text comes in pieces.
+const FAILED_TICKS: u32 = 3 * PIECES as u32;
+
+/// How far the loop is.
+enum Stage<S: Side<N>, const N: usize> {
+    Ready(Box<(S, PeerSocket, LiveChannel, LoopChannels<S::Record>)>),
+    Running(Box<LiveLoop<S, N>>),
+    Over,
+}
+
+/// The loop of one side, a tick at a time: `begin`, then at every sample of the device `step`, at last `end`.
+///
+/// A driver that does not wait for its device calls `wait` after each tick. All of it on one thread.
+pub struct PacedLoop<S: Side<N>, const N: usize> {
+    stage: Stage<S, N>,
+    settings: LiveSettings,
+    shared: Arc<Shared>,
+    pace: DevicePace,
+    /// The last tick was waited for here, and not by the device.
+    waited: bool,
+    realtime: RealtimeReport,
+    kept: Option<Kept>,
+}
+
+/// A loop that is not begun, its watch and its records.
+pub type Paced<S, const N: usize> = (PacedLoop<S, N>, LiveWatch, RecordReader<<S as Side<N>>::Record>);
+
+/// Prepares the loop of one side; `recorder` gets every record, too.
+pub fn paced_by_device<S: Side<N>, const N: usize>(
+    side: S,
+    socket: PeerSocket,
+    settings: LiveSettings,
+    security: Security,
+    recorder: Option<Recorder<S::Record>>,
+) -> Result<Paced<S, N>, StartError> {
+    let channel = LiveChannel::start(settings.role, frame_length(N), settings.period_ns, security)?;
+    let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
+    let (channels, watch, records, shared) =
+        channels(settings.ring, started_ns, socket.local_address()?, recorder);
+    let paced = PacedLoop {
+        stage: Stage::Ready(Box::new((side, socket, channel, channels))),
+        settings,
+        shared,
+        pace: DevicePace::new(settings.period_ns),
+        waited: false,
+        realtime: RealtimeReport::default(),
+        kept: None,
+    };
+    Ok((paced, watch, records))
+}
+
+impl<S: Side<N>, const N: usize> PacedLoop<S, N> {
+    /// Time begins; asks the system for real time for this thread. Nothing if it has begun.
+    ///
+    /// Fails, and is over, where real-time scheduling is required and not all of it was granted.
+    pub fn begin(&mut self) -> Result<RealtimeReport, StartError> {
+        match std::mem::replace(&mut self.stage, Stage::Over) {
+            Stage::Ready(parts) => {
+                let (realtime, kept) = system::prepare(self.settings.realtime);
+                realtime.check(self.settings.realtime.demand)?;
+                (self.realtime, self.kept) = (realtime, Some(kept));
+                let (side, socket, channel, channels) = *parts;
+                let now_ns = system::now_ns();
+                self.pace.begin(now_ns);
+                let live_loop = LiveLoop::begin(side, socket, channel, self.settings, channels, now_ns);
+                self.stage = Stage::Running(Box::new(live_loop));
+            }
+            stage => self.stage = stage,
+        }
+        Ok(self.realtime)
+    }
+
+    /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
+    pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
+        let Stage::Running(live_loop) = &mut self.stage else { return None };
+        if self.shared.must_end() {
+            self.shared.stop.store(true, Ordering::Relaxed);
+            return None;
+        }
+        let wake = if std::mem::take(&mut self.waited) {
+            self.pace.waited(system::now_ns())
+        } else {
+            if system::now_ns() < self.pace.earliest_ns() {
+                system::sleep_until(self.pace.earliest_ns());
+            }
+            self.pace.sampled(system::now_ns())
+        };
+        before(live_loop.side());
+        match live_loop.step(wake, &self.shared) {
+            ControlFlow::Continue(()) => Some(after(live_loop.side())),
+            ControlFlow::Break(()) => {
+                self.shared.stop.store(true, Ordering::Relaxed);
+                None
+            }
+        }
+    }
+
+    /// Sleeps until the next tick is due.
+    pub fn wait(&mut self) {
+        system::sleep_until(self.pace.next_ns());
+        self.waited = true;
+    }
+
+    /// The device is gone: zero force and no motion, and the peer is sent that, in the driver's words where there are any.
+    pub fn fail(&mut self, text: &FaultText) {
+        let Stage::Running(live_loop) = &mut self.stage else { return };
+        self.shared.ends.store(true, Ordering::Relaxed);
+        for _ in 0..FAILED_TICKS {
+            // Anew at each: nobody can mend what is gone.
+            live_loop.side().exchange_mut().device_failed(Some(text));
+            // Now, and not when the next sample would have been due: what is reported must not come from the future.
+            let wake = self.pace.sampled(system::now_ns());
+            let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
+            if live_loop.step(wake, &self.shared).is_break() {
+                break;
+            }
+            system::sleep_until(self.pace.next_ns());
+        }
+        self.shared.stop.store(true, Ordering::Relaxed);
+        live_loop.announce_end(&self.shared);
+    }
+
+    /// The device is at rest: announces the end of this side to the peer, before whoever waits for the report does.
+    pub fn announce_end(&mut self) {
+        if let Stage::Running(live_loop) = &mut self.stage {
+            self.shared.stop.store(true, Ordering::Relaxed);
+            live_loop.announce_end(&self.shared);
+        }
+    }
+
+    /// Ends the loop and returns how it went; none if it was ended before.
+    pub fn end(&mut self) -> Option<Ended> {
+        self.shared.stop.store(true, Ordering::Relaxed);
+        let realtime = self.realtime;
+        match std::mem::replace(&mut self.stage, Stage::Over) {
+            Stage::Running(live_loop) => {
+                let (report, flight) = live_loop.end(&self.shared);
+                // Locked memory is the process's: it is given back with the run, not with the last who holds the loop.
+                self.kept = None;
+                Some((LoopReport { realtime, ..report }, Some(flight)))
+            }
+            Stage::Ready(parts) => {
+                let recording = parts.3.records.end();
+                Some((
+                    LoopReport { recording, realtime, engaged_ns: u64::MAX, ..LoopReport::default() },
+                    None,
+                ))
+            }
+            Stage::Over => None,
+        }
+    }
+}
+
+impl<S: Side<N>, const N: usize> Drop for PacedLoop<S, N> {
+    fn drop(&mut self) {
+        self.end();
     }
 }

@@ -1,14 +1,12 @@
-//! A UDP socket that talks to one peer and never blocks.
+//! A UDP socket that talks to one peer and never blocks, and where answers go: to the peer, wherever it moves, and not to
+//! who copies its frames.
 
 use std::{
     io,
     net::{SocketAddr, UdpSocket},
 };
 
-use super::{
-    clock,
-    route::{Heard, Route},
-};
+use super::system;
 use crate::session::MAX_DATAGRAM;
 
 /// Datagrams between two looks at the clock.
@@ -51,7 +49,7 @@ impl PeerSocket {
         self.socket.local_addr()
     }
 
-    /// Gives each datagram that waits to `take`, which says what it was, until the clock shows `until_ns`.
+    /// Hands each datagram that waits to `take`, which returns what it was, until the clock shows `until_ns`.
     ///
     /// A datagram from elsewhere than a known peer is not looked at. At least [`ROUND`] are taken: a loop that woke late
     /// must hear its peer, too.
@@ -59,19 +57,19 @@ impl PeerSocket {
         &mut self,
         now_ns: u64,
         until_ns: u64,
-        mut take: impl FnMut(SocketAddr, &mut [u8]) -> Heard,
+        mut take: impl FnMut(SocketAddr, &mut [u8]) -> Received,
     ) {
         // One byte more than the longest datagram, so that a longer one is seen to be too long.
         let mut buffer = [0; MAX_DATAGRAM + 1];
         for taken in 0..MAX_DATAGRAMS {
-            if taken > 0 && taken % ROUND == 0 && clock::now_ns() >= until_ns {
+            if taken > 0 && taken % ROUND == 0 && system::now_ns() >= until_ns {
                 return;
             }
             match self.socket.recv_from(&mut buffer) {
                 Ok((length, from)) => {
                     if self.route.admits(from) {
-                        let heard = take(from, &mut buffer[..length]);
-                        self.route.heard(now_ns, from, heard);
+                        let received = take(from, &mut buffer[..length]);
+                        self.route.take(now_ns, from, received);
                     }
                 }
                 // Nobody listens there (yet): a later frame may find somebody.
@@ -86,7 +84,7 @@ impl PeerSocket {
     pub fn discard(&mut self, until_ns: u64) {
         let mut buffer = [0; 1];
         for thrown in 1..=MAX_DATAGRAMS {
-            if thrown % ROUND == 0 && clock::now_ns() >= until_ns {
+            if thrown % ROUND == 0 && system::now_ns() >= until_ns {
                 return;
             }
             if let Err(error) = self.socket.recv_from(&mut buffer)
@@ -103,5 +101,288 @@ impl PeerSocket {
         for to in to.into_iter().flatten() {
             self.unsent += u64::from(self.socket.send_to(datagram, to).is_err());
         }
+    }
+}
+
+/// Silence in ns after which a peer may be elsewhere: that after which the ladder holds.
+const MOVES_AFTER_NS: u64 = 20_000_000;
+/// Answers that wait to be sent to the second address at most.
+const MAX_OWED: u32 = 4;
+
+/// What a datagram says of where the peer is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Received {
+    /// A frame newer than all before.
+    Fresh {
+        /// Whether the peer says in it that it hears this side: answers reach it.
+        is_answered: bool,
+    },
+    /// A frame of the peer that was there before, or is late.
+    Repeat,
+    /// Nothing.
+    Nothing,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Place {
+    address: SocketAddr,
+    heard_ns: u64,
+}
+
+impl Place {
+    fn is_silent(&self, now_ns: u64) -> bool {
+        now_ns.saturating_sub(self.heard_ns) > MOVES_AFTER_NS
+    }
+}
+
+/// The address of a peer.
+///
+/// Of a frame and its copy the first to arrive is news, from wherever it came. So a frame that was there before is a sign of
+/// life, too, and a peer is followed elsewhere only after 20 ms without any at its address. Who copies frames, and is
+/// faster, does not draw the answers away.
+///
+/// Where a copy was there first, at the start of a session or after a move, the peer says that it hears nothing; then a
+/// second address is answered as well, one datagram for each that comes from there.
+#[derive(Clone, Debug)]
+struct Route {
+    learns: bool,
+    peer: Option<Place>,
+    second: Option<Place>,
+    owed: u32,
+    /// Of the newest frame.
+    is_answered: bool,
+}
+
+impl Route {
+    /// To one address, from the start and for good.
+    fn known(address: SocketAddr) -> Self {
+        Self { learns: false, peer: Some(Place { address, heard_ns: 0 }), ..Self::learned() }
+    }
+
+    /// To where frames come from.
+    fn learned() -> Self {
+        Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
+    }
+
+    /// Whether a datagram from there is looked at.
+    fn admits(&self, from: SocketAddr) -> bool {
+        self.learns || self.peer.is_some_and(|peer| peer.address == from)
+    }
+
+    /// Learns of a datagram that came from `from` at `now_ns`.
+    fn take(&mut self, now_ns: u64, from: SocketAddr, received: Received) {
+        if received == Received::Nothing || !self.learns {
+            return;
+        }
+        if let Received::Fresh { is_answered } = received {
+            self.is_answered = is_answered;
+        }
+        let here = Place { address: from, heard_ns: now_ns };
+        let is_at = |place: &Option<Place>| place.is_some_and(|place| place.address == from);
+        let is_free = |place: &Option<Place>| place.is_none_or(|place| place.is_silent(now_ns));
+        if is_at(&self.peer) {
+            self.peer = Some(here);
+        } else if matches!(received, Received::Fresh { .. }) && is_free(&self.peer) {
+            self.second = self.peer.replace(here);
+            self.owed = 0;
+        } else if is_at(&self.second) || (!self.is_answered && is_free(&self.second)) {
+            self.second = Some(here);
+            self.owed = (self.owed + 1).min(MAX_OWED);
+        }
+    }
+
+    /// Where the next datagram to the peer goes.
+    fn next(&mut self) -> [Option<SocketAddr>; 2] {
+        let second = self.second.filter(|_| self.owed > 0);
+        self.owed = self.owed.saturating_sub(1);
+        [self.peer, second].map(|place| place.map(|place| place.address))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+    const DELAY_NS: u64 = 60 * MS;
+
+    /// Who sends a master's frames on to the slave, and until when.
+    struct Sender {
+        address: SocketAddr,
+        faster_ns: u64,
+        sends: fn(u64) -> bool,
+    }
+
+    fn at(port: u16) -> SocketAddr {
+        SocketAddr::from(([10, 0, 0, 1], port))
+    }
+
+    /// Longest time in ns in which the master had no answer, from `from_ns` to the end, over `ticks` of 1 ms; and how many
+    /// answers each address got. The master is at the address `lives(tick)`.
+    fn silence(
+        ticks: u64,
+        from_ns: u64,
+        senders: &[Sender],
+        lives: fn(u64) -> SocketAddr,
+    ) -> (u64, BTreeMap<SocketAddr, u64>) {
+        let mut route = Route::learned();
+        let mut arrivals: Vec<(u64, SocketAddr, u64)> = Vec::new();
+        for tick in 0..ticks {
+            for sender in senders.iter().filter(|sender| (sender.sends)(tick)) {
+                arrivals.push((tick * MS + DELAY_NS - sender.faster_ns, sender.address, tick));
+            }
+        }
+        arrivals.sort_unstable();
+        let (mut seen, mut newest, mut answers) = (BTreeSet::new(), None, BTreeMap::new());
+        // What the master heard last, by its own time of sending each frame.
+        let mut answered_ns = vec![0; usize::try_from(ticks).unwrap()];
+        let (mut last_ns, mut longest_ns, mut next) = (0, 0, 0);
+        for now_ms in 0..ticks {
+            let now_ns = now_ms * MS;
+            while arrivals.get(next).is_some_and(|arrival| arrival.0 <= now_ns) {
+                let (_, from, sequence) = arrivals[next];
+                let is_answered = sequence * MS < answered_ns[usize::try_from(sequence).unwrap()] + 20 * MS
+                    && answered_ns[usize::try_from(sequence).unwrap()] > 0;
+                let is_news = seen.insert(sequence) && newest.is_none_or(|newest| sequence > newest);
+                newest = newest.max(Some(sequence));
+                let received = if is_news { Received::Fresh { is_answered } } else { Received::Repeat };
+                route.take(now_ns, from, received);
+                next += 1;
+            }
+            for to in route.next().into_iter().flatten() {
+                *answers.entry(to).or_default() += 1;
+                if to == lives(now_ms) {
+                    last_ns = now_ns;
+                    // It arrives one way later.
+                    if let Some(slot) = answered_ns.get_mut(usize::try_from(now_ms + 60).unwrap()) {
+                        *slot = now_ns + DELAY_NS;
+                    }
+                }
+            }
+            let here = usize::try_from(now_ms).unwrap();
+            if here > 0 && answered_ns[here] == 0 {
+                answered_ns[here] = answered_ns[here - 1];
+            }
+            if now_ns >= from_ns {
+                longest_ns = longest_ns.max(now_ns - last_ns);
+            }
+        }
+        (longest_ns, answers)
+    }
+
+    /// From 1 to 50 ms faster, all frames or some, from the middle of a session.
+    #[test]
+    fn a_faster_copy_of_a_living_peer_gets_no_answer() {
+        for faster_ms in [1, 2, 4, 10, 25, 50] {
+            for sends in [
+                (|tick| tick > 500) as fn(u64) -> bool,
+                |tick| tick > 500 && tick % 2 == 0,
+                |tick| tick > 500 && tick % 7 < 3,
+                |tick| tick > 500 && tick / 100 % 2 == 0,
+            ] {
+                let senders = [
+                    Sender { address: at(1), faster_ns: 0, sends: |_| true },
+                    Sender { address: at(2), faster_ns: faster_ms * MS, sends },
+                ];
+                let (longest_ns, answers) = silence(3000, 200 * MS, &senders, |_| at(1));
+                assert_eq!(longest_ns, 0, "{faster_ms} ms");
+                assert_eq!(answers.get(&at(2)), None, "{faster_ms} ms");
+            }
+        }
+    }
+
+    /// The slave knows the copier's address before it knows the peer's.
+    #[test]
+    fn a_copy_from_the_first_frame_on_leaves_the_peer_its_answers() {
+        for faster_ms in [1, 4, 50] {
+            let senders = [
+                Sender { address: at(1), faster_ns: 0, sends: |_| true },
+                Sender { address: at(2), faster_ns: faster_ms * MS, sends: |_| true },
+            ];
+            let (longest_ns, _) = silence(3000, 400 * MS, &senders, |_| at(1));
+            assert!(longest_ns <= 20 * MS, "{faster_ms} ms: {longest_ns}");
+        }
+    }
+
+    /// The peer's own frames stall, the copies do not: the slave moves to the copier and serves the peer all the same.
+    #[test]
+    fn a_stall_of_the_peer_does_not_lose_it_to_a_copier() {
+        let senders = [
+            Sender { address: at(1), faster_ns: 0, sends: |tick| !(1000..1060).contains(&tick) },
+            Sender { address: at(2), faster_ns: 4 * MS, sends: |tick| tick > 500 },
+        ];
+        let (longest_ns, _) = silence(4000, 1300 * MS, &senders, |_| at(1));
+        assert!(longest_ns <= 20 * MS, "{longest_ns}");
+    }
+
+    /// The copier lets through none of the originals: what it sends is all there is, and it is answered.
+    #[test]
+    fn a_relay_that_takes_the_peers_place_is_followed() {
+        let senders = [
+            Sender { address: at(1), faster_ns: 0, sends: |tick| tick < 1000 },
+            Sender { address: at(2), faster_ns: 4 * MS, sends: |tick| tick > 500 },
+        ];
+        let (longest_ns, _) =
+            silence(3000, 200 * MS, &senders, |tick| if tick < 1060 { at(1) } else { at(2) });
+        assert!(longest_ns <= 25 * MS, "{longest_ns}");
+    }
+
+    /// A translator of addresses gives the peer another one.
+    #[test]
+    fn a_peer_that_moves_is_followed_within_21_ms() {
+        let senders = [
+            Sender { address: at(1), faster_ns: 0, sends: |tick| tick < 1000 },
+            Sender { address: at(3), faster_ns: 0, sends: |tick| tick >= 1000 },
+        ];
+        let (longest_ns, answers) =
+            silence(3000, 200 * MS, &senders, |tick| if tick < 1060 { at(1) } else { at(3) });
+        assert!(longest_ns <= 21 * MS, "{longest_ns}");
+        assert!(answers[&at(3)] > 1900);
+    }
+
+    /// It moves while somebody copies its frames and is faster.
+    #[test]
+    fn a_peer_that_moves_beside_a_copier_is_found() {
+        let senders = [
+            Sender { address: at(1), faster_ns: 0, sends: |tick| tick < 1000 },
+            Sender { address: at(2), faster_ns: 4 * MS, sends: |tick| tick > 500 },
+            Sender { address: at(3), faster_ns: 0, sends: |tick| tick >= 1000 },
+        ];
+        let (longest_ns, _) =
+            silence(4000, 1400 * MS, &senders, |tick| if tick < 1060 { at(1) } else { at(3) });
+        assert!(longest_ns <= 20 * MS, "{longest_ns}");
+    }
+
+    #[test]
+    fn a_known_peer_is_never_left() {
+        let mut route = Route::known(at(1));
+        assert!(route.admits(at(1)) && !route.admits(at(2)));
+        route.take(100 * MS, at(1), Received::Fresh { is_answered: false });
+        assert_eq!(route.next(), [Some(at(1)), None]);
+    }
+
+    /// Who copies a few frames does not have a stream sent elsewhere.
+    #[test]
+    fn a_second_address_gets_no_more_than_came_from_there() {
+        let mut route = Route::learned();
+        route.take(0, at(1), Received::Fresh { is_answered: false });
+        let mut to_second = 0;
+        for tick in 0..1000 {
+            route.take(tick * MS, at(1), Received::Fresh { is_answered: false });
+            if tick % 10 == 0 {
+                route.take(tick * MS, at(2), Received::Repeat);
+            }
+            to_second += u64::from(route.next()[1].is_some());
+        }
+        assert_eq!(to_second, 100);
+    }
+
+    #[test]
+    fn what_is_not_good_teaches_nothing() {
+        let mut route = Route::learned();
+        route.take(0, at(1), Received::Nothing);
+        assert_eq!(route.next(), [None, None]);
     }
 }

@@ -160,7 +160,10 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         let coarse = slave.side.plant.coarse_steps();
         watched.overflowed = counts.overflowed;
         let [at_master, at_slave] = counts.rejections;
-        let links = [master.counts().link.with(&at_master), slave.counts().link.with(&at_slave)];
+        let links = [
+            master.exchange().counts().link.with(&at_master),
+            slave.exchange().counts().link.with(&at_slave),
+        ];
         Ok(watched.finish(scene, coarse, links))
     }
 }

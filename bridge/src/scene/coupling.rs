@@ -85,7 +85,7 @@ impl<const N: usize> Present<N> {
                 OperatorCommand::Frame { quat_wxyz, locked } => {
                     self.map = FrameMap::turned(*quat_wxyz, locked)?
                 }
-                OperatorCommand::Acknowledge => {}
+                _ => {}
             }
             self.done += 1;
         }

@@ -3,9 +3,9 @@
 use std::{cell::RefCell, rc::Rc};
 
 use haptether_bridge::{
-    FlightRecorder, LadderState, MasterPlant, MasterRecord, MasterSide, OperatorCommand, RejectReason, Side,
-    SideCounts, SlavePlant, SlaveRecord, SlaveSide, TickTime,
-    coupling::CommandBounds,
+    Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, OperatorCommand, RejectReason,
+    Side, SlavePlant, SlaveRecord, SlaveSide, TickTime,
+    coupling::{CommandBounds, CouplingError},
     wire::{Frame, MAX_FRAME, Role},
 };
 use haptether_safety::{Acted, Axes, LimiterSettings};
@@ -249,7 +249,7 @@ impl<P: SlavePlant<N>, const N: usize> Far<P, N> {
 
     /// What is commanded: nothing moves but while coupled, and then no faster and no further than it may.
     fn command(&mut self, time: TickTime, state: LadderState, stops: bool) {
-        let command = self.side.endpoint.command();
+        let command = self.side.endpoint.last_command();
         let before = std::mem::replace(&mut self.command, command);
         let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
         let CommandBounds { speed, reach } = self.bounds;
@@ -280,75 +280,62 @@ impl<P: SlavePlant<N>, const N: usize> Far<P, N> {
     }
 }
 
-impl<P: MasterPlant<N>, const N: usize> Side for Near<P, N> {
+impl<P: MasterPlant<N>, const N: usize> Side<N> for Near<P, N> {
     type Record = MasterRecord<N>;
-    const FRAME_LENGTH: usize = Frame::<N>::LENGTH;
 
     fn begin(&mut self, now_ns: u64) {
         self.side.begin(now_ns);
     }
 
-    fn late(&mut self, late_ns: u64) {
-        self.side.late(late_ns);
-    }
-
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
-        let taken = self.side.receive(now_ns, datagram);
-        self.watch.accepted::<N>(now_ns, datagram, taken.is_ok());
+    fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
+        let taken = self.side.receive(time, datagram);
+        self.watch.accepted::<N>(time.tick_ns, datagram, taken.is_ok());
         taken
     }
 
     fn tick(&mut self, time: TickTime) -> MasterRecord<N> {
         act(&mut self.side, &mut self.watch, time);
         let record = self.side.tick(time);
-        let (gain, holds) = (self.side.endpoint.exchange().gain(), self.side.counts().holds);
+        let ladder = self.side.exchange().ladder();
+        let (gain, holds) = (ladder.gain(), ladder.holds());
         self.watch.ladder(time, record.state, gain, holds, record.clutch);
         self.force(time, &record);
         record
     }
 
-    fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        let frame = self.side.send(now_ns, buffer);
+    fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        let frame = self.side.send(time, buffer);
         self.watch.send(frame);
         frame
-    }
-
-    fn stalled(&mut self, now_ns: u64) {
-        self.side.stalled(now_ns);
     }
 
     fn rest(&mut self) {
         self.side.rest();
     }
 
-    fn state(&self) -> LadderState {
-        self.side.state()
+    fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
+        self.side.command(now_ns, command)
     }
 
-    fn counts(&self) -> SideCounts {
-        self.side.counts()
+    fn exchange(&self) -> &Exchange<N> {
+        self.side.exchange()
     }
 
-    fn flight(&self) -> &FlightRecorder {
-        self.side.flight()
+    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+        self.side.exchange_mut()
     }
 }
 
-impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
+impl<P: SlavePlant<N>, const N: usize> Side<N> for Far<P, N> {
     type Record = SlaveRecord<N>;
-    const FRAME_LENGTH: usize = Frame::<N>::LENGTH;
 
     fn begin(&mut self, now_ns: u64) {
         self.side.begin(now_ns);
     }
 
-    fn late(&mut self, late_ns: u64) {
-        self.side.late(late_ns);
-    }
-
-    fn receive(&mut self, now_ns: u64, datagram: &[u8]) -> Result<(), RejectReason> {
-        let taken = self.side.receive(now_ns, datagram);
-        self.watch.accepted::<N>(now_ns, datagram, taken.is_ok());
+    fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
+        let taken = self.side.receive(time, datagram);
+        self.watch.accepted::<N>(time.tick_ns, datagram, taken.is_ok());
         taken
     }
 
@@ -356,7 +343,8 @@ impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
         act(&mut self.side, &mut self.watch, time);
         let stops = self.side.plant.stops;
         let record = self.side.tick(time);
-        let (gain, holds) = (self.side.endpoint.exchange().gain(), self.side.counts().holds);
+        let ladder = self.side.exchange().ladder();
+        let (gain, holds) = (ladder.gain(), ladder.holds());
         let before = self.watch.ladder(time, record.state, gain, holds, record.clutch);
         self.home.get_or_insert(record.position);
         let stopped = self.side.plant.stops - stops;
@@ -369,38 +357,34 @@ impl<P: SlavePlant<N>, const N: usize> Side for Far<P, N> {
         record
     }
 
-    fn send<'a>(&mut self, now_ns: u64, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
-        let frame = self.side.send(now_ns, buffer);
+    fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        let frame = self.side.send(time, buffer);
         self.watch.send(frame);
         frame
-    }
-
-    fn stalled(&mut self, now_ns: u64) {
-        self.side.stalled(now_ns);
     }
 
     fn rest(&mut self) {
         self.side.rest();
     }
 
-    fn state(&self) -> LadderState {
-        self.side.state()
+    fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
+        self.side.command(now_ns, command)
     }
 
-    fn counts(&self) -> SideCounts {
-        self.side.counts()
+    fn exchange(&self) -> &Exchange<N> {
+        self.side.exchange()
     }
 
-    fn flight(&self) -> &FlightRecorder {
-        self.side.flight()
+    fn exchange_mut(&mut self) -> &mut Exchange<N> {
+        self.side.exchange_mut()
     }
 }
 
 /// Does at a side what people do there by the time of a tick.
-fn act(side: &mut impl Side, watch: &mut Watch, time: TickTime) {
+fn act<const N: usize>(side: &mut impl Side<N>, watch: &mut Watch, time: TickTime) {
     let due = watch.acts.iter().take_while(|(at_ns, _)| *at_ns <= time.now_ns).count();
     for (_, act) in watch.acts.drain(..due) {
-        let done = side.act(time.clock_ns, act);
+        let done = side.command(time.clock_ns, act);
         if done.is_err() {
             watch.wrong.get_or_insert_with(|| format!("{act:?}: {done:?}"));
         }

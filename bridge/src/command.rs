@@ -1,14 +1,22 @@
-//! What a person does at one side while it runs.
+//! What an operator commands at one side while it runs.
 
 use crate::{
     coupling::{CouplingError, FrameMap, PositionForce},
     wire::MAX_AXES,
 };
 
-/// Something done at one side while it runs. Nothing of it comes from the network.
+/// A command of the operator at one side. None comes from the network, and what the other side has is passed over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OperatorCommand {
-    /// Says that this side's fault is mended. Nothing couples by it: the clutch must then be released and pressed.
+    /// The start of the run, which is a press of the clutch unless it is more than 5 s ago.
+    Start,
+    /// Releases the clutch for a moment and presses it again; nothing where the device has a button.
+    Press,
+    /// Releases the clutch, and a closed button counts as open until it was seen open.
+    Release,
+    /// Lets another master begin, if the one before has been silent for 2 s: at the slave's session.
+    Takeover,
+    /// This side's fault is mended. Nothing couples by it: the clutch must then be released and pressed.
     Acknowledge,
     /// Changes `lambda_p`, at the slave; the arm goes on from where it is.
     PositionScale(f64),
@@ -27,7 +35,7 @@ impl OperatorCommand {
     /// Refuses numbers that an endpoint of N axes cannot have.
     pub fn check<const N: usize>(&self) -> Result<(), CouplingError> {
         match self {
-            Self::Acknowledge => Ok(()),
+            Self::Start | Self::Press | Self::Release | Self::Takeover | Self::Acknowledge => Ok(()),
             Self::PositionScale(scale) => PositionForce::<N>::new(*scale, 1.0).map(|_| ()),
             Self::ForceScale(scale) => PositionForce::<N>::new(1.0, *scale).map(|_| ()),
             Self::Frame { quat_wxyz, locked } => FrameMap::<N>::turned(*quat_wxyz, locked).map(|_| ()),

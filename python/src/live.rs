@@ -1,14 +1,18 @@
-//! What the live classes share: where a side is, and what is seen of its loop.
+//! What the live classes share: their settings, and what is seen of a loop and commanded to it.
 
-use std::{mem::MaybeUninit, ops::DerefMut};
+use std::{
+    mem::MaybeUninit,
+    path::PathBuf,
+    sync::{Mutex, MutexGuard, PoisonError},
+};
 
 use haptether_bridge::{
-    FlightRecorder, OperatorCommand,
+    OperatorCommand,
     live::{
-        Ineffective, LiveHandle, LiveRun, LiveSettings, LiveWatch, LoopReport, PeerAddress, PeerSocket,
-        Security, SecurityEvent, StartError, now_ns,
+        LiveHandle, LiveSettings, LiveWatch, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
+        RecordReader, Security, StartError, now_ns,
     },
-    recorder::{Recorded, Recorder, RecorderSettings, RecordingReport},
+    recorder::{Recorded, Recorder, RecorderSettings, SecurityMark},
     session::{KeyError, PreSharedKey},
     wire::Role,
 };
@@ -112,7 +116,7 @@ impl Place {
         Ok(Self { socket, settings, security, kept, record })
     }
 
-    /// The recorder, if one is asked for: after the socket, so that a run that cannot be replaces no file.
+    /// The recorder, if there is to be one: after the socket, so that a run that cannot be replaces no file.
     pub(crate) fn recorder<R: Recorded>(&self) -> PyResult<Option<Recorder<R>>> {
         let begin = |to: &RecorderSettings| {
             Recorder::begin(to)
@@ -152,7 +156,7 @@ pub(crate) struct How {
     pub(crate) patience_s: Option<f64>,
     pub(crate) started_s: Option<f64>,
     pub(crate) keep_s: f64,
-    pub(crate) realtime: haptether_bridge::live::RealtimeSettings,
+    pub(crate) realtime: RealtimeSettings,
     pub(crate) record: Option<RecorderSettings>,
 }
 
@@ -196,215 +200,181 @@ impl<R> Newest<R> {
     }
 }
 
-/// A loop, or its watch, and its newest records.
-pub(crate) struct Live<R, T> {
-    pub(crate) run: T,
+/// The reader of a loop's records, and the newest of them.
+struct Kept<R> {
+    reader: RecordReader<R>,
     newest: Newest<R>,
 }
 
-impl<R, T> Live<R, T> {
-    pub(crate) fn new(run: T, newest: Newest<R>) -> Self {
-        Self { run, newest }
-    }
-}
-
-/// What is seen of a loop of any number of axes, and done to it.
-pub(crate) trait Watching<Rows>: Send {
+/// The same for any number of axes.
+trait KeptRows<Rows>: Send {
+    /// Takes the records that wait; returns how many are kept.
     fn poll(&mut self) -> usize;
-    fn handle(&self) -> LiveHandle;
-    fn address(&self) -> String;
-    fn state(&self) -> &'static str;
-    fn ticks(&self) -> u64;
-    fn is_answered(&self) -> bool;
-    fn recording(&self) -> Option<RecordingReport>;
-    fn stop(&self);
-    fn events(&mut self) -> Vec<String>;
-    fn flight(&mut self) -> Option<String>;
-    fn cause(&mut self) -> Option<String>;
-    fn act(&mut self, act: OperatorCommand) -> PyResult<()>;
-    fn press_clutch(&self);
-    fn ineffective_presses(&self) -> (u64, Option<&'static str>);
-    fn allow_takeover(&self);
     fn rows(&mut self) -> Rows;
-    fn is_stopped(&self) -> bool;
-    fn ended(&mut self, flight: Option<Box<FlightRecorder>>);
 }
 
-impl<R: Rowed, T: DerefMut<Target = LiveWatch<R>> + Send> Watching<R::Rows> for Live<R, T> {
+impl<R: Rowed> KeptRows<R::Rows> for Kept<R> {
     fn poll(&mut self) -> usize {
-        let Self { run, newest } = self;
-        run.drain(|record| newest.push(record));
+        let Self { reader, newest } = self;
+        reader.drain(|record| newest.push(record));
         newest.records.len()
-    }
-
-    fn handle(&self) -> LiveHandle {
-        self.run.handle()
-    }
-
-    fn address(&self) -> String {
-        self.run.address().to_string()
-    }
-
-    fn state(&self) -> &'static str {
-        self.run.state().name()
-    }
-
-    fn ticks(&self) -> u64 {
-        self.run.ticks()
-    }
-
-    fn is_answered(&self) -> bool {
-        self.run.is_answered()
-    }
-
-    fn recording(&self) -> Option<RecordingReport> {
-        self.run.recording()
-    }
-
-    fn stop(&self) {
-        self.run.stop();
-    }
-
-    fn events(&mut self) -> Vec<String> {
-        let mut events = Vec::new();
-        self.run.drain_events(|event: SecurityEvent| events.push(event.to_string()));
-        events
-    }
-
-    fn flight(&mut self) -> Option<String> {
-        self.run.flight()
-    }
-
-    fn cause(&mut self) -> Option<String> {
-        self.run.diagnosis().map(|diagnosis| diagnosis.explain().to_json())
-    }
-
-    fn act(&mut self, act: OperatorCommand) -> PyResult<()> {
-        act.check::<1>().map_err(refuse)?;
-        let full =
-            |_| PyRuntimeError::new_err("the loop has not done what it was told before: is it running?");
-        self.run.act(act).map_err(full)
-    }
-
-    fn press_clutch(&self) {
-        self.run.press_clutch();
-    }
-
-    fn ineffective_presses(&self) -> (u64, Option<&'static str>) {
-        let (count, why) = self.run.ineffective_presses();
-        (count, why.and_then(Ineffective::text))
-    }
-
-    fn allow_takeover(&self) {
-        self.run.allow_takeover();
     }
 
     fn rows(&mut self) -> R::Rows {
         self.poll();
         R::rows(self.newest.take())
     }
+}
 
-    fn is_stopped(&self) -> bool {
-        self.run.is_stopped()
+/// What is seen of a loop and commanded to it. Its mutexes are never contended: they only let it move between threads.
+pub(crate) struct Watched<Rows> {
+    pub(crate) handle: LiveHandle,
+    watch: Mutex<LiveWatch>,
+    records: Mutex<Box<dyn KeptRows<Rows>>>,
+}
+
+impl<Rows> Watched<Rows> {
+    pub(crate) fn new<R: Rowed<Rows = Rows>>(
+        watch: LiveWatch,
+        reader: RecordReader<R>,
+        newest: Newest<R>,
+    ) -> Self {
+        let handle = watch.handle().clone();
+        Self { handle, watch: Mutex::new(watch), records: Mutex::new(Box::new(Kept { reader, newest })) }
     }
 
-    fn ended(&mut self, flight: Option<Box<FlightRecorder>>) {
-        self.run.ended(flight);
+    pub(crate) fn watch(&self) -> MutexGuard<'_, LiveWatch> {
+        locked(&self.watch)
+    }
+
+    pub(crate) fn poll(&self) -> usize {
+        locked(&self.records).poll()
+    }
+
+    pub(crate) fn rows(&self) -> Rows {
+        locked(&self.records).rows()
+    }
+
+    pub(crate) fn command(&self, command: OperatorCommand) -> PyResult<()> {
+        command.check::<1>().map_err(refuse)?;
+        let full =
+            |_| PyRuntimeError::new_err("the loop has not done what it was told before: is it running?");
+        self.watch().command(command).map_err(full)
     }
 }
 
-/// A loop on a thread of its own.
-pub(crate) trait Running<Rows>: Watching<Rows> {
-    fn is_finished(&self) -> bool;
-    fn realtime(&self) -> String;
-    fn join(&mut self) -> Option<LoopReport>;
+pub(crate) fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
+    of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl<R: Rowed> Running<R::Rows> for Live<R, LiveRun<R>> {
-    fn is_finished(&self) -> bool {
-        self.run.is_finished()
-    }
-
-    fn realtime(&self) -> String {
-        self.run.realtime().to_string()
-    }
-
-    fn join(&mut self) -> Option<LoopReport> {
-        self.run.join()
-    }
-}
-
-/// What the classes that watch a loop share; `$watch` is a method that gives it.
+/// What the classes that watch a loop share, as their field `watched`; `finished` says whether it has ended.
 macro_rules! watch_methods {
     ($class:ident) => {
+        impl $class {
+            fn command(&self, command: OperatorCommand) -> PyResult<()> {
+                if self.finished() {
+                    return Err(PyRuntimeError::new_err("the loop has ended"));
+                }
+                self.watched.command(command)
+            }
+        }
+
         #[pymethods]
         impl $class {
             fn poll(&self, py: Python<'_>) -> usize {
-                // Millions of records may move: a driver that turns a loop must not wait for that. Nothing is locked
+                // Millions of records may move: a driver that steps a loop must not wait for that. Nothing is locked
                 // when the interpreter is taken again.
-                py.detach(|| self.watch().poll())
+                py.detach(|| self.watched.poll())
             }
 
             #[getter]
             fn address(&self) -> String {
-                self.watch().address()
+                self.watched.watch().address().to_string()
             }
 
             #[getter]
             fn state(&self) -> &'static str {
-                self.watch().state()
+                self.watched.handle.state().name()
             }
 
             #[getter]
             fn ticks(&self) -> u64 {
-                self.watch().ticks()
+                self.watched.handle.ticks()
             }
 
             #[getter]
             fn is_answered(&self) -> bool {
-                self.watch().is_answered()
+                self.watched.handle.is_answered()
             }
 
             #[getter]
             fn recording(&self) -> Option<PyRecordingReport> {
-                self.watch().recording().map(Into::into)
+                self.watched.watch().recording().map(Into::into)
             }
 
             fn stop(&self) {
-                self.watch().stop();
+                self.watched.handle.stop();
             }
 
             fn security_events(&self) -> Vec<String> {
-                self.watch().events()
+                let mut events = Vec::new();
+                self.watched.watch().drain_events(|event| events.push(event.to_string()));
+                events
             }
 
             fn flight(&self) -> Option<String> {
-                self.watch().flight()
+                self.watched.watch().flight()
             }
 
             #[getter]
             fn ineffective_presses(&self) -> (u64, Option<&'static str>) {
-                self.watch().ineffective_presses()
+                let (count, why) = self.watched.handle.ineffective_presses();
+                (count, why.and_then(Ineffective::text))
             }
 
             fn cause(&self) -> Option<String> {
-                self.watch().cause()
+                self.watched.watch().diagnosis().map(|diagnosis| diagnosis.explain().to_json())
             }
 
             fn acknowledge(&self) -> PyResult<()> {
-                self.act(OperatorCommand::Acknowledge)
+                self.command(OperatorCommand::Acknowledge)
             }
         }
     };
 }
 pub(crate) use watch_methods;
 
-/// A loop that has ended does nothing more.
-pub(crate) fn ended() -> PyErr {
-    PyRuntimeError::new_err("the loop has ended")
-}
-
-/// Asked a second time for how it went.
+/// `finish` was called a second time.
 pub(crate) fn finished_before() -> PyErr {
     PyRuntimeError::new_err("the loop was finished before, or it panicked")
+}
+
+/// What to request of the system.
+pub(crate) fn realtime_settings(demand: &str, priority: u8, cpu: Option<u16>) -> PyResult<RealtimeSettings> {
+    let demand = match demand {
+        "auto" => RealtimeDemand::Auto,
+        "off" => RealtimeDemand::Off,
+        "require" => RealtimeDemand::Require,
+        _ => {
+            let text = format!("realtime = {demand:?}: must be \"auto\", \"off\" or \"require\"");
+            return Err(PyValueError::new_err(text));
+        }
+    };
+    if !(1..=99).contains(&priority) {
+        return Err(PyValueError::new_err(format!("priority = {priority}: must be 1 to 99")));
+    }
+    if cpu.is_some() && demand == RealtimeDemand::Off {
+        return Err(PyValueError::new_err("cpu: must not be given with realtime = \"off\""));
+    }
+    Ok(RealtimeSettings { demand, priority, cpu })
+}
+
+/// Where to record, if anywhere.
+pub(crate) fn recorder_settings(
+    path: Option<PathBuf>,
+    min_free_bytes: u64,
+    insecure: bool,
+) -> Option<RecorderSettings> {
+    let security = if insecure { SecurityMark::Insecure } else { SecurityMark::Secure };
+    path.map(|path| RecorderSettings { path, min_free_bytes, security })
 }

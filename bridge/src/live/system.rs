@@ -1,10 +1,13 @@
-//! What the loop's thread asks of the system, and what it got.
+//! The operating system under a live loop: its clock and sleep, memory that runs out, real time.
 
 use std::{
     fmt,
     fs::{File, OpenOptions},
     io::{self, Write},
-    sync::{Mutex, PoisonError},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
     thread::{self, ThreadId},
 };
 
@@ -13,10 +16,60 @@ use rustix::{
     io::Errno,
     mm::{MlockAllFlags, mlockall, munlockall},
     process::{Resource, getrlimit},
-    thread::{CpuSet, sched_getaffinity, sched_setaffinity},
+    thread::{
+        ClockId, CpuSet, clock_nanosleep_absolute, sched_getaffinity, sched_setaffinity,
+        set_current_timer_slack,
+    },
+    time::{Timespec, clock_gettime},
 };
 
-use super::clock;
+const SECOND: u64 = 1_000_000_000;
+
+/// Time of the system's monotonic clock in ns, which live loops go by.
+pub fn now_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    #[allow(clippy::cast_sign_loss)] // the monotonic clock starts at boot
+    let (seconds, nanoseconds) = (now.tv_sec as u64, now.tv_nsec as u64);
+    seconds * SECOND + nanoseconds
+}
+
+/// Shortest sleep in ns between two ticks of a loop that is late.
+const MIN_SLEEP_NS: u64 = 50_000;
+
+/// Sleeps until the monotonic clock shows `deadline_ns`, and for 50 us if it already does.
+///
+/// With real-time scheduling nobody else would run on this processor while a loop that cannot keep up never sleeps.
+pub(super) fn sleep_until(deadline_ns: u64) {
+    let now_ns = now_ns();
+    let deadline_ns = if deadline_ns > now_ns { deadline_ns } else { now_ns + MIN_SLEEP_NS };
+    #[allow(clippy::cast_possible_wrap)] // 292 years
+    let deadline = Timespec { tv_sec: (deadline_ns / SECOND) as i64, tv_nsec: (deadline_ns % SECOND) as i64 };
+    // A signal ends the sleep early: sleep on.
+    while clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(rustix::io::Errno::INTR) {}
+}
+
+/// Asks the kernel not to delay this thread's wake-ups by its usual 50 us; where that is refused it works, too.
+fn request_prompt_wakeups() {
+    let _ = set_current_timer_slack(std::num::NonZeroU64::new(1));
+}
+
+/// Of the process, as memory is.
+static EXHAUSTED: AtomicBool = AtomicBool::new(false);
+
+/// Ends each loop of this process at its next tick: no force, no motion, and the peer is sent the end.
+pub fn end_for_lack_of_memory() {
+    EXHAUSTED.store(true, Ordering::Relaxed);
+}
+
+/// There is memory again, for loops that begin from now on.
+pub fn memory_is_back() {
+    EXHAUSTED.store(false, Ordering::Relaxed);
+}
+
+/// Whether none was left.
+pub fn is_exhausted() -> bool {
+    EXHAUSTED.load(Ordering::Relaxed)
+}
 
 /// How much is at stake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -158,7 +211,7 @@ impl fmt::Display for RealtimeReport {
 
 /// Asks for all of it for this thread; what is given must live as long as it is to last.
 pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
-    clock::ask_for_prompt_wakeups();
+    request_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
         return (RealtimeReport::default(), Kept::default());
     }

@@ -1,0 +1,331 @@
+//! What leads to and from a live loop: commands, what it shares with those who watch it, and where its records go.
+
+use std::{
+    net::SocketAddr,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering},
+    },
+};
+
+use super::{handshakes::SecurityEvent, system};
+use crate::{
+    command::OperatorCommand,
+    ladder::{Diagnosis, FlightRecorder, LadderState},
+    recorder::{Recorder, Recording, RecordingReport},
+    ring::ring,
+};
+
+/// Commands and shows a loop from any thread, without a lock.
+#[derive(Clone, Debug)]
+pub struct LiveHandle(Arc<Shared>);
+
+impl LiveHandle {
+    /// Ends the loop after its current tick.
+    pub fn stop(&self) {
+        self.0.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the loop was stopped, or has ended by itself where a driver steps it.
+    pub fn is_stopped(&self) -> bool {
+        self.0.stop.load(Ordering::Relaxed)
+    }
+
+    /// Whether the loop has ended: no force, no motion, and the peer has been sent the end.
+    pub fn is_at_rest(&self) -> bool {
+        self.0.at_rest.load(Ordering::Relaxed)
+    }
+
+    /// Releases the clutch for a moment and presses it again: the act of a person at this side. Void if the loop does
+    /// not come to it within 0.25 s, or was late within 0.25 s before: nobody knows then when it was done.
+    pub fn press_clutch(&self) {
+        self.0.press_ns.store(system::now_ns().max(1), Ordering::Relaxed);
+    }
+
+    /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave. Void as
+    /// [`Self::press_clutch`].
+    pub fn allow_takeover(&self) {
+        self.0.takeover_ns.store(system::now_ns().max(1), Ordering::Relaxed);
+    }
+
+    /// How often a press did nothing, and why the last one did not: [`Self::press_clutch`], or a start that was too old.
+    pub fn ineffective_presses(&self) -> (u64, Option<Ineffective>) {
+        let count = self.0.ineffective_presses.load(Ordering::Acquire);
+        (count, Ineffective::from_code(self.0.ineffective.load(Ordering::Relaxed)))
+    }
+
+    /// Where the ladder stands.
+    pub fn state(&self) -> LadderState {
+        LadderState::from_code(self.0.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
+    }
+
+    /// Whether the peer has answered a frame of this side.
+    pub fn is_answered(&self) -> bool {
+        self.0.answered.load(Ordering::Relaxed)
+    }
+
+    /// Ticks done so far.
+    pub fn ticks(&self) -> u64 {
+        self.0.ticks.load(Ordering::Relaxed)
+    }
+}
+
+/// The outer ends of a loop's rings but that of its records; the loop never waits for them.
+#[derive(Debug)]
+pub struct LiveWatch {
+    handle: LiveHandle,
+    events: rtrb::Consumer<SecurityEvent>,
+    flights: rtrb::Consumer<FlightRecorder>,
+    /// The newest that was taken.
+    flight: Option<Box<FlightRecorder>>,
+    diagnoses: rtrb::Consumer<Option<Diagnosis>>,
+    /// The newest that was taken.
+    diagnosis: Option<Diagnosis>,
+    commands: rtrb::Producer<(u64, OperatorCommand)>,
+    address: SocketAddr,
+    recording: Option<Recording>,
+}
+
+impl LiveWatch {
+    /// For threads that must not wait for whoever reads the rings.
+    pub fn handle(&self) -> &LiveHandle {
+        &self.handle
+    }
+
+    /// Takes what happened to the session.
+    pub fn drain_events(&mut self, mut take: impl FnMut(SecurityEvent)) {
+        while let Ok(event) = self.events.pop() {
+            take(event);
+        }
+    }
+
+    /// Where the socket listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// How the recording stands; none if there is none.
+    pub fn recording(&self) -> Option<RecordingReport> {
+        self.recording.as_ref().map(Recording::report)
+    }
+
+    /// Hands a command to the loop, which carries it out at its next tick; returns it where too many wait. An
+    /// acknowledgement is void if the loop does not come to it within 0.25 s.
+    pub fn command(&mut self, command: OperatorCommand) -> Result<(), OperatorCommand> {
+        let given = self.commands.push((system::now_ns(), command));
+        given.map_err(|rtrb::PushError::Full((_, command))| command)
+    }
+
+    /// The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before.
+    pub fn flight(&mut self) -> Option<String> {
+        while let Ok(flight) = self.flights.pop() {
+            self.flight = Some(Box::new(flight));
+        }
+        self.flight.as_ref().map(|flight| flight.to_json())
+    }
+
+    /// Why the two sides are not coupled, where it happened and what to do; none where nothing is wrong.
+    pub fn diagnosis(&mut self) -> Option<&Diagnosis> {
+        while let Ok(diagnosis) = self.diagnoses.pop() {
+            self.diagnosis = diagnosis;
+        }
+        self.diagnosis.as_ref()
+    }
+
+    /// The loop is over: what it reported last counts.
+    pub fn ended(&mut self, flight: Option<Box<FlightRecorder>>) {
+        while self.flights.pop().is_ok() {}
+        self.flight = flight.or(self.flight.take());
+        while self.diagnoses.pop().is_ok() {}
+        if let Some(flight) = &self.flight {
+            self.diagnosis = self.handle.0.diagnosis(flight);
+        }
+    }
+}
+
+/// The outer end of the ring of a loop's records; the loop never waits for it.
+#[derive(Debug)]
+pub struct RecordReader<R>(rtrb::Consumer<R>);
+
+impl<R> RecordReader<R> {
+    /// Takes the records that wait.
+    pub fn drain(&mut self, mut take: impl FnMut(R)) {
+        while let Ok(record) = self.0.pop() {
+            take(record);
+        }
+    }
+}
+
+/// Why a press of the clutch did nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Ineffective {
+    /// Something else must be done before; the diagnosis says what.
+    NotYet = 1,
+    /// The loop was late: nobody knows when it was done.
+    Late,
+    /// The device has a button of its own.
+    HasButton,
+    /// The start, which is a press, was too long ago when the loop began.
+    OldStart,
+}
+
+impl Ineffective {
+    /// As a person reads it; none where the diagnosis has a text.
+    pub fn text(self) -> Option<&'static str> {
+        match self {
+            Self::NotYet => None,
+            Self::Late => Some("the loop was late, and nobody knows when it was pressed: press it again"),
+            Self::HasButton => Some("this device has a button: press that"),
+            Self::OldStart => Some("the start was more than 5 s ago when the loop began: press the clutch"),
+        }
+    }
+
+    fn from_code(code: u8) -> Option<Self> {
+        [Self::NotYet, Self::Late, Self::HasButton, Self::OldStart].into_iter().find(|why| *why as u8 == code)
+    }
+}
+
+/// What the loop and those who watch it both see.
+#[derive(Debug, Default)]
+pub(super) struct Shared {
+    pub(super) stop: AtomicBool,
+    pub(super) state: AtomicU8,
+    pub(super) ticks: AtomicU64,
+    /// The peer has answered a frame.
+    pub(super) answered: AtomicBool,
+    /// When a press and a takeover were commanded last, in ns; 0 where not since the loop looked.
+    press_ns: AtomicU64,
+    takeover_ns: AtomicU64,
+    /// Presses that did nothing, and why the last of them did not.
+    ineffective_presses: AtomicU64,
+    ineffective: AtomicU8,
+    /// The device has failed, and the loop ends by that.
+    pub(super) ends: AtomicBool,
+    /// No force, no motion, and the peer has been sent the end.
+    pub(super) at_rest: AtomicBool,
+}
+
+impl Shared {
+    /// Whether the loop must end: it was stopped, or the process has no memory left.
+    pub(super) fn must_end(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || system::is_exhausted()
+    }
+
+    /// Why the two sides are not coupled, as the recorder of a side has it.
+    pub(super) fn diagnosis(&self, flight: &FlightRecorder) -> Option<Diagnosis> {
+        let ends = self.ends.load(Ordering::Relaxed);
+        flight.diagnosis().map(|diagnosis| Diagnosis { ends, ..*diagnosis })
+    }
+
+    /// A press did nothing.
+    pub(super) fn reject_press(&self, why: Ineffective) {
+        self.ineffective.store(why as u8, Ordering::Relaxed);
+        self.ineffective_presses.fetch_add(1, Ordering::Release);
+    }
+}
+
+/// The commands that wait for the loop, each with the time in ns at which it was given.
+pub(super) struct CommandQueue {
+    started_ns: Option<u64>,
+    given: rtrb::Consumer<(u64, OperatorCommand)>,
+}
+
+impl CommandQueue {
+    /// The next one: the start, what any thread has commanded through its handle, then those of the watch in their order.
+    pub(super) fn next(&mut self, shared: &Shared) -> Option<(u64, OperatorCommand)> {
+        if let Some(started_ns) = self.started_ns.take() {
+            return Some((started_ns, OperatorCommand::Start));
+        }
+        for (at_ns, command) in
+            [(&shared.press_ns, OperatorCommand::Press), (&shared.takeover_ns, OperatorCommand::Takeover)]
+        {
+            let at_ns = at_ns.swap(0, Ordering::Relaxed);
+            if at_ns != 0 {
+                return Some((at_ns, command));
+            }
+        }
+        self.given.pop().ok()
+    }
+}
+
+/// Where the records of a loop go: to whoever reads them, and to the recorder; neither is ever waited for.
+#[derive(Debug)]
+pub(super) struct RecordSinks<R> {
+    read: rtrb::Producer<R>,
+    recorder: Option<Recorder<R>>,
+}
+
+impl<R: Copy> RecordSinks<R> {
+    /// Hands a record to both; returns it where nobody reads in time.
+    pub(super) fn push(&mut self, record: R) -> Result<(), rtrb::PushError<R>> {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.take(record);
+        }
+        self.read.push(record)
+    }
+
+    /// Hands the recording why the two sides are not coupled, since `time_ns` after the start or shortly before.
+    pub(super) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.note(time_ns, diagnosis);
+        }
+    }
+
+    /// Ends the recording.
+    pub(super) fn end(self) -> Option<RecordingReport> {
+        self.recorder.map(Recorder::end)
+    }
+}
+
+/// The loop's ends of what leads to and from it.
+pub(super) struct LoopChannels<R> {
+    pub(super) records: RecordSinks<R>,
+    pub(super) events: rtrb::Producer<SecurityEvent>,
+    pub(super) flights: rtrb::Producer<FlightRecorder>,
+    pub(super) diagnoses: rtrb::Producer<Option<Diagnosis>>,
+    pub(super) commands: CommandQueue,
+}
+
+/// Events that wait for a reader; further ones are dropped.
+const MAX_EVENTS: usize = 64;
+/// States and commands as of a STOP or FAULT that wait for a reader.
+const MAX_FLIGHTS: usize = 2;
+/// Diagnoses that wait for a reader; the loop keeps the newest until there is room.
+const MAX_DIAGNOSES: usize = 16;
+/// Commands that may wait for the loop: it takes all of them at its next tick.
+const MAX_COMMANDS: usize = 16;
+
+/// Makes the rings of a loop that a person started at `started_ns`, with room for so many records.
+pub(super) fn channels<R>(
+    capacity: usize,
+    started_ns: u64,
+    address: SocketAddr,
+    recorder: Option<Recorder<R>>,
+) -> (LoopChannels<R>, LiveWatch, RecordReader<R>, Arc<Shared>) {
+    let shared = Arc::<Shared>::default();
+    let (to_reader, records) = ring(capacity);
+    let (to_events, events) = rtrb::RingBuffer::new(MAX_EVENTS);
+    let (to_flights, flights) = ring(MAX_FLIGHTS);
+    let (to_diagnoses, diagnoses) = ring(MAX_DIAGNOSES);
+    let (commands, given) = rtrb::RingBuffer::new(MAX_COMMANDS);
+    let watch = LiveWatch {
+        handle: LiveHandle(Arc::clone(&shared)),
+        events,
+        flights,
+        flight: None,
+        diagnoses,
+        diagnosis: None,
+        commands,
+        address,
+        recording: recorder.as_ref().map(Recorder::recording),
+    };
+    let channels = LoopChannels {
+        records: RecordSinks { read: to_reader, recorder },
+        events: to_events,
+        flights: to_flights,
+        diagnoses: to_diagnoses,
+        commands: CommandQueue { started_ns: Some(started_ns), given },
+    };
+    (channels, watch, RecordReader(records), shared)
+}

@@ -1,0 +1,405 @@
+//! The live loop of one side, whoever waits for its ticks: take commands and what has arrived, tick, send, record.
+
+use std::{ops::ControlFlow, sync::atomic::Ordering};
+
+use super::{
+    channel::{LiveChannel, RELEASES},
+    handle::{Ineffective, LoopChannels, Shared},
+    handshakes::SecurityEvent,
+    socket::PeerSocket,
+    system::{self, RealtimeReport, RealtimeSettings},
+};
+use crate::{
+    command::OperatorCommand,
+    ladder::{Diagnosis, FlightRecorder, LadderState, START_NS},
+    link::{LinkStatistics, LinkTime},
+    pace::{TickTime, Wake},
+    path::PathReport,
+    recorder::RecordingReport,
+    session::{MAX_DATAGRAM, Rejections},
+    side::{Side, sealed_frame},
+    wire::Role,
+};
+
+/// How a live loop goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LiveSettings {
+    /// Which side it is.
+    pub role: Role,
+    /// Period in ns.
+    pub period_ns: u64,
+    /// Ends this long after the two sides engaged, in ns.
+    pub duration_ns: Option<u64>,
+    /// Ends if the two sides have not engaged after this time, in ns.
+    pub patience_ns: Option<u64>,
+    /// When a person started this side, in ns of the system's monotonic clock; when it is made, where nobody says.
+    pub started_ns: Option<u64>,
+    /// Records that wait for a reader; further ones are counted and dropped.
+    pub ring: usize,
+    /// What to request of the system.
+    pub realtime: RealtimeSettings,
+}
+
+/// How a live loop went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LoopReport {
+    /// Ticks done.
+    pub ticks: u64,
+    /// Ticks left out because the loop woke too late.
+    pub skipped: u64,
+    /// Records that found the ring full.
+    pub dropped_records: u64,
+    /// Frames that the system refused to send.
+    pub unsent: u64,
+    /// Counts of the link.
+    pub link: LinkStatistics,
+    /// What the path did to the peer's frames, and what is known of its clock.
+    pub path: PathReport,
+    /// How often the ladder went to HOLD.
+    pub holds: u64,
+    /// Ticks at which a bound acted on the remote command.
+    pub limited: u64,
+    /// Whether frames were encrypted and authenticated.
+    pub secure: bool,
+    /// Datagrams that the session did not take, by cause; in `link`, too.
+    pub rejections: Rejections,
+    /// When the sides first engaged, in ns since the start; `u64::MAX` if never.
+    pub engaged_ns: u64,
+    /// What the loop's thread got of the system.
+    pub realtime: RealtimeReport,
+    /// What became of the recording; none if there was none.
+    pub recording: Option<RecordingReport>,
+    /// Whether the loop was ended because no memory was left.
+    pub out_of_memory: bool,
+}
+
+/// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
+const RECEIVE_SHARE: u64 = 4;
+/// After each of the last frames and releases, the time in ns to the next: 20 ms in all, since losses come in bursts.
+const END_NS: [u64; 9] =
+    [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
+/// A diagnosis is reported once it has stood for this long in ns: the text of a peer comes in pieces.
+const SETTLED_NS: u64 = 50_000_000;
+/// Greatest age in ns of a command when the loop takes it, and for how long after a stall it takes no press: a signal that
+/// was sent while the process stood still arrives when it goes on.
+const PROMPT_NS: u64 = 250_000_000;
+
+/// Whether a command that was given at `at_ns` still counts at `now_ns`; `stalled_ns` is the end of the loop's last stall,
+/// `failed_ns` when the side went to the fault in which it stands.
+fn is_prompt(
+    command: OperatorCommand,
+    at_ns: u64,
+    now_ns: u64,
+    stalled_ns: Option<u64>,
+    failed_ns: Option<u64>,
+) -> bool {
+    let is_young = now_ns.saturating_sub(at_ns) <= PROMPT_NS;
+    match command {
+        // A time that has not been yet would never grow old.
+        OperatorCommand::Start => now_ns.checked_sub(at_ns).is_some_and(|age_ns| age_ns <= START_NS),
+        OperatorCommand::Press | OperatorCommand::Takeover => {
+            is_young && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS)
+        }
+        // It is of the fault that was there then, and of no later one.
+        OperatorCommand::Acknowledge => is_young && failed_ns.is_none_or(|failed| failed <= at_ns),
+        _ => true,
+    }
+}
+
+/// A side that is left without force or motion however its loop ends.
+struct RestOnDrop<S: Side<N>, const N: usize> {
+    side: S,
+    is_at_rest: bool,
+}
+
+impl<S: Side<N>, const N: usize> RestOnDrop<S, N> {
+    /// Once: an arm that is stopped again and again lets go of what it leans on.
+    fn rest(&mut self) {
+        if !std::mem::replace(&mut self.is_at_rest, true) {
+            self.side.rest();
+        }
+    }
+}
+
+impl<S: Side<N>, const N: usize> Drop for RestOnDrop<S, N> {
+    fn drop(&mut self) {
+        self.rest();
+    }
+}
+
+/// Why the two sides are not coupled, and whether that was reported.
+struct DiagnosisReport {
+    newest: Option<Diagnosis>,
+    since_ns: u64,
+    is_reported: bool,
+}
+
+impl DiagnosisReport {
+    /// Takes the newest; whether it is still to be reported.
+    fn is_unreported(&mut self, newest: Option<&Diagnosis>) -> bool {
+        if self.newest.as_ref() != newest {
+            (self.newest, self.is_reported) = (newest.copied(), false);
+        }
+        !self.is_reported
+    }
+
+    /// Takes the newest; whether it has stood for long enough, and is still to be reported.
+    fn is_due(&mut self, now_ns: u64, newest: Option<&Diagnosis>) -> bool {
+        // More text on the same case, or a link that comes and goes, do not put off what was not reported yet.
+        let is_same_case = |before: &Diagnosis| newest.is_some_and(|newest| before.is_same_case(newest));
+        if self.newest.as_ref() != newest
+            && (self.is_reported || !self.newest.as_ref().is_some_and(is_same_case))
+        {
+            self.since_ns = now_ns;
+        }
+        self.is_unreported(newest) && now_ns.saturating_sub(self.since_ns) >= SETTLED_NS
+    }
+
+    /// Reports it, `time_ns` after the start; again at the next tick where nobody has taken those before.
+    fn report<R: Copy>(&mut self, time_ns: u64, channels: &mut LoopChannels<R>) {
+        self.is_reported = channels.diagnoses.push(self.newest).is_ok();
+        if let Some(diagnosis) = self.newest.filter(|_| self.is_reported) {
+            channels.records.note(time_ns, &diagnosis);
+        }
+    }
+}
+
+/// A side in its loop.
+pub(super) struct LiveLoop<S: Side<N>, const N: usize> {
+    plant: RestOnDrop<S, N>,
+    socket: PeerSocket,
+    channel: LiveChannel,
+    settings: LiveSettings,
+    channels: LoopChannels<S::Record>,
+    report: LoopReport,
+    start_ns: u64,
+    /// Of the last tick.
+    now_ns: u64,
+    shown: LadderState,
+    diagnosis: DiagnosisReport,
+    has_announced_end: bool,
+    /// End of the last stall, in ns.
+    stalled_ns: Option<u64>,
+    buffer: [u8; MAX_DATAGRAM],
+}
+
+impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
+    /// Time begins at `start_ns`.
+    pub(super) fn begin(
+        mut side: S,
+        socket: PeerSocket,
+        channel: LiveChannel,
+        settings: LiveSettings,
+        channels: LoopChannels<S::Record>,
+        start_ns: u64,
+    ) -> Self {
+        let secure = channel.session.is_secure();
+        side.begin(start_ns);
+        Self {
+            plant: RestOnDrop { side, is_at_rest: false },
+            socket,
+            channel,
+            settings,
+            channels,
+            report: LoopReport { engaged_ns: u64::MAX, secure, ..LoopReport::default() },
+            start_ns,
+            now_ns: start_ns,
+            shown: LadderState::Disengaged,
+            diagnosis: DiagnosisReport { newest: None, since_ns: start_ns, is_reported: true },
+            has_announced_end: false,
+            stalled_ns: None,
+            buffer: [0; MAX_DATAGRAM],
+        }
+    }
+
+    /// What is driven.
+    pub(super) fn side(&mut self) -> &mut S {
+        &mut self.plant.side
+    }
+
+    /// One tick; breaks where the run is over.
+    pub(super) fn step(&mut self, wake: Wake, shared: &Shared) -> ControlFlow<()> {
+        let Wake { deadline_ns, overshoot_ns, missed } = wake;
+        // The tick's time is its deadline, or that of the device's sample: the pure part sees a steady clock, as in
+        // virtual time.
+        let (now_ns, start_ns) = (deadline_ns, self.start_ns);
+        self.now_ns = now_ns;
+        self.report.skipped += missed;
+        if wake.is_stalled() {
+            self.stalled_ns = Some(system::now_ns());
+            self.side().exchange_mut().stalled(now_ns);
+            // Late already: another period for this is not much.
+            self.socket.discard(system::now_ns() + self.settings.period_ns);
+        }
+        self.take_commands(shared);
+        let Self { plant: RestOnDrop { side, .. }, socket, channel, settings, channels, .. } = self;
+        let late = || LinkTime::late(now_ns, system::now_ns().saturating_sub(now_ns));
+        socket.drain(now_ns, now_ns + settings.period_ns / RECEIVE_SHARE, |from, datagram| {
+            // It may have arrived while this loop was still asleep beyond its time.
+            channel.receive(late(), from, datagram, side)
+        });
+        channel.advance(
+            now_ns,
+            |to, datagram| socket.send(to, datagram),
+            |event| {
+                let _ = channels.events.push(event);
+            },
+        );
+        let record = side.tick(TickTime { start_ns, now_ns, clock_ns: now_ns, overshoot_ns, missed });
+        if let Some(datagram) = sealed_frame(&mut channel.session, late(), side, &mut self.buffer) {
+            socket.send(None, datagram);
+        }
+        self.report(record, shared);
+        let limit_ns = match self.report.engaged_ns {
+            u64::MAX => self.settings.patience_ns,
+            engaged_ns => self.settings.duration_ns.map(|duration_ns| engaged_ns.saturating_add(duration_ns)),
+        };
+        if limit_ns.is_some_and(|limit_ns| now_ns - start_ns >= limit_ns) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    }
+
+    /// Carries out what the operator has commanded since the last tick, as far as it still counts.
+    fn take_commands(&mut self, shared: &Shared) {
+        let Self { plant: RestOnDrop { side, .. }, channel, channels, now_ns, stalled_ns, .. } = self;
+        let now_ns = *now_ns;
+        while let Some((at_ns, command)) = channels.commands.next(shared) {
+            let failed_ns = side.exchange().flight().failed_ns();
+            let counts = is_prompt(command, at_ns, system::now_ns(), *stalled_ns, failed_ns);
+            match command {
+                OperatorCommand::Start => {
+                    if !counts && side.command(now_ns, OperatorCommand::Release) == Ok(true) {
+                        shared.reject_press(Ineffective::OldStart);
+                    }
+                }
+                // A press that is said to do nothing must not couple once its obstacle is gone.
+                OperatorCommand::Press if !counts => shared.reject_press(Ineffective::Late),
+                OperatorCommand::Press if side.has_button() => shared.reject_press(Ineffective::HasButton),
+                OperatorCommand::Press
+                    if side.exchange().flight().diagnosis().is_some_and(Diagnosis::is_before_press) =>
+                {
+                    shared.reject_press(Ineffective::NotYet);
+                }
+                OperatorCommand::Takeover if counts => {
+                    if let Err(still) = channel.session.allow_takeover(now_ns) {
+                        let _ = channels.events.push(SecurityEvent::StillHeard(still));
+                    }
+                }
+                // `LiveWatch::command` has refused what cannot be.
+                _ if counts => {
+                    let _ = side.command(now_ns, command);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Hands out what a tick has left; nobody is waited for.
+    fn report(&mut self, record: S::Record, shared: &Shared) {
+        let Self { plant: RestOnDrop { side, .. }, channels, report, now_ns, start_ns, .. } = self;
+        let elapsed_ns = *now_ns - *start_ns;
+        report.ticks += 1;
+        if channels.records.push(record).is_err() {
+            report.dropped_records += 1;
+        }
+        let exchange = side.exchange();
+        let state = exchange.state();
+        if state.is_coupled() && report.engaged_ns == u64::MAX {
+            report.engaged_ns = elapsed_ns;
+        }
+        // Until there was room: nobody may have looked at the one before.
+        if state == self.shown
+            || !matches!(state, LadderState::Stop | LadderState::Fault)
+            || channels.flights.push(*exchange.flight()).is_ok()
+        {
+            self.shown = state;
+        }
+        if self.diagnosis.is_due(*now_ns, shared.diagnosis(exchange.flight()).as_ref()) {
+            self.diagnosis.report(elapsed_ns, channels);
+        }
+        shared.state.store(state.code(), Ordering::Relaxed);
+        shared.ticks.store(report.ticks, Ordering::Relaxed);
+        // A round trip is known from the first answer on.
+        shared.answered.store(exchange.link().statistics().round_trip_ns != 0, Ordering::Relaxed);
+    }
+
+    /// Leaves the plant at rest and announces the end of this side to the peer; nothing a second time.
+    pub(super) fn announce_end(&mut self, shared: &Shared) {
+        if std::mem::replace(&mut self.has_announced_end, true) {
+            return;
+        }
+        // First of all: what follows takes its time.
+        self.plant.rest();
+        let Self { plant: RestOnDrop { side, .. }, socket, channel, buffer, .. } = self;
+        side.exchange_mut().end();
+        for (sent, wait_ns) in END_NS.into_iter().enumerate() {
+            let now_ns = system::now_ns();
+            // A release ends the keys of the peer, so the frames that say why come first. In the clear there is none.
+            let datagram = if channel.session.is_secure() && sent + RELEASES >= END_NS.len() {
+                channel.session.release(now_ns, buffer).ok()
+            } else {
+                sealed_frame(&mut channel.session, LinkTime::at(now_ns), side, buffer)
+            };
+            let Some(datagram) = datagram else { break };
+            socket.send(None, datagram);
+            system::sleep_until(now_ns + wait_ns);
+        }
+        // What follows takes memory.
+        shared.at_rest.store(true, Ordering::Relaxed);
+    }
+
+    /// Leaves the plant at rest, announces the end to the peer, and closes what is open.
+    pub(super) fn end(mut self, shared: &Shared) -> (LoopReport, Box<FlightRecorder>) {
+        self.announce_end(shared);
+        let exchange = self.plant.side.exchange();
+        let (counts, flight) = (exchange.counts(), Box::new(*exchange.flight()));
+        self.report.path = exchange.link().path().report(self.now_ns);
+        let Self { plant, socket, mut channel, mut channels, mut report, now_ns, start_ns, .. } = self;
+        drop(plant);
+        let mut diagnosis = self.diagnosis;
+        if diagnosis.is_unreported(shared.diagnosis(&flight).as_ref()) {
+            diagnosis.report(now_ns - start_ns, &mut channels);
+        }
+        report.out_of_memory = system::is_exhausted();
+        report.rejections = channel.end();
+        report.link = counts.link.with(&report.rejections);
+        (report.holds, report.limited) = (counts.holds, counts.limited);
+        report.unsent = socket.unsent;
+        report.recording = channels.records.end();
+        (report, flight)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use OperatorCommand::{Acknowledge, ForceScale, Press, Start, Takeover};
+
+    const MS: u64 = 1_000_000;
+
+    /// A command of 10 s, when it still counts.
+    #[test]
+    fn commands_count_for_a_time_of_their_own() {
+        let at = 10_000 * MS;
+        for (command, later_ms, stalled, failed, counts) in [
+            (Start, 5000, None, None, true),
+            (Start, 5001, None, None, false),
+            (Press, 250, None, None, true),
+            (Press, 251, None, None, false),
+            (Press, 0, Some(at - 250 * MS), None, false),
+            (Press, 0, Some(at - 251 * MS), None, true),
+            (Takeover, 251, None, None, false),
+            (Takeover, 0, Some(at - 250 * MS), None, false),
+            (Acknowledge, 250, Some(at), Some(at), true),
+            (Acknowledge, 251, None, None, false),
+            (Acknowledge, 0, None, Some(at + 1), false),
+            (ForceScale(1.0), 60_000, Some(at), Some(at + 1), true),
+        ] {
+            let seen = is_prompt(command, at, at + later_ms * MS, stalled, failed);
+            assert_eq!(seen, counts, "{command:?} {later_ms} {stalled:?} {failed:?}");
+        }
+        assert!(!is_prompt(Start, at, at - 1, None, None), "a start that is still to come");
+    }
+}
