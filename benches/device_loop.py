@@ -64,13 +64,13 @@ def turn_us(peer: str) -> tuple[float, float]:
     """Median time in us of a turn, and of a call of the extension that does nothing."""
     loop = MasterLoop(scene(), peer=peer, session=1, insecure=True, realtime="off", keep_s=1.0)
     loop.begin()
-    turn, nothing = loop.turn, loop.press_clutch
+    step, nothing = loop.step, loop.press_clutch
     took = np.empty((2, TURNS))
     for number in range(TURNS):
         # Samples that come faster than the period are held back.
         loop.wait()
         begun = time.perf_counter_ns()
-        turn(0.0)
+        step(0.0)
         between = time.perf_counter_ns()
         nothing()
         took[:, number] = between - begun, time.perf_counter_ns() - between

@@ -56,7 +56,7 @@ def drive_master(
                 position, velocity, clutch, fault = device.read()
                 if fault is not None:
                     notes.fault = fault = encodable(fault)
-                force = loop.turn(position, velocity, clutch, fault=fault)
+                force = loop.step(position, velocity, clutch, fault=fault)
                 if force is None:
                     break
                 device.write(force)
@@ -111,7 +111,7 @@ def drive_slave(
                 position, velocity, force, fault = device.read()
                 if fault is not None:
                     notes.fault = fault = encodable(fault)
-                order = loop.turn(position, velocity, force, fault=fault)
+                order = loop.step(position, velocity, force, fault=fault)
                 if order is None:
                     break
                 kind, position, velocity = order

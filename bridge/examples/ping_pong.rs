@@ -116,7 +116,7 @@ fn endpoints() -> [Endpoint; 2] {
     let ladder = LadderSettings::default();
     let master = MasterEndpoint::new(&MasterSettings {
         period_ns: PERIOD_NS,
-        session: 1,
+        run_id: 1,
         device: DeviceModel::phantom_desktop(),
         estimator: EstimatorKind::default(),
         safety: SafetySettings { controllers: [ControllerKind::Wsc].into(), ..SafetySettings::default() },
@@ -126,7 +126,7 @@ fn endpoints() -> [Endpoint; 2] {
     });
     let slave = SlaveEndpoint::new(&SlaveSettings {
         period_ns: PERIOD_NS,
-        session: 2,
+        run_id: 2,
         position_scale: 1.0,
         bounds: CommandBounds::default(),
         ladder,

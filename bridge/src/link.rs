@@ -15,7 +15,7 @@ use crate::{
 pub struct LinkStatistics {
     /// Frames sent.
     pub sent: u64,
-    /// Frames that were news when they arrived.
+    /// Frames that were newer than all before when they arrived.
     pub fresh: u64,
     /// Frames that arrived after a newer one: counted, not used.
     pub late: u64,
@@ -23,7 +23,7 @@ pub struct LinkStatistics {
     pub duplicate: u64,
     /// Datagrams that were no frame of the peer.
     pub refused: u64,
-    /// Frames of the peer that have not arrived up to the newest one, those of its sessions before this one included.
+    /// Frames of the peer that have not arrived up to the newest one, those of its runs before this one included.
     pub missing: u64,
     /// Round trip of the newest echo in ns, without the time that the peer held it; 0 before the first.
     pub round_trip_ns: u64,
@@ -32,7 +32,7 @@ pub struct LinkStatistics {
 }
 
 impl LinkStatistics {
-    /// With what the session did not take: what it has told from a replay is a duplicate or late, all else refused.
+    /// With what the session did not take: what it knows for a replay is a duplicate or late, all else refused.
     #[must_use]
     pub fn with(mut self, rejections: &Rejections) -> Self {
         let (repeated, too_old) = (rejections.of(Rejection::Repeated), rejections.of(Rejection::TooOld));
@@ -102,7 +102,7 @@ pub struct Status {
     pub reason: u8,
     /// Its fault, [`haptether_safety::Fault::code`]; 0 without.
     pub fault: u8,
-    /// A piece of its own words on that.
+    /// A piece of its text on that.
     pub text: TextPiece,
 }
 
@@ -118,10 +118,10 @@ pub enum RejectReason {
     /// This frame was there before.
     #[error("frame {0} arrived twice")]
     Duplicate(u64),
-    /// Of another session while this one lives.
+    /// Of another run while this one lives.
     #[error("frame of session {0:#x} while another session lives")]
-    Session(u64),
-    /// Further ahead than its sender can have come, while frames of the living session arrive.
+    OtherRun(u64),
+    /// Further ahead than its sender can have come, while frames of the living run arrive.
     #[error("frame {seen} after {newest}: further ahead than any sender comes in this time")]
     Ahead {
         /// As received.
@@ -147,7 +147,7 @@ struct Newest<const N: usize> {
 }
 
 impl<const N: usize> Newest<N> {
-    /// Whether a sequence of the same session can follow or precede it at `by_ns`.
+    /// Whether a sequence of the same run can follow or precede it at `by_ns`.
     fn is_near(&self, sequence: u64, by_ns: u64) -> bool {
         let newest = self.frame.sequence;
         let sent = by_ns.saturating_sub(self.by_ns) / MIN_PERIOD_NS;
@@ -160,26 +160,26 @@ impl<const N: usize> Newest<N> {
 #[derive(Clone, Debug)]
 pub struct FrameLink<const N: usize> {
     role: Role,
-    session: u64,
+    run_id: u64,
     next_sequence: u64,
     newest: Option<Newest<N>>,
     first_sequence: u64,
     arrived: u64,
-    /// Missing frames of the sessions before this one.
+    /// Missing frames of the runs before this one.
     missing_before: u64,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     pub(crate) path: PeerPath,
-    /// A silent peer may be followed by another session after this time.
+    /// A silent peer may be followed by another run after this time.
     lease_ns: u64,
 }
 
 impl<const N: usize> FrameLink<N> {
-    /// An end of role `role`; `session` is drawn anew at every start, so that a restarted peer is told apart.
-    pub fn new(role: Role, session: u64, lease_ns: u64) -> Self {
+    /// An end of role `role`; `run_id` is drawn anew at every start, so that a restarted peer is known as such.
+    pub fn new(role: Role, run_id: u64, lease_ns: u64) -> Self {
         Self {
             role,
-            session,
+            run_id,
             next_sequence: 0,
             newest: None,
             first_sequence: 0,
@@ -194,33 +194,31 @@ impl<const N: usize> FrameLink<N> {
 
     /// Takes a datagram; strictly newer frames replace the newest.
     ///
-    /// Returns whether the frame began a session. A refused datagram changes nothing but its counter.
+    /// Returns whether the frame began a run. A refused datagram changes nothing but its counter.
     ///
-    /// In the clear anybody may write any sequence. One that no sender comes to is refused while the session lives; after
-    /// the lease's silence it begins a session anew. So no frame takes the link from its peer for longer than that.
+    /// In the clear anybody may write any sequence. One that no sender comes to is refused while the run lives; after
+    /// the lease's silence it begins a run anew. So no frame takes the link from its peer for longer than that.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
         let frame =
             Frame::decode(datagram, self.role.peer()).inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
-            Some(newest)
-                if newest.frame.session == frame.session && newest.is_near(frame.sequence, by_ns) =>
-            {
+            Some(newest) if newest.frame.run_id == frame.run_id && newest.is_near(frame.sequence, by_ns) => {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 self.place(frame.sequence)?;
                 false
             }
             Some(newest) if now_ns.saturating_sub(newest.arrived_ns) < self.lease_ns => {
                 let (seen, of_newest) = (frame.sequence, newest.frame.sequence);
-                if newest.frame.session == frame.session && seen < of_newest {
+                if newest.frame.run_id == frame.run_id && seen < of_newest {
                     self.statistics.late += 1;
                     return Err(RejectReason::Late(seen));
                 }
                 self.statistics.refused += 1;
-                return Err(if newest.frame.session == frame.session {
+                return Err(if newest.frame.run_id == frame.run_id {
                     RejectReason::Ahead { seen, newest: of_newest }
                 } else {
-                    RejectReason::Session(frame.session)
+                    RejectReason::OtherRun(frame.run_id)
                 });
             }
             _ => {
@@ -238,20 +236,20 @@ impl<const N: usize> FrameLink<N> {
         self.statistics.fresh += 1;
         self.newest = Some(Newest { frame, arrived_ns: now_ns, by_ns });
         self.count_missing();
-        let echo = frame.echo.filter(|echo| echo.session == self.session);
+        let echo = frame.echo.filter(|echo| echo.run_id == self.run_id);
         self.path.newest(frame.sent_ns, echo.as_ref(), now_ns, by_ns);
         if let Some(echo) = echo {
             let round_trip = by_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
             self.statistics.round_trip_ns = round_trip;
-            let least = self.statistics.least_round_trip_ns;
-            self.statistics.least_round_trip_ns = if least == 0 { round_trip } else { least.min(round_trip) };
+            let min = self.statistics.least_round_trip_ns;
+            self.statistics.least_round_trip_ns = if min == 0 { round_trip } else { min.min(round_trip) };
         }
         Ok(begins)
     }
 
-    /// Places a sequence of the living session: news, late or seen before.
+    /// Places a sequence of the living run: new, late or seen before.
     fn place(&mut self, sequence: u64) -> Result<(), RejectReason> {
-        // What lies before the first frame of this session is not held by its counts.
+        // What lies before the first frame of this run is not held by its counts.
         let arrival =
             if sequence < self.first_sequence { Arrival::TooOld } else { self.arrivals.mark(sequence) };
         match arrival {
@@ -287,7 +285,7 @@ impl<const N: usize> FrameLink<N> {
     ) -> &'a [u8] {
         let sent_ns = time.by_ns;
         let echo = self.newest.as_ref().map(|newest| Echo {
-            session: newest.frame.session,
+            run_id: newest.frame.run_id,
             sequence: newest.frame.sequence,
             sent_ns: newest.frame.sent_ns,
             held_ns: sent_ns.saturating_sub(newest.by_ns),
@@ -297,7 +295,7 @@ impl<const N: usize> FrameLink<N> {
             state: status.state,
             hears_peer: status.hears_peer,
             clutch: status.clutch,
-            session: self.session,
+            run_id: self.run_id,
             sequence: self.next_sequence,
             sent_ns,
             echo,
@@ -316,16 +314,16 @@ impl<const N: usize> FrameLink<N> {
         frame.encode(buffer)
     }
 
-    /// Whether the newest frame says that the peer hears this very session, not one before it or another's.
+    /// Whether the newest frame says that the peer hears this very run, not one before it or another's.
     pub fn is_heard(&self) -> bool {
         self.newest().is_some_and(|frame| {
-            frame.hears_peer && frame.echo.is_some_and(|echo| echo.session == self.session)
+            frame.hears_peer && frame.echo.is_some_and(|echo| echo.run_id == self.run_id)
         })
     }
 
-    /// Its own session.
-    pub fn session(&self) -> u64 {
-        self.session
+    /// Its own run.
+    pub fn run_id(&self) -> u64 {
+        self.run_id
     }
 
     /// Sequence of the next frame to be sent.
@@ -370,8 +368,8 @@ mod tests {
         text: TextPiece { number: 0, index: 0, bytes: [0; 12] },
     };
 
-    fn frames(count: usize, session: u64) -> Vec<Vec<u8>> {
-        let mut slave = FrameLink::<1>::new(Role::Slave, session, 200 * MS);
+    fn frames(count: usize, run_id: u64) -> Vec<Vec<u8>> {
+        let mut slave = FrameLink::<1>::new(Role::Slave, run_id, 200 * MS);
         let mut buffer = [0; MAX_FRAME];
         (0..count as u64)
             .map(|n| {
@@ -388,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_are_those_of_all_sessions() {
+    fn losses_are_those_of_all_runs() {
         let (first, second) = (frames(5, 1), frames(4, 2));
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         for (now_ns, frame) in [(0, &first[0]), (3 * MS, &first[3])] {
@@ -431,14 +429,14 @@ mod tests {
     }
 
     #[test]
-    fn another_session_waits_for_silence() {
+    fn another_run_waits_for_silence() {
         let (first, second) = (frames(3, 1), frames(3, 2));
         let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);
         master.receive(LinkTime::at(0), &first[2]).unwrap();
-        assert_eq!(master.receive(LinkTime::at(199 * MS), &second[0]), Err(RejectReason::Session(2)));
+        assert_eq!(master.receive(LinkTime::at(199 * MS), &second[0]), Err(RejectReason::OtherRun(2)));
         assert_eq!(master.receive(LinkTime::at(201 * MS), &second[0]), Ok(true));
-        assert_eq!(master.receive(LinkTime::at(202 * MS), &first[2]), Err(RejectReason::Session(1)));
-        assert_eq!(master.newest().unwrap().session, 2);
+        assert_eq!(master.receive(LinkTime::at(202 * MS), &first[2]), Err(RejectReason::OtherRun(1)));
+        assert_eq!(master.newest().unwrap().run_id, 2);
     }
 
     #[test]
@@ -464,19 +462,19 @@ mod tests {
         bytes
     }
 
-    const SESSION: usize = 8;
+    const RUN_ID: usize = 8;
     const SEQUENCE: usize = 16;
     const SENT: usize = 32;
     const HELD: usize = 48;
 
-    /// One frame of somebody else in the clear, with any number in any field, in a session that lives and in a pause of it:
+    /// One frame of somebody else in the clear, with any number in any field, in a run that lives and in a pause of it:
     /// what the peer sends is news again within the lease, and its age is what it was.
     #[test]
     fn no_frame_in_the_clear_takes_the_link_for_longer_than_the_lease() {
         let mut values: Vec<u64> = [0, 1, 1500, 1 << 32, 1 << 63, u64::MAX / 2].to_vec();
         values.extend((0..3).map(|n| u64::MAX - n));
         for (field, pause_ms) in
-            [SESSION, SEQUENCE, SENT, HELD].into_iter().flat_map(|at| [(at, 1), (at, 300)])
+            [RUN_ID, SEQUENCE, SENT, HELD].into_iter().flat_map(|at| [(at, 1), (at, 300)])
         {
             for &value in &values {
                 let mut master = FrameLink::<1>::new(Role::Master, 7, 200 * MS);

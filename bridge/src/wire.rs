@@ -11,13 +11,13 @@
 //! | 4 | `u8` | axes N |
 //! | 5 | `u8` | state of the sender's ladder |
 //! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends |
-//! | 8 | `u64` | session: drawn by the sender when it starts |
+//! | 8 | `u64` | run id: drawn by the sender when it starts |
 //! | 16 | `u64` | sequence, from 0, one more with each frame |
 //! | 24 | `u64` | echo: newest sequence received from the peer |
 //! | 32 | `u64` | time of sending, sender's monotonic clock in ns |
 //! | 40 | `u64` | echo: time of sending of that frame, the peer's clock in ns |
 //! | 48 | `u64` | echo: time in ns since that frame arrived |
-//! | 56 | `u64` | echo: session of that frame |
+//! | 56 | `u64` | echo: run id of that frame |
 //! | 64 | `[f64; N]` | position in m (rad) |
 //! | 64 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
 //! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
@@ -107,8 +107,8 @@ impl Role {
 /// The newest frame of the peer, told back to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
-    /// Its session: an echo of another one was meant for somebody else.
-    pub session: u64,
+    /// Its run: an echo of another one was meant for somebody else.
+    pub run_id: u64,
     /// Its sequence.
     pub sequence: u64,
     /// Its time of sending, on the peer's clock in ns.
@@ -129,7 +129,7 @@ pub struct Frame<const N: usize> {
     /// Whether the clutch is closed: the master's button; a slave has none.
     pub clutch: bool,
     /// Drawn by the sender when it started.
-    pub session: u64,
+    pub run_id: u64,
     /// From 0, one more with each frame.
     pub sequence: u64,
     /// Time of sending in ns, sender's monotonic clock.
@@ -227,13 +227,13 @@ struct Header {
     axes: u8,
     state: u8,
     flags: U16,
-    session: U64,
+    run_id: U64,
     sequence: U64,
     echo_sequence: U64,
     sent_ns: U64,
     echo_sent_ns: U64,
     echo_held_ns: U64,
-    echo_session: U64,
+    echo_run_id: U64,
 }
 
 const ECHO_VALID: u16 = 1;
@@ -246,7 +246,7 @@ pub(crate) fn hears_peer(frame: &[u8]) -> bool {
 }
 
 /// What stands in a frame without an echo.
-const NO_ECHO: Echo = Echo { session: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
+const NO_ECHO: Echo = Echo { run_id: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 
 impl<const N: usize> Frame<N> {
     /// Bytes of this frame.
@@ -268,13 +268,13 @@ impl<const N: usize> Frame<N> {
                     | if self.clutch { CLUTCH } else { 0 }
                     | if self.ending { ENDING } else { 0 },
             ),
-            session: U64::new(self.session),
+            run_id: U64::new(self.run_id),
             sequence: U64::new(self.sequence),
             echo_sequence: U64::new(echo.sequence),
             sent_ns: U64::new(self.sent_ns),
             echo_sent_ns: U64::new(echo.sent_ns),
             echo_held_ns: U64::new(echo.held_ns),
-            echo_session: U64::new(echo.session),
+            echo_run_id: U64::new(echo.run_id),
         };
         buffer[..HEADER].copy_from_slice(header.as_bytes());
         let energies = [self.energy.in_j, self.energy.out_j];
@@ -320,7 +320,7 @@ impl<const N: usize> Frame<N> {
         }
         let (sequence, flags) = (header.sequence.get(), header.flags.get());
         let echo = Echo {
-            session: header.echo_session.get(),
+            run_id: header.echo_run_id.get(),
             sequence: header.echo_sequence.get(),
             sent_ns: header.echo_sent_ns.get(),
             held_ns: header.echo_held_ns.get(),
@@ -359,7 +359,7 @@ impl<const N: usize> Frame<N> {
             state: header.state,
             hears_peer: flags & HEARS_PEER != 0,
             clutch: flags & CLUTCH != 0,
-            session: header.session.get(),
+            run_id: header.run_id.get(),
             sequence,
             sent_ns: header.sent_ns.get(),
             echo: is_valid.then_some(echo),
@@ -392,10 +392,10 @@ mod tests {
             state: 2,
             hears_peer: true,
             clutch: true,
-            session: 0x1122_3344_5566_7788,
+            run_id: 0x1122_3344_5566_7788,
             sequence: 5,
             sent_ns: 1_000_000,
-            echo: Some(Echo { session: 11, sequence: 3, sent_ns: 7, held_ns: 9 }),
+            echo: Some(Echo { run_id: 11, sequence: 3, sent_ns: 7, held_ns: 9 }),
             position: Axes::<1>::new(-0.5),
             velocity: Axes::<1>::new(0.25),
             force: Axes::<1>::new(2.0),
@@ -484,15 +484,15 @@ mod tests {
         #[test]
         fn round_trip(
             numbers in prop::array::uniform9(-900.0..900.0f64),
-            (session, sequence, sent_ns) in any::<(u64, u64, u64)>(),
+            (run_id, sequence, sent_ns) in any::<(u64, u64, u64)>(),
             echo in prop::option::of(any::<(u64, u64, u64, u64)>()),
             (state, hears_peer, clutch) in any::<(u8, bool, bool)>(),
             (ending, reason, fault, number, index) in any::<(bool, u8, u8, u8, u8)>(),
         ) {
             let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
             let frame = Frame {
-                role: Role::Master, state, hears_peer, clutch, session, sequence, sent_ns,
-                echo: echo.map(|(session, sequence, sent_ns, held_ns)| Echo { session, sequence, sent_ns, held_ns }),
+                role: Role::Master, state, hears_peer, clutch, run_id, sequence, sent_ns,
+                echo: echo.map(|(run_id, sequence, sent_ns, held_ns)| Echo { run_id, sequence, sent_ns, held_ns }),
                 position: part(0), velocity: part(3), force: part(6),
                 energy: PortEnergy { in_j: numbers[0].abs(), out_j: numbers[1].abs() },
                 ending, reason, fault,

@@ -38,7 +38,7 @@ fn run_over(
     device.set_waiting(true);
     let near = MasterEndpoint::new(&MasterSettings {
         period_ns: MS,
-        session: 1,
+        run_id: 1,
         device: DeviceModel::phantom_desktop(),
         estimator: EstimatorKind::default(),
         safety: SafetySettings::default(),
@@ -49,7 +49,7 @@ fn run_over(
     .unwrap();
     let far = SlaveEndpoint::new(&SlaveSettings {
         period_ns: MS,
-        session: 2,
+        run_id: 2,
         position_scale: 1.0,
         bounds: CommandBounds::default(),
         ladder: LadderSettings::default(),

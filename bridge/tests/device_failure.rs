@@ -23,7 +23,7 @@ const MS: u64 = 1_000_000;
 fn master() -> MasterSide<DrivenMaster<1>, 1> {
     let endpoint = MasterEndpoint::new(&MasterSettings {
         period_ns: MS,
-        session: 1,
+        run_id: 1,
         device: DeviceModel::uniform(0.1, 0.0, 0.0).unwrap(),
         estimator: EstimatorKind::default(),
         safety: SafetySettings::default(),
@@ -38,7 +38,7 @@ fn master() -> MasterSide<DrivenMaster<1>, 1> {
 fn slave() -> SlaveSide<DrivenSlave<1>, 1> {
     let endpoint = SlaveEndpoint::new(&SlaveSettings {
         period_ns: MS,
-        session: 2,
+        run_id: 2,
         position_scale: 1.0,
         bounds: CommandBounds::default(),
         ladder: LadderSettings::default(),

@@ -79,7 +79,7 @@ fn run<const N: usize>(drawn: &Drawn) -> Result<Seen, String> {
     let [mass_kg, viscous, _] = drawn.device;
     let near = MasterEndpoint::new(&MasterSettings {
         period_ns,
-        session: 1,
+        run_id: 1,
         device: DeviceModel::new(Axes::repeat(mass_kg), Axes::repeat(viscous), Axes::zeros()).unwrap(),
         estimator: drawn.estimator,
         safety: drawn.safety,
@@ -90,7 +90,7 @@ fn run<const N: usize>(drawn: &Drawn) -> Result<Seen, String> {
     .map_err(|error| error.to_string())?;
     let far = SlaveEndpoint::new(&SlaveSettings {
         period_ns: slave_period_ns,
-        session: 2,
+        run_id: 2,
         position_scale: drawn.scales[0],
         bounds: drawn.bounds,
         ladder: drawn.ladder,

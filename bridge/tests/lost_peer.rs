@@ -28,7 +28,7 @@ type Slave = SlaveSide<SimulatedSlave<1>, 1>;
 fn master_settings() -> MasterSettings<1> {
     MasterSettings {
         period_ns: MS,
-        session: 1,
+        run_id: 1,
         device: DeviceModel::phantom_desktop(),
         estimator: EstimatorKind::default(),
         safety: SafetySettings::default(),
@@ -41,7 +41,7 @@ fn master_settings() -> MasterSettings<1> {
 fn slave_settings(session: u64) -> SlaveSettings {
     SlaveSettings {
         period_ns: MS,
-        session,
+        run_id: session,
         position_scale: 1.0,
         bounds: CommandBounds::default(),
         ladder: LadderSettings::default(),

@@ -76,7 +76,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let safety = SafetySettings { controllers: ControllerKind::ALL.into(), ..SafetySettings::default() };
         let endpoint = MasterEndpoint::new(&MasterSettings {
             period_ns: MS,
-            session: 1,
+            run_id: 1,
             device: DeviceModel::phantom_desktop(),
             estimator,
             safety,
@@ -88,7 +88,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let mut master = MasterSide::new(plant, endpoint, Clutch::Once).unwrap();
         let settings = SlaveSettings {
             period_ns: MS,
-            session: 2,
+            run_id: 2,
             position_scale: 1.0,
             bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),

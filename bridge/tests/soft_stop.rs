@@ -37,7 +37,7 @@ impl Bench {
             SimulatedSlave::in_environment(arm, Environment::empty(), None, Axes::zeros(), 0).unwrap();
         let endpoint = SlaveEndpoint::new(&SlaveSettings {
             period_ns: MS,
-            session: 2,
+            run_id: 2,
             position_scale: 1.0,
             bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),

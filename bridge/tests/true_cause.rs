@@ -22,7 +22,7 @@ type Slave = SlaveSide<DrivenSlave<1>, 1>;
 fn slave(session: u64) -> Slave {
     let endpoint = SlaveEndpoint::new(&SlaveSettings {
         period_ns: MS,
-        session,
+        run_id: session,
         position_scale: 1.0,
         bounds: CommandBounds::default(),
         ladder: LadderSettings::default(),
@@ -45,7 +45,7 @@ impl Pair {
     fn new() -> Self {
         let endpoint = MasterEndpoint::new(&MasterSettings {
             period_ns: MS,
-            session: 1,
+            run_id: 1,
             device: DeviceModel::uniform(0.1, 0.0, 0.0).unwrap(),
             estimator: EstimatorKind::default(),
             safety: SafetySettings::default(),
@@ -203,7 +203,7 @@ fn a_hold_tells_whose_loop_was_late() {
 fn an_orderly_end_is_no_hold() {
     for survivor in [0, 3] {
         let mut pair = Pair::engaged();
-        pair.master.end();
+        pair.master.exchange_mut().end();
         pair.run(600, |tick| (tick == survivor, false));
         assert_eq!(pair.slave.exchange().state(), Disengaged);
         assert_eq!(reasons(&pair.slave).last().unwrap(), Reason::PeerEnded.text());
@@ -214,7 +214,7 @@ fn an_orderly_end_is_no_hold() {
         );
 
         let mut pair = Pair::engaged();
-        pair.slave.end();
+        pair.slave.exchange_mut().end();
         pair.run(600, |tick| (false, tick == survivor));
         assert_eq!((pair.master.exchange().state(), pair.master.exchange().counts().holds), (Disengaged, 0));
         assert_eq!(pair.master.plant.force[0], 0.0);
@@ -227,7 +227,7 @@ fn an_orderly_end_is_no_hold() {
 #[test]
 fn an_end_leads_to_less_force_and_couples_nobody() {
     let mut pair = Pair::engaged();
-    pair.slave.end();
+    pair.slave.exchange_mut().end();
     let mut force = pair.master.plant.force[0].abs();
     for _ in 0..200 {
         pair.run(1, |_| (true, true));
@@ -315,7 +315,7 @@ fn a_failure_that_ends_a_run_stays_a_failure() {
     let mut pair = Pair::engaged();
     pair.slave.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     pair.run(30, |_| (true, true));
-    pair.slave.end();
+    pair.slave.exchange_mut().end();
     pair.run(5, |_| (true, true));
     pair.run(600, |_| (false, false));
     let steps = vec![("slave", Remedy::Start), ("master", Remedy::Press)];

@@ -2469,7 +2469,7 @@ class LiveSlave:
 
 @final
 class MasterLoop:
-    """The side of the hand, live over UDP, turned by a driver at each sample of its device: `begin`, `turn`, `finish`.
+    """The side of the hand, live over UDP, stepped by a driver at each sample of its device: `begin`, `step`, `finish`.
 
     Args:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
@@ -2527,7 +2527,7 @@ class MasterLoop:
             OSError: Real time is required and refused; the loop is over.
         """
 
-    def turn(
+    def step(
         self,
         position: _Sample,
         velocity: _Sample | None = None,
@@ -2550,7 +2550,7 @@ class MasterLoop:
 
         Raises:
             TypeError: A sample that is no number, or of another number of axes; nothing was done.
-            RuntimeError: Another thread turns it.
+            RuntimeError: Another thread steps it.
         """
 
     def wait(self) -> None:
@@ -2647,7 +2647,7 @@ class MasterLoop:
 
 @final
 class SlaveLoop:
-    """The side of the robot, live over UDP, turned by a driver at each sample of its arm: `begin`, `turn`, `finish`.
+    """The side of the robot, live over UDP, stepped by a driver at each sample of its arm: `begin`, `step`, `finish`.
 
     Args:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
@@ -2695,7 +2695,7 @@ class SlaveLoop:
             OSError: Real time is required and refused; the loop is over.
         """
 
-    def turn(
+    def step(
         self,
         position: _Sample,
         velocity: _Sample,
@@ -2720,7 +2720,7 @@ class SlaveLoop:
 
         Raises:
             TypeError: A sample that is no number, or of another number of axes; nothing was done.
-            RuntimeError: Another thread turns it.
+            RuntimeError: Another thread steps it.
         """
 
     def wait(self) -> None:

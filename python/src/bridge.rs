@@ -152,7 +152,7 @@ impl PyMasterSettings {
             clutch: clutch.unwrap_or(PyClutch::Named("once".into())).build(clutch_reaction_s)?,
             endpoint: MasterSettings {
                 period_ns: nanoseconds("period_s", period_s)?,
-                session: 0,
+                run_id: 0,
                 device: device.model()?,
                 estimator: estimator.map_or_else(|| device.estimator(), |kind| kind.inner),
                 safety: safety.map(|safety| safety.inner).unwrap_or_default(),
@@ -168,7 +168,8 @@ impl PyMasterSettings {
 
 impl PyMasterSettings {
     pub(crate) fn side(&self, session: u64) -> PyResult<SimulatedMasterSide> {
-        let endpoint = MasterEndpoint::new(&MasterSettings { session, ..self.endpoint }).map_err(refuse)?;
+        let endpoint =
+            MasterEndpoint::new(&MasterSettings { run_id: session, ..self.endpoint }).map_err(refuse)?;
         let mut plant = SimulatedMaster::new(self.device.inner, self.hand.clone(), 0).map_err(refuse)?;
         plant.set_waiting(true);
         MasterSide::new(plant, endpoint, self.clutch.clone()).map_err(refuse)
@@ -208,7 +209,7 @@ impl PySlaveSettings {
             position,
             endpoint: SlaveSettings {
                 period_ns: nanoseconds("period_s", period_s)?,
-                session: 0,
+                run_id: 0,
                 position_scale,
                 bounds: CommandBounds { speed: command_speed, reach: command_reach.unwrap_or(f64::INFINITY) },
                 ladder: ladder.map(|ladder| ladder.inner).unwrap_or_default(),
@@ -221,7 +222,8 @@ impl PySlaveSettings {
 
 impl PySlaveSettings {
     pub(crate) fn side(&self, session: u64) -> PyResult<SimulatedSlaveSide> {
-        let endpoint = SlaveEndpoint::new(&SlaveSettings { session, ..self.endpoint }).map_err(refuse)?;
+        let endpoint =
+            SlaveEndpoint::new(&SlaveSettings { run_id: session, ..self.endpoint }).map_err(refuse)?;
         let pusher = self.pusher.as_ref().map(|pusher| pusher.inner.clone());
         let plant =
             SimulatedSlave::new(self.arm.inner, self.wall.inner, pusher, self.position, 0).map_err(refuse)?;

@@ -184,15 +184,15 @@ def test_a_turn_refuses_what_is_no_sample_and_stays_alive() -> None:
     loop.begin()
     for bad in ("a", [1.0, 2.0], [[1.0], [2.0], [3.0]], None, [1.0, "b", 2.0], 4.0):
         with pytest.raises(TypeError, match=r"position = .*: must be a sequence of 3 numbers"):
-            loop.turn(bad)  # type: ignore[arg-type]
+            loop.step(bad)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"velocity = 1\.0"):
-        loop.turn([0.0] * 3, 1.0)
-    assert loop.turn([0.0] * 3) == (0.0, 0.0, 0.0)
-    assert loop.turn(np.zeros(3)) == (0.0, 0.0, 0.0)
-    assert loop.turn([math.nan, 0.0, 0.0]) == (0.0, 0.0, 0.0)
+        loop.step([0.0] * 3, 1.0)
+    assert loop.step([0.0] * 3) == (0.0, 0.0, 0.0)
+    assert loop.step(np.zeros(3)) == (0.0, 0.0, 0.0)
+    assert loop.step([math.nan, 0.0, 0.0]) == (0.0, 0.0, 0.0)
     assert loop.state == "fault"
     loop.stop()
-    assert loop.turn([0.0] * 3) is None
+    assert loop.step([0.0] * 3) is None
     trace, report = loop.finish()
     assert len(trace) == report.ticks == 3
     with pytest.raises(RuntimeError, match="finished before"):
@@ -204,7 +204,7 @@ def test_a_burst_of_samples_is_held_back_to_the_period() -> None:
     loop.begin()
     begun_s = time.monotonic()
     for _ in range(401):
-        assert loop.turn(0.0) is not None
+        assert loop.step(0.0) is not None
     took_s = time.monotonic() - begun_s
     # 400 gaps of at least 7 / 8 ms, by the same clock.
     assert took_s >= 400 * 0.875e-3
@@ -242,7 +242,7 @@ def test_ctrl_c_in_a_driver_leaves_no_force_and_tells_the_peer() -> None:
 
 def test_a_loop_that_did_not_begin_turns_not() -> None:
     loop = SlaveLoop(ONE, listen="127.0.0.1:0", **how())
-    assert loop.turn(0.0, 0.0, 0.0) is None
+    assert loop.step(0.0, 0.0, 0.0) is None
     trace, report = loop.finish()
     assert (len(trace), report.ticks) == (0, 0)
 

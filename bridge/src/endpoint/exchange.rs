@@ -43,7 +43,7 @@ pub struct Exchange<const N: usize> {
     pub(super) flight: Box<FlightRecorder>,
     /// Ticks at which a bound acted on the remote command.
     pub(super) limited_ticks: u64,
-    /// Since the last tick: the peer began a session, the loop was late by more than the ladder allows, the device failed.
+    /// Since the last tick: the peer began a run, the loop was late by more than the ladder allows, the device failed.
     pub(super) has_begun: bool,
     has_stalled: bool,
     pub(super) has_failed: bool,
@@ -68,17 +68,17 @@ const LONGEST_INTERVAL_NS: u64 = 20_000_000;
 const COUNTED: u64 = 16;
 
 impl<const N: usize> Exchange<N> {
-    /// A part of role `role` that has not heard of its peer; `session` is drawn anew at every start.
+    /// A part of role `role` that has not heard of its peer; `run_id` is drawn anew at every start.
     pub fn new(
         role: Role,
-        session: u64,
+        run_id: u64,
         period_ns: u64,
         settings: LadderSettings,
     ) -> Result<Self, LadderError> {
         Ok(Self {
             ladder: Ladder::new(settings)?,
             role,
-            link: FrameLink::new(role, session, settings.stop_after_ns),
+            link: FrameLink::new(role, run_id, settings.stop_after_ns),
             outgoing: PortState::default(),
             interval_ns: None,
             first_interval_ns: None,
@@ -121,7 +121,7 @@ impl<const N: usize> Exchange<N> {
             if is_known {
                 // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled
                 // again by what arrives from the network.
-                self.ladder.new_session(time.tick_ns, self.role == Role::Slave);
+                self.ladder.new_run(time.tick_ns, self.role == Role::Slave);
             }
         } else if sequence > self.counted.0 {
             // By the peer's own clock and count: neither jitter nor loss is in it.
@@ -143,8 +143,8 @@ impl<const N: usize> Exchange<N> {
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
         let hears = self.link.is_heard();
         let newest = self.link.newest().map(|frame| {
-            // An echo of another session says nothing of this one.
-            let echo = frame.echo.filter(|echo| echo.session == self.link.session());
+            // An echo of another run says nothing of this one.
+            let echo = frame.echo.filter(|echo| echo.run_id == self.link.run_id());
             PeerFrame {
                 // A state that this version does not know is none to be coupled with.
                 state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),

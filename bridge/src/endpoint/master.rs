@@ -20,7 +20,7 @@ pub struct MasterSettings<const N: usize> {
     /// dT in ns.
     pub period_ns: u64,
     /// Drawn anew at every start.
-    pub session: u64,
+    pub run_id: u64,
     /// Dynamics of the device.
     pub device: DeviceModel<N>,
     /// How V and A are had from positions.
@@ -71,8 +71,7 @@ impl<const N: usize> MasterEndpoint<N> {
             safety: settings.safety,
             limiter: LimiterSettings { ramp_in_s: 0.0, ..settings.limiter },
         })?;
-        let mut exchange =
-            Exchange::new(Role::Master, settings.session, settings.period_ns, settings.ladder)?;
+        let mut exchange = Exchange::new(Role::Master, settings.run_id, settings.period_ns, settings.ladder)?;
         exchange.flight.hold_against(thresholds(&settings.safety));
         Ok(Self {
             layer,

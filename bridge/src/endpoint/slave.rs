@@ -17,7 +17,7 @@ pub struct SlaveSettings {
     /// Period of the loop in ns.
     pub period_ns: u64,
     /// Drawn anew at every start.
-    pub session: u64,
+    pub run_id: u64,
     /// `lambda_p`, of the position-force coupling.
     pub position_scale: f64,
     /// What it takes of a remote command.
@@ -65,7 +65,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         settings.bounds.check()?;
         Ok(Self {
             coupling: PositionForce::new(settings.position_scale, 1.0)?,
-            exchange: Exchange::new(Role::Slave, settings.session, settings.period_ns, settings.ladder)?,
+            exchange: Exchange::new(Role::Slave, settings.run_id, settings.period_ns, settings.ladder)?,
             bounds: settings.bounds,
             home: None,
             command: None,

@@ -49,9 +49,9 @@ pub struct PeerFrame {
     pub state: LadderState,
     /// Whether its clutch is closed.
     pub clutch: bool,
-    /// Whether it hears this very session.
+    /// Whether it hears this very run.
     pub hears: bool,
-    /// Sequence of the frame of this very session that it echoes.
+    /// Sequence of the frame of this very run that it echoes.
     pub echo: Option<u64>,
     /// Time in ns since that frame was sent, by this side's clock: the peer's frame was sent after it.
     pub echo_age_ns: Option<u64>,

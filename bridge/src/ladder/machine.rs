@@ -169,7 +169,7 @@ impl Ladder {
 
     /// The peer is another than before. A slave (`engages`) may follow a master that was started anew, because that
     /// is the act of a person; a hand is never coupled by what arrives from the network.
-    pub fn new_session(&mut self, now_ns: u64, engages: bool) {
+    pub fn new_run(&mut self, now_ns: u64, engages: bool) {
         self.tell(now_ns, Reason::PeerRestarted);
         if engages && self.state != LadderState::Fault {
             self.tell(now_ns, Reason::MasterStartedAnew);

@@ -253,7 +253,7 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
     }
     for master in [true, false] {
         let mut ladder = aligning();
-        ladder.new_session(200 * MS, !master);
+        ladder.new_run(200 * MS, !master);
         fell(&ladder, Reason::PeerRestarted);
         // A slave may follow a master that was started anew.
         let engages = ladder.clone().step(201 * MS, &press()) == Engaged;
@@ -302,7 +302,7 @@ fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
     for (tick, input) in [sound(1), open, press(), open].into_iter().enumerate() {
         assert_eq!(ladder.step((302 + tick as u64) * MS, &input), Fault);
     }
-    ladder.new_session(310 * MS, true);
+    ladder.new_run(310 * MS, true);
     assert_eq!(ladder.state(), Fault, "not by a new master either");
     ladder.acknowledge(311 * MS);
     // A slave asks for as long as the master aligns: what was pressed before the fault had ended counts for nothing.
@@ -319,14 +319,14 @@ fn a_master_that_was_started_anew_ends_the_stop_of_a_slave_and_a_slave_never_tha
             ladder.step((300 + silence) * MS, &sound(silence + 1));
         }
         assert_eq!(ladder.state(), Stop);
-        ladder.new_session(701 * MS, engages);
+        ladder.new_run(701 * MS, engages);
         ladder.step(702 * MS, &press());
         assert_eq!(ladder.state(), if engages { Engaged } else { Stop });
         assert!(ladder.gain() <= 2.0 / 200.0 + 1e-12);
     }
     // A slave that was started anew while the master was engaged holds it.
     let mut ladder = engaged();
-    ladder.new_session(301 * MS, false);
+    ladder.new_run(301 * MS, false);
     assert_eq!(ladder.step(302 * MS, &press()), Hold);
 }
 
@@ -354,7 +354,7 @@ fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
     assert_eq!(reasons[2..], [Reason::PeerEnded]);
     assert!(ladder.gain() == 0.0 && ladder.holds() == 0);
     // The next peer is not coupled with by a clutch that waits, pressed, and not by the network.
-    ladder.new_session(1000 * MS, false);
+    ladder.new_run(1000 * MS, false);
     assert_eq!(ladder.step(1001 * MS, &press()), Disengaged);
     ladder.step(1002 * MS, &LadderInput { clutch: false, ..sound(1) });
     assert_eq!(ladder.step(1003 * MS, &press()), Engaged);
@@ -415,7 +415,7 @@ proptest! {
                 0 => ladder.fault(now),
                 1 => ladder.stalled(now),
                 2 => ladder.acknowledge(now),
-                3 => ladder.new_session(now, !master),
+                3 => ladder.new_run(now, !master),
                 _ => {}
             }
             if act == 3 && !master && before.0 != Fault { (opened, pressed) = (true, false); }

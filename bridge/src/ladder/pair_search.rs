@@ -83,7 +83,7 @@ impl Side {
             (self.newest, self.peer_ended) = (Some((frame, now)), frame.ended);
         }
         if begins {
-            self.ladder.new_session(now * TICK_NS, engages);
+            self.ladder.new_run(now * TICK_NS, engages);
         }
         begins
     }

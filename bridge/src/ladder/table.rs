@@ -82,7 +82,7 @@ pub enum Reason {
     BadNumber = 1,
     /// This side's own loop was late: what it knows is old.
     OwnDelay,
-    /// The peer began a new session.
+    /// The peer began a new run.
     PeerRestarted,
     /// Nothing new from the peer for longer than `hold_after`.
     PeerSilent,

@@ -75,7 +75,7 @@ impl PeerPath {
         self.meter.arrived(sequence, sent_ns, now_ns);
     }
 
-    /// Takes a frame newer than all before that the peer sent at `sent_ns` on its clock; `echo` is of our session.
+    /// Takes a frame newer than all before that the peer sent at `sent_ns` on its clock; `echo` is of our run.
     ///
     /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we know
     /// ourselves; of the echo only the counter and the time held are used.

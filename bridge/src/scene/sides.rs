@@ -37,7 +37,7 @@ pub(super) fn master_endpoint<const N: usize>(
     let (_, coupling) = coupled(scene)?;
     Ok(MasterEndpoint::new(&MasterSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
-        session,
+        run_id: session,
         device: device_model(scene)?,
         estimator: scene.safety.estimator,
         safety: scene.safety.settings,
@@ -55,7 +55,7 @@ pub(super) fn slave_endpoint<const N: usize>(
     let (slave, coupling) = coupled(scene)?;
     Ok(SlaveEndpoint::new(&SlaveSettings {
         period_ns: period_ns("slave.period_s", slave.period_s)?,
-        session,
+        run_id: session,
         position_scale: coupling.position_scale,
         bounds: coupling.bounds,
         ladder: scene.safety.ladder.unwrap_or_default(),

@@ -58,7 +58,7 @@ struct Watch {
     /// Whether the clutch was seen open, and then closed, since the last hold began.
     opened: bool,
     pressed: bool,
-    /// Session and sequence of the newest frame that was acted on.
+    /// Run and sequence of the newest frame that was acted on.
     newest: Option<(u64, u64)>,
     acts: Vec<(u64, OperatorCommand)>,
     /// What either side has sent, where a session must let nothing else through.
@@ -122,13 +122,13 @@ impl Watch {
             self.hold(is_sent, time, || format!("acted on {}, which the peer never sent", frame.sequence));
             self.seen.authentic += 1;
         }
-        let newest = self.newest.replace((frame.session, frame.sequence));
+        let newest = self.newest.replace((frame.run_id, frame.sequence));
         // In the clear, who repairs the checksum may well feign another session once the peer is silent.
         let may_change = self.sent.is_none();
         let newer =
             newest.is_none_or(
-                |(session, sequence)| {
-                    if session == frame.session { sequence < frame.sequence } else { may_change }
+                |(run_id, sequence)| {
+                    if run_id == frame.run_id { sequence < frame.sequence } else { may_change }
                 },
             );
         self.hold(newer, time, || format!("acted on {} after {newest:?}", frame.sequence));
