@@ -73,7 +73,7 @@ struct Braking<const N: usize> {
 /// An arm whose driver is elsewhere.
 ///
 /// Where it is no longer led it brakes at `deceleration`; what is written meanwhile is added to that, so that neither
-/// the position that it is told nor its velocity ever jumps. A stop is left to the driver.
+/// the commanded position nor its velocity ever jumps. A stop is left to the driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenSlave<const N: usize> {
     /// Position in m, velocity in m/s and `F_e` in N, as read.
@@ -152,7 +152,7 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    fn told(arm: &DrivenSlave<3>) -> (Axes<3>, Axes<3>) {
+    fn commanded(arm: &DrivenSlave<3>) -> (Axes<3>, Axes<3>) {
         match *arm.order() {
             SlaveOrder::Move { position, velocity } => (position, velocity),
             ref other => panic!("{other:?}"),
@@ -173,7 +173,7 @@ mod tests {
             for n in 1..=2000 {
                 arm.read((10 + n) * MS);
                 arm.write(&rest, &Axes::zeros());
-                let now = told(&arm);
+                let now = commanded(&arm);
                 // Trapezoid of two velocities: exact for constant deceleration, but in the step it ends in.
                 let step = now.0 - before.0 - (now.1 + before.1) * 0.5e-3;
                 assert!(step.norm() < 1e-12 || (now.1.norm() == 0.0 && step.norm() < deceleration * 1e-6));
@@ -197,7 +197,7 @@ mod tests {
             // From 100 ms on the master leads it the other way, slowly.
             let led = n.saturating_sub(100) as f64 * 1e-3;
             arm.write(&(rest - velocity * (0.1 * led)), &(velocity * -0.1));
-            let (position, _) = told(&arm);
+            let (position, _) = commanded(&arm);
             assert!((position - before).norm() <= 1.0e-3 + 1e-12, "{n}");
             before = position;
         }
@@ -212,7 +212,7 @@ mod tests {
         assert!(arm.stop().iter().all(|x| x.is_nan()));
         assert_eq!(*arm.order(), SlaveOrder::Stop);
         arm.write(&Axes::zeros(), &Axes::zeros());
-        assert_eq!(told(&arm).0, Axes::<3>::zeros());
+        assert_eq!(commanded(&arm).0, Axes::<3>::zeros());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! A driver's own words on a fault: bounded, printable, and carried in pieces, one in each frame.
+//! A driver's own text on a fault: bounded, printable, and carried in pieces, one in each frame.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use std::fmt;
 pub const PIECE: usize = 12;
 /// Pieces of the longest text.
 pub const PIECES: u8 = 20;
-/// Longest text in bytes of UTF-8: behind it there is room for the zero byte that ends it.
+/// Longest text in bytes of UTF-8: after it there is room for the zero byte that ends it.
 pub const MAX_FAULT_TEXT: usize = PIECE * PIECES as usize - 1;
 /// What stands at the end of a text that was cut.
 const CUT: char = '\u{2026}';
@@ -81,7 +81,7 @@ impl FaultText {
         self.length == 0
     }
 
-    /// How many pieces it has; the last one holds the zero byte behind it.
+    /// How many pieces it has; the last one holds the zero byte after it.
     #[allow(clippy::cast_possible_truncation)] // 12
     const fn pieces(&self) -> u8 {
         self.length / PIECE as u8 + 1
@@ -107,12 +107,12 @@ pub struct TextPiece {
     pub number: u8,
     /// Which piece, from 0.
     pub index: u8,
-    /// Its bytes; behind the end of the text zeros.
+    /// Its bytes; after the end of the text zeros.
     pub bytes: [u8; PIECE],
 }
 
 impl TextPiece {
-    /// Whether there is but one way to write it: no text is all zeros, and so is what lies behind an end.
+    /// Whether it has one encoding alone: no text is all zeros, and so is what lies after an end.
     pub fn is_canonical(&self) -> bool {
         let end = self.bytes.iter().position(|byte| *byte == 0);
         let ended = end.is_none_or(|end| self.bytes[end..].iter().all(|byte| *byte == 0));

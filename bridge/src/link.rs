@@ -131,7 +131,7 @@ pub enum RejectReason {
     },
 }
 
-/// Frames before the newest that are told apart: two seconds at 1 kHz.
+/// Frames before the newest that are known one by one: two seconds at 1 kHz.
 const WINDOW: u32 = 2048;
 /// Time between two frames of the fastest sender in ns, twice as fast as any: a jump of the sequence beyond the window takes
 /// so long for each frame.
@@ -468,7 +468,7 @@ mod tests {
     const HELD: usize = 48;
 
     /// One frame of somebody else in the clear, with any number in any field, in a run that lives and in a pause of it:
-    /// what the peer sends is news again within the lease, and its age is what it was.
+    /// what the peer sends is taken again within the lease, and its age is what it was.
     #[test]
     fn no_frame_in_the_clear_takes_the_link_for_longer_than_the_lease() {
         let mut values: Vec<u64> = [0, 1, 1500, 1 << 32, 1 << 63, u64::MAX / 2].to_vec();

@@ -19,8 +19,8 @@ pub struct LocalTick<const N: usize, S: Real = f64> {
     pub hand_force: Axes<N, S>,
     /// Force in N of walls that act on the device at every instant.
     pub wall_force: Axes<N, S>,
-    /// `F_v` in N, as asked for.
-    pub asked_force: Axes<N, S>,
+    /// `F_v` in N, as requested.
+    pub requested_force: Axes<N, S>,
     /// `F_v` in N, as far as the device can render it.
     pub rendered_force: Axes<N, S>,
     /// `F_h` in N, as the observers saw it.
@@ -84,16 +84,16 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
             velocity = (position - self.last_position) / S::splat(self.period_s);
             self.last_position = position;
         }
-        let asked = self.rendering.force(time_s, self.period_s, &position, &velocity);
-        let asked_force = self.delay.pass(asked);
-        let watched = self.watch.step(&self.plant, &position, &asked_force);
+        let now = self.rendering.force(time_s, self.period_s, &position, &velocity);
+        let requested_force = self.delay.pass(now);
+        let watched = self.watch.step(&self.plant, &position, &requested_force);
         self.plant.write(&watched.device_force);
         LocalTick {
             position: self.plant.position(),
             velocity: self.plant.velocity(),
             hand_force: self.plant.hand_force(),
             wall_force: self.plant.wall_force(),
-            asked_force,
+            requested_force,
             rendered_force: watched.rendered_force,
             grasp_force: watched.grasp_force,
             device_force: watched.device_force,
@@ -248,7 +248,7 @@ pub trait Rendering<const N: usize, S: Real> {
         velocity: &Axes<N, S>,
     ) -> Axes<N, S>;
 
-    /// Steps of free bodies that were too stiff to be followed to the usual accuracy.
+    /// Steps of free bodies that were too stiff to be followed to the accuracy of the others.
     fn coarse_steps(&self) -> u64 {
         0
     }
@@ -256,7 +256,7 @@ pub trait Rendering<const N: usize, S: Real> {
 
 /// A force field of surfaces.
 pub(crate) trait Surfaces<const N: usize> {
-    /// Whether a point at `position` in m, for which the force was asked for last, is inside an object.
+    /// Whether a point at `position` in m, for which the force was computed last, is inside an object.
     fn touches(&self, position: &Axes<N>) -> bool;
 }
 
@@ -304,7 +304,7 @@ impl<const N: usize> Rendering<N, f64> for SceneRendering<N> {
     }
 }
 
-/// Observers and controllers, told either what a live master knows or the truth.
+/// Observers and controllers, which see either what a live master knows or the truth.
 #[derive(Clone, Debug)]
 pub enum Watch<const N: usize, S: Real = f64> {
     /// What the estimator makes of the measured positions, as live.
@@ -333,7 +333,7 @@ pub struct Watched<const N: usize, S: Real = f64> {
 }
 
 impl<const N: usize, S: Real> Watch<N, S> {
-    /// Several side by side; none if they are told different things or are built differently.
+    /// Several side by side; none if they see different things or are built differently.
     pub(crate) fn gather(of: &[&Watch<N>]) -> Option<Self> {
         let (mut layers, mut controllers) = (Vec::new(), Vec::new());
         let mut bounds = [Vec::new(), Vec::new()];
@@ -360,18 +360,18 @@ impl<const N: usize, S: Real> Watch<N, S> {
         Some(Self::True { controller: SafetyController::gather(&controllers)?, limiters })
     }
 
-    /// One tick: `position` in m as measured, `asked` in N.
+    /// One tick: `position` in m as measured, `requested_force` in N.
     #[inline(always)]
     pub fn step(
         &mut self,
         plant: &impl LocalPlant<N, S>,
         position: &Axes<N, S>,
-        asked: &Axes<N, S>,
+        requested_force: &Axes<N, S>,
     ) -> Watched<N, S> {
         let all = S::splat(1.0);
         match self {
             Self::Estimated(layer) => {
-                let tick = layer.advance(position, plant.measured_velocity().as_ref(), asked, all);
+                let tick = layer.advance(position, plant.measured_velocity().as_ref(), requested_force, all);
                 Watched {
                     rendered_force: tick.rendered_force,
                     grasp_force: tick.grasp_force,
@@ -382,8 +382,8 @@ impl<const N: usize, S: Real> Watch<N, S> {
             Self::True { controller, limiters } => {
                 let (velocity, grasp_force) = (plant.velocity(), plant.hand_force());
                 let rendered_force = match limiters {
-                    Some([rendering, _]) => rendering.limit(asked, &Axes::zeros()).force,
-                    None => *asked,
+                    Some([rendering, _]) => rendering.limit(requested_force, &Axes::zeros()).force,
+                    None => *requested_force,
                 };
                 let response =
                     controller.respond(&Observation::exact(velocity, rendered_force, grasp_force), all);

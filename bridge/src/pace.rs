@@ -106,8 +106,8 @@ fn shown_ns(clock: &EndpointClock, true_ns: u64) -> u64 {
 /// 0.1 periods late instead of ever later.
 const PACE_SHARE: u64 = 1024;
 
-/// Least time between two ticks at a device's samples, in eighths of the period: force grows by so much a tick, so a
-/// device that gives its samples in a burst, or at twice the rate, must not make it grow faster.
+/// Shortest time between two ticks at a device's samples, in eighths of the period: force grows by so much a tick, so a
+/// device that sends its samples in a burst, or at twice the rate, must not make it grow faster.
 const MIN_EIGHTHS: u64 = 7;
 
 /// When a loop ticks that a device paces: at its samples, each of which may come late, but none before its time.
@@ -162,5 +162,4 @@ impl DevicePace {
 }
 
 #[cfg(test)]
-#[path = "pace_tests.rs"]
 mod tests;

@@ -23,13 +23,13 @@ pub trait MasterPlant<const N: usize> {
     /// The two sides have engaged.
     fn engaged(&mut self) {}
 
-    /// What no sensor tells, where the plant is a model.
+    /// What no sensor measures, where the plant is a model.
     fn truth(&self) -> Option<Truth<N>> {
         None
     }
 }
 
-/// What no sensor of a device tells.
+/// What no sensor of a device measures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Truth<const N: usize> {
     /// True position in m.
@@ -51,12 +51,12 @@ pub trait SlavePlant<const N: usize> {
     /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
-    /// Stops softly: comes to rest within the bounds of the arm and stays there, whatever was written before. Gives
+    /// Stops softly: comes to rest within the bounds of the arm and stays there, whatever was written before. Returns
     /// where that is, in m. Nothing is written until the stop is over. Never an emergency stop: power and brakes stay
     /// as they are, so that nothing on the network can switch them.
     fn stop(&mut self) -> Axes<N>;
 
-    /// Comes to rest softly where it is no longer led, and gives where that is, in m. That is written from now on.
+    /// Comes to rest softly where it is no longer led, and returns where that is, in m. That is written from now on.
     fn hold(&mut self) -> Axes<N> {
         self.stop()
     }

@@ -41,7 +41,7 @@ pub struct VirtualSettings {
     pub slave_clock: Option<EndpointClock>,
 }
 
-/// Most datagrams under way in one direction: more than an hour at 1 kHz. They take memory only as they come.
+/// Max. number of datagrams under way in one direction: more than an hour at 1 kHz. They take memory only as they are sent.
 const MAX_IN_FLIGHT: usize = 1 << 22;
 
 /// Why a run in virtual time cannot be.
@@ -183,7 +183,7 @@ pub enum Event<M, S> {
     Slave(S),
 }
 
-/// Runs both sides, each at its own rate, and gives each tick's record and the slave to `observe`, until that breaks
+/// Runs both sides, each at its own rate, and hands each tick's record and the slave to `observe`, until that breaks
 /// off or the master has done its ticks.
 ///
 /// The next of the two loops to tick takes the frames that are due by then, ticks and sends; at the same instant the

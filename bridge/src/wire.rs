@@ -27,14 +27,14 @@
 //! | 81 + 24 N | `u8` | its fault, [`haptether_safety::Fault::code`]; 0 without |
 //! | 82 + 24 N | `u8` | number of its fault's text, 1 to 255; 0 without |
 //! | 83 + 24 N | `u8` | which piece of that text follows, 0 to 19 |
-//! | 84 + 24 N | `[u8; 12]` | that piece, UTF-8; zeros behind the end of the text |
+//! | 84 + 24 N | `[u8; 12]` | that piece, UTF-8; zeros after the end of the text |
 //! | 96 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
 //! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid, those
-//! of a text that there is not, and what lies behind the end of a text. Codes of reasons and faults steer nothing: one
+//! of a text that there is not, and what lies after the end of a text. Codes of reasons and faults steer nothing: one
 //! that this version does not know is passed on and shown as a number.
 //!
-//! Positions are absolute, never increments: a lost frame costs its own news and nothing else.
+//! Positions are absolute, never increments: a lost frame costs what it says and nothing else.
 
 use haptether_safety::{Axes, Signal};
 use zerocopy::{
@@ -59,7 +59,7 @@ const ENERGIES: usize = 16;
 const CAUSE: usize = 4 + PIECE;
 /// Bytes of the checksum.
 const CHECKSUM: usize = 4;
-/// Most axes of a device or an arm.
+/// Max. number of axes of a device or an arm.
 pub const MAX_AXES: usize = 7;
 /// Bytes of a frame of the largest number of axes.
 pub const MAX_FRAME: usize = frame_length(MAX_AXES);
@@ -104,7 +104,7 @@ impl Role {
     }
 }
 
-/// The newest frame of the peer, told back to it.
+/// The newest frame of the peer, returned to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
     /// Its run: an echo of another one was meant for somebody else.
@@ -150,7 +150,7 @@ pub struct Frame<const N: usize> {
     pub reason: u8,
     /// Its fault, [`haptether_safety::Fault::code`]; 0 without.
     pub fault: u8,
-    /// What this frame carries of the sender's own words on its fault.
+    /// What this frame carries of the text on the sender's fault.
     pub text: TextPiece,
 }
 
@@ -252,7 +252,7 @@ impl<const N: usize> Frame<N> {
     /// Bytes of this frame.
     pub const LENGTH: usize = frame_length(N);
 
-    /// Writes the frame and gives the bytes written.
+    /// Writes the frame and returns the bytes written.
     pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         let echo = self.echo.unwrap_or(NO_ECHO);
         #[allow(clippy::cast_possible_truncation)] // at most 7 axes

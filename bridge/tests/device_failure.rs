@@ -8,7 +8,7 @@ use haptether_bridge::{
     MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
     coupling::CommandBounds,
     live::{
-        Ineffective, LiveSettings, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
+        DriverLoop, Ineffective, LiveSettings, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
         RealtimeSettings, Security, now_ns, paced_by_device,
     },
     scene::{SceneSpec, driven_master, simulated_master, simulated_slave},

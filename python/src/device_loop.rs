@@ -7,7 +7,7 @@ use std::{
 
 use haptether_bridge::{
     DrivenMaster, DrivenSlave, FaultText, MasterSide, OperatorCommand, Side, SlaveOrder, SlaveSide,
-    live::{Ended, Ineffective, PacedLoop, paced_by_device},
+    live::{DriverLoop, Ineffective, PacedLoop, paced_by_device},
     scene::{Timed, driven_master, driven_slave},
 };
 use haptether_safety::Axes;
@@ -32,40 +32,6 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<SlaveLoop>()
 }
 
-/// The loop of any side.
-trait Paced: Send {
-    fn begin(&mut self) -> PyResult<String>;
-    fn wait(&mut self);
-    fn fail(&mut self, text: &FaultText);
-    fn announce_end(&mut self);
-    fn end(&mut self) -> Option<Ended>;
-}
-
-impl<S: Side<N> + Send, const N: usize> Paced for PacedLoop<S, N>
-where
-    PacedLoop<S, N>: Send,
-{
-    fn begin(&mut self) -> PyResult<String> {
-        PacedLoop::begin(self).map(|realtime| realtime.to_string()).map_err(not_begun)
-    }
-
-    fn wait(&mut self) {
-        PacedLoop::wait(self);
-    }
-
-    fn fail(&mut self, text: &FaultText) {
-        PacedLoop::fail(self, text);
-    }
-
-    fn announce_end(&mut self) {
-        PacedLoop::announce_end(self);
-    }
-
-    fn end(&mut self) -> Option<Ended> {
-        PacedLoop::end(self)
-    }
-}
-
 /// What a master's driver has read.
 struct MasterRead<'a, 'py> {
     position: &'a Bound<'py, PyAny>,
@@ -82,7 +48,7 @@ struct SlaveRead<'a, 'py> {
     fault: Option<&'a str>,
 }
 
-trait MasterSteps: Paced {
+trait MasterSteps: DriverLoop + Send {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -90,7 +56,7 @@ trait MasterSteps: Paced {
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
 }
 
-trait SlaveSteps: Paced {
+trait SlaveSteps: DriverLoop + Send {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -123,10 +89,7 @@ fn written<'py, const N: usize>(py: Python<'py>, value: &Axes<N>) -> PyResult<Bo
     PyTuple::new(py, value.iter())
 }
 
-impl<const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N>>, N>
-where
-    Self: Paced,
-{
+impl<const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N>>, N> {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -147,10 +110,7 @@ where
     }
 }
 
-impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>>, N>
-where
-    Self: Paced,
-{
+impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>>, N> {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -188,7 +148,7 @@ fn own<T: ?Sized>(of: &Mutex<Box<T>>) -> PyResult<MutexGuard<'_, Box<T>>> {
 }
 
 /// Ends a loop and returns its rows and report.
-fn finish<T: Paced + ?Sized, Rows>(
+fn finish<T: DriverLoop + Send + ?Sized, Rows>(
     py: Python<'_>,
     paced: &Mutex<Box<T>>,
     watched: &Watched<Rows>,
@@ -208,7 +168,7 @@ macro_rules! loop_methods {
                 let mut paced = own(&self.paced)?;
                 let paced = &mut **paced;
                 // Memory is locked here, which takes its time where much is mapped.
-                py.detach(|| paced.begin())
+                py.detach(|| paced.begin()).map(|realtime| realtime.to_string()).map_err(not_begun)
             }
 
             fn wait(&self, py: Python<'_>) -> PyResult<()> {

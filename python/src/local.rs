@@ -286,7 +286,7 @@ impl LocalRecord {
             position: tick.position[0],
             velocity: tick.velocity[0],
             hand_force: tick.hand_force[0],
-            rendered_force: tick.asked_force[0],
+            rendered_force: tick.requested_force[0],
             grasp_force: tick.grasp_force[0],
             device_force: tick.device_force[0],
             velocity_force: intervention.observed[ControllerKind::Vfc],

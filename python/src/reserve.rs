@@ -4,7 +4,7 @@
 //! and has each loop end in good order at its next tick.
 
 #![allow(unsafe_code)] // an allocator, and a mapping that nobody reads
-#![allow(clippy::cast_ptr_alignment)] // a block is asked for with the alignment that it needs
+#![allow(clippy::cast_ptr_alignment)] // a block is allocated with the alignment that it needs
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -23,7 +23,7 @@ const BLOCK: usize = 1 << 16;
 const BLOCKS: usize = 256;
 /// How often an allocation is tried anew: another thread may be about to free the reserve.
 const ATTEMPTS: usize = 64;
-/// Bytes that must be there to be mapped for a run to go on: what Python asks for at a time.
+/// Bytes that must be there to be mapped for a run to go on: what Python allocates at a time.
 const PROBE: usize = 1 << 21;
 
 /// First of the blocks that are set aside; each begins with the address of the next.
@@ -41,7 +41,7 @@ impl Reserving {
     fn tried(size: usize, mut allocate: impl FnMut() -> *mut u8) -> *mut u8 {
         let mut got = allocate();
         if size > BLOCK * BLOCKS {
-            // The reserve could not serve it: whoever asks for so much asks whether it is there.
+            // The reserve could not serve it: whoever allocates so much checks whether it is there.
             return got;
         }
         for _ in 0..ATTEMPTS {
@@ -122,7 +122,7 @@ fn free(mut first: *mut u8) {
     }
 }
 
-/// Spends the reserve where nothing more can be mapped, before somebody needs it who cannot be told.
+/// Spends the reserve where nothing more can be mapped, before somebody needs it who cannot handle that.
 pub(crate) fn probe() {
     if is_exhausted() || RESERVE.load(Ordering::Acquire).is_null() {
         return;

@@ -38,7 +38,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 const MAX_REST: Duration = Duration::from_millis(300);
 /// Of a shell's command that Ctrl-C has ended.
 const INTERRUPTED: i32 = 130;
-/// How old an acknowledgement may be when somebody asks for it: it belongs to what was seen then.
+/// How old an acknowledgement may be when somebody takes it: it belongs to what was seen then.
 const MAX_ACKNOWLEDGEMENT: Duration = Duration::from_millis(500);
 
 /// What SIGUSR1 does at a side.

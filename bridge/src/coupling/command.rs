@@ -83,10 +83,10 @@ pub(crate) fn bounded<const N: usize>(
         command = home + out * (bounds.reach / out.norm());
     }
     let step = command - last;
-    let most = bounds.speed * elapsed_s;
-    if step.norm() > most {
+    let max_step = bounds.speed * elapsed_s;
+    if step.norm() > max_step {
         limited.speed = true;
-        command = last + step * (most / step.norm());
+        command = last + step * (max_step / step.norm());
     }
     (command, limited)
 }

@@ -147,7 +147,7 @@ impl<const N: usize> FrameMap<N> {
     }
 }
 
-/// Largest sum in J that a frame tells; a port of 1 kW takes eleven days to it.
+/// Largest sum in J that a frame carries; a port of 1 kW takes eleven days to it.
 pub const MAX_ENERGY_J: f64 = 1e9;
 
 /// Cumulative energies at a port, for the couplings that balance them.
@@ -242,7 +242,7 @@ mod frame_tests {
         assert!((plane.to_slave(&Axes::<2>::new(0.0, 1.0)) - Axes::<2>::new(-1.0, 0.0)).norm() < 1e-15);
         assert_eq!(plane.to_slave(&Axes::<2>::new(1.0, 0.0))[1], 0.0, "locked");
         assert_eq!(FrameMap::<6>::turned([-1.0, 0.0, 0.0, 0.0], &[]), Ok(FrameMap::default()));
-        for (refused, told) in [
+        for (refused, text) in [
             (
                 FrameMap::<2>::turned([half, half, 0.0, 0.0], &[]).map(|_| ()).unwrap_err(),
                 "a rotation of 2 axes",
@@ -258,7 +258,7 @@ mod frame_tests {
             (FrameMap::<3>::turned([0.5; 4].map(|w| 2.0 * w), &[]).map(|_| ()).unwrap_err(), "norm of 2"),
             (FrameMap::<3>::turned([f64::NAN; 4], &[]).map(|_| ()).unwrap_err(), "norm of NaN"),
         ] {
-            assert!(refused.to_string().contains(told), "{refused}");
+            assert!(refused.to_string().contains(text), "{refused}");
         }
     }
 

@@ -31,9 +31,9 @@ pub struct Exchange<const N: usize> {
     link: FrameLink<N>,
     /// What the next frame says of the plant.
     pub(super) outgoing: PortState<N>,
-    /// Least time in ns between two frames of the peer, as it sends them, over [`COUNTED`] of them.
+    /// Shortest time in ns between two frames of the peer, as it sends them, over [`COUNTED`] of them.
     interval_ns: Option<u64>,
-    /// The same over those that came until there were as many.
+    /// The same over those that arrived until there were as many.
     first_interval_ns: Option<u64>,
     /// Sequence and sending time of the frame that the next count begins with.
     counted: (u64, u64),
@@ -62,8 +62,8 @@ pub struct Exchange<const N: usize> {
     peer_ended: bool,
 }
 
-/// Longest period of a loop in ns: a peer cannot ask for more patience.
-const LONGEST_INTERVAL_NS: u64 = 20_000_000;
+/// Longest period of a loop in ns: a peer cannot request more patience.
+const MAX_INTERVAL_NS: u64 = 20_000_000;
 /// Frames whose mean interval is taken: one loop that wakes late shortens the next interval by its lateness.
 const COUNTED: u64 = 16;
 
@@ -126,9 +126,9 @@ impl<const N: usize> Exchange<N> {
         } else if sequence > self.counted.0 {
             // By the peer's own clock and count: neither jitter nor loss is in it.
             let frames = sequence - self.counted.0;
-            let interval_ns = (sent_ns.saturating_sub(self.counted.1) / frames).min(LONGEST_INTERVAL_NS);
+            let interval_ns = (sent_ns.saturating_sub(self.counted.1) / frames).min(MAX_INTERVAL_NS);
             if frames >= COUNTED {
-                self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |least| least.min(interval_ns)));
+                self.interval_ns = Some(self.interval_ns.map_or(interval_ns, |min| min.min(interval_ns)));
                 self.counted = (sequence, sent_ns);
             } else if self.interval_ns.is_none() {
                 self.first_interval_ns = Some(interval_ns);
@@ -227,7 +227,7 @@ impl<const N: usize> Exchange<N> {
         self.ladder.fault(now_ns);
     }
 
-    /// The device has failed, or says so, `text` in the driver's words: zero force or no motion from the next tick on, and
+    /// The device has failed, or says so, `text` of the driver: zero force or no motion from the next tick on, and
     /// the peer hears of it.
     ///
     /// It counts as a bad number in that tick's sample does, so that no command before the tick undoes it.

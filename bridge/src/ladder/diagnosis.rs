@@ -1,4 +1,4 @@
-//! Why two sides are not coupled, as one of them knows it: where it happened, in whose words, and what to do in order.
+//! Why two sides are not coupled, as one of them knows it: where it happened, what, and what to do in order.
 
 use std::fmt::Write as _;
 
@@ -17,7 +17,7 @@ pub struct PeerCause {
     pub reason: u8,
     /// Its fault, [`Fault::code`]; 0 without.
     pub fault: u8,
-    /// Its own words on that.
+    /// Its driver's text on that.
     pub text: FaultText,
 }
 
@@ -32,7 +32,7 @@ pub struct Diagnosis {
     pub reason: Option<Reason>,
     /// Its fault, [`Fault::code`]; 0 without.
     pub fault: u8,
-    /// Its own words on that.
+    /// Its driver's text on that.
     pub text: FaultText,
     /// What the peer said; none before its first frame.
     pub peer: Option<PeerCause>,
@@ -65,18 +65,18 @@ pub struct Step {
     pub at: &'static str,
     /// What kind of thing.
     pub remedy: Remedy,
-    /// In words.
+    /// A sentence for people.
     pub text: String,
 }
 
-/// A diagnosis in words.
+/// A diagnosis as people read it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Explanation {
     /// Where the side stood that knows it.
     pub state: LadderState,
     /// Where it happened: "master", "slave" or "link".
     pub at: &'static str,
-    /// What, with the driver's own words where there are any.
+    /// What, with the driver's own text where there is one.
     pub text: String,
     /// What to do, in this order.
     pub steps: Vec<Step>,
@@ -92,8 +92,8 @@ impl Explanation {
 
 const LINK: &str = "link";
 
-/// A fault in words: the driver's own, or what its code means.
-fn fault_words(code: u8, text: &FaultText) -> String {
+/// The text of a fault: the driver's own, or what its code means.
+fn describe_fault(code: u8, text: &FaultText) -> String {
     match Fault::from_code(code) {
         _ if !text.is_empty() => text.as_str().to_owned(),
         Some(fault) => fault.to_string(),
@@ -102,7 +102,7 @@ fn fault_words(code: u8, text: &FaultText) -> String {
 }
 
 impl Diagnosis {
-    /// Whether another one is of the same case, with more words on it or of a link that is back.
+    /// Whether another one is of the same case, with more text on it or of a link that is back.
     pub fn is_same_case(&self, other: &Self) -> bool {
         let bare = |one: &Self| Self {
             silent: false,
@@ -122,25 +122,25 @@ impl Diagnosis {
             || self.silent && self.state.is_held()
     }
 
-    /// In words, and what to do.
+    /// What happened where, as people read it, and what to do.
     pub fn explain(&self) -> Explanation {
         let (own, other) = (self.role.name(), self.role.peer().name());
         if self.state == LadderState::Fault {
             return self.own_fault(own, other);
         }
         if let Some(peer) = self.peer.filter(|peer| peer.state == LadderState::Fault) {
-            let words = fault_words(peer.fault, &peer.text);
+            let fault = describe_fault(peer.fault, &peer.text);
             let (and_ended, first) = if self.ended {
                 (", and has ended", start(other, "mend the cause, then start"))
             } else {
                 ("", acknowledge(other))
             };
-            let text = format!("the {other} has a fault{and_ended}: {words}");
-            return self.told(other, text, vec![first]);
+            let text = format!("the {other} has a fault{and_ended}: {fault}");
+            return self.explanation(other, text, vec![first]);
         }
         if self.ended {
             let text = format!("the {other} has ended");
-            return self.told(other, text, vec![start(other, "start")]);
+            return self.explanation(other, text, vec![start(other, "start")]);
         }
         let (at, text) = self.hold(own, other);
         let steps = if at == LINK || self.silent {
@@ -151,22 +151,22 @@ impl Diagnosis {
         } else {
             Vec::new()
         };
-        self.told(at, text, steps)
+        self.explanation(at, text, steps)
     }
 
     fn own_fault(&self, own: &'static str, other: &'static str) -> Explanation {
-        let mut text = format!("the {own} has a fault: {}", fault_words(self.fault, &self.text));
+        let mut text = format!("the {own} has a fault: {}", describe_fault(self.fault, &self.text));
         let mut steps =
             vec![if self.ends { start(own, "mend the cause, then start") } else { acknowledge(own) }];
         if let Some(peer) = self.peer.filter(|peer| peer.state == LadderState::Fault) {
-            let _ = write!(text, "; the {other} has one, too: {}", fault_words(peer.fault, &peer.text));
+            let _ = write!(text, "; the {other} has one, too: {}", describe_fault(peer.fault, &peer.text));
             steps.push(acknowledge(other));
         }
         if self.ended {
             let _ = write!(text, "; the {other} has ended");
             steps.push(start(other, "start"));
         }
-        self.told(own, text, steps)
+        self.explanation(own, text, steps)
     }
 
     /// Where a hold or stop comes from that no fault and no end led to.
@@ -223,7 +223,7 @@ impl Diagnosis {
     }
 
     /// With the last step; a master that is started presses by that.
-    fn told(&self, at: &'static str, text: String, mut steps: Vec<Step>) -> Explanation {
+    fn explanation(&self, at: &'static str, text: String, mut steps: Vec<Step>) -> Explanation {
         let is_started = |step: &Step| step.remedy == Remedy::Start && step.at == Role::Master.name();
         if !steps.iter().any(is_started) {
             let text = "release the clutch at the master and press it again".to_owned();
@@ -262,7 +262,7 @@ mod tests {
         Some(PeerCause { state, reason, fault, text: FaultText::new(text) })
     }
 
-    fn told(diagnosis: &Diagnosis) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
+    fn explained(diagnosis: &Diagnosis) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
         let Explanation { at, text, steps, .. } = diagnosis.explain();
         (at, text, steps.iter().map(|step| (step.at, step.remedy)).collect())
     }
@@ -429,7 +429,7 @@ mod tests {
             ),
         ];
         for (diagnosis, at, text, steps) in cases {
-            assert_eq!(told(&diagnosis), (at, text.to_owned(), steps), "{diagnosis:?}");
+            assert_eq!(explained(&diagnosis), (at, text.to_owned(), steps), "{diagnosis:?}");
         }
     }
 
@@ -504,7 +504,7 @@ mod tests {
                         for peer_state in LadderState::ALL {
                             let peer = peer(peer_state, code, code, "");
                             let all = Diagnosis { role, state, reason, peer, ended, silent, ..HELD };
-                            let (_, text, steps) = told(&all);
+                            let (_, text, steps) = explained(&all);
                             assert!(!text.is_empty() && !text.contains('\n'));
                             let last = steps.last().copied();
                             assert!(

@@ -133,7 +133,7 @@ impl FlightRecorder {
         if self.diagnosis.as_ref() != diagnosis {
             if let Some(&diagnosis) = diagnosis {
                 let mut since_ns = entry.time_ns;
-                // More words on the same, or the link that comes and goes: no place of its own.
+                // More text on the same, or the link that comes and goes: no place of its own.
                 if let Some(before) = self.diagnosis.filter(|before| before.is_same_case(&diagnosis)) {
                     self.diagnosed -= 1;
                     let slot = self.diagnoses[self.diagnosed % KEPT_DIAGNOSES];
@@ -161,7 +161,7 @@ impl FlightRecorder {
         self.diagnosis.as_ref()
     }
 
-    /// Each cause in words, the oldest first; what changes no word is not said again.
+    /// The explanation of each cause, the oldest first; one that does not change is not repeated.
     fn causes(&self, seconds: impl Fn(u64) -> f64) -> Vec<Cause> {
         let kept = self.diagnosed.saturating_sub(KEPT_DIAGNOSES)..self.diagnosed;
         let mut causes: Vec<Cause> = Vec::new();
@@ -247,7 +247,7 @@ struct Tick {
 
 impl Tick {
     fn of(entry: &FlightEntry, time_s: f64) -> Self {
-        // JSON has no word for a number that is none, and a fault may well be about one.
+        // JSON has no symbol for a number that is none, and a fault may well be about one.
         let [position, command, force] = entry.values.rows.map(|row| {
             row[..entry.values.axes].iter().map(|value| value.is_finite().then_some(*value)).collect()
         });
@@ -378,7 +378,7 @@ impl Interventions {
     }
 }
 
-/// JSON has no word for a number that is none.
+/// JSON has no symbol for a number that is none.
 fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
@@ -498,7 +498,7 @@ mod tests {
         // Of the same case, with a link that went.
         assert_eq!(take(30, Some(Diagnosis { silent: true, ..late })), [(10.0, 2)]);
         assert_eq!(take(40, None), [(10.0, 2)]);
-        // Anew: a case of its own, whose words stand there already.
+        // Anew: a case of its own, whose text stands there already.
         assert_eq!(take(50, Some(Diagnosis { silent: true, ..late })), [(10.0, 2)]);
         assert_eq!(take(60, Some(held(Reason::PeerRestarted))), [(10.0, 2), (60.0, 1)]);
         assert_eq!(take(70, Some(late)), [(10.0, 2), (60.0, 1), (70.0, 1)]);

@@ -1,4 +1,4 @@
-//! What one tick tells a ladder: from the button, and from what the peer's newest frame says and echoes.
+//! The input of a ladder at one tick: from the button, and from what the peer's newest frame says and echoes.
 
 use super::{machine::Ladder, table::LadderState};
 use crate::wire::Role;
@@ -18,7 +18,7 @@ pub struct PeerReport {
     pub is_current: bool,
 }
 
-/// What one tick tells the ladder.
+/// The input of a ladder at one tick.
 #[allow(clippy::struct_excessive_bools)] // what is the case at a tick
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LadderInput {
@@ -34,10 +34,10 @@ pub struct LadderInput {
     /// disengaged master has none that is.
     pub clutch: bool,
     /// Whether an open clutch is a release only where the peer knew of what made one necessary. So it is in HOLD and
-    /// STOP; at the slave, whose news may be old, in DISENGAGED, too.
+    /// STOP; at the slave, whose newest frame may be old, in DISENGAGED, too.
     pub needs_answer: bool,
-    /// Whether that is an act at this tick: at the master the edge of the button, at the slave a master that aligns.
-    pub asks: bool,
+    /// Whether it was pressed at this tick: at the master the edge of the button, at the slave a master that aligns.
+    pub is_press: bool,
     /// Whether the peer has ended in good order.
     pub ended: bool,
 }
@@ -74,7 +74,7 @@ pub struct LinkView {
     pub ended: bool,
 }
 
-/// Makes a ladder's inputs: keeps which frames of this side were the first to tell of what made the last release
+/// Makes a ladder's inputs: keeps which frames of this side were the first after what made the last release
 /// necessary, and of the last press.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LadderInputs {
@@ -103,20 +103,20 @@ impl LadderInputs {
         state
     }
 
-    /// What a tick tells the ladder.
+    /// The input at a tick.
     fn read(&mut self, ladder: &Ladder, button: bool, link: &LinkView) -> LadderInput {
         if self.closings != ladder.closings() {
             (self.closings, self.closed_sequence) = (ladder.closings(), link.next_sequence);
         }
         let settings = *ladder.settings();
         let newest = link.newest;
-        let (clutch, asks, is_current) = match self.role {
+        let (clutch, is_press, is_current) = match self.role {
             Role::Master => {
-                let asks = button && !self.clutch;
+                let is_press = button && !self.clutch;
                 // Nobody can know of a press at the tick of it.
                 let knows =
                     newest.and_then(|frame| frame.echo).is_some_and(|echo| echo >= self.pressed_sequence);
-                (button, asks, knows && !asks)
+                (button, is_press, knows && !is_press)
             }
             Role::Slave => {
                 // Whoever is disengaged with a closed clutch has let a press expire: it is none any more.
@@ -126,9 +126,9 @@ impl LadderInputs {
                 let heard = link.age_ns.is_some_and(|age| age <= most_ns);
                 let age_ns = newest.and_then(|frame| frame.echo_age_ns);
                 // Without an echo it aligns, so that the master hears of it, but does not engage.
-                let asks = newest.is_some_and(|frame| frame.state == LadderState::Aligning)
+                let is_press = newest.is_some_and(|frame| frame.state == LadderState::Aligning)
                     && age_ns.is_none_or(|age| age <= settings.align_ns);
-                (closed, closed && heard && asks, age_ns.is_some_and(|age| age <= settings.align_ns))
+                (closed, closed && heard && is_press, age_ns.is_some_and(|age| age <= settings.align_ns))
             }
         };
         self.clutch = clutch;
@@ -140,7 +140,7 @@ impl LadderInputs {
         });
         let &LinkView { age_ns, expected_age_ns, over_usual_ns, ended, .. } = link;
         let needs_answer = self.role == Role::Slave && self.closings > 0;
-        LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, needs_answer, asks, ended }
+        LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, needs_answer, is_press, ended }
     }
 
     /// The clutch as of the last tick.
@@ -180,7 +180,7 @@ mod tests {
         let peer = PeerReport { state: LadderState::Engaged, hears: true, answers: true, is_current: true };
         let sound = LadderInput { age_ns: Some(0), peer: Some(peer), clutch: true, ..LadderInput::default() };
         let mut ladder = ladder();
-        ladder.step(0, &LadderInput { asks: true, ..sound });
+        ladder.step(0, &LadderInput { is_press: true, ..sound });
         assert_eq!(ladder.step(MS, &sound), LadderState::Engaged);
         assert_eq!(ladder.step(2 * MS, &LadderInput { age_ns: Some(100 * MS), ..sound }), LadderState::Hold);
         assert_eq!(ladder.closings(), 1);
@@ -189,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_press_of_the_master_is_the_edge_of_its_button_and_known_by_a_later_echo() {
-        for (before, button, asks) in
+        for (before, button, is_press) in
             [(false, false, false), (false, true, true), (true, true, false), (true, false, false)]
         {
             for (echo, pressed_sequence, knows) in
@@ -199,14 +199,14 @@ mod tests {
                     LadderInputs { clutch: before, pressed_sequence, ..LadderInputs::new(Role::Master) };
                 let newest = frame(LadderState::Engaged, false, echo, None);
                 let input = inputs.read(&ladder(), button, &link(Some(newest), 9));
-                assert_eq!((input.clutch, input.asks, inputs.clutch()), (button, asks, button));
+                assert_eq!((input.clutch, input.is_press, inputs.clutch()), (button, is_press, button));
                 let current = input.peer.unwrap().is_current;
-                assert_eq!(current, knows && !asks, "{before} {button} {echo:?}");
+                assert_eq!(current, knows && !is_press, "{before} {button} {echo:?}");
                 assert!(!input.needs_answer);
             }
         }
         let input = LadderInputs::new(Role::Master).read(&ladder(), true, &link(None, 0));
-        assert_eq!((input.peer, input.asks), (None, true));
+        assert_eq!((input.peer, input.is_press), (None, true));
     }
 
     #[test]
@@ -229,14 +229,18 @@ mod tests {
                         let input = inputs.read(&ladder(), !clutch, &view);
                         let closed = clutch && state != Disengaged;
                         assert_eq!((input.clutch, inputs.clutch()), (closed, closed));
-                        assert_eq!(input.asks, closed && heard && is_fresh && state == Aligning, "{view:?}");
+                        assert_eq!(
+                            input.is_press,
+                            closed && heard && is_fresh && state == Aligning,
+                            "{view:?}"
+                        );
                         assert_eq!(input.peer.unwrap().is_current, is_current);
                     }
                 }
             }
         }
         let input = LadderInputs::new(Role::Slave).read(&ladder(), true, &link(None, 0));
-        assert_eq!((input.peer, input.asks, input.clutch), (None, false, false));
+        assert_eq!((input.peer, input.is_press, input.clutch), (None, false, false));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::{
     table::{Facts, LadderState, Reason, next},
 };
 
-/// The ladder of one endpoint: a pure function of what it is told and when.
+/// The ladder of one endpoint: a pure function of its inputs and their times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ladder {
     settings: LadderSettings,
@@ -95,7 +95,7 @@ impl Ladder {
         let held = matches!(self.state, LadderState::Hold | LadderState::Stop);
         self.opened |= !input.clutch && (answered || !(held || input.needs_answer));
         self.ready = both_hear && !stands(LadderState::Fault) && (answered || !held);
-        let pressed = input.asks && self.opened && (self.ready || !held);
+        let pressed = input.is_press && self.opened && (self.ready || !held);
         let aligned = peer.is_some_and(|peer| peer.is_current && peer.state.is_aligned());
         Facts::default()
             .with(Reason::PeerSilent, silent || !seen)
@@ -163,36 +163,36 @@ impl Ladder {
         };
     }
 
-    fn tell(&mut self, now_ns: u64, reason: Reason) {
+    fn apply(&mut self, now_ns: u64, reason: Reason) {
         self.follow(now_ns, Facts::default().with(reason, true));
     }
 
     /// The peer is another than before. A slave (`engages`) may follow a master that was started anew, because that
     /// is the act of a person; a hand is never coupled by what arrives from the network.
     pub fn new_run(&mut self, now_ns: u64, engages: bool) {
-        self.tell(now_ns, Reason::PeerRestarted);
+        self.apply(now_ns, Reason::PeerRestarted);
         if engages && self.state != LadderState::Fault {
-            self.tell(now_ns, Reason::MasterStartedAnew);
+            self.apply(now_ns, Reason::MasterStartedAnew);
             (self.gain, self.last_sound_ns, self.opened) = (0.0, None, true);
         }
     }
 
     /// A number that cannot be was met.
     pub fn fault(&mut self, now_ns: u64) {
-        self.tell(now_ns, Reason::BadNumber);
+        self.apply(now_ns, Reason::BadNumber);
         self.gain = 0.0;
     }
 
     /// A person at this side says that the fault is mended. The clutch must then be released and pressed.
     pub fn acknowledge(&mut self, now_ns: u64) {
-        self.tell(now_ns, Reason::Acknowledged);
+        self.apply(now_ns, Reason::Acknowledged);
     }
 
     /// This side itself was late by more than the ladder allows, until `now_ns`: what it knows is old. It holds
     /// without force.
     pub fn stalled(&mut self, now_ns: u64) {
         (self.gain, self.blind_until_ns) = (0.0, Some(now_ns));
-        self.tell(now_ns, Reason::OwnDelay);
+        self.apply(now_ns, Reason::OwnDelay);
     }
 
     /// Whether the peer was heard recently enough, as of the last tick.
@@ -283,7 +283,7 @@ pub struct LadderSettings {
     #[serde(rename = "fade_in_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub fade_in_ns: u64,
-    /// Time in ns for which a press waits in ALIGNING, and oldest news by which a slave aligns; 0.5 to 5 s.
+    /// Time in ns for which a press waits in ALIGNING, and greatest age of a frame by which a slave aligns; 0.5 to 5 s.
     #[serde(skip, default = "default_align_ns")]
     pub align_ns: u64,
 }
@@ -302,7 +302,7 @@ const fn default_align_ns() -> u64 {
 }
 
 impl Default for LadderSettings {
-    /// 20 ms is the command-loss time of libfranka and UR, 200 ms their ceiling and the least fade-in; a force that
+    /// 20 ms is the command-loss time of libfranka and UR, 200 ms their ceiling and the shortest fade-in; a force that
     /// falls within 75 ms is gone 100 ms after the last frame.
     fn default() -> Self {
         Self {
@@ -319,18 +319,18 @@ impl Default for LadderSettings {
 
 /// A time that a ladder cannot have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("ladder {name} = {seen} ns: must be between {least} and {most}")]
+#[error("ladder {name} = {seen} ns: must be between {min} and {max}")]
 pub struct LadderError {
     name: &'static str,
     seen: u64,
-    least: u64,
-    most: u64,
+    min: u64,
+    max: u64,
 }
 
 impl LadderSettings {
     /// Refuses times that are out of order or range.
     pub fn check(&self) -> Result<(), LadderError> {
-        for (name, seen, least, most) in [
+        for (name, seen, min, max) in [
             ("stale_after", self.stale_after_ns, 1, 1_000 * MS),
             ("hold_after", self.hold_after_ns, self.stale_after_ns.saturating_add(1), 100 * MS),
             ("stop_after", self.stop_after_ns, self.hold_after_ns.saturating_add(1), 10_000 * MS),
@@ -344,8 +344,8 @@ impl LadderSettings {
             ("fade_in", self.fade_in_ns, 200 * MS, 60_000 * MS),
             ("align", self.align_ns, 500 * MS, 5_000 * MS),
         ] {
-            if !(least..=most).contains(&seen) {
-                return Err(LadderError { name, seen, least, most });
+            if !(min..=max).contains(&seen) {
+                return Err(LadderError { name, seen, min, max });
             }
         }
         Ok(())
@@ -423,7 +423,7 @@ mod settings_tests {
     fn times_are_ordered() {
         let good = LadderSettings::default();
         assert_eq!(good.check(), Ok(()));
-        for (bad, told) in [
+        for (bad, name) in [
             (LadderSettings { stale_after_ns: 0, ..good }, "stale_after"),
             (LadderSettings { stale_after_ns: 20 * MS, ..good }, "hold_after"),
             (LadderSettings { stop_after_ns: 20 * MS, ..good }, "stop_after"),
@@ -437,7 +437,7 @@ mod settings_tests {
             (LadderSettings { align_ns: 499 * MS, ..good }, "align"),
             (LadderSettings { align_ns: 5_001 * MS, ..good }, "align"),
         ] {
-            assert_eq!(bad.check().unwrap_err().name, told);
+            assert_eq!(bad.check().unwrap_err().name, name);
         }
         assert_eq!(
             LadderSettings { fade_in_ns: 1, ..good }.check().unwrap_err().to_string(),
@@ -485,5 +485,4 @@ mod history_tests {
 #[path = "pair_search.rs"]
 mod pair_search;
 #[cfg(test)]
-#[path = "machine_tests.rs"]
 mod tests;

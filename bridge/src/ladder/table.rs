@@ -155,7 +155,7 @@ impl Reason {
         Self::ALL.get(usize::from(code).checked_sub(1)?).copied()
     }
 
-    /// What a person is told.
+    /// The text that a person reads.
     pub const fn text(self) -> &'static str {
         match self {
             BadNumber => "a number that cannot be, or the device failed",

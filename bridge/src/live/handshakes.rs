@@ -36,7 +36,7 @@ const REPEATS: u64 = 8;
 enum Request {
     /// How the session stands, with so many keys of this thread in use.
     Standing(Standing, u64),
-    /// A message of a handshake, and where it came from.
+    /// A message of a handshake, and where it is from.
     Message(SocketAddr, HandshakeDatagram),
 }
 
@@ -140,7 +140,7 @@ impl Handshakes {
         }
     }
 
-    /// Hands over a message that came at `now_ns`, behind how the session stands now, if it is within its share.
+    /// Hands over a message that arrived at `now_ns`, after the standing of the session, if it is within its share.
     pub(super) fn hand_over(
         &mut self,
         now_ns: u64,
@@ -215,7 +215,7 @@ fn answer(
     while !is_over.load(Ordering::Relaxed) {
         while let Ok(request) = requests.pop() {
             match (request, &standing) {
-                // What was said before the newest keys came into use would have this thread ask for them again.
+                // What was said before the newest keys came into use would have this thread request them again.
                 (Request::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
                 (Request::Message(from, message), Some(known)) => {
                     let now_ns = system::now_ns();
@@ -334,7 +334,7 @@ mod tests {
         assert!(admission.admits(1000 * MS, at(2), &message(1, 5, 0), false));
     }
 
-    /// All that the partner has asked, again and again: the next message is taken as if there were none of it.
+    /// All that the partner has sent, again and again: the next message is taken as if there were none of it.
     #[test]
     fn repeats_of_the_partner_do_not_keep_its_next_message_out() {
         let mut admission = Admission::new();
@@ -348,11 +348,11 @@ mod tests {
         assert!(!admission.admits(1000 * MS, at(2), &message(1, 7, 7), true), "with a limit of its own");
     }
 
-    /// A master hears the answer to what it asked last, and no recorded one.
+    /// A master hears the answer to its last request, and no recorded one.
     #[test]
     fn answers_to_other_messages_are_not_looked_at() {
         let mut admission = Admission::new();
-        assert!(!admission.admits(0, at(1), &message(2, 7, 0), false), "nothing was asked");
+        assert!(!admission.admits(0, at(1), &message(2, 7, 0), false), "nothing was requested");
         admission.newest = Some((7, 0));
         for n in 0..100_000_u64 {
             assert!(!admission.admits(n * 10_000, at(1), &message(2, n + 8, 0), false));

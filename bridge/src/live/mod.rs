@@ -12,7 +12,7 @@ pub use channel::Security;
 pub use handle::{Ineffective, LiveHandle, LiveWatch, RecordReader};
 pub use handshakes::{SecurityEvent, StartError};
 pub use live_loop::{LiveSettings, LoopReport};
-pub use run::{Ended, LiveRun, Paced, PacedLoop, paced_by_device, run_live};
+pub use run::{DriverLoop, Ended, LiveRun, Paced, PacedLoop, paced_by_device, run_live};
 pub use socket::{PeerAddress, PeerSocket};
 pub use system::{
     Granted, RealtimeDemand, RealtimeReport, RealtimeSettings, end_for_lack_of_memory, is_exhausted,

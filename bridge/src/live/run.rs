@@ -151,26 +151,6 @@ pub fn paced_by_device<S: Side<N>, const N: usize>(
 }
 
 impl<S: Side<N>, const N: usize> PacedLoop<S, N> {
-    /// Time begins; asks the system for real time for this thread. Nothing if it has begun.
-    ///
-    /// Fails, and is over, where real-time scheduling is required and not all of it was granted.
-    pub fn begin(&mut self) -> Result<RealtimeReport, StartError> {
-        match std::mem::replace(&mut self.stage, Stage::Over) {
-            Stage::Ready(parts) => {
-                let (realtime, kept) = system::prepare(self.settings.realtime);
-                realtime.check(self.settings.realtime.demand)?;
-                (self.realtime, self.kept) = (realtime, Some(kept));
-                let (side, socket, channel, channels) = *parts;
-                let now_ns = system::now_ns();
-                self.pace.begin(now_ns);
-                let live_loop = LiveLoop::begin(side, socket, channel, self.settings, channels, now_ns);
-                self.stage = Stage::Running(Box::new(live_loop));
-            }
-            stage => self.stage = stage,
-        }
-        Ok(self.realtime)
-    }
-
     /// One tick: `before` hands the side its sample, `after` takes what it decided. None where the run is over.
     pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
         let Stage::Running(live_loop) = &mut self.stage else { return None };
@@ -195,15 +175,52 @@ impl<S: Side<N>, const N: usize> PacedLoop<S, N> {
             }
         }
     }
+}
+
+/// What a driver does with its loop, of whatever side, but a tick: that is [`PacedLoop::step`].
+pub trait DriverLoop {
+    /// Time begins; requests real time of the system for this thread. Nothing if it has begun.
+    ///
+    /// Fails, and is over, where real-time scheduling is required and not all of it was granted.
+    fn begin(&mut self) -> Result<RealtimeReport, StartError>;
 
     /// Sleeps until the next tick is due.
-    pub fn wait(&mut self) {
+    fn wait(&mut self);
+
+    /// The device is gone: zero force and no motion, and the peer is sent that, in the driver's words where there are any.
+    fn fail(&mut self, text: &FaultText);
+
+    /// The device is at rest: announces the end of this side to the peer, before whoever waits for the report does.
+    fn announce_end(&mut self);
+
+    /// Ends the loop and returns how it went; none if it was ended before.
+    fn end(&mut self) -> Option<Ended>;
+}
+
+impl<S: Side<N>, const N: usize> DriverLoop for PacedLoop<S, N> {
+    fn begin(&mut self) -> Result<RealtimeReport, StartError> {
+        match std::mem::replace(&mut self.stage, Stage::Over) {
+            Stage::Ready(parts) => {
+                let (realtime, kept) = system::prepare(self.settings.realtime);
+                realtime.check(self.settings.realtime.demand)?;
+                (self.realtime, self.kept) = (realtime, Some(kept));
+                let (side, socket, channel, channels) = *parts;
+                let now_ns = system::now_ns();
+                self.pace.begin(now_ns);
+                let live_loop = LiveLoop::begin(side, socket, channel, self.settings, channels, now_ns);
+                self.stage = Stage::Running(Box::new(live_loop));
+            }
+            stage => self.stage = stage,
+        }
+        Ok(self.realtime)
+    }
+
+    fn wait(&mut self) {
         system::sleep_until(self.pace.next_ns());
         self.waited = true;
     }
 
-    /// The device is gone: zero force and no motion, and the peer is sent that, in the driver's words where there are any.
-    pub fn fail(&mut self, text: &FaultText) {
+    fn fail(&mut self, text: &FaultText) {
         let Stage::Running(live_loop) = &mut self.stage else { return };
         self.shared.ends.store(true, Ordering::Relaxed);
         for _ in 0..FAILED_TICKS {
@@ -221,16 +238,14 @@ impl<S: Side<N>, const N: usize> PacedLoop<S, N> {
         live_loop.announce_end(&self.shared);
     }
 
-    /// The device is at rest: announces the end of this side to the peer, before whoever waits for the report does.
-    pub fn announce_end(&mut self) {
+    fn announce_end(&mut self) {
         if let Stage::Running(live_loop) = &mut self.stage {
             self.shared.stop.store(true, Ordering::Relaxed);
             live_loop.announce_end(&self.shared);
         }
     }
 
-    /// Ends the loop and returns how it went; none if it was ended before.
-    pub fn end(&mut self) -> Option<Ended> {
+    fn end(&mut self) -> Option<Ended> {
         self.shared.stop.store(true, Ordering::Relaxed);
         let realtime = self.realtime;
         match std::mem::replace(&mut self.stage, Stage::Over) {

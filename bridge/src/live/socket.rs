@@ -137,7 +137,7 @@ impl Place {
 
 /// The address of a peer.
 ///
-/// Of a frame and its copy the first to arrive is news, from wherever it came. So a frame that was there before is a sign of
+/// Of a frame and its copy the first to arrive is fresh, from wherever it was sent. So a frame that was there before is a sign of
 /// life, too, and a peer is followed elsewhere only after 20 ms without any at its address. Who copies frames, and is
 /// faster, does not draw the answers away.
 ///

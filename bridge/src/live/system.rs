@@ -48,7 +48,7 @@ pub(super) fn sleep_until(deadline_ns: u64) {
     while clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(rustix::io::Errno::INTR) {}
 }
 
-/// Asks the kernel not to delay this thread's wake-ups by its usual 50 us; where that is refused it works, too.
+/// Requests of the kernel not to delay this thread's wake-ups by its usual 50 us; where that is refused it works, too.
 fn request_prompt_wakeups() {
     let _ = set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
@@ -74,16 +74,16 @@ pub fn is_exhausted() -> bool {
 /// How much is at stake.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RealtimeDemand {
-    /// Ask for nothing.
+    /// Request nothing.
     Off,
-    /// Ask, and go on with what was got.
+    /// Request, and go on with what was granted.
     #[default]
     Auto,
-    /// Ask, and do not start with less.
+    /// Request, and do not start with less.
     Require,
 }
 
-/// What to ask of the system.
+/// What to request of the system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RealtimeSettings {
     /// How much is at stake.
@@ -103,10 +103,10 @@ impl Default for RealtimeSettings {
 /// What became of one wish.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Granted<T> {
-    /// Nobody asked.
+    /// Nobody requested it.
     #[default]
-    NotAsked,
-    /// Granted, as the kernel says when it is asked again.
+    NotRequested,
+    /// Granted, as the kernel says when it is read again.
     Yes(T),
     /// Refused, with the number of the kernel's error; 0 where it said yes and did otherwise.
     Refused(i32),
@@ -144,7 +144,7 @@ pub struct RealtimeReport {
 }
 
 impl RealtimeReport {
-    /// Whether all that was asked for was granted.
+    /// Whether all that was requested was granted.
     pub fn is_complete(&self) -> bool {
         !(self.fifo.is_refused() || self.locked.is_refused() || self.cpu.is_refused())
     }
@@ -209,7 +209,7 @@ impl fmt::Display for RealtimeReport {
     }
 }
 
-/// Asks for all of it for this thread; what is given must live as long as it is to last.
+/// Requests all of it for this thread; what is returned must live as long as it is to last.
 pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
     request_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
@@ -223,7 +223,7 @@ pub(super) fn prepare(settings: RealtimeSettings) -> (RealtimeReport, Kept) {
         locked: Granted::from_errno(
             memory.as_ref().map(|memory| memory.bytes).map_err(|errno| Some(errno.raw_os_error())),
         ),
-        cpu: settings.cpu.map_or(Granted::NotAsked, |cpu| Granted::from_result(stay_on(cpu))),
+        cpu: settings.cpu.map_or(Granted::NotRequested, |cpu| Granted::from_result(stay_on(cpu))),
         fifo: Granted::from_result(schedule_fifo(settings.priority)),
         wakeful: Granted::from_errno(awake.as_ref().map(|_| ()).map_err(io::Error::raw_os_error)),
     };
@@ -265,7 +265,7 @@ impl Drop for ProcessorsBefore {
     }
 }
 
-/// Tells the kernel that no wake-up may take long, as cyclictest does, for as long as the file is open.
+/// Has the kernel allow no wake-up to take long, as cyclictest does, for as long as the file is open.
 fn keep_awake() -> io::Result<File> {
     let mut latency = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;
     latency.write_all(&0_i32.to_ne_bytes())?;
@@ -350,13 +350,13 @@ mod tests {
 
     #[test]
     fn what_was_got_is_said_in_words() {
-        let (not_asked, perm) = (Granted::NotAsked, Errno::PERM.raw_os_error());
+        let (not_requested, perm) = (Granted::NotRequested, Errno::PERM.raw_os_error());
         for (fifo, locked, cpu, said) in [
-            (not_asked, Granted::NotAsked, Granted::NotAsked, "off: ordinary scheduling"),
+            (not_requested, Granted::NotRequested, Granted::NotRequested, "off: ordinary scheduling"),
             (
                 Granted::Yes(80),
                 Granted::Yes(12 << 20),
-                Granted::NotAsked,
+                Granted::NotRequested,
                 "SCHED_FIFO 80, memory locked (12 MiB)",
             ),
             (
@@ -368,18 +368,18 @@ mod tests {
             (
                 Granted::Refused(perm),
                 Granted::Yes(1 << 20),
-                Granted::NotAsked,
+                Granted::NotRequested,
                 "refused (SCHED_FIFO needs CAP_SYS_NICE or a larger RLIMIT_RTPRIO): ordinary scheduling, memory \
                  locked (1 MiB)",
             ),
             (
                 Granted::Refused(0),
                 Granted::Yes(1 << 20),
-                Granted::NotAsked,
+                Granted::NotRequested,
                 "refused (SCHED_FIFO was granted and not given): ordinary scheduling, memory locked (1 MiB)",
             ),
         ] {
-            let report = RealtimeReport { fifo, locked, cpu, wakeful: Granted::NotAsked };
+            let report = RealtimeReport { fifo, locked, cpu, wakeful: Granted::NotRequested };
             assert_eq!(report.to_string(), said);
             assert_eq!(report.is_complete(), !said.contains("refused"));
         }
@@ -403,7 +403,7 @@ mod tests {
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
             Granted::Refused(number) => assert_ne!(number, 0),
-            Granted::NotAsked => panic!("it was asked for"),
+            Granted::NotRequested => panic!("it was requested"),
         }
         match (report.locked, &kept.memory) {
             (Granted::Yes(bytes), Some(_)) => assert!(bytes > 0 && locked_bytes() >= Some(1)),

@@ -62,7 +62,7 @@ pub trait Recorded: Copy + Send + 'static {
     /// Time since the run began, in ns.
     fn time_ns(&self) -> u64;
 
-    /// Gives each field to `take`, always the same in the same order.
+    /// Hands each field to `take`, always the same in the same order.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }
 

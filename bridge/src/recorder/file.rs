@@ -134,13 +134,13 @@ impl<W: Write> McapFile<W> {
         let _ = writer.write_to_known_channel(&header, &self.message);
     }
 
-    /// Ends the chunk and hands it to the system; gives the number of the error if it was refused.
+    /// Ends the chunk and hands it to the system; returns the number of the error if it was refused.
     pub(super) fn flush(&mut self) -> Option<i32> {
         let is_done = self.writer.as_mut().is_some_and(|writer| writer.flush().is_ok());
         self.outcome(is_done)
     }
 
-    /// Writes the index and the end; gives the number of the error if that was refused.
+    /// Writes the index and the end; returns the number of the error if that was refused.
     pub(super) fn finish(mut self) -> Option<i32> {
         let is_done = self.writer.as_mut().is_some_and(|writer| writer.finish().is_ok());
         self.outcome(is_done)
@@ -217,11 +217,11 @@ impl<W: Write> Sink<W> {
         (Self { out, refusal: refusal.clone() }, refusal)
     }
 
-    fn try_to<T>(&mut self, instead: T, act: impl FnOnce(&mut W) -> io::Result<T>) -> io::Result<T> {
+    fn try_to<T>(&mut self, instead: T, write: impl FnOnce(&mut W) -> io::Result<T>) -> io::Result<T> {
         if self.refusal.number().is_some() {
             return Ok(instead);
         }
-        match act(&mut self.out) {
+        match write(&mut self.out) {
             Err(error) if error.kind() != io::ErrorKind::Interrupted => {
                 let number = error.raw_os_error().unwrap_or(Errno::IO.raw_os_error());
                 self.refusal.0.store(number, Ordering::Relaxed);

@@ -28,7 +28,7 @@ use crate::{ladder::Diagnosis, ring::ring};
 pub enum SecurityMark {
     /// Encrypted and authenticated.
     Secure,
-    /// In plain sight, from anybody.
+    /// In the clear, from anybody.
     Insecure,
 }
 
@@ -101,7 +101,7 @@ struct Note {
 /// How long the end of a run waits for the disk.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// What the recorder's thread tells.
+/// How far the recorder's thread is.
 #[derive(Debug, Default)]
 struct Progress {
     offered: AtomicU64,
@@ -167,10 +167,10 @@ impl<R: Recorded> Recorder<R> {
     pub fn begin(settings: &RecorderSettings) -> io::Result<Self> {
         let free = FreeSpace::beside(&settings.path)?;
         if free.bytes() < settings.min_free_bytes {
-            let (free, least) = (free.bytes(), settings.min_free_bytes);
+            let (free, min) = (free.bytes(), settings.min_free_bytes);
             return Err(io::Error::new(
                 io::ErrorKind::StorageFull,
-                format!("{free} bytes are free on the disk, must be at least {least}"),
+                format!("{free} bytes are free on the disk, must be at least {min}"),
             ));
         }
         let file = file::create(&settings.path)?;
@@ -185,27 +185,27 @@ impl<R: Recorded> Recorder<R> {
         let (records, waiting) = ring(RING);
         let (notes, noted) = ring(NOTES);
         let progress = Arc::new(Progress::default());
-        let (tell, ended) = mpsc::sync_channel(1);
+        let (to_recorder, ended) = mpsc::sync_channel(1);
         let (seen, security, min_free_bytes) =
             (Arc::clone(&progress), settings.security, settings.min_free_bytes);
         thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
             // The head, too, is written there: not even that may keep a run waiting.
             let file = McapFile::begin::<R>(out, security);
             write_while_open(file, (waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
-            let _ = tell.send(());
+            let _ = to_recorder.send(());
         })?;
         Ok(Self { records, notes, progress, ended })
     }
 }
 
 impl<R> Recorder<R> {
-    /// Hands a record over, or drops it where the disk is behind: what is not written is counted.
+    /// Hands a record over, or drops it where the disk is slow: what is not written is counted.
     pub(crate) fn take(&mut self, record: R) {
         self.progress.offered.fetch_add(1, Ordering::Relaxed);
         let _ = self.records.push(record);
     }
 
-    /// Hands over why the two sides are not coupled, `time_ns` after the run began; dropped where the disk is behind.
+    /// Hands over why the two sides are not coupled, `time_ns` after the run began; dropped where the disk is slow.
     pub(crate) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
         let _ = self.notes.push(Note { time_ns, diagnosis: *diagnosis });
     }

@@ -209,7 +209,7 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<
             time_s,
             &step.position,
             &step.velocity,
-            &(step.asked_force + step.wall_force),
+            &(step.requested_force + step.wall_force),
             &step.device_force,
             &step.hand_force,
             step.response.acts,

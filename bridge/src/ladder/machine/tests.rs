@@ -14,13 +14,13 @@ fn sound(age: u64) -> LadderInput {
         peer: Some(PeerReport { state: Engaged, hears: true, answers: true, is_current: true }),
         clutch: true,
         needs_answer: false,
-        asks: false,
+        is_press: false,
         ended: false,
     }
 }
 
 fn press() -> LadderInput {
-    LadderInput { asks: true, ..sound(1) }
+    LadderInput { is_press: true, ..sound(1) }
 }
 
 /// Engaged and faded in at 300 ms.
@@ -73,7 +73,7 @@ fn a_long_way_is_no_silence() {
     let late = LadderInput { age_ns: Some(500 * MS), expected_age_ns: 500 * MS, ..press() };
     ladder.step(0, &late);
     for now in 1..2000 {
-        assert_eq!(ladder.step(now * MS, &LadderInput { asks: false, ..late }), Engaged);
+        assert_eq!(ladder.step(now * MS, &LadderInput { is_press: false, ..late }), Engaged);
     }
     ladder.step(2000 * MS, &LadderInput { age_ns: Some(506 * MS), ..late });
     assert_eq!(ladder.state(), Stale);
@@ -119,7 +119,7 @@ fn old_news_holds_until_a_press_at_the_new_age() {
         assert_eq!(ladder.step(now * MS, &old(900 * MS)), Hold, "the peer is heard");
     }
     ladder.step(1000 * MS, &LadderInput { clutch: false, ..old(900 * MS) });
-    assert_eq!(ladder.step(1001 * MS, &LadderInput { asks: true, ..old(900 * MS) }), Engaged);
+    assert_eq!(ladder.step(1001 * MS, &LadderInput { is_press: true, ..old(900 * MS) }), Engaged);
     assert_eq!(ladder.step(1002 * MS, &old(0)), Engaged);
     let unknown = LadderInput { over_usual_ns: None, ..sound(1) };
     assert_eq!(ladder.step(1003 * MS, &unknown), Engaged);
@@ -194,14 +194,14 @@ const ALONE: LadderInput = LadderInput {
     peer: None,
     clutch: true,
     needs_answer: false,
-    asks: false,
+    is_press: false,
     ended: false,
 };
 
 #[test]
 fn a_press_before_there_is_a_peer_waits_for_its_time() {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
-    assert_eq!(ladder.step(0, &LadderInput { asks: true, ..ALONE }), Aligning);
+    assert_eq!(ladder.step(0, &LadderInput { is_press: true, ..ALONE }), Aligning);
     for now in 1..1000 {
         assert_eq!(ladder.step(now * MS, &ALONE), Aligning);
     }
@@ -217,7 +217,7 @@ fn a_press_before_there_is_a_peer_waits_for_its_time() {
 /// ALIGNING, from 100 ms on, with a peer that has not seen the press.
 fn aligning() -> Ladder {
     let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
-    ladder.step(100 * MS, &LadderInput { asks: true, ..waiting(1) });
+    ladder.step(100 * MS, &LadderInput { is_press: true, ..waiting(1) });
     assert_eq!(ladder.state(), Aligning);
     ladder
 }
@@ -365,7 +365,7 @@ fn an_end_of_the_peer_is_no_hold_and_only_a_new_press_couples_after_it() {
     assert_eq!(ladder.history().last().map(|step| step.reason), Some(Reason::PeerFaulted));
 }
 
-/// Anything that can be told at a tick.
+/// Any input of a tick.
 fn any_input() -> impl Strategy<Value = LadderInput> {
     let weighted = prop::bool::weighted(0.8);
     let peer = (0_u8..7, any::<bool>(), weighted, weighted).prop_map(|(code, hears, answers, is_current)| {
@@ -387,7 +387,7 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
             peer,
             clutch,
             needs_answer: false,
-            asks: false,
+            is_press: false,
             ended,
         })
 }
@@ -395,7 +395,7 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// Whatever is told at whatever times: the force is a share that never jumps up, and nobody engages but by a press.
+    /// Whatever the inputs and their times: the force is a share that never jumps up, and nobody engages but by a press.
     #[test]
     fn invariants(
         steps in prop::collection::vec((any_input(), 0_u64..40, 0_u8..40), 1..200),
@@ -409,7 +409,7 @@ proptest! {
         for (mut input, wait, act) in steps {
             let before = (ladder.state(), ladder.gain());
             now += wait * MS / 4;
-            input.asks = if master { input.clutch && !was_closed } else { input.clutch };
+            input.is_press = if master { input.clutch && !was_closed } else { input.clutch };
             was_closed = input.clutch;
             match act {
                 0 => ladder.fault(now),
@@ -424,7 +424,7 @@ proptest! {
             let count = ladder.history().count();
             ladder.step(now, &input);
             if !input.clutch { (opened, pressed) = (true, false); }
-            if input.asks && opened { pressed = true; }
+            if input.is_press && opened { pressed = true; }
             for step in ladder.history().iter().skip(count.min(32)) {
                 // The ring holds the last 32; the newest are those of this tick.
                 if step.time_ns == now && step.to == Engaged && step.from == Aligning {
@@ -470,11 +470,11 @@ fn what_is_shown_of_the_clutch_is_the_case() {
     assert!(ladder.is_ready(), "an open clutch and a sound peer");
     // Pressed, and let go before the peer has answered: that is nobody's fault.
     let waiting = LadderInput { clutch: true, ..apart };
-    assert_eq!(ladder.step(2 * MS, &LadderInput { asks: true, ..waiting }), Aligning);
+    assert_eq!(ladder.step(2 * MS, &LadderInput { is_press: true, ..waiting }), Aligning);
     assert_eq!(ladder.step(3 * MS, &apart), Disengaged);
     assert_eq!((ladder.is_unanswered(), ladder.closings()), (false, 0));
     // Pressed and held, until it is none any more.
-    assert_eq!(ladder.step(4 * MS, &LadderInput { asks: true, ..waiting }), Aligning);
+    assert_eq!(ladder.step(4 * MS, &LadderInput { is_press: true, ..waiting }), Aligning);
     let mut now = 5;
     while ladder.step(now * MS, &waiting) == Aligning {
         now += 10;
@@ -490,7 +490,7 @@ fn what_is_shown_of_the_clutch_is_the_case() {
     assert!(!ladder.is_ready(), "nobody is there");
     // Coupled, held: another release is necessary.
     now += 1;
-    ladder.step(now * MS, &LadderInput { asks: true, ..sound(1) });
+    ladder.step(now * MS, &LadderInput { is_press: true, ..sound(1) });
     now += 1;
     assert_eq!(ladder.step(now * MS, &sound(1)), Engaged);
     assert_eq!((ladder.is_unanswered(), ladder.closings()), (false, 1));
@@ -512,7 +512,7 @@ fn a_press_at_the_tick_at_which_one_ends_is_none() {
     let align_ns = LadderSettings::default().align_ns;
     let standing = PeerReport { state: Disengaged, hears: true, answers: true, is_current: false };
     let waiting = LadderInput { peer: Some(standing), ..sound(1) };
-    let again = LadderInput { asks: true, ..waiting };
+    let again = LadderInput { is_press: true, ..waiting };
     for ended in [false, true] {
         let mut ladder = Ladder::new(LadderSettings::default()).unwrap();
         ladder.step(0, &LadderInput { clutch: false, ..waiting });
