@@ -3,8 +3,8 @@
 use haptether_master::ContinuousWall;
 use haptether_safety::Axes;
 use haptether_slave::{
-    ContactLawKind, Environment, ObjectSettings, PushKind, RenderedPush, RenderedWall, RenderedWalls,
-    ShapeSettings,
+    ContactLawKind, Environment, ObjectSettings, PushKind, PusherSettings, RenderedPush, RenderedWall,
+    RenderedWalls, ShapeSettings,
 };
 
 use super::{
@@ -22,7 +22,7 @@ pub(crate) fn environment<const N: usize>(
 ) -> Result<Environment<N>, SceneError> {
     let Some(spec) = spec else { return Ok(Environment::empty()) };
     let objects = spec.objects.iter().map(ObjectSettings::object).collect::<Result<_, _>>()?;
-    let pushers = spec.pushers.iter().map(|pusher| pusher.pusher()).collect::<Result<_, _>>()?;
+    let pushers = spec.pushers.iter().map(PusherSettings::pusher).collect::<Result<_, _>>()?;
     Ok(Environment::new(objects, pushers))
 }
 
