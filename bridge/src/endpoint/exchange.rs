@@ -1,6 +1,6 @@
 //! What both endpoints have: a link, a ladder, and what goes out next.
 
-use haptether_safety::{Axes, Fault, controller::PerController};
+use haptether_safety::{Axes, Fault};
 
 use crate::{
     fault_text::{FaultText, HeardText, SpokenText},
