@@ -15,7 +15,7 @@ count or seed with `OverflowError`.
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, ClassVar, Literal, TypeAlias, final, overload
+from typing import Any, ClassVar, Literal, TypeAlias, final, overload, type_check_only
 
 import numpy as np
 import numpy.typing as npt
@@ -2214,8 +2214,63 @@ class SlaveSettings:
         ladder: LadderSettings | None = None,
     ) -> SlaveSettings: ...
 
+@type_check_only
+class _LiveSide:
+    """What a live side has, whoever paces its loop."""
+
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was chosen."""
+
+    @property
+    def state(self) -> str:
+        """Where the ladder stands: a name of `ladder_state_name`."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks done so far."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the loop has ended."""
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the peer has answered a frame of this side."""
+
+    @property
+    def recording(self) -> RecordingReport | None:
+        """How the recording stands; none without one."""
+
+    def poll(self) -> int:
+        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
+
+    def stop(self) -> None:
+        """Asks the loop to end after its current tick."""
+
+    def security_events(self) -> list[str]:
+        """What has happened to the session since the last call, in words."""
+
+    def flight(self) -> str | None:
+        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+
+    @property
+    def ineffective_presses(self) -> tuple[int, str | None]:
+        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
+
+        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
+        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
+        """
+
+    def cause(self) -> str | None:
+        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
+
+        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
+        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
+        """
+
 @final
-class LiveMaster:
+class LiveMaster(_LiveSide):
     """The side of the hand, live over UDP on a thread of its own.
 
     Args:
@@ -2263,59 +2318,8 @@ class LiveMaster:
         min_free_bytes: int = ...,
     ) -> LiveMaster: ...
     @property
-    def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
-
-    @property
-    def state(self) -> str:
-        """Where the ladder stands: a name of `ladder_state_name`."""
-
-    @property
-    def ticks(self) -> int:
-        """Ticks done so far."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the loop has ended."""
-
-    @property
     def realtime(self) -> str:
         """What the loop's thread got of the system, as read back from it."""
-
-    @property
-    def is_answered(self) -> bool:
-        """Whether the peer has answered a frame of this side."""
-
-    @property
-    def recording(self) -> RecordingReport | None:
-        """How the recording stands; none without one."""
-
-    def poll(self) -> int:
-        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
-
-    def stop(self) -> None:
-        """Asks the loop to end after its current tick."""
-
-    def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, in words."""
-
-    def flight(self) -> str | None:
-        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
-
-    @property
-    def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
-
-        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
-        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
-        """
-
-    def cause(self) -> str | None:
-        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
-
-        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
-        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
-        """
 
     def press_clutch(self) -> None:
         """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side.
@@ -2346,7 +2350,7 @@ class LiveMaster:
         """
 
 @final
-class LiveSlave:
+class LiveSlave(_LiveSide):
     """The side of the robot, live over UDP on a thread of its own; it learns the master's address.
 
     Args:
@@ -2389,59 +2393,8 @@ class LiveSlave:
         min_free_bytes: int = ...,
     ) -> LiveSlave: ...
     @property
-    def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
-
-    @property
-    def state(self) -> str:
-        """Where the ladder stands: a name of `ladder_state_name`."""
-
-    @property
-    def ticks(self) -> int:
-        """Ticks done so far."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the loop has ended."""
-
-    @property
     def realtime(self) -> str:
         """What the loop's thread got of the system, as read back from it."""
-
-    @property
-    def is_answered(self) -> bool:
-        """Whether the peer has answered a frame of this side."""
-
-    @property
-    def recording(self) -> RecordingReport | None:
-        """How the recording stands; none without one."""
-
-    def poll(self) -> int:
-        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
-
-    def stop(self) -> None:
-        """Asks the loop to end after its current tick."""
-
-    def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, in words."""
-
-    def flight(self) -> str | None:
-        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
-
-    @property
-    def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
-
-        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
-        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
-        """
-
-    def cause(self) -> str | None:
-        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
-
-        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
-        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
-        """
 
     def allow_takeover(self) -> None:
         """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
@@ -2468,7 +2421,7 @@ class LiveSlave:
         """
 
 @final
-class MasterLoop:
+class MasterLoop(_LiveSide):
     """The side of the hand, live over UDP, stepped by a driver at each sample of its device: `begin`, `step`, `finish`.
 
     Args:
@@ -2566,57 +2519,6 @@ class MasterLoop:
     def announce_end(self) -> None:
         """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
-    @property
-    def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
-
-    @property
-    def state(self) -> str:
-        """Where the ladder stands: a name of `ladder_state_name`."""
-
-    @property
-    def ticks(self) -> int:
-        """Ticks done so far."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the loop has ended."""
-
-    @property
-    def is_answered(self) -> bool:
-        """Whether the peer has answered a frame of this side."""
-
-    @property
-    def recording(self) -> RecordingReport | None:
-        """How the recording stands; none without one."""
-
-    def poll(self) -> int:
-        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
-
-    def stop(self) -> None:
-        """Asks the loop to end after its current tick."""
-
-    def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, in words."""
-
-    def flight(self) -> str | None:
-        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
-
-    @property
-    def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
-
-        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
-        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
-        """
-
-    def cause(self) -> str | None:
-        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
-
-        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
-        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
-        """
-
     def press_clutch(self) -> None:
         """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side.
 
@@ -2646,7 +2548,7 @@ class MasterLoop:
         """
 
 @final
-class SlaveLoop:
+class SlaveLoop(_LiveSide):
     """The side of the robot, live over UDP, stepped by a driver at each sample of its arm: `begin`, `step`, `finish`.
 
     Args:
@@ -2735,57 +2637,6 @@ class SlaveLoop:
 
     def announce_end(self) -> None:
         """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
-
-    @property
-    def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
-
-    @property
-    def state(self) -> str:
-        """Where the ladder stands: a name of `ladder_state_name`."""
-
-    @property
-    def ticks(self) -> int:
-        """Ticks done so far."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the loop has ended."""
-
-    @property
-    def is_answered(self) -> bool:
-        """Whether the peer has answered a frame of this side."""
-
-    @property
-    def recording(self) -> RecordingReport | None:
-        """How the recording stands; none without one."""
-
-    def poll(self) -> int:
-        """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
-
-    def stop(self) -> None:
-        """Asks the loop to end after its current tick."""
-
-    def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, in words."""
-
-    def flight(self) -> str | None:
-        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
-
-    @property
-    def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
-
-        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
-        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
-        """
-
-    def cause(self) -> str | None:
-        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
-
-        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
-        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
-        """
 
     def allow_takeover(self) -> None:
         """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
