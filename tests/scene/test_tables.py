@@ -41,7 +41,7 @@ from haptether.master import DEVICE_PRESETS
 from haptether.netsim import LinkSettings, link_spec
 from haptether.netsim.link.settings import DISTRIBUTIONS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 # ------------------------------------------------------------------------------------------- TOML
 
