@@ -32,7 +32,7 @@ pub struct Rules {
     path: Vec<Box<dyn Rule>>,
     /// After what keeps the order.
     reorder: Option<Box<dyn Rule>>,
-    arrival_rules: Vec<Box<dyn ArrivalRule>>,
+    on_arrival: Vec<Box<dyn ArrivalRule>>,
     keeps_order: bool,
 }
 
@@ -48,16 +48,16 @@ impl Rules {
         for build in PATH_RULES {
             path.extend(build(settings, &streams)?);
         }
-        let mut arrival_rules = Vec::new();
+        let mut on_arrival = Vec::new();
         for build in ARRIVAL_RULES {
-            arrival_rules.extend(build(settings, &streams)?);
+            on_arrival.extend(build(settings, &streams)?);
         }
         let reorder = REORDER_RULE(settings, &streams)?;
         Ok(Self {
             direction,
             path,
             reorder,
-            arrival_rules,
+            on_arrival,
             keeps_order: settings.keep_order && settings.netem.is_none(),
         })
     }
@@ -65,7 +65,7 @@ impl Rules {
     /// The same with one more rule on arrival.
     #[cfg(test)]
     pub(crate) fn with_arrival_rule(mut self, rule: impl ArrivalRule + 'static) -> Self {
-        self.arrival_rules.push(Box::new(rule));
+        self.on_arrival.push(Box::new(rule));
         self
     }
 }
@@ -144,7 +144,7 @@ impl Link {
                 drop @ Verdict::Drop { .. } => return drop,
             }
         }
-        for rule in &mut self.rules.arrival_rules {
+        for rule in &mut self.rules.on_arrival {
             match rule.end(packet, at_ns, damage, &mut self.extras) {
                 Verdict::Deliver { at_ns: later } => at_ns = later,
                 drop @ Verdict::Drop { .. } => return drop,
@@ -219,7 +219,7 @@ mod tests {
         let packet = Packet { direction: Direction::Backward, sent_ns: 42, size: 64, index: 0 };
         assert_eq!(link.judge(&packet).verdict, Verdict::Deliver { at_ns: 42 });
         assert!(
-            link.rules.path.is_empty() && link.rules.reorder.is_none() && link.rules.arrival_rules.is_empty()
+            link.rules.path.is_empty() && link.rules.reorder.is_none() && link.rules.on_arrival.is_empty()
         );
     }
 

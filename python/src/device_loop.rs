@@ -357,12 +357,11 @@ impl SlaveLoop {
     }
 }
 
+/// The loop of a side, and what watches it.
+type Prepared<S, const N: usize> = (PacedLoop<S, N>, Watched<<<S as Side<N>>::Record as Rowed>::Rows>);
+
 /// Without the interpreter, as `start` of `LiveMaster`.
-fn prepare<S, const N: usize>(
-    py: Python<'_>,
-    side: S,
-    place: Place,
-) -> PyResult<(PacedLoop<S, N>, Watched<<S::Record as Rowed>::Rows>)>
+fn prepare<S, const N: usize>(py: Python<'_>, side: S, place: Place) -> PyResult<Prepared<S, N>>
 where
     S: Side<N, Record: Rowed> + Send,
 {

@@ -24,6 +24,7 @@ pub struct SideCounts {
 }
 
 /// The part of an endpoint that talks to the peer.
+#[allow(clippy::struct_excessive_bools)] // events since the last tick, in any combination
 #[derive(Clone, Debug)]
 pub struct Exchange<const N: usize> {
     pub(super) ladder: Ladder,

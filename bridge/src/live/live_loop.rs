@@ -269,6 +269,7 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
             let failed_ns = side.exchange().flight().failed_ns();
             let counts = is_prompt(command, at_ns, system::now_ns(), *stalled_ns, failed_ns);
             match command {
+                #[allow(clippy::collapsible_match)] // a guard has no effects
                 OperatorCommand::Start => {
                     if !counts && side.command(now_ns, OperatorCommand::Release) == Ok(true) {
                         shared.reject_press(Ineffective::OldStart);

@@ -194,7 +194,7 @@ fn impossible_exchanges_change_nothing_but_are_reported() {
     ];
     let mut clock = PeerClock::new(MAX_DRIFT_PPB);
     clock.take(&good).unwrap();
-    let before = clock.clone();
+    let before = clock;
     for (times, fault) in cases {
         assert_eq!(clock.take(&times), Err(fault));
         assert_eq!(clock, before);
