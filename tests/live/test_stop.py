@@ -134,10 +134,12 @@ def test_ctrl_c_while_a_command_loads(arguments: tuple[str, ...], delay_s: float
     try:
         stderr = process.stderr
         assert stderr is not None
-        # What comes before is Python's own start, which answers Ctrl-C by itself.
+        # What comes before is Python's own start, which answers Ctrl-C by itself: the first import after that of the
+        # package is made by the command, which has taken the signal over by then.
         for line in stderr:
-            if line.rstrip().endswith("haptether.cli.interrupts"):
+            if line.rstrip().endswith("haptether.cli"):
                 break
+        stderr.readline()
         reading = threading.Thread(target=lambda: said.append(stderr.read()))
         said: list[str] = []
         reading.start()
