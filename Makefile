@@ -4,6 +4,8 @@
 # configuration of their crate registry.
 
 PYTHON ?= python3
+# Of the extension, "release" or "quick"; that of the last build unless it is given.
+PROFILE ?= $(or $(shell cat .tools/profile 2>/dev/null),release)
 PINNED_UV := .tools/uv/bin/uv
 # UV=/path/to/uv takes another than the pinned one.
 UV ?= $(CURDIR)/$(PINNED_UV)
@@ -70,6 +72,7 @@ lint: $(EXTENSION) ## formatting, clippy, ruff, mypy, the extension's stub, the 
 	$(BIN)/python -m pytest --quiet tests/packaging/test_licences.py
 
 .PHONY: bench
+bench: PROFILE := release
 bench: $(EXTENSION) .venv/.bench ## run benches/*.py, one after the other
 	@status=0; for bench in $(wildcard benches/[!_]*.py); do \
 	    echo "== $$bench"; $(BIN)/python "$$bench" || status=1; \
@@ -134,6 +137,11 @@ clean: ## remove all that these targets made
 	@tools/prerequisites '$(PYTHON)' > $@.new
 	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
 
+.tools/profile: FORCE
+	@mkdir -p .tools
+	@echo $(PROFILE) > $@.new
+	@if cmp -s $@.new $@; then rm $@.new; else mv $@.new $@; fi
+
 .PHONY: FORCE
 FORCE:
 
@@ -151,7 +159,7 @@ $(ENVIRONMENT): tools/requirements.txt .tools/interpreter $(if $(findstring .too
 	@touch $@
 
 # Offline, so that a dependency that the lock lacks is noticed and not fetched past it.
-$(EXTENSION): $(ENVIRONMENT) pyproject.toml $(RUST_SOURCES)
-	@echo "building the extension"
-	@PATH="$$(dirname "$(UV)"):$$PATH" UV_OFFLINE=1 $(BIN)/maturin develop --release --locked --uv
+$(EXTENSION): $(ENVIRONMENT) pyproject.toml $(RUST_SOURCES) .tools/profile
+	@echo "building the extension, profile $(PROFILE)"
+	@PATH="$$(dirname "$(UV)"):$$PATH" UV_OFFLINE=1 $(BIN)/maturin develop --profile $(PROFILE) --locked --uv
 	@touch $@

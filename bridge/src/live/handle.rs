@@ -293,8 +293,8 @@ const MAX_EVENTS: usize = 64;
 const MAX_FLIGHTS: usize = 2;
 /// Diagnoses that wait for a reader; the loop keeps the newest until there is room.
 const MAX_DIAGNOSES: usize = 16;
-/// Commands that may wait for the loop: it takes all of them at its next tick.
-const MAX_COMMANDS: usize = 16;
+/// Commands that may wait for the loop, and that one tick takes.
+pub(super) const MAX_COMMANDS: usize = 16;
 
 /// Makes the rings of a loop that a person started at `started_ns`, with room for so many records.
 pub(super) fn channels<R>(

@@ -4,7 +4,7 @@ use std::{ops::ControlFlow, sync::atomic::Ordering};
 
 use super::{
     channel::{LiveChannel, RELEASES},
-    handle::{Ineffective, LoopChannels, Shared},
+    handle::{Ineffective, LoopChannels, MAX_COMMANDS, Shared},
     handshakes::SecurityEvent,
     socket::PeerSocket,
     system::{self, RealtimeReport, RealtimeSettings},
@@ -265,7 +265,9 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
     fn take_commands(&mut self, shared: &Shared) {
         let Self { plant: RestOnDrop { side, .. }, channel, channels, now_ns, stalled_ns, .. } = self;
         let now_ns = *now_ns;
-        while let Some((at_ns, command)) = channels.commands.next(shared) {
+        // As many as may wait at once: whoever commands without end does not hold the tick.
+        for _ in 0..MAX_COMMANDS {
+            let Some((at_ns, command)) = channels.commands.next(shared) else { break };
             let failed_ns = side.exchange().flight().failed_ns();
             let counts = is_prompt(command, at_ns, system::now_ns(), *stalled_ns, failed_ns);
             match command {
