@@ -82,7 +82,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
                     case Footer():
                         whole = True
         except (McapError, msgspec.DecodeError, EOFError):
-            # Cut off: what came before counts.
+            # Cut off: what was written before counts.
             whole = False
     if about.get("schema") != SCHEMA:
         found = f"schema {about['schema']!r}, must be {SCHEMA!r}" if "schema" in about else "no recording of Haptether"

@@ -14,18 +14,18 @@ class MasterSample(NamedTuple):
     clutch: bool | None = None
     """Whether the clutch is pressed; none without a button."""
     fault: str | None = None
-    """What the device says is wrong with it; the force stays zero while there is something, and until a person at this
-    side acknowledges it."""
+    """What the device says is wrong with it; the force stays zero while there is something, and until the operator at
+    this side acknowledges it."""
 
 
 @runtime_checkable
 class MasterDevice(Protocol):
     """A haptic device: `read -> tick -> write` at each sample, on one thread.
 
-    An exception ends the run: the force goes to zero, and the peer is told of a fault. A `read` or `write` that blocks
-    for more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.masters`, which
-    is called with the options of the command line as keywords. A driver may have `acknowledge()`, called when a person
-    at this side says that a fault is mended.
+    An exception ends the run: the force goes to zero, and the peer is notified. A `read` or `write` that blocks for
+    more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.masters`, which is
+    called with the options of the command line as keywords. A driver may have `acknowledge()`, called when the
+    operator at this side says that a fault is mended.
 
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
     whose `[run] period_s` is off by more than 1 % is refused then, before any force.

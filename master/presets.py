@@ -1,4 +1,4 @@
-"""Haptic devices that a scene can name: their numbers, each with where it comes from.
+"""Haptic devices that a scene can name: their numbers, each with its source.
 
 "Data sheet" is that of SensAble, later 3D Systems, for the device. The sheets themselves were not at hand: their
 numbers stand here as they are commonly quoted, and a second source that was read is named beside them. What no source
@@ -112,4 +112,4 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         workspace=(2.0 * pi,),  # rad; e-manual: position control over 0 to 360 degrees
     ),
 })  # fmt: skip
-"""The presets by the name that `[master] device` gives."""
+"""The presets by the name that `[master] device` has."""

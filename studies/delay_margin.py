@@ -41,7 +41,7 @@ class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def largest_delay_s(loop: ContactLoop) -> float:
-    """The least sum of both delays in s at which contact begins to oscillate: infinite if at none, 0 if it does anyway.
+    """Smallest sum of both delays in s at which contact begins to oscillate: infinite if at none, 0 if it does anyway.
 
     The delay margin `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, of
     `L(s) = lambda_f lambda_p (K_e + B_e s) G(s) / (m s² + b s + k)`.
@@ -49,7 +49,7 @@ def largest_delay_s(loop: ContactLoop) -> float:
     Linear: Coulomb friction is left out, and so are limiter and safety controllers.
 
     Source: without a follower and a hand, `w tan(w T) = b/m` and `K = b w / sin(w T)`, the delayed spring; Hulin,
-    Albu-Schäffer and Hirzinger 2014 give its sampled form.
+    Albu-Schäffer and Hirzinger 2014 have its sampled form.
     """
     gain = loop.force_scale * loop.position_scale
     contact = [loop.environment_damping, loop.environment_stiffness]

@@ -30,14 +30,14 @@ END_TIMEOUT_S = 5.0
 
 
 class Interrupted(Exception):  # noqa: N818  # not an error: somebody pressed Ctrl-C
-    """The run was asked to stop."""
+    """A stop of the run was requested."""
 
 
 class StopRequest(Protocol):
-    """Whether somebody has asked to stop, and a sleep that ends when they do."""
+    """Whether a stop was requested, and a sleep that ends when they do."""
 
     def __bool__(self) -> bool:
-        """True once a stop was asked for."""
+        """True once a stop was requested."""
 
     def sleep(self, seconds: float) -> None:
         """Waits up to `seconds`."""
@@ -72,17 +72,17 @@ def run_demo(
     show: Callable[[str, float], None],
     stopped: StopRequest,
 ) -> PushResult:
-    """Runs the three processes once and gives what the master measured.
+    """Runs the three processes once and returns what the master measured.
 
     Args:
         scene: What happens.
         controller: Safety controller of the master.
         folder: Where `CONTROLLER.npz` and `CONTROLLER.json` are written.
-        show: Told the stage and the time in s as it goes.
-        stopped: Asked often; a stop ends all processes.
+        show: Called with the stage and the time in s as it goes.
+        stopped: Read often; a stop ends all processes.
 
     Raises:
-        Interrupted: A stop was asked for; all processes have ended.
+        Interrupted: A stop was requested; all processes have ended.
         RuntimeError: A process failed; the message holds what it said.
     """
     local = "127.0.0.1:0"
@@ -121,7 +121,7 @@ def run_demo(
 
 
 def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
-    """What the slave is told of the model."""
+    """The options of the slave for the model."""
     return (
         "--wall-stiffness", str(scene.wall_stiffness), "--push-at-s", str(scene.push_at_s),
         "--push-force-n", str(scene.push_force_n), "--push-duration-s", str(scene.push_duration_s),
@@ -129,7 +129,7 @@ def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
 
 
 def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
-    """Starts an emulated controller for `limit` s, whose tool meets wall and push; what the slave is told of it."""
+    """Starts an emulated controller for `limit` s, whose tool meets wall and push; the options of the slave for it."""
     # The ports of a controller are fixed: an address of its own, so that several demos get on.
     host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
     far = (
@@ -197,7 +197,7 @@ class _Process:
         """The line that says that its socket is open.
 
         Raises:
-            Interrupted: A stop was asked for.
+            Interrupted: A stop was requested.
             RuntimeError: It ended or said nothing in time.
         """
         deadline = time.monotonic() + START_TIMEOUT_S

@@ -46,7 +46,7 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
     reordered: int
     """Frames that arrived after a newer one."""
     usual_age_s: float | None
-    """Age of the peer's news that the link is used to, as a bound; none before any echo."""
+    """Age of the peer's frames that the link is used to, as a bound; none before any echo."""
     offset_s: float | None
     offset_bound_s: float | None
     """The peer's clock less ours, and how wrong that may be; none before it is known."""

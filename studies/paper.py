@@ -141,8 +141,8 @@ class Bench:
         """F_h of Eq. 4 over a run in which no controller read it, from the exact velocity."""
         velocity = trace.velocity
         acceleration = np.diff(velocity, prepend=velocity[0]) / PERIOD_S
-        told = np.concatenate([[0.0], trace.device_force[:-1]])
-        return self.model.grasp_force(velocity, acceleration, told)
+        device_force = np.concatenate([[0.0], trace.device_force[:-1]])
+        return self.model.grasp_force(velocity, acceleration, device_force)
 
 
 def first_time(condition: npt.NDArray[np.bool_]) -> float | None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def draw_paper(report: PaperReport, folder: Path) -> list[Path]:
-    """Draws the figures of a report into `folder` and gives their paths.
+    """Draws the figures of a report into `folder` and returns their paths.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.

@@ -214,7 +214,7 @@ def _force_in_hold(run: Run, coupled: Flags) -> float:
 
 
 def _refused(run: Run) -> int:
-    """Datagrams that either side refused, as the run tells it in words."""
+    """Datagrams that either side refused, as the texts of the run's events state them."""
     details = [event.detail for event in run.events if event.kind == "refused"]
     return sum(int(word) for detail in details for word in detail.split() if word.isdigit())
 

@@ -1,4 +1,4 @@
-"""The attacks of the RAVEN II study as shipped scenes, and what each comes to.
+"""The attacks of the RAVEN II study as shipped scenes, and the effect of each.
 
 Source: T. Bonaci, J. Herron, T. Yusuf, J. Yan, T. Kohno, H. J. Chizeck, "To make a robot secure: an experimental
 analysis of cyber security threats against teleoperated surgical robotics", arXiv 1504.04339, 2015.
@@ -16,7 +16,7 @@ followed, late. `stopped`: the two sides were parted, and held. `none`: no more 
 
 
 class RavenAttack(msgspec.Struct, frozen=True, kw_only=True):
-    """An attack and what it comes to."""
+    """An attack and its effect."""
 
     scene: str
     """Which shipped scene it is."""

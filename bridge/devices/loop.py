@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
 PROMPT_S = 0.25
-"""Longest age of an acknowledgement when the loop comes to it."""
+"""Longest age of an acknowledgement when the loop reads it."""
 GIVE_UP_S = 1.0
 """How long a driver may still take to open its device once nobody waits for it any more."""
 
@@ -34,7 +34,7 @@ def drive_master(
     Args:
         device: What is driven.
         loop: What leads it.
-        notes: Faults of the device, and acknowledgements by a person beside it.
+        notes: Faults of the device, and acknowledgements by the operator beside it.
         period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
 
     Raises:
@@ -89,7 +89,7 @@ def drive_slave(
     Args:
         device: What is driven.
         loop: What leads it.
-        notes: Faults of the device, and acknowledgements by a person beside it.
+        notes: Faults of the device, and acknowledgements by the operator beside it.
         period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
 
     Raises:
@@ -166,7 +166,7 @@ class DeviceRun:
         self._loop = loop
         self._drive = drive
         self._thread = threading.Thread(target=self._run, name="haptether-loop", daemon=True)
-        # The collector strikes wherever memory is asked for, the loop included: `poll` collects what is young instead.
+        # The collector runs wherever memory is allocated, the loop included: `poll` collects what is young instead.
         QUIET.begin()
         self._quieted = threading.Lock()
         # Whatever ends this process, the device is left at rest before its thread is.
@@ -182,7 +182,7 @@ class DeviceRun:
             self._drive(self.notes)
         except Exception as error:  # raised by whoever reads it at the end of the run
             self.error = error
-        except BaseException as error:  # a driver's own KeyboardInterrupt or SystemExit, of which nobody else hears
+        except BaseException as error:  # a driver's own KeyboardInterrupt or SystemExit, which nobody else sees
             self.error = failure(self._device, error)
         finally:
             self._loop.stop()
@@ -250,7 +250,7 @@ class DeviceRun:
         return self._loop.ineffective_presses
 
     def stop(self) -> None:
-        """Asks the loop to end after its current tick."""
+        """Requests the loop to end after its current tick."""
         self._loop.stop()
 
     def acknowledge(self) -> None:
@@ -288,7 +288,7 @@ class MasterRun(DeviceRun):
         self._master = loop
 
     def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: the act of a person, void where it comes late."""
+        """Lets go of the clutch for 0.1 s and presses it again: an operator's command, void where it is read late."""
         self._master.press_clutch()
 
     def finish(self) -> tuple[MasterTrace, LoopReport]:
@@ -309,7 +309,7 @@ class SlaveRun(DeviceRun):
         self._slave = loop
 
     def allow_takeover(self) -> None:
-        """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
+        """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""
         self._slave.allow_takeover()
 
     def finish(self) -> tuple[SlaveTrace, LoopReport]:

@@ -29,12 +29,12 @@ class DeviceError(RuntimeError):
 
 @dataclass
 class DeviceNotes:
-    """Faults of a device, and acknowledgements by a person beside it."""
+    """Faults of a device, and acknowledgements by the operator beside it."""
 
     fault: str | None = None
     """The last one that the device reported."""
     acknowledged_s: float | None = None
-    """When a person acknowledged it, by `time.monotonic`; none once the loop has passed that on to the device."""
+    """When the operator acknowledged it, by `time.monotonic`; none once the loop has passed that on to the device."""
     realtime: str = ""
     """What the loop's thread got of the system, once it has begun."""
     closing: threading.Lock = field(default_factory=threading.Lock)
@@ -74,7 +74,7 @@ def opened(
     try:
         yield
     finally:
-        # The loop has asked for real time for this thread, which is the caller's.
+        # The loop has requested real time for this thread, which is the caller's.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, *before)
         close_once(device, notes)
@@ -128,7 +128,7 @@ def _place(device: "MasterDevice | SlaveDevice", error: BaseException) -> str:
     if steps:
         code, line = next((step for step in reversed(steps) if step[0].co_filename == own), steps[-1])
     elif (read := getattr(getattr(type(device), "read", None), "__code__", None)) is not None:
-        # The loop refused what `read` gave: this is where it was made.
+        # The loop refused what `read` returned: this is where it was made.
         code, line = read, read.co_firstlineno
     else:
         return ""

@@ -12,7 +12,7 @@ from haptether.bridge.scene.tables.session import Scene
 from haptether.printable import printable
 
 Raw: TypeAlias = "dict[str, Raw] | list[Raw] | tuple[Raw, ...] | str | int | float | bool | None"
-"""What TOML, or a scene turned into built-in values, consists of."""
+"""What TOML, or a scene converted to built-in values, consists of."""
 Path: TypeAlias = tuple[str | int, ...]
 """Where something stands in a scene: keys of tables and places in lists."""
 

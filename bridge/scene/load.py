@@ -1,4 +1,4 @@
-"""Scenes: read by name or path, changed, checked, and turned into what the Rust side takes."""
+"""Scenes: read by name or path, changed, checked, and converted to what the Rust side takes."""
 
 import re
 import tomllib
@@ -39,7 +39,7 @@ _BARE_WORD = re.compile(r"(?<![\"\w.+-])(?!(?:true|false)\b)([A-Za-z_][\w-]*)(?!
 
 
 def scene_names() -> tuple[str, ...]:
-    """Names of the scenes that come with Haptether."""
+    """Names of the scenes that Haptether ships."""
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 
@@ -51,7 +51,7 @@ class Checked(NamedTuple):
 
     @property
     def json(self) -> bytes:
-        """The same scene gives the same bytes."""
+        """The same scene yields the same bytes."""
         return msgspec.json.encode(self.spec)
 
 
@@ -180,7 +180,7 @@ def override_scene(scene: Scene, overrides: Iterable[str]) -> Scene:
 def scene_json(scene: Scene) -> bytes:
     """The scene as JSON with exactly the fields of `bridge/src/scene/spec.rs`: defaults and presets filled in.
 
-    The same scene gives the same bytes.
+    The same scene yields the same bytes.
 
     Raises:
         SceneError: A scene that cannot be built.

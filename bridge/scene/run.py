@@ -30,7 +30,7 @@ class Signals(Mapping[str, npt.NDArray[Any]]):
         return self._arrays[name]
 
     def __getattr__(self, name: str) -> npt.NDArray[Any]:
-        # While being unpickled there are no arrays yet, and asking for them would ask here again.
+        # While being unpickled there are no arrays yet, and looking them up would end up here again.
         if name.startswith("_"):
             raise AttributeError(name)
         try:
@@ -66,7 +66,7 @@ class Event(Struct, frozen=True):
 
 
 class Metrics(Struct, frozen=True, kw_only=True):
-    """What a run comes to; none where it does not apply or was not measured, which is not 0."""
+    """The figures of a run; none where it does not apply or was not measured, which is not 0."""
 
     outcome: str = "complete"
     """How it ended: complete, settled, diverged, not-released (before the release), never-engaged, or the state of the
@@ -110,7 +110,7 @@ class Run(Struct, frozen=True, kw_only=True):
     events: tuple[Event, ...]
     """What happened, in the order of time."""
     metrics: Metrics
-    """What it comes to."""
+    """Its figures."""
 
     def save(self, path: str | PathLike[str]) -> None:
         """Writes every signal as an array of a NumPy `.npz` file, for its owner alone.

@@ -54,7 +54,7 @@ def read_series(path: FilePath) -> SeriesTable:
         raise SceneError(message)
     try:
         series = readers[path.suffix](path)
-        # What came from a file is held against the ranges that hold for what stands in a scene.
+        # What a file holds must lie in the ranges that hold for what stands in a scene.
         return convert(to_builtins(series), SeriesTable)
     except ValidationError as error:
         message = f"{path}: {error}"

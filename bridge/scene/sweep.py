@@ -133,7 +133,7 @@ def sweep(
     lanes: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> Sweep:
-    """Runs a scene for many values of some of its numbers. The same arguments give the same bytes.
+    """Runs a scene for many values of some of its numbers. The same arguments yield the same bytes.
 
     A row that cannot be built is refused, with its reason, and the others are run.
 

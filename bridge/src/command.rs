@@ -5,7 +5,7 @@ use crate::{
     wire::MAX_AXES,
 };
 
-/// A command of the operator at one side. None comes from the network, and what the other side has is passed over.
+/// A command of the operator at one side. None is taken from the network, and what the other side has is passed over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OperatorCommand {
     /// The start of the run, which is a press of the clutch unless it is more than 5 s ago.

@@ -61,7 +61,7 @@ pub enum SlaveOrder<const N: usize> {
 #[error("deceleration = {0}: must be above 0 and at most 100 m/s^2")]
 pub struct DrivenSlaveError(pub f64);
 
-/// The way to rest of an arm that is no longer led: straight on, with constant deceleration.
+/// The path to rest of an arm that is no longer led: straight on, with constant deceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Braking<const N: usize> {
     from: Axes<N>,

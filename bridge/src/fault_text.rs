@@ -146,7 +146,7 @@ impl SpokenText {
         &self.text
     }
 
-    /// What the next frame carries, in turn.
+    /// What the next frame carries, one piece after the other.
     pub fn next_piece(&mut self) -> TextPiece {
         if self.text.is_empty() {
             return TextPiece::default();
@@ -287,7 +287,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any text arrives as it was sent, whatever gets lost, once each piece came through.
+        /// Any text arrives as it was sent, whatever gets lost, once each piece has arrived.
         #[test]
         fn a_text_arrives_over_losses(text in "\\PC{0,150}", seed in any::<u64>()) {
             let text = FaultText::new(&text);

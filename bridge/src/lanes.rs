@@ -1,6 +1,6 @@
 //! Eight scenarios side by side: the scalar that sweeps compute with.
 //!
-//! An array and loops over it, which the compiler turns into whatever vectors the processor has. A mask is made of
+//! An array and loops over it, which the compiler translates into whatever vectors the processor has. A mask is made of
 //! numbers as well: from bytes or bits per lane the compiler makes logic lane by lane, and no vectors at all.
 
 use std::ops::{
@@ -308,7 +308,7 @@ impl SimdPartialOrd for Lanes {
     }
 
     #[inline(always)]
-    #[allow(clippy::float_cmp)] // lane-wise equality is what is asked for
+    #[allow(clippy::float_cmp)] // lane-wise equality is what is needed
     fn simd_eq(self, other: Self) -> LaneMask {
         self.compare(other, |a, b| a == b)
     }

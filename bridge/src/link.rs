@@ -121,7 +121,7 @@ pub enum RejectReason {
     /// Of another run while this one lives.
     #[error("frame of session {0:#x} while another session lives")]
     OtherRun(u64),
-    /// Further ahead than its sender can have come, while frames of the living run arrive.
+    /// Further ahead than its sender can have reached, while frames of the living run arrive.
     #[error("frame {seen} after {newest}: further ahead than any sender comes in this time")]
     Ahead {
         /// As received.
@@ -196,7 +196,7 @@ impl<const N: usize> FrameLink<N> {
     ///
     /// Returns whether the frame began a run. A refused datagram changes nothing but its counter.
     ///
-    /// In the clear anybody may write any sequence. One that no sender comes to is refused while the run lives; after
+    /// In the clear anybody may write any sequence. One that no sender can reach is refused while the run lives; after
     /// the lease's silence it begins a run anew. So no frame takes the link from its peer for longer than that.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
@@ -503,7 +503,7 @@ mod tests {
                     lost_ms = lost_ms.max(ms - last_ms);
                 }
                 let what = format!("byte {field} = {value} after {pause_ms} ms: {lost_ms} ms");
-                // A sequence within the window is one that the peer comes to.
+                // A sequence within the window is one that the peer can reach.
                 let within = field == SEQUENCE && value.abs_diff(1000) <= 4048;
                 assert!(lost_ms <= if within { 2048 } else { 200 }, "{what}");
                 let over_ns = master.path().over_baseline_ns(14_000 * MS);

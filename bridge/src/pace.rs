@@ -110,7 +110,7 @@ const PACE_SHARE: u64 = 1024;
 /// device that sends its samples in a burst, or at twice the rate, must not make it grow faster.
 const MIN_EIGHTHS: u64 = 7;
 
-/// When a loop ticks that a device paces: at its samples, each of which may come late, but none before its time.
+/// When a loop ticks that a device paces: at its samples, each of which may be late, but none before its time.
 #[derive(Clone, Copy, Debug)]
 #[allow(clippy::struct_field_names)] // times carry their unit
 pub(crate) struct DevicePace {

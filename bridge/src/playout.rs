@@ -5,11 +5,11 @@ use crate::path::{BILLION, difference, share_up};
 /// Settings of a play-out. But for the delay they rarely need a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlayoutSettings {
-    /// The wait in ns of a packet of least delay, so the jitter that is evened out.
+    /// The wait in ns of a packet of the smallest delay, so the jitter that is evened out.
     pub delay_ns: u64,
     /// Most sequences that wait, missing ones included: more than delay times rate.
     pub capacity: usize,
-    /// Window in ns in which the least delay is sought.
+    /// Window in ns in which the smallest delay is sought.
     pub window_ns: u64,
     /// Time in ns after the first packet in which the play-out follows what it learns at once, not slowly.
     pub warm_up_ns: u64,
@@ -18,7 +18,7 @@ pub struct PlayoutSettings {
     /// How fast the play-out moves otherwise, in parts per billion of time: below a whole, so that time played never
     /// runs backwards.
     pub slew_ppb: u64,
-    /// After this time in ns in which all packets came too late, the play-out begins anew: the path or a clock has
+    /// After this time in ns in which all packets were too late, the play-out begins anew: the path or a clock has
     /// changed. So it does at once with a packet that would wait for longer than this beyond its delay.
     pub relearn_ns: u64,
 }
@@ -76,7 +76,7 @@ pub enum Arrival {
     Refused,
 }
 
-/// A packet whose time has come.
+/// A packet that is due.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Played<T> {
     /// Its sequence.
@@ -97,7 +97,7 @@ pub struct Played<T> {
 pub struct PlayoutCounts {
     /// Packets played.
     pub played: u64,
-    /// Packets that came after their time, or after a later one was played.
+    /// Packets that arrived after their time, or after a later one was played.
     pub late: u64,
     /// Packets that waited already.
     pub duplicate: u64,
@@ -105,7 +105,7 @@ pub struct PlayoutCounts {
     pub missing: u64,
     /// Packets passed over because a newer one was there, or that waited when the play-out began anew.
     pub superseded: u64,
-    /// Packets passed over because more came than the capacity holds.
+    /// Packets passed over because more arrived than the capacity holds.
     pub overflowed: u64,
     /// How often the play-out began anew.
     pub anew: u64,
@@ -272,7 +272,7 @@ impl<T: Copy> Playout<T> {
 
 /// The sender's time that is due, as `now - shift`.
 ///
-/// The shift is the least transit in a window plus the delay asked for. A transit is the difference of
+/// The shift is the smallest transit in a window plus the delay requested. A transit is the difference of
 /// two unrelated clocks: only its changes mean something, and only those are used. The shift rests while its target
 /// stays near it, so that what is played stays exactly as far apart as it was sent; otherwise it moves slowly.
 #[derive(Clone, Debug, PartialEq)]
@@ -283,7 +283,7 @@ struct Timeline {
     began_ns: u64,
     moved_ns: u64,
     moving: bool,
-    /// Since when all packets came too late.
+    /// Since when all packets were too late.
     late_since_ns: Option<u64>,
     /// The latest of the sender's times that was due: it never falls within one timeline.
     position_ns: Option<i64>,

@@ -1,4 +1,4 @@
-//! What a run leaves behind: one flat record per tick and side.
+//! The records of a run: one flat record per tick and side.
 
 use haptether_safety::{Axes, Fault, controller::PerController};
 

@@ -15,7 +15,7 @@ use crate::{
 
 /// One side of N axes: `receive` what has arrived, `tick`, `send`. Times are on the endpoint's own clock where not said.
 pub trait Side<const N: usize> {
-    /// What a tick leaves behind.
+    /// The record of a tick.
     type Record: Copy + Send + 'static;
 
     /// True time begins at `now_ns`; called once, before the first tick.

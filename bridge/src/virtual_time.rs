@@ -41,7 +41,8 @@ pub struct VirtualSettings {
     pub slave_clock: Option<EndpointClock>,
 }
 
-/// Max. number of datagrams under way in one direction: more than an hour at 1 kHz. They take memory only as they are sent.
+/// Max. number of datagrams in flight in one direction: more than an hour at 1 kHz. They take memory only as they are
+/// sent.
 const MAX_IN_FLIGHT: usize = 1 << 22;
 
 /// Why a run in virtual time cannot be.
@@ -58,7 +59,7 @@ pub enum VirtualError {
 /// What the network and the sessions counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct VirtualCounts {
-    /// Datagrams dropped because too many were under way.
+    /// Datagrams dropped because too many were in flight.
     pub overflowed: u64,
     /// Datagrams that the master's and the slave's session did not take.
     pub rejections: [Rejections; 2],

@@ -185,7 +185,7 @@ pub enum WireError {
     /// With flags that have no meaning, or with an echo that its flag denies.
     #[error("flags {0:#06x}: must be a sum of 1, 2, 4 and 8, and without 1 the fields of the echo zero")]
     Flags(u16),
-    /// Damaged on the way.
+    /// Damaged in transit.
     #[error("checksum {seen:#010x}: must be {computed:#010x}")]
     Checksum {
         /// As received.
@@ -204,7 +204,7 @@ pub enum WireError {
         /// As received.
         energy: PortEnergy,
     },
-    /// A piece of a text with more than one way to write it.
+    /// A piece of a text with more than one encoding.
     #[error(
         "frame {sequence}: piece {index} of text {number}: must be 0 to 19 of 1 to 255 with zeros behind its end, or all zeros"
     )]
@@ -292,7 +292,7 @@ impl<const N: usize> Frame<N> {
         &buffer[..Self::LENGTH]
     }
 
-    /// Reads a frame from the peer of role `from`; the cheap refusals come first.
+    /// Reads a frame from the peer of role `from`; the cheap refusals first.
     pub fn decode(bytes: &[u8], from: Role) -> Result<Self, WireError> {
         if bytes.len() != Self::LENGTH {
             return Err(WireError::Length { seen: bytes.len(), allowed: Self::LENGTH });

@@ -157,7 +157,7 @@ pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
     (count.rounded() * quantum).select(quantum.simd_gt(S::splat(0.0)) & has_parts, value)
 }
 
-/// The force that the motors exert of what they are told: bounded as a vector, then rounded per axis.
+/// The force that the motors exert of the commanded one: bounded as a vector, then rounded per axis.
 #[inline(always)]
 pub(crate) fn exerted<const N: usize, S: Real>(
     told: &Axes<N, S>,

@@ -40,7 +40,7 @@ pub struct Release {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Regrasp {
-    /// Time in s from the end of the release to the first grip: the reaction time of the person.
+    /// Time in s from the end of the release to the first grip: the reaction time of the operator.
     pub reaction_s: f64,
     /// Time in s over which the grip grows linearly to its full strength; 0 grips at once.
     pub rise_s: f64,

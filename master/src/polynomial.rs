@@ -31,7 +31,7 @@ const DEPTH: u32 = 30;
 /// is how `p` leaves it; `Some(0)` says that it leaves downwards. No crossing is missed, however short: an interval is
 /// given up only if bounds on the polynomial over all of it say that it stays positive, or that it is monotone.
 pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
-    // The usual case by far: the first term outweighs all others together.
+    // The common case by far: the first term outweighs all others together.
     let mut power = 1.0;
     let mut scaled = [0.0; TERMS];
     for (term, p) in scaled.iter_mut().zip(p) {

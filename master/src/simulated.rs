@@ -8,7 +8,7 @@ use crate::{
     stretch::{Grip, Law, Regime, Rub, Stretch},
 };
 
-/// What a device tells at one tick.
+/// What a device measures at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterSample<const N: usize> {
     /// x in m, as the encoder sees it.
@@ -37,15 +37,15 @@ const MAX_SHORT: u32 = 512;
 const STIFF_SHARE: f64 = 1.0 / 32.0;
 
 /// Speed in m/s below which a device that friction can hold is taken to have stopped. On several axes friction
-/// turns with the motion, and the last bit of the speed would take ever shorter stretches.
+/// rotates with the motion, and the last bit of the speed would take ever shorter stretches.
 const STOPPED: f64 = 1e-10;
 
 /// Longest stretch in s of a device that sets off: its direction is that of the force.
 const SETTING_OFF: f64 = 1e-6;
 
-/// Time in s within which a slow device turns into the direction of the force, `m |V| / |F|`, below which it counts as
-/// still setting off: where the force grows slowly past friction, the series of the direction would take ever shorter
-/// stretches.
+/// Time in s within which a slow device rotates into the direction of the force, `m |V| / |F|`, below which it counts
+/// as still setting off: where the force grows slowly past friction, the series of the direction would take ever
+/// shorter stretches.
 const TURNS_AT_ONCE: f64 = 1e-6;
 
 /// When the device last touched a continuous wall and last left one, in s since the clock's zero.
@@ -61,7 +61,7 @@ pub struct Touch {
 
 /// Device, hand and what walls act on the device by themselves.
 ///
-/// Between two events (an axis turns or sets off, the grip begins or ceases to slip, the release begins or ends, a
+/// Between two events (an axis reverses or sets off, the grip begins or ceases to slip, the release begins or ends, a
 /// stop or a wall is met or left) the motion is smooth and is followed by its Taylor series to rounding; the events
 /// themselves are located to rounding.
 #[derive(Clone, Debug, PartialEq)]
@@ -138,7 +138,7 @@ impl<const N: usize> SimulatedMaster<N> {
         self.now_ns = now_ns;
     }
 
-    /// Advances to `now_ns` (monotonic) and tells what the device measures there.
+    /// Advances to `now_ns` (monotonic) and returns what the device measures there.
     pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
         if now_ns > self.now_ns {
             let past_ns = now_ns - self.now_ns;
@@ -168,7 +168,7 @@ impl<const N: usize> SimulatedMaster<N> {
         self.held_force = exerted(&told, self.device.max_force_n, quantum, quantum == 0.0, false);
     }
 
-    /// True position in m, which no encoder tells.
+    /// True position in m, which no encoder measures.
     pub fn position(&self) -> &Axes<N> {
         &self.position
     }
@@ -217,7 +217,7 @@ impl<const N: usize> SimulatedMaster<N> {
             let kink = if self.waits { None } else { self.hand.next_kink(self.time) };
             let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.time));
             let (taken, to_its_reach) = self.stretch(wanted, least, clock + done);
-            // A direction that turns fast is followed in short stretches, which are progress.
+            // A direction that rotates fast is followed in short stretches, which are progress.
             let moves_on = taken >= MIN_PROGRESS || (to_its_reach && taken > 0.0);
             stalls = if moves_on { 0 } else { stalls + 1 };
             short += u32::from(taken < duration * SHORT);

@@ -28,7 +28,7 @@ pub enum Stepping {
 ///
 /// It computes what [`SimulatedMaster`](crate::SimulatedMaster) solves, for comparison and for batches: no event is
 /// located, so friction cannot hold the device at rest but is `c V / V_f` below the speed `V_f`. With a lane type for S
-/// each lane is a scenario of its own, and gives the bits that it gives alone.
+/// each lane is a scenario of its own, and has the bits that it has alone.
 #[derive(Clone, Debug)]
 pub struct SteppedMaster<const N: usize, S = f64> {
     stepping: Stepping,

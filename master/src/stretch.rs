@@ -20,7 +20,7 @@ pub(crate) enum Grip {
 pub(crate) enum Rub<const N: usize> {
     /// With a constant force in N on each axis.
     Constant(Axes<N>),
-    /// Against the motion, as it turns: `c V / |V|`.
+    /// Against the motion, as it rotates: `c V / |V|`.
     AlongMotion(f64),
 }
 
@@ -97,7 +97,7 @@ impl Direction {
         Self { square: [0.0; TERMS], inverse: [0.0; TERMS] }
     }
 
-    /// Coefficient n of `w / |w|`, once those of w up to n are known; asked for in order.
+    /// Coefficient n of `w / |w|`, once those of w up to n are known; requested in order.
     fn coefficient<const N: usize>(&mut self, w: &[Axes<N>; TERMS], n: usize) -> Axes<N> {
         self.square[n] = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
         self.inverse[n] = if n == 0 {
@@ -214,7 +214,7 @@ impl<const N: usize> Law<'_, N> {
 
 impl<const N: usize> Law<'_, N> {
     /// Displacement in m and speed gained in m/s over a step of t in s whose end the forces are taken at: friction and
-    /// damping then only brake the motion, however stiff they are and however fast it turns.
+    /// damping then only brake the motion, however stiff they are and however fast it rotates.
     ///
     /// Linearly implicit Euler method, `(M + t B + t² K) dV = t (F + t F' )` with the forces F at the beginning and F'
     /// of what moves on by itself. B and K stand for all directions, so they are no less than the true ones.

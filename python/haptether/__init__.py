@@ -15,7 +15,7 @@ __all__ = ["__version__", "simulate", "sweep"]
 
 
 def __getattr__(name: str) -> object:
-    # Whoever only asks for the version, or for one room, does not wait for the bridge and NumPy.
+    # Whoever imports only the version, or one room, does not wait for the bridge and NumPy.
     if name == "__version__":
         from haptether import _core  # noqa: PLC0415
 

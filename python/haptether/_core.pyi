@@ -188,7 +188,7 @@ class EstimatorKind:
     def backward_difference() -> EstimatorKind:
         """Differences: `V[n] = (x[n] - x[n-1]) / dT`, `A[n] = (V[n] - V[n-1]) / dT`.
 
-        A is the mean of the last two ticks. The least late estimator; a position quantum q shows in A as
+        A is the mean of the last two ticks. The estimator with the smallest lag; a position quantum q shows in A as
         q / dT².
         """
 
@@ -1162,7 +1162,7 @@ class SceneTouch:
         """Where the scene's arm starts, in m, or its device if it has no arm; 3 numbers."""
     @property
     def touches(self) -> bool:
-        """Whether the tool was inside an object when the force was last asked for."""
+        """Whether the tool was inside an object when the force was last computed."""
     def reset(self) -> None:
         """Everything is as it was at first, and the pushers wait."""
     def start_pushers(self, time_s: float) -> None:
@@ -1196,7 +1196,7 @@ class ForceSensor:
         cls, *, noise_n: float = 0.0, bias_n: Sequence[float] = ..., quantum_n: float = 0.0, seed: int = 0
     ) -> ForceSensor: ...
     def sample(self, force: Sequence[float], index: int) -> tuple[float, float, float]:
-        """Sample number `index` of a force in N, (3,): the same index gives the same noise."""
+        """Sample number `index` of a force in N, (3,): the same index yields the same noise."""
 
 @final
 class Arm:
@@ -1286,7 +1286,7 @@ class DirectionStatistics:
 
     @property
     def damaged(self) -> int:
-        """Of these, with other bytes than came."""
+        """Of these, with other bytes than were received."""
 
     @property
     def extras(self) -> int:
@@ -1358,7 +1358,7 @@ class ProxyStatistics:
 
     @property
     def log_lost(self) -> int:
-        """Records that the log lacks, because its writer was behind."""
+        """Records that the log lacks, because its writer was late."""
 
     @property
     def log_failed(self) -> bool:
@@ -1378,13 +1378,13 @@ class ProxyStatistics:
 
     @property
     def valid(self) -> bool:
-        """Whether the delays were those asked for: p99 of the scheduling error within its limit."""
+        """Whether the delays were those requested: p99 of the scheduling error within its limit."""
 
 @final
 class Proxy:
     """What `haptether.netsim.Proxy` wraps: a live UDP proxy between clients and one peer, on its own thread.
 
-    It forwards to the peer only, and serves clients of this machine and those that it is told of, up to 64 at a time.
+    It forwards to the peer only, and serves clients of this machine and those that `allow` names, up to 64 at a time.
     All share the link of their direction.
 
     Args:
@@ -1394,7 +1394,7 @@ class Proxy:
         backward_link: Network from the peer to the client, as JSON.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
         allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`; by default none.
-        realtime: Whether to ask for real-time scheduling; the statistics say what was got.
+        realtime: Whether to request real-time scheduling; the statistics say what was got.
         max_error_s: Largest p99 of the scheduling error in s with which a run is valid.
         log: File for what became of each datagram, as CSV: `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,
             error_ns,size`. `kind` is empty for the packet itself, else why there is a copy; `t_out_ns` is when the call
@@ -1427,7 +1427,7 @@ class Proxy:
         """Whether its thread has ended."""
 
     def change(self, direction: Literal["forward", "backward"], settings: str) -> None:
-        """Other settings for the datagrams that come from now on; taken up within 20 ms, in order.
+        """Other settings for the datagrams that arrive from now on; taken up within 20 ms, in order.
 
         Raises:
             ValueError: No such `direction`.
@@ -1466,7 +1466,7 @@ class Echo:
         """Whether its thread has ended."""
 
     def stop(self) -> tuple[int, int]:
-        """Ends it and tells how many probes it answered, and how many datagrams were none.
+        """Ends it and returns how many probes it answered, and how many datagrams were none.
 
         Raises:
             OSError: It had ended on an error of its socket.
@@ -1477,7 +1477,7 @@ class Echo:
 class Recording:
     """What `record` measured: each array of shape `(n_probes,)`, nan for a loss.
 
-    Where the other way lost a probe, the delay is that of the probe before: there was nothing to measure.
+    Where the other direction lost a probe, the delay is that of the probe before: there was nothing to measure.
     """
 
     def __len__(self) -> int: ...
@@ -1495,11 +1495,11 @@ class Recording:
 
     @property
     def lost_forward(self) -> int:
-        """Probes lost on the way there."""
+        """Probes lost towards the echo."""
 
     @property
     def lost_backward(self) -> int:
-        """Answers lost on the way back."""
+        """Answers lost on the return path."""
 
     @property
     def shortest_s(self) -> float:
@@ -1528,14 +1528,14 @@ def record(peer: str, *, rate_hz: float = 1000.0, duration_s: float = 10.0, real
     """Measures the network to an `Echo` and back with a stream of probes.
 
     Only the round trip is measured for certain. With the echo's clock ahead by theta, a probe shows
-    `a = forward + theta` and `b = backward - theta`; where it waited least, in windows of time, both ways are taken to
-    be alike, `theta = (a - b) / 2`, and a line through the quieter half of the windows is theta(t).
+    `a = forward + theta` and `b = backward - theta`; where it waited least, in windows of time, both directions are taken
+    to be alike, `theta = (a - b) / 2`, and a line through the quieter half of the windows is theta(t).
 
     Args:
         peer: Where the echo is, `HOST:PORT`.
         rate_hz: Probes a second, at most 1000.
         duration_s: For how long, in s; at most ten million probes.
-        realtime: Whether to ask for real-time scheduling.
+        realtime: Whether to request real-time scheduling.
 
     Raises:
         ValueError: A number outside its range, or an address that is none.
@@ -1552,7 +1552,7 @@ def check_link(settings: str) -> None:
     """
 
 def link_bounds(settings: str) -> tuple[float, float]:
-    """Longest time in s that a packet is under way, and time in s of the last scheduled change.
+    """Longest time in s that a packet is in flight, and time in s of the last scheduled change.
 
     Raises:
         ValueError: As `check_link`.
@@ -1571,7 +1571,7 @@ def read_link_file(form: str, data: bytes, direction: str) -> str:
     """
 
 def translate_netem(text: str) -> str:
-    """What arguments of `tc netem` ask for, as JSON.
+    """What arguments of `tc netem` request, as JSON.
 
     `settings` are those of a link that does it; `asked` has the correlations of delay, loss, duplicate, corrupt and
     reorder, 0 to 1, and the limit.
@@ -1875,7 +1875,7 @@ class LinkStatistics:
 
     @property
     def fresh(self) -> int:
-        """Frames that were news when they arrived."""
+        """Frames that were newer than all before when they arrived."""
 
     @property
     def late(self) -> int:
@@ -1903,7 +1903,7 @@ class LinkStatistics:
 
 @final
 class PathReport:
-    """What the way did to the peer's frames up to the end of a run, and what is known of the peer's clock."""
+    """What the path did to the peer's frames up to the end of a run, and what is known of the peer's clock."""
 
     @property
     def expected(self) -> int:
@@ -1939,7 +1939,7 @@ class PathReport:
 
     @property
     def mean_extent(self) -> float:
-        """By how many arrivals they came too late, on average (RFC 4737); 0 without any."""
+        """By how many arrivals they were too late, on average (RFC 4737); 0 without any."""
 
     @property
     def longest_extent(self) -> int:
@@ -2031,7 +2031,7 @@ class LoopReport:
 
     @property
     def path(self) -> PathReport:
-        """What the way did to the peer's frames, and what is known of its clock."""
+        """What the path did to the peer's frames, and what is known of its clock."""
 
     @property
     def holds(self) -> int:
@@ -2071,12 +2071,12 @@ class LoopReport:
 
 @final
 class SignalRelay:
-    """What signals ask of live loops, done by a thread that waits neither for Python nor for whoever reads its output.
+    """What signals request of live loops, done by a thread that waits neither for Python nor for whoever reads its output.
 
     `signal.set_wakeup_fd(relay.fileno())` has Python write the numbers of its signals to it, for those that have a
     handler. SIGINT, SIGTERM and SIGHUP end the attached loops; SIGUSR1 presses the clutch of a master and allows
-    another master at a slave, unless a stop was asked for; a second SIGINT ends the process with status 130, once the
-    loops are at rest, or after 0.3 s. Memory that the system no longer gives ends the loops, too.
+    another master at a slave, unless a stop was requested; a second SIGINT ends the process with status 130, once the
+    loops are at rest, or after 0.3 s. Memory that the system no longer grants ends the loops, too.
 
     Raises:
         MemoryError: What is set aside for the end of a run is not there.
@@ -2088,24 +2088,24 @@ class SignalRelay:
         """Takes the numbers of signals, a byte each; never blocks."""
 
     def attach(self, of: LiveMaster | LiveSlave | MasterLoop | SlaveLoop) -> None:
-        """Has signals reach a loop; one that has come before ends it."""
+        """Has signals reach a loop; one that has arrived before ends it."""
 
     def stop(self) -> None:
         """Ends the attached loops, as SIGTERM does."""
 
     @property
     def stopped(self) -> bool:
-        """Whether a stop was asked for."""
+        """Whether a stop was requested."""
 
     @property
     def out_of_memory(self) -> bool:
         """Whether the loops of this process were ended because no memory was left."""
 
     def spend_reserve(self) -> None:
-        """Ends the loops of this process, and gives the memory that was set aside for that."""
+        """Ends the loops of this process, and frees the memory that was set aside for that."""
 
     def take_acknowledgement(self) -> bool:
-        """Whether SIGUSR2 has come within the last 0.5 s, and was not taken before."""
+        """Whether SIGUSR2 has arrived within the last 0.5 s, and was not taken before."""
 
     def close(self) -> None:
         """Ends its thread."""
@@ -2249,16 +2249,16 @@ class _LiveSide:
         """Asks the loop to end after its current tick."""
 
     def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, in words."""
+        """What has happened to the session since the last call, as text."""
 
     def flight(self) -> str | None:
         """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
 
     @property
     def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time, in words; none where `cause` has them.
+        """How often the clutch was pressed for nothing, and why the last time, as text; none where `cause` has it.
 
-        Counted are calls of `press_clutch` while something else had to be done before, that came late, or at a device
+        Counted are calls of `press_clutch` while something else had to be done before, that were read late, or at a device
         with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
         """
 
@@ -2474,7 +2474,7 @@ class MasterLoop(_LiveSide):
         min_free_bytes: int = ...,
     ) -> MasterLoop: ...
     def begin(self) -> str:
-        """Time begins; asks the system for real time for this thread, and returns what it gave.
+        """Time begins; requests real time of the system for this thread, and returns what was granted.
 
         Raises:
             OSError: Real time is required and refused; the loop is over.
@@ -2490,7 +2490,7 @@ class MasterLoop(_LiveSide):
     ) -> tuple[float, ...] | None:
         """One tick, at a sample of the device.
 
-        A number that is not finite or absurd gives zero force and a fault, and no exception.
+        A number that is not finite or absurd leads to zero force and a fault, and no exception.
 
         Args:
             position: x in m, a number for one axis or shape `(axes,)`.
@@ -2510,14 +2510,14 @@ class MasterLoop(_LiveSide):
         """Sleeps until the next tick is due: for a device that does not wait in `read`."""
 
     def fail(self, text: str = "") -> None:
-        """The device is gone: a fault, of which the peer is told for 60 ticks; the loop is over.
+        """The device is gone: a fault, which is sent to the peer for 60 ticks; the loop is over.
 
         Args:
-            text: In the driver's own words, which both sides show: up to 239 bytes of UTF-8 on one line.
+            text: The driver's own, which both sides show: up to 239 bytes of UTF-8 on one line.
         """
 
     def announce_end(self) -> None:
-        """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
+        """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     def press_clutch(self) -> None:
         """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side.
@@ -2591,7 +2591,7 @@ class SlaveLoop(_LiveSide):
         min_free_bytes: int = ...,
     ) -> SlaveLoop: ...
     def begin(self) -> str:
-        """Time begins; asks the system for real time for this thread, and returns what it gave.
+        """Time begins; requests real time of the system for this thread, and returns what was granted.
 
         Raises:
             OSError: Real time is required and refused; the loop is over.
@@ -2607,7 +2607,7 @@ class SlaveLoop(_LiveSide):
     ) -> tuple[Literal["wait", "move", "stop"], tuple[float, ...], tuple[float, ...]] | None:
         """One tick, at a sample of the arm.
 
-        A number that is not finite or absurd gives a stop and a fault, and no exception.
+        A number that is not finite or absurd leads to a stop and a fault, and no exception.
 
         Args:
             position: Of the tool in m, a number for one axis or shape `(axes,)`.
@@ -2629,14 +2629,14 @@ class SlaveLoop(_LiveSide):
         """Sleeps until the next tick is due: for an arm that does not wait in `read`."""
 
     def fail(self, text: str = "") -> None:
-        """The arm is gone: a fault, of which the peer is told for 60 ticks; the loop is over.
+        """The arm is gone: a fault, which is sent to the peer for 60 ticks; the loop is over.
 
         Args:
-            text: In the driver's own words, which both sides show: up to 239 bytes of UTF-8 on one line.
+            text: The driver's own, which both sides show: up to 239 bytes of UTF-8 on one line.
         """
 
     def announce_end(self) -> None:
-        """Tells the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
+        """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     def allow_takeover(self) -> None:
         """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
@@ -2713,7 +2713,7 @@ class SceneRun:
 
     @property
     def metrics(self) -> dict[str, float | int | bool | str | None]:
-        """What the run comes to, by name; none where it does not apply or was not measured."""
+        """The figures of the run, by name; none where it does not apply or was not measured."""
 
 def scene_schema() -> str:
     """The JSON schema of a scene of one axis, as `haptether.bridge.scene_json` writes it."""

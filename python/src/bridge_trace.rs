@@ -1,4 +1,4 @@
-//! What a run of the bridge leaves behind, as arrays.
+//! The records of a run of the bridge, as arrays.
 
 use std::collections::BTreeMap;
 
@@ -97,7 +97,7 @@ fn vectors<const N: usize>(py: Python<'_>, values: impl Iterator<Item = Axes<N>>
     Ok(flat.into_pyarray(py).reshape([ticks, N])?.into_any().unbind())
 }
 
-/// Getters that give one array per signal.
+/// Getters that return one array per signal.
 macro_rules! columns {
     ($class:ident, $rows:ident, $record:ident,
         { $($name:ident => $value:expr),* $(,)? }, { $($vector:ident),* $(,)? }) => {

@@ -64,7 +64,7 @@ trait SlaveSteps: DriverLoop + Send {
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
 }
 
-/// A fault that the device reports with its sample, in its own words.
+/// A fault that the device reports with its sample, with its own text.
 fn report_fault<const N: usize>(side: &mut impl Side<N>, fault: Option<&str>) {
     if let Some(text) = fault {
         side.exchange_mut().device_failed(Some(&FaultText::new(text)));

@@ -136,7 +136,7 @@ impl Place {
     }
 }
 
-/// When a person started a side, which is not to come.
+/// When the operator started a side; never in the future.
 fn started(time_s: f64) -> PyResult<u64> {
     let (started_ns, now_ns) = (nanoseconds("started_s", time_s)?, now_ns());
     if started_ns > now_ns {

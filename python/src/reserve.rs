@@ -1,4 +1,4 @@
-//! Memory that is set aside for the end of a run, and spent where the system gives no more.
+//! Memory that is set aside for the end of a run, and spent where the system grants no more.
 //!
 //! Rust ends a process whose allocation fails, with whatever force is on. Here the first that fails frees the reserve
 //! and has each loop end in good order at its next tick.

@@ -115,7 +115,7 @@ fn relay(mut from: UnixStream, requests: &Requests) {
         match from.read(&mut signals) {
             Ok(0) => return,
             Ok(count) => requests.take(&signals[..count]),
-            // That nothing has come is said by an error, too.
+            // That nothing has arrived is reported by an error, too.
             Err(_) => (),
         }
         reserve::probe();

@@ -32,7 +32,7 @@ DeviceName = Literal[
 class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[master]`: the haptic device. `m A + b V + c sign(V) = F_device + F_h`.
 
-    A field without a default comes from the preset that `device` names; without one, `mass_kg` must be given and
+    A field without a default has that of the preset that `device` names; without one, `mass_kg` must be given and
     the others are as said.
 
     Source: paper Eq. 3.
@@ -96,7 +96,7 @@ class LegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     end: PositionPerAxis
     """Where it ends, in m."""
     shape: Literal["linear", "smooth", "minimum-jerk"] = "minimum-jerk"
-    """Share of the way at share s of the time: s, `3 s² - 2 s³` or `10 s³ - 15 s⁴ + 6 s⁵` (Flash and Hogan 1985)."""
+    """Share of the path at share s of the time: s, `3 s² - 2 s³` or `10 s³ - 15 s⁴ + 6 s⁵` (Flash and Hogan 1985)."""
 
 
 class ReleaseTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -111,7 +111,7 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     force_scale: Positive = 1.0
     """lambda_f: rendered force over measured force."""
     quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """R, which turns motions of the master into those of the slave: a unit quaternion of 3 axes, or of 2 about z."""
+    """R, which maps motions of the master to those of the slave: a unit quaternion of 3 axes, or of 2 about z."""
     locked_axes: AxisIndices = ()
     """Axes of the slave that do not follow and are not felt, counted from 0."""
     command_speed: Positive | Unbounded = 3.0
@@ -125,7 +125,7 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class SecurityTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[security]`: the session in which frames travel. Without this table they travel in the clear.
 
-    Live runs are secure unless told otherwise; a scene without attacks pays nothing for what it would not show.
+    Live runs are secure by default; a scene without attacks pays nothing for what it would not show.
     """
 
     secure: bool = True
@@ -226,7 +226,7 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     controllers: tuple[ControllerName, ...] = ()
     """Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12); by default nobody."""
     signals: Literal["estimated", "true"] = "estimated"
-    """What the observers are told: what the estimator makes of measured positions, as live, or the model's own."""
+    """What the observers get: what the estimator makes of measured positions, as live, or the model's own."""
     estimator: EstimatorTable = Kalman()
     """How V and A are had from the position."""
     damping: NonNegative | None = None

@@ -166,11 +166,11 @@ class ObjectTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     motion: MotionTable | None = None
     """How it moves on its own; by default it stands."""
     body: BodyTable | None = None
-    """Its mass; by default it gives way to nothing."""
+    """Its mass; by default it does not move."""
 
 
 class PusherTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[environment.pushers]]`: a force that comes by itself, on the arm or, without one, rendered on the device."""
+    """`[[environment.pushers]]`: a force of its own, on the arm or, without one, rendered on the device."""
 
     shape: Literal["step", "ramp", "half-sine", "sine", "recorded"] = "step"
     """At once; rising linearly and staying; `F sin(pi t / duration)`; `F sin(2 pi f t)`; as recorded."""

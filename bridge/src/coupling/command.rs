@@ -149,7 +149,7 @@ mod decay_tests {
             assert!((way - 7.5e-3).abs() < 1e-17 && share == 0.0);
         }
         assert_eq!(decayed(5 * MS, 0), (0.0, 0.0));
-        // The way is the integral of the velocity: trapezoids are exact for a straight line.
+        // The distance is the integral of the velocity: trapezoids are exact for a straight line.
         let mut way = 0.0;
         for tick in 0..15 {
             let [(_, before), (_, after)] = [tick, tick + 1].map(|tick| decayed(tick * MS, 15 * MS));

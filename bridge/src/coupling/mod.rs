@@ -59,7 +59,7 @@ impl<const N: usize> Default for FrameMap<N> {
     }
 }
 
-/// How far the norm of a quaternion may be from 1: digits that a person left out.
+/// How far the norm of a quaternion may be from 1: digits that were left out by hand.
 const UNIT: f64 = 1e-6;
 
 /// How far R' R may be from the identity, in its largest element.

@@ -108,7 +108,7 @@ impl<const N: usize> MasterEndpoint<N> {
             // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
             let _ = self.layer.reset(position);
         } else if self.exchange.has_stalled() {
-            // What lies before the gap says nothing of what comes after it. A position that cannot be is met below.
+            // What lies before the gap says nothing of what follows it. A position that cannot be is met below.
             let _ = self.layer.restart(position);
         } else {
             self.carry_over(missed, position, velocity);

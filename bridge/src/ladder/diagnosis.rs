@@ -65,11 +65,11 @@ pub struct Step {
     pub at: &'static str,
     /// What kind of thing.
     pub remedy: Remedy,
-    /// A sentence for people.
+    /// A sentence for the operator.
     pub text: String,
 }
 
-/// A diagnosis as people read it.
+/// A diagnosis as the operator reads it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Explanation {
     /// Where the side stood that knows it.
@@ -122,7 +122,7 @@ impl Diagnosis {
             || self.silent && self.state.is_held()
     }
 
-    /// What happened where, as people read it, and what to do.
+    /// What happened where, as the operator reads it, and what to do.
     pub fn explain(&self) -> Explanation {
         let (own, other) = (self.role.name(), self.role.peer().name());
         if self.state == LadderState::Fault {
@@ -169,7 +169,7 @@ impl Diagnosis {
         self.explanation(own, text, steps)
     }
 
-    /// Where a hold or stop comes from that no fault and no end led to.
+    /// What led to a hold or stop where no fault and no end did.
     fn hold(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
         match self.reason {
             Some(Reason::PeerHolds | Reason::PeerStopped | Reason::PeerFaulted) => self.peer_hold(own, other),

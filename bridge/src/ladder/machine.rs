@@ -168,7 +168,7 @@ impl Ladder {
     }
 
     /// The peer is another than before. A slave (`engages`) may follow a master that was started anew, because that
-    /// is the act of a person; a hand is never coupled by what arrives from the network.
+    /// is a person's act; a hand is never coupled by what arrives from the network.
     pub fn new_run(&mut self, now_ns: u64, engages: bool) {
         self.apply(now_ns, Reason::PeerRestarted);
         if engages && self.state != LadderState::Fault {
@@ -183,7 +183,7 @@ impl Ladder {
         self.gain = 0.0;
     }
 
-    /// A person at this side says that the fault is mended. The clutch must then be released and pressed.
+    /// The operator at this side says that the fault is mended. The clutch must then be released and pressed.
     pub fn acknowledge(&mut self, now_ns: u64) {
         self.apply(now_ns, Reason::Acknowledged);
     }
@@ -200,7 +200,7 @@ impl Ladder {
         self.hears
     }
 
-    /// Whether a press of the clutch would count, were it open: what a person is shown while it holds.
+    /// Whether a press of the clutch would count, were it open: what the operator is shown while it holds.
     pub fn is_ready(&self) -> bool {
         self.ready
     }
@@ -252,7 +252,7 @@ impl Ladder {
     }
 }
 
-/// Times of the ladder. Ages count from what is expected of the link, so that a long way is no silence.
+/// Times of the ladder. Ages count from what is expected of the link, so that a long delay is no silence.
 ///
 /// In a scene they are in s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]

@@ -36,7 +36,7 @@ const OPEN_NS: u64 = 100_000_000;
 /// Within what time in ns of [`SimulatedOperator::press_again`] it must be pressed; a loop that slept meanwhile presses no more.
 const LATEST_NS: u64 = 2 * OPEN_NS;
 
-/// Within what time in ns of the start the first tick must come, for the start to be a press.
+/// Within what time in ns of the start the first tick must be, for the start to be a press.
 pub(crate) const START_NS: u64 = 5_000_000_000;
 
 /// Who works the clutch: a pure function of time and of what the ladder shows.

@@ -1,13 +1,13 @@
 //! Every state that two ladders can reach over a bad link, and what must hold in each.
 //!
-//! Two real [`Ladder`]s with their real [`LadderInputs`] and the master's [`Button`] step every 100 ms. Between two steps a
-//! person presses or releases as she likes and acknowledges faults, and of each direction's frame the link delivers it,
-//! loses it, or delivers one that it has kept instead. Beyond that it has a number of events: it keeps a frame for as
-//! long as it likes, a side is started anew, ends in good order, falls asleep for as long as it likes, or has a fault, and
-//! somebody writes a false end of one side to the other. A side that has ended may be started anew. Nothing bounds the
-//! time: times count from now and up to where they make no difference, so that the states are finite. Without events
-//! all are visited, with one of them those that few moves lead to; `HAPTETHER_SEARCH_EVENTS` and
-//! `HAPTETHER_SEARCH_STATES` ask for more.
+//! Two real [`Ladder`]s with their real [`LadderInputs`] and the master's [`Button`] step every 100 ms. Between two
+//! steps an operator presses or releases at will and acknowledges faults, and of each direction's frame the link
+//! delivers it, loses it, or delivers one that it has kept instead. Beyond that it has a number of events: it keeps a
+//! frame for as long as it likes, a side is started anew, ends in good order, falls asleep for as long as it likes, or
+//! has a fault, and somebody writes a false end of one side to the other. A side that has ended may be started anew.
+//! Nothing bounds the time: times count from now and up to where they make no difference, so that the states are
+//! finite. Without events all are visited, with one of them those that few moves lead to; `HAPTETHER_SEARCH_EVENTS` and
+//! `HAPTETHER_SEARCH_STATES` request more.
 #![allow(clippy::cast_possible_truncation)] // small numbers of ticks
 
 use std::collections::{HashSet, VecDeque};
@@ -123,7 +123,7 @@ impl Side {
     }
 }
 
-/// The press that the person did last, as this search itself remembers it.
+/// The press that the operator did last, as this search itself remembers it.
 #[derive(Clone, Copy, Debug)]
 struct Press {
     tick: u64,
@@ -160,7 +160,7 @@ enum Fate {
 
 #[derive(Clone, Copy, Debug)]
 enum Move {
-    /// A tick: whether the person moves the button, what becomes of the frames of each side, whether sleepers wake.
+    /// A tick: whether the operator moves the button, what becomes of the frames of each side, whether sleepers wake.
     Tick(bool, [Fate; 2], bool),
     /// Whether the clutch is pressed at the start of a master.
     Restart(usize, bool),
@@ -272,7 +272,7 @@ impl Pair {
                 let session = self.sides[MASTER].session + 1;
                 self.sides[MASTER] = Side::new(Role::Master, session);
                 (self.button, self.level) = (Button::default(), pressed);
-                // Frames of the master that is gone may still be under way: to the slave it lives until it is silent.
+                // Frames of the master that is gone may still be in flight: to the slave it lives until it is silent.
                 (self.press.counts[MASTER], self.press.of_this_life) = (false, false);
                 if pressed {
                     self.presses();
@@ -280,7 +280,7 @@ impl Pair {
             }
             Move::Restart(..) => {
                 let session = self.sides[SLAVE].session + 1;
-                // Frames of the slave that is gone may still be under way, as those of a master.
+                // Frames of the slave that is gone may still be in flight, as those of a master.
                 self.sides[SLAVE] = Side::new(Role::Slave, session);
                 // What the old one had says nothing of the new one: a press that waits at the master may reach it.
                 self.press.counts[SLAVE] = self.press.counts[MASTER];
@@ -312,7 +312,7 @@ impl Pair {
                 self.press.counts = [false; 2];
             }
             if to == SLAVE && begins && self.sides[SLAVE].ladder.state() != LadderState::Fault {
-                // It may follow whatever the new master's person has pressed.
+                // It may follow whatever the new master's operator has pressed.
                 self.press.counts[SLAVE] = self.press.of_this_life;
             }
         }

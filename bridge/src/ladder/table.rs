@@ -9,7 +9,7 @@ use Reason::{
     PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong,
 };
 
-/// Where an endpoint stands, from the least to the most that has gone wrong.
+/// Where an endpoint stands, in increasing order of what has gone wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LadderState {
@@ -106,9 +106,9 @@ pub enum Reason {
     FramesBack,
     /// No sound peer for longer than `stop_after`.
     SilentTooLong,
-    /// A master was started anew, which is the act of a person.
+    /// A master was started anew, which is a person's act.
     MasterStartedAnew,
-    /// A person at this side has acknowledged the fault.
+    /// The operator at this side has acknowledged the fault.
     Acknowledged,
     /// The newest of the peer may be older than the link is used to by more than `hold_after`.
     NewsOld,
@@ -155,7 +155,7 @@ impl Reason {
         Self::ALL.get(usize::from(code).checked_sub(1)?).copied()
     }
 
-    /// The text that a person reads.
+    /// The text that the operator reads.
     pub const fn text(self) -> &'static str {
         match self {
             BadNumber => "a number that cannot be, or the device failed",
@@ -200,7 +200,7 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 /// The ladder. Of a state's rows the first whose reason is the case counts: what is worse stands first.
 ///
 /// A press counts in HOLD and STOP only while both sides hear one another and the peer knows of the hold: a press
-/// into a dead link must not couple whenever the link comes back. In DISENGAGED it waits, visibly, as ALIGNING, which
+/// into a dead link must not couple whenever the link is back. In DISENGAGED it waits, visibly, as ALIGNING, which
 /// ends with the press: a peer that is silent for `stop_after`, restarted, in FAULT, has ended, or has not aligned within
 /// `align` leads back to DISENGAGED, and a release and a press after that lead out again.
 ///

@@ -36,14 +36,14 @@ impl LiveHandle {
         self.0.at_rest.load(Ordering::Relaxed)
     }
 
-    /// Releases the clutch for a moment and presses it again: the act of a person at this side. Void if the loop does
-    /// not come to it within 0.25 s, or was late within 0.25 s before: nobody knows then when it was done.
+    /// Releases the clutch for a moment and presses it again, on command of the operator at this side only. Void if the
+    /// loop does not read it within 0.25 s, or was late within 0.25 s before: its time is not known then.
     pub fn press_clutch(&self) {
         self.0.press_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave. Void as
-    /// [`Self::press_clutch`].
+    /// Lets another master begin, if the one before has been silent for 2 s; on command of the operator at the slave
+    /// only. Void as [`Self::press_clutch`].
     pub fn allow_takeover(&self) {
         self.0.takeover_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
@@ -110,7 +110,7 @@ impl LiveWatch {
     }
 
     /// Hands a command to the loop, which carries it out at its next tick; returns it where too many wait. An
-    /// acknowledgement is void if the loop does not come to it within 0.25 s.
+    /// acknowledgement is void if the loop does not read it within 0.25 s.
     pub fn command(&mut self, command: OperatorCommand) -> Result<(), OperatorCommand> {
         let given = self.commands.push((system::now_ns(), command));
         given.map_err(|rtrb::PushError::Full((_, command))| command)
@@ -171,7 +171,7 @@ pub enum Ineffective {
 }
 
 impl Ineffective {
-    /// As a person reads it; none where the diagnosis has a text.
+    /// As the operator reads it; none where the diagnosis has a text.
     pub fn text(self) -> Option<&'static str> {
         match self {
             Self::NotYet => None,
@@ -296,7 +296,7 @@ const MAX_DIAGNOSES: usize = 16;
 /// Commands that may wait for the loop, and that one tick takes.
 pub(super) const MAX_COMMANDS: usize = 16;
 
-/// Makes the rings of a loop that a person started at `started_ns`, with room for so many records.
+/// Makes the rings of a loop that the operator started at `started_ns`, with room for so many records.
 pub(super) fn channels<R>(
     capacity: usize,
     started_ns: u64,

@@ -43,7 +43,7 @@ enum Request {
 /// What the thread returns to the loop.
 #[derive(Debug)]
 pub(super) struct Answer {
-    /// Where its datagram goes: to where the request came from, or to the peer.
+    /// Where its datagram goes: to the sender of the request, or to the peer.
     pub(super) to: Option<SocketAddr>,
     pub(super) outcome: Outcome,
 }
@@ -55,8 +55,8 @@ struct Admission {
     sessions: Shares,
     renewals: Bucket,
     repeats: Bucket,
-    /// Session and epoch, as in the header: of the newest keys that this thread gave the slave, of the newest message that
-    /// it made at the master.
+    /// Session and epoch, as in the header: of the newest keys that this thread made for the slave, of the newest
+    /// message that it made at the master.
     newest: Option<(u64, u32)>,
 }
 
@@ -133,7 +133,7 @@ impl Handshakes {
         })
     }
 
-    /// Hands over how the session stands, unless the thread has not come to the requests before.
+    /// Hands over how the session stands, unless the thread has not read the requests before.
     pub(super) fn set_standing(&mut self, standing: Standing) {
         if self.requests.slots() == WAITING {
             let _ = self.requests.push(Request::Standing(standing, self.keys));
@@ -215,7 +215,7 @@ fn answer(
     while !is_over.load(Ordering::Relaxed) {
         while let Ok(request) = requests.pop() {
             match (request, &standing) {
-                // What was said before the newest keys came into use would have this thread request them again.
+                // What was reported before the newest keys were in use would have this thread request them again.
                 (Request::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
                 (Request::Message(from, message), Some(known)) => {
                     let now_ns = system::now_ns();
@@ -247,14 +247,14 @@ fn answer(
     handshake.rejections()
 }
 
-/// What happened to the session of a live run, for people.
+/// What happened to the session of a live run, for the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SecurityEvent {
     /// Of the session.
     Session(SessionEvent),
     /// Of a handshake.
     Handshake(HandshakeEvent),
-    /// A person at the slave may not let another master begin yet.
+    /// The operator at the slave may not let another master begin yet.
     StillHeard(StillHeard),
     /// The thread that makes keys has ended by itself.
     KeysEnd,

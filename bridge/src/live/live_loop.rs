@@ -32,7 +32,7 @@ pub struct LiveSettings {
     pub duration_ns: Option<u64>,
     /// Ends if the two sides have not engaged after this time, in ns.
     pub patience_ns: Option<u64>,
-    /// When a person started this side, in ns of the system's monotonic clock; when it is made, where nobody says.
+    /// When the operator started this side, in ns of the system's monotonic clock; when it is made, where nobody says.
     pub started_ns: Option<u64>,
     /// Records that wait for a reader; further ones are counted and dropped.
     pub ring: usize,
@@ -75,10 +75,10 @@ pub struct LoopReport {
 
 /// Part of the period that may be spent on what has arrived; more would let a flood stretch the tick.
 const RECEIVE_SHARE: u64 = 4;
-/// After each of the last frames and releases, the time in ns to the next: 20 ms in all, since losses come in bursts.
+/// After each of the last frames and releases, the time in ns to the next: 20 ms in all, since losses occur in bursts.
 const END_NS: [u64; 9] =
     [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
-/// A diagnosis is reported once it has stood for this long in ns: the text of a peer comes in pieces.
+/// A diagnosis is reported once it has stood for this long in ns: the text of a peer arrives in pieces.
 const SETTLED_NS: u64 = 50_000_000;
 /// Greatest age in ns of a command when the loop takes it, and for how long after a stall it takes no press: a signal that
 /// was sent while the process stood still arrives when it goes on.
@@ -339,7 +339,8 @@ impl<S: Side<N>, const N: usize> LiveLoop<S, N> {
         side.exchange_mut().end();
         for (sent, wait_ns) in END_NS.into_iter().enumerate() {
             let now_ns = system::now_ns();
-            // A release ends the keys of the peer, so the frames that say why come first. In the clear there is none.
+            // A release ends the keys of the peer, so the frames that say why are sent first. In the clear there is
+            // none.
             let datagram = if channel.session.is_secure() && sent + RELEASES >= END_NS.len() {
                 channel.session.release(now_ns, buffer).ok()
             } else {

@@ -99,7 +99,8 @@ impl Drop for LiveRun {
     }
 }
 
-/// Ticks after a device has failed in which the peer is sent that: frames get lost, and the driver's text comes in pieces.
+/// Ticks after a device has failed in which the peer is sent that: frames get lost, and the driver's text is sent in
+/// pieces.
 const FAILED_TICKS: u32 = 3 * PIECES as u32;
 
 /// How far the loop is.
@@ -187,7 +188,8 @@ pub trait DriverLoop {
     /// Sleeps until the next tick is due.
     fn wait(&mut self);
 
-    /// The device is gone: zero force and no motion, and the peer is sent that, in the driver's words where there are any.
+    /// The device is gone: zero force and no motion, and the peer is sent that, with the driver's text where there is
+    /// one.
     fn fail(&mut self, text: &FaultText);
 
     /// The device is at rest: announces the end of this side to the peer, before whoever waits for the report does.
@@ -226,7 +228,7 @@ impl<S: Side<N>, const N: usize> DriverLoop for PacedLoop<S, N> {
         for _ in 0..FAILED_TICKS {
             // Anew at each: nobody can mend what is gone.
             live_loop.side().exchange_mut().device_failed(Some(text));
-            // Now, and not when the next sample would have been due: what is reported must not come from the future.
+            // Now, and not when the next sample would have been due: what is reported must not be of the future.
             let wake = self.pace.sampled(system::now_ns());
             let wake = Wake { overshoot_ns: 0, missed: 0, ..wake };
             if live_loop.step(wake, &self.shared).is_break() {

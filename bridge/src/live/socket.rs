@@ -19,7 +19,7 @@ const MAX_DATAGRAMS: usize = 4096;
 pub enum PeerAddress {
     /// Sends there from the start.
     Known(SocketAddr),
-    /// Answers where the last good frame came from.
+    /// Answers to the address of the last good frame.
     Learned,
 }
 
@@ -142,7 +142,7 @@ impl Place {
 /// faster, does not draw the answers away.
 ///
 /// Where a copy was there first, at the start of a session or after a move, the peer says that it hears nothing; then a
-/// second address is answered as well, one datagram for each that comes from there.
+/// second address is answered as well, one datagram for each received from there.
 #[derive(Clone, Debug)]
 struct Route {
     learns: bool,
@@ -159,7 +159,7 @@ impl Route {
         Self { learns: false, peer: Some(Place { address, heard_ns: 0 }), ..Self::learned() }
     }
 
-    /// To where frames come from.
+    /// To the address that frames are sent from.
     fn learned() -> Self {
         Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
     }
@@ -169,7 +169,7 @@ impl Route {
         self.learns || self.peer.is_some_and(|peer| peer.address == from)
     }
 
-    /// Learns of a datagram that came from `from` at `now_ns`.
+    /// Takes note of a datagram from `from` that arrived at `now_ns`.
     fn take(&mut self, now_ns: u64, from: SocketAddr, received: Received) {
         if received == Received::Nothing || !self.learns {
             return;

@@ -48,7 +48,8 @@ pub(super) fn sleep_until(deadline_ns: u64) {
     while clock_nanosleep_absolute(ClockId::Monotonic, &deadline) == Err(rustix::io::Errno::INTR) {}
 }
 
-/// Requests of the kernel not to delay this thread's wake-ups by its usual 50 us; where that is refused it works, too.
+/// Requests of the kernel not to delay this thread's wake-ups by its default 50 us; where that is refused it works,
+/// too.
 fn request_prompt_wakeups() {
     let _ = set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
@@ -138,7 +139,7 @@ pub struct RealtimeReport {
     pub locked: Granted<u64>,
     /// Processor that the loop stays on.
     pub cpu: Granted<u16>,
-    /// Processors that do not fall into a sleep from which they wake late. Only root may ask for that, and little
+    /// Processors that do not fall into a sleep from which they wake late. Only root may request that, and little
     /// hangs on it: it is never required.
     pub wakeful: Granted<()>,
 }

@@ -8,7 +8,7 @@ const SENT_KEPT: usize = 4096;
 /// Keeps our sending times and the age of the newest packet received.
 ///
 /// A packet that echoes our counter `c` left the peer after that arrived there, so not before the time `T_c` of our
-/// clock at which `c` left here. So at `now` it is at most `now - T_c` old: whatever the ways take, and whatever the
+/// clock at which `c` left here. So at `now` it is at most `now - T_c` old: whatever the delays, and whatever the
 /// peer's clock shows. A
 /// packet never is older than one that the peer sent before it, so the bound does not fall back when an echo is missing.
 #[derive(Clone, Debug)]
@@ -217,7 +217,7 @@ mod tests {
         }
     }
 
-    /// Two ages in turn, 6 ms apart, deviate by 3 ms: 12 ms above the mean.
+    /// Two alternating ages, 6 ms apart, deviate by 3 ms: 12 ms above the mean.
     #[test]
     fn jitter_is_part_of_the_level() {
         let mut baseline = AgeBaseline::new();

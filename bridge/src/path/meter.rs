@@ -11,7 +11,7 @@ const WINDOW: u64 = PLACES as u64;
 
 /// Counts what arrives, in bounded memory.
 ///
-/// Losses are final when 2048 later sequences have been seen; a packet that comes late before that is no loss.
+/// Losses are final when 2048 later sequences have been seen; a packet that arrives late before that is no loss.
 #[derive(Clone, Debug)]
 pub struct PathMeter {
     sequences: Box<Sequences>,
@@ -104,7 +104,7 @@ pub struct PathStatistics {
     pub received: u64,
     /// Packets that had arrived before.
     pub duplicate: u64,
-    /// Packets that came from before the first, or so late that they are counted as lost.
+    /// Packets from before the first, or so late that they are counted as lost.
     pub too_late: u64,
     /// Sequences from the first to the newest.
     pub expected: u64,
@@ -202,7 +202,7 @@ pub(super) enum Seen {
     Behind,
     /// There before.
     Duplicate,
-    /// Too far behind to tell.
+    /// Too far behind: not known.
     TooFar,
 }
 
@@ -279,7 +279,7 @@ fn slot(sequence: u64) -> usize {
     usize::try_from(sequence % WINDOW).unwrap_or(0)
 }
 
-/// Reordered packets and how far they came too late.
+/// Reordered packets and by how much they were late.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reordering {
@@ -287,7 +287,7 @@ pub struct Reordering {
     pub reordered: u64,
     /// Sum of their extents: arrivals since the first of a greater sequence.
     pub extent_sum: u64,
-    /// The greatest extent; no more than 2048 can be told.
+    /// The greatest extent; at most 2048 is measured.
     pub longest_extent: u64,
 }
 
@@ -342,8 +342,8 @@ impl Extents {
     }
 }
 
-/// Mean deviation of the spacing of packets: `J += (|D| - J) / 16`, where `D` is by how much two packets came further
-/// apart than they were sent.
+/// Mean deviation of the spacing of packets: `J += (|D| - J) / 16`, where `D` is by how much two packets arrived
+/// further apart than they were sent.
 ///
 /// It sees how the delay changes from packet to packet. A delay that wanders slowly over many packets has little of
 /// that jitter.

@@ -57,8 +57,8 @@ impl TimestampExchange {
 
     /// The peer's clock less ours: `theta = ((t2 - t1) + (t3 - t4)) / 2`, rounded to zero.
     ///
-    /// It is wrong by half of what the ways differ, `(forward - backward) / 2`, so by at most half the round trip, and by
-    /// what the clocks part meanwhile.
+    /// It is wrong by half of what the delays differ, `(forward - backward) / 2`, so by at most half the round trip,
+    /// and by what the clocks part meanwhile.
     ///
     /// Source: RFC 5905, section 8.
     fn offset_ns(&self) -> i64 {
@@ -88,13 +88,13 @@ pub enum ClockFault {
         /// How far.
         by_ns: u64,
     },
-    /// The peer held a packet for longer than its whole way there and back took, and by more than a drift explains.
+    /// The peer held a packet for longer than the whole round trip took, and by more than a drift explains.
     #[error("the peer says it held a packet for {by_ns} ns longer than the exchange took")]
     NegativeRoundTrip {
         /// How much longer.
         by_ns: u64,
     },
-    /// No clock within the allowed drift fits this exchange and those before it, whatever the ways took: a clock
+    /// No clock within the allowed drift fits this exchange and those before it, whatever the delays were: a clock
     /// stepped, or runs faster or slower than allowed. The estimate begins anew.
     #[error(
         "the peer's clock stepped by about {by_ns} ns, at least {at_least_ns} ns, against ours, or drifts by more than \
@@ -102,9 +102,9 @@ pub enum ClockFault {
     )]
     Step {
         /// About the jump; positive if the peer's clock went ahead. An exchange from before it that arrives after one
-        /// from after it shows it the other way round.
+        /// from after it shows it with the opposite sign.
         by_ns: i64,
-        /// The least jump that explains it.
+        /// The smallest jump that explains it.
         at_least_ns: u64,
         /// The greatest drift in parts per billion that a healthy clock has.
         allowed_ppb: u64,
@@ -122,7 +122,7 @@ pub enum ClockFault {
 pub struct PeerOffset {
     /// The offset in ns.
     pub offset_ns: i64,
-    /// How wrong it may be in ns, whatever the ways took: half the width of the range.
+    /// How wrong it may be in ns, whatever the delays were: half the width of the range.
     pub bound_ns: u64,
 }
 
@@ -134,16 +134,16 @@ const READING_NS: i128 = 2;
 /// The range that holds the peer's clock less ours, `theta`, because no packet arrives before it was sent.
 ///
 /// When a packet of ours left at `t1`, the peer's clock showed at most `t2`, so that `theta(t1) <= t2 - t1`. When one of
-/// the peer's arrived at `t4`, its clock showed at least `t3`, so that `theta(t4) >= t3 - t4`. Neither takes a belief in
-/// how long the ways are. Healthy clocks part by at most `rho`, so each bound holds later as a line that gives
-/// way with that slope. All lines of one side are parallel: the least of the upper ones and the greatest of the lower
-/// ones stay so for ever, and the two of them are the intersection of all ranges ever seen.
+/// the peer's arrived at `t4`, its clock showed at least `t3`, so that `theta(t4) >= t3 - t4`. Neither assumes
+/// anything of the delays. Healthy clocks drift apart by at most `rho`, so each bound holds later as a line that
+/// relaxes with that slope. All lines of one side are parallel: the smallest of the upper ones and the greatest of the
+/// lower ones stay so for ever, and the two of them are the intersection of all ranges ever seen.
 ///
 /// There is a clock of drift up to `rho` that fits all bounds if and only if every upper one fits every lower one with
 /// `l - u <= rho |t4 - t1|` (a function of bounded slope can be drawn through points that fit in pairs).
 ///
-/// The estimate is the middle of the range: wrong by half of what the least times of the two ways differ, and by no more
-/// than half the width of the range.
+/// The estimate is the middle of the range: wrong by half of what the smallest delays of the two directions differ, and
+/// by no more than half the width of the range.
 ///
 /// An exchange that leaves nothing of the range proves that a clock stepped, because its machine was suspended or it is
 /// broken. Then the range begins anew, with exchanges that were sent after the proof arrived: all of their four times are
@@ -262,9 +262,9 @@ impl PeerClock {
         Some(PeerOffset { offset_ns, bound_ns })
     }
 
-    /// The least and the greatest offset in ns possible at `at_ns`; none before the first exchange.
+    /// The smallest and the greatest offset in ns possible at `at_ns`; none before the first exchange.
     pub(super) fn range(&self, at_ns: u64) -> Option<(i64, i64)> {
-        // Before the newest exchange the lines do not hold; what they say of that time gives way backwards.
+        // Before the newest exchange the lines do not hold; what they say of that time relaxes backwards.
         let from = self.newest_ns.max(at_ns);
         let way = self.drifted(from) + self.drifted(from - at_ns);
         Some((whole(self.lower? - way), whole(self.upper? + way + PARTS - 1)))

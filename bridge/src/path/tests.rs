@@ -49,7 +49,7 @@ fn an_asymmetric_delay_costs_half_the_asymmetry() {
             }
             let (error, bound) = peer.error(&clock, 5 * S);
             let half = (forward.cast_signed() - backward.cast_signed()) / 2;
-            // The upper line is older than the lower one by the round trip, of which it gives way by 200 ppm: half of
+            // The upper line is older than the lower one by the round trip, of which it relaxes by 200 ppm: half of
             // that, and the rounding of readings.
             let parted = (forward + backward + 6 * US).cast_signed() / 10_000 + 3;
             assert!((half - 3..=half + parted).contains(&error), "{error} of {half}");
@@ -58,7 +58,7 @@ fn an_asymmetric_delay_costs_half_the_asymmetry() {
     }
 }
 
-/// A day with clocks at their limits and a path whose queues add up to 20 ms each way.
+/// A day with clocks at their limits and a path whose queues add up to 20 ms in each direction.
 #[test]
 fn a_day_of_drift_stays_within_the_bound() {
     for ppb in [100_000, -100_000, 0] {
@@ -83,7 +83,7 @@ fn a_day_of_drift_stays_within_the_bound() {
                 worst = worst.max((error - 2_500_000).unsigned_abs());
             }
         }
-        // A queue of s ms has probability s / 20. A line gives way by at most 0.03 ms between two exchanges, so that the
+        // A queue of s ms has probability s / 20. A line relaxes by at most 0.03 ms between two exchanges, so that the
         // least of 60 at most 1.8 ms old ones is above 14 ms with (14 / 20)^60 = 5e-10; an error of 8 ms needs that.
         assert!(worst < 8 * MS, "{ppb}: {worst}");
     }
@@ -139,8 +139,8 @@ fn netsim_links_are_measured_within_the_bound() {
             let (error, bound) = peer.error(&clock, received_ns);
             assert!(error.unsigned_abs() <= bound);
         }
-        // Each way adds up to 6.9 ms, evenly. A line gives way by at most 2.5 us between two exchanges: the least of 240
-        // within 0.6 ms of it is above 1.4 ms with (1 - 0.2)^(0.8 * 240) = 3e-19; an error of 1 ms needs that.
+        // Each direction adds up to 6.9 ms, evenly. A line relaxes by at most 2.5 us between two exchanges: the least
+        // of 240 within 0.6 ms of it is above 1.4 ms with (1 - 0.2)^(0.8 * 240) = 3e-19; an error of 1 ms needs that.
         assert!(peer.error(&clock, 600 * S).0.unsigned_abs() < MS);
     }
 }
@@ -161,7 +161,7 @@ fn a_suspended_peer_is_seen_and_the_estimate_begins_anew() {
             let [ClockFault::Step { by_ns, at_least_ns, .. }] = faults[..] else { panic!("{faults:?}") };
             assert_eq!(by_ns < 0, back);
             assert!(by_ns.unsigned_abs().abs_diff(step) < MS, "{by_ns} of {step}");
-            // All but the two ways, which might have been others, and what 200 ppm make of 40 ms and rounding.
+            // All but the two delays, which might have been others, and what 200 ppm make of 40 ms and rounding.
             assert!(
                 (step - 40 * MS - 20 * US..=step - 40 * MS).contains(&at_least_ns),
                 "{at_least_ns} of {step}"
@@ -211,7 +211,8 @@ fn a_packet_from_the_future_is_a_fault_of_a_clock() {
     let now = S + 30 * MS;
     let arrives = |early_ns| clock.check_arrival(peer.at(now + early_ns), now);
     assert_eq!(clock.check_arrival(peer.at(now - 10 * MS), now), Ok(()));
-    // The way there, 200 ppm of the 30 ms since its beginning, and the rounding of readings in the bound and in this packet.
+    // The delay there, 200 ppm of the 30 ms since its beginning, and the rounding of readings in the bound and in this
+    // packet.
     assert_eq!(arrives(10 * MS + 6 * US + 4), Ok(()));
     assert_eq!(arrives(10 * MS + 6 * US + 5), Err(ClockFault::NegativeDelay { by_ns: 1 }));
 }
@@ -237,7 +238,7 @@ fn a_drift_that_no_clock_has_is_reported_when_it_is_proven() {
 }
 
 proptest! {
-    /// The true age is within its bound, whatever the ways take, with any healthy clock.
+    /// The true age is within its bound, whatever the delays, with any healthy clock.
     #[test]
     fn the_age_is_within_its_bound(
         ppb in -150_000i64..150_000,
@@ -271,7 +272,7 @@ fn the_age_is_the_round_trip_and_the_silence_since() {
     for n in 0..5_000 {
         age.sent(n, n * MS);
         if n >= 101 {
-            // 50 ms each way; the peer answers after 1 ms.
+            // 50 ms in each direction; the peer answers after 1 ms.
             age.received(n * MS, (n - 101, MS)).unwrap();
         }
     }
@@ -412,7 +413,7 @@ proptest! {
         }
     }
 
-    /// Healthy clocks, whatever the ways do: no fault is reported and the truth is within the bound, then and later.
+    /// Healthy clocks, whatever the delays do: no fault is reported and the truth is within the bound, then and later.
     #[test]
     fn the_bound_holds_and_no_fault_is_reported_on_any_path(
         peer in wandering(),
@@ -456,8 +457,8 @@ proptest! {
         }
     }
 
-    /// A step is told only if no healthy clock fits all exchanges so far, and not later than when even twice what the
-    /// clocks may part in the longest exchange, and the rounding of four readings, explain it no more.
+    /// A step is reported only if no healthy clock fits all exchanges so far, and not later than when even twice what
+    /// the clocks may part in the longest exchange, and the rounding of four readings, explain it no more.
     #[test]
     fn a_step_is_reported_when_and_only_when_it_is_proven(
         mut peer in wandering(),
@@ -494,7 +495,8 @@ proptest! {
         }
     }
 
-    /// After a step the estimate begins anew with what is of after it, so the bound holds again, and it is told once.
+    /// After a step the estimate begins anew with what is of after it, so the bound holds again, and it is reported
+    /// once.
     #[test]
     fn after_a_step_the_bound_holds_anew(
         mut peer in wandering(),
@@ -502,7 +504,7 @@ proptest! {
         at_ns in 0..30 * S,
         back in any::<bool>(),
     ) {
-        // Of more than all that ways can explain.
+        // Of more than all that delays can explain.
         let by_ns = if back { -50 * S.cast_signed() } else { 80 * S.cast_signed() };
         peer.ahead_ns += 60 * S;
         peer.step = Some((at_ns, by_ns));
@@ -684,7 +686,7 @@ proptest! {
         prop_assert_eq!(seen, by_definition(&sequences));
     }
 
-    /// Beyond the window as well, if nothing comes that late.
+    /// Beyond the window as well, if nothing arrives that late.
     #[test]
     fn losses_that_left_the_window_stay_counted(steps in prop::collection::vec(1u64..3000, 1..40)) {
         let mut sequences = vec![7];

@@ -192,7 +192,7 @@ struct Watched<const N: usize> {
     ticks: u64,
     diverged: Option<Divergence>,
     settled: bool,
-    /// Frames that were dropped because too many were under way.
+    /// Frames that were dropped because too many were in flight.
     overflowed: u64,
 }
 

@@ -178,7 +178,7 @@ const AT_REST: f64 = 1e-4;
 /// Time in s of rest after which a run has settled.
 const SETTLED_S: f64 = 0.2;
 
-/// The force that tells in which direction an ejection goes, squared: 1 mN.
+/// The smallest force that defines the direction of an ejection, squared: 1 mN.
 const MIN_SQUARED_FORCE: f64 = 1e-6;
 
 /// The measures of a run as they grow.

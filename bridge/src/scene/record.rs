@@ -1,10 +1,10 @@
-//! What a run leaves behind: signals, events and what it is judged by.
+//! The result of a run: signals, events and what it is judged by.
 
 use haptether_safety::{Axes, controller::Tripped};
 
 use super::{measures::Outcome, spec::SceneSpec};
 
-/// What a run leaves behind.
+/// The result of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneRun {
     /// Signals; empty where the scene records nothing.
@@ -149,7 +149,7 @@ impl EventLog {
         }
     }
 
-    /// What the scene itself schedules, as far as the run came, from `engaged_s` on; and how it diverged.
+    /// What the scene itself schedules, up to where the run ended, from `engaged_s` on; and how it diverged.
     pub(crate) fn schedule<const N: usize>(
         &mut self,
         scene: &SceneSpec<N>,

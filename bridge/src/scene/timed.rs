@@ -1,4 +1,4 @@
-//! A side whose operator gives commands at given times.
+//! A side whose operator commands at given times.
 
 use crate::{Exchange, OperatorCommand, Side, TickTime, coupling::CouplingError};
 

@@ -1,4 +1,4 @@
-//! How often what anybody may ask for is done: in all, for one host and for one address.
+//! How often what anybody may request is done: in all, for one host and for one address.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -105,7 +105,7 @@ mod tests {
         text.parse().unwrap()
     }
 
-    /// How many of `from` are taken that come each ms for `seconds`, by turns.
+    /// How many of `from`, one each ms for `seconds`, round robin, are admitted.
     fn taken(shares: &mut Shares, from: &[SocketAddr], seconds: u64) -> usize {
         let turns = from.iter().cycle();
         (0..seconds * 1000).zip(turns).filter(|(n, from)| shares.take(n * MS, **from)).count()

@@ -11,7 +11,7 @@ use super::{
     wire::{Rejection, Rejections},
 };
 
-/// What came of a datagram.
+/// The result of a datagram.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Received<'a> {
     /// What the peer sealed.
@@ -100,7 +100,7 @@ impl SessionEnd {
         }
     }
 
-    /// Lets time pass; gives a datagram of the handshake to send, if one is due.
+    /// Lets time pass; returns a datagram of the handshake to send, if one is due.
     pub fn poll(
         &mut self,
         now_ns: u64,

@@ -34,7 +34,7 @@ pub(super) enum KeyChange {
 #[derive(Debug)]
 pub(super) struct Epochs {
     pub(super) current: Option<Epoch>,
-    /// With the time until which it opens what was under way.
+    /// With the time until which it opens what was in flight.
     previous: Option<(Epoch, u64)>,
     /// Of the session whose keys grew too old: they open nothing, but bind its next handshake to its two ends.
     pub(super) lapsed: Option<(EpochId, Chain)>,
@@ -93,7 +93,7 @@ impl Epochs {
         };
         match arrival {
             Arrival::TooOld => Err(Rejection::TooOld),
-            // Judged by its tag, first: an authentic one says that the peer is where it came from.
+            // Judged by its tag, first: an authentic one says that the peer is at its sender's address.
             Arrival::Duplicate => Ok((slot, arrival)),
             // Whatever was sealed before the newest keys is older than what these have opened.
             _ if slot == Slot::Previous => Ok((slot, Arrival::Late)),
@@ -206,13 +206,13 @@ pub enum Arrival {
     Late,
     /// Seen before.
     Duplicate,
-    /// Too far below the newest to tell whether it was seen before.
+    /// Too far below the newest to know whether it was seen before.
     TooOld,
 }
 
 /// A bitmap of the newest `reach` counters. It is not shifted, and its memory is reserved once.
 ///
-/// Words form a ring; passing to a newer counter clears the words between. One word more than the reach asks for, so
+/// Words form a ring; passing to a newer counter clears the words between. One word more than the reach needs, so
 /// that the oldest counters within reach never share their word with the newest.
 ///
 /// Source: RFC 6479; RFC 4303, section 3.4.3 (judged before the tag is checked, marked after).

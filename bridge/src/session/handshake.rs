@@ -1,7 +1,7 @@
 //! Handshakes, off the tick: they cost a millisecond and allocate.
 //!
 //! [`Handshake`] holds the shared key and makes keys; [`super::Session`] holds the keys and seals. Between them go
-//! only values: a [`Standing`] and a datagram one way, an [`Outcome`] the other. So they may live on two threads.
+//! only values: a [`Standing`] and a datagram in, an [`Outcome`] out. So they may live on two threads.
 
 use std::net::SocketAddr;
 
@@ -20,12 +20,12 @@ use crate::wire::Role;
 /// A handshake message with its header.
 pub type HandshakeDatagram = [u8; HANDSHAKE_LENGTH];
 
-/// What came of a handshake message.
+/// The result of a handshake message.
 #[derive(Debug, Default)]
 pub struct Outcome {
     /// To send: back, or to the peer.
     pub reply: Option<HandshakeDatagram>,
-    /// Whether it goes to where the peer's frames come from, not whence it was asked: who repeats the peer's message
+    /// Whether it goes to the address of the peer's frames, not to that of the request: who repeats the peer's message
     /// from elsewhere does not draw the answer away.
     pub to_peer: bool,
     /// For [`super::Session::install`].
@@ -45,7 +45,7 @@ pub enum HandshakeEvent {
         payload_length: u16,
     },
     /// Reported at the slave: another master with the key was refused, because one holds the lease. It lives: it has sent back
-    /// what the first refusal gave it, which no recorded message does.
+    /// what the first refusal had for it, which no recorded message does.
     SecondMaster {
         /// What that master drew when it started.
         run: u64,
@@ -111,8 +111,8 @@ impl Handshake {
         Ok(Self { role: settings.role, side, rejections: Rejections::default() })
     }
 
-    /// Takes a datagram that [`super::Session::open`] handed on, and that came from `from`. One that is refused changes
-    /// nothing but a count.
+    /// Takes a datagram that [`super::Session::open`] handed on, and that was sent from `from`. One that is refused
+    /// changes nothing but a count.
     pub fn receive(
         &mut self,
         now_ns: u64,
@@ -135,7 +135,7 @@ impl Handshake {
 
     /// The message to send at `now_ns`, if any: the first of a handshake, or the same again. Never at the slave.
     ///
-    /// To be asked each 10 ms or so.
+    /// To be called each 10 ms or so.
     pub fn poll(
         &mut self,
         now_ns: u64,
@@ -154,15 +154,15 @@ impl Handshake {
     }
 }
 
-/// First wait for an answer. A person waits for this; a link with a longer round trip costs some repeats and no time,
-/// because every repeat is the same message and any answer to it will do.
+/// First wait for an answer. The operator waits for this; a link with a longer round trip costs some repeats and no
+/// time, because every repeat is the same message and any answer to it will do.
 const RETRY_NS: u64 = 250 * MS;
-/// The wait doubles up to this, so that a slave that is not there is not flooded and one that comes is found soon.
+/// The wait doubles up to this, so that a slave that is not there is not flooded and one that starts is found soon.
 const MAX_RETRY_NS: u64 = 2000 * MS;
 /// A handshake without an answer is given up, and one with new keys begun: seven sendings, and longer than any
 /// round trip that anybody teleoperates over.
 const ATTEMPT_NS: u64 = 8000 * MS;
-/// Wait after the slave has refused: the person at the slave has to do something first.
+/// Wait after the slave has refused: the operator at the slave has to do something first.
 const REFUSED_NS: u64 = 1000 * MS;
 
 /// A handshake that waits for its answer.
@@ -183,7 +183,7 @@ pub(super) struct Initiator {
     mac: MacKey,
     run: u64,
     pending: Option<Pending>,
-    /// The newest epoch asked for: a number stands for one handshake, never for two.
+    /// The newest epoch requested: a number stands for one handshake, never for two.
     asked: Option<EpochId>,
     refused_until_ns: u64,
     /// The slave lives and has refused a new session, as one holds the lease: perhaps ours, whose next keys it gives.
@@ -336,8 +336,8 @@ enum Wish {
 
 const MS: u64 = 1_000_000;
 
-/// Answers, one each: to all who ask for a new session together, and again to the partner of the living one. Each costs the
-/// slave one multiplication on the curve.
+/// Answers, one each: to all who request a new session together, and again to the partner of the living one. Each costs
+/// the slave one multiplication on the curve.
 const ANSWER_NS: u64 = 250 * MS;
 /// Answers to the partner at once, to a message that was not there before and to a repeat.
 const RENEWALS: u64 = 8;
@@ -350,7 +350,7 @@ const ANSWERS: usize = 48;
 const SEEN: usize = 256;
 /// Handshakes of a session that may have failed before one is answered.
 pub(super) const MAX_SKIPPED: u32 = 1024;
-/// Tickets of refusals that have not come back.
+/// Tickets of refusals that have not been returned.
 const TICKETS: usize = 4;
 
 /// An answer that its question, repeated, gets again.
@@ -401,7 +401,7 @@ impl Responder {
         }
     }
 
-    /// Takes a first message that came from `from`.
+    /// Takes a first message that was sent from `from`.
     pub(super) fn receive(
         &mut self,
         now_ns: u64,
@@ -424,7 +424,7 @@ impl Responder {
             self.spend(now_ns, from, is_renewal, REPEATS)?;
             return Ok(Outcome { reply, to_peer, ..Outcome::default() });
         }
-        // A master asks for each epoch once, and for none below: what it gave up is recorded.
+        // A master requests each epoch once, and for none below: what it gave up is recorded.
         let is_given_up = self.renewed.is_some_and(|renewed| {
             is_renewal && renewed.id.session == id.session && id.epoch <= renewed.id.epoch
         });
@@ -502,7 +502,7 @@ impl Responder {
         }
     }
 
-    /// Takes one answer, a repeat too, from the budget of who asks.
+    /// Takes one answer, a repeat too, from the budget of its sender.
     fn spend(
         &mut self,
         now_ns: u64,

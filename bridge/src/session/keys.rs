@@ -79,7 +79,7 @@ impl std::fmt::Debug for PreSharedKey {
     }
 }
 
-/// Tells handshake messages of who has the shared key from garbage, at the cost of one HMAC.
+/// Distinguishes handshake messages of a holder of the shared key from garbage, at the cost of one HMAC.
 ///
 /// It opens nothing: `HMAC-SHA-256(mac key, message)` says only that its maker had the key.
 ///
@@ -139,7 +139,7 @@ pub(super) struct EpochId {
     pub(super) epoch: u32,
 }
 
-/// The keys of one epoch, as a handshake gives them; not to be cloned: a key and its counter exist once.
+/// The keys of one epoch, as a handshake makes them; not to be cloned: a key and its counter exist once.
 #[derive(Debug)]
 pub struct Epoch {
     pub(super) id: EpochId,
@@ -220,12 +220,12 @@ fn nonce(counter: u64) -> Nonce {
 }
 
 impl Key {
-    /// A key of 32 bytes; none only if the cipher were to ask for another length.
+    /// A key of 32 bytes; none only if the cipher were to require another length.
     pub(super) fn new(bytes: &[u8; 32]) -> Option<Self> {
         UnboundKey::new(&CHACHA20_POLY1305, bytes).ok().map(|key| Self(LessSafeKey::new(key)))
     }
 
-    /// Encrypts `payload` in place and gives the tag over it and `header`; none if the payload is absurdly long.
+    /// Encrypts `payload` in place and returns the tag over it and `header`; none if the payload is absurdly long.
     pub(super) fn seal(&self, counter: u64, header: &[u8], payload: &mut [u8]) -> Option<[u8; TAG]> {
         let tag = self.0.seal_in_place_separate_tag(nonce(counter), Aad::from(header), payload).ok()?;
         tag.as_ref().try_into().ok()

@@ -3,7 +3,7 @@
 //! Two halves, so that no tick waits for a handshake:
 //!
 //! - [`Session`] seals and opens datagrams within a tick, and allocates nothing in doing so;
-//! - [`Handshake`] makes keys, off the tick, and is asked by [`Handshake::poll`] and [`Handshake::receive`].
+//! - [`Handshake`] makes keys, off the tick, and is driven by [`Handshake::poll`] and [`Handshake::receive`].
 //!
 //! [`SessionEnd`] is both on one thread. None of them owns a clock, a socket or randomness. The bytes on the wire and the
 //! reasons for them are in `docs/protocol.md`.

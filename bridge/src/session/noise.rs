@@ -214,7 +214,7 @@ impl Entropy for SystemEntropy {
     }
 }
 
-/// A generator whose numbers a seed decides: for simulation, where the same seed must give the same bytes, and for
+/// A generator whose numbers a seed decides: for simulation, where the same seed must yield the same bytes, and for
 /// nothing else.
 ///
 /// Block n is SHA-256 of side, seed and n.
@@ -264,7 +264,8 @@ mod tests {
         (0..hex.len()).step_by(2).map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap()).collect()
     }
 
-    /// Both messages, the handshake's hash, and the first sealed message each way, sealed with our own key objects.
+    /// Both messages, the handshake's hash, and the first sealed message in each direction, sealed with our own key
+    /// objects.
     ///
     /// The payloads of this vector have 16 and 15 bytes: the second is written to the state itself.
     ///

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::wire::{MAX_FRAME, Role};
 
-/// Whom the slave obeys. It outlives the keys: a master that fell silent keeps it until a person says otherwise.
+/// Whom the slave obeys. It outlives the keys: a master that fell silent keeps it until an operator says otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Lease {
     session: u64,
@@ -26,11 +26,11 @@ struct Lease {
 struct Renewal {
     /// The peer has used them.
     confirmed: bool,
-    /// This side asks for others before their time.
+    /// This side requests others before their time.
     asked_here: bool,
     /// The peer does.
     asked_there: bool,
-    /// People know that they should have given way to others.
+    /// The operators know that they should have been replaced.
     warned: bool,
 }
 
@@ -114,7 +114,7 @@ impl Session {
         self.epochs.current.as_ref().map(|epoch| epoch.id.session)
     }
 
-    /// Bytes of every sealed datagram, both ways.
+    /// Bytes of every sealed datagram, in both directions.
     pub fn datagram_length(&self) -> usize {
         let payload = self.settings.payload_length;
         if self.is_secure() { sealed_length(payload) } else { payload }
@@ -144,7 +144,7 @@ impl Session {
         Ok(())
     }
 
-    /// Seals `payload` into `buffer` and gives the datagram to send.
+    /// Seals `payload` into `buffer` and returns the datagram to send.
     pub fn seal<'a>(
         &mut self,
         now_ns: u64,
@@ -310,7 +310,7 @@ impl Session {
         self.epochs.clear();
     }
 
-    /// Takes the keys that a handshake gave. The master uses them from here on, the slave once the master has.
+    /// Takes the keys that a handshake made. The master uses them from here on, the slave once the master has.
     pub fn install(&mut self, now_ns: u64, epoch: Epoch) {
         if !self.is_secure() {
             return;
@@ -346,7 +346,7 @@ impl Session {
         self.renewal = Renewal::default();
     }
 
-    /// A person at the slave lets another master begin: ends the session of one that has fallen silent.
+    /// The operator at the slave lets another master begin: ends the session of one that has fallen silent.
     pub fn allow_takeover(&mut self, now_ns: u64) -> Result<(), StillHeard> {
         let (ago_ns, silence_ns) = (now_ns.saturating_sub(self.heard_ns), self.settings.silence_ns);
         if self.lease.is_none() {
@@ -433,7 +433,7 @@ pub enum SessionEvent {
     Expired,
     /// More forgeries than the keys bear.
     Forgeries,
-    /// A person at the slave ended the session of a silent master.
+    /// The operator at the slave ended the session of a silent master.
     TakenOver,
 }
 
@@ -479,7 +479,7 @@ pub struct Standing {
     pub(super) silent_ns: u64,
     /// The run of the master that holds the lease.
     pub(super) holder: Option<u64>,
-    /// Whether either side asks for new keys before their time.
+    /// Whether either side requests new keys before their time.
     pub(super) due: bool,
 }
 
@@ -517,22 +517,22 @@ pub(super) struct Live {
 const MS: u64 = 1_000_000;
 const SECOND: u64 = 1000 * MS;
 
-/// How a session goes. [`SessionSettings::new`] gives what all but tests want.
+/// How a session goes. [`SessionSettings::new`] returns what all but tests use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SessionSettings {
-    /// The side that this is. The master begins every handshake, the slave gives the lease.
+    /// The side that this is. The master begins every handshake, the slave grants the lease.
     pub role: Role,
-    /// Bytes of every payload, both ways.
+    /// Bytes of every payload, in both directions.
     pub payload_length: usize,
     /// Time between two datagrams of the peer in ns.
     pub peer_period_ns: u64,
-    /// How far behind the newest a datagram may be and still be told from a replay, in ns of the peer's rate.
+    /// How far behind the newest a datagram may be and still be distinguished from a replay, in ns of the peer's rate.
     pub window_ns: u64,
     /// Age of a key at which the master begins the next handshake.
     pub rekey_ns: u64,
     /// Age of a key at which nothing more is sent under it.
     pub refuse_ns: u64,
-    /// How long the keys before the newest still open what was under way; above the delay of the link.
+    /// How long the keys before the newest still open what was in flight; above the delay of the link.
     pub overlap_ns: u64,
     /// Silence of the peer after which the master begins anew, and a local act at the slave may free the lease.
     pub silence_ns: u64,
@@ -581,11 +581,11 @@ const MAX_WINDOW: u64 = 1 << 22;
 const MIN_WINDOW: u64 = 1024;
 
 impl SessionSettings {
-    /// The usual times, for payloads of `payload_length` bytes and a peer that sends one each `peer_period_ns`.
+    /// The default times, for payloads of `payload_length` bytes and a peer that sends one each `peer_period_ns`.
     ///
     /// 2 s of window; keys renewed after 120 s and dead after 180 s, as in `WireGuard` (section 6.1); 5 s of
     /// overlap, above any delay that anybody teleoperates over; 2 s of silence; 2^32 datagrams under a key, 4.9 days
-    /// at 10 kHz, which the age comes long before; 2^36 forgeries.
+    /// at 10 kHz, long after the age limit; 2^36 forgeries.
     ///
     /// Source: Donenfeld, *`WireGuard`: Next Generation Kernel Network Tunnel*, 2017; RFC 9001, section 6.6 (the
     /// integrity limit of ChaCha20-Poly1305).
@@ -630,12 +630,12 @@ impl SessionSettings {
         Ok(())
     }
 
-    /// Age of a key at which people are warned that no others have come: 60 s before it opens nothing more.
+    /// Age of a key at which the operator is warned that no others have been made: 60 s before it opens nothing more.
     pub(super) const fn warn_ns(&self) -> u64 {
         self.rekey_ns + (self.refuse_ns - self.rekey_ns) / 12
     }
 
-    /// Age at which keys open nothing more: what was sealed last may still be under way when sealing ends.
+    /// Age at which keys open nothing more: what was sealed last may still be in flight when sealing ends.
     pub(super) const fn open_ns(&self) -> u64 {
         self.refuse_ns.saturating_add(self.overlap_ns)
     }

@@ -16,7 +16,7 @@ pub const SESSION_MAGIC: [u8; 2] = *b"HS";
 pub const SESSION_VERSION: u8 = 2;
 /// Bytes of the header.
 pub const SESSION_HEADER: usize = 24;
-/// Bytes of what a handshake message tells under encryption.
+/// Bytes of the encrypted part of a handshake message.
 pub(super) const HANDSHAKE_PAYLOAD: usize = 16;
 /// Bytes of an ephemeral public key of X25519.
 pub(super) const EPHEMERAL: usize = 32;
@@ -52,7 +52,7 @@ pub(super) enum Kind {
     Answer,
     /// A sealed payload.
     Sealed,
-    /// A sealed payload whose sender asks for new keys.
+    /// A sealed payload whose sender requests new keys.
     SealedAndDue,
     /// Ends the session; sealed, with a payload of zeros.
     Release,
@@ -158,7 +158,7 @@ impl Header {
     }
 }
 
-/// The slave's word on a handshake.
+/// The slave's verdict on a handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandshakeDecision {
     /// The keys hold.
@@ -187,7 +187,7 @@ pub(super) struct HandshakePayload {
 
 /// What only a living master sends back: a recorded message carries that of another refusal.
 pub(super) type Ticket = [u8; 5];
-/// No refusal came before.
+/// No refusal before.
 pub(super) const NO_TICKET: Ticket = [0; 5];
 
 impl HandshakePayload {
@@ -258,7 +258,7 @@ pub enum Rejection {
     /// A counter beyond what one key may seal.
     #[error("counter beyond what one key may seal")]
     Counter,
-    /// Too old to tell whether it was there before.
+    /// Too old to know whether it was there before.
     #[error("counter too far behind the newest")]
     TooOld,
     /// There before.

@@ -89,7 +89,7 @@ fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> 
     Ok(setting.map_err(refuse)?.to_string())
 }
 
-/// What arguments of `tc netem` ask for, as JSON: settings of a link, correlations and limit.
+/// What arguments of `tc netem` request, as JSON: settings of a link, correlations and limit.
 #[pyfunction]
 fn translate_netem(text: &str) -> PyResult<String> {
     let settings = netem::translate(text).map_err(refuse)?;

@@ -1,4 +1,4 @@
-//! The whole chain of one master tick.
+//! The whole pipeline of one master tick.
 
 use haptether_safety::{
     Fault, LayerSettings, LimiterSettings, SafetyLayer, SafetyTick, Signal, estimator::EstimatorKind,

@@ -107,7 +107,8 @@ fn what_a_peer_says_holds_this_side() {
     assert_eq!(ladder.state(), Hold);
 }
 
-/// Old news holds without a silence, and neither stops nor keeps a press from engaging: what is usual is anchored then.
+/// Old frames hold without a silence, and neither stops nor keeps a press from engaging: what is usual is anchored
+/// then.
 #[test]
 fn old_news_holds_until_a_press_at_the_new_age() {
     let old = |over| LadderInput { over_usual_ns: Some(over), ..sound(1) };
@@ -274,14 +275,14 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
                 "{name}: the link alone couples nothing"
             );
         }
-        // As a slave is asked for as long as the master aligns.
+        // As a slave is requested for as long as the master aligns.
         assert_eq!(ladder.step((at_ms + 20_000) * MS, &press()), Disengaged, "{name}: without a release");
         ladder.step((at_ms + 20_001) * MS, &LadderInput { clutch: false, ..sound(1) });
         assert_eq!(ladder.step((at_ms + 20_002) * MS, &press()), Engaged, "{name}: a new press");
     }
 }
 
-/// A loop that slept in ALIGNING finds the press over, and what has arrived does not come before that.
+/// A loop that slept in ALIGNING finds the press over, and what has arrived does not take precedence.
 #[test]
 fn a_press_does_not_outlive_its_time_in_a_loop_that_slept() {
     for (asleep_ms, expected) in [(4900, Engaged), (5000, Disengaged), (30_000, Disengaged)] {
@@ -305,7 +306,8 @@ fn a_fault_stays_until_it_is_acknowledged_and_the_clutch_pressed_anew() {
     ladder.new_run(310 * MS, true);
     assert_eq!(ladder.state(), Fault, "not by a new master either");
     ladder.acknowledge(311 * MS);
-    // A slave asks for as long as the master aligns: what was pressed before the fault had ended counts for nothing.
+    // A slave requests for as long as the master aligns: what was pressed before the fault had ended counts for
+    // nothing.
     assert_eq!(ladder.step(312 * MS, &press()), Disengaged);
     ladder.step(313 * MS, &open);
     assert_eq!(ladder.step(314 * MS, &press()), Engaged);
@@ -456,7 +458,8 @@ proptest! {
     }
 }
 
-/// What a person is shown: whether a press would count, how often a release became necessary, whether a press was in vain.
+/// What the operator is shown: whether a press would count, how often a release became necessary, whether a press was
+/// in vain.
 #[test]
 fn what_is_shown_of_the_clutch_is_the_case() {
     let settings = LadderSettings { stale_after_ns: 4 * MS, ..LadderSettings::default() };

@@ -109,7 +109,7 @@ def wait(
     from haptether.cli.shared.screen import Screen, plain
 
     console = Screen(stderr=True)
-    # A person or a parent process reads this line to learn that the socket is open.
+    # The operator or a parent process reads this line to learn that the socket is open.
     print(headline, file=sys.stderr, flush=True)
     end = time.monotonic() + duration_s if duration_s is not None else float("inf")
     with contextlib.suppress(MemoryError), console.status("starting") as shown:
