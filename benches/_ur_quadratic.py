@@ -1,4 +1,4 @@
-"""Ways to solve the program of a streamed step, for the bench of UR kinematics."""
+"""Solvers of the program of a streamed step, for the bench of UR kinematics."""
 
 import importlib
 import importlib.util

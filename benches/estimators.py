@@ -332,9 +332,9 @@ def quantised(run: Run, offset: float) -> Array:
 
 
 def worst_ms(ticks: list[int | None]) -> float | None:
-    """The longest in ms, none if one of them never came."""
-    came = [tick for tick in ticks if tick is not None]
-    return max(came) * PERIOD_S * 1e3 if len(came) == len(ticks) else None
+    """The longest in ms, none if one of them never was."""
+    found = [tick for tick in ticks if tick is not None]
+    return max(found) * PERIOD_S * 1e3 if len(found) == len(ticks) else None
 
 
 def rms(error: Array) -> float:

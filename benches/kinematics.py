@@ -326,8 +326,10 @@ def show(rows: list[Row]) -> str:
         if row.table != before:
             lines += ["", row.table, f"{'':<28}{'us':>8}{'median':>8}"]
             before = row.table
-        told = "  ".join(f"{key} {value:.1e}" if value % 1 else f"{key} {value:g}" for key, value in row.errors.items())
-        lines.append(f"{row.name:<28}{row.us:>8.2f}{row.us_median:>8.2f}  {told}")
+        errors = "  ".join(
+            f"{key} {value:.1e}" if value % 1 else f"{key} {value:g}" for key, value in row.errors.items()
+        )
+        lines.append(f"{row.name:<28}{row.us:>8.2f}{row.us_median:>8.2f}  {errors}")
     return "\n".join(lines[1:])
 
 
@@ -350,8 +352,8 @@ def main() -> int:
     wrong = missed(rows)
     print(f"\nrequired: {'; '.join(wrong) + ': MISSED' if wrong else 'met'}", file=out)
     if arguments.json is not None:
-        told = {"rounds": rounds, "poses": arguments.poses, "rows": [asdict(row) for row in rows], "missed": wrong}
-        text = json.dumps(told, indent=2)
+        report = {"rounds": rounds, "poses": arguments.poses, "rows": [asdict(row) for row in rows], "missed": wrong}
+        text = json.dumps(report, indent=2)
         if arguments.json == "-":
             print(text)
         else:

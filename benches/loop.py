@@ -30,7 +30,7 @@ from haptether.safety import SafetySettings
 EXAMPLE = "example: python benches/loop.py --rounds 10 --json -"
 PRIORITY, PERIOD_US = 80, 1000
 LONGEST_NS = 1_000_000
-"""Largest overshoot that cyclictest tells apart; further ones are counted."""
+"""Largest overshoot that cyclictest distinguishes; further ones are counted."""
 REQUIRED = 1.2
 SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 

@@ -3,7 +3,7 @@
 Required, at 20 ms each way: 1000 packets/s each way with a median error of at most 60 us and nothing early,
 and 50000 packets/s each way without loss.
 
-Load and sink are one process (`netsim/examples/load.rs`), which sends both ways, receives both ways and does
+Load and sink are one process (`netsim/examples/load.rs`), which sends and receives in both directions and does
 not sleep. The error is the time from its sending to its receiving beyond the delay, so it holds both hops through
 the loopback interface and what the proxy takes. Where it is allowed, load and peers have real-time scheduling as the
 proxy asks for it. uvloop is measured where it is installed.
@@ -132,7 +132,7 @@ class Run:
 
     @property
     def lost(self) -> int:
-        """What did not arrive, both ways together."""
+        """What did not arrive, both directions together."""
         return sum(way.sent - way.refused - way.received for way in self.ways)
 
     @property
@@ -141,7 +141,7 @@ class Run:
         return sum(way.early for way in self.ways) + (self.own_early or 0)
 
     def error_us(self, quantile: str) -> float:
-        """Time beyond the delay, the worse of the two ways."""
+        """Time beyond the delay, the worse of the two directions."""
         worse_ns: int = max(getattr(way, f"{quantile}_ns") for way in self.ways)
         return worse_ns / 1e3 - DELAY_S * 1e6
 

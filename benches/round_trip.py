@@ -37,7 +37,7 @@ PATIENCE_S = 30.0
 Taken = npt.NDArray[np.float64]
 
 
-# Each peer answers in a process of its own, tells its port, and ends with what it was told to expect.
+# Each peer answers in a process of its own, sends its port to the bench, and ends after the expected number of pings.
 
 
 def answer_socket(port: Connection, pings: int) -> None:

@@ -178,8 +178,8 @@ class Teleoperator:
 
         def curve(w: Array) -> Complex:
             z = np.exp(1j * w * period_s)
-            told = device_response(self.master_kg, self.master_viscous, period_s, z)
-            pushes = [step[row, 2] * told[0] + step[row, 3] * told[1] for row in (0, 1)]
+            response = device_response(self.master_kg, self.master_viscous, period_s, z)
+            pushes = [step[row, 2] * response[0] + step[row, 3] * response[1] for row in (0, 1)]
             position = ((z - d) * pushes[0] + b * pushes[1]) / ((z - a) * (z - d) - b * c)
             h: Complex = z**late / (self.spring * position)
             return h

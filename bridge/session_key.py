@@ -80,7 +80,7 @@ def read_key(path: Path) -> bytearray:
             raise ValueError(message) from error
         raise
     try:
-        # Asked of the open file: what the path leads to may change in between.
+        # Read from the open file: what the path leads to may change in between.
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             message = f"{path}: is no plain file, must be a key file"

@@ -15,7 +15,7 @@ WALL = 100.0
 
 
 class SpringArm:
-    """Is where it was told to be, on an arm so stiff that nothing bends it."""
+    """Is where it was commanded to be, on an arm so stiff that nothing bends it."""
 
     paces = False  # `read` does not wait for a sample: the loop keeps the time
 

@@ -14,7 +14,7 @@ class SlaveSample(NamedTuple):
     force: float | Sequence[float]
     """F_e in N: of the environment on the tool."""
     fault: str | None = None
-    """What the arm says is wrong with it; it is not moved while there is something, and until a person at this side
+    """What the arm says is wrong with it; it is not moved while there is something, and until the operator at this side
     acknowledges it."""
 
 
@@ -26,7 +26,7 @@ class SlaveDevice(Protocol):
     than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.slaves`, which is
     called with the options of the command line as keywords.
 
-    A driver may have `acknowledge()`, called when a person at this side says that a fault is mended; `axes`, held
+    A driver may have `acknowledge()`, called when the operator at this side says that a fault is mended; `axes`, held
     against those of the scene; and `max_speed` in m/s: `haptether slave` then lets no command be faster, for an arm
     that lags behind a faster one would go on after it was let go. One that paces the loop may have `period_s`, the
     seconds between two samples, known once it is open: a scene whose `[slave] period_s` is off by more than 1 % is

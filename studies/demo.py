@@ -228,7 +228,7 @@ class _Process:
         return " / ".join(line for line in self._all if line)
 
     def end(self) -> None:
-        """Asks it to end cleanly, and ends it by force if it does not."""
+        """Requests it to end cleanly, and ends it by force if it does not."""
         if self.process.poll() is None:
             self.process.terminate()
             try:

@@ -61,7 +61,7 @@ pub struct Tremor {
 /// A hand that steers the device along a path, with as much force as its grip can pass on.
 ///
 /// `F_h = K_h (x_target - x) - B_h V`, its norm clipped to the grip strength: beyond it the stylus slips through the
-/// fingers. People hold with a margin above the load, so a loosening grip first changes nothing, then slips.
+/// fingers. Operators hold with a margin above the load, so a loosening grip first changes nothing, then slips.
 ///
 /// Source: impedance of a hand, Hogan 1989; grip margin, Johansson and Westling 1984.
 #[derive(Clone, Debug, PartialEq)]

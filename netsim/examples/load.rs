@@ -1,8 +1,8 @@
-//! A load for a UDP proxy, and the sink behind it: one thread that sends both ways, receives both ways and never sleeps,
+//! A load for a UDP proxy, and the sink behind it: one thread that sends and receives in both directions and never sleeps,
 //! so that what it measures is the proxy.
 //!
 //! `load LISTEN PEER RATE SECONDS DELAY`: sends RATE datagrams a second to the proxy at LISTEN, and as many back from
-//! PEER, where the proxy forwards to. One line of JSON: what was sent, what came, how long it took, and how many took
+//! PEER, where the proxy forwards to. One line of JSON: what was sent, what arrived, how long it took, and how many took
 //! less than DELAY seconds.
 
 use std::array;
@@ -160,7 +160,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     while origin.elapsed() < duration + DRAIN {
         let elapsed = origin.elapsed();
         if elapsed >= next && elapsed < duration {
-            // Half a period apart, so that the two ways do not wait for each other.
+            // Half a period apart, so that the two directions do not wait for each other.
             for (side, lag) in [(&mut client, 0.0), (&mut peer, 0.5)] {
                 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count")]
                 let due = (elapsed.as_secs_f64() * rate_hz - lag).max(0.0) as u64;

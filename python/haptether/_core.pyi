@@ -2246,7 +2246,7 @@ class _LiveSide:
         """Takes over the records so far and returns their number; up to 65536 wait between two calls."""
 
     def stop(self) -> None:
-        """Asks the loop to end after its current tick."""
+        """Requests the loop to end after its current tick."""
 
     def security_events(self) -> list[str]:
         """What has happened to the session since the last call, as text."""
@@ -2432,14 +2432,14 @@ class MasterLoop(_LiveSide):
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         clutch: Of a device without a button: "once" is pressed by the start, if the device opens within 5 s, and anew by
-            `press_clutch` only; "auto" also by a simulated person, 0.5 s (or the operator's reaction) after each hold.
+            `press_clutch` only; "auto" also by a simulated operator, 0.5 s (or its reaction) after each hold.
             The scene's operator has no say.
-        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
+        duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        started_s: When a person started this side, by `time.monotonic()`; without it now. At the first tick it counts as
+        started_s: When the operator started this side, by `time.monotonic()`; without it now. At the first tick it counts as
             a press of the clutch if it is at most 5 s old.
         keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
-        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
+        realtime: "auto": requests SCHED_FIFO and locked memory, and goes on without; "off": requests nothing; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.
         cpu: Processor that the loop stays on; without it the kernel chooses.
@@ -2520,9 +2520,9 @@ class MasterLoop(_LiveSide):
         """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side.
+        """Lets go of the clutch for 0.1 s and presses it again: a command of this side's operator.
 
-        Void if the loop does not come to it within 0.25 s, or was late within 0.25 s before.
+        Void if the loop does not read it within 0.25 s, or was late within 0.25 s before.
         """
 
     def set_force_scale(self, scale: float) -> None:
@@ -2557,10 +2557,10 @@ class SlaveLoop(_LiveSide):
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
-        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
+        duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
         keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
-        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
+        realtime: "auto": requests SCHED_FIFO and locked memory, and goes on without; "off": requests nothing; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.
         cpu: Processor that the loop stays on; without it the kernel chooses.
@@ -2639,7 +2639,7 @@ class SlaveLoop(_LiveSide):
         """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
 
     def allow_takeover(self) -> None:
-        """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
+        """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""
     def set_position_scale(self, scale: float) -> None:
         """Changes lambda_p from the next tick on; the arm goes on from where it is.
 

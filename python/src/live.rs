@@ -140,7 +140,7 @@ impl Place {
 fn started(time_s: f64) -> PyResult<u64> {
     let (started_ns, now_ns) = (nanoseconds("started_s", time_s)?, now_ns());
     if started_ns > now_ns {
-        #[allow(clippy::cast_precision_loss)] // for a person
+        #[allow(clippy::cast_precision_loss)] // for a message
         let now_s = now_ns as f64 * 1e-9;
         let text = format!("started_s = {time_s}: must not be after now, {now_s:.3} s by time.monotonic()");
         return Err(PyValueError::new_err(text));

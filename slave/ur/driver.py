@@ -167,7 +167,7 @@ class UrSlave:
             self._soft_stop.stop(self._motion.mode.brake(self._state))
 
     def acknowledge(self) -> None:
-        """A person has seen to the fault: unlocks, connects and uploads again, and says when the arm is ready."""
+        """The operator has removed the fault: unlocks, connects and uploads again, and says when the arm is ready."""
         if self._fault is None or self._fault is not self._shown or self._recovery is not None:
             # A fault since the last sample was not shown to anybody.
             return
@@ -286,7 +286,7 @@ class UrSlave:
     # -------------------------------------------------------------------------------------------------- faults
 
     def _latch(self, text: str, *, lost: bool = False) -> None:
-        """A fault stays until a person acknowledges it; the arm is stopped, or the connection cut where it is lost."""
+        """A fault stays until it is acknowledged; the arm is stopped, or the connection cut where it is lost."""
         if self._fault is None:
             self._fault, self._fault_s = text, time.monotonic()
             # First the arm: whoever reads the report may be slow, or stopped.

@@ -70,7 +70,7 @@ class Motion:
         if not stop.commanded:
             self._begin(state, target)
         elif stop.phase is Phase.PAUSED:
-            # On from where it came to rest, as fast as it may.
+            # On from where it is at rest, as fast as it may.
             self._at_rest(state)
             stop.begin()
             self._written_s = now_s - self._period_s

@@ -47,7 +47,7 @@ class Phase(Enum):
     MOVING = "moving"
     """Commands lead it."""
     PAUSING = "pausing"
-    """No command came in time, so that it is stopped."""
+    """No command was made in time, so that it is stopped."""
     PAUSED = "paused"
     """It was seen at rest after that; the next command leads it on from there."""
     STOPPING = "stopping"
@@ -161,7 +161,7 @@ class SoftStop:
         self._program_stop = self._dashboard.start("dashboard stop", self._end_program, PROGRAM_STOP_S)
 
     def acknowledge(self) -> list[Call]:
-        """A person has seen to the fault; the stops that are still under way."""
+        """The operator has removed the fault; returns the stops that have not ended."""
         under_way = self._under_way
         self._phase, self._call, self._still_since = Phase.AT_REST, None, None
         if self._dashboard.stuck is not None:
@@ -245,7 +245,7 @@ class Watchdog:
         self._arming: Call | None = None
         self._remote: Call | None = None
         self._acknowledged: Call | None = None
-        """The last command that was streamed before a person acknowledged a fault."""
+        """The last command that was streamed before the operator acknowledged a fault."""
         self._kicked_s = self._remote_s = self._taken_s = 0.0
 
     @property
@@ -294,6 +294,6 @@ class Watchdog:
         return None
 
     def reset(self) -> None:
-        """A person has seen to it: the watchdog is armed anew."""
+        """The operator has acknowledged: the watchdog is armed anew."""
         self._arming = self._remote = None
         self._acknowledged = self._connection.worker.streamed

@@ -334,7 +334,7 @@ impl Session {
         }
     }
 
-    /// Asks for new keys before their time; the master's handshake sees to it.
+    /// Requests new keys before their time; the master's handshake sees to it.
     pub fn rekey(&mut self) {
         self.renewal.asked_here = self.epochs.current.is_some();
     }

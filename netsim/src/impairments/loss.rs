@@ -207,7 +207,7 @@ impl Rule for GilbertInTime {
 
 /// Gilbert-Elliott loss: a good and a bad state, each with its own probability of loss.
 ///
-/// With p the probability of turning bad and r that of turning good, the share of lost packets is
+/// With p the probability of becoming bad and r that of becoming good, the share of lost packets is
 /// `(r (1 - k) + p (1 - h)) / (p + r)`.
 ///
 /// Source: E. O. Elliott, Bell Syst. Tech. J. 42, 1963.

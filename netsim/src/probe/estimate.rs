@@ -10,7 +10,7 @@
 //! (minimum filter); V. Paxson, "On calibrating measurements of packet transit times", SIGMETRICS 1998 (drift by a line
 //! through minima).
 
-/// A probe that came back: when it was sent, and the differences of the clocks' readings, in s.
+/// A probe that was answered: when it was sent, and the differences of the clocks' readings, in s.
 #[derive(Clone, Copy, Debug)]
 #[expect(clippy::struct_field_names, reason = "the unit")]
 pub(super) struct RoundTrip {

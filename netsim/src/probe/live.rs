@@ -184,7 +184,7 @@ impl Run {
     }
 
     fn receive(&mut self) -> io::Result<()> {
-        // One byte more, which tells a datagram that is too long.
+        // One byte more, by which a datagram that is too long is recognised.
         let mut buffer = [0; SIZE + 1];
         loop {
             match self.socket.recv(&mut buffer) {
@@ -312,7 +312,7 @@ impl Echo {
     pub fn run(&mut self, stop: &AtomicBool) -> io::Result<EchoStatistics> {
         let mut statistics = EchoStatistics::default();
         let origin = Instant::now();
-        // One byte more, which tells a datagram that is too long.
+        // One byte more, by which a datagram that is too long is recognised.
         let mut buffer = [0; SIZE + 1];
         while !stop.load(Relaxed) {
             let (length, source) = match self.socket.recv_from(&mut buffer) {
@@ -358,7 +358,7 @@ impl Echo {
     }
 }
 
-/// Whether to go on: nothing came in time, or the network reports something of an earlier datagram, which anybody can
+/// Whether to go on: nothing arrived in time, or the network reports something of an earlier datagram, which anybody can
 /// make it do. Only a call that is wrong in itself would be wrong for ever.
 fn is_passing(kind: io::ErrorKind) -> bool {
     !matches!(kind, io::ErrorKind::InvalidInput | io::ErrorKind::OutOfMemory)

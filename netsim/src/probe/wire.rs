@@ -149,7 +149,7 @@ mod tests {
             }
             let newest = sequences.iter().copied().max().unwrap();
             let reported: Vec<u64> = seen.sequences().collect();
-            // What came when it was already too old is not among them.
+            // What arrived when it was already too old is not among them.
             prop_assert!(reported.iter().all(|sequence| sequences.contains(sequence)));
             let mut so_far = 0;
             for &sequence in &sequences {

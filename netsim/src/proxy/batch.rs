@@ -17,7 +17,7 @@ pub const MAX_DATAGRAM: usize = 2048;
 const MAX_RECEIVED: usize = 64;
 /// Most datagrams sent with one call: few, so that the last is not much later than the first.
 pub(super) const MAX_SENT: usize = 32;
-/// One byte more than is carried, which tells a datagram that is too large.
+/// One byte more than is carried, by which a datagram that is too large is recognised.
 const CELL: usize = MAX_DATAGRAM + 1;
 
 /// Takes datagrams from sockets of one address family: the kernel writes the length of an address over the room that

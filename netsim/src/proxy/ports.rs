@@ -284,7 +284,7 @@ pub(super) struct FlowId {
 #[derive(Debug, Default)]
 pub(super) struct Flows {
     places: Vec<Option<Flow>>,
-    /// Where the last datagram came from, which is where the next one comes from.
+    /// The sender of the last datagram, which is that of the next one.
     last: usize,
     generation: u32,
 }

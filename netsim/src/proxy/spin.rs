@@ -63,7 +63,7 @@ mod tests {
         assert_eq!(budget.sleep_ns(1_000_000 - SPIN_NS, Some(1_000_000)), None);
         assert_eq!(budget.sleep_ns(999_999, Some(1_000_000)), None);
         assert_eq!(budget.sleep_ns(1_000_001, Some(1_000_000)), None);
-        // A kilohertz both ways never runs out.
+        // A kilohertz in both directions never runs out.
         for tick in 0..10_000 {
             let due_ns = 2_000_000 + tick * 500_000;
             assert_eq!(budget.sleep_ns(due_ns - SPIN_NS, Some(due_ns)), None);

@@ -3,10 +3,10 @@
 //! Written out anew from the rows of [`UrRows`]. With `u = (s1, -c1, 0)`, the direction of the three parallel axes, and
 //! `m = R' u`, which is `(s5 c6, -s5 s6, c5)`:
 //!
-//! 1. the wrist's centre `p - d6 z6` is `d4` from the plane through the base's axis along which u is normal: q1, two ways;
+//! 1. the wrist's centre `p - d6 z6` is `d4` from the plane through the base's axis along which u is normal: two q1;
 //! 2. q5 is the angle of m from its z axis, either sign, q6 where it points to; both from `atan2`, so that nothing is lost
 //!    where an arc cosine is flat;
-//! 3. what is left is an arm of two links in that plane: q3, two ways, q2, and q4 from the angle of the last link.
+//! 3. what is left is an arm of two links in that plane: two q3, q2, and q4 from the angle of the last link.
 //!
 //! Where two branches meet (shoulder: the wrist's centre at d4 from the base's axis; elbow: arm stretched or folded),
 //! joint angles hang on the square root of rounding, yet the pose they lead to is right to rounding: what q1 and q3 miss
@@ -66,7 +66,7 @@ pub enum UrUnreached {
     /// No branch of the model leads to a posture of this unit.
     #[error("off by {residual:.3e} m or rad after refinement: must be within 5e-13")]
     Refinement {
-        /// Of the branch that came nearest, m or rad.
+        /// Of the branch that is nearest, m or rad.
         residual: f64,
     },
 }

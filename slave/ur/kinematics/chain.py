@@ -183,7 +183,7 @@ def chain_transform(rows: DhRows, q: Array | Sequence[float], flange_from_tool: 
 
 
 def deviation(rows: DhRows, others: DhRows) -> tuple[float, float]:
-    """How far two chains come apart, in m and rad, over 64 postures that bend every joint both ways."""
+    """How far two chains come apart, in m and rad, over 64 postures that bend every joint in both directions."""
     metres = radians = 0.0
     for q in itertools.product((-1.1, 0.7), repeat=6):
         one, other = chain_transform(rows, q), chain_transform(others, q)

@@ -12,7 +12,7 @@ const MAX_PACKETS: usize = 10_000_000;
 /// Longest text in bytes.
 const MAX_TEXT_BYTES: usize = 4096;
 
-/// What `tc` tells netem. Probabilities and correlations are in units of 2^-32 - 1, as there.
+/// What `tc` passes to netem. Probabilities and correlations are in units of 2^-32 - 1, as there.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Arguments {
     pub(super) limit: usize,

@@ -296,7 +296,7 @@ impl Netem {
             }
             due_ns += i128::from(rate.transmission_ns(packet.size));
         }
-        // What would have left before it came leaves at once.
+        // What would have left before it arrived leaves at once.
         u64::try_from(due_ns.clamp(i128::from(now_ns), i128::from(u64::MAX))).unwrap_or(u64::MAX)
     }
 

@@ -152,7 +152,7 @@ REPEATED = {"trip", "recover"}, {"contact", "free"}
 
 
 def merged_events(events: "Sequence[Event]") -> list[tuple[float, str]]:
-    """Events for people, with a time in s each: what chatters is one line, with how often and until when."""
+    """Events for the screen, with a time in s each: what chatters is one line, with how often and until when."""
     merged: list[tuple[float, str]] = []
     waiting = list(events)
     while waiting:
@@ -188,7 +188,7 @@ METRICS = {
 
 
 def shown(value: object) -> str:
-    """A metric for people."""
+    """A metric as text for the screen."""
     if value is None:
         return "-"
     if isinstance(value, bool):

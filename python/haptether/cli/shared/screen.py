@@ -33,7 +33,7 @@ class Screen(Console):
         return super().status(plain(status) if isinstance(status, str) else status, **how)
 
     def print_columns(self, columns: dict[str, list[str]], keys: int) -> None:
-        """Columns of numbers below a blank line each, in as many tables as the width asks for; see `tables`."""
+        """Columns of numbers below a blank line each, in as many tables as the width needs; see `tables`."""
         for table in tables(columns, keys, self.width):
             self.print()
             self.print(table)
