@@ -110,7 +110,7 @@ class Run(Struct, frozen=True, kw_only=True):
     events: tuple[Event, ...]
     """What happened, in the order of time."""
     metrics: Metrics
-    """Its figures."""
+    """What it comes to."""
 
     def save(self, path: str | PathLike[str]) -> None:
         """Writes every signal as an array of a NumPy `.npz` file, for its owner alone.
