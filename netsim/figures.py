@@ -10,7 +10,7 @@ from haptether.netsim.verdicts import Verdicts
 
 
 class LinkFigures(Struct, frozen=True, kw_only=True):
-    """Figures of a link, as asked for or as realised; `None` for what is not known. Delays in s."""
+    """Figures of a link, as requested or as realised; `None` for what is not known. Delays in s."""
 
     mean_s: float | None = None
     """Mean delay."""
@@ -72,7 +72,7 @@ def _reordered(packets: Verdicts) -> int:
 
 
 def asked(settings: LinkSettings, direction: Direction) -> LinkFigures:
-    """What settings ask for, as far as they say it by themselves.
+    """What settings request, as far as they state it by themselves.
 
     Raises:
         LinkError: Settings that describe no link.

@@ -1,4 +1,4 @@
-"""What `tc netem` makes of its arguments, beside what was asked for and what netsim makes of it."""
+"""What `tc netem` makes of its arguments, beside what was requested and what netsim makes of it."""
 
 from collections.abc import Iterator
 from math import sqrt
@@ -22,7 +22,7 @@ _DOUBT = 4.0
 
 
 class Correlations(Struct, frozen=True, kw_only=True):
-    """What arguments of netem ask for beside settings of a link: correlations from packet to packet, and a limit."""
+    """What arguments of netem request beside settings of a link: correlations from packet to packet, and a limit."""
 
     delay: float
     loss: float
@@ -33,24 +33,24 @@ class Correlations(Struct, frozen=True, kw_only=True):
 
 
 class NetemComparison(Struct, frozen=True, kw_only=True):
-    """Arguments of `tc netem`: what they ask for, what netem does, what netsim does."""
+    """Arguments of `tc netem`: what they request, what netem does, what netsim does."""
 
     settings: LinkSettings
-    """Settings of a link that do what was asked for."""
+    """Settings of a link that do what was requested."""
     asked: LinkFigures
     """What the arguments say; `None` for what they do not say by themselves."""
     netem: LinkFigures
     """What becomes of packets in netem."""
     ours: LinkFigures
-    """What becomes of them under `settings`; `None` throughout if no link can do what was asked for."""
+    """What becomes of them under `settings`; `None` throughout if no link can do what was requested."""
     refused: str | None
     """Why no link can, if that is so."""
     quirks: tuple[str, ...]
-    """Where netem does something else than it was asked for, a line each."""
+    """Where netem does something else than was requested, a line each."""
 
 
 def translate_netem(text: str) -> LinkSettings:
-    """Settings of a link that do what arguments of `tc netem` ask for, where netem does something else.
+    """Settings of a link that do what arguments of `tc netem` request, where netem does something else.
 
     Raises:
         LinkError: Text that netem refuses, with its column, or what a link has no settings for.
@@ -71,7 +71,7 @@ def _translated(text: str) -> tuple[LinkSettings, Correlations]:
 
 
 def compare_netem(text: str, sent_ns: Times, *, seed: int = 0, size: int = 92) -> NetemComparison:
-    """Sends packets through netem and through a link that does what was asked of it.
+    """Sends packets through netem and through a link that does what was requested of it.
 
     Args:
         text: Arguments of `tc netem`, as in `delay 50ms 10ms 25% loss 1%`.
@@ -102,7 +102,7 @@ def compare_netem(text: str, sent_ns: Times, *, seed: int = 0, size: int = 92) -
 
 def _asked(settings: LinkSettings) -> LinkFigures:
     """What the text says by itself: with a rate, delays depend on the traffic."""
-    # Jitter that no link can have, as of 10 ms around 10 ms, was asked for all the same.
+    # Jitter that no link can have, as of 10 ms around 10 ms, was requested all the same.
     without = dict.fromkeys(("jitter_s", "distribution", "distribution_shape", "jitter_correlation_s"))
     figures = asked(replace(settings, **without), "forward")
     mean_s, sigma_s = figures.mean_s, None if figures.mean_s is None else settings.jitter_s

@@ -88,7 +88,7 @@ struct Entry<T> {
 }
 
 impl<T> Ord for Entry<T> {
-    /// Reversed, because the heap gives the greatest first.
+    /// Reversed, because the heap returns the greatest first.
     fn cmp(&self, other: &Self) -> Ordering {
         (other.due_ns, other.order).cmp(&(self.due_ns, self.order))
     }

@@ -1,7 +1,7 @@
 //! Network impairment for teleoperation: what a bad network does to each packet, decided once for two
 //! drivers.
 //!
-//! A [`Link`] is one direction of the network: rules applied in a fixed order, each of which turns a [`Packet`] into a
+//! A [`Link`] is one direction of the network: rules applied in a fixed order, each of which maps a [`Packet`] to a
 //! [`Verdict`]: deliver at a time, or drop with a cause. It reads no clock and owns no socket; a verdict depends on
 //! settings, seed and the packets up to it alone, and is the same on every platform, as no function of the platform's
 //! mathematical library is used. Randomness is counter-based, keyed by (seed, direction and impairment, packet index or

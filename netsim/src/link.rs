@@ -106,7 +106,7 @@ impl Link {
         Ok(())
     }
 
-    /// Takes other rules for the packets from now on, and gives those of before back, so that nothing is freed here.
+    /// Takes other rules for the packets from now on, and returns those of before, so that nothing is freed here.
     ///
     /// Counters go on, and so do the draws, where the seed is the same; what a rule remembers of earlier packets, such
     /// as a queue, begins anew. Where the new rules keep the order, no packet overtakes one from before, except what `netem`

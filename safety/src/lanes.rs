@@ -98,7 +98,7 @@ pub(crate) fn shared<T, V: PartialEq>(of: &[T], value: impl Fn(&T) -> V) -> Opti
     of.iter().all(|one| value(one) == first).then_some(first)
 }
 
-/// A part of each instance, gathered in turn.
+/// A part of each instance, gathered in order.
 pub(crate) fn part<T, P, G>(
     of: &[T],
     part: impl Fn(&T) -> P,

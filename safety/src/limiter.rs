@@ -104,7 +104,7 @@ impl<const N: usize, S: Real> SaturatedForce<N, S> {
     }
 }
 
-/// Keeps the device force inside its bounds, as a vector: no axis is clipped on its own, which would turn it.
+/// Keeps the device force inside its bounds, as a vector: no axis is clipped on its own, which would rotate it.
 ///
 /// In this order: ramp-in scales; the norm is clipped to `max_force_n`; the step from the last force is limited
 /// (to `max_slew dT` beyond the part that only unloads); the component along V is reduced so that

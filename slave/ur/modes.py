@@ -162,7 +162,7 @@ class SpeedL:
 class DirectTorque:
     """`directTorque`: springs and dampers on the joints, `tau = K (q_set - q) + D (q_set' - q')`, each bounded.
 
-    Gravity and friction are the controller's. The arm gives way to a force instead of insisting on its position.
+    Gravity and friction are the controller's. The arm yields to a force instead of insisting on its position.
     """
 
     name = "directTorque"

@@ -62,7 +62,7 @@ class SoftStop:
     Args:
         connection: The connections.
         host: The controller.
-        report: Takes lines for people.
+        report: Takes lines for the operator.
     """
 
     def __init__(self, connection: RtdeConnection, host: str, report: Callable[[str], None]) -> None:

@@ -35,7 +35,7 @@ pub struct RecordSettings {
     pub rate_hz: f64,
     /// For how long in s.
     pub duration_s: f64,
-    /// Whether to ask for real-time scheduling.
+    /// Whether to request real-time scheduling.
     pub realtime: bool,
 }
 

@@ -133,7 +133,7 @@ impl Proxy {
         ProxyMonitor(Arc::clone(&self.record))
     }
 
-    /// A handle that gives the proxy other rules while it runs.
+    /// A handle that changes the rules of the proxy while it runs.
     pub fn control(&self) -> ProxyControl {
         ProxyControl {
             seed: self.seed,

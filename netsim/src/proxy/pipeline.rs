@@ -267,7 +267,7 @@ impl Datagram {
     }
 }
 
-/// A handle by which any thread gives a running proxy other rules.
+/// A handle by which any thread changes the rules of a running proxy.
 #[derive(Clone, Debug)]
 pub struct ProxyControl {
     pub(super) seed: u64,

@@ -42,7 +42,8 @@ pub(crate) fn prepare_thread(realtime: bool) -> Scheduling {
     if realtime && schedule_fifo(PRIORITY).is_ok() { Scheduling::Fifo } else { Scheduling::Normal }
 }
 
-/// Puts this thread under `SCHED_FIFO` with `priority`, 1 to 99, and gives the priority that the kernel then says it has.
+/// Puts this thread under `SCHED_FIFO` with `priority`, 1 to 99, and returns the priority that the kernel then says it
+/// has.
 pub fn schedule_fifo(priority: u8) -> io::Result<u8> {
     let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     let wanted = ThreadPriorityValue::try_from(priority).map_err(io::Error::other)?;
@@ -66,7 +67,7 @@ pub struct ScheduleBefore {
 }
 
 impl ScheduleBefore {
-    /// Of the calling thread; none where the system does not tell.
+    /// Of the calling thread; none where the system does not report it.
     pub fn of_this_thread() -> Option<Self> {
         let (policy, parameters) = thread_schedule_policy_param(thread_native_id()).ok()?;
         let priority = match policy {

@@ -134,7 +134,7 @@ fn push_all(mut records: Producer, lost: &AtomicU64) {
     }
 }
 
-/// Runs a loop beside `write`, which gives the records that it was given.
+/// Runs a loop beside `write`, which returns the records that it was given.
 fn each_is_written_or_counted(without: Without, write: fn(Consumer) -> Vec<u64>) {
     loom::model(move || {
         let (producer, consumer) = Ring::ends(without);

@@ -1,4 +1,4 @@
-//! First-order adaptive windowing: long windows when the hand is slow, short ones when it turns.
+//! First-order adaptive windowing: long windows when the hand is slow, short ones when it reverses.
 
 use nalgebra::SimdValue;
 
@@ -48,7 +48,7 @@ impl<const N: usize> AdaptiveWindow<N> {
     /// [`MAX_WINDOW`]) and the noise bound d = `noise_bound_m`.
     ///
     /// For an encoder of quantum q, d = q lets every straight motion have the full window: the line joins two
-    /// rounded positions and passes a third, each wrong by q/2 at most. The paper's d = q/2 turns faster.
+    /// rounded positions and passes a third, each wrong by q/2 at most. The paper's d = q/2 follows a reversal faster.
     pub fn new(
         period_s: f64,
         noise_bound_m: f64,
@@ -438,7 +438,7 @@ mod tests {
         }
     }
 
-    /// A hand that draws, slows down, rests and turns, in quanta.
+    /// A hand that draws, slows down, rests and reverses, in quanta.
     #[allow(clippy::cast_possible_truncation)] // some thousand quanta
     fn hand(n: i32) -> i128 {
         let t = f64::from(n) * PERIOD_S;

@@ -11,8 +11,8 @@ use crate::{
 /// `E_wso(n) = dT sum_{i=max(1, n-w+1)..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 ///
 /// Each tick costs one addition and one subtraction, whatever w. A running sum alone would keep the rounding of
-/// every large sample that ever passed through; this one is replaced once per turn of the ring by a sum that was
-/// built up afresh during that turn, so an error lives for at most one window after its cause has left.
+/// every large sample that ever passed through; this one is replaced once per pass over the ring by a sum that was
+/// built up afresh during that pass, so an error lives for at most one window after its cause has left.
 ///
 /// Source: paper Eq. 11, both branches: an empty ring holds zeros, which is the branch n < w.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +25,7 @@ pub struct WindowedSafetyObserver<const N: usize, S = f64> {
     next: usize,
     /// Sum over the ring.
     running: S,
-    /// Sum over what this turn has written so far: becomes `running` when the turn ends.
+    /// Sum over what this pass has written so far: becomes `running` when the pass ends.
     fresh: S,
 }
 

@@ -35,7 +35,7 @@ impl<const N: usize> Environment<N> {
 
     /// Advances tool and bodies by `span` in s from `from` in s on.
     pub(crate) fn solve(&mut self, drive: &mut Drive<'_, N>, tool: &mut Tool<N>, from: f64, span: f64) {
-        // Time since `from`: late in a run, seconds since the start could not tell two short steps apart.
+        // Time since `from`: late in a run, seconds since the start could not distinguish two short steps.
         let mut done = 0.0;
         while done < span {
             let now = from + done;

@@ -158,7 +158,7 @@ OFFSETS_M: Final[dict[str, tuple[float, float]]] = {
     "ur30": (0.260, 0.043),
 }
 
-# Chosen: the cylinder that the vendor gives for the base (0.06 m for a UR5e, 0.075 m for a UR10e and UR20), and more
+# Chosen: the cylinder that the vendor states for the base (0.06 m for a UR5e, 0.075 m for a UR10e and UR20), and more
 # for the two large arms, whose joints are wider than that.
 RADII_M: Final[dict[str, float]] = {
     "ur3": 0.06,

@@ -18,7 +18,7 @@ Six = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrenchSensor:
-    """What the controller knows of force (N) and torque (N m) at the tool; None where the vendor gives no figure."""
+    """What the controller knows of force (N) and torque (N m) at the tool; None where the vendor states no figure."""
 
     force_range_n: float | None
     force_precision_n: float | None
@@ -106,7 +106,7 @@ TORQUES_NM: Final[dict[str, Six]] = {
     "ur30": (738, 738, 433, 107, 107, 107),
 }
 
-# From the motors' currents: the vendor's forum gives an accuracy, nobody a range or a precision.
+# From the motors' currents: the vendor's forum states an accuracy, nobody a range or a precision.
 ESTIMATED: Final = WrenchSensor(
     force_range_n=None,
     force_precision_n=None,

@@ -25,7 +25,7 @@ class Touch(Protocol):
         """Force in N on the tool, in the frame of the base."""
 
     def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Moves what gives way over a step."""
+        """Moves what yields over a step."""
 
 
 class FreeSpace:
@@ -115,7 +115,7 @@ class WrenchSensing:
     Args:
         noise_n: Standard deviation of the forces in N; torques have a tenth of it, in N m.
         bias: Three offsets in N, three in N m.
-        seed: Of the noise: the same seed gives the same.
+        seed: Of the noise: the same seed yields the same.
 
     Raises:
         ValueError: A number that is not finite, or a negative deviation.

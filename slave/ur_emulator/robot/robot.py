@@ -253,7 +253,7 @@ class JointLoop:
 
     With `delta = q - q_target` the loop is `delta'' = u - q_target'' + tau / I`, where
     `u = q_target'' - w² delta - 2 w delta'` is what the motor does and `|I u| <= tau_max`. A joint that has enough
-    torque follows exactly and gives way to an external torque by `tau / (I w²)`.
+    torque follows exactly and yields to an external torque by `tau / (I w²)`.
 
     Args:
         inertia: I of each joint in kg m².

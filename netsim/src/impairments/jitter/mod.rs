@@ -36,7 +36,7 @@ pub(crate) fn build(
     let law = DelayLaw::new(settings)?;
     check_timeline(settings, &law)?;
     if nanoseconds(settings.jitter_s) == 0 {
-        // Arrivals are whole ns, and a law that narrow has no quantiles to tell apart.
+        // Arrivals are whole ns, and a law that narrow has no quantiles that differ.
         return Ok(None);
     }
     let cells = Cells::of(&law);

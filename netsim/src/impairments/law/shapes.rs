@@ -122,7 +122,7 @@ const MAX_NORMAL_RATIO: f64 = 0.99;
 /// Normal law, cut off at zero delay.
 ///
 /// `D = mu + s X`, X standard normal given `X > -a`, `a = mu / s`, with mu and s such that the law that is left has
-/// the mean and standard deviation asked for. With `lambda = phi(a) / Phi(a)`:
+/// the mean and standard deviation requested. With `lambda = phi(a) / Phi(a)`:
 ///
 /// `E[D] = s (a + lambda)`, `Var[D] = s^2 (1 - a lambda - lambda^2)`.
 ///
@@ -188,7 +188,7 @@ const MAX_VALUES: usize = 16384;
 ///
 /// The i-th of n values, in order of size, belongs to the probability `(i + 1/2) / n`; between them it is linear,
 /// outside of them constant. The tables of iproute2 have neither mean 0 nor standard deviation 1 (that of its Pareto
-/// has 0.82), so a table is standardised first: what is asked for is what comes out.
+/// has 0.82), so a table is standardised first: what is requested is what results.
 ///
 /// Source: iproute2, `netem/maketable.c`; Linux, `net/sched/sch_netem.c`, `tabledist`.
 #[derive(Clone, Debug)]

@@ -185,7 +185,7 @@ struct Netem {
     since_reordered: u32,
 }
 
-/// The ending that the settings ask for.
+/// The ending that the settings request.
 pub(crate) fn build(
     settings: &LinkSettings,
     streams: &Streams,

@@ -30,7 +30,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// What arguments of `tc netem` ask for.
+    /// What arguments of `tc netem` request.
     pub fn read(text: &str) -> Result<Self, LinkSettingsError> {
         let Arguments { delay_rho, loss, duplicate, corrupt, reorder, limit, .. } = Arguments::read(text)?;
         let loss_rho = if let Loss::Random(chance) = loss { chance.rho } else { 0 };
@@ -45,7 +45,7 @@ impl Asked {
     }
 }
 
-/// Settings that do what arguments of `tc netem` ask for, where netem does something else.
+/// Settings that do what arguments of `tc netem` request, where netem does something else.
 ///
 /// - Jitter keeps the order of packets, mean and standard deviation. Without a distribution it is uniform, of standard
 ///   deviation J / sqrt(3). Without correlation it is as short as the order permits; a correlation from packet to packet

@@ -33,7 +33,7 @@ pub struct IrttRecording {
 /// Longest text of a problem that is repeated: the file's own words are in it.
 const TOLD: usize = 200;
 
-/// A problem as a line that a person reads.
+/// A problem as one line of text.
 fn shortened(problem: &str) -> String {
     match problem.char_indices().nth(TOLD) {
         Some((end, _)) => format!("{}...", &problem[..end]),
