@@ -38,7 +38,7 @@ impl OperatorCommand {
             Self::Start | Self::Press | Self::Release | Self::Takeover | Self::Acknowledge => Ok(()),
             Self::PositionScale(scale) => PositionForce::<N>::new(*scale, 1.0).map(|_| ()),
             Self::ForceScale(scale) => PositionForce::<N>::new(1.0, *scale).map(|_| ()),
-            Self::Frame { quat_wxyz, locked } => FrameMap::<N>::turned(*quat_wxyz, locked).map(|_| ()),
+            Self::Frame { quat_wxyz, locked } => FrameMap::<N>::rotated(*quat_wxyz, locked).map(|_| ()),
         }
     }
 }

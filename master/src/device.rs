@@ -160,23 +160,23 @@ pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
 /// The force that the motors exert of the commanded one: bounded as a vector, then rounded per axis.
 #[inline(always)]
 pub(crate) fn exerted<const N: usize, S: Real>(
-    told: &Axes<N, S>,
+    commanded: &Axes<N, S>,
     max_force_n: S,
     quantum: S,
     is_exact: bool,
     is_unbounded: bool,
 ) -> Axes<N, S> {
     if is_exact && is_unbounded {
-        return *told;
+        return *commanded;
     }
-    let norm = if N == 1 { told[0].magnitude() } else { told.dot(told).root() };
+    let norm = if N == 1 { commanded[0].magnitude() } else { commanded.dot(commanded).root() };
     let is_within = norm.simd_le(max_force_n);
     if is_exact && is_within.all() {
-        return *told;
+        return *commanded;
     }
     // An infinite bound must not meet 0 in a quotient.
     let share = S::splat(1.0).select(is_within, max_force_n / norm);
-    told.map(|force| quantised(force * share, quantum, is_exact))
+    commanded.map(|force| quantised(force * share, quantum, is_exact))
 }
 
 #[cfg(test)]
@@ -195,10 +195,10 @@ mod tests {
 
     #[test]
     fn motors_bound_the_vector_and_round_each_axis() {
-        let told = Axes::<2>::new(6.0, 8.0);
-        assert!((exerted(&told, 5.0, 0.0, true, false) - Axes::<2>::new(3.0, 4.0)).norm() < 1e-15);
-        assert_eq!(exerted(&told, f64::INFINITY, 0.0, true, false), told);
-        assert!((exerted(&told, 5.0, 0.7, false, false) - Axes::<2>::new(2.8, 4.2)).norm() < 1e-15);
+        let commanded = Axes::<2>::new(6.0, 8.0);
+        assert!((exerted(&commanded, 5.0, 0.0, true, false) - Axes::<2>::new(3.0, 4.0)).norm() < 1e-15);
+        assert_eq!(exerted(&commanded, f64::INFINITY, 0.0, true, false), commanded);
+        assert!((exerted(&commanded, 5.0, 0.7, false, false) - Axes::<2>::new(2.8, 4.2)).norm() < 1e-15);
         assert_eq!(exerted(&Axes::<1>::zeros(), 5.0, 0.0, true, false)[0], 0.0);
     }
 

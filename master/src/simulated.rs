@@ -163,9 +163,9 @@ impl<const N: usize> SimulatedMaster<N> {
 
     /// Holds this force in N from now on, as far as the motors exert it; what is not finite becomes no force.
     pub fn write(&mut self, force: &Axes<N>) {
-        let told = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
+        let commanded = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
         let quantum = self.device.force_quantum_n;
-        self.held_force = exerted(&told, self.device.max_force_n, quantum, quantum == 0.0, false);
+        self.held_force = exerted(&commanded, self.device.max_force_n, quantum, quantum == 0.0, false);
     }
 
     /// True position in m, which no encoder measures.

@@ -37,7 +37,7 @@ pub struct SteppedMaster<const N: usize, S = f64> {
     now_ns: u64,
     step_ns: f64,
     /// The last time between two reads in ns, and how many steps it holds.
-    usual: (u64, u64),
+    last_steps: (u64, u64),
     waits: bool,
     mass: Axes<N, S>,
     viscous: Axes<N, S>,
@@ -92,7 +92,7 @@ impl<const N: usize> SteppedMaster<N> {
             steps: 0,
             now_ns: 0,
             step_ns: step_s * 1e9,
-            usual: (0, 0),
+            last_steps: (0, 0),
             waits: false,
             mass: device.mass_kg,
             viscous: device.viscous,
@@ -170,7 +170,7 @@ impl<const N: usize> SteppedMaster<N> {
             steps: first.steps,
             now_ns: first.now_ns,
             step_ns: first.step_ns,
-            usual: first.usual,
+            last_steps: first.last_steps,
             waits: first.waits,
             mass: gather_axes(of, |one| one.mass),
             viscous: gather_axes(of, |one| one.viscous),
@@ -212,13 +212,13 @@ impl<const N: usize, S: Real> SteppedMaster<N, S> {
         if elapsed_ns == 0 {
             return;
         }
-        if elapsed_ns != self.usual.0 {
+        if elapsed_ns != self.last_steps.0 {
             #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a time apart, not below 0
             let steps = (elapsed_ns as f64 / self.step_ns).round() as u64;
-            self.usual = (elapsed_ns, steps);
+            self.last_steps = (elapsed_ns, steps);
         }
         self.now_ns = now_ns;
-        for _ in 0..self.usual.1 {
+        for _ in 0..self.last_steps.1 {
             self.step();
         }
     }

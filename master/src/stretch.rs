@@ -205,8 +205,8 @@ impl<const N: usize> Law<'_, N> {
         }
         if let Rub::AlongMotion(coulomb) = regime.rub {
             // Across the motion, friction is a damping of c / |V|; a part too slow to change |V| shows it all the same.
-            let turning = 0.5 * self.device.mass_kg.min() * velocity.norm() / coulomb;
-            reach = reach.min(motion_direction.reach()).min(turning);
+            let turn_s = 0.5 * self.device.mass_kg.min() * velocity.norm() / coulomb;
+            reach = reach.min(motion_direction.reach()).min(turn_s);
         }
         Stretch { position: x, wish, push, reach }
     }

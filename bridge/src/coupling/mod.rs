@@ -85,7 +85,7 @@ impl<const N: usize> FrameMap<N> {
     /// With R of a unit quaternion, and the slave's axes that are locked, those beyond N left out.
     ///
     /// With 2 axes the rotation is about z, which neither has; of 1, 6 or 7 axes there is none.
-    pub fn turned(quat_wxyz: [f64; 4], locked: &[bool]) -> Result<Self, CouplingError> {
+    pub fn rotated(quat_wxyz: [f64; 4], locked: &[bool]) -> Result<Self, CouplingError> {
         let norm = quat_wxyz.iter().map(|part| part * part).sum::<f64>().sqrt();
         if norm.is_nan() || (norm - 1.0).abs() > UNIT {
             return Err(CouplingError::Quaternion(norm));
@@ -228,7 +228,7 @@ mod frame_tests {
         for (axis, angle) in [([0.0, 0.0, 1.0], 0.7_f64), ([1.0, -2.0, 0.5], 2.1), ([0.0, 1.0, 0.0], -3.0)] {
             let k = Axes::<3>::from(axis).normalize() * (0.5 * angle).sin();
             let quat_wxyz = [(0.5 * angle).cos(), k[0], k[1], k[2]];
-            let turned = FrameMap::<3>::turned(quat_wxyz, &[]).unwrap();
+            let turned = FrameMap::<3>::rotated(quat_wxyz, &[]).unwrap();
             let expected = FrameMap::new(about(axis, angle), [false; 3]).unwrap();
             assert!((turned.rotation - expected.rotation).abs().max() < 1e-14);
             FrameMap::new(
@@ -238,25 +238,25 @@ mod frame_tests {
             .unwrap();
         }
         let half = std::f64::consts::FRAC_1_SQRT_2;
-        let plane = FrameMap::<2>::turned([half, 0.0, 0.0, half], &[false, true]).unwrap();
+        let plane = FrameMap::<2>::rotated([half, 0.0, 0.0, half], &[false, true]).unwrap();
         assert!((plane.to_slave(&Axes::<2>::new(0.0, 1.0)) - Axes::<2>::new(-1.0, 0.0)).norm() < 1e-15);
         assert_eq!(plane.to_slave(&Axes::<2>::new(1.0, 0.0))[1], 0.0, "locked");
-        assert_eq!(FrameMap::<6>::turned([-1.0, 0.0, 0.0, 0.0], &[]), Ok(FrameMap::default()));
+        assert_eq!(FrameMap::<6>::rotated([-1.0, 0.0, 0.0, 0.0], &[]), Ok(FrameMap::default()));
         for (refused, text) in [
             (
-                FrameMap::<2>::turned([half, half, 0.0, 0.0], &[]).map(|_| ()).unwrap_err(),
+                FrameMap::<2>::rotated([half, half, 0.0, 0.0], &[]).map(|_| ()).unwrap_err(),
                 "a rotation of 2 axes",
             ),
             (
-                FrameMap::<1>::turned([half, 0.0, 0.0, half], &[]).map(|_| ()).unwrap_err(),
+                FrameMap::<1>::rotated([half, 0.0, 0.0, half], &[]).map(|_| ()).unwrap_err(),
                 "a rotation of 1 axes",
             ),
             (
-                FrameMap::<6>::turned([0.0, 0.0, 0.0, 1.0], &[]).map(|_| ()).unwrap_err(),
+                FrameMap::<6>::rotated([0.0, 0.0, 0.0, 1.0], &[]).map(|_| ()).unwrap_err(),
                 "a rotation of 6 axes",
             ),
-            (FrameMap::<3>::turned([0.5; 4].map(|w| 2.0 * w), &[]).map(|_| ()).unwrap_err(), "norm of 2"),
-            (FrameMap::<3>::turned([f64::NAN; 4], &[]).map(|_| ()).unwrap_err(), "norm of NaN"),
+            (FrameMap::<3>::rotated([0.5; 4].map(|w| 2.0 * w), &[]).map(|_| ()).unwrap_err(), "norm of 2"),
+            (FrameMap::<3>::rotated([f64::NAN; 4], &[]).map(|_| ()).unwrap_err(), "norm of NaN"),
         ] {
             assert!(refused.to_string().contains(text), "{refused}");
         }

@@ -157,7 +157,7 @@ impl<const N: usize> MasterEndpoint<N> {
             }
             OperatorCommand::ForceScale(scale) => self.coupling.set_force_scale(scale)?,
             OperatorCommand::Frame { quat_wxyz, locked } => {
-                self.coupling.set_map(FrameMap::turned(quat_wxyz, &locked)?);
+                self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
             }
             _ => return Ok(false),
         }

@@ -152,7 +152,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             }
             OperatorCommand::PositionScale(scale) => self.coupling.set_position_scale(scale)?,
             OperatorCommand::Frame { quat_wxyz, locked } => {
-                self.coupling.set_map(FrameMap::turned(quat_wxyz, &locked)?);
+                self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
             }
             _ => return Ok(false),
         }

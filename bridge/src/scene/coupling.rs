@@ -83,7 +83,7 @@ impl<const N: usize> Present<N> {
                 OperatorCommand::PositionScale(scale) => self.position_scale = *scale,
                 OperatorCommand::ForceScale(scale) => self.force_scale = *scale,
                 OperatorCommand::Frame { quat_wxyz, locked } => {
-                    self.map = FrameMap::turned(*quat_wxyz, locked)?;
+                    self.map = FrameMap::rotated(*quat_wxyz, locked)?;
                 }
                 _ => {}
             }

@@ -184,7 +184,7 @@ pub(super) struct Initiator {
     run: u64,
     pending: Option<Pending>,
     /// The newest epoch requested: a number stands for one handshake, never for two.
-    asked: Option<EpochId>,
+    newest: Option<EpochId>,
     refused_until_ns: u64,
     /// The slave lives and has refused a new session, as one holds the lease: perhaps ours, whose next keys it gives.
     renews: bool,
@@ -202,7 +202,7 @@ impl Initiator {
             key,
             run,
             pending: None,
-            asked: None,
+            newest: None,
             refused_until_ns: 0,
             renews: false,
             has_failed: false,
@@ -270,8 +270,8 @@ impl Initiator {
     ) -> Result<HandshakeDatagram, HandshakeError> {
         let (id, key) = match (wish, &standing.live) {
             (Wish::Keys, Some(live)) => {
-                let before = self.asked.filter(|asked| asked.session == live.id.session);
-                let epoch = before.map_or(live.id.epoch, |asked| asked.epoch.max(live.id.epoch));
+                let before = self.newest.filter(|newest| newest.session == live.id.session);
+                let epoch = before.map_or(live.id.epoch, |newest| newest.epoch.max(live.id.epoch));
                 let epoch = epoch.checked_add(1).ok_or(HandshakeError::Noise)?;
                 (EpochId { session: live.id.session, epoch }, Some(self.key.within(&live.chain)))
             }
@@ -282,7 +282,7 @@ impl Initiator {
             HandshakePayload::new(self.run, self.settings.payload_length, HandshakeDecision::Accepted)
                 .with(self.ticket);
         let datagram = message(Kind::Hello, id, &noise.write(&payload.to_bytes())?, &self.mac);
-        self.asked = Some(id);
+        self.newest = Some(id);
         self.pending = Some(Pending {
             noise,
             id,

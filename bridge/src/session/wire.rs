@@ -419,10 +419,11 @@ mod tests {
             (1, HandshakeDecision::Leased),
             (2, HandshakeDecision::PayloadLength),
         ] {
-            let told = HandshakePayload::new(0x0807_0605_0403_0201, 92, decision).with([9, 10, 11, 12, 13]);
+            let payload =
+                HandshakePayload::new(0x0807_0605_0403_0201, 92, decision).with([9, 10, 11, 12, 13]);
             let bytes = [1, 2, 3, 4, 5, 6, 7, 8, 92, 0, byte, 9, 10, 11, 12, 13];
-            assert_eq!(told.to_bytes(), bytes);
-            assert_eq!(HandshakePayload::from_bytes(bytes), Some(told));
+            assert_eq!(payload.to_bytes(), bytes);
+            assert_eq!(HandshakePayload::from_bytes(bytes), Some(payload));
         }
         assert_eq!(HandshakePayload::from_bytes([0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0]), None);
     }

@@ -31,11 +31,11 @@ pub struct IrttRecording {
 }
 
 /// Longest text of a problem that is repeated: the file's own words are in it.
-const TOLD: usize = 200;
+const MAX_SHOWN: usize = 200;
 
 /// A problem as one line of text.
 fn shortened(problem: &str) -> String {
-    match problem.char_indices().nth(TOLD) {
+    match problem.char_indices().nth(MAX_SHOWN) {
         Some((end, _)) => format!("{}...", &problem[..end]),
         None => problem.to_owned(),
     }
