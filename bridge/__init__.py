@@ -1,21 +1,18 @@
 """The bridge: both sides coupled, in virtual time and over UDP, and the scenes that say what is coupled."""
 
 from haptether._core import (
-    LadderSettings,
     LinkStatistics,
     LiveMaster,
     LiveSlave,
     LocalTrace,
     LoopReport,
     MasterLoop,
-    MasterSettings,
     MasterTrace,
     PathReport,
     RecordingReport,
     SignalRelay,
     Sinusoid,
     SlaveLoop,
-    SlaveSettings,
     SlaveTrace,
     ladder_reason,
     ladder_state_name,
@@ -71,7 +68,6 @@ from haptether.bridge.scene.tables.slave import (
     Spring,
 )
 from haptether.bridge.session_key import read_key, wipe_key, write_key
-from haptether.bridge.virtual_run import run_bridge
 
 __all__ = [
     "MASTERS",
@@ -90,7 +86,6 @@ __all__ = [
     "Event",
     "ForceSensorTable",
     "Kalman",
-    "LadderSettings",
     "LadderTable",
     "LegTable",
     "LimiterTable",
@@ -103,7 +98,6 @@ __all__ = [
     "LowPass",
     "MasterLoop",
     "MasterRun",
-    "MasterSettings",
     "MasterTable",
     "MasterTrace",
     "Metrics",
@@ -133,7 +127,6 @@ __all__ = [
     "Sinusoid",
     "SlaveLoop",
     "SlaveRun",
-    "SlaveSettings",
     "SlaveTable",
     "SlaveTrace",
     "Sphere",
@@ -151,7 +144,6 @@ __all__ = [
     "override_scene",
     "read_key",
     "read_recording",
-    "run_bridge",
     "run_local",
     "scene_json",
     "scene_names",

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from os import PathLike
 from pathlib import Path as FilePath
 from types import MappingProxyType
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from msgspec import Struct, convert
 
 from haptether import _core
+from haptether._core import LoopReport
 from haptether.bridge.scene.load import Checked, checked_scene, loaded
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
@@ -111,6 +113,8 @@ class Run(Struct, frozen=True, kw_only=True):
     """What happened, in the order of time."""
     metrics: Metrics
     """What it comes to."""
+    reports: tuple[LoopReport, LoopReport] | None = None
+    """How the loops of master and slave went, as live ones report it; none without an arm, and after pickling."""
 
     def save(self, path: str | PathLike[str]) -> None:
         """Writes every signal as an array of a NumPy `.npz` file, for its owner alone.
@@ -123,6 +127,11 @@ class Run(Struct, frozen=True, kw_only=True):
         refuse_link(target)
         with private_file(target) as file:
             np.savez_compressed(file, **arrays)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Reports belong to the process of the run.
+        kept = {name: getattr(self, name) for name in self.__struct_fields__ if name != "reports"}
+        return partial(Run, **kept), ()
 
 
 def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) -> tuple[str, Checked]:
@@ -158,4 +167,5 @@ def simulate(scene: Scene | str | PathLike[str], *, overrides: Iterable[str] = (
         signals=Signals(done.signals),
         events=tuple(Event(*event) for event in done.events),
         metrics=convert({"wall_time_s": took, **done.metrics}, Metrics),
+        reports=done.reports,
     )

@@ -45,4 +45,4 @@ pub use path::{PathReport, PeerPath};
 pub use plant::{MasterPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
 pub use side::{MasterSide, Side, SlaveSide};
-pub use virtual_time::{Event, VirtualCounts, VirtualError, VirtualSettings, run_virtual};
+pub use virtual_time::{Event, LoopCounts, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

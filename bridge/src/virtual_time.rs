@@ -56,13 +56,26 @@ pub enum VirtualError {
     Session(#[from] EndError),
 }
 
-/// What the network and the sessions counted.
+/// What the network and the two loops counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct VirtualCounts {
     /// Datagrams dropped because too many were in flight.
     pub overflowed: u64,
-    /// Datagrams that the master's and the slave's session did not take.
-    pub rejections: [Rejections; 2],
+    /// What the master's and the slave's loop counted.
+    pub loops: [LoopCounts; 2],
+}
+
+/// What a loop in virtual time and its session counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LoopCounts {
+    /// Ticks done.
+    pub ticks: u64,
+    /// Ticks left out because the endpoint's clock was set forward.
+    pub skipped: u64,
+    /// What the endpoint's clock showed at the last tick, in ns.
+    pub clock_ns: u64,
+    /// Datagrams that the session did not take.
+    pub rejections: Rejections,
 }
 
 type Datagram = ([u8; MAX_DATAGRAM], usize);
@@ -105,6 +118,7 @@ struct Loop<'a, S, const N: usize> {
     end: SessionEnd,
     entropy: SeededEntropy,
     pace: Pace,
+    counts: LoopCounts,
 }
 
 impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
@@ -125,7 +139,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         } else {
             SessionEnd::insecure(settings)?
         };
-        Ok(Self { side, end, entropy, pace })
+        Ok(Self { side, end, entropy, pace, counts: LoopCounts::default() })
     }
 
     /// The tick that is due: it takes what `inward` delivers and sends `outward`.
@@ -164,7 +178,14 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
             outward.carry(now_ns, datagram, inward);
         }
         self.pace.wait_after(&wake);
+        self.counts.ticks += 1;
+        self.counts.skipped += wake.missed;
+        self.counts.clock_ns = clock_ns;
         record
+    }
+
+    fn counts(&self) -> LoopCounts {
+        LoopCounts { rejections: self.end.rejections(), ..self.counts }
     }
 }
 
@@ -221,6 +242,6 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
     }
     Ok(VirtualCounts {
         overflowed: forward.in_flight.overflowed() + backward.in_flight.overflowed(),
-        rejections: [master.end.rejections(), slave.end.rejections()],
+        loops: [master.counts(), slave.counts()],
     })
 }

@@ -38,7 +38,6 @@ __all__ = [
     "HapticDevice",
     "Intervention",
     "Interventions",
-    "LadderSettings",
     "Limiter",
     "LimiterSettings",
     "LinkStatistics",
@@ -47,7 +46,6 @@ __all__ = [
     "LocalTrace",
     "LoopReport",
     "MasterLoop",
-    "MasterSettings",
     "MasterTrace",
     "PassivityObserver",
     "PathReport",
@@ -67,7 +65,6 @@ __all__ = [
     "SignalRelay",
     "Sinusoid",
     "SlaveLoop",
-    "SlaveSettings",
     "SlaveTrace",
     "UrInverseSolver",
     "VelocityForceObserver",
@@ -82,7 +79,6 @@ __all__ = [
     "link_bounds",
     "read_link_file",
     "record",
-    "run_bridge",
     "run_local",
     "scene_schema",
     "simulate_scene",
@@ -2110,110 +2106,6 @@ class SignalRelay:
     def close(self) -> None:
         """Ends its thread."""
 
-@final
-class LadderSettings:
-    """Times of the ladder. Ages count from the one that the link has when nothing is wrong.
-
-    Args:
-        stale_after_s: Over the expected age to STALE, in s, above 0 and at most 1.
-        hold_after_s: Over the expected age to HOLD, in s, above `stale_after_s` and at most 0.1.
-        stop_after_s: Over the expected age to STOP, in s, above `hold_after_s` and at most 10.
-        extrapolate_s: In STALE until the velocity of the slave has decayed to zero, in s, at most 0.02 and at most
-            `hold_after_s - stale_after_s`.
-        fade_out_s: Of the force from full to zero, in s, 0.05 to 0.1.
-        fade_in_s: Of the force from zero to full, in s, 0.2 to 60.
-
-    Raises:
-        ValueError: A time out of order or range.
-    """
-
-    def __new__(
-        cls,
-        *,
-        stale_after_s: float = 0.005,
-        hold_after_s: float = 0.02,
-        stop_after_s: float = 0.2,
-        extrapolate_s: float = 0.015,
-        fade_out_s: float = 0.075,
-        fade_in_s: float = 0.2,
-    ) -> LadderSettings: ...
-
-@final
-class MasterSettings:
-    """The side of the hand: a modelled device and hand, the safety layer, the coupling.
-
-    The hand waits at the start of its path until the two sides engage; its time runs from there.
-
-    Args:
-        device: The device.
-        hand: Who holds it.
-        safety: Safety controllers; without them none.
-        estimator: For a device with an encoder; without it the default of `EstimatorKind`.
-        limiter: Bounds; without them the defaults. Its ramp-in is not used: the ladder fades the force in.
-        force_scale: lambda_f of `F_v = lambda_f F_e`, above 0.
-        period_s: dT in s, 50 us to 20 ms.
-        clutch: "once": pressed at the start and held, after a hold only `LiveMaster.press_clutch` presses it anew;
-            "auto": a simulated person lets go when it holds and presses again; or press and release times in s
-            since the start.
-        clutch_reaction_s: From when both sides are ready to the new press of "auto", in s, 0.05 to 60.
-        ladder: Times of the ladder; without them its defaults.
-
-    Raises:
-        ValueError: A parameter outside its range.
-
-    Source: Hannaford 1989; Lawrence 1993 (position-force coupling).
-    """
-
-    def __new__(
-        cls,
-        device: HapticDevice,
-        hand: Hand,
-        *,
-        safety: SafetySettings | None = None,
-        estimator: EstimatorKind | None = None,
-        limiter: LimiterSettings | None = None,
-        force_scale: float = 1.0,
-        period_s: float = 1e-3,
-        clutch: Literal["once", "auto"] | Sequence[tuple[float, float]] | None = None,
-        clutch_reaction_s: float = 0.5,
-        ladder: LadderSettings | None = None,
-    ) -> MasterSettings: ...
-
-@final
-class SlaveSettings:
-    """The side of the robot: a modelled arm, a wall, something that shoves, the coupling.
-
-    Args:
-        arm: The arm.
-        wall: What it meets.
-        pusher: What shoves it; its time runs from when the two sides engage.
-        position: Where the tool rests at first, in m.
-        position_scale: lambda_p of `x_s = x_s0 + lambda_p (x_m - x_m0)`, above 0.
-        period_s: dT in s, 50 us to 20 ms.
-        command_speed: Largest speed in m/s of the commanded position; what is faster is clamped and counted.
-        command_reach: Largest distance in m of the commanded position from where the arm began; without it no bound.
-        ladder: Times of the ladder; without them its defaults.
-
-    Raises:
-        ValueError: A parameter outside its range.
-
-    Source: Hannaford 1989; Lawrence 1993 (position-force coupling).
-    """
-
-    def __new__(
-        cls,
-        arm: Arm,
-        wall: Wall,
-        *,
-        pusher: Pusher | None = None,
-        position: float = 0.0,
-        position_scale: float = 1.0,
-        period_s: float = 1e-3,
-        command_speed: float = 3.0,
-        command_reach: float | None = None,
-        ladder: LadderSettings | None = None,
-    ) -> SlaveSettings: ...
-
 @type_check_only
 class _LiveSide:
     """What a live side has, whoever paces its loop."""
@@ -2274,7 +2166,7 @@ class LiveMaster(_LiveSide):
     """The side of the hand, live over UDP on a thread of its own.
 
     Args:
-        settings: The side, or a scene of any number of axes as `scene_json` gives it.
+        scene: As `scene_json` gives it; its device is a model that its operator holds.
         peer: The slave or a proxy before it, `HOST:PORT`.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
@@ -2300,7 +2192,7 @@ class LiveMaster(_LiveSide):
 
     def __new__(
         cls,
-        settings: MasterSettings | bytes,
+        scene: bytes,
         *,
         peer: str,
         session: int,
@@ -2354,7 +2246,7 @@ class LiveSlave(_LiveSide):
     """The side of the robot, live over UDP on a thread of its own; it learns the master's address.
 
     Args:
-        settings: The side, or a scene of any number of axes as `scene_json` gives it.
+        scene: As `scene_json` gives it; its arm is a model in its environment.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
         session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
@@ -2377,7 +2269,7 @@ class LiveSlave(_LiveSide):
 
     def __new__(
         cls,
-        settings: SlaveSettings | bytes,
+        scene: bytes,
         *,
         listen: str,
         session: int,
@@ -2662,22 +2554,6 @@ class SlaveLoop(_LiveSide):
             RuntimeError: Called a second time, or the loop panicked.
         """
 
-def run_bridge(
-    master: MasterSettings,
-    slave: SlaveSettings,
-    *,
-    forward: str,
-    backward: str,
-    duration_s: float,
-    seed: int = 0,
-    secure: bool = False,
-) -> tuple[MasterTrace, SlaveTrace, LoopReport, LoopReport]:
-    """What `haptether.bridge.run_bridge` wraps; the links are JSON.
-
-    Raises:
-        ValueError: Different periods, a duration outside 0 to 1e9 s, or settings that describe no link.
-    """
-
 def ladder_reason(code: int) -> str:
     """Why the ladder stands where it does, for the codes of `MasterTrace.reason` from 1; 0 stands for no step yet.
 
@@ -2714,6 +2590,10 @@ class SceneRun:
     @property
     def metrics(self) -> dict[str, float | int | bool | str | None]:
         """The figures of the run, by name; none where it does not apply or was not measured."""
+
+    @property
+    def reports(self) -> tuple[LoopReport, LoopReport] | None:
+        """How the loops of master and slave went; none without an arm."""
 
 def scene_schema() -> str:
     """The JSON schema of a scene of one axis, as `haptether.bridge.scene_json` writes it."""

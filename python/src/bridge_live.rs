@@ -7,14 +7,10 @@ use haptether_bridge::{
     live::{Ineffective, LiveRun, run_live},
     scene::{simulated_master, simulated_slave},
 };
-use pyo3::{
-    exceptions::{PyRuntimeError, PyTypeError},
-    prelude::*,
-};
+use pyo3::{exceptions::PyRuntimeError, prelude::*};
 
 use crate::{
     axes::{of_axes, refuse},
-    bridge::{PyMasterSettings, PySlaveSettings},
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live::{
         How, Place, Watched, finished_before, locked, not_begun, realtime_settings, recorder_settings,
@@ -70,14 +66,6 @@ fn join<Rows>(
     Ok((watched.rows(), report.into()))
 }
 
-/// A scene in place of a side, as `scene_json` writes it.
-fn json_of<'a>(settings: &'a Bound<'_, PyAny>, class: &str) -> PyResult<&'a [u8]> {
-    settings.extract().map_err(|_| {
-        let kind = settings.get_type();
-        PyTypeError::new_err(format!("settings: is a {kind}, must be {class} or the bytes of scene_json"))
-    })
-}
-
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveMaster {
     run: Mutex<LiveRun>,
@@ -87,12 +75,12 @@ pub(crate) struct LiveMaster {
 #[pymethods]
 impl LiveMaster {
     #[new]
-    #[pyo3(signature = (settings, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
+    #[pyo3(signature = (scene, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
         patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         py: Python<'_>,
-        settings: &Bound<'_, PyAny>,
+        scene: &[u8],
         peer: &str,
         session: u64,
         key: Option<&Bound<'_, PyAny>>,
@@ -116,17 +104,11 @@ impl LiveMaster {
                 How { security, period_ns, duration_s, patience_s, started_s, keep_s, realtime, record };
             Place::of_master(peer, listen, how)
         };
-        let Started { run, watched } = if let Ok(settings) = settings.cast::<PyMasterSettings>() {
-            let settings = settings.get();
-            start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
-        } else {
-            let json = json_of(settings, "MasterSettings")?;
-            of_axes!(scene_axes(json)?, N => {
-                let scene = scene_spec::<N>(json)?;
-                let place = place(live_periods(&scene)?[0])?;
-                start(py, simulated_master::<N>(&scene, session).map_err(refuse)?, place)?
-            })
-        };
+        let Started { run, watched } = of_axes!(scene_axes(scene)?, N => {
+            let scene = scene_spec::<N>(scene)?;
+            let place = place(live_periods(&scene)?[0])?;
+            start(py, simulated_master::<N>(&scene, session).map_err(refuse)?, place)?
+        });
         Ok(Self { run, watched })
     }
 
@@ -163,12 +145,12 @@ pub(crate) struct LiveSlave {
 #[pymethods]
 impl LiveSlave {
     #[new]
-    #[pyo3(signature = (settings, *, listen, session, key=None, insecure=false, duration_s=None,
+    #[pyo3(signature = (scene, *, listen, session, key=None, insecure=false, duration_s=None,
         patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         py: Python<'_>,
-        settings: &Bound<'_, PyAny>,
+        scene: &[u8],
         listen: &str,
         session: u64,
         key: Option<&Bound<'_, PyAny>>,
@@ -198,17 +180,11 @@ impl LiveSlave {
             };
             Place::of_slave(listen, how)
         };
-        let Started { run, watched } = if let Ok(settings) = settings.cast::<PySlaveSettings>() {
-            let settings = settings.get();
-            start(py, settings.side(session)?, place(settings.endpoint.period_ns)?)?
-        } else {
-            let json = json_of(settings, "SlaveSettings")?;
-            of_axes!(scene_axes(json)?, N => {
-                let scene = scene_spec::<N>(json)?;
-                let place = place(live_periods(&scene)?[1])?;
-                start(py, simulated_slave::<N>(&scene, session).map_err(refuse)?, place)?
-            })
-        };
+        let Started { run, watched } = of_axes!(scene_axes(scene)?, N => {
+            let scene = scene_spec::<N>(scene)?;
+            let place = place(live_periods(&scene)?[1])?;
+            start(py, simulated_slave::<N>(&scene, session).map_err(refuse)?, place)?
+        });
         Ok(Self { run, watched })
     }
 

@@ -341,7 +341,7 @@ local_columns!(
 );
 
 /// Most ticks of one run: 1e8 would be 10 GB of records.
-pub(crate) const MAX_TICKS: usize = 20_000_000;
+const MAX_TICKS: usize = 20_000_000;
 
 #[pyfunction]
 #[pyo3(signature = (device, hand, rendered, *, ticks, settings=None, estimator=None, limiter=None,

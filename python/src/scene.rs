@@ -23,6 +23,7 @@ use crate::{
     arrays::column,
     axes::{of_axes, refuse},
     bridge::nanoseconds,
+    bridge_trace::PyLoopReport,
 };
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -37,6 +38,7 @@ pub(crate) struct PySceneRun {
     signals: Py<PyDict>,
     events: Py<PyList>,
     metrics: Py<PyDict>,
+    reports: Option<[Py<PyLoopReport>; 2]>,
 }
 
 #[pymethods]
@@ -54,6 +56,11 @@ impl PySceneRun {
     #[getter]
     fn metrics(&self, py: Python<'_>) -> Py<PyDict> {
         self.metrics.clone_ref(py)
+    }
+
+    #[getter]
+    fn reports(&self, py: Python<'_>) -> Option<(Py<PyLoopReport>, Py<PyLoopReport>)> {
+        self.reports.as_ref().map(|[master, slave]| (master.clone_ref(py), slave.clone_ref(py)))
     }
 }
 
@@ -119,16 +126,23 @@ fn scene_schema() -> String {
 #[pyfunction]
 fn simulate_scene(py: Python<'_>, scene_json: &[u8]) -> PyResult<PySceneRun> {
     let done = interruptibly(py, None, |progress| simulate(scene_json, &progress.stop))?;
-    let SceneRun { signals, events, outcome, period_s } = done.map_err(refuse)?;
+    let SceneRun { signals, events, outcome, period_s, reports } = done.map_err(refuse)?;
     let by_name = PyDict::new(py);
     for signal in &signals {
         by_name.set_item(signal.name, signal_out(py, signal)?)?;
     }
+    let reports = match reports {
+        Some([master, slave]) => {
+            Some([Py::new(py, PyLoopReport::from(master))?, Py::new(py, PyLoopReport::from(slave))?])
+        }
+        None => None,
+    };
     let events = events.into_iter().map(|event| (event.time_s, event.kind, event.detail));
     Ok(PySceneRun {
         signals: by_name.unbind(),
         events: PyList::new(py, events.collect::<Vec<_>>())?.unbind(),
         metrics: metrics_out(py, &outcome, period_s)?,
+        reports,
     })
 }
 

@@ -24,8 +24,9 @@ use super::{
     timed::Timed,
 };
 use crate::{
-    EndpointError, Event, LadderState, MasterEndpoint, MasterPlant, MasterRecord, MasterSide,
-    OperatorCommand, Reason, Side, SlaveRecord, SlaveSide, VirtualSettings, run_virtual,
+    EndpointError, Event, Exchange, LadderState, LoopCounts, MasterEndpoint, MasterPlant, MasterRecord,
+    MasterSide, OperatorCommand, Reason, Side, SlaveRecord, SlaveSide, VirtualSettings, live::LoopReport,
+    run_virtual,
 };
 
 /// Sessions of the two sides: constants, for nobody listens in.
@@ -125,6 +126,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             coupling,
             states: [LadderState::Disengaged; 2],
             engaged_s: None,
+            engaged_ns: [u64::MAX; 2],
             newest: None,
             far_force: Axes::zeros(),
             far_position: Axes::zeros(),
@@ -159,12 +161,35 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         }
         let coarse = slave.side.plant.coarse_steps();
         watched.overflowed = counts.overflowed;
-        let [at_master, at_slave] = counts.rejections;
-        let links = [
-            master.exchange().counts().link.with(&at_master),
-            slave.exchange().counts().link.with(&at_slave),
+        let ([master_counts, slave_counts], engaged_ns) = (counts.loops, watched.engaged_ns);
+        let reports = [
+            report(master.exchange(), &master_counts, engaged_ns[0], settings.secure),
+            report(slave.exchange(), &slave_counts, engaged_ns[1], settings.secure),
         ];
-        Ok(watched.finish(scene, coarse, links))
+        Ok(watched.finish(scene, coarse, reports))
+    }
+}
+
+/// How a loop went, as it is reported live.
+fn report<const N: usize>(
+    exchange: &Exchange<N>,
+    counts: &LoopCounts,
+    engaged_ns: u64,
+    secure: bool,
+) -> LoopReport {
+    let LoopCounts { ticks, skipped, clock_ns, rejections } = *counts;
+    let of_side = exchange.counts();
+    LoopReport {
+        ticks,
+        skipped,
+        link: of_side.link.with(&rejections),
+        path: exchange.link().path().report(clock_ns),
+        holds: of_side.holds,
+        limited: of_side.limited,
+        secure,
+        rejections,
+        engaged_ns,
+        ..LoopReport::default()
     }
 }
 
@@ -181,6 +206,8 @@ struct Watched<const N: usize> {
     /// Of the master and the slave.
     states: [LadderState; 2],
     engaged_s: Option<f64>,
+    /// When each side first was coupled, in ns since the start; `u64::MAX` if never.
+    engaged_ns: [u64; 2],
     newest: Option<MasterRecord<N>>,
     far_force: Axes<N>,
     far_position: Axes<N>,
@@ -207,8 +234,12 @@ impl<const N: usize> Watched<N> {
         self.measures = Measures::new(&self.judged, start);
     }
 
-    fn ladder(&mut self, side: usize, time_s: f64, state: LadderState, reason: u8) {
+    fn ladder(&mut self, side: usize, time_ns: u64, state: LadderState, reason: u8) {
+        let time_s = time_ns as f64 / 1e9;
         let before = std::mem::replace(&mut self.states[side], state);
+        if state.is_coupled() {
+            self.engaged_ns[side] = self.engaged_ns[side].min(time_ns);
+        }
         // Late frames may come and go a thousand times, and change little; the signals have them.
         if before != state && !(before.is_coupled() && state.is_coupled()) {
             let side = ["master", "slave"][side];
@@ -235,7 +266,7 @@ impl<const N: usize> Watched<N> {
 
     fn near(&mut self, record: &MasterRecord<N>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
-        self.ladder(0, time_s, record.state, record.reason);
+        self.ladder(0, record.time_ns, record.state, record.reason);
         self.faults("master", time_s, record.fault)?;
         if record.state.is_coupled() && self.engaged_s.is_none() {
             self.engage(time_s, &record.true_position);
@@ -287,7 +318,7 @@ impl<const N: usize> Watched<N> {
 
     fn far(&mut self, record: &SlaveRecord<N>, touches: bool) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
-        self.ladder(1, time_s, record.state, record.reason);
+        self.ladder(1, record.time_ns, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
         let distance = record.position.norm();
         if distance.is_nan() || distance > self.max_distance {
@@ -329,7 +360,8 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    fn finish(mut self, scene: &SceneSpec<N>, coarse: u64, links: [crate::LinkStatistics; 2]) -> SceneRun {
+    fn finish(mut self, scene: &SceneSpec<N>, coarse: u64, reports: [LoopReport; 2]) -> SceneRun {
+        let links = reports.map(|report| report.link);
         let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
         let mean = |which: usize| {
             (self.samples[which] > 0).then(|| (self.squares[which] / self.samples[which] as f64).sqrt())
@@ -371,6 +403,12 @@ impl<const N: usize> Watched<N> {
         }
         let mut signals = self.near.into_signals();
         signals.extend(self.far.into_signals());
-        SceneRun { signals, events: self.log.into_events(), outcome, period_s: scene.run.period_s }
+        SceneRun {
+            signals,
+            events: self.log.into_events(),
+            outcome,
+            period_s: scene.run.period_s,
+            reports: Some(reports),
+        }
     }
 }

@@ -154,6 +154,7 @@ fn follow<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
         events: log.into_events(),
         outcome,
         period_s: scene.run.period_s,
+        reports: None,
     })
 }
 

@@ -3,6 +3,7 @@
 use haptether_safety::{Axes, controller::Tripped};
 
 use super::{measures::Outcome, spec::SceneSpec};
+use crate::live::LoopReport;
 
 /// The result of a run.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,6 +16,8 @@ pub struct SceneRun {
     pub outcome: Outcome,
     /// dT of the master in s.
     pub period_s: f64,
+    /// How the loops of master and slave went; none without an arm.
+    pub reports: Option<[LoopReport; 2]>,
 }
 
 /// One signal over time.

@@ -7,13 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.bridge import MasterSettings, Scene
+    from haptether.bridge import Scene
     from haptether.studies import ContactLoop, Follower, LinkSummary, LinkVerdict
 
-HOLD_S = 0.02
-"""Silence beyond the expected age after which the ladder holds."""
-PERIOD_S = 1e-3
-WALL_STIFFNESS = 100.0
 MAX_STIFFNESS = 1e7
 MAX_DURATION_S = 600.0
 """A live run keeps the records of ten minutes."""
@@ -74,7 +70,7 @@ class CheckLink:
         from haptether.bridge import LiveMaster, override_scene, scene_json
         from haptether.cli.live.options import handed_over, marked, session_key
         from haptether.cli.live.run import print_security
-        from haptether.cli.live.sides import live_scene, master_settings
+        from haptether.cli.live.sides import baseline_scene, live_scene
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.stop import Stopped, wait
         from haptether.studies import judge_link, largest_delay_s, summarise_link
@@ -87,24 +83,15 @@ class CheckLink:
         if not 0.1 <= self.duration_s <= MAX_DURATION_S:
             message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MAX_DURATION_S:g} s"
             raise ValueError(message)
-        scene = live_scene(self, ("force_scale",))
-        settings: MasterSettings | bytes
-        if scene is None:
-            stiffness = WALL_STIFFNESS if self.wall_stiffness is None else self.wall_stiffness
-            settings = master_settings(
-                "none", depth=0.0, release_at_s=None, force_scale=self.force_scale, clutch="never"
-            )
-            loops, period_s, hold_s = [simulated_loop(stiffness, self.force_scale)], PERIOD_S, HOLD_S
-        else:
-            # Nobody presses its clutch, and its device is a model: nothing is driven.
-            settings = scene_json(override_scene(scene, ["operator.clutch=[]"]))
-            loops, (period_s, hold_s) = scene_loops(scene, self.wall_stiffness), scene_times(scene)
+        scene = live_scene(self, ("force_scale",)) or baseline_scene(force_scale=self.force_scale)
+        loops, (period_s, hold_s) = scene_loops(scene, self.wall_stiffness), scene_times(scene)
         worst = min(loops, key=largest_delay_s)
         bearable_s = largest_delay_s(worst)
         with Stopped() as stopped:
             master = stopped.attached(
                 LiveMaster(
-                    settings,
+                    # Nobody presses its clutch, and its device is a model: nothing is driven.
+                    scene_json(override_scene(scene, ["operator.clutch=[]"])),
                     peer=self.peer,
                     session=secrets.randbits(64),
                     key=key,
@@ -135,7 +122,7 @@ class CheckLink:
                 " the same key?"
             )
             raise RuntimeError(message)
-        summary = summarise_link(trace, report, PERIOD_S if scene is None else scene.run.period_s)
+        summary = summarise_link(trace, report, scene.run.period_s)
         verdict = judge_link(summary, bearable_s, hold_s + period_s, period_s)
         self._report(summary, verdict, worst)
         return 0 if verdict.good else 1
@@ -148,10 +135,9 @@ class CheckLink:
         console = screen(self.json)
         console.print(link_table(summary))
         of_scene = "" if self.scene is None else f"{self.scene}: "
-        holds = loop.hand_stiffness > 0.0 or self.scene is None
         scene = (
             f"{of_scene}position-force coupling, lambda_f = {loop.force_scale:g}, {loop.environment_stiffness:g} N/m, "
-            f"{'a hand that holds' if holds else 'nobody holds'}"
+            f"{'a hand that holds' if loop.hand_stiffness > 0.0 else 'nobody holds'}"
         )
         bearable = "any delay" if verdict.bearable_delay_s is None else f"{verdict.bearable_delay_s * 1e3:.1f} ms"
         has = "-" if verdict.delay_s is None else f"{verdict.delay_s * 1e3:.1f} ms"
@@ -168,33 +154,6 @@ class CheckLink:
         for line in lines:
             console.print(line, soft_wrap=True)
         write_report(self.json, {"peer": self.peer, "verdict": verdict, "link": summary})
-
-
-def simulated_arm() -> "Follower":
-    """The arm of `haptether slave`."""
-    import math
-
-    from haptether.studies import Follower
-
-    mass_kg, pole = 4.0, 2.0 * math.pi * 15.0  # of `Arm()`
-    return Follower(mass_kg=mass_kg, damping=2.0 * mass_kg * pole, stiffness=mass_kg * pole**2)
-
-
-def simulated_loop(wall_stiffness: float, force_scale: float) -> "ContactLoop":
-    """The device and hand of `haptether master` that press a wall through the arm of `haptether slave`."""
-    from haptether.cli.live.sides import HAND_DAMPING, HAND_STIFFNESS
-    from haptether.master import HapticDevice
-    from haptether.studies import ContactLoop
-
-    device = HapticDevice.phantom_desktop()
-    return ContactLoop(
-        mass_kg=device.mass_kg,
-        damping=device.viscous + HAND_DAMPING,
-        hand_stiffness=HAND_STIFFNESS,
-        environment_stiffness=wall_stiffness,
-        force_scale=force_scale,
-        follower=simulated_arm(),
-    )
 
 
 def scene_loops(scene: "Scene", wall_stiffness: float | None = None) -> list["ContactLoop"]:

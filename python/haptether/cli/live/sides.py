@@ -1,5 +1,6 @@
 """Live sides, begun as a scene or the options say: their device is a model, or real with a driver."""
 
+import math
 import os
 import sys
 import time
@@ -16,10 +17,8 @@ if TYPE_CHECKING:
         LiveMaster,
         LiveSlave,
         MasterRun,
-        MasterSettings,
         Scene,
         SlaveRun,
-        SlaveSettings,
     )
     from haptether.cli.live.check_link import CheckLink
     from haptether.cli.live.master import Controller, Master
@@ -101,15 +100,14 @@ def start_master(
 
     arguments = {**arguments, "peer": command.peer, "started_s": started_s()}
     if scene is None:
-        settings = master_settings(
-            command.controller,
+        scene = baseline_scene(
+            controller=command.controller,
             depth=command.depth,
             release_at_s=command.release_at_s,
             force_scale=command.force_scale,
             encoder_quantum=command.encoder_quantum,
             clutch=command.clutch,
         )
-        return stopped.attached(LiveMaster(settings, **arguments))
     spec = scene_json(scene)
     if scene.master.driver is None:
         return stopped.attached(LiveMaster(spec, **arguments))
@@ -130,13 +128,12 @@ def start_slave(
     from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_slave, scene_json
 
     if scene is None:
-        settings = slave_settings(
+        scene = baseline_scene(
             wall_stiffness=command.wall_stiffness,
             push_at_s=command.push_at_s,
             push_force_n=command.push_force_n,
             push_duration_s=command.push_duration_s,
         )
-        return stopped.attached(LiveSlave(settings, **arguments))
     assert scene.slave is not None
     if scene.slave.device == "simulated":
         return stopped.attached(LiveSlave(scene_json(scene), **arguments))
@@ -207,7 +204,7 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     raise RuntimeError(message)
 
 
-# -------------------------------------------------------------------------------------- simulated sides without a scene
+# ------------------------------------------------------------------------------------ the scene of both sides without one
 
 START_M = 0.02
 """Where hand and arm begin, in m in front of the wall."""
@@ -227,59 +224,79 @@ RELEASE_RAMP_S = 0.2
 PUSH_RISE_S = 0.5
 
 
-def master_settings(
-    controller: "Controller",
+def baseline_scene(
     *,
-    depth: float,
-    release_at_s: float | None,
+    controller: "Controller" = "none",
+    depth: float = 0.045,
+    release_at_s: float | None = None,
     force_scale: float = 1.0,
     encoder_quantum: float = 2.3e-5,
-    clutch: Literal["once", "auto", "never"] = "once",
-) -> "MasterSettings":
-    """A PHANTOM Desktop in a hand that presses `depth` m deep and lets go at `release_at_s` (never if none).
+    clutch: Literal["once", "auto"] = "once",
+    wall_stiffness: float = 100.0,
+    push_at_s: float | None = None,
+    push_force_n: float = 3.5,
+    push_duration_s: float = 2.0,
+) -> "Scene":
+    """The scene of `haptether master` and `haptether slave` without `--scene`.
+
+    A PHANTOM Desktop in a hand that presses `depth` m deep and lets go at `release_at_s` (never if none), and a
+    position-controlled arm in front of a wall at x = 0 that is shoved at `push_at_s` (never if none).
 
     Raises:
         ValueError: A parameter out of its bounds.
     """
-    from haptether.bridge import MasterSettings
-    from haptether.master import Hand, HapticDevice
-    from haptether.safety import SafetySettings
-
-    if release_at_s is not None and not release_at_s >= 0.0:
-        message = f"release_at_s = {release_at_s:g}: must be at least 0 s"
-        raise ValueError(message)
-    hand = Hand(
-        stiffness=HAND_STIFFNESS,
-        damping=HAND_DAMPING,
-        strength_n=GRIP_STRENGTH_N,
-        start=START_M,
-        legs=[(PRESS_S, -depth, "minimum-jerk")],
-        release=None if release_at_s is None else (release_at_s, RELEASE_DURATION_S),
-    )
-    safety = SafetySettings(
-        [] if controller == "none" else [controller],
-        hsc_force_threshold_n=HSC_FORCE_THRESHOLD_N,
-        hold_off_s=HOLD_OFF_S,
-        release_ramp_s=RELEASE_RAMP_S,
-    )
-    device = HapticDevice.phantom_desktop(encoder_quantum=encoder_quantum, stops=STOPS_M)
-    return MasterSettings(
-        device, hand, safety=safety, force_scale=force_scale, clutch=[] if clutch == "never" else clutch
+    from haptether.bridge import (
+        ContactTable,
+        CouplingTable,
+        EnvironmentTable,
+        LegTable,
+        MasterTable,
+        ObjectTable,
+        OperatorTable,
+        PusherTable,
+        ReleaseTable,
+        SafetyTable,
+        Scene,
+        SlaveTable,
+        override_scene,
     )
 
-
-def slave_settings(
-    *, wall_stiffness: float, push_at_s: float | None, push_force_n: float, push_duration_s: float
-) -> "SlaveSettings":
-    """A position-controlled arm in front of a wall at x = 0 that is shoved at `push_at_s` (never if none).
-
-    Raises:
-        ValueError: A parameter out of its bounds.
-    """
-    from haptether.bridge import SlaveSettings
-    from haptether.slave import Arm, Pusher, Wall
-
-    # Also where there is none: what cannot be is refused all the same.
-    push = Pusher(at_s=push_at_s or 0.0, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S)
-    pusher = None if push_at_s is None else push
-    return SlaveSettings(Arm(), Wall(stiffness=wall_stiffness), pusher=pusher, position=START_M)
+    for name, value, is_allowed, allowed in (
+        ("release_at_s", release_at_s or 0.0, not (release_at_s or 0.0) < 0.0, "at least 0 s"),
+        ("force_scale (lambda_f)", force_scale, force_scale > 0.0, "finite and above 0"),
+        ("wall stiffness", wall_stiffness, wall_stiffness >= 0.0, "finite and at least 0"),
+    ):
+        if not (math.isfinite(value) and is_allowed):
+            message = f"{name} = {value:g}: must be {allowed}"
+            raise ValueError(message)
+    release = None if release_at_s is None else ReleaseTable(at_s=release_at_s, decay_s=RELEASE_DURATION_S)
+    push = PusherTable(
+        shape="ramp", at_s=push_at_s or 0.0, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S
+    )
+    scene = Scene(
+        schema=1,
+        master=MasterTable(device="phantom-desktop", encoder_quantum=encoder_quantum, stops=STOPS_M),
+        operator=OperatorTable(
+            stiffness=HAND_STIFFNESS,
+            damping=HAND_DAMPING,
+            grip_strength_n=GRIP_STRENGTH_N,
+            start=START_M,
+            legs=(LegTable(duration_s=PRESS_S, end=-depth),),
+            release=release,
+            clutch=clutch,
+        ),
+        slave=SlaveTable(),
+        environment=EnvironmentTable(
+            objects=(ObjectTable(contact=ContactTable(stiffness=wall_stiffness)),), pushers=(push,)
+        ),
+        coupling=CouplingTable(force_scale=force_scale),
+        safety=SafetyTable(
+            controllers=() if controller == "none" else (controller,),
+            hsc_force_threshold_n=HSC_FORCE_THRESHOLD_N,
+            hold_off_s=HOLD_OFF_S,
+            release_ramp_s=RELEASE_RAMP_S,
+        ),
+    )
+    # Also where there is no push: what cannot be is refused all the same.
+    scene = override_scene(scene, ())
+    return scene if push_at_s is not None else override_scene(scene, ["environment.pushers=[]"])
