@@ -23,9 +23,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import LiveMaster, MasterSettings
-from haptether.master import Hand, HapticDevice
-from haptether.safety import SafetySettings
+from haptether.bridge import LiveMaster, MasterTable, OperatorTable, SafetyTable, Scene, SlaveTable, scene_json
 
 EXAMPLE = "example: python benches/loop.py --rounds 10 --json -"
 PRIORITY, PERIOD_US = 80, 1000
@@ -73,17 +71,18 @@ def cyclictest(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int]:
 
 def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, str]:
     """The same of the live loop, and what it got of the system."""
-    settings = MasterSettings(
-        HapticDevice.phantom_desktop(),
-        Hand(stiffness=300, damping=8, strength_n=12, start=0.0),
-        safety=SafetySettings(["hsc", "wsc"]),
-        clutch=[],
+    scene = Scene(
+        schema=1,
+        master=MasterTable(device="phantom-desktop"),
+        operator=OperatorTable(stiffness=300.0, damping=8.0, grip_strength_n=12.0, clutch=()),
+        slave=SlaveTable(),
+        safety=SafetyTable(controllers=("hsc", "wsc")),
     )
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
         sink.bind(("127.0.0.1", 0))
         peer = f"127.0.0.1:{sink.getsockname()[1]}"
         master = LiveMaster(
-            settings,
+            scene_json(scene),
             peer=peer,
             session=1,
             insecure=True,

@@ -9,11 +9,24 @@ the hand lets go.
 import argparse
 from typing import Literal, get_args
 
-from haptether.bridge import MasterSettings, SlaveSettings, run_bridge
-from haptether.master import Hand, HapticDevice
+from haptether.bridge import (
+    ContactTable,
+    EnvironmentTable,
+    LegTable,
+    LinksTable,
+    MasterTable,
+    ObjectTable,
+    OperatorTable,
+    PusherTable,
+    RecordTable,
+    ReleaseTable,
+    RunTable,
+    SafetyTable,
+    Scene,
+    SlaveTable,
+    simulate,
+)
 from haptether.netsim import LinkSettings
-from haptether.safety import SafetySettings
-from haptether.slave import Arm, Pusher, Wall
 
 RELEASE_S = 2.6
 Controller = Literal["none", "vfc", "hsc", "wsc"]
@@ -21,32 +34,35 @@ Controller = Literal["none", "vfc", "hsc", "wsc"]
 
 def thrown_at(controller: Controller, delay_s: float) -> float:
     """Largest speed in m/s away from the wall after the release."""
-    hand = Hand(
-        stiffness=300.0,
-        damping=8.0,
-        strength_n=12.0,
-        start=0.02,
-        legs=[(1.2, -0.045, "minimum-jerk")],
-        release=(RELEASE_S, 0.05),
-    )
-    safety = SafetySettings(
-        [] if controller == "none" else [controller],
-        hsc_force_threshold_n=1.0,
-        hold_off_s=0.1,
-        release_ramp_s=0.2,
-    )
-    device = HapticDevice.phantom_desktop(stops=(-0.08, 0.08))
-    pusher = Pusher(at_s=2.0, force_n=3.5, duration_s=2.0, rise_s=0.1)
+    wall = ObjectTable(contact=ContactTable(stiffness=100.0))
+    push = PusherTable(shape="ramp", at_s=2.0, force_n=3.5, duration_s=2.0, rise_s=0.1)
     link = LinkSettings(delay_s=delay_s, jitter_s=delay_s / 10.0, loss=0.01)
-    trace, *_ = run_bridge(
-        MasterSettings(device, hand, safety=safety),
-        SlaveSettings(Arm(), Wall(stiffness=100.0), pusher=pusher, position=0.02),
-        forward=link,
-        backward=link,
-        duration_s=3.6,
-        seed=1,
+    scene = Scene(
+        schema=1,
+        run=RunTable(duration_s=3.6, seed=1),
+        master=MasterTable(device="phantom-desktop", stops=(-0.08, 0.08)),
+        operator=OperatorTable(
+            stiffness=300.0,
+            damping=8.0,
+            grip_strength_n=12.0,
+            start=0.02,
+            legs=(LegTable(duration_s=1.2, end=-0.045),),
+            release=ReleaseTable(at_s=RELEASE_S, decay_s=0.05),
+            clutch="once",
+        ),
+        slave=SlaveTable(),
+        environment=EnvironmentTable(objects=(wall,), pushers=(push,)),
+        link=LinksTable(forward=link, backward=link),
+        safety=SafetyTable(
+            controllers=() if controller == "none" else (controller,),
+            hsc_force_threshold_n=1.0,
+            hold_off_s=0.1,
+            release_ramp_s=0.2,
+        ),
+        record=RecordTable(),
     )
-    return float(trace.velocity[trace.time_s >= RELEASE_S].max())
+    signals = simulate(scene).signals
+    return float(signals.velocity[signals.time_s >= RELEASE_S].max())
 
 
 def main() -> None:

@@ -11,12 +11,13 @@ import numpy as np
 from tests.faults.rows import Complaints, Row
 from tests.faults.signals import NAMES, Ticks
 from tests.faults.virtual import CLEAN, DELAY_S, FADE_S, PERIOD_S
+from tests.scene.two_sides import reports, two_sides
 
-from haptether.bridge import LadderSettings, LiveMaster, LiveSlave, MasterSettings, SlaveSettings, run_bridge
-from haptether.cli.live.sides import master_settings, slave_settings
+from haptether.bridge import LiveMaster, LiveSlave, scene_json, simulate
+from haptether.cli.live.sides import baseline_scene
 from haptether.master import Hand, HapticDevice
 from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySettings, SafetyTicks, fault_message
-from haptether.slave import Arm, Pusher, Wall
+from haptether.slave import Arm, Wall
 from haptether.studies import RAVEN_ATTACKS
 from haptether.studies.raven import measure_attack
 
@@ -56,14 +57,15 @@ def from_arm() -> Row:
     found = Complaints()
     took_s, moved_m, force_n = 0.0, 0.0, 0.0
     for push_n in (1e4, 1e300, sys.float_info.max):
-        hand = Hand(stiffness=300.0, damping=8.0, strength_n=12.0, start=0.02, legs=[(0.8, -0.03, "minimum-jerk")])
-        pusher = Pusher(at_s=PUSH_S, force_n=push_n, duration_s=0.5)
-        near, far, _, report = run_bridge(
-            MasterSettings(HapticDevice.phantom_desktop(), hand),
-            SlaveSettings(Arm(), Wall(stiffness=100.0), pusher=pusher, position=0.02),
-            forward=CLEAN, backward=CLEAN, duration_s=3.0, seed=7, secure=True,
-        )  # fmt: skip
-        master, slave = Ticks.of_trace(near), Ticks.of_trace(far)
+        scene = two_sides(
+            run={"duration_s": 3.0, "seed": 7},
+            operator={"legs": [{"duration_s": 0.8, "end": -0.03}]},
+            environment={"pushers": [{"at_s": PUSH_S, "force_n": push_n, "duration_s": 0.5}]},
+            link={"forward": CLEAN, "backward": CLEAN},
+            security={},
+        )
+        run = simulate(scene)
+        (master, slave), (_, report) = Ticks.of_run(run), reports(run)
         pushed_s = report.engaged_s + PUSH_S
         found.check(slave.last == "fault", f"{push_n:g} N: the slave ended in {slave.last}")
         found.check(master.last == "stop", f"{push_n:g} N: the master ended in {master.last}")
@@ -71,8 +73,8 @@ def from_arm() -> Row:
         took_s = max(took_s, master.held_after_s(pushed_s))
         moved_m = max(moved_m, slave.travelled())
         force_n = max(force_n, master.force_after_n(FADE_S + PERIOD_S))
-        force = np.abs(near.device_force)
-        grown_n = float(force[near.time_s >= pushed_s].max() - force[near.time_s < pushed_s].max())
+        force = np.abs(master.output)
+        grown_n = float(force[master.time_s >= pushed_s].max() - force[master.time_s < pushed_s].max())
         # The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
         found.check(grown_n <= 1e-6, f"{push_n:g} N: {grown_n:g} N more on the hand")
     limit_s = DELAY_S + 2 * PERIOD_S
@@ -120,7 +122,7 @@ def _layer(signal: str, sample: float) -> SafetyTicks:
 def at_the_door() -> Row:
     """What describes a side is refused before there is one."""
     builds: dict[str, Callable[[float], object]] = {
-        "force_scale": lambda bad: master_settings("wsc", depth=0.03, release_at_s=None, force_scale=bad),
+        "force_scale": lambda bad: baseline_scene(force_scale=bad),
         "mass_kg": lambda bad: HapticDevice(mass_kg=bad),
         "hand stiffness": lambda bad: Hand(stiffness=bad, damping=8.0, strength_n=12.0, start=0.0),
         "wall stiffness": lambda bad: Wall(stiffness=bad),
@@ -129,7 +131,7 @@ def at_the_door() -> Row:
         "max_force_n": lambda bad: SafetyLayer(
             DeviceModel.phantom_desktop(), SafetySettings(["wsc"]), limiter=LimiterSettings(max_force_n=bad)
         ),
-        "hold_after_s": lambda bad: LadderSettings(hold_after_s=bad),
+        "hold_after_s": lambda bad: simulate(two_sides(), overrides=[f"safety.ladder.hold_after_s={bad}"]),
     }
     found = Complaints()
     asked = 0
@@ -147,13 +149,9 @@ def at_the_door() -> Row:
 def to_a_living_loop() -> Row:
     """A scale that cannot be, told to loops that run: refused, and they run on as they did."""
     key = secrets.token_bytes(32)
-    slave = LiveSlave(
-        slave_settings(wall_stiffness=100.0, push_at_s=None, push_force_n=1.0, push_duration_s=1.0),
-        listen="127.0.0.1:0", session=1, key=key, realtime="off",
-    )  # fmt: skip
-    master = LiveMaster(
-        master_settings("none", depth=0.045, release_at_s=None), peer=slave.address, session=2, key=key, realtime="off",
-    )  # fmt: skip
+    scene = scene_json(baseline_scene())
+    slave = LiveSlave(scene, listen="127.0.0.1:0", session=1, key=key, realtime="off")
+    master = LiveMaster(scene, peer=slave.address, session=2, key=key, realtime="off")
     found = Complaints()
     asked = 0
     time.sleep(1.5)

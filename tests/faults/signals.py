@@ -6,7 +6,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from haptether.bridge import MasterTrace, SlaveTrace
+from haptether.bridge import Run
 
 Array = npt.NDArray[np.float64]
 
@@ -26,10 +26,18 @@ class Ticks:
     """Of a master the force on the hand in N, of a slave the commanded position in m."""
 
     @classmethod
-    def of_trace(cls, trace: MasterTrace | SlaveTrace) -> Self:
-        """Of a run in virtual time."""
-        output = trace.device_force if isinstance(trace, MasterTrace) else trace.command
-        return cls(time_s=trace.time_s, state=trace.state.astype(np.int64), age_s=trace.age_s, output=output)
+    def of_run(cls, run: Run) -> tuple[Self, Self]:
+        """Master and slave of a run in virtual time, where the slave's ages are not recorded."""
+        signals = run.signals
+        master = cls(
+            time_s=signals.time_s, state=signals.state.astype(np.int64), age_s=signals.age_s,
+            output=signals.device_force,
+        )  # fmt: skip
+        slave = cls(
+            time_s=signals.slave_time_s, state=signals.slave_state.astype(np.int64),
+            age_s=np.full(len(signals.slave_time_s), np.nan), output=signals.slave_command,
+        )  # fmt: skip
+        return master, slave
 
     @classmethod
     def of_signals(cls, side: str, signals: dict[str, npt.NDArray[Any]]) -> Self:

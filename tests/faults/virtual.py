@@ -3,14 +3,13 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Literal, TypeAlias
 
 import numpy as np
 from tests.faults.rows import Complaints, Row
 from tests.faults.signals import Ticks
+from tests.scene.two_sides import reports, two_sides
 
-from haptether.bridge import LoopReport, MasterSettings, SlaveSettings, run_bridge
-from haptether.master import Hand, HapticDevice
+from haptether.bridge import LoopReport, simulate
 from haptether.netsim import (
     Attack,
     BitFlip,
@@ -25,8 +24,6 @@ from haptether.netsim import (
     SequenceLead,
     Target,
 )
-from haptether.safety import SafetySettings
-from haptether.slave import Arm, Wall
 
 PERIOD_S = 1e-3
 DELAY_S = 0.005
@@ -39,8 +36,6 @@ AGAIN_S = 3.0
 """After the end of a fault: the simulated person presses half a second after both sides are ready."""
 STROKE_S = 0.4
 CLEAN = LinkSettings(delay_s=DELAY_S)
-
-Leg: TypeAlias = tuple[float, float, Literal["linear", "minimum-jerk"]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,18 +50,17 @@ class Pair:
 
 def run(forward: LinkSettings, backward: LinkSettings, duration_s: float) -> Pair:
     """A hand that strokes a wall to and fro, 15 mm in 0.4 s, and a person who presses again after each hold."""
-    first: Leg = (1.0, -0.03, "minimum-jerk")
-    strokes: list[Leg] = [
-        (STROKE_S, (-0.045, -0.03)[n % 2], "minimum-jerk") for n in range(round(duration_s / STROKE_S))
-    ]
-    hand = Hand(stiffness=300.0, damping=8.0, strength_n=12.0, start=0.02, legs=[first, *strokes])
-    safety = SafetySettings(["wsc"], hold_off_s=0.1, release_ramp_s=0.2)
-    master = MasterSettings(HapticDevice.phantom_desktop(), hand, safety=safety, clutch="auto")
-    slave = SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02)
-    near, far, at_master, at_slave = run_bridge(
-        master, slave, forward=forward, backward=backward, duration_s=duration_s, seed=7, secure=True
+    strokes = [{"duration_s": STROKE_S, "end": (-0.045, -0.03)[n % 2]} for n in range(round(duration_s / STROKE_S))]
+    scene = two_sides(
+        run={"duration_s": duration_s, "seed": 7},
+        operator={"legs": [{"duration_s": 1.0, "end": -0.03}, *strokes], "clutch": "auto"},
+        link={"forward": forward, "backward": backward},
+        security={},
+        safety={"controllers": ["wsc"], "hold_off_s": 0.1, "release_ramp_s": 0.2},
     )
-    return Pair(master=Ticks.of_trace(near), slave=Ticks.of_trace(far), at_master=at_master, at_slave=at_slave)
+    done = simulate(scene)
+    (master, slave), (at_master, at_slave) = Ticks.of_run(done), reports(done)
+    return Pair(master=master, slave=slave, at_master=at_master, at_slave=at_slave)
 
 
 @cache

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.scene.two_sides import reports, two_sides
 from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge import (
-    LadderSettings,
     LiveMaster,
     LiveSlave,
-    MasterSettings,
-    SlaveSettings,
+    override_scene,
+    scene_json,
+    simulate,
     write_key,
 )
-from haptether.master import Hand, HapticDevice
-from haptether.slave import Arm, Wall
+from haptether.cli.live.sides import baseline_scene
 
 pytestmark = pytest.mark.live
 
@@ -251,10 +251,6 @@ def test_a_second_master_is_refused_while_the_first_lives(key: Path, children: l
 
 def test_live_and_virtual_time_run_the_same_scene(key: Path, children: list[Child], tmp_path: Path) -> None:
     """Parity: the same press, push and release, over loopback and in virtual time."""
-    from haptether.bridge import run_bridge
-    from haptether.cli.live.sides import master_settings, slave_settings
-    from haptether.netsim import LinkSettings
-
     slave = Child(
         "slave", "--key", str(key), "--listen", "127.0.0.1:0", "--push-at-s", "1.8", "--patience-s", "30",
     )  # fmt: skip
@@ -268,14 +264,9 @@ def test_live_and_virtual_time_run_the_same_scene(key: Path, children: list[Chil
     master.end()
     live = load(trace_path)
 
-    perfect = LinkSettings()
-    virtual, _, report, _ = run_bridge(
-        master_settings("hsc", depth=0.045, release_at_s=2.2),
-        slave_settings(wall_stiffness=100.0, push_at_s=1.8, push_force_n=3.5, push_duration_s=2.0),
-        forward=perfect,
-        backward=perfect,
-        duration_s=2.8,
-    )
+    scene = baseline_scene(controller="hsc", release_at_s=2.2, push_at_s=1.8)
+    run = simulate(override_scene(scene, ["run.duration_s=2.8", "record.every=1"]))
+    virtual, (report, _) = run.signals, reports(run)
     engaged = int(np.flatnonzero(live["state"] == 2)[0])
     offset = round(report.engaged_s * 1e3)
     if not np.isin(live["state"][engaged:], (2, 3)).all():
@@ -470,17 +461,13 @@ def test_both_sides_record_what_they_did(key: Path, children: list[Child], tmp_p
 
 @anew_after_stalls
 def test_scales_change_while_both_sides_run() -> None:
-    hand = Hand(stiffness=300.0, damping=8.0, strength_n=20.0, start=0.02, legs=[(0.4, -0.03, "minimum-jerk")])
-    ladder = LadderSettings(hold_after_s=0.1, stop_after_s=1.0)
+    scene = two_sides(
+        operator={"grip_strength_n": 20.0, "legs": [{"duration_s": 0.4, "end": -0.03}]},
+        safety={"ladder": {"hold_after_s": 0.1, "stop_after_s": 1.0}},
+    )
     key = bytes(range(32))
-    slave = LiveSlave(
-        SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02, ladder=ladder),
-        listen="127.0.0.1:0", session=2, key=key,
-    )  # fmt: skip
-    master = LiveMaster(
-        MasterSettings(HapticDevice.phantom_desktop(), hand, ladder=ladder),
-        peer=slave.address, session=1, key=key,
-    )  # fmt: skip
+    slave = LiveSlave(scene_json(scene), listen="127.0.0.1:0", session=2, key=key)
+    master = LiveMaster(scene_json(scene), peer=slave.address, session=1, key=key)
     for refused in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="must be finite and above 0"):
             master.set_force_scale(refused)

@@ -14,24 +14,22 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import pytest
+from tests.scene.two_sides import two_sides
 
 from haptether.bridge import (
     LiveMaster,
     LiveSlave,
     LoopReport,
-    MasterSettings,
     MasterTrace,
     load_scene,
     read_recording,
     scene_json,
 )
-from haptether.master import Hand, HapticDevice
 
 pytestmark = pytest.mark.alone
 
 PERIOD_S = 1e-3
 BUSY_S = 4.0
-HAND = Hand(stiffness=300, damping=8, strength_n=12, start=0.0)
 
 
 class Options(TypedDict, total=False):
@@ -53,8 +51,8 @@ def peer() -> Iterator[str]:
 
 
 def start(peer: str, patience_s: float | None = None, **options: Unpack[Options]) -> LiveMaster:
-    settings = MasterSettings(HapticDevice.phantom_desktop(), HAND, clutch=[])
-    return LiveMaster(settings, peer=peer, session=1, insecure=True, patience_s=patience_s, **options)
+    scene = scene_json(two_sides(operator={"clutch": []}))
+    return LiveMaster(scene, peer=peer, session=1, insecure=True, patience_s=patience_s, **options)
 
 
 def run_for(peer: str, seconds: float, **options: Unpack[Options]) -> tuple[MasterTrace, LoopReport]:

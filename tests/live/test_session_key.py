@@ -6,14 +6,11 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from haptether.bridge import LiveSlave, read_key, wipe_key, write_key
-from haptether.cli.live.sides import slave_settings
-
-PUSH: dict[str, Any] = {"wall_stiffness": 100.0, "push_at_s": None, "push_force_n": 3.5, "push_duration_s": 2.0}
+from haptether.bridge import LiveSlave, read_key, scene_json, wipe_key, write_key
+from haptether.cli.live.sides import baseline_scene
 
 
 def key_text(length: int = 32) -> str:
@@ -61,7 +58,7 @@ def test_a_weak_key_is_refused_wherever_it_enters(tmp_path: Path, key: bytes) ->
         read_key(written(tmp_path / "arm.key", text))
     for given in (key, bytearray(key)):
         with pytest.raises(ValueError, match="weak key"):
-            LiveSlave(slave_settings(**PUSH), listen="127.0.0.1:0", session=1, key=given)
+            LiveSlave(scene_json(baseline_scene()), listen="127.0.0.1:0", session=1, key=given)
 
 
 def copies(pid: int, *secrets: bytes) -> int:
@@ -83,19 +80,17 @@ def copies(pid: int, *secrets: bytes) -> int:
     return found
 
 
-HELD = (
-    f"PUSH = {PUSH!r}"
-    """
+HELD = """
 import base64, ctypes, resource, sys, time
 from pathlib import Path
-from haptether.bridge import LiveMaster, LiveSlave, read_key, wipe_key
-from haptether.cli.live.sides import master_settings, slave_settings
+from haptether.bridge import LiveMaster, LiveSlave, read_key, scene_json, wipe_key
+from haptether.cli.live.sides import baseline_scene
 
 def settled(port):
     key = read_key(Path(sys.argv[1]))
-    slave = LiveSlave(slave_settings(**PUSH), listen="127.0.0.1:0", session=1, key=key, realtime="off")
-    settings = master_settings("none", depth=0.0, release_at_s=None)
-    master = LiveMaster(settings, peer=slave.address, session=2, key=key, realtime="off")
+    scene = scene_json(baseline_scene(depth=0.0))
+    slave = LiveSlave(scene, listen="127.0.0.1:0", session=1, key=key, realtime="off")
+    master = LiveMaster(scene, peer=slave.address, session=2, key=key, realtime="off")
     wipe_key(key)
     end = time.monotonic() + 20.0
     while master.state == "disengaged" and time.monotonic() < end:
@@ -111,7 +106,6 @@ del sides
 print("ended", flush=True)
 sys.stdin.readline()
 """
-)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

@@ -16,11 +16,11 @@ from tests.faults import stopping
 from tests.faults.processes import Limits
 from tests.faults.rows import Row
 from tests.faults.running import HAPTETHER
+from tests.scene.two_sides import two_sides
 from tests.soak.memory import anonymous_bytes
 
-from haptether.bridge import LiveSlave, SlaveSettings, read_recording
+from haptether.bridge import LiveSlave, read_recording, scene_json
 from haptether.cli.live.run import FlightFile
-from haptether.slave import Arm, Wall
 
 pytestmark = pytest.mark.live
 
@@ -218,9 +218,8 @@ def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> N
 
 def test_what_is_kept_of_a_run_is_bounded_and_in_order() -> None:
     slave = LiveSlave(
-        SlaveSettings(Arm(), Wall(stiffness=100.0), position=0.02), listen="127.0.0.1:0", session=1, insecure=True,
-        keep_s=0.25, patience_s=1.0,
-    )  # fmt: skip
+        scene_json(two_sides()), listen="127.0.0.1:0", session=1, insecure=True, keep_s=0.25, patience_s=1.0
+    )
     while not slave.finished:
         assert slave.poll() <= 250
         time.sleep(0.01)

@@ -1,25 +1,23 @@
 """Both sides of the bridge in virtual time, against closed forms and netsim's own verdicts."""
 
+import math
+import pickle
 import re
-from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.scene.two_sides import reports, two_sides
 
 from haptether.bridge import (
     LinkStatistics,
-    LoopReport,
-    MasterSettings,
-    MasterTrace,
-    SlaveSettings,
-    SlaveTrace,
+    Run,
+    SceneError,
     ladder_reason,
     ladder_state_name,
-    run_bridge,
+    simulate,
 )
-from haptether.master import Hand, HapticDevice
 from haptether.netsim import (
     Attack,
     Forge,
@@ -31,36 +29,28 @@ from haptether.netsim import (
     judge_all,
     link_bounds,
 )
-from haptether.safety import EstimatorKind, LimiterSettings, SafetySettings
-from haptether.slave import Arm, Pusher, Wall
-
-Run = tuple[MasterTrace, SlaveTrace, LoopReport, LoopReport]
+from haptether.slave import Arm
 
 TICK_NS = 1_000_000
 MASS = 0.157
+DEVICE = {"device": None, "mass_kg": MASS}
 START, TARGET = 0.02, -0.03
 HAND_STIFFNESS = 600.0
 WALL_STIFFNESS = 200.0
-OPEN = LimiterSettings(max_force_n=100.0, max_slew_n_per_s=1e6, max_power_w=1e4)
+OPEN = {"limiter": {"max_force_n": 100.0, "max_slew_n_per_s": 1e6, "max_power_w": 1e4}}
 """Bounds that nothing reaches in a sound run."""
 
 PERFECT = LinkSettings()
 # 50 ms +- 10 ms.
-ROUGH = LinkSettings(delay_s=0.05, jitter_s=0.01 / np.sqrt(3.0), distribution="uniform", loss=0.01)
+ROUGH = LinkSettings(delay_s=0.05, jitter_s=0.01 / math.sqrt(3.0), distribution="uniform", loss=0.01)
 DEAD = LinkSettings(loss=1.0)
 
-BOTH = ("time_s", "position", "state", "overshoot_s")
-SIGNALS = {
-    MasterTrace: (
-        *BOTH,
-        *("velocity", "hand_force", "rendered_force", "grasp_force", "safety_force"),
-        *("device_force", "velocity_force", "grasp", "windowed_energy_j"),
-        *("tripped", "acted", "age_s"),
-    ),
-    SlaveTrace: (*BOTH, "command", "environment_force"),
-}
 COUNTS = ("sent", "fresh", "late", "duplicate", "refused", "missing")
 ROUND_TRIPS = ("round_trip_s", "least_round_trip_s")
+
+
+def links(forward: LinkSettings, backward: LinkSettings | None = None) -> dict[str, LinkSettings]:
+    return {"forward": forward, "backward": forward if backward is None else backward}
 
 
 def press(
@@ -73,23 +63,16 @@ def press(
     hand_damping: float = 20.0,
 ) -> Run:
     """A hand goes from before a remote wall to a target inside it within 1 s, and stays."""
-    hand = Hand(
-        stiffness=HAND_STIFFNESS,
-        damping=hand_damping,
-        strength_n=500.0,
-        start=START,
-        legs=[(1.0, TARGET, "minimum-jerk")],
+    hand = {"stiffness": HAND_STIFFNESS, "damping": hand_damping, "grip_strength_n": 500.0, "start": START}
+    scene = two_sides(
+        run={"duration_s": duration_s, "seed": seed},
+        master=DEVICE,
+        operator={**hand, "legs": [{"duration_s": 1.0, "end": TARGET}]},
+        environment={"objects": [{"contact": {"stiffness": wall_stiffness}}]},
+        safety=OPEN,
+        link=links(forward, backward),
     )
-    master = MasterSettings(HapticDevice(mass_kg=MASS), hand, limiter=OPEN)
-    slave = SlaveSettings(Arm(), Wall(stiffness=wall_stiffness), position=START)
-    return run_bridge(
-        master,
-        slave,
-        forward=forward,
-        backward=forward if backward is None else backward,
-        duration_s=duration_s,
-        seed=seed,
-    )
+    return simulate(scene)
 
 
 def contact_stiffness() -> float:
@@ -103,28 +86,19 @@ def series_force() -> float:
 
 
 def contents(run: Run) -> list[bytes]:
-    traces = [getattr(trace, name).tobytes() for trace in run[:2] for name in SIGNALS[type(trace)]]
-    counts = [getattr(report.link, n) for report in run[2:] for n in (*COUNTS, *ROUND_TRIPS)]
-    return [*traces, repr(counts).encode()]
+    counts = [getattr(report.link, n) for report in reports(run) for n in (*COUNTS, *ROUND_TRIPS)]
+    return [*(signal.tobytes() for signal in run.signals.values()), repr(counts).encode()]
 
 
 def test_every_signal_has_one_number_a_tick() -> None:
     run = press(duration_s=0.25)
-    for trace in run[:2]:
-        assert len(trace) == 250
-        for name in SIGNALS[type(trace)]:
-            signal = getattr(trace, name)
-            bits = name in {"tripped", "acted", "state"}
-            assert (signal.dtype, signal.shape) == (np.uint8 if bits else np.float64, (250,))
-        assert np.allclose(trace.time_s, np.arange(250) * 1e-3, rtol=0.0, atol=1e-15)
-        assert not trace.overshoot_s.any()
-    for report in run[2:]:
-        assert (report.ticks, report.skipped, report.dropped_records, report.unsent) == (
-            250,
-            0,
-            0,
-            0,
-        )
+    for name, signal in run.signals.items():
+        assert signal.dtype == (np.uint8 if name in {"tripped", "state", "slave_state"} else np.float64)
+        assert signal.shape == (250,)
+    for time_s in (run.signals.time_s, run.signals.slave_time_s):
+        assert np.allclose(time_s, np.arange(250) * 1e-3, rtol=0.0, atol=1e-15)
+    for report in reports(run):
+        assert (report.ticks, report.skipped, report.dropped_records, report.unsent) == (250, 0, 0, 0)
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
@@ -138,110 +112,115 @@ def test_a_perfect_network_needs_no_seed() -> None:
 
 
 def test_contact_settles_where_the_springs_in_series_do() -> None:
-    master, slave, *reports = press(duration_s=4.0)
-    force = series_force()
+    run = press(duration_s=4.0)
+    signals, force = run.signals, series_force()
     # 3 s after the path ended the slowest mode, above 20 /s, is down to e^-60; rounding remains.
     tolerance = 1e-12 * HAND_STIFFNESS
-    assert abs(master.rendered_force[-1] - force) <= tolerance
-    assert abs(slave.environment_force[-1] - force) <= tolerance
-    assert abs(master.hand_force[-1] + force) <= tolerance
-    assert abs(master.position[-1] - (TARGET + force / HAND_STIFFNESS)) <= 1e-12
-    assert np.array_equal(master.device_force, master.rendered_force)
-    assert not master.acted.any()
+    assert abs(signals.rendered_force[-1] - force) <= tolerance
+    assert abs(signals.environment_force[-1] - force) <= tolerance
+    assert abs(signals.hand_force[-1] + force) <= tolerance
+    assert abs(signals.position[-1] - (TARGET + force / HAND_STIFFNESS)) <= 1e-12
+    # Nothing bounds the force.
+    assert np.array_equal(signals.device_force, signals.rendered_force)
+    assert not signals.tripped.any()
     # A frame reaches the slave in the same tick and the master in the next.
-    assert [report.engaged_s for report in reports] == [0.001, 0.001]
-    assert {report.link.round_trip_s for report in reports} == {0.001}
-    assert master.age_s[0] == np.inf
-    assert not master.age_s[1:].any()
+    assert [report.engaged_s for report in reports(run)] == [0.001, 0.001]
+    assert {report.link.round_trip_s for report in reports(run)} == {0.001}
+    assert np.isnan(signals.age_s[0])
+    assert not signals.age_s[1:].any()
 
 
 def test_the_slave_follows_from_where_it_stands() -> None:
-    hand = Hand(stiffness=600.0, damping=20.0, strength_n=500.0, start=0.1, legs=[(0.5, 0.15, "linear")])
-    master, slave, *_ = run_bridge(
-        MasterSettings(HapticDevice(mass_kg=MASS), hand),
-        SlaveSettings(Arm(), Wall(stiffness=0.0), position=-3.0, position_scale=0.4),
-        forward=PERFECT,
-        backward=PERFECT,
-        duration_s=2.0,
-    )
+    scene = two_sides(
+        run={"duration_s": 2.0},
+        master=DEVICE,
+        operator={
+            "stiffness": 600.0, "damping": 20.0, "grip_strength_n": 500.0, "start": 0.1,
+            "legs": [{"duration_s": 0.5, "end": 0.15, "shape": "linear"}],
+        },
+        slave={"position": -3.0},
+        environment=None,
+        coupling={"position_scale": 0.4},
+    )  # fmt: skip
+    signals = simulate(scene).signals
     # x_s = x_s0 + lambda_p (x_m - x_m0), with both taken when the sides engaged; no jump before.
-    assert np.all(slave.command[:2] == -3.0)
-    expected = -3.0 + 0.4 * (master.position[1:] - 0.1)
-    assert np.all(abs(slave.command[1:] - expected) <= 1e-14)
-    assert abs(slave.position[-1] - (-3.0 + 0.4 * 0.05)) <= 1e-12
+    assert np.all(signals.slave_command[:2] == -3.0)
+    expected = -3.0 + 0.4 * (signals.position[1:] - 0.1)
+    assert np.all(abs(signals.slave_command[1:] - expected) <= 1e-14)
+    assert abs(signals.slave_position[-1] - (-3.0 + 0.4 * 0.05)) <= 1e-12
 
 
 def test_the_force_is_scaled_and_fades_in() -> None:
-    hand = Hand(stiffness=600.0, damping=20.0, strength_n=500.0, start=0.0)
-    master, slave, *_ = run_bridge(
-        MasterSettings(HapticDevice(mass_kg=MASS), hand, force_scale=0.5, limiter=OPEN),
-        SlaveSettings(
-            Arm(),
-            Wall(stiffness=0.0, position=-1.0),
-            pusher=Pusher(at_s=0.0, force_n=6.0, duration_s=0.5),
-        ),
-        forward=PERFECT,
-        backward=PERFECT,
-        duration_s=1.0,
+    scene = two_sides(
+        run={"duration_s": 1.0},
+        master=DEVICE,
+        operator={"stiffness": 600.0, "damping": 20.0, "grip_strength_n": 500.0, "start": 0.0, "legs": []},
+        environment={"objects": [], "pushers": [{"force_n": 6.0, "duration_s": 0.5}]},
+        coupling={"force_scale": 0.5},
+        safety=OPEN,
     )
+    signals = simulate(scene).signals
     # The slave engages at tick 1 and is shoved from then on: the master hears of it at tick 2.
-    assert np.array_equal(slave.environment_force[2:501], np.full(499, 6.0))
+    assert np.array_equal(signals.environment_force[2:501], np.full(499, 6.0))
     gain = np.clip(np.arange(1000) / 200.0, 0.0, 1.0)
     expected = 0.5 * gain[3:501] * 6.0
     # The gain adds up 1/200 at each tick: 200 roundings of at most 1.
-    assert np.all(abs(master.rendered_force[3:501] - expected) <= 3.0 * 200 * 2.0**-53)
-    assert not master.rendered_force[:2].any()
-    assert not master.rendered_force[503:].any()
+    assert np.all(abs(signals.rendered_force[3:501] - expected) <= 3.0 * 200 * 2.0**-53)
+    assert not signals.rendered_force[:2].any()
+    assert not signals.rendered_force[503:].any()
 
 
 @pytest.mark.parametrize(("forward", "backward"), [(DEAD, DEAD), (DEAD, PERFECT), (PERFECT, DEAD)])
 def test_without_frames_the_sides_never_engage(forward: LinkSettings, backward: LinkSettings) -> None:
-    master, slave, *reports = press(forward=forward, backward=backward, duration_s=1.0)
+    run = press(forward=forward, backward=backward, duration_s=1.0)
+    signals = run.signals
     # Pressed and never answered; the slave aligns where it hears the press.
-    assert {ladder_state_name(int(code)) for code in master.state} == {"aligning"}
+    assert {ladder_state_name(int(code)) for code in signals.state} == {"aligning"}
     expected = {"disengaged"} if forward == DEAD else {"aligning"}
-    assert {ladder_state_name(int(code)) for code in slave.state} == expected
-    assert not master.device_force.any()
-    assert not master.rendered_force.any()
-    assert np.all(master.position == START), "the hand waits"
-    assert np.all(slave.position == START)
-    for report in reports:
+    assert {ladder_state_name(int(code)) for code in signals.slave_state} == expected
+    assert not signals.device_force.any()
+    assert not signals.rendered_force.any()
+    assert np.all(signals.position == START), "the hand waits"
+    assert np.all(signals.slave_position == START)
+    for report in reports(run):
         assert report.engaged_s == np.inf
         assert report.holds == 0
         assert report.link.sent == 1000
         # Nobody hears an echo while one direction is dead.
         assert report.link.least_round_trip_s == 0.0
     if backward == DEAD:
-        assert np.all(master.age_s == np.inf)
+        assert np.all(np.isnan(signals.age_s))
 
 
 def test_a_gentle_wall_stays_bounded_under_delay_jitter_and_loss() -> None:
-    master, slave, *reports = press(forward=ROUGH, duration_s=6.0, seed=11)
+    run = press(forward=ROUGH, duration_s=6.0, seed=11)
+    signals = run.signals
     # The hand (damping ratio 20 / (2 sqrt(600 m)) = 1.03) and the arm in contact (0.997, overshoot
     # below 1e-17) answer no input with more than its static gain, and delay, jitter, loss and hold
     # pass on nothing larger than what was sent. So sup F <= K (d + sup F / K_h), K < K_h.
     stiffness = contact_stiffness()
     bound = stiffness * -TARGET / (1.0 - stiffness / HAND_STIFFNESS)
-    assert master.rendered_force.max() <= bound
-    assert abs(master.position).max() <= -TARGET + bound / HAND_STIFFNESS
+    assert signals.rendered_force.max() <= bound
+    assert abs(signals.position).max() <= -TARGET + bound / HAND_STIFFNESS
     # A round trip and the settling in it, below 0.2 s, leave K/K_h = 1/3 of what was wrong: 4 s after
     # the path ended 3e-10 of some 9 N, after 5 s 1e-12.
-    assert abs(master.rendered_force[-1] - series_force()) <= 1e-10
-    assert np.ptp(master.position[-1000:]) <= 3e-9 / HAND_STIFFNESS
-    assert np.ptp(slave.position[-1000:]) <= 3e-9 / HAND_STIFFNESS
-    assert [report.holds for report in reports] == [0, 0]
+    assert abs(signals.rendered_force[-1] - series_force()) <= 1e-10
+    assert np.ptp(signals.position[-1000:]) <= 3e-9 / HAND_STIFFNESS
+    assert np.ptp(signals.slave_position[-1000:]) <= 3e-9 / HAND_STIFFNESS
+    assert [report.holds for report in reports(run)] == [0, 0]
     # Both must hear that they are heard: two ways, and a few ticks where frames were lost.
-    for report in reports:
+    for report in reports(run):
         assert 0.08 <= report.engaged_s <= 0.13
         assert 0.08 <= report.link.least_round_trip_s <= report.link.round_trip_s <= 0.121
-    assert master.age_s[200:].max() <= 0.02
+    assert signals.age_s[200:].max() <= 0.02
 
 
 def test_a_stiff_wall_under_the_same_network_does_not() -> None:
     # The bound above is no matter of course: 15 times the stiffness and a loose hand swing up.
-    master, *_ = press(forward=ROUGH, duration_s=6.0, seed=11, wall_stiffness=3000.0, hand_damping=5.0)
-    assert master.rendered_force[-1000:].max() > 5 * series_force()
-    assert np.ptp(master.position[-1000:]) > -TARGET
+    signals = press(forward=ROUGH, duration_s=6.0, seed=11, wall_stiffness=3000.0, hand_damping=5.0).signals
+    assert len(signals.time_s) == 6000
+    assert signals.rendered_force[-1000:].max() > 5 * series_force()
+    assert np.ptp(signals.position[-1000:]) > -TARGET
 
 
 def received(
@@ -270,7 +249,7 @@ def received(
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_counts_are_those_of_the_verdicts(forward: LinkSettings, backward: LinkSettings, seed: int) -> None:
     ticks = 1500
-    *_, master, slave = press(forward=forward, backward=backward, seed=seed, duration_s=1.5)
+    master, slave = reports(press(forward=forward, backward=backward, seed=seed, duration_s=1.5))
     ways: list[tuple[LinkStatistics, LinkSettings, Literal["forward", "backward"]]] = [
         (slave.link, forward, "forward"),
         (master.link, backward, "backward"),
@@ -291,113 +270,59 @@ def test_the_counts_are_those_of_the_verdicts(forward: LinkSettings, backward: L
 
 
 def test_a_shove_is_felt_less_with_a_safety_controller() -> None:
-    def highest_speed(safety: SafetySettings | None) -> float:
-        hand = Hand(stiffness=600.0, damping=20.0, strength_n=40.0, start=0.0, release=(1.0, 0.04))
-        master, *_ = run_bridge(
-            MasterSettings(HapticDevice.phantom_desktop(), hand, safety=safety),
-            SlaveSettings(
-                Arm(),
-                Wall(stiffness=0.0, position=-1.0),
-                pusher=Pusher(at_s=0.9, force_n=6.0, duration_s=0.25),
-            ),
-            forward=ROUGH,
-            backward=ROUGH,
-            duration_s=2.0,
-        )
-        assert safety is None or master.tripped.any()
-        return float(abs(master.velocity).max())
+    def highest_speed(*controllers: str) -> float:
+        scene = two_sides(
+            run={"duration_s": 2.0},
+            operator={
+                "stiffness": 600.0, "damping": 20.0, "grip_strength_n": 40.0, "start": 0.0, "legs": [],
+                "release": {"at_s": 1.0, "decay_s": 0.04},
+            },
+            environment={"objects": [], "pushers": [{"at_s": 0.9, "force_n": 6.0, "duration_s": 0.25}]},
+            safety={"controllers": controllers},
+            link=links(ROUGH),
+        )  # fmt: skip
+        signals = simulate(scene).signals
+        assert not controllers or signals.tripped.any()
+        return float(abs(signals.velocity).max())
 
-    loose = highest_speed(None)
+    loose = highest_speed()
     # 6 N on 0.157 kg for the rest of the shove is far beyond the hand's own motion.
     assert loose > 2.0
     for name in ("hsc", "wsc"):
-        assert highest_speed(SafetySettings([name])) < 0.5 * loose
-
-
-def build_master(
-    force_scale: float = 1.0,
-    period_s: float = 1e-3,
-    safety: SafetySettings | None = None,
-    estimator: EstimatorKind | None = None,
-) -> MasterSettings:
-    return MasterSettings(
-        HapticDevice(mass_kg=MASS),
-        Hand.absent(),
-        force_scale=force_scale,
-        period_s=period_s,
-        safety=safety,
-        estimator=estimator,
-    )
-
-
-def build_slave(position: float = 0.0, position_scale: float = 1.0, period_s: float = 1e-3) -> SlaveSettings:
-    return SlaveSettings(
-        Arm(),
-        Wall(stiffness=1.0),
-        position=position,
-        position_scale=position_scale,
-        period_s=period_s,
-    )
+        assert highest_speed(name) < 0.5 * loose
 
 
 @pytest.mark.parametrize(
-    ("build", "told"),
+    ("override", "said"),
     [
-        (
-            lambda: build_master(force_scale=0.0),
-            "force_scale (lambda_f) = 0: must be finite and above 0",
-        ),
-        (
-            lambda: build_slave(position_scale=-1.0),
-            "position_scale (lambda_p) = -1: must be finite and above 0",
-        ),
-        (lambda: build_master(period_s=0.0), "period = 0 ns: must be between 10000 and 20000000"),
-        (lambda: build_slave(period_s=0.021), "period = 21000000 ns: must be between 10000 and"),
-        (lambda: build_master(period_s=np.nan), "period_s = NaN: must be between 0 and 1e9 s"),
-        (lambda: build_slave(position=np.inf), "arm position = inf: must be finite"),
-        (
-            lambda: build_master(safety=SafetySettings(["hsc"], grasp_threshold=1.0)),
-            "grasp_threshold (zeta) = 1: must be finite and above 1",
-        ),
-        (
-            lambda: build_master(estimator=EstimatorKind.low_pass(cutoff_hz=501.0)),
-            "cutoff_hz (f_c) = 501: must be at most half the sample rate",
-        ),
+        ("coupling.force_scale=0.0", "[coupling] force_scale = 0: must be above 0"),
+        ("coupling.position_scale=-1.0", "[coupling] position_scale = -1: must be above 0"),
+        ("run.period_s=0.0", "[run] period_s = 0: must be"),
+        ("slave.period_s=0.021", "[slave] period_s = 0.021: must be"),
+        ("run.period_s=nan", "[run] period_s = nan: must be"),
+        ("slave.position=inf", "[slave] position = inf: must be"),
+        ("safety.grasp_threshold=1.0", "[safety] grasp_threshold = 1: must be above 1"),
+        ('safety.estimator={kind="low-pass", cutoff_hz=501.0}', "cutoff_hz"),
+        *((f"run.duration_s={bad}", "[run] duration_s = ") for bad in (-1.0, 0.0, "nan", "inf")),
     ],
 )
-def test_sides_that_cannot_be_are_refused(build: Callable[[], object], told: str) -> None:
-    with pytest.raises(ValueError, match=f"^{re.escape(told)}"):
-        build()
+def test_sides_that_cannot_be_are_refused(override: str, said: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(said)):
+        simulate(two_sides(), overrides=[override])
 
 
-@pytest.mark.parametrize("duration_s", [-1.0, np.nan, np.inf])
-def test_a_duration_that_is_none_is_refused(duration_s: float) -> None:
-    with pytest.raises(ValueError, match=r"^duration_s = .*: must be between 0 and 1e9 s$"):
-        press(duration_s=duration_s)
-
-
-def test_both_sides_have_one_period() -> None:
-    with pytest.raises(ValueError, match=r"^period_s: master and slave must have the same"):
-        run_bridge(
-            build_master(period_s=1e-3),
-            build_slave(period_s=2e-3),
-            forward=PERFECT,
-            backward=PERFECT,
-            duration_s=1.0,
-        )
-
-
-@pytest.mark.parametrize(("duration_s", "period_s", "ticks"), [(0.0, 1e-3, 0), (0.3, 1e-3, 300), (0.0105, 5e-3, 2)])
+@pytest.mark.parametrize(("duration_s", "period_s", "ticks"), [(0.001, 1e-3, 1), (0.3, 1e-3, 300), (0.0105, 5e-3, 2)])
 def test_a_run_has_the_whole_ticks_of_its_duration(duration_s: float, period_s: float, ticks: int) -> None:
-    master, slave, *reports = run_bridge(
-        build_master(period_s=period_s),
-        build_slave(period_s=period_s),
-        forward=PERFECT,
-        backward=PERFECT,
-        duration_s=duration_s,
-    )
-    assert len(master) == len(slave) == ticks
-    assert {report.ticks for report in reports} == {ticks}
+    run = simulate(two_sides(run={"duration_s": duration_s, "period_s": period_s}, operator=None))
+    assert len(run.signals.time_s) == len(run.signals.slave_time_s) == ticks
+    assert {report.ticks for report in reports(run)} == {ticks}
+
+
+def test_a_scene_without_an_arm_has_no_loops_to_report() -> None:
+    run = simulate(two_sides(run={"duration_s": 0.1}, operator=None, slave=None))
+    assert run.reports is None
+    kept = simulate(two_sides(run={"duration_s": 0.1}, operator=None))
+    assert pickle.loads(pickle.dumps(kept)).metrics == kept.metrics
 
 
 def test_the_names_of_the_ladder() -> None:
@@ -413,7 +338,7 @@ def test_the_names_of_the_ladder() -> None:
 def test_the_report_says_what_the_way_did() -> None:
     """A second over 5 ms each way: the same frames as the link counts, and a clock that is ours."""
     forward = LinkSettings(delay_s=0.005, loss=0.1, mean_burst=3.0)
-    *_, master, slave = press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0)
+    master, slave = reports(press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0))
     there, back = slave.path, master.path
     assert (there.lost, there.received) == (slave.link.missing, slave.link.fresh)
     assert there.loss == pytest.approx(there.lost / there.expected)
@@ -434,7 +359,7 @@ def test_the_report_says_what_the_way_did() -> None:
 
 def counts(forward: LinkSettings) -> tuple[LinkStatistics, LinkStatistics]:
     """What the master and the slave counted in a second of this network."""
-    *_, master, slave = press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0)
+    master, slave = reports(press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0))
     return master.link, slave.link
 
 

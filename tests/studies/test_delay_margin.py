@@ -6,9 +6,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from tests.scene.two_sides import two_sides
 
-from haptether.bridge import Scene, load_scene, override_scene, run_bridge, simulate
-from haptether.cli.live.check_link import scene_loops, scene_times, simulated_loop
+from haptether.bridge import Scene, load_scene, override_scene, simulate
+from haptether.cli.live.check_link import scene_loops, scene_times
+from haptether.cli.live.sides import START_M, baseline_scene
+from haptether.netsim import LinkSettings
+from haptether.slave import Arm
 from haptether.studies import ContactLoop, Follower, LinkSummary, judge_link, largest_delay_s
 
 DELAYS_S = (1e-3, 10e-3, 20e-3, 50e-3, 100e-3, 200e-3, 500e-3)
@@ -84,34 +88,30 @@ def test_a_soft_wall_under_a_firm_hand_bears_any_delay() -> None:
 
 
 def test_the_arm_of_check_link_is_the_simulated_one() -> None:
-    from haptether.cli.live.check_link import simulated_arm
-    from haptether.slave import Arm
-
-    assert simulated_arm().stiffness == pytest.approx(Arm().stiffness, rel=1e-12)
+    (loop,) = scene_loops(baseline_scene())
+    assert loop.follower is not None
+    assert loop.follower.stiffness == pytest.approx(Arm().stiffness, rel=1e-12)
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.7, False), (1.4, True)])
 def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bool) -> None:
     """The same loop, sampled, with a hand that holds: calm below what it bears, growing above."""
-    from haptether.bridge import MasterSettings, SlaveSettings
-    from haptether.cli.live.sides import START_M
-    from haptether.master import Hand, HapticDevice
-    from haptether.netsim import LinkSettings
-    from haptether.safety import LimiterSettings
-    from haptether.slave import Arm, Wall
-
     stiffness = 400.0
-    bearable_s = largest_delay_s(simulated_loop(stiffness, 1.0))
+    wall = {"objects": [{"contact": {"stiffness": stiffness}}]}
+    (loop,) = scene_loops(two_sides(environment=wall))
     # Both sides hold for half a period each, see `judge_link`, and wait for a tick for half a period on the mean.
-    link = LinkSettings(delay_s=(share * bearable_s - 2e-3) / 2.0)
-    hand = Hand(stiffness=300.0, damping=8.0, strength_n=1e3, start=START_M, legs=[(1.2, -0.045, "minimum-jerk")])
-    master = MasterSettings(
-        HapticDevice.phantom_desktop(encoder_quantum=0.0), hand, limiter=LimiterSettings(max_force_n=1e3)
+    link = LinkSettings(delay_s=(share * largest_delay_s(loop) - 2e-3) / 2.0)
+    scene = two_sides(
+        run={"duration_s": 4.0},
+        master={"encoder_quantum": 0.0, "max_force_n": "unbounded"},
+        operator={"grip_strength_n": 1e3, "start": START_M, "legs": [{"duration_s": 1.2, "end": -0.045}]},
+        environment=wall,
+        link={"forward": link, "backward": link},
+        safety={"limiter": {"max_force_n": 1e3}},
     )
-    slave = SlaveSettings(Arm(), Wall(stiffness=stiffness), position=START_M)
-    trace, *_ = run_bridge(master, slave, forward=link, backward=link, duration_s=4.0)
-    velocity = np.abs(trace.velocity)
-    early, late = (float(velocity[(trace.time_s > at) & (trace.time_s < at + 0.5)].max()) for at in (1.7, 3.4))
+    signals = simulate(scene).signals
+    velocity = np.abs(signals.velocity)
+    early, late = (float(velocity[(signals.time_s > at) & (signals.time_s < at + 0.5)].max()) for at in (1.7, 3.4))
     if grows:
         assert late > 0.1
     else:
@@ -197,19 +197,18 @@ def test_the_verdict_counts_the_delay_of_the_sampled_loop() -> None:
     assert judge_link(summary_of(0.01), 0.011, 0.02, 4e-3).delay_s == pytest.approx(0.014)
 
 
-AS_WITHOUT_A_SCENE = {
-    "schema": 1,
-    "master": {"device": "phantom-desktop"},
-    "operator": {"stiffness": 300.0, "damping": 8.0},
-    "slave": {},
-    "environment": {"objects": [{"contact": {"stiffness": 100.0}}]},
-}
-
-
-def test_a_scene_of_the_defaults_is_the_default_loop() -> None:
-    (loop,) = scene_loops(msgspec.convert(AS_WITHOUT_A_SCENE, Scene))
-    assert largest_delay_s(loop) == largest_delay_s(simulated_loop(100.0, 1.0))
-    assert loop == msgspec.structs.replace(simulated_loop(100.0, 1.0), follower=loop.follower)
+def test_the_loop_without_a_scene_is_that_of_the_device_the_hand_the_arm_and_the_wall() -> None:
+    (loop,) = scene_loops(baseline_scene())
+    # A PHANTOM Desktop in the hand, and the arm at 15 Hz.
+    pole = 2.0 * math.pi * 15.0
+    assert loop == ContactLoop(
+        mass_kg=0.157,
+        damping=8.0 - 0.005,
+        hand_stiffness=300.0,
+        environment_stiffness=100.0,
+        follower=Follower(mass_kg=4.0, damping=2.0 * 4.0 * pole, stiffness=4.0 * pole**2),
+    )
+    assert scene_loops(two_sides()) == [loop]
 
 
 @pytest.mark.parametrize(
@@ -228,7 +227,7 @@ def test_a_scene_of_the_defaults_is_the_default_loop() -> None:
     ],
 )
 def test_the_loop_is_the_scenes(override: str, field: str, value: object) -> None:
-    scene = msgspec.convert(AS_WITHOUT_A_SCENE, Scene)
+    scene = two_sides()
     (loop,) = scene_loops(override_scene(scene, [override]))
     found = getattr(loop, field)
     if isinstance(value, Follower):
@@ -252,7 +251,7 @@ def test_scenes_of_several_axes_count_each_that_is_felt() -> None:
 def test_a_law_that_is_not_linear_counts_with_its_slope_at_the_largest_force() -> None:
     law = '{law="hunt-crossley", stiffness=2e4, exponent=1.5, damping=0.5}'
     scene = override_scene(
-        msgspec.convert(AS_WITHOUT_A_SCENE, Scene),
+        two_sides(),
         [f"environment.objects.0.contact={law}", "safety.limiter.max_force_n=5.0"],
     )
     (loop,) = scene_loops(scene)

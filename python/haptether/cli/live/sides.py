@@ -204,7 +204,7 @@ def _opened(run: Run, name: str, stopped: "Stopped") -> Run:
     raise RuntimeError(message)
 
 
-# ------------------------------------------------------------------------------------ the scene of both sides without one
+# ----------------------------------------------------------------------------------------- both sides without `--scene`
 
 START_M = 0.02
 """Where hand and arm begin, in m in front of the wall."""
