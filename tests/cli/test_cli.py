@@ -59,7 +59,7 @@ def test_version_and_help() -> None:
         (["check-link", *NOBODY, "--duration-s", "601"], "duration-s = 601: must be between"),
         (["check-link", *NOBODY, "--wall-stiffness", "0"], "wall-stiffness = 0: must be above 0"),
         (["check-link", *NOBODY, "--force-scale", "-1"], "force_scale (lambda_f) = -1: must be"),
-        (["slave", "--insecure", *LISTEN, "--wall-stiffness", "nan"], "wall stiffness = nan: must be"),
+        (["slave", "--insecure", *LISTEN, "--wall-stiffness", "nan"], "wall stiffness = NaN: must be"),
     ],
 )  # fmt: skip
 def test_a_bad_request_is_one_line_and_status_2(arguments: list[str], said: str) -> None:

@@ -28,6 +28,7 @@ class Played:
             "device_force": np.sin(9 * time_s), "rendered_force": np.sin(9 * time_s), "hand_force": -np.sin(9 * time_s),
             "tripped": (time_s > 0.1).astype(np.uint8) * 4,
         }  # fmt: skip
+        self.reports = None
         self.events = [(0.1, "trip", "WSC")] + [(0.15, "diverged", "|x| = 12 m")] * diverged
         self.metrics = {"max_ejection_velocity": 0.5, "time_to_trip_s": None, "diverged": diverged, "ticks": ticks}
 
@@ -249,7 +250,7 @@ def test_a_run_loads_no_library_that_it_does_not_need() -> None:
 import sys, numpy as np
 from haptether import _core
 class Run:
-    signals, events, metrics = {{"time_s": np.zeros(3)}}, [], {{"ticks": 3}}
+    signals, events, metrics, reports = {{"time_s": np.zeros(3)}}, [], {{"ticks": 3}}, None
 _core.simulate_scene = lambda scene: Run()
 from haptether.cli import main
 assert main(["simulate", "remote_push"]) == 0

@@ -166,7 +166,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             report(master.exchange(), &master_counts, engaged_ns[0], settings.secure),
             report(slave.exchange(), &slave_counts, engaged_ns[1], settings.secure),
         ];
-        Ok(watched.finish(scene, coarse, reports))
+        Ok(watched.finish(scene, coarse, &reports))
     }
 }
 
@@ -360,7 +360,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    fn finish(mut self, scene: &SceneSpec<N>, coarse: u64, reports: [LoopReport; 2]) -> SceneRun {
+    fn finish(mut self, scene: &SceneSpec<N>, coarse: u64, reports: &[LoopReport; 2]) -> SceneRun {
         let links = reports.map(|report| report.link);
         let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
         let mean = |which: usize| {
@@ -408,7 +408,7 @@ impl<const N: usize> Watched<N> {
             events: self.log.into_events(),
             outcome,
             period_s: scene.run.period_s,
-            reports: Some(reports),
+            reports: Some(*reports),
         }
     }
 }

@@ -4,7 +4,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -222,6 +222,13 @@ HOLD_OFF_S = 0.1
 RELEASE_RAMP_S = 0.2
 """An intervention lasts at least 0.1 s and hands the force back over 0.2 s, not as a step."""
 PUSH_RISE_S = 0.5
+RANGES: dict[str, Callable[[float], bool]] = {
+    "finite": lambda _: True,
+    "finite and above 0": lambda number: number > 0.0,
+    "finite and 0 or more": lambda number: number >= 0.0,
+    "at least 0 s": lambda number: number >= 0.0,
+}
+"""What an option may be, in the words of its refusal."""
 
 
 def baseline_scene(
@@ -258,22 +265,26 @@ def baseline_scene(
         SafetyTable,
         Scene,
         SlaveTable,
-        override_scene,
     )
 
-    for name, value, is_allowed, allowed in (
-        ("release_at_s", release_at_s or 0.0, not (release_at_s or 0.0) < 0.0, "at least 0 s"),
-        ("force_scale (lambda_f)", force_scale, force_scale > 0.0, "finite and above 0"),
-        ("wall stiffness", wall_stiffness, wall_stiffness >= 0.0, "finite and at least 0"),
+    for name, value, allowed in (
+        ("depth", depth, "finite"),
+        ("release_at_s", release_at_s or 0.0, "at least 0 s"),
+        ("force_scale (lambda_f)", force_scale, "finite and above 0"),
+        ("encoder_quantum", encoder_quantum, "finite and 0 or more"),
+        ("wall stiffness", wall_stiffness, "finite and 0 or more"),
+        ("push time", push_at_s or 0.0, "finite"),
+        ("push force", push_force_n, "finite"),
+        ("push duration", push_duration_s, "finite and 0 or more"),
     ):
-        if not (math.isfinite(value) and is_allowed):
-            message = f"{name} = {value:g}: must be {allowed}"
+        if not (math.isfinite(value) and RANGES[allowed](value)):
+            message = f"{name} = {'NaN' if math.isnan(value) else f'{value:g}'}: must be {allowed}"
             raise ValueError(message)
     release = None if release_at_s is None else ReleaseTable(at_s=release_at_s, decay_s=RELEASE_DURATION_S)
     push = PusherTable(
         shape="ramp", at_s=push_at_s or 0.0, force_n=push_force_n, duration_s=push_duration_s, rise_s=PUSH_RISE_S
     )
-    scene = Scene(
+    return Scene(
         schema=1,
         master=MasterTable(device="phantom-desktop", encoder_quantum=encoder_quantum, stops=STOPS_M),
         operator=OperatorTable(
@@ -287,7 +298,8 @@ def baseline_scene(
         ),
         slave=SlaveTable(),
         environment=EnvironmentTable(
-            objects=(ObjectTable(contact=ContactTable(stiffness=wall_stiffness)),), pushers=(push,)
+            objects=(ObjectTable(contact=ContactTable(stiffness=wall_stiffness)),),
+            pushers=() if push_at_s is None else (push,),
         ),
         coupling=CouplingTable(force_scale=force_scale),
         safety=SafetyTable(
@@ -297,6 +309,3 @@ def baseline_scene(
             release_ramp_s=RELEASE_RAMP_S,
         ),
     )
-    # Also where there is no push: what cannot be is refused all the same.
-    scene = override_scene(scene, ())
-    return scene if push_at_s is not None else override_scene(scene, ["environment.pushers=[]"])
