@@ -1,19 +1,22 @@
 //! A device that fails: what a person did before anybody could see it takes nothing of it away.
 #![allow(clippy::unwrap_used)] // a test may
 
-use std::{net::SocketAddr, time::Duration};
+use std::{net::SocketAddr, ops::ControlFlow, time::Duration};
 
 use haptether_bridge::{
-    Clutch, DrivenMaster, DrivenSlave, FaultText, LadderSettings, LadderState, LinkTime, MasterEndpoint,
-    MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
+    Clutch, DrivenMaster, DrivenSlave, Event, FaultText, LadderSettings, LadderState, LinkTime,
+    MasterEndpoint, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings,
+    SlaveSide, TickTime, VirtualSettings,
     coupling::CommandBounds,
     live::{
         DriverLoop, Ineffective, LiveSettings, Paced, PacedLoop, PeerAddress, PeerSocket, RealtimeDemand,
         RealtimeSettings, Security, now_ns, paced_by_device,
     },
+    run_virtual,
     scene::{SceneSpec, driven_master, simulated_master, simulated_slave},
     wire::{MAX_FRAME, Role},
 };
+use haptether_netsim::LinkSettings;
 use haptether_safety::{
     DeviceModel, Fault, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
 };
@@ -343,4 +346,62 @@ fn nobody_simulated_presses_for_a_real_device() {
     let mut slave = simulated_slave::<1>(&scene(&Absent), 2).unwrap();
     let never = driven_master::<1>(&scene(&Times(&[])), 1, false).unwrap();
     assert_eq!(engagements(never, &mut slave, Away::Link(60), true), 0);
+}
+
+/// A force at the arm beyond what can be measured: fault at the slave in its tick, and one way later the master stops.
+/// Nothing of it reaches the hand.
+#[test]
+fn a_force_that_cannot_be_measured_stops_both_sides() {
+    const PUSHED_MS: usize = 1000;
+    const DELAY_MS: usize = 5;
+    const FADE_MS: usize = 76;
+    for force_n in [1e4, 1e300, f64::MAX] {
+        let mut json: serde_json::Value = serde_json::from_slice(include_bytes!("remote_push.json")).unwrap();
+        json["operator"]["legs"] =
+            serde_json::json!([{"duration_s": 0.8, "end": [-0.03], "shape": "minimum-jerk"}]);
+        json["operator"]["release"] = serde_json::Value::Null;
+        json["operator"]["clutch"] = "once".into();
+        json["safety"]["controllers"] = serde_json::json!([]);
+        json["environment"]["pushers"] = serde_json::json!([{"shape": "step", "at_s": 1.0, "duration_s": 0.5,
+            "rise_s": 0.0, "frequency_hz": 0.0, "force_n": [force_n], "recorded": null}]);
+        let scene: SceneSpec<1> = serde_json::from_value(json).unwrap();
+        let mut master = simulated_master::<1>(&scene, 1).unwrap();
+        let mut slave = simulated_slave::<1>(&scene, 2).unwrap();
+        let link = LinkSettings { delay_s: DELAY_MS as f64 * 1e-3, ..LinkSettings::default() };
+        let settings = VirtualSettings {
+            period_ns: MS,
+            slave_period_ns: MS,
+            ticks: 3000,
+            forward: link.clone(),
+            backward: link,
+            seed: 7,
+            secure: true,
+            master_clock: None,
+            slave_clock: None,
+        };
+        let (mut near, mut far) = (Vec::new(), Vec::new());
+        run_virtual(&settings, &mut master, &mut slave, |event, _| {
+            match event {
+                Event::Master(record) => near.push((record.state, record.device_force[0].abs())),
+                Event::Slave(record) => far.push((record.state, record.command[0])),
+            }
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+        assert_eq!(far.last().unwrap().0, LadderState::Fault, "{force_n}");
+        assert_eq!(near.last().unwrap().0, LadderState::Stop, "{force_n}");
+        let engaged = far.iter().position(|(state, _)| state.is_coupled()).unwrap();
+        let pushed = engaged + PUSHED_MS;
+        let held =
+            |states: &[(LadderState, f64)]| states.iter().position(|(state, _)| *state >= LadderState::Hold);
+        let (near_held, far_held) = (held(&near).unwrap(), held(&far).unwrap());
+        assert!((pushed..=pushed + 1).contains(&far_held), "{force_n}: {far_held}, pushed at {pushed}");
+        assert!((pushed..=pushed + DELAY_MS + 2).contains(&near_held), "{force_n}: {near_held}");
+        assert!(far[far_held..].iter().all(|(_, command)| *command == far[far_held].1), "the command stays");
+        assert!(near[near_held + FADE_MS + 1..].iter().all(|(_, force)| *force == 0.0), "{force_n}");
+        let most = |forces: &[(LadderState, f64)]| forces.iter().map(|(_, force)| *force).fold(0.0, f64::max);
+        // The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
+        assert!(most(&near[pushed..]) <= most(&near[..pushed]) + 1e-6, "{force_n}");
+        assert!(most(&near[..pushed]) > 1.0, "the hand felt the wall");
+    }
 }

@@ -282,6 +282,7 @@ class FakeRun:
         self.signals = {"time_s": np.arange(ticks) * 1e-3, "position": np.zeros((ticks, 3))}
         self.events = [(0.1, "trip", "WSC"), (0.2, "release", "")]
         self.metrics = {"max_ejection_velocity": 0.5, "time_to_trip_s": None, "diverged": False, "ticks": ticks}
+        self.reports = None
 
 
 @pytest.fixture
