@@ -11,7 +11,8 @@ pub const MAX_FAULT_TEXT: usize = PIECE * PIECES as usize - 1;
 /// What stands at the end of a text that was cut.
 const CUT: char = '\u{2026}';
 
-/// A text of at most [`MAX_FAULT_TEXT`] bytes on one line: nothing in it moves a cursor, hides or reorders what is shown.
+/// A text of at most [`MAX_FAULT_TEXT`] bytes on one line: nothing in it moves a cursor, hides or reorders what is
+/// shown.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FaultText {
     bytes: [u8; MAX_FAULT_TEXT],

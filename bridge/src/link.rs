@@ -45,8 +45,8 @@ impl LinkStatistics {
 
 /// When a frame is received or sent, in ns on the endpoint's clock.
 ///
-/// Silence counts by ticks; frames and what is known of clocks need the true time, for a loop that woke late would else take
-/// frames before they were sent.
+/// Silence counts by ticks; frames and what is known of clocks need the true time, for a loop that woke late would else
+/// take frames before they were sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinkTime {
     /// The time of the tick.
@@ -133,8 +133,8 @@ pub enum RejectReason {
 
 /// Frames before the newest that are known one by one: two seconds at 1 kHz.
 const WINDOW: u32 = 2048;
-/// Time between two frames of the fastest sender in ns, twice as fast as any: a jump of the sequence beyond the window takes
-/// so long for each frame.
+/// Time between two frames of the fastest sender in ns, twice as fast as any: a jump of the sequence beyond the window
+/// takes so long for each frame.
 const MIN_PERIOD_NS: u64 = 50_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]

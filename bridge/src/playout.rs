@@ -24,8 +24,8 @@ pub struct PlayoutSettings {
 }
 
 impl PlayoutSettings {
-    /// For a delay in ns: 1024 sequences, a window of 10 s after a warm-up of 1 s, moves of 0.5 percent beyond 0.5 ms, anew
-    /// after 200 ms of late packets.
+    /// For a delay in ns: 1024 sequences, a window of 10 s after a warm-up of 1 s, moves of 0.5 percent beyond 0.5 ms,
+    /// anew after 200 ms of late packets.
     pub const fn new(delay_ns: u64) -> Self {
         Self {
             delay_ns,

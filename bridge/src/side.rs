@@ -13,7 +13,8 @@ use crate::{
     wire::MAX_FRAME,
 };
 
-/// One side of N axes: `receive` what has arrived, `tick`, `send`. Times are on the endpoint's own clock where not said.
+/// One side of N axes: `receive` what has arrived, `tick`, `send`. Times are on the endpoint's own clock where not
+/// said.
 pub trait Side<const N: usize> {
     /// The record of a tick.
     type Record: Copy + Send + 'static;
@@ -34,8 +35,8 @@ pub trait Side<const N: usize> {
         self.exchange_mut().send(time, buffer)
     }
 
-    /// Carries out a command of the operator at this side. Returns whether it changed anything: a release where the clutch
-    /// was open does not. Numbers that cannot be change nothing.
+    /// Carries out a command of the operator at this side. Returns whether it changed anything: a release where the
+    /// clutch was open does not. Numbers that cannot be change nothing.
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError>;
 
     /// Whether the device has a button of its own.

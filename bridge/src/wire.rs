@@ -30,9 +30,9 @@
 //! | 84 + 24 N | `[u8; 12]` | that piece, UTF-8; zeros after the end of the text |
 //! | 96 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
-//! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid, those
-//! of a text that there is not, and what lies after the end of a text. Codes of reasons and faults steer nothing: one
-//! that this version does not know is passed on and shown as a number.
+//! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid,
+//! those of a text that there is not, and what lies after the end of a text. Codes of reasons and faults steer nothing:
+//! one that this version does not know is passed on and shown as a number.
 //!
 //! Positions are absolute, never increments: a lost frame costs what it says and nothing else.
 

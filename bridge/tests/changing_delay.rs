@@ -140,8 +140,8 @@ fn a_delay_that_steps_up_by_less_than_a_hold_is_stale_once() {
     assert_eq!(worst(&history[100..]), Engaged);
 }
 
-/// A delay that swings by 6 ms each way within 0.2 s, for two seconds: the arm follows all the time, for no news is older
-/// than it was by 20 ms.
+/// A delay that swings by 6 ms each way within 0.2 s, for two seconds: the arm follows all the time, for no news is
+/// older than it was by 20 ms.
 #[test]
 fn a_delay_that_swings_gently_goes_unnoticed() {
     let swing: Vec<_> = (0..20)
@@ -174,8 +174,8 @@ fn a_delay_that_jumps_to_and_fro_holds_once_and_stays() {
     }
 }
 
-/// A delay that creeps up by 12 ms a second, without a gap, holds both sides once news is 20 ms older than it was, and a
-/// press engages at the new delay.
+/// A delay that creeps up by 12 ms a second, without a gap, holds both sides once news is 20 ms older than it was, and
+/// a press engages at the new delay.
 #[test]
 fn a_delay_that_creeps_up_holds_once_news_is_old() {
     let creep = |most_s: f64| vec![DelayChange { at_s: 3.0, delay_s: 0.01 + most_s, ramp_s: 10.0 }];

@@ -259,8 +259,8 @@ fn scene(operator: &Operator) -> SceneSpec<1> {
     serde_json::from_value(json).unwrap()
 }
 
-/// Engages with a slave, loses it for 60 ms, 300 ms or as the loop stands still, and goes on for 8 s with all in order: how
-/// often it engages, with a person who presses anew after 5 s or not.
+/// Engages with a slave, loses it for 60 ms, 300 ms or as the loop stands still, and goes on for 8 s with all in order:
+/// how often it engages, with a person who presses anew after 5 s or not.
 fn engagements(mut side: impl Side<1>, slave: &mut impl Side<1>, away: Away, pressed_again: bool) -> usize {
     let mut buffer = [0; MAX_FRAME];
     let (mut engagements, mut was) = (0, false);

@@ -528,8 +528,9 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
     }
 }
 
-/// A link of 30 ms each way that drops what is sent, or keeps it until it is back, while it is `cut`; a person who presses
-/// the clutch anew at `presses`; and a slave that is started anew at `restarts`. The states of both sides at each tick.
+/// A link of 30 ms each way that drops what is sent, or keeps it until it is back, while it is `cut`; a person who
+/// presses the clutch anew at `presses`; and a slave that is started anew at `restarts`. The states of both sides at
+/// each tick.
 fn run_delayed(
     ticks: u64,
     cut: std::ops::Range<u64>,
@@ -577,8 +578,8 @@ fn engagements(history: &[[LadderState; 2]]) -> usize {
     history.windows(2).filter(|pair| !pair[0][0].is_coupled() && pair[1][0].is_coupled()).count()
 }
 
-/// Held by an outage, pressed at 3 s, and cut so that the slave sees the release and not the press: when the link is back
-/// after 20 s, nothing but another press couples the two.
+/// Held by an outage, pressed at 3 s, and cut so that the slave sees the release and not the press: when the link is
+/// back after 20 s, nothing but another press couples the two.
 #[test]
 fn a_press_that_the_slave_did_not_see_couples_nothing_when_the_link_is_back() {
     use LadderState::{Aligning, Disengaged, Engaged, Stop};
@@ -681,7 +682,8 @@ fn a_start_is_a_press_for_as_long_as_any_is() {
     }
 }
 
-/// A slave that is started anew while the master aligns, with a silence that is no stop: its first frame ends the press.
+/// A slave that is started anew while the master aligns, with a silence that is no stop: its first frame ends the
+/// press.
 #[test]
 fn a_slave_that_is_started_anew_while_the_master_aligns_ends_the_press() {
     use LadderState::{Aligning, Disengaged, Engaged};

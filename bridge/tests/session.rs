@@ -268,8 +268,8 @@ fn people_are_warned_60_s_before_the_keys_end() {
     }
 }
 
-/// No handshake gets through until the keys have grown too old: the same two ends go on without a person, another master
-/// does not.
+/// No handshake gets through until the keys have grown too old: the same two ends go on without a person, another
+/// master does not.
 #[test]
 fn the_holder_goes_on_after_its_keys_have_grown_too_old() {
     let mut pair = Pair::with(hasty(Role::Master), hasty(Role::Slave));

@@ -182,7 +182,8 @@ fn address(host: u8, port: u16) -> SocketAddr {
     SocketAddr::from(([10, 0, 0, host], port))
 }
 
-/// Eight at once and four a second, repeats included, whatever is repeated; half from one host, a quarter from one address.
+/// Eight at once and four a second, repeats included, whatever is repeated; half from one host, a quarter from one
+/// address.
 #[test]
 fn answers_have_one_limit_repeats_included() {
     let hosts: Vec<_> = (1..20).map(|host| address(host, 9)).collect();

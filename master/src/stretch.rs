@@ -257,14 +257,14 @@ impl<const N: usize> Law<'_, N> {
         self.walls.iter().enumerate().filter(move |(index, _)| pushes(index)).map(|(_, wall)| wall)
     }
 
-    /// The motion under damping so strong that the series of [`Law::follow`] reach only a small part of `wanted` s, once
-    /// what the damping takes at once has been taken; none before that, or where the axes do not move each by itself
-    /// under a linear law.
+    /// The motion under damping so strong that the series of [`Law::follow`] reach only a small part of `wanted` s,
+    /// once what the damping takes at once has been taken; none before that, or where the axes do not move each by
+    /// itself under a linear law.
     ///
     /// Along an axis `x'' = -c x' - k x + u(t) = (r_1 + r_2) x' - r_1 r_2 x + u` with `r_1 << r_2 <= 0`, so
-    /// `w = x' - r_2 x` obeys `w' = r_1 w + u` and is `A e^(r_1 t)` beside a slow solution, whose series follows from the
-    /// last term down: `w_n = ((n + 1) w_(n+1) - u_n) / r_1`. Where A is within rounding, `x' = r_2 x + w` gives the
-    /// series of x, which reaches as far as `r_2` lets it.
+    /// `w = x' - r_2 x` obeys `w' = r_1 w + u` and is `A e^(r_1 t)` beside a slow solution, whose series follows from
+    /// the last term down: `w_n = ((n + 1) w_(n+1) - u_n) / r_1`. Where A is within rounding, `x' = r_2 x + w` gives
+    /// the series of x, which reaches as far as `r_2` lets it.
     pub(crate) fn relaxed(
         &self,
         regime: &Regime<N>,

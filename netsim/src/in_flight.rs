@@ -13,8 +13,8 @@ const FIRST_CAPACITY: usize = 256;
 
 /// A bounded queue ordered by (due time, order of entry), so that packets due together leave in order of entry.
 ///
-/// Unless it is one that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the heap, so a large
-/// one should be a handle.
+/// Unless it is one that grows, memory is reserved once; pushing and popping allocate nothing. Payloads move within the
+/// heap, so a large one should be a handle.
 #[derive(Debug)]
 pub struct InFlight<T> {
     packets: BinaryHeap<Entry<T>>,

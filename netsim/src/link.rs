@@ -80,8 +80,8 @@ pub struct Link {
     rules: Rules,
     counters: LinkCounters,
     latest_due_ns: u64,
-    /// The latest arrival without what reordering and the rules on arrival add. Where the order is kept, as through a queue that is
-    /// served in turn, no packet arrives earlier.
+    /// The latest arrival without what reordering and the rules on arrival add. Where the order is kept, as through a
+    /// queue that is served in turn, no packet arrives earlier.
     latest_in_turn_ns: u64,
     extras: Extras,
 }
@@ -109,8 +109,8 @@ impl Link {
     /// Takes other rules for the packets from now on, and returns those of before, so that nothing is freed here.
     ///
     /// Counters go on, and so do the draws, where the seed is the same; what a rule remembers of earlier packets, such
-    /// as a queue, begins anew. Where the new rules keep the order, no packet overtakes one from before, except what `netem`
-    /// delayed, which keeps no order.
+    /// as a queue, begins anew. Where the new rules keep the order, no packet overtakes one from before, except what
+    /// `netem` delayed, which keeps no order.
     pub fn swap(&mut self, rules: &mut Rules) {
         debug_assert_eq!(rules.direction, self.rules.direction, "rules of the other direction");
         std::mem::swap(&mut self.rules, rules);

@@ -30,7 +30,8 @@ struct Started<Rows> {
     watched: Watched<Rows>,
 }
 
-/// Without the interpreter: once a first loop has locked the process's memory, the rings of the next take 100 ms to map.
+/// Without the interpreter: once a first loop has locked the process's memory, the rings of the next take 100 ms to
+/// map.
 fn start<S, const N: usize>(
     py: Python<'_>,
     side: S,
@@ -51,7 +52,8 @@ where
 /// Time between two looks at whether a loop has ended.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
-/// Ends a loop and returns its rows and report. Others may look at it meanwhile, so that nothing is locked while it ends.
+/// Ends a loop and returns its rows and report. Others may look at it meanwhile, so that nothing is locked while it
+/// ends.
 fn join<Rows>(
     py: Python<'_>,
     run: &Mutex<LiveRun>,

@@ -188,8 +188,8 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     }
 
     /// One tick as [`tick_with_authority`](SafetyLayer::tick_with_authority), in each lane and without its checks: a
-    /// bad number stops nothing. Where [`Advance::seen`] does not [pass](Observation::passes), or a number that is given
-    /// here would not, the checked tick would have stopped.
+    /// bad number stops nothing. Where [`Advance::seen`] does not [pass](Observation::passes), or a number that is
+    /// given here would not, the checked tick would have stopped.
     #[inline(always)]
     pub fn advance(
         &mut self,

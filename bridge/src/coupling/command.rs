@@ -1,4 +1,5 @@
-//! What a slave takes of a remote command: bounds beyond which it is clamped and counted, and extrapolation where it is late.
+//! What a slave takes of a remote command: bounds beyond which it is clamped and counted, and extrapolation where it is
+//! late.
 
 use haptether_safety::Axes;
 use schemars::JsonSchema;

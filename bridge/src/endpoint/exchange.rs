@@ -294,8 +294,8 @@ impl<const N: usize> Exchange<N> {
         self.inputs.clutch()
     }
 
-    /// Where the peer stands and why, [`LadderState::code`], [`Reason::code`] and [`Fault::code`]; none before its first
-    /// frame.
+    /// Where the peer stands and why, [`LadderState::code`], [`Reason::code`] and [`Fault::code`]; none before its
+    /// first frame.
     pub fn peer_codes(&self) -> Option<[u8; 3]> {
         self.link.newest().map(|frame| [frame.state, frame.reason, frame.fault])
     }

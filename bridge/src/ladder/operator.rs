@@ -9,8 +9,8 @@ pub enum Clutch {
     /// [`SimulatedOperator::press_again`].
     #[default]
     Once,
-    /// A simulated operator: presses at the start, lets go when it holds or the press was not answered, and presses again
-    /// once both sides have been ready for `reaction_ns`.
+    /// A simulated operator: presses at the start, lets go when it holds or the press was not answered, and presses
+    /// again once both sides have been ready for `reaction_ns`.
     Auto {
         /// Time in ns.
         reaction_ns: u64,
@@ -33,7 +33,8 @@ pub enum ClutchError {
 /// For how long in ns [`SimulatedOperator::press_again`] opens the clutch: enough frames for the other side to see it.
 const OPEN_NS: u64 = 100_000_000;
 
-/// Within what time in ns of [`SimulatedOperator::press_again`] it must be pressed; a loop that slept meanwhile presses no more.
+/// Within what time in ns of [`SimulatedOperator::press_again`] it must be pressed; a loop that slept meanwhile presses
+/// no more.
 const LATEST_NS: u64 = 2 * OPEN_NS;
 
 /// Within what time in ns of the start the first tick must be, for the start to be a press.
@@ -54,7 +55,7 @@ pub struct SimulatedOperator {
     has_faulted: bool,
     requested: bool,
     has_begun: bool,
-    /// When it was requested to press again, in ns.
+    /// When a new press was commanded, in ns.
     requested_ns: Option<u64>,
 }
 
@@ -173,8 +174,8 @@ pub(crate) struct Button {
 }
 
 impl Button {
-    /// Takes a sample at `now_ns`; whether it is pressed, or none of a device that has never shown a button. One that is
-    /// closed at the first sample is pressed by the start.
+    /// Takes a sample at `now_ns`; whether it is pressed, or none of a device that has never shown a button. One that
+    /// is closed at the first sample is pressed by the start.
     pub(crate) fn at(&mut self, now_ns: u64, sample: Option<bool>) -> Option<bool> {
         let before = self.level;
         let Some(level) = sample else {

@@ -380,7 +380,8 @@ impl Pair {
         Ok(())
     }
 
-    /// All that its future depends on: states with the same key go on alike. A field that is new must be considered here.
+    /// All that its future depends on: states with the same key go on alike. A field that is new must be considered
+    /// here.
     fn key(&self) -> Vec<u8> {
         let mut key = Vec::with_capacity(64);
         let age = |tick: u64, most: u64| (self.now - tick).min(most) as u8;

@@ -24,7 +24,8 @@ pub enum LadderState {
     Stale,
     /// The peer is silent: the slave holds, the master's force fades to zero. Left by a new press of the clutch only.
     Hold,
-    /// Silent for too long. Latched: left by a new press of the clutch, or at a slave by a master that was started anew.
+    /// Silent for too long. Latched: left by a new press of the clutch, or at a slave by a master that was started
+    /// anew.
     Stop,
     /// A number that cannot be. Latched: left by a local act at this side only.
     Fault,
@@ -201,11 +202,11 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 ///
 /// A press counts in HOLD and STOP only while both sides hear one another and the peer knows of the hold: a press
 /// into a dead link must not couple whenever the link is back. In DISENGAGED it waits, visibly, as ALIGNING, which
-/// ends with the press: a peer that is silent for `stop_after`, restarted, in FAULT, has ended, or has not aligned within
-/// `align` leads back to DISENGAGED, and a release and a press after that lead out again.
+/// ends with the press: a peer that is silent for `stop_after`, restarted, in FAULT, has ended, or has not aligned
+/// within `align` leads back to DISENGAGED, and a release and a press after that lead out again.
 ///
-/// An end of the peer leads to less force only, so that nobody gains by a false one. A fault of a peer that ends says more
-/// than its end, and its end more than the silence after it.
+/// An end of the peer leads to less force only, so that nobody gains by a false one. A fault of a peer that ends says
+/// more than its end, and its end more than the silence after it.
 pub const TABLE: &[Row] = &[
     row(Disengaged, BadNumber, Fault),
     row(Disengaged, ClutchPressed, Aligning),

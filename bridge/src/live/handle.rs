@@ -48,7 +48,8 @@ impl LiveHandle {
         self.0.takeover_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// How often a press did nothing, and why the last one did not: [`Self::press_clutch`], or a start that was too old.
+    /// How often a press did nothing, and why the last one did not: [`Self::press_clutch`], or a start that was too
+    /// old.
     pub fn ineffective_presses(&self) -> (u64, Option<Ineffective>) {
         let count = self.0.ineffective_presses.load(Ordering::Acquire);
         (count, Ineffective::from_code(self.0.ineffective.load(Ordering::Relaxed)))
@@ -232,7 +233,8 @@ pub(super) struct CommandQueue {
 }
 
 impl CommandQueue {
-    /// The next one: the start, what any thread has commanded through its handle, then those of the watch in their order.
+    /// The next one: the start, what any thread has commanded through its handle, then those of the watch in their
+    /// order.
     pub(super) fn next(&mut self, shared: &Shared) -> Option<(u64, OperatorCommand)> {
         if let Some(started_ns) = self.started_ns.take() {
             return Some((started_ns, OperatorCommand::Start));

@@ -24,8 +24,8 @@ const WAITING: usize = 64;
 const FOR_NEW: usize = WAITING / 2;
 /// How often the thread looks.
 const POLL: Duration = Duration::from_millis(2);
-/// Time in ns for each message that the thread gets: of new sessions all together, and of the living one. Each costs it some 50 us,
-/// so that a flood of recorded ones costs 1 % of a core.
+/// Time in ns for each message that the thread gets: of new sessions all together, and of the living one. Each costs it
+/// some 50 us, so that a flood of recorded ones costs 1 % of a core.
 const MESSAGE_NS: u64 = 5_000_000;
 /// Messages of the living session at once: of an epoch that was not there yet, and of the newest that was.
 const NEW_KEYS: u64 = 16;
@@ -85,7 +85,8 @@ impl Admission {
         if !is_renewal {
             return self.sessions.take(now_ns, from);
         }
-        // Of an epoch that has proved to be the partner's, repeats take nothing from the next; those below were given up.
+        // Of an epoch that has proved to be the partner's, repeats take nothing from the next; those below were given
+        // up.
         match self.newest.filter(|newest| newest.0 == session).map(|newest| epoch.cmp(&newest.1)) {
             Some(std::cmp::Ordering::Less) => false,
             Some(std::cmp::Ordering::Equal) => self.repeats.take(now_ns, MESSAGE_NS, REPEATS),

@@ -1,5 +1,5 @@
-//! A UDP socket that talks to one peer and never blocks, and where answers go: to the peer, wherever it moves, and not to
-//! who copies its frames.
+//! A UDP socket that talks to one peer and never blocks, and where answers go: to the peer, wherever it moves, and not
+//! to who copies its frames.
 
 use std::{
     io,
@@ -51,8 +51,8 @@ impl PeerSocket {
 
     /// Hands each datagram that waits to `take`, which returns what it was, until the clock shows `until_ns`.
     ///
-    /// A datagram from elsewhere than a known peer is not looked at. At least [`ROUND`] are taken: a loop that woke late
-    /// must hear its peer, too.
+    /// A datagram from elsewhere than a known peer is not looked at. At least [`ROUND`] are taken: a loop that woke
+    /// late must hear its peer, too.
     pub(super) fn drain(
         &mut self,
         now_ns: u64,
@@ -137,9 +137,9 @@ impl Place {
 
 /// The address of a peer.
 ///
-/// Of a frame and its copy the first to arrive is fresh, from wherever it was sent. So a frame that was there before is a sign of
-/// life, too, and a peer is followed elsewhere only after 20 ms without any at its address. Who copies frames, and is
-/// faster, does not draw the answers away.
+/// Of a frame and its copy the first to arrive is fresh, from wherever it was sent. So a frame that was there before is
+/// a sign of life, too, and a peer is followed elsewhere only after 20 ms without any at its address. Who copies
+/// frames, and is faster, does not draw the answers away.
 ///
 /// Where a copy was there first, at the start of a session or after a move, the peer says that it hears nothing; then a
 /// second address is answered as well, one datagram for each received from there.
@@ -219,8 +219,8 @@ mod tests {
         SocketAddr::from(([10, 0, 0, 1], port))
     }
 
-    /// Longest time in ns in which the master had no answer, from `from_ns` to the end, over `ticks` of 1 ms; and how many
-    /// answers each address got. The master is at the address `lives(tick)`.
+    /// Longest time in ns in which the master had no answer, from `from_ns` to the end, over `ticks` of 1 ms; and how
+    /// many answers each address got. The master is at the address `lives(tick)`.
     fn silence(
         ticks: u64,
         from_ns: u64,

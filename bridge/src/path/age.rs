@@ -1,4 +1,5 @@
-//! How old the newest packet of the peer is, by our clock alone, and the level of ages that the ladder measures against.
+//! How old the newest packet of the peer is, by our clock alone, and the level of ages that the ladder measures
+//! against.
 
 use super::{peer_clock::ClockFault, share_up};
 
@@ -10,7 +11,8 @@ const SENT_KEPT: usize = 4096;
 /// A packet that echoes our counter `c` left the peer after that arrived there, so not before the time `T_c` of our
 /// clock at which `c` left here. So at `now` it is at most `now - T_c` old: whatever the delays, and whatever the
 /// peer's clock shows. A
-/// packet never is older than one that the peer sent before it, so the bound does not fall back when an echo is missing.
+/// packet never is older than one that the peer sent before it, so the bound does not fall back when an echo is
+/// missing.
 #[derive(Clone, Debug)]
 pub struct PacketAge {
     /// Greatest drift of the peer's clock, with which it measures how long it held a packet.
@@ -32,8 +34,8 @@ impl PacketAge {
         self.sent[slot(counter)] = Some((counter, now_ns));
     }
 
-    /// Takes the echo of a packet newer than all before that arrived at `now_ns`: our counter, and for how long in ns the
-    /// peer says that it held it. One that is not known any more is passed over.
+    /// Takes the echo of a packet newer than all before that arrived at `now_ns`: our counter, and for how long in ns
+    /// the peer says that it held it. One that is not known any more is passed over.
     ///
     /// The bound holds also where this fails: a time held longer than the exchange took is a fault of a clock.
     pub fn received(&mut self, now_ns: u64, echo: (u64, u64)) -> Result<(), ClockFault> {
@@ -54,8 +56,8 @@ impl PacketAge {
         self.sent[slot(counter)].and_then(|(kept, sent_ns)| (kept == counter).then_some(sent_ns))
     }
 
-    /// Largest age in ns that the newest packet can have at `now_ns`; none until the peer has echoed anything that we still
-    /// know.
+    /// Largest age in ns that the newest packet can have at `now_ns`; none until the peer has echoed anything that we
+    /// still know.
     pub fn max_ns(&self, now_ns: u64) -> Option<u64> {
         self.sent_after_ns.map(|sent_ns| now_ns.saturating_sub(sent_ns))
     }
@@ -83,12 +85,13 @@ const MAX_DEVIATION_NS: f64 = 20e6;
 /// Mean deviations above the mean that are baseline.
 const DEVIATIONS: f64 = 4.0;
 
-/// Level of the ages of a link, against which the ladder measures: mean and four mean deviations, anchored when the two sides engage.
+/// Level of the ages of a link, against which the ladder measures: mean and four mean deviations, anchored when the two
+/// sides engage.
 ///
-/// `m += g (a - m)`, `d += g (|a - m| - d)`, level `m + 4 d`, where the gain `g` is the time that a sample stands for by
-/// the time known, at most 8 s. The mean begins at the anchoring with that of the last 0.1 s, the deviation with the
-/// session at half of the first age. Two seconds after the anchoring the level is learnt: from then on it only falls, within
-/// some 8 s, so that a delay that creeps up is measured against what it was, not against what it has become.
+/// `m += g (a - m)`, `d += g (|a - m| - d)`, level `m + 4 d`, where the gain `g` is the time that a sample stands for
+/// by the time known, at most 8 s. The mean begins at the anchoring with that of the last 0.1 s, the deviation with the
+/// session at half of the first age. Two seconds after the anchoring the level is learnt: from then on it only falls,
+/// within some 8 s, so that a delay that creeps up is measured against what it was, not against what it has become.
 ///
 /// Source: RFC 6298, section 2 (`K = 4`, first deviation `R / 2`), with gains by time instead of by sample, since packets
 /// of one link are correlated.
@@ -196,7 +199,8 @@ mod tests {
         baseline.level_ns().unwrap() as f64 / MS as f64
     }
 
-    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: of the first guess the share that 20 ms have of the time known is left.
+    /// `d_n = d_0 (20 ms / 21 ms) (21 / 22) ...`: of the first guess the share that 20 ms have of the time known is
+    /// left.
     #[test]
     fn of_the_first_guess_the_share_of_its_time_is_left() {
         for (age_ms, first_ms) in [(10.0, 5.0), (40.0, 20.0), (100.0, 20.0)] {

@@ -1,8 +1,9 @@
-//! What one end knows of the path to its peer, from the frames alone: age, loss and order of the frames, the peer's clock.
+//! What one end knows of the path to its peer, from the frames alone: age, loss and order of the frames, the peer's
+//! clock.
 //!
-//! Two sides have two monotonic clocks with different beginnings and rates. [`PacketAge`] needs none but ours, so the ladder
-//! holds by it. [`PeerClock`] bounds how they differ, for logs. No function here takes a wall time, therefore a step of the
-//! wall clock changes nothing.
+//! Two sides have two monotonic clocks with different beginnings and rates. [`PacketAge`] needs none but ours, so the
+//! ladder holds by it. [`PeerClock`] bounds how they differ, for logs. No function here takes a wall time, therefore a
+//! step of the wall clock changes nothing.
 
 mod age;
 mod meter;
@@ -77,8 +78,8 @@ impl PeerPath {
 
     /// Takes a frame newer than all before that the peer sent at `sent_ns` on its clock; `echo` is of our run.
     ///
-    /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we know
-    /// ourselves; of the echo only the counter and the time held are used.
+    /// It is taken at `now_ns` and had arrived by `by_ns`, which is later where the loop woke late. When ours left we
+    /// know ourselves; of the echo only the counter and the time held are used.
     pub fn newest(&mut self, sent_ns: u64, echo: Option<&Echo>, now_ns: u64, by_ns: u64) {
         let exchanged = echo.and_then(|echo| Some((self.age.sent_at(echo.sequence)?, echo.held_ns)));
         let clocked = match exchanged {
@@ -116,13 +117,14 @@ impl PeerPath {
         self.baseline.anchor();
     }
 
-    /// Largest age in ns that the newest frame of the peer can have at `now_ns`; none until the peer has echoed anything.
+    /// Largest age in ns that the newest frame of the peer can have at `now_ns`; none until the peer has echoed
+    /// anything.
     pub fn max_age_ns(&self, now_ns: u64) -> Option<u64> {
         self.age.max_ns(now_ns)
     }
 
-    /// By how much the newest of the peer may be older at `now_ns` than the level of this link, in ns; none until the peer has
-    /// echoed anything.
+    /// By how much the newest of the peer may be older at `now_ns` than the level of this link, in ns; none until the
+    /// peer has echoed anything.
     pub fn over_baseline_ns(&self, now_ns: u64) -> Option<u64> {
         Some(self.max_age_ns(now_ns)?.saturating_sub(self.baseline.level_ns()?))
     }

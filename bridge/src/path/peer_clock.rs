@@ -133,8 +133,8 @@ const READING_NS: i128 = 2;
 
 /// The range that holds the peer's clock less ours, `theta`, because no packet arrives before it was sent.
 ///
-/// When a packet of ours left at `t1`, the peer's clock showed at most `t2`, so that `theta(t1) <= t2 - t1`. When one of
-/// the peer's arrived at `t4`, its clock showed at least `t3`, so that `theta(t4) >= t3 - t4`. Neither assumes
+/// When a packet of ours left at `t1`, the peer's clock showed at most `t2`, so that `theta(t1) <= t2 - t1`. When one
+/// of the peer's arrived at `t4`, its clock showed at least `t3`, so that `theta(t4) >= t3 - t4`. Neither assumes
 /// anything of the delays. Healthy clocks drift apart by at most `rho`, so each bound holds later as a line that
 /// relaxes with that slope. All lines of one side are parallel: the smallest of the upper ones and the greatest of the
 /// lower ones stay so for ever, and the two of them are the intersection of all ranges ever seen.
@@ -146,9 +146,9 @@ const READING_NS: i128 = 2;
 /// by no more than half the width of the range.
 ///
 /// An exchange that leaves nothing of the range proves that a clock stepped, because its machine was suspended or it is
-/// broken. Then the range begins anew, with exchanges that were sent after the proof arrived: all of their four times are
-/// of after the step. A step of less than the width of the range, so of no more than a round trip, looks like a path that
-/// changed; it may leave the offset outside its bound by no more than the step, until the range has widened.
+/// broken. Then the range begins anew, with exchanges that were sent after the proof arrived: all of their four times
+/// are of after the step. A step of less than the width of the range, so of no more than a round trip, looks like a
+/// path that changed; it may leave the offset outside its bound by no more than the step, until the range has widened.
 ///
 /// Source: K. Marzullo, S. Owicki (1983), Maintaining the time in a distributed system (intersection of intervals that
 /// widen with the drift).
@@ -222,8 +222,8 @@ impl PeerClock {
 
     /// Whether no clock of the allowed drift fits an exchange and all those taken.
     ///
-    /// What is reported is certain. Reported late is at most `2 rho (t4 - t1)`: the upper bound, of the time `t1`, is held
-    /// against the lower line at `t4`, for that may have been made by packets after `t1`.
+    /// What is reported is certain. Reported late is at most `2 rho (t4 - t1)`: the upper bound, of the time `t1`, is
+    /// held against the lower line at `t4`, for that may have been made by packets after `t1`.
     fn contradicted(&self, times: &TimestampExchange) -> Option<Contradiction> {
         let now_ns = times.received_ns;
         if let Some(by_ns) = self.ahead_ns(times.peer_sent_ns, now_ns) {
@@ -242,8 +242,8 @@ impl PeerClock {
 
     /// Checks a packet without an echo, sent at `peer_sent_ns` on the peer's clock.
     ///
-    /// One that arrived before it was sent, on every clock that fits all exchanges, is a fault of a clock. It may also have
-    /// been sent before the last step; the next exchange shows which.
+    /// One that arrived before it was sent, on every clock that fits all exchanges, is a fault of a clock. It may also
+    /// have been sent before the last step; the next exchange shows which.
     pub fn check_arrival(&self, peer_sent_ns: u64, received_ns: u64) -> Result<(), ClockFault> {
         for seen_ns in [peer_sent_ns, received_ns] {
             if seen_ns > i64::MAX.cast_unsigned() {

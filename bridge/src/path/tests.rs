@@ -97,8 +97,8 @@ fn without_queues_the_error_is_what_the_clocks_part_within_an_exchange() {
         for n in 0..600_000 {
             clock.take(&peer.exchange(n * MS, 10 * MS, 100 * US, 10 * MS)).unwrap();
         }
-        // Of the upper line, 20.1 ms old, half of 200 ppm; the clocks part by 100 ppm meanwhile, half of which the offset
-        // at the end misses; the rest is rounding.
+        // Of the upper line, 20.1 ms old, half of 200 ppm; the clocks part by 100 ppm meanwhile, half of which the
+        // offset at the end misses; the rest is rounding.
         assert!(peer.error(&clock, 600 * S).0.unsigned_abs() < 2_010 + 1_005 + 10);
     }
 }

@@ -236,7 +236,8 @@ fn a_recording_that_cannot_begin_touches_no_file() {
     assert_eq!(Recorder::<MasterRecord<2>>::begin(&nowhere).unwrap_err().kind(), io::ErrorKind::NotFound);
 }
 
-/// The index of a file waits in memory for its end: it grows by chunks, and chunks are whole however slowly records come.
+/// The index of a file waits in memory for its end: it grows by chunks, and chunks are whole however slowly records
+/// come.
 #[test]
 fn chunks_are_whole_and_the_index_of_a_file_is_small() {
     let (disk, paper) = disk(usize::MAX);

@@ -89,9 +89,9 @@ impl Recorder {
 pub struct SceneEvent {
     /// When, in s.
     pub time_s: f64,
-    /// `disengaged`, `aligning`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the hand, `contact`
-    /// and `free` of what is touched, `trip` and `recover` of the controllers, `settled`, `diverged`, `coarse`, `lost`
-    /// or `refused`.
+    /// `disengaged`, `aligning`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the
+    /// hand, `contact` and `free` of what is touched, `trip` and `recover` of the controllers, `settled`, `diverged`,
+    /// `coarse`, `lost` or `refused`.
     pub kind: &'static str,
     /// What more there is to say.
     pub detail: String,

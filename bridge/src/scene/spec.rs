@@ -1,8 +1,8 @@
 //! A scene as numbers: what the TOML file says, checked and with its defaults filled in.
 //!
 //! The tables that a user writes, their documentation, ranges and defaults are those of `bridge/scene/tables/`. What
-//! describes one part (device, leg, arm, estimator, ladder, link) is the type that the part itself is built from. A test
-//! holds the schema of these types against that of the tables.
+//! describes one part (device, leg, arm, estimator, ladder, link) is the type that the part itself is built from. A
+//! test holds the schema of these types against that of the tables.
 
 use haptether_master::{DeviceParameters, Leg, Regrasp, Release, Stepping, Tremor};
 use haptether_netsim::{ClockSettings, LinkSettings};

@@ -44,8 +44,8 @@ pub enum HandshakeEvent {
         /// Bytes of the peer's payloads.
         payload_length: u16,
     },
-    /// Reported at the slave: another master with the key was refused, because one holds the lease. It lives: it has sent back
-    /// what the first refusal had for it, which no recorded message does.
+    /// Reported at the slave: another master with the key was refused, because one holds the lease. It lives: it has
+    /// sent back what the first refusal had for it, which no recorded message does.
     SecondMaster {
         /// What that master drew when it started.
         run: u64,

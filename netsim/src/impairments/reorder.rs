@@ -1,8 +1,8 @@
 //! Reordering: a packet jumps ahead of some that were sent before it, or is held while later ones pass.
 //!
 //! A packet that jumps arrives 1 ns before the k-th last of those under way, so that it overtakes k and those due
-//! together with them, or all of them where fewer are under way. That much is known when it is sent: nothing is moved afterwards, and the
-//! others arrive when they would have.
+//! together with them, or all of them where fewer are under way. That much is known when it is sent: nothing is moved
+//! afterwards, and the others arrive when they would have.
 
 use std::collections::VecDeque;
 

@@ -2,9 +2,9 @@
 //!
 //! With the echo's clock ahead by `theta(t)`, a probe shows `a = forward + theta` and `b = backward - theta`. Only
 //! `a + b`, the round trip, is certain. The probe with the shortest round trip of a window waited least, and there the
-//! two directions are taken to be alike: `theta = (a - b) / 2`. A line through those of the quieter half of the windows is
-//! `theta(t)`, whose slope is the drift. If the directions differ by `2 e` when nothing waits, `e` is added to one and taken
-//! from the other throughout: no measurement from the two ends can find out.
+//! two directions are taken to be alike: `theta = (a - b) / 2`. A line through those of the quieter half of the windows
+//! is `theta(t)`, whose slope is the drift. If the directions differ by `2 e` when nothing waits, `e` is added to one
+//! and taken from the other throughout: no measurement from the two ends can find out.
 //!
 //! Source: D. L. Mills, "Internet time synchronization: the Network Time Protocol", IEEE Trans. Comm. 39(10), 1991
 //! (minimum filter); V. Paxson, "On calibrating measurements of packet transit times", SIGMETRICS 1998 (drift by a line

@@ -358,8 +358,8 @@ impl Echo {
     }
 }
 
-/// Whether to go on: nothing arrived in time, or the network reports something of an earlier datagram, which anybody can
-/// make it do. Only a call that is wrong in itself would be wrong for ever.
+/// Whether to go on: nothing arrived in time, or the network reports something of an earlier datagram, which anybody
+/// can make it do. Only a call that is wrong in itself would be wrong for ever.
 fn is_passing(kind: io::ErrorKind) -> bool {
     !matches!(kind, io::ErrorKind::InvalidInput | io::ErrorKind::OutOfMemory)
 }

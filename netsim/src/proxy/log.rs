@@ -103,7 +103,8 @@ impl<R> Waiting<R> for rtrb::Consumer<R> {
     }
 }
 
-/// What the writing thread does: it may wait for a disk, the proxy may not. Writes records until the other end of the ring is gone and all are written.
+/// What the writing thread does: it may wait for a disk, the proxy may not. Writes records until the other end of the
+/// ring is gone and all are written.
 fn write_while_open(out: impl Write, mut records: rtrb::Consumer<Record>) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(1 << 16, out);
     writeln!(out, "{HEADER}")?;

@@ -1,8 +1,8 @@
 //! The ring between a loop and the thread that writes its records, under every interleaving and every value that the
 //! memory model allows.
 //!
-//! The ring is that of `rtrb`, with its orderings, in loom's atomics; what is done with it is our own code. A slot is an
-//! atomic without an ordering of its own, and beside it a cell of loom that notices two accesses without an order.
+//! The ring is that of `rtrb`, with its orderings, in loom's atomics; what is done with it is our own code. A slot is
+//! an atomic without an ordering of its own, and beside it a cell of loom that notices two accesses without an order.
 //! Each ordering and each step of the protocol that matters is also tested by leaving it out: the model must notice.
 //!
 //! Source: `rtrb` 0.4.1, `Producer::push`, `Consumer::pop`, `ArcRingBuffer::drop`.

@@ -9,8 +9,8 @@ const MAX_CREDIT_NS: u64 = 2_000_000;
 
 /// Decides how long to sleep.
 ///
-/// The kernel wakes a sleeper some us late, or some tens of us without real-time scheduling, never a spinner. But with a
-/// deadline every few us, spinning before each would take the processor for ever, which with real-time scheduling
+/// The kernel wakes a sleeper some us late, or some tens of us without real-time scheduling, never a spinner. But with
+/// a deadline every few us, spinning before each would take the processor for ever, which with real-time scheduling
 /// nobody could take back: at most half of the time is spent so, and the rest asleep until the very deadline.
 #[derive(Debug)]
 pub(super) struct SpinBudget {

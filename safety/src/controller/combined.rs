@@ -71,8 +71,8 @@ impl Default for SafetySettings {
 /// Controllers combined by "any of".
 ///
 /// While one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`. It stays so for at least the hold-off, then fades over
-/// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC adds its own
-/// force in the share 1 - g that the intervention leaves.
+/// the release ramp: `F_c = g (-F_v - mu V)` with `g = 1 - s²`, s from 0 to 1. A new trip sets g to 1 at once. PC adds
+/// its own force in the share 1 - g that the intervention leaves.
 ///
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]

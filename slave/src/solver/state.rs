@@ -1,5 +1,5 @@
-//! The state of tool and bodies in steps of the Runge-Kutta method of Dormand and Prince, of order 5 with an estimate of
-//! order 4 and a continuous extension.
+//! The state of tool and bodies in steps of the Runge-Kutta method of Dormand and Prince, of order 5 with an estimate
+//! of order 4 and a continuous extension.
 //!
 //! Source: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", J. Comp. Appl. Math. 6, 1980;
 //! continuous extension: E. Hairer, S. P. Norsett, G. Wanner, "Solving ordinary differential equations I", 2nd ed.,

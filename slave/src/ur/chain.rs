@@ -193,8 +193,8 @@ impl UrChain {
 
     /// The posture near `start` that has the flange at `target`, or how far off it ends.
     ///
-    /// Steps of Levenberg and Marquardt, `(J'J + |e|^2 / 100) dq = J'e`: quadratic also where solutions are not isolated, as
-    /// at the wrist's singularity.
+    /// Steps of Levenberg and Marquardt, `(J'J + |e|^2 / 100) dq = J'e`: quadratic also where solutions are not
+    /// isolated, as at the wrist's singularity.
     ///
     /// Source: N. Yamashita, M. Fukushima, "On the Rate of Convergence of the Levenberg-Marquardt Method", Computing
     /// Supplement 15, 2001.

@@ -9,9 +9,9 @@
 //! 3. what is left is an arm of two links in that plane: two q3, q2, and q4 from the angle of the last link.
 //!
 //! Where two branches meet (shoulder: the wrist's centre at d4 from the base's axis; elbow: arm stretched or folded),
-//! joint angles hang on the square root of rounding, yet the pose they lead to is right to rounding: what q1 and q3 miss
-//! is of second order, and all after them is solved for the q1 and q3 that were found. Where q5 is 0 or pi (wrist), q4 and
-//! q6 turn about the same line: q6 then stays where it was.
+//! joint angles hang on the square root of rounding, yet the pose they lead to is right to rounding: what q1 and q3
+//! miss is of second order, and all after them is solved for the q1 and q3 that were found. Where q5 is 0 or pi
+//! (wrist), q4 and q6 turn about the same line: q6 then stays where it was.
 //!
 //! Source: K. P. Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms", Georgia Institute of
 //! Technology, 2013, for the order of the steps and the eight branches.

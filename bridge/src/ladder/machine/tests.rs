@@ -275,7 +275,7 @@ fn a_press_that_is_not_answered_ends_and_counts_no_more() {
                 "{name}: the link alone couples nothing"
             );
         }
-        // As a slave is requested for as long as the master aligns.
+        // As of a slave for as long as the master aligns.
         assert_eq!(ladder.step((at_ms + 20_000) * MS, &press()), Disengaged, "{name}: without a release");
         ladder.step((at_ms + 20_001) * MS, &LadderInput { clutch: false, ..sound(1) });
         assert_eq!(ladder.step((at_ms + 20_002) * MS, &press()), Engaged, "{name}: a new press");
@@ -397,7 +397,8 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// Whatever the inputs and their times: the force is a share that never jumps up, and nobody engages but by a press.
+    /// Whatever the inputs and their times: the force is a share that never jumps up, and nobody engages but by a
+    /// press.
     #[test]
     fn invariants(
         steps in prop::collection::vec((any_input(), 0_u64..40, 0_u8..40), 1..200),

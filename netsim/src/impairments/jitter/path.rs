@@ -47,8 +47,8 @@ pub(super) struct Path {
 }
 
 impl Path {
-    /// The delay is correlated by 1 / e over `tau_s`, with `keep_order` over no less than the order permits. Delays forget
-    /// themselves sooner than z does, unless they are normal, so z is given a longer time.
+    /// The delay is correlated by 1 / e over `tau_s`, with `keep_order` over no less than the order permits. Delays
+    /// forget themselves sooner than z does, unless they are normal, so z is given a longer time.
     pub(super) fn new(cells: &Cells, tau_s: f64, sigma_s: f64, keep_order: bool) -> Self {
         let min_ns = if keep_order { MIN_TAU_SIGMAS * sigma_s * 1e9 } else { 0.0 };
         let wanted_ns = (tau_s * 1e9).max(min_ns).max(MIN_TAU_NS);

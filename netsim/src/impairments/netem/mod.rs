@@ -15,10 +15,10 @@
 //! - The delay runs while a packet waits for the rate.
 //! - More than `limit` packets held, 1000 by default, are dropped, delay included.
 //!
-//! Differences: netem draws everything from one generator, here each draw belongs to the packet, so that runs repeat and
-//! one packet more shifts nothing but the correlated states. The length of a packet for `rate` is its payload and 42
-//! bytes of headers (Ethernet, IPv4, UDP). A draw that equals a bound exactly, one in 2^32, may fall on its other side.
-//! `slot` and `seed` are refused.
+//! Differences: netem draws everything from one generator, here each draw belongs to the packet, so that runs repeat
+//! and one packet more shifts nothing but the correlated states. The length of a packet for `rate` is its payload and
+//! 42 bytes of headers (Ethernet, IPv4, UDP). A draw that equals a bound exactly, one in 2^32, may fall on its other
+//! side. `slot` and `seed` are refused.
 //!
 //! Source: `sch_netem.c` of Linux 6.18; `tc-netem(8)`.
 

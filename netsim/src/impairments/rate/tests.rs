@@ -368,8 +368,8 @@ fn waits_ms(settings: &LinkSettings, count: u64) -> Vec<f64> {
     verdicts.iter().zip(&packets).map(wait).collect()
 }
 
-/// M/D/1: mean wait `rho S / (2 (1 - rho))`, second moment `2 W^2 + lambda S^3 / (3 (1 - rho))`; a packet that comes at a
-/// time of its own sees the mean over time, and one without bytes adds nothing.
+/// M/D/1: mean wait `rho S / (2 (1 - rho))`, second moment `2 W^2 + lambda S^3 / (3 (1 - rho))`; a packet that comes at
+/// a time of its own sees the mean over time, and one without bytes adds nothing.
 ///
 /// Source: L. Kleinrock, "Queueing systems", volume 1, 1975 (Pollaczek-Khinchine).
 #[test]

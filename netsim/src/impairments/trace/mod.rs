@@ -1,12 +1,12 @@
 //! Recorded delays and losses, replayed.
 //!
 //! A packet meets what was recorded at the time at which it is sent. It is lost if the record that holds then, the last
-//! at or before it, was lost. Its delay is that of this record or, with `interpolate`, on the line to the next record if
-//! that one was delivered. Before the first record the first one holds, after the last the last. With `repeat` the
+//! at or before it, was lost. Its delay is that of this record or, with `interpolate`, on the line to the next record
+//! if that one was delivered. Before the first record the first one holds, after the last the last. With `repeat` the
 //! recording begins anew after its last time plus the last spacing; a single record holds for ever.
 //!
-//! Loss comes before the bottleneck and delay takes the place of `delay_s` behind it, so a recording may be combined with
-//! a rate.
+//! Loss comes before the bottleneck and delay takes the place of `delay_s` behind it, so a recording may be combined
+//! with a rate.
 
 mod files;
 mod irtt;
