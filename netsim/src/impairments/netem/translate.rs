@@ -48,8 +48,8 @@ impl Asked {
 /// Settings that do what arguments of `tc netem` request, where netem does something else.
 ///
 /// - Jitter keeps the order of packets, mean and standard deviation. Without a distribution it is uniform, of standard
-///   deviation J / sqrt(3). Without correlation it is as short as the order permits; a correlation from packet to
-/// packet   cannot be given as a time, so the correlation time is then left to its default.
+///   deviation J / sqrt(3). Without correlation it is as short as the order permits; a correlation from packet to packet
+///   cannot be given as a time, so the correlation time is then left to its default.
 /// - A loss P with correlation rho becomes bursts of the mean length 1 / ((1 - rho) (1 - P)), of which the indicator has
 ///   the autocorrelation rho^n; its rate stays P.
 /// - A reordered packet overtakes one packet; with a gap N, P / N of them are reordered. Correlations of duplication,
