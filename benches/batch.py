@@ -8,9 +8,7 @@ that a sweep measures are in the time.
 The requirement: at most 6 ns per scenario-tick on one thread.
 """
 
-import argparse
 import importlib
-import json
 import os
 import sys
 import time
@@ -25,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 import haptether
+from _report import bench_options, table_file, write_json
 from haptether.bridge import load_scene
 
 Array = npt.NDArray[np.float64]
@@ -190,11 +189,10 @@ def measure(name: str, run: Callable[[Array], Sums], scenarios: int, repeats: in
 
 def main() -> int:
     """Prints the table; 1 if an implementation disagrees, or ours is slower than required."""
-    parser = argparse.ArgumentParser(description=__doc__, epilog=EXAMPLE)
-    parser.add_argument("--json", metavar="PATH", help="also write the figures as JSON; - for standard output")
-    parser.add_argument("--repeats", type=int, default=5, help="times that each is timed (default 5)")
-    arguments = parser.parse_args()
-    console = Console(stderr=arguments.json == "-")
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--repeats", type=int, default=5, help="times that each is timed (default 5)")
+    arguments = options.parse_args()
+    console = Console(file=table_file(arguments.json))
     costs = []
     with console.status("timing"):
         for name, (run, most) in implementations().items():
@@ -213,9 +211,8 @@ def main() -> int:
         console.print("Numba is not installed: `make bench` installs it (tools/bench.txt)")
     best = min(cost.ns_per_scenario_tick for cost in costs if cost.name == "haptether, lanes, 1 thread")
     console.print(f"best of ours on one thread: {best:.2f} ns, required {REQUIRED_NS} ns; {os.cpu_count()} processors")
-    if arguments.json:
-        text = json.dumps({"required_ns": REQUIRED_NS, "best_ns": best, "costs": [asdict(cost) for cost in costs]})
-        sys.stdout.write(text + "\n") if arguments.json == "-" else Path(arguments.json).write_text(text + "\n")
+    report = {"required_ns": REQUIRED_NS, "best_ns": best, "costs": [asdict(cost) for cost in costs]}
+    write_json(arguments.json, report)
     return 0 if best <= REQUIRED_NS and all(cost.agrees for cost in costs) else 1
 
 

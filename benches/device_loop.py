@@ -5,17 +5,15 @@ absolute deadlines of 1 ms; one reads its device by a call into Python and back.
 how long a turn takes from Python, conversions included, beside a call that does nothing.
 """
 
-import argparse
-import json
 import socket
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from _report import bench_options, table_file, write_json
 from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_scene, scene_json
 from haptether.master import MasterSample
 
@@ -81,14 +79,11 @@ def turn_us(peer: str) -> tuple[float, float]:
 
 def main() -> int:
     """Measures and prints the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--rounds", type=int, default=4, help="turns of each; default 4")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of each turn; default 5")
-    arguments = parser.parse_args()
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--rounds", type=int, default=4, help="turns of each; default 4")
+    options.add_argument("--seconds", type=float, default=5.0, help="of each turn; default 5")
+    arguments = options.parse_args()
+    out = table_file(arguments.json)
     pooled: dict[str, list[npt.NDArray[np.float64]]] = {"native": [], "python": []}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
         sink.bind(("127.0.0.1", 0))
@@ -106,12 +101,7 @@ def main() -> int:
         report |= {f"{who}_p50_us": p50, f"{who}_p99_us": p99, f"{who}_p999_us": p999}
         print(f"{who:<16}{p50:>10.1f}{p99:>10.1f}{p999:>10.1f}", file=out)
     print(f"\na turn from Python takes {of_turn:.1f} us, a call that does nothing {of_nothing:.2f} us", file=out)
-    if arguments.json is not None:
-        text = json.dumps(report, indent=2)
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(arguments.json, report)
     return 0
 
 

@@ -9,8 +9,6 @@ estimator sees the same. A third run meets the wall at 0.1 m/s, for the false tr
 Each estimator also runs against a peer in NumPy and SciPy, which must agree with it.
 """
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -27,6 +25,7 @@ import scipy.signal
 from rich.console import Console
 from rich.progress import track
 
+from _report import bench_options, table_file, write_json
 from haptether.bridge import run_local
 from haptether.master import Hand, HapticDevice
 from haptether.safety import DeviceModel, Estimator, EstimatorKind, SafetyController, SafetySettings
@@ -555,18 +554,15 @@ def plot(scores: list[Score], chosen: Score, chosen_case: Case, run: Run, folder
 
 def main() -> int:
     """Measures, prints, and checks the default."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--plot", metavar="DIR", type=Path, help="writes estimators.png there")
-    parser.add_argument("--samples", type=int, default=100_000, help="for timing (default 100000)")
-    parser.add_argument("--repeats", type=int, default=5, help="the least time counts (default 5)")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--plot", metavar="DIR", type=Path, help="writes estimators.png there")
+    options.add_argument("--samples", type=int, default=100_000, help="for timing (default 100000)")
+    options.add_argument("--repeats", type=int, default=5, help="the least time counts (default 5)")
+    arguments = options.parse_args()
     if arguments.samples < 1 or arguments.repeats < 1:
-        parser.error("--samples and --repeats must be at least 1")
+        options.error("--samples and --repeats must be at least 1")
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     runs = [simulate([], (TOUCH_M, DEPTH_M)), simulate(["wsc"], (TOUCH_M, DEPTH_M))]
     fast = simulate([], (DEPTH_M,))
     every = cases()
@@ -587,22 +583,17 @@ def main() -> int:
     print(f"\nchosen: {chosen.method} {chosen.parameters}; {verdict}", file=out)
     if arguments.plot is not None:
         print(plot(scores, chosen, chosen_case, runs[-1], arguments.plot), file=out)
-    if arguments.json is not None:
-        text = json.dumps(
-            {
-                "rule": RULE,
-                "chosen": repr(chosen_case.kind),
-                "default": repr(EstimatorKind()),
-                "period_s": PERIOD_S,
-                "quantum_m": QUANTUM_M,
-                "estimators": [asdict(score) for score in scores],
-            },
-            indent=2,
-        )
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(
+        arguments.json,
+        {
+            "rule": RULE,
+            "chosen": repr(chosen_case.kind),
+            "default": repr(EstimatorKind()),
+            "period_s": PERIOD_S,
+            "quantum_m": QUANTUM_M,
+            "estimators": [asdict(score) for score in scores],
+        },
+    )
     return 0 if is_default else 1
 
 

@@ -10,15 +10,12 @@ one call in 3 us, inverse kinematics in 20 us, both within 1e-12 of the chain, t
 and every streamed step within 1e-9 of its conditions.
 """
 
-import argparse
 import importlib
 import importlib.util
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import casadi
@@ -26,6 +23,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from _report import bench_options, table_file, write_json
 from _ur_arms import CALIBRATIONS, PinocchioArm
 from _ur_quadratic import solvers
 from _ur_references import apart, extended_chain, minimum, residual
@@ -335,29 +333,21 @@ def show(rows: list[Row]) -> str:
 
 def main() -> int:
     """Measures, prints, and checks what is required."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--rounds", type=int, default=60, help="rounds in which all take turns (default 60)")
-    parser.add_argument("--poses", type=int, default=100_000, help="of the round trip (default 100000)")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--rounds", type=int, default=60, help="rounds in which all take turns (default 60)")
+    options.add_argument("--poses", type=int, default=100_000, help="of the round trip (default 100000)")
+    arguments = options.parse_args()
     if arguments.rounds < 1 or arguments.poses < CALLS:
-        parser.error(f"--rounds must be at least 1 and --poses at least {CALLS}")
+        options.error(f"--rounds must be at least 1 and --poses at least {CALLS}")
 
     rounds = arguments.rounds
     rows = forward_rows(rounds) + inverse_rows(rounds, arguments.poses) + streaming_rows(rounds) + whole_steps(rounds)
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     print(show(rows), file=out)
     wrong = missed(rows)
     print(f"\nrequired: {'; '.join(wrong) + ': MISSED' if wrong else 'met'}", file=out)
-    if arguments.json is not None:
-        report = {"rounds": rounds, "poses": arguments.poses, "rows": [asdict(row) for row in rows], "missed": wrong}
-        text = json.dumps(report, indent=2)
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    report = {"rounds": rounds, "poses": arguments.poses, "rows": [asdict(row) for row in rows], "missed": wrong}
+    write_json(arguments.json, report)
     return 1 if wrong else 0
 
 

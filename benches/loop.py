@@ -8,8 +8,6 @@ is the master's: it takes datagrams, ticks its endpoint and its simulated device
 nobody reads. cyclictest comes with Debian's package rt-tests: apt-get install rt-tests.
 """
 
-import argparse
-import json
 import os
 import shutil
 import socket
@@ -23,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from _report import bench_options, table_file, write_json
 from haptether.bridge import LiveMaster, MasterTable, OperatorTable, SafetyTable, Scene, SlaveTable, scene_json
 
 EXAMPLE = "example: python benches/loop.py --rounds 10 --json -"
@@ -102,22 +101,19 @@ def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, st
 
 def main() -> int:
     """Measures, prints the table, and says whether the requirement is met."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--rounds", type=int, default=6, help="turns of each; default 6")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each turn, 1 to 60; default 10")
-    parser.add_argument("--policy", choices=("fifo", "other"), help="by default fifo where it is allowed")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--rounds", type=int, default=6, help="turns of each; default 6")
+    options.add_argument("--seconds", type=float, default=10.0, help="of each turn, 1 to 60; default 10")
+    options.add_argument("--policy", choices=("fifo", "other"), help="by default fifo where it is allowed")
+    arguments = options.parse_args()
     if not (1 <= arguments.seconds <= 60 and 1 <= arguments.rounds <= 1000):
-        parser.error("--seconds must be 1 to 60, --rounds 1 to 1000")
+        options.error("--seconds must be 1 to 60, --rounds 1 to 1000")
     if shutil.which("cyclictest") is None:
-        parser.error("cyclictest is missing: apt-get install rt-tests")
+        options.error("cyclictest is missing: apt-get install rt-tests")
     policy = arguments.policy or allowed_policy()
     wakes = round(arguments.seconds * 1e6 / PERIOD_US)
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     print(f"overshoot in us, {wakes} wakes a turn, policy {policy}\n", file=out)
     print(f"{'':<14}{'p50':>10}{'p99':>10}{'p99.9':>10}{'> 1 ms':>10}  load average", file=out)
     rounds: list[Round] = []
@@ -161,22 +157,17 @@ def main() -> int:
     met = {f"{name} at most {REQUIRED} times cyclictest": ratios[name] <= REQUIRED for name in ("p50", "p99")}
     for what, is_met in met.items():
         print(f"required {what}: {'met' if is_met else 'MISSED'}", file=out)
-    if arguments.json is not None:
-        text = json.dumps(
-            {
-                "policy": policy,
-                "realtime": realtime,
-                "rounds": [asdict(of) for of in rounds],
-                "together": {who: asdict(of) for who, of in together.items()},
-                "ratios": ratios,
-                "met": met,
-            },
-            indent=2,
-        )
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(
+        arguments.json,
+        {
+            "policy": policy,
+            "realtime": realtime,
+            "rounds": [asdict(of) for of in rounds],
+            "together": {who: asdict(of) for who, of in together.items()},
+            "ratios": ratios,
+            "met": met,
+        },
+    )
     return 0 if all(met.values()) else 1
 
 

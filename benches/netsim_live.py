@@ -24,6 +24,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import cast
 
+from _report import bench_options, table_file, write_json
 from haptether.netsim import LinkSettings, Proxy, ProxyStatistics
 
 EXAMPLE = "example: python benches/netsim_live.py --json -"
@@ -238,21 +239,18 @@ def ramp(load: Path, name: str, seconds: float) -> list[Run]:
 
 def main() -> int:
     """Measures, prints the table, and says whether the requirement is met."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of the exactness run; default 10")
-    parser.add_argument("--ramp-seconds", type=float, default=3.0, help="of each rate; default 3")
-    parser.add_argument("--as-peer", nargs=3, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--seconds", type=float, default=10.0, help="of the exactness run; default 10")
+    options.add_argument("--ramp-seconds", type=float, default=3.0, help="of each rate; default 3")
+    options.add_argument("--as-peer", nargs=3, help=argparse.SUPPRESS)
+    arguments = options.parse_args()
     if arguments.as_peer:
         be_peer(*arguments.as_peer)
         return 0
     if not (0 < arguments.seconds <= 600 and 0 < arguments.ramp_seconds <= 600):
-        parser.error("--seconds and --ramp-seconds must be above 0, at most 600")
+        options.error("--seconds and --ramp-seconds must be above 0, at most 600")
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     load = build_load()
     names = ["haptether", "asyncio"]
     if importlib.util.find_spec("uvloop") is not None:
@@ -291,21 +289,16 @@ def main() -> int:
     print("\ncarried each way: " + ", ".join(f"{name} {rate}" for name, rate in carried.items()), file=out)
     for what, is_met in met.items():
         print(f"required {what}: {'met' if is_met else 'MISSED'}", file=out)
-    if arguments.json is not None:
-        text = json.dumps(
-            {
-                "delay_s": DELAY_S,
-                "exact": [asdict(run) for run in exact.values()],
-                "ramps": [asdict(run) for runs in ramps.values() for run in runs],
-                "carried_hz": carried,
-                "met": met,
-            },
-            indent=2,
-        )
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(
+        arguments.json,
+        {
+            "delay_s": DELAY_S,
+            "exact": [asdict(run) for run in exact.values()],
+            "ramps": [asdict(run) for runs in ramps.values() for run in runs],
+            "carried_hz": carried,
+            "met": met,
+        },
+    )
     return 0 if all(met.values()) else 1
 
 

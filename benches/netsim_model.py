@@ -8,8 +8,6 @@ by the packets between them. All times are the processor's.
 Ends with status 1 if a link without a rule costs more than 10 % of a run.
 """
 
-import argparse
-import json
 import math
 import os
 import random
@@ -18,7 +16,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import msgspec
@@ -27,6 +24,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
+from _report import bench_options, table_file, write_json
 from haptether.bridge import Scene, simulate
 from haptether.netsim import LinkSettings, judge_all
 
@@ -164,17 +162,14 @@ def processor_ns(act: Callable[[], object]) -> float:
 
 def main() -> int:
     """Measures, prints, and checks."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--packets", type=int, default=1_000_000, help="default 1000000")
-    parser.add_argument("--repeats", type=int, default=5, help="default 5")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--packets", type=int, default=1_000_000, help="default 1000000")
+    options.add_argument("--repeats", type=int, default=5, help="default 5")
+    arguments = options.parse_args()
     if arguments.repeats < 1 or arguments.packets < 1:
-        parser.error("--repeats and --packets must be at least 1")
+        options.error("--repeats and --packets must be at least 1")
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     judged, run = dict(work(arguments.packets)), dict(scenes())
     least = dict.fromkeys(judged, math.inf)
     ran = {name: [math.inf, math.inf] for name in run}
@@ -213,20 +208,15 @@ def main() -> int:
         missed = []
     print(f"\n{'; '.join(missed) or 'all as required'}", file=out)
 
-    if arguments.json is not None:
-        report = {
-            "packets": arguments.packets,
-            "repeats": arguments.repeats,
-            "load": load,
-            "verdicts": [asdict(cost) for cost in costs],
-            "engine": [asdict(cost) for cost in engine],
-            "missed": missed,
-        }
-        text = json.dumps(report, indent=2)
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    report = {
+        "packets": arguments.packets,
+        "repeats": arguments.repeats,
+        "load": load,
+        "verdicts": [asdict(cost) for cost in costs],
+        "engine": [asdict(cost) for cost in engine],
+        "missed": missed,
+    }
+    write_json(arguments.json, report)
     return 1 if missed else 0
 
 

@@ -8,7 +8,6 @@ receive (`bridge/examples/ping_pong.rs`, which has the bare one, too). The peers
 nothing with them: a socket, asyncio, and pyzmq (a PAIR over TCP, which is what it has for two ends).
 """
 
-import argparse
 import asyncio
 import importlib
 import json
@@ -25,6 +24,8 @@ from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
+
+from _report import bench_options, table_file, write_json
 
 EXAMPLE = "example: python benches/round_trip.py --json -"
 ROOT = Path(__file__).resolve().parents[1]
@@ -185,15 +186,12 @@ def measured(name: str, pings: int) -> Taken:
 
 def main() -> int:
     """Measures, prints the table, and says whether the requirement is met."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--turns", type=int, default=6, help="turns of each, 1 to 100; default 6")
-    parser.add_argument("--pings", type=int, default=5000, help="round trips of each turn, 100 to 20000; default 5000")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--turns", type=int, default=6, help="turns of each, 1 to 100; default 6")
+    options.add_argument("--pings", type=int, default=5000, help="round trips of each turn, 100 to 20000; default 5000")
+    arguments = options.parse_args()
     if not (1 <= arguments.turns <= 100 and 100 <= arguments.pings <= 20_000):
-        parser.error("--turns must be 1 to 100, --pings 100 to 20000")
+        options.error("--turns must be 1 to 100, --pings 100 to 20000")
     command = ["cargo", "build", "--quiet", "--release", "--locked", "-p", "haptether-bridge"]
     subprocess.run([*command, "--example", "ping_pong"], check=True, cwd=ROOT)
     ping_pong = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"), "release", "examples", "ping_pong")
@@ -214,7 +212,7 @@ def main() -> int:
 
     names = {"bare": "bare UDP, Rust", "insecure": "endpoints, in the clear", "secure": "endpoints, secure session"}
     bare = np.concatenate(rounds["bare"])
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     print(f"round trip in us, {arguments.turns} turns of {arguments.pings}, {BYTES} bytes\n", file=out)
     print(f"{'':<28}{'p50':>8}{'p99':>8}{'p99.9':>9}{'p50, times bare':>18}", file=out)
     figures = {}
@@ -227,12 +225,7 @@ def main() -> int:
     is_met = figures["secure"]["p50_times_bare"] <= REQUIRED
     what = f"p50 of a secure round trip at most {REQUIRED} times a bare one"
     print(f"\nrequired {what}: {'met' if is_met else 'MISSED'}", file=out)
-    if arguments.json is not None:
-        text = json.dumps({"bytes": BYTES, "figures": figures, "met": {what: is_met}}, indent=2)
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(arguments.json, {"bytes": BYTES, "figures": figures, "met": {what: is_met}})
     return 0 if is_met else 1
 
 

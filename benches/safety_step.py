@@ -6,15 +6,12 @@ Each peer computes the same numbers in the same process and must agree with ours
 the step has no feedback, and in plain Python, tick by tick, as a script would have it.
 """
 
-import argparse
-import json
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -22,6 +19,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
+from _report import bench_options, table_file, write_json
 from haptether.safety import (
     DeviceModel,
     Limiter,
@@ -236,17 +234,14 @@ def measure(case: Case, inputs: tuple[Array, Array, Array], repeats: int) -> Cos
 
 def main() -> int:
     """Measures, prints, and checks the requirement."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--samples", type=int, default=500_000, help="default 500000")
-    parser.add_argument("--repeats", type=int, default=5, help="default 5")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--samples", type=int, default=500_000, help="default 500000")
+    options.add_argument("--repeats", type=int, default=5, help="default 5")
+    arguments = options.parse_args()
     if arguments.samples < 1 or arguments.repeats < 1:
-        parser.error("--samples and --repeats must be at least 1")
+        options.error("--samples and --repeats must be at least 1")
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     inputs = signals(arguments.samples)
     costs = [
         measure(case, inputs, arguments.repeats)
@@ -271,23 +266,18 @@ def main() -> int:
         f"required under {REQUIRED_S} s: {'met' if met else 'MISSED'}",
         file=out,
     )
-    if arguments.json is not None:
-        text = json.dumps(
-            {
-                "samples": arguments.samples,
-                "repeats": arguments.repeats,
-                "costs": [asdict(cost) for cost in costs],
-                "required_s": REQUIRED_S,
-                "required_samples": REQUIRED_SAMPLES,
-                "hsc_wsc_s": required,
-                "met": met,
-            },
-            indent=2,
-        )
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(
+        arguments.json,
+        {
+            "samples": arguments.samples,
+            "repeats": arguments.repeats,
+            "costs": [asdict(cost) for cost in costs],
+            "required_s": REQUIRED_S,
+            "required_samples": REQUIRED_SAMPLES,
+            "hsc_wsc_s": required,
+            "met": met,
+        },
+    )
     return 0 if met else 1
 
 

@@ -8,8 +8,6 @@ Ends with status 1 if 1000 objects out of reach cost more than half as much agai
 longer than it may, or if running a scene loads a library that it does not use.
 """
 
-import argparse
-import json
 import math
 import resource
 import subprocess
@@ -17,13 +15,13 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import msgspec
 from rich.console import Console
 from rich.progress import track
 
+from _report import bench_options, table_file, write_json
 from haptether.bridge import Scene, simulate
 from haptether.cli.entry import COMMANDS
 
@@ -177,16 +175,13 @@ print(*sorted(set({UNUSED!r}) & set(sys.modules)), file=sys.stderr)
 
 def main() -> int:
     """Measures, prints, and checks."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--repeats", type=int, default=21, help="default 21")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--repeats", type=int, default=21, help="default 21")
+    arguments = options.parse_args()
     if arguments.repeats < 1:
-        parser.error("--repeats must be at least 1")
+        options.error("--repeats must be at least 1")
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     costs: dict[str, Cost] = {}
     found = list(rows())
     turns = ticks_ns(found, arguments.repeats)
@@ -217,19 +212,14 @@ def main() -> int:
         missed.append(f"haptether simulate loads {', '.join(needless)}")
     print(f"\n{'; '.join(missed) or 'all as required'}", file=out)
 
-    if arguments.json is not None:
-        report = {
-            "repeats": arguments.repeats,
-            "costs": [asdict(cost) for cost in costs.values()],
-            "starts": [asdict(start) for start in begins],
-            "needless": needless,
-            "missed": missed,
-        }
-        text = json.dumps(report, indent=2)
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    report = {
+        "repeats": arguments.repeats,
+        "costs": [asdict(cost) for cost in costs.values()],
+        "starts": [asdict(start) for start in begins],
+        "needless": needless,
+        "missed": missed,
+    }
+    write_json(arguments.json, report)
     return 1 if missed else 0
 
 

@@ -9,12 +9,9 @@ m x'' + b x' + K x(t - tau) = 0, and position-force coupling with and without a 
 A row that is off by more than 1 % fails.
 """
 
-import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import msgspec
@@ -25,6 +22,7 @@ import scipy.optimize
 from rich.console import Console
 from rich.progress import track
 
+from _report import bench_options, table_file, write_json
 from haptether.bridge import Scene, simulate
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -465,14 +463,11 @@ CASES: dict[str, Callable[[], Iterator[Case]]] = {
 
 def main() -> int:
     """Measures, prints, and checks every row."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--only", choices=CASES, help="one of the tables; default all")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--only", choices=CASES, help="one of the tables; default all")
+    arguments = options.parse_args()
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     cases = [case for name, make in CASES.items() if arguments.only in {None, name} for case in make()]
     rows = [measure(case) for case in track(cases, "stability", console=Console(stderr=True), transient=True)]
 
@@ -489,14 +484,9 @@ def main() -> int:
         )
     off = [row.name for row in rows if not abs(row.error) <= TOLERANCE]
     print(f"\n{len(rows) - len(off)} of {len(rows)} rows within {TOLERANCE:.0%}", file=out)
-    if arguments.json is not None:
-        text = json.dumps(
-            {"tolerance": TOLERANCE, "seed": SEED, "rows": [asdict(row) for row in rows], "met": not off}, indent=2
-        )
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(
+        arguments.json, {"tolerance": TOLERANCE, "seed": SEED, "rows": [asdict(row) for row in rows], "met": not off}
+    )
     return 1 if off else 0
 
 

@@ -7,8 +7,6 @@ and servol: the lookahead and 4 to 12 ms of transport. The overshoot of a step i
 `q'' = gain (q_set - q - lookahead q')`.
 """
 
-import argparse
-import json
 import math
 import subprocess
 import sys
@@ -19,8 +17,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from _report import bench_options, table_file, write_json
 from haptether.slave import UrSlave
 
+EXAMPLE = "example: python benches/ur_latency.py --seconds 2 --json -"
 HOST = "127.0.3.90"
 SERVO = ((0.03, 2000.0), (0.03, 1000.0), (0.05, 1000.0), (0.05, 500.0), (0.1, 300.0), (0.2, 100.0))
 WAVE_HZ = 0.3
@@ -106,10 +106,9 @@ def _led(arm: UrSlave, seconds: float) -> dict[str, Any]:
 
 def main() -> int:
     """Measures all rows."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=5.0, help="of motion for each row")
-    parser.add_argument("--json", default=None, help="also write the rows there, - for standard output")
-    given = parser.parse_args()
+    line = bench_options(__doc__, EXAMPLE)
+    line.add_argument("--seconds", type=float, default=5.0, help="of motion for each row")
+    arguments = line.parse_args()
     asked = [("servoj", "5.11", {"lookahead_time": lookahead_s, "gain": gain}) for lookahead_s, gain in SERVO]
     asked += [
         ("servol", "5.11", {"lookahead_time": 0.05, "gain": 1000.0}),
@@ -120,7 +119,7 @@ def main() -> int:
     for mode, version, options in asked:
         for left in reversed(range(MAX_TRIES)):
             try:
-                rows.append(measure(mode, version, options, given.seconds))
+                rows.append(measure(mode, version, options, arguments.seconds))
                 break
             except RuntimeError as error:
                 # A machine that stalls for 100 ms has made the driver stop, as it should.
@@ -137,14 +136,8 @@ def main() -> int:
             f"{1e3 * row.period_p50_s:.2f} ms",
             f"{1e3 * row.period_p99_s:.2f} ms",
         )
-    Console(stderr=given.json == "-").print(table)
-    if given.json is not None:
-        text = json.dumps([asdict(row) for row in rows], indent=2)
-        if given.json == "-":
-            print(text)
-        else:
-            with open(given.json, "w", encoding="utf-8") as file:  # noqa: PTH123  # one file
-                file.write(text)
+    Console(file=table_file(arguments.json)).print(table)
+    write_json(arguments.json, [asdict(row) for row in rows])
     return 0
 
 

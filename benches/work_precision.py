@@ -6,8 +6,6 @@ precision, or DOP853 at 1e-13, piece by piece between located events (`_piecewis
 The default integrator must lie on the Pareto front of every scenario: no method may be at least as accurate and faster.
 """
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -24,6 +22,7 @@ from rich.console import Console
 from rich.progress import track
 
 from _piecewise import Motion, integrate, recursion, tick_by_tick, ticks_of
+from _report import bench_options, table_file, write_json
 from haptether.bridge import (
     ContactTable,
     EnvironmentTable,
@@ -399,18 +398,15 @@ def plot(panels: list[Panel], folder: Path) -> Path:
 
 def main() -> int:
     """Measures, prints, and checks the default."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--json", metavar="PATH", help="the same for machines; - for stdout")
-    parser.add_argument("--plot", metavar="DIR", type=Path, help="writes work_precision.png there")
-    parser.add_argument("--repeats", type=int, default=20, help="the least time counts (default 20)")
-    parser.add_argument("--scipy-repeats", type=int, default=3, help="of DOP853 (default 3)")
-    arguments = parser.parse_args()
+    options = bench_options(__doc__, EXAMPLE)
+    options.add_argument("--plot", metavar="DIR", type=Path, help="writes work_precision.png there")
+    options.add_argument("--repeats", type=int, default=20, help="the least time counts (default 20)")
+    options.add_argument("--scipy-repeats", type=int, default=3, help="of DOP853 (default 3)")
+    arguments = options.parse_args()
     if min(arguments.repeats, arguments.scipy_repeats) < 1:
-        parser.error("--repeats and --scipy-repeats must be at least 1")
+        options.error("--repeats and --scipy-repeats must be at least 1")
 
-    out = sys.stderr if arguments.json == "-" else sys.stdout
+    out = table_file(arguments.json)
     panels = [
         measure(scenario, arguments.repeats, arguments.scipy_repeats)
         for scenario in track(scenarios(), "scenarios", console=Console(stderr=True), transient=True)
@@ -434,21 +430,16 @@ def main() -> int:
     print(f"{DEFAULT} is the default: {'on every Pareto front' if met else 'NOT justified'}", file=out)
     if arguments.plot is not None:
         print(plot(panels, arguments.plot), file=out)
-    if arguments.json is not None:
-        text = json.dumps(
-            {
-                "repeats": arguments.repeats,
-                "panels": [asdict(panel) for panel in panels],
-                "release_velocity": [{"stiffness": k, "relative_error": error} for k, error in releases.items()],
-                "bounce": {"contacts": contacts, "relative_error": energy},
-                "met": met,
-            },
-            indent=2,
-        )
-        if arguments.json == "-":
-            print(text)
-        else:
-            Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+    write_json(
+        arguments.json,
+        {
+            "repeats": arguments.repeats,
+            "panels": [asdict(panel) for panel in panels],
+            "release_velocity": [{"stiffness": k, "relative_error": error} for k, error in releases.items()],
+            "bounce": {"contacts": contacts, "relative_error": energy},
+            "met": met,
+        },
+    )
     return 0 if met else 1
 
 
