@@ -287,7 +287,7 @@ impl Observed {
 
 /// What the observers are held against: 1 of Eq. 1, zeta of Eq. 8, delta of Eq. 10, 0 of Eq. 12.
 pub fn thresholds(settings: &SafetySettings) -> PerController<f64> {
-    PerController(ControllerKind::ALL.map(|kind| kind.threshold(settings)))
+    PerController::of(|kind| kind.threshold(settings))
 }
 
 /// How many interventions are kept.

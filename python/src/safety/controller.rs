@@ -2,7 +2,7 @@
 
 use haptether_safety::{
     Axes, Fault,
-    controller::{ControllerKind, Intervention, SafetyController, SafetySettings},
+    controller::{ControllerKind, Intervention, PerController, SafetyController, SafetySettings},
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
@@ -182,29 +182,30 @@ impl PySafetyController {
         let (mut tripped, mut faults) = (Vec::with_capacity(ticks), Vec::with_capacity(ticks));
         // A column that no observer fills is not kept.
         let kinds = with_axes!(&self.inner, AnyController, controller => controller.kinds());
-        let mut observed: Vec<_> = kinds.iter().map(|kind| (kind, Vec::with_capacity(ticks))).collect();
+        let mut observed = PerController::of(|kind| kinds.contains(kind).then(|| Vec::with_capacity(ticks)));
         py.detach(|| {
             with_axes!(&mut self.inner, AnyController, controller => {
-                for tick in 0..ticks {
-                    let seen = seen.at::<N>(tick);
-                    let (step, rendered, fault) = match controller.step(&seen) {
-                        Ok(step) => (step, seen.rendered_force, 0),
-                        Err(fault) => (Intervention::none(), Axes::zeros(), fault.code()),
-                    };
+                let mut keep = |step: &Intervention<N>, rendered: &Axes<N>, fault| {
                     safety.extend_from_slice(step.safety_force.as_slice());
                     device.extend_from_slice((rendered + step.safety_force).as_slice());
                     tripped.push(step.tripped.bits());
                     faults.push(fault);
-                    for (kind, values) in &mut observed {
-                        values.push(step.observed[*kind]);
+                    for (values, value) in observed.0.iter_mut().zip(step.observed.0) {
+                        if let Some(values) = values {
+                            values.push(value);
+                        }
+                    }
+                };
+                for tick in 0..ticks {
+                    let seen = seen.at::<N>(tick);
+                    match controller.step(&seen) {
+                        Ok(step) => keep(&step, &seen.rendered_force, 0),
+                        Err(fault) => keep(&Intervention::none(), &Axes::zeros(), fault.code()),
                     }
                 }
             });
         });
-        let mut column_of = |wanted: ControllerKind| {
-            let place = observed.iter().position(|(kind, _)| *kind == wanted)?;
-            Some(column(py, observed.swap_remove(place).1))
-        };
+        let mut column_of = |kind: ControllerKind| observed[kind].take().map(|values| column(py, values));
         Ok(PyInterventions {
             safety_force: seen.velocity.shaped(py, safety)?,
             device_force: seen.velocity.shaped(py, device)?,

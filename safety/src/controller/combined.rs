@@ -157,8 +157,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let felt = if self.controllers.reads_aligned_force() { self.felt(seen) } else { *seen };
-        let verdicts = self.controllers.step(&felt);
+        let felt_share = self.felt_share();
+        let verdicts = self.controllers.step(seen, felt_share);
         let is_unsafe = verdicts.is_unsafe();
         let gain = self.gain(is_unsafe);
         self.let_through = all - gain;
@@ -179,18 +179,17 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         response
     }
 
-    /// What a hand can have felt of `F_v`, for HSC with a release ramp.
+    /// Share of `F_v` that a hand can have felt, for HSC with a release ramp.
     ///
     /// While an intervention cancels `F_v`, a hand has nothing to hold against: against all of `F_v`, `S_h` would stay
     /// large for ever and the hand that has come back would never get its force again. So the force comes back over
     /// the ramp, and `S_h` compares the hand with the share that is rendered: one that holds ends the intervention, one
     /// that is gone trips it anew as soon as that share exceeds `F_t`. Without a ramp, Eq. 14 stands as printed.
     #[inline(always)]
-    fn felt(&self, seen: &Observation<N, S>) -> Observation<N, S> {
+    fn felt_share(&self) -> S {
         let nothing = S::splat(0.0);
         let fades = self.ramp_ticks.simd_gt(nothing) & self.on_for.simd_gt(nothing);
-        let share = self.let_through.select(fades, S::splat(1.0));
-        Observation { aligned_rendered_force: seen.aligned_rendered_force * share, ..*seen }
+        self.let_through.select(fades, S::splat(1.0))
     }
 
     /// Share of the intervention that is on at this tick.
@@ -295,13 +294,15 @@ impl<const N: usize, S: Real> Response<N, S> {
     #[inline]
     pub fn lane(&self, lane: usize) -> Intervention<N> {
         let is_set = |mask: S::SimdBool| mask.bitmask() >> lane & 1 == 1;
-        let tripped = ControllerKind::ALL
-            .into_iter()
-            .filter(|kind| is_set(self.tripped[*kind]))
-            .fold(Tripped::NONE, |all, kind| all.and(Tripped::of(kind)));
+        let mut tripped = if is_set(self.held) { Tripped::HELD } else { Tripped::NONE };
+        for kind in ControllerKind::ALL {
+            if is_set(self.tripped[kind]) {
+                tripped = tripped.and(Tripped::of(kind));
+            }
+        }
         Intervention {
             safety_force: self.safety_force.extract(lane),
-            tripped: if is_set(self.held) { tripped.and(Tripped::HELD) } else { tripped },
+            tripped,
             observed: PerController(self.observed.0.map(|value| value.extract(lane))),
         }
     }

@@ -80,10 +80,16 @@ macro_rules! controllers {
                 Some(Self { $($file: option(of, |one| one.$file.clone(), Controller::gather)?,)+ })
             }
 
+            /// A controller that compares `F_v` with `F_h` sees but the share of it that a hand can have felt.
             #[inline(always)]
-            fn step(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
+            fn step(&mut self, seen: &Observation<N, S>, felt_share: S) -> Verdicts<N, S> {
+                let felt = || {
+                    let aligned_rendered_force = seen.aligned_rendered_force * felt_share;
+                    Observation { aligned_rendered_force, ..*seen }
+                };
                 Verdicts {
                     $($file: match &mut self.$file {
+                        Some(controller) if $controller::<N, S>::READS_ALIGNED_FORCE => controller.step(&felt()),
                         Some(controller) => controller.step(seen),
                         None => Verdict::without_force(S::splat(f64::NAN), nowhere::<S>()),
                     },)+
@@ -93,11 +99,6 @@ macro_rules! controllers {
             #[inline(always)]
             fn reads_grasp_force(&self) -> bool {
                 false $(|| $controller::<N, S>::READS_GRASP_FORCE && self.$file.is_some())+
-            }
-
-            #[inline(always)]
-            fn reads_aligned_force(&self) -> bool {
-                false $(|| $controller::<N, S>::READS_ALIGNED_FORCE && self.$file.is_some())+
             }
 
             /// Energy in J that the force `delivered` owes to all of them.
@@ -187,6 +188,13 @@ pub struct PerController<T>(
     /// In the order of [`ControllerKind::ALL`].
     pub [T; COUNT],
 );
+
+impl<T> PerController<T> {
+    /// A value made for each.
+    pub fn of(value: impl FnMut(ControllerKind) -> T) -> Self {
+        Self(ControllerKind::ALL.map(value))
+    }
+}
 
 impl<T: Copy> PerController<T> {
     /// The same value for all.
