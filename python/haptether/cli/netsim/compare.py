@@ -40,7 +40,7 @@ class Compare:
 
         from haptether.cli.netsim.traffic import check_traffic, figures_table, sending_times
         from haptether.cli.shared.numbers import check_seed
-        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.netsim import compare_netem
 
@@ -57,14 +57,13 @@ class Compare:
             console.print(f"no link of ours can: {found.refused}", soft_wrap=True)
         if not found.quirks:
             console.print("no quirk of netem acted")
-        if self.json is not None:
-            report = {
-                "arguments": self.arguments,
-                "packets": self.packets,
-                "rate_hz": self.rate,
-                "size": self.size,
-                "seed": self.seed,
-                **msgspec.to_builtins(found),
-            }
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        report = {
+            "arguments": self.arguments,
+            "packets": self.packets,
+            "rate_hz": self.rate,
+            "size": self.size,
+            "seed": self.seed,
+            **msgspec.to_builtins(found),
+        }
+        write_report(self.json, report)
         return 0

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -30,7 +30,7 @@ class List:
         from rich.box import SIMPLE_HEAD
         from rich.table import Table
 
-        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.netsim import PRESETS
 
@@ -45,9 +45,7 @@ class List:
         for name, preset in PRESETS.items():
             table.add_row(f"{name}\n{preset.title}", *_figures(preset), preset.source)
         screen(self.json).print(table)
-        if self.json is not None:
-            report: dict[str, Any] = {name: msgspec.to_builtins(preset) for name, preset in PRESETS.items()}
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        write_report(self.json, {name: msgspec.to_builtins(preset) for name, preset in PRESETS.items()})
         return 0
 
 

@@ -211,9 +211,7 @@ def _dropped(of: "DirectionStatistics") -> dict[str, int]:
 
 def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None) -> int:
     """Prints what the proxy did and returns the exit status: an invalid run has failed."""
-    import msgspec
-
-    from haptether.cli.shared.output import write_json
+    from haptether.cli.shared.output import write_report
     from haptether.cli.shared.screen import screen
 
     console = screen(json)
@@ -227,9 +225,7 @@ def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None)
             f"must be at most {max_error_s * 1e3:g} ms{early}: the delays were not those that were asked for",
             soft_wrap=True,
         )
-    if json is not None:
-        body = {**statistics_report(statistics), "max_error_s": max_error_s}
-        write_json(json, msgspec.json.format(msgspec.json.encode(body), indent=2))
+    write_report(json, {**statistics_report(statistics), "max_error_s": max_error_s})
     return 0 if statistics.valid else 1
 
 

@@ -49,9 +49,7 @@ class Record:
 
     def run(self) -> int:
         """Measures, and says what was found."""
-        import msgspec
-
-        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.netsim import record
         from haptether.private_file import begin_private
 
@@ -67,9 +65,8 @@ class Record:
             recording.write_csv(self.csv)
         figures = summarised(recording)
         self._print(figures)
-        if self.json is not None:
-            report = {"peer": self.peer, "rate_hz": self.rate, "duration_s": self.duration_s, **figures}
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(report), indent=2))
+        report = {"peer": self.peer, "rate_hz": self.rate, "duration_s": self.duration_s, **figures}
+        write_report(self.json, report)
         return 0
 
     def _print(self, figures: "dict[str, float | int | None]") -> None:

@@ -12,7 +12,7 @@ from haptether.cli.netsim.traffic import check_traffic, figures_table, sending_t
 if TYPE_CHECKING:
     from typing import TextIO
 
-    from haptether.netsim import LinkFigures, Verdicts
+    from haptether.netsim import Verdicts
 
 MAX_POINTS = 5000
 """Of the picture over time."""
@@ -56,7 +56,7 @@ class Sample(LinkOptions):
 
     def run(self) -> int:
         """Judges all packets."""
-        from haptether.cli.shared.output import check_target, require_matplotlib, table_goes_to_stderr
+        from haptether.cli.shared.output import check_target, require_matplotlib, table_goes_to_stderr, write_report
         from haptether.cli.shared.screen import screen
         from haptether.netsim import asked, judge_all, realised
 
@@ -74,8 +74,15 @@ class Sample(LinkOptions):
         console.print(figures_table(f"{self.packets} packets {self.direction}, seed {links.seed}", figures))
         if self.csv is not None:
             _write_csv(self.csv, verdicts)
-        if self.json is not None:
-            self._write_json(self.json, figures, links.seed)
+        report = {
+            "packets": self.packets,
+            "rate_hz": self.rate,
+            "size": self.size,
+            "direction": self.direction,
+            "seed": links.seed,
+            **figures,
+        }
+        write_report(self.json, report)
         if self.plot is not None:
             _draw(verdicts, self.plot)
             console.print(f"picture: {self.plot}")
@@ -86,21 +93,6 @@ class Sample(LinkOptions):
         if [self.csv, self.json].count(Path("-")) > 1:
             message = "csv, json: only one of the two can go to standard output"
             raise ValueError(message)
-
-    def _write_json(self, target: Path, figures: "dict[str, LinkFigures]", seed: int) -> None:
-        import msgspec
-
-        from haptether.cli.shared.output import write_json
-
-        report = {
-            "packets": self.packets,
-            "rate_hz": self.rate,
-            "size": self.size,
-            "direction": self.direction,
-            "seed": seed,
-            **figures,
-        }
-        write_json(target, msgspec.json.format(msgspec.json.encode(report), indent=2))
 
 
 def _write_csv(target: Path, verdicts: "Verdicts") -> None:

@@ -33,9 +33,7 @@ class Set:
 
     def run(self) -> int:
         """Sends the request and says what was answered."""
-        import msgspec
-
-        from haptether.cli.shared.output import check_target, write_json
+        from haptether.cli.shared.output import check_target, write_report
         from haptether.netsim import ask_control
 
         check_target(self.json)
@@ -49,8 +47,7 @@ class Set:
             message = f"the proxy changed nothing: {answer.get('error', 'it did not say why')}"
             raise ValueError(message)
         self._print(answer)
-        if self.json is not None:
-            write_json(self.json, msgspec.json.format(msgspec.json.encode(answer), indent=2))
+        write_report(self.json, answer)
         return 0
 
     def _print(self, answer: dict[str, Any]) -> None:
