@@ -222,7 +222,7 @@ class JointTracking:
 
     def __init__(self, kinematics: "UrKinematics", options: UrOptions, period_s: float) -> None:
         from haptether.slave.ur.kinematics.constraints import SelfKeepOut, StreamingLimits  # noqa: PLC0415  # with CasADi
-        from haptether.slave.ur.kinematics.streaming import UrStreaming  # noqa: PLC0415
+        from haptether.slave.ur.kinematics.streaming import BrakedPoint, UrStreaming  # noqa: PLC0415
 
         model = kinematics.model
         speeds = [JOINT_SPEED_SHARE * speed for speed in model.max_speed]
@@ -240,7 +240,7 @@ class JointTracking:
         self._period_s = period_s
         self._rate_hz = 1.0 / (CORRECTION_PERIODS * period_s)
         self._max_behind_m = max(options.max_jump, MAX_BEHIND_M)
-        self._braking_m = options.max_speed / limits.approach_rate_hz
+        self._braked = BrakedPoint(limits, period_s)
         self._rotation = np.eye(3)
         self._twist = np.zeros(6)
         self.offset = np.zeros(3)
@@ -255,6 +255,7 @@ class JointTracking:
         self.offset = transform[:3, 3] - np.array(state.pose[:3])
         self.q, self.qd = np.array(state.q), np.zeros(6)
         self._streaming.begin(self.q, self.offset)
+        self._braked.begin(np.array(transform[:3, 3]), self.offset)
 
     def follow(self, position: Three, velocity: Three, elapsed_s: float) -> None:
         """Goes on for a time in s, in whole periods.
@@ -266,17 +267,18 @@ class JointTracking:
         feed_forward = np.array(velocity)
         for _ in range(max(1, round(elapsed_s / self._period_s))):
             transform = self._kinematics.forward(self.q)
-            behind = target - transform[:3, 3]
+            tool = transform[:3, 3]
             # From where the target was a period ago: else the joints would run ahead by v times a period.
-            self._twist[:3] = feed_forward + (behind - feed_forward * self._period_s) * self._rate_hz
+            behind = target - tool - feed_forward * self._period_s
+            # Before a plane the arm brakes, and the set point stops on it: no fault while it comes on as it brakes.
+            behind_braked = self._braked.position - tool
+            self._braked.step(target)
+            self._twist[:3] = feed_forward + behind * self._rate_hz
             self._twist[3:] = rotvec_from_matrix(self._rotation @ transform[:3, :3].T)
             self._twist[3:] *= self._rate_hz
             self.qd = np.array(self._streaming.velocity(self.q, self.qd, self._twist))
             self.q = self.q + self.qd * self._period_s
-        away = float(np.linalg.norm(behind))
-        if away > self._max_behind_m:
-            # Before a plane it brakes, and the set point stops on it: that is no fault, and made up for slowly.
-            away = float(np.linalg.norm(self._streaming.beside_planes(behind, self._braking_m)))
+        away = min(float(np.linalg.norm(behind)), float(np.linalg.norm(behind_braked)))
         if away > self._max_behind_m:
             held_by = self._streaming.held_by
             why = self._streaming.reason or (f"held back by {held_by}" if held_by else UNKNOWN_CAUSE)

@@ -125,13 +125,6 @@ class UrStreaming:
         held = self.multipliers[6:] < 0
         return ", ".join(row for row, is_held in zip(self.rows, held, strict=False) if is_held)
 
-    def beside_planes(self, vector: Array, within_m: float) -> Array:
-        """A vector, (3,), without its parts towards the planes that the last call of `velocity` found so near, in m."""
-        for normal, distance in zip(self._normals, self._distances - self._floors, strict=True):
-            if distance < within_m and (towards := float(normal @ vector)) < 0:
-                vector = vector - towards * normal
-        return vector
-
     def begin(self, q: Numbers, offset: Numbers = (0.0, 0.0, 0.0)) -> None:
         """Motion begins at joint angles: what is nearer there than it may be need not go away, but goes no nearer.
 
@@ -226,6 +219,45 @@ class UrStreaming:
         if before.shape != (6,) or not np.isfinite(before).all() or self._step is None:
             return np.zeros(6)
         return before - np.clip(before, -self._step, self._step)
+
+
+class BrakedPoint:
+    """A point that follows another as a tool would that brakes before planes, and that nothing else holds back.
+
+    It goes to the nearest point at which every distance h to a plane is `(1 - rate T) h` at least, which is what
+    `UrStreaming` leaves of it in a period T. How far a tool is from this point, then, no plane accounts for.
+
+    Args:
+        limits: Planes, of which those of the whole arm count as those of its tool, and the rate.
+        period_s: Time between two calls in s.
+    """
+
+    def __init__(self, limits: StreamingLimits, period_s: float) -> None:
+        self._offsets_m = np.array([plane.offset_m for plane in limits.planes])
+        self._normals = np.array([plane.normal for plane in limits.planes]).reshape(-1, 3)
+        self._share = 1.0 - limits.approach_rate_hz * period_s
+        self._levels = self._offsets_m
+        self._solver = QuadraticSolver()
+        self.position = np.zeros(3)
+        """m."""
+
+    def begin(self, position: Array, offset: Array) -> None:
+        """It is at a position, (3,), m; the offset and what is beyond a plane there are as in `UrStreaming.begin`."""
+        self.position = position
+        self._levels = np.minimum(self._offsets_m + self._normals @ offset, self._normals @ position)
+
+    def step(self, target: Array) -> None:
+        """Goes on for a period towards a target, (3,), m."""
+        least = self._levels + self._share * (self._normals @ self.position - self._levels)
+        if (self._normals @ target >= least).all():
+            self.position = target
+            return
+        anywhere = np.full(3, UNBOUNDED)
+        upper = np.full(len(least) + 3, UNBOUNDED)
+        nearest = QuadraticProgram(np.eye(3), -target, self._normals, np.concatenate((-anywhere, least)), upper)
+        solution = self._solver.solve(nearest)
+        if solution is not None:
+            self.position = np.array(solution)
 
 
 # ---------------------------------------------------------------------------------------------------------- the program

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from tests.ur.fake_rtde import START_Q
 
-from haptether.slave import SelfKeepOut, StreamingLimits, UrKinematics, UrStreaming, ur_model
+from haptether.slave import SelfKeepOut, StreamingLimits, UrKinematics, UrModel, UrStreaming, ur_model
 from haptether.slave.ur.kinematics import streaming
 from haptether.slave.ur.kinematics.constraints import arm_body
 from haptether.slave.ur.kinematics.pose import pose_from_transform
@@ -46,14 +46,15 @@ def led(
     period_s: float = 0.002,
     off: tuple[float, float, float] = (0.0, 0.0, 0.0),
     q: tuple[float, ...] = START_Q,
+    model: UrModel = MODEL,
     **given: Any,  # noqa: ANN401  # options
 ) -> Led:
     """Leads the tool along a straight line at a speed, and lets it settle; the controller has it `off` away."""
-    kinematics = UrKinematics(MODEL)
+    kinematics = UrKinematics(model)
     pose = pose_from_transform(np.array(kinematics.forward(q)))
     pose[:3] += off
     state = UrState(1.0, q, q, (0.0,) * 6, tuple(pose.tolist()), (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2, 1.0)
-    options = ur_options({"host": "fake", "max_speed": speed} | given)
+    options = ur_options({"host": "fake", "model": model.name, "max_speed": speed} | given)
     joints = JointTracking(kinematics, options, period_s)
     point = SetPoint(options.max_speed, options.max_acceleration, period_s, options.planes)
     home = np.array(pose[:3])
@@ -99,6 +100,47 @@ def test_an_arm_that_is_led_beyond_a_plane_stops_at_it(speed: float, acceleratio
     # of a period bends by less than 1 um.
     assert along.max() <= 0.06 + 1e-6
     assert along[-1] == pytest.approx(0.06, abs=1e-4 + 0.06 * math.exp(-10.0 / max(1.0, speed)))
+
+
+@pytest.mark.parametrize("period_s", [0.002, 0.008])
+@pytest.mark.parametrize("across", [[(0.0, 0.0)], [(0.0, 0.9), (-0.2, 0.2)]], ids=["one plane", "a wedge"])
+def test_an_arm_that_comes_to_a_plane_at_full_speed_does_not_fault(
+    across: list[tuple[float, float]], period_s: float
+) -> None:
+    # A UR20 across its front: none of the smaller ones is as fast as options allow.
+    model, q, towards = ur_model("ur20"), (0.0, -0.4, 1.0, -2.17, -1.57, 0.0), np.array((0.0, 1.0, 0.0))
+    home = np.array(UrKinematics(model).forward(q))[:3, 3]
+    normals = [np.array((x, -1.0, z)) for x, z in across]
+    planes = [[*normal.tolist(), float(normal @ (home + 0.95 * towards))] for normal in normals]
+    arm = led(
+        towards, 1.1, speed=3.0, period_s=period_s, q=q, model=model, max_acceleration=20.0, workspace=planes,
+    )  # fmt: skip
+    assert arm.fault == ""
+    assert (np.diff(arm.away, axis=0) @ towards).max() > 2.6 * period_s
+    # The set point stops at once, and the tool from 0.9 m before it on.
+    assert np.linalg.norm(arm.behind, axis=1).max() > 0.25
+    for normal in normals:
+        assert (arm.away @ normal).min() >= 0.95 * normal[1] - 1e-6
+
+
+@pytest.mark.parametrize("speed", [1.5, 3.0])
+@pytest.mark.parametrize(
+    ("towards", "ahead_m"),
+    [((1.0, 0.0, 0.0), (0.4, 0.9)), ((-1.0, 0.0, 0.0), (0.4, 0.9)), ((0.0, 0.0, 1.0), (0.6, 0.9))],
+    ids=["outwards", "inwards", "up"],
+)
+def test_an_arm_that_cannot_follow_faults_before_a_plane_as_it_does_without(
+    towards: tuple[float, ...], ahead_m: tuple[float, ...], speed: float
+) -> None:
+    # What its joints do not do is not for a plane that it would brake at as well.
+    way = np.array(towards)
+    free = led(way, 1.2, speed=speed, max_acceleration=20.0)
+    assert "the tool cannot follow" in free.fault
+    for at_m in ahead_m:
+        bounded = led(way, 1.2, speed=speed, max_acceleration=20.0, workspace=[plane_ahead(way, at_m)])
+        assert "the tool cannot follow" in bounded.fault
+        assert len(free.q) <= len(bounded.q) <= len(free.q) + 5
+        assert np.linalg.norm(bounded.behind[-1]) < 0.03
 
 
 def test_the_plane_is_where_the_controller_has_the_tool() -> None:
