@@ -137,6 +137,7 @@ class UrSlave:
             now_s = time.monotonic()
             self._look_for_faults(now_s)
             if self._fault is None:
+                self._soft_stop.update()
                 self._watchdog.service(now_s, self._aside, idle=not self._soft_stop.heard)
         why = self._soft_stop.check(self._state, stale=time.monotonic() - self._arrived_s > STALE_S)
         if why is not None:

@@ -64,6 +64,7 @@ class Motion:
         """
         now_s = time.monotonic()
         stop = self._soft_stop
+        stop.update()
         if not stop.ready:
             return
         target = placed(self._options, position, self.point.position if stop.commanded else _three(state.pose))

@@ -59,6 +59,8 @@ class Phase(Enum):
 class SoftStop:
     """Stops the arm without waiting for it.
 
+    What it knows changes with its methods alone, `update` first; properties only read it.
+
     Args:
         connection: The connections.
         host: The controller.
@@ -81,34 +83,36 @@ class SoftStop:
 
     @property
     def phase(self) -> Phase:
-        """Of the motion; the thread of the library pauses it where commands stay away."""
-        if self._phase is Phase.MOVING:
-            idled = self._connection.worker.idled
-            if idled is not None and idled is not self._before:
-                self._phase, self._call, self._still_since = Phase.PAUSING, idled, None
+        """Of the motion, as of the last call of a method."""
         return self._phase
 
     @property
     def commanded(self) -> bool:
         """Whether the arm is led: from an accepted first command until it is stopped or cut."""
-        return self.phase in {Phase.MOVING, Phase.PAUSING, Phase.PAUSED}
+        return self._phase in {Phase.MOVING, Phase.PAUSING, Phase.PAUSED}
 
     @property
     def ready(self) -> bool:
         """Whether a command may move the arm: not while it comes to rest, nor once it is cut."""
-        return self.phase in {Phase.AT_REST, Phase.MOVING, Phase.PAUSED}
+        return self._phase in {Phase.AT_REST, Phase.MOVING, Phase.PAUSED}
 
     @property
     def stopping(self) -> bool:
         """Whether the arm comes to rest: until it was seen to."""
-        return self.phase in {Phase.STOPPING, Phase.PAUSING}
+        return self._phase in {Phase.STOPPING, Phase.PAUSING}
 
     @property
     def heard(self) -> bool:
         """Whether the watchdog hears a command or a stop just now, so that it needs no kick."""
-        if self.phase is Phase.STOPPING:
+        if self._phase is Phase.STOPPING:
             return self._call is not None and not self._call.done
         return self._phase in {Phase.MOVING, Phase.PAUSED}
+
+    def update(self) -> None:
+        """Takes in whether the thread of the library has paused the motion because commands stayed away."""
+        idled = self._connection.worker.idled
+        if self._phase is Phase.MOVING and idled is not None and idled is not self._before:
+            self._phase, self._call, self._still_since = Phase.PAUSING, idled, None
 
     def begin(self) -> None:
         """Commands lead the arm from where it rests."""
@@ -133,6 +137,7 @@ class SoftStop:
             state: The newest.
             stale: Whether it is too old to show that the program has ended.
         """
+        self.update()
         if not self.stopping or self._connection.control is None:
             return None
         call = self._call

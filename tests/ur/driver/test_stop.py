@@ -6,6 +6,9 @@ from typing import Any
 import pytest
 from tests.ur.fake_rtde import PLAYING, START_POSE, START_Q, STOPPED
 
+from haptether.slave.ur.modes import ServoL
+from haptether.slave.ur.motion import Motion
+from haptether.slave.ur.options import ur_options
 from haptether.slave.ur.state import UrState
 from haptether.slave.ur.stop import STILL_S, Phase, SoftStop
 from haptether.slave.ur.worker import Call
@@ -20,6 +23,10 @@ class Connection:
         self.idled: Call | None = None
         self.stuck: Call | None = None
         self.started: list[Call] = []
+        self.streamed: list[str] = []
+
+    def stream(self, name: str, _order: object, _idle: object) -> None:
+        self.streamed.append(name)
 
     def start(self, name: str, order: Callable[[Any], bool], limit_s: float) -> Call:
         self.started.append(Call(name, lambda: order(None), limit_s))
@@ -43,14 +50,17 @@ class Stopped:
         self.soft_stop = SoftStop(self.connection, "127.0.0.1", lambda _: None)  # type: ignore[arg-type]
         self._timestamp = 10.0
 
-    def package(self, *, qd: float = 0.0, runtime_state: int = PLAYING, stale: bool = False) -> str | None:
-        """A package, and what is wrong."""
+    def state(self, qd: float = 0.0, runtime_state: int = PLAYING) -> UrState:
+        """The next package."""
         self._timestamp += 0.002
         six = (0.0,) * 6
-        state = UrState(
+        return UrState(
             self._timestamp, START_Q, START_Q, (qd, *six[1:]), START_POSE, six, six, 7, 1, 1, runtime_state, 1.0
         )
-        return self.soft_stop.check(state, stale=stale)
+
+    def package(self, *, qd: float = 0.0, runtime_state: int = PLAYING, stale: bool = False) -> str | None:
+        """A package, and what is wrong."""
+        return self.soft_stop.check(self.state(qd, runtime_state), stale=stale)
 
     def rests(self) -> None:
         """Packages of joints that rest for long enough, and no longer."""
@@ -107,6 +117,7 @@ def test_a_pause_ends_with_the_next_command_and_the_next_silence_is_another(stop
     soft_stop.begin()
     for _ in range(2):
         stopped.connection.pause()
+        soft_stop.update()
         assert (stopped.phase, soft_stop.ready, soft_stop.commanded) == (Phase.PAUSING, False, True)
         # The watchdog hears nothing else meanwhile.
         assert not soft_stop.heard
@@ -117,10 +128,45 @@ def test_a_pause_ends_with_the_next_command_and_the_next_silence_is_another(stop
     assert stopped.connection.started == []
 
 
+def test_what_is_read_of_a_pause_does_not_change_it(stopped: Stopped) -> None:
+    soft_stop = stopped.soft_stop
+    soft_stop.begin()
+    stopped.connection.pause()
+    for _ in range(2):
+        assert (stopped.phase, soft_stop.ready, soft_stop.stopping, soft_stop.heard) == (
+            Phase.MOVING,
+            True,
+            False,
+            True,
+        )
+    # A package shows it as well.
+    assert stopped.package(qd=0.3) is None
+    assert (stopped.phase, soft_stop.ready, soft_stop.stopping, soft_stop.heard) == (Phase.PAUSING, False, True, False)
+
+
+def test_nothing_is_commanded_while_the_arm_pauses(stopped: Stopped) -> None:
+    options = ur_options({"host": "fake", "axes": 3, "mode": "servol"})
+    motion = Motion(options, stopped.connection, stopped.soft_stop, ServoL(options, 0.002), 0.002)  # type: ignore[arg-type]
+
+    def send() -> list[str]:
+        motion.send(stopped.state(), START_POSE[:3], (0.0, 0.0, 0.0))
+        return stopped.connection.streamed
+
+    assert send() == ["servoL"]
+    stopped.connection.pause()
+    # Seen by the command itself, before any package.
+    assert send() == ["servoL"]
+    assert (stopped.phase, stopped.soft_stop.ready) == (Phase.PAUSING, False)
+    stopped.rests()
+    assert send() == ["servoL", "servoL"]
+    assert (stopped.phase, stopped.soft_stop.ready) == (Phase.MOVING, True)
+
+
 @pytest.mark.parametrize("rests", [False, True])
 def test_a_pause_can_be_stopped_for_good(stopped: Stopped, rests: bool) -> None:
     stopped.soft_stop.begin()
     stopped.connection.pause()
+    stopped.soft_stop.update()
     assert stopped.soft_stop.stopping
     if rests:
         stopped.rests()
