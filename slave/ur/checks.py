@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from haptether.slave.ur.connection import LinkError, RtdeConnection
+from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import (
     DashboardError,
@@ -202,7 +202,7 @@ def check_after(
     for what, remedy, step in steps:
         try:
             checklist.ok(what, step())
-        except LinkError as error:
+        except RtdeConnectionError as error:
             checklist.refuse(what, str(error), remedy)
             # What follows would only wait for the same.
             break
@@ -267,7 +267,7 @@ def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float)
     if connection.control is None and seen.runtime_state == PLAYING:
         # Ours has ended with its interface: to connect would stop what somebody has started meanwhile.
         message = "a program plays that is not ours: stop it on the pendant, then acknowledge again"
-        raise LinkError(message)
+        raise RtdeConnectionError(message)
     connection.connect()
     return check_after(options, connection, checklist, sensor=False)
 
@@ -286,7 +286,7 @@ def _tool(options: UrOptions, connection: RtdeConnection) -> str:
     seen = connection.setting("tool", control.getTCPOffset)
     if options.tool is not None and max(abs(a - b) for a, b in zip(seen, options.tool, strict=True)) > TOOL_M:
         message = f"is {_text(seen)} after {_text(options.tool)} was set"
-        raise LinkError(message)
+        raise RtdeConnectionError(message)
     return f"{_text(seen)} (m, rad)"
 
 
@@ -300,9 +300,9 @@ def _watchdog(options: UrOptions, connection: RtdeConnection) -> str:
         connection.await_state(
             "the program ends in silence", lambda state: state.runtime_state != PLAYING, period_s + 1.0
         )
-    except LinkError as error:
+    except RtdeConnectionError as error:
         message = f"does not bite: {error}"
-        raise LinkError(message) from None
+        raise RtdeConnectionError(message) from None
     # The driver arms it again with its first sample, from when on it is heard.
     connection.upload()
     return f"{options.watchdog_hz:g} Hz, tried: it ends the program"
@@ -320,16 +320,16 @@ def _unlocked(host: str, seen: Probe, stopped_at_s: float) -> Probe:
     left_s = UNLOCK_AFTER_S - (time.monotonic() - stopped_at_s)
     if left_s > 0.0:
         message = f"protective stop: can be unlocked in {left_s:.1f} s: inspect its cause, then acknowledge again"
-        raise LinkError(message)
+        raise RtdeConnectionError(message)
     if seen.version[:2] >= NO_DASHBOARD_SINCE:
         message = "protective stop: this software has no dashboard: unlock it on the pendant, then acknowledge again"
-        raise LinkError(message)
+        raise RtdeConnectionError(message)
     unlock_protective_stop(host)
     end_s = time.monotonic() + UNLOCKED_WITHIN_S
     while seen.safety_bits & PROTECTIVE_BIT:
         if time.monotonic() > end_s:
             message = f"protective stop: still there {UNLOCKED_WITHIN_S:g} s after it was unlocked: see the pendant"
-            raise LinkError(message)
+            raise RtdeConnectionError(message)
         seen = probe(host)
     return seen
 

@@ -31,7 +31,7 @@ STARTED_S: Final = 2.0
 POLL_S: Final = 0.005
 
 
-class LinkError(RuntimeError):
+class RtdeConnectionError(RuntimeError):
     """A call of the library failed or timed out, or the controller refused it."""
 
 
@@ -39,7 +39,7 @@ def vendor_module() -> Any:  # noqa: ANN401  # it has no types
     """`rtde_receive`, once `rtde_control` is there as well.
 
     Raises:
-        LinkError: They are not installed.
+        RtdeConnectionError: They are not installed.
     """
     try:
         # Only whoever has such an arm; it has no types.
@@ -50,7 +50,7 @@ def vendor_module() -> Any:  # noqa: ANN401  # it has no types
             f"ur-rtde is not installed ({error}): pip install 'haptether[ur]' under Python 3.11 or 3.12; it has no"
             " wheels for later ones"
         )
-        raise LinkError(message) from None
+        raise RtdeConnectionError(message) from None
     return module
 
 
@@ -93,7 +93,7 @@ class RtdeConnection:
         that it finds somebody who answers.
 
         Raises:
-            LinkError: No connection, inputs that another client has, or a script that does not start.
+            RtdeConnectionError: No connection, inputs that another client has, or a script that does not start.
         """
         self._check_open()
         host, rate = self._options.host, self.rate_hz
@@ -113,7 +113,7 @@ class RtdeConnection:
                 # Closed just now, or from here on by whoever closes it.
                 self._check_open()
                 self._run(self.worker, "connect (control)", self.control.connect, CONNECT_S)
-            except LinkError:
+            except RtdeConnectionError:
                 # It would go on, and upload its script whenever that comes through.
                 self.cut()
                 raise
@@ -123,7 +123,7 @@ class RtdeConnection:
         """Has the control script play, anew where it does not.
 
         Raises:
-            LinkError: It does not start.
+            RtdeConnectionError: It does not start.
         """
         if self.state().runtime_state != PLAYING:
             self.setting("upload of the control script", self.control.reuploadScript, UPLOAD_S)
@@ -132,7 +132,7 @@ class RtdeConnection:
     def _check_open(self) -> None:
         if self._closed:
             message = "closed meanwhile"
-            raise LinkError(message)
+            raise RtdeConnectionError(message)
 
     def _receives(self) -> bool:
         """Whether packages come."""
@@ -153,13 +153,13 @@ class RtdeConnection:
         """The first state in which something holds.
 
         Raises:
-            LinkError: It has not come to that in time.
+            RtdeConnectionError: It has not come to that in time.
         """
         end_s = time.monotonic() + limit_s
         while not holds(state := self.state()):
             if time.monotonic() > end_s:
                 message = f"{what}: not within {limit_s:g} s"
-                raise LinkError(message)
+                raise RtdeConnectionError(message)
             time.sleep(POLL_S)
         return state
 
@@ -167,12 +167,12 @@ class RtdeConnection:
         """Makes a call that the controller acknowledges, and returns its result.
 
         Raises:
-            LinkError: It failed or was refused.
+            RtdeConnectionError: It failed or was refused.
         """
         result = self._run(self.worker, name, function, limit_s)
         if result is False:
             message = f"{name}: refused by the controller"
-            raise LinkError(message)
+            raise RtdeConnectionError(message)
         return result
 
     def start(self, name: str, order: Order, limit_s: float) -> Call:
@@ -229,7 +229,7 @@ class RtdeConnection:
             message = f"{name}: has not returned within {limit_s:g} s"
         except Exception as error:  # of the library
             message = f"{name}: {' '.join(str(error).split())}"
-        raise LinkError(message)
+        raise RtdeConnectionError(message)
 
 
 def _never_destroyed(interface: Any) -> Any:  # noqa: ANN401  # rtde_receive.RTDEReceiveInterface

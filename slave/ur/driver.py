@@ -18,7 +18,7 @@ from haptether.slave.ur.checks import (
     check_workspace,
     recover,
 )
-from haptether.slave.ur.connection import LinkError, RtdeConnection, vendor_module
+from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError, vendor_module
 from haptether.slave.ur.modes import check_mode, model_distance, ur_mode
 from haptether.slave.ur.motion import Motion, MotionError, along
 from haptether.slave.ur.options import UrOptions, ur_options
@@ -43,8 +43,8 @@ class UrSlave:
         options: Those of `UrOptions`.
 
     Raises:
-        ValueError: Options that cannot be. From `open` also `UrRefusedError` and `LinkError`: the arm is not ready, or
-            ur-rtde is missing.
+        ValueError: Options that cannot be. From `open` also `UrRefusedError` and `RtdeConnectionError`: the arm is not
+            ready, or ur-rtde is missing.
     """
 
     paces = True
@@ -103,7 +103,7 @@ class UrSlave:
         self._soft_stop = SoftStop(self._connection, options.host, self._report)
         if self._closed:
             message = "closed before it was open"
-            raise LinkError(message)
+            raise RtdeConnectionError(message)
         self._opened = True
         self._connection.connect()
         x, y, z, rx, ry, rz = options.tool or (self._connection.setting("tool", self._connection.control.getTCPOffset))

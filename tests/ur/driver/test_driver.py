@@ -10,7 +10,7 @@ from tests.ur.fake_rtde import START_POSE, STOPPED, Arm, install
 
 from haptether.slave import SlaveSample, UrSlave
 from haptether.slave.ur.checks import UNLOCK_AFTER_S, UrRefusedError
-from haptether.slave.ur.connection import END_S, LinkError
+from haptether.slave.ur.connection import END_S, RtdeConnectionError
 from haptether.slave.ur.services import Probe
 from haptether.slave.ur.stop import REST_S, STOP_S
 
@@ -163,7 +163,7 @@ def test_direct_torque_needs_its_version(arm: Arm) -> None:
 
 def test_without_the_library_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rtde_control", None)
-    with pytest.raises(LinkError, match=r"pip install 'haptether\[ur\]' under Python 3.11 or 3.12"):
+    with pytest.raises(RtdeConnectionError, match=r"pip install 'haptether\[ur\]' under Python 3.11 or 3.12"):
         UrSlave(host="127.0.3.99").open()
 
 
@@ -362,7 +362,7 @@ def test_an_arm_that_was_closed_while_it_opened_is_not_connected(arm: Arm, monke
         return arm.probe(host, limit_s)
 
     monkeypatch.setattr("haptether.slave.ur.checks.probe", slow)
-    with pytest.raises(LinkError, match="closed before it was open"):
+    with pytest.raises(RtdeConnectionError, match="closed before it was open"):
         driver.open()
     assert arm.said == []
 
@@ -558,7 +558,7 @@ def test_a_fault_stops_an_arm_that_nothing_else_would_stop(arm: Arm) -> None:
 def test_a_process_that_does_not_connect_in_time_is_ended(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("haptether.slave.ur.connection.CONNECT_S", 0.2)
     arm.blocks.add("connect")
-    with pytest.raises(LinkError, match=r"connect \(control\): has not returned within 0.2 s"):
+    with pytest.raises(RtdeConnectionError, match=r"connect \(control\): has not returned within 0.2 s"):
         Driven(arm)
     # Else it would upload its script once it comes through, with nobody to arm the watchdog.
     assert arm.names[-1] == "kill"
