@@ -22,7 +22,7 @@ from haptether.slave.ur.worker import TimedWorker
 RTDE_PORT: Final = 30004
 DASHBOARD_PORT: Final = 29999
 RESOLVE_S: Final = 3.0
-REQUEST_VERSION, CONTROLLER_VERSION, TEXT, PACKAGE, OUTPUTS, START = b"VvMUOS"
+REQUEST_VERSION, CONTROLLER_VERSION, PACKAGE, OUTPUTS, START = b"VvUOS"
 FRAME: Final = struct.Struct(">HB")
 NAMES: Final = (
     "timestamp",

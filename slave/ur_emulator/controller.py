@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
     from haptether.slave.ur.kinematics.models import UrModel
-    from haptether.slave.ur_emulator.robot.contact import Touch, WrenchSensing
+    from haptether.slave.ur_emulator.robot.contact import ToolEnvironment, WrenchSensing
     from haptether.slave.ur_emulator.rtde.variables import Value
 
 START_UP_S: Final = 0.02
@@ -88,7 +88,10 @@ class Controller:
     """
 
     def __init__(
-        self, settings: ControllerSettings, touch: "Touch | None" = None, sensing: "WrenchSensing | None" = None
+        self,
+        settings: ControllerSettings,
+        touch: "ToolEnvironment | None" = None,
+        sensing: "WrenchSensing | None" = None,
     ) -> None:
         _check_start(settings)
         self.settings = settings

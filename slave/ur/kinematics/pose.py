@@ -160,19 +160,6 @@ def pose_from_transform(transform: Array) -> Array:
     return np.array((x, y, z, *rotvec_from_matrix(transform[:3, :3])))
 
 
-def pose_difference(base_from_goal: Array, base_from_tool: Array) -> Array:
-    """From one frame to the other, in the base: translation in m over rotation vector in rad, (6,).
-
-    `(p* - p, log(R* R'))`. Times a rate, it is the twist that leads there.
-
-    Raises:
-        ValueError: Not a rotation, or not finite.
-    """
-    rotation = base_from_goal[:3, :3] @ base_from_tool[:3, :3].T
-    x, y, z = _finite("translation", base_from_goal[:3, 3] - base_from_tool[:3, 3], 3)
-    return np.array((x, y, z, *rotvec_from_matrix(rotation)))
-
-
 def pose_trans(a_from_b: Numbers, b_from_c: Numbers) -> Array:
     """Pose of c in a, shape (6,): as URScript's `pose_trans`.
 
@@ -180,16 +167,3 @@ def pose_trans(a_from_b: Numbers, b_from_c: Numbers) -> Array:
         ValueError: Not six finite numbers.
     """
     return pose_from_transform(transform_from_pose(a_from_b) @ transform_from_pose(b_from_c))
-
-
-def pose_inv(a_from_b: Numbers) -> Array:
-    """Pose of a in b, shape (6,): as URScript's `pose_inv`.
-
-    Raises:
-        ValueError: Not six finite numbers.
-    """
-    transform = transform_from_pose(a_from_b)
-    inverse = np.eye(4)
-    inverse[:3, :3] = transform[:3, :3].T
-    inverse[:3, 3] = -transform[:3, :3].T @ transform[:3, 3]
-    return pose_from_transform(inverse)

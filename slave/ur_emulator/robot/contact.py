@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -18,29 +18,8 @@ TORQUE_SHARE: Final = 0.1
 """Noise of a torque in N m, of that of a force in N."""
 
 
-class Touch(Protocol):
-    """Something that exerts a force on the tool."""
-
-    def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:
-        """Force in N on the tool, in the frame of the base."""
-
-    def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Moves what yields over a step."""
-
-
-class FreeSpace:
-    """A `Touch` without contact."""
-
-    def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:  # noqa: ARG002
-        """See `Touch`."""
-        return 0.0, 0.0, 0.0
-
-    def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """See `Touch`."""
-
-
 class ToolEnvironment:
-    """A `Touch`: a scene around the tool, at rest until `engage`, and pushes on command.
+    """What exerts a force on the tool: a scene around it, at rest until `engage`, and pushes on command.
 
     The scene's coordinates run along the axes of the base; the tool's position when the scene is anchored is where the
     scene's arm starts. Before `engage` the scene's time stands still at its begin and its pushers do not push.
@@ -87,7 +66,7 @@ class ToolEnvironment:
         self._push, self._push_until_s = force, self._now_s + duration_s
 
     def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:
-        """See `Touch`."""
+        """Force in N on the tool, in the frame of the base."""
         self._now_s = time_s
         push = self._push if time_s < self._push_until_s else (0.0, 0.0, 0.0)
         if self._scene is None:
@@ -96,7 +75,7 @@ class ToolEnvironment:
         return fx + push[0], fy + push[1], fz + push[2]
 
     def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """See `Touch`."""
+        """Moves what yields over a step."""
         if self._scene is not None and self._engaged_at_s <= time_s:
             self._scene.advance(self._scene_time(time_s), step_s, self._in_scene(position), velocity)
 

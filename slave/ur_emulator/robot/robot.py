@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from haptether.slave.ur.kinematics.pose import pose_from_transform
-from haptether.slave.ur_emulator.robot.contact import FreeSpace, Touch, WrenchSensing
+from haptether.slave.ur_emulator.robot.contact import ToolEnvironment, WrenchSensing
 from haptether.slave.ur_emulator.robot.force_mode import ForceMode
 from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Array, Joints, Six, six
 from haptether.slave.ur_emulator.robot.motions import Motion, StopJoints, Target, Torque, transition
@@ -73,14 +73,14 @@ class Robot:
         tcp: Six,
         period_s: float,
         *,
-        touch: Touch | None = None,
+        touch: ToolEnvironment | None = None,
         sensing: WrenchSensing | None = None,
     ) -> None:
         self.model = model
         self.period_s = period_s
         self.arm = ArmKinematics(model)
         self.arm.set_tcp(tcp)
-        self.touch = touch or FreeSpace()
+        self.touch = touch or ToolEnvironment()
         self.sensing = sensing or WrenchSensing()
         self.loop = JointLoop(
             tuple(torque / MAX_ACCELERATION for torque in model.max_torque), tuple(model.max_torque), BANDWIDTH

@@ -160,31 +160,6 @@ _OUTPUTS: Final[tuple[tuple[WireType, Since, str], ...]] = (
     (UINT8, (None, (5,)), "tool_output_mode tool_digital_output0_mode tool_digital_output1_mode"),
 )
 
-MISSING: Final = frozenset(
-    {
-        "actual_configurable_digital_input_bits", "actual_configurable_digital_output_bits",
-        "actual_robot_energy_consumed", "actual_robot_braking_energy_dissipated", "encoder0_raw", "encoder1_raw",
-        "euromap67_input_bits", "euromap67_output_bits", "euromap67_24V_voltage", "euromap67_24V_current",
-        "wrench_calc_from_currents", "time_scale_source", "target_gravity", "target_base_acceleration",
-        "target_base_wrench",
-    }
-)  # fmt: skip
-"""Outputs of the guide that the emulator does not have: `NOT_FOUND`."""
-ZERO: Final = frozenset(
-    {
-        "actual_execution_time", "target_execution_time", "actual_momentum", "actual_main_voltage",
-        "actual_robot_voltage", "actual_robot_current", "actual_joint_voltage", "io_current", "standard_analog_input0",
-        "standard_analog_input1", "joint_position_deviation_ratio", "collision_detection_ratio", "tool_output_current",
-        "tool_temperature", "tool_analog_input0", "tool_analog_input1", "target_current", "target_moment",
-        "actual_current", "actual_current_window", "actual_current_as_torque", "joint_control_output",
-        "joint_temperatures", "actual_tool_accelerometer", "actual_digital_input_bits", "tool_output_voltage",
-        "analog_io_types", "tool_mode", "tool_analog_input_types", "script_control_line", "tool_output_mode",
-        "tool_digital_output0_mode", "tool_digital_output1_mode", "output_bit_registers0_to_31",
-        "output_bit_registers32_to_63",
-    }
-)  # fmt: skip
-"""Outputs that are served and stay 0: nothing of the emulator has such a value."""
-
 _INPUTS: Final[tuple[tuple[WireType, Since, str], ...]] = (
     (UINT32, ALWAYS, "speed_slider_mask input_bit_registers0_to_31 input_bit_registers32_to_63"),
     (DOUBLE, ALWAYS, "speed_slider_fraction standard_analog_output_0 standard_analog_output_1"),
