@@ -1,12 +1,10 @@
-"""Frames of RTDE: `uint16 size, uint8 type, payload`, the size counting all three; bytes in, requests out.
+"""Frames of RTDE: `uint16 size, uint8 type, payload`, the size counting all three.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol versions 1 and 2.
 """
 
-import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
 from haptether.slave.ur_emulator.rtde.variables import ControllerVersion
@@ -17,84 +15,10 @@ SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE = b"OISP"
 HEADER: Final = struct.Struct(">HB")
 MAX_NAME_LIST: Final = 2048
 """Bytes of a list of names."""
-V1_RATE_HZ: Final = 125.0
-"""Of protocol version 1, in which a client cannot request a rate."""
 
 
 class FramingError(ValueError):
     """The peer sent what cannot be a frame: its stream cannot be read any further."""
-
-
-@dataclass(frozen=True, slots=True)
-class ProtocolRequest:
-    """Requests a version of the protocol."""
-
-    version: int
-
-
-@dataclass(frozen=True, slots=True)
-class VersionRequest:
-    """Requests the version of the controller."""
-
-
-@dataclass(frozen=True, slots=True)
-class OutputsRequest:
-    """Sets up a recipe of outputs at a rate."""
-
-    rate_hz: float
-    names: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class InputsRequest:
-    """Sets up a recipe of inputs."""
-
-    names: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class StartRequest:
-    """Starts the data packages."""
-
-
-@dataclass(frozen=True, slots=True)
-class PauseRequest:
-    """Pauses the data packages."""
-
-
-@dataclass(frozen=True, slots=True)
-class DataPackage:
-    """Values of the inputs of a recipe, still packed."""
-
-    recipe: int
-    packed: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class TextMessage:
-    """A text message for the controller's log."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Ignored:
-    """A frame of an unknown type or with too short a payload; real controllers do not answer it."""
-
-    kind: int
-
-
-Request = (
-    ProtocolRequest
-    | VersionRequest
-    | OutputsRequest
-    | InputsRequest
-    | StartRequest
-    | PauseRequest
-    | DataPackage
-    | TextMessage
-    | Ignored
-)
 
 
 class FrameReader:
@@ -127,41 +51,6 @@ class FrameReader:
             del waiting[:start]
 
 
-def parsed(kind: int, payload: bytes, protocol: int) -> Request:  # noqa: PLR0911
-    """The request in a frame of a client."""
-    if kind == DATA_PACKAGE:
-        return DataPackage(payload[0], payload[1:]) if payload else Ignored(kind)
-    if kind == PROTOCOL_VERSION:
-        return ProtocolRequest(int.from_bytes(payload, "big")) if len(payload) == 2 else Ignored(kind)
-    if kind == CONTROLLER_VERSION:
-        return VersionRequest()
-    if kind == SETUP_OUTPUTS:
-        return _outputs_request(payload, protocol)
-    if kind == SETUP_INPUTS:
-        return InputsRequest(names_in(payload))
-    if kind in {START, PAUSE}:
-        return StartRequest() if kind == START else PauseRequest()
-    if kind == TEXT_MESSAGE:
-        return _text_message(payload)
-    return Ignored(kind)
-
-
-def _outputs_request(payload: bytes, protocol: int) -> Request:
-    if protocol == 1:
-        return OutputsRequest(V1_RATE_HZ, names_in(payload))
-    if len(payload) < 8:
-        return Ignored(SETUP_OUTPUTS)
-    (rate_hz,) = struct.unpack_from(">d", payload)
-    return OutputsRequest(rate_hz if math.isfinite(rate_hz) else 0.0, names_in(payload[8:]))
-
-
-def _text_message(payload: bytes) -> Request:
-    length = payload[0] if payload else 0
-    if len(payload) < 1 + length:
-        return Ignored(TEXT_MESSAGE)
-    return TextMessage(payload[1 : 1 + length].decode("utf-8", "replace"))
-
-
 def names_in(packed: bytes) -> tuple[str, ...]:
     """The names of a packed list; some clients put a comma after the last one."""
     text = packed.decode("ascii", "replace")
@@ -182,7 +71,7 @@ def acceptance(kind: int, *, yes: bool) -> bytes:
 
 
 def controller_version(version: ControllerVersion) -> bytes:
-    """The answer to `VersionRequest`."""
+    """The answer to a request for the version of the controller."""
     return frame(CONTROLLER_VERSION, struct.pack(">4I", version.major, version.minor, version.bugfix, version.build))
 
 

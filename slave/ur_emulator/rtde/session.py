@@ -21,6 +21,8 @@ MAX_INPUT_FIELDS: Final = 4096
 """Over all input recipes of a connection; ur_rtde's have some 300."""
 PROTOCOLS: Final = frozenset({1, 2})
 MIN_RATE_HZ: Final = 1.0
+V1_RATE_HZ: Final = 125.0
+"""Of protocol version 1, in which a client cannot request a rate."""
 
 
 @dataclass(slots=True)
@@ -107,7 +109,7 @@ class RtdeSession:
         """
         answer = bytearray()
         for kind, payload in self._reader.frames(received):
-            answer += self._answer(frames.parsed(kind, payload, self.protocol))
+            answer += self._answer(kind, payload)
         return bytes(answer)
 
     def package(self, cycles: int = 1) -> bytes | None:
@@ -120,26 +122,29 @@ class RtdeSession:
         """Frees the inputs of the connection."""
         self.inputs.release(self.number)
 
-    def _answer(self, request: frames.Request) -> bytes:  # noqa: PLR0911
-        match request:
-            case frames.DataPackage(number, packed):
-                self._write(number, packed)
-                return b""
-            case frames.ProtocolRequest(version):
-                return self._negotiated(version)
-            case frames.VersionRequest():
+    def _answer(self, kind: int, payload: bytes) -> bytes:  # noqa: PLR0911
+        """The answer to a frame; none to one of an unknown type or with too short a payload, as of real controllers."""
+        match kind:
+            case frames.DATA_PACKAGE if payload:
+                self._write(payload[0], payload[1:])
+            case frames.PROTOCOL_VERSION if len(payload) == 2:
+                return self._negotiated(int.from_bytes(payload, "big"))
+            case frames.CONTROLLER_VERSION:
                 return frames.controller_version(self.version())
-            case frames.OutputsRequest(rate_hz, names):
-                return self._set_up_outputs(rate_hz, names)
-            case frames.InputsRequest(names):
-                return self._set_up_inputs(names)
-            case frames.StartRequest():
+            case frames.SETUP_OUTPUTS if self.protocol == 1:
+                return self._set_up_outputs(V1_RATE_HZ, frames.names_in(payload))
+            case frames.SETUP_OUTPUTS if len(payload) >= 8:
+                (rate_hz,) = struct.unpack_from(">d", payload)
+                return self._set_up_outputs(rate_hz, frames.names_in(payload[8:]))
+            case frames.SETUP_INPUTS:
+                return self._set_up_inputs(frames.names_in(payload))
+            case frames.START:
                 return self._start()
-            case frames.PauseRequest():
+            case frames.PAUSE:
                 self.started = False
                 return frames.acceptance(frames.PAUSE, yes=True)
-            case frames.TextMessage(text):
-                self.log(text)
+            case frames.TEXT_MESSAGE if payload and len(payload) > payload[0]:
+                self.log(payload[1 : 1 + payload[0]].decode("utf-8", "replace"))
         return b""
 
     def _negotiated(self, version: int) -> bytes:
@@ -157,7 +162,7 @@ class RtdeSession:
             return frames.recipe(frames.SETUP_OUTPUTS, number, [])
         types = [kind.name if (kind := self.output_types.get(name)) else NOT_FOUND for name in names]
         kinds = [kind for name in names if (kind := self.output_types.get(name))]
-        fits = names and NOT_FOUND not in types and rate_hz >= MIN_RATE_HZ
+        fits = names and NOT_FOUND not in types and MIN_RATE_HZ <= rate_hz < math.inf
         if fits:
             layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
             body = b"\x01" if self.protocol != 1 else b""
