@@ -1,6 +1,7 @@
 """Motions of the joint target: profiles, paths, the law of servoj. A motion is stepped once a control cycle."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Protocol
@@ -47,12 +48,22 @@ def ramped(target: Target, qd: Joints, acceleration: float, step_s: float) -> tu
 
     The position follows by the trapezoidal rule, which is exact for a constant acceleration.
     """
-    gap = [wanted - now for wanted, now in zip(qd, target.qd, strict=True)]
-    largest = max(map(abs, gap))
-    max_change = acceleration * step_s
-    reached = largest <= max_change
-    new = qd if reached else tuple(now + d * max_change / largest for now, d in zip(target.qd, gap, strict=True))
+    new, reached = approached(target.qd, qd, acceleration * step_s, lambda gap: max(map(abs, gap)))
     return integrated(target, new, step_s), reached
+
+
+def approached(now: Six, wanted: Six, max_change: float, size: Callable[[Six], float]) -> tuple[Six, bool]:
+    """Numbers changed towards others, in proportion and by a change of a size at most, and whether they are reached."""
+    gap = tuple(new - old for new, old in zip(wanted, now, strict=True))
+    largest = size(gap)
+    if largest <= max_change:
+        return wanted, True
+    return tuple(old + d * max_change / largest for old, d in zip(now, gap, strict=True)), False
+
+
+def tool_speed(velocity: Six) -> float:
+    """Of a tool that moves and rotates, in m/s or rad/s: whichever number is larger."""
+    return max(math.hypot(*velocity[:3]), math.hypot(*velocity[3:]))
 
 
 def predicted(target: Target, step_s: float) -> Joints:
@@ -102,7 +113,7 @@ class StopTool:
     def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
         velocity = self._velocity or self.arm.tool_velocity(target.q, target.qd)
-        speed = max(math.hypot(*velocity[:3]), math.hypot(*velocity[3:]))
+        speed = tool_speed(velocity)
         left = speed - self.deceleration * step_s
         if left > 0.0:
             self._velocity = tuple(v * left / speed for v in velocity)
@@ -120,7 +131,14 @@ class StopTool:
 
 @dataclass(slots=True)
 class Servo:
-    """Servoj: follows a joint target by a second-order law, see `servo_step`."""
+    """Servoj: follows a joint target by a second-order law, exactly under a target that is held.
+
+    `q'' = gain (q_target - q - lookahead q')`, so a target that moves at v is followed by `lookahead v`, at
+    `sqrt(gain)` rad/s with a damping ratio of `lookahead sqrt(gain) / 2`. A joint goes no faster than it may.
+
+    Source: second-order model of servoj with the tracking delays that are reported for it (34 ms with a lookahead of
+    0.03 s and a gain of 1200 on a UR10e).
+    """
 
     goal: Joints
     lookahead_s: float
@@ -130,50 +148,19 @@ class Servo:
 
     def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
-        q, qd, qdd = servo_step(
-            target.q,
-            target.qd,
-            self.goal,
-            lookahead_s=self.lookahead_s,
-            gain=self.gain,
-            max_speed=self.max_speed,
-            step_s=step_s,
-        )
-        return Target(q, qd, qdd)
-
-
-def servo_step(
-    q: Joints,
-    qd: Joints,
-    target: Joints,
-    *,
-    lookahead_s: float,
-    gain: float,
-    max_speed: Joints,
-    step_s: float,
-) -> tuple[Joints, Joints, Joints]:
-    """One step of servoj, exact under a target that is held: position, velocity and mean acceleration at its end.
-
-    `q'' = gain (q_target - q - lookahead q')`, so a target that moves at v is followed by `lookahead v`, at
-    `sqrt(gain)` rad/s with a damping ratio of `lookahead sqrt(gain) / 2`. A joint goes no faster than it may.
-
-    Source: second-order model of servoj with the tracking delays that are reported for it (34 ms with a lookahead of
-    0.03 s and a gain of 1200 on a UR10e).
-    """
-    a, b, c, d = transition(gain, gain * lookahead_s, step_s)
-    new_q, new_qd = [], []
-    for now, rate, goal, limit in zip(q, qd, target, max_speed, strict=True):
-        error = now - goal
-        speed = c * error + d * rate
-        if -limit <= speed <= limit:
-            new_q.append(goal + a * error + b * rate)
-            new_qd.append(speed)
-        else:
-            speed = math.copysign(limit, speed)
-            new_q.append(now + 0.5 * (rate + speed) * step_s)
-            new_qd.append(speed)
-    qdd = tuple((new - old) / step_s for new, old in zip(new_qd, qd, strict=True))
-    return tuple(new_q), tuple(new_qd), qdd
+        a, b, c, d = transition(self.gain, self.gain * self.lookahead_s, step_s)
+        q, qd = [], []
+        for now, rate, goal, limit in zip(target.q, target.qd, self.goal, self.max_speed, strict=True):
+            error = now - goal
+            speed = c * error + d * rate
+            if -limit <= speed <= limit:
+                q.append(goal + a * error + b * rate)
+            else:
+                speed = math.copysign(limit, speed)
+                q.append(now + 0.5 * (rate + speed) * step_s)
+            qd.append(speed)
+        qdd = tuple((new - old) / step_s for new, old in zip(qd, target.qd, strict=True))
+        return Target(tuple(q), tuple(qd), qdd)
 
 
 @lru_cache(maxsize=64)
@@ -229,13 +216,7 @@ class SpeedTool:
     def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
         now = self.now or self.arm.tool_velocity(target.q, target.qd)
-        max_change = self.acceleration * step_s
-        gap = [wanted - v for wanted, v in zip(self.velocity, now, strict=True)]
-        largest = max(math.hypot(*gap[:3]), math.hypot(*gap[3:]))
-        self.done = largest <= max_change
-        self.now = (
-            self.velocity if self.done else tuple(v + d * max_change / largest for v, d in zip(now, gap, strict=True))
-        )
+        self.now, self.done = approached(now, self.velocity, self.acceleration * step_s, tool_speed)
         qd = self.arm.joint_velocity(predicted(target, step_s), self.now)
         if qd is None:
             message = "speedl: the arm is singular, no joint velocities move the tool so"
@@ -295,8 +276,6 @@ class Trapezoid:
 
     def at(self, time_s: float) -> float:
         """Distance after a time in s."""
-        if self.length <= 0.0:
-            return 0.0
         left = self.duration_s - time_s
         if time_s <= 0.0:
             return 0.0
@@ -308,6 +287,23 @@ class Trapezoid:
         if left < rise:
             return self.length - 0.5 * self.acceleration * left * left
         return self.top_speed * (time_s - 0.5 * rise)
+
+
+@dataclass(frozen=True, slots=True)
+class JointPath:
+    """A straight line from one set of joint angles to another."""
+
+    start: Joints
+    end: Joints
+
+    @property
+    def length(self) -> float:
+        """The angle of the leading joint in rad."""
+        return max(abs(end - start) for start, end in zip(self.start, self.end, strict=True))
+
+    def at(self, share: float) -> Joints:
+        """The joint angles at a share of the path, from 0 to 1."""
+        return tuple(start + share * (end - start) for start, end in zip(self.start, self.end, strict=True))
 
 
 @dataclass(slots=True)
@@ -348,59 +344,33 @@ def quat_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 @dataclass(slots=True)
-class MoveJoints:
-    """Movej: straight in joint space from rest to rest, the leading joint at a speed in rad/s; brakes first."""
+class Move:
+    """Movej and movel: along a straight path from rest to rest; brakes first."""
 
-    goal: Joints
-    speed: float
-    acceleration: float
-    done: bool = False
-    _from: Target | None = None
-    _profile: Trapezoid = field(default=Trapezoid(0.0, 1.0, 1.0))
-    _time_s: float = 0.0
-
-    def step(self, target: Target, step_s: float, scaling: float) -> Target:
-        """See `Motion`."""
-        if self._from is None:
-            if not target.at_rest:
-                return ramped(target, (0.0,) * 6, self.acceleration, step_s)[0]
-            self._from = Target(target.q)
-            length = max(abs(goal - start) for goal, start in zip(self.goal, target.q, strict=True))
-            self._profile = Trapezoid(length, self.speed, self.acceleration)
-        self._time_s += scaling * step_s
-        self.done = self._time_s >= self._profile.duration_s
-        if self.done:
-            return Target(self.goal)
-        at = self._profile.at(self._time_s) / self._profile.length
-        q = tuple(start + at * (goal - start) for start, goal in zip(self._from.q, self.goal, strict=True))
-        return differentiated(target, q, step_s)
-
-
-@dataclass(slots=True)
-class MoveTool:
-    """Movel: the tool on a straight line, rotating about one axis, from rest to rest; brakes first."""
-
-    arm: ArmKinematics
     goal: Six
+    """Joint angles in rad; of movel the pose of the tool."""
     speed: float
+    """In rad/s of the leading joint; of movel in m/s, or rad/s where the tool rotates by more."""
     acceleration: float
+    arm: ArmKinematics | None = None
+    """Of movel alone."""
     done: bool = False
-    _path: PosePath | None = None
-    _profile: Trapezoid = field(default=Trapezoid(0.0, 1.0, 1.0))
+    _path: JointPath | PosePath | None = None
+    _profile: Trapezoid = field(init=False)
     _time_s: float = 0.0
 
     def step(self, target: Target, step_s: float, scaling: float) -> Target:
         """See `Motion`."""
+        arm = self.arm
         if self._path is None:
             if not target.at_rest:
-                return ramped(target, (0.0,) * 6, BRAKING, step_s)[0]
-            self._path = PosePath(self.arm.pose(target.q), self.goal)
+                return ramped(target, (0.0,) * 6, self.acceleration if arm is None else BRAKING, step_s)[0]
+            self._path = JointPath(target.q, self.goal) if arm is None else PosePath(arm.pose(target.q), self.goal)
             self._profile = Trapezoid(self._path.length, self.speed, self.acceleration)
         self._time_s += scaling * step_s
         self.done = self._time_s >= self._profile.duration_s
-        at = self._profile.at(self._time_s) / self._profile.length if self._profile.length > 0.0 else 1.0
-        pose = self.goal if self.done else self._path.at(at)
-        q = self.arm.inverse(pose, target.q)
+        at = self.goal if self.done else self._path.at(self._profile.at(self._time_s) / self._profile.length)
+        q = at if arm is None else arm.inverse(at, target.q)
         if q is None:
             message = "movel: no joint angles for a pose on the way"
             raise ScriptError(message)

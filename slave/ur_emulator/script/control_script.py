@@ -18,7 +18,7 @@ import numpy as np
 
 from haptether.slave.ur.kinematics.pose import matrix_from_rotvec, pose_trans
 from haptether.slave.ur_emulator.robot.kinematics import Array, Six, six
-from haptether.slave.ur_emulator.robot.motions import MoveJoints, MoveTool, Torque
+from haptether.slave.ur_emulator.robot.motions import Move, Torque
 from haptether.slave.ur_emulator.script.calls import MAX_SHOWN
 from haptether.slave.ur_emulator.script.functions import ScriptFunctions
 from haptether.slave.ur_emulator.script.program import Registers, ScriptError, Setup, Steps, Thread
@@ -559,13 +559,9 @@ class ImmediateCommands:
     def _target_waypoint(self) -> None:
         motion = self.robot.motion
         arm = self.functions.arm
-        if isinstance(motion, MoveTool):
-            pose = motion.goal
-        elif isinstance(motion, MoveJoints):
-            pose = arm.pose(motion.goal)
-        else:
-            pose = arm.pose(self.robot.target.q)
-        self.registers.write_six(0, pose)
+        goal = motion.goal if isinstance(motion, Move) else self.robot.target.q
+        along_tool = isinstance(motion, Move) and motion.arm is not None
+        self.registers.write_six(0, goal if along_tool else arm.pose(goal))
 
     def _external_sensor(self) -> None:
         self.setup.external_sensor = self.registers.integer(1) == 1

@@ -7,8 +7,7 @@ from typing import Final
 from haptether.slave.ur_emulator.robot.kinematics import Joints, Six
 from haptether.slave.ur_emulator.robot.motions import (
     Motion,
-    MoveJoints,
-    MoveTool,
+    Move,
     Servo,
     SpeedJoints,
     SpeedTool,
@@ -48,12 +47,12 @@ class ScriptFunctions:
     def movej(self, q: Joints, acceleration: float, speed: float) -> Steps:
         """Moves in joint space to q in rad."""
         self._check_joints("movej", q)
-        return self._until_done(MoveJoints(q, _positive("movej", "v", speed), _positive("movej", "a", acceleration)))
+        return self._until_done(Move(q, _positive("movej", "v", speed), _positive("movej", "a", acceleration)))
 
     def movel(self, pose: Six, acceleration: float, speed: float) -> Steps:
         """Moves the tool straight to a pose."""
         speed, acceleration = _positive("movel", "v", speed), _positive("movel", "a", acceleration)
-        return self._until_done(MoveTool(self.arm, pose, speed, acceleration))
+        return self._until_done(Move(pose, speed, acceleration, self.arm))
 
     def stopj(self, deceleration: float) -> Steps:
         """Stops, in joint space."""

@@ -12,13 +12,13 @@ from haptether.slave.ur.kinematics.pose import matrix_from_rotvec
 from haptether.slave.ur_emulator.robot.force_mode import ForceMode
 from haptether.slave.ur_emulator.robot.motions import (
     Motion,
-    MoveJoints,
+    Move,
     PosePath,
+    Servo,
     SpeedJoints,
     StopJoints,
     Target,
     Trapezoid,
-    servo_step,
     transition,
 )
 from haptether.slave.ur_emulator.robot.robot import JointLoop
@@ -40,13 +40,11 @@ def test_transitions_are_matrix_exponentials(stiffness: float, damping: float, s
 
 
 def servo(goal: float, lookahead_s: float, gain: float, steps: int, speed: float = 0.0) -> np.ndarray:
-    q: tuple[float, ...] = (0.0,)
-    qd: tuple[float, ...] = (0.0,)
+    at = Target((0.0,), (0.0,))
     path = []
     for step in range(steps):
-        target = (goal + speed * (step + 1) * STEP_S,)
-        q, qd, _ = servo_step(q, qd, target, lookahead_s=lookahead_s, gain=gain, max_speed=FAST, step_s=STEP_S)
-        path.append(q[0])
+        at = Servo((goal + speed * (step + 1) * STEP_S,), lookahead_s, gain, FAST).step(at, STEP_S, 1.0)
+        path.append(at.q[0])
     return np.array(path)
 
 
@@ -76,12 +74,11 @@ def test_servoj_follows_a_ramp_by_its_lookahead(setting: tuple[float, float], sp
 
 
 def test_servoj_keeps_to_the_speed_of_a_joint() -> None:
-    q, qd = SIX, SIX
+    at, servoj = Target(SIX), Servo((1.0,) * 6, 0.03, 2000.0, (0.5,) * 6)
     for _ in range(200):
-        before = q
-        q, qd, _ = servo_step(q, qd, (1.0,) * 6, lookahead_s=0.03, gain=2000.0, max_speed=(0.5,) * 6, step_s=STEP_S)
-        assert max(map(abs, qd)) <= 0.5
-        assert (q[0] - before[0]) / STEP_S <= 0.5 + 1e-12
+        before, at = at, servoj.step(at, STEP_S, 1.0)
+        assert max(map(abs, at.qd)) <= 0.5
+        assert (at.q[0] - before.q[0]) / STEP_S <= 0.5 + 1e-12
 
 
 def loop() -> JointLoop:
@@ -147,7 +144,7 @@ def run(motion: Motion, target: Target, share: float = 1.0) -> tuple[list[Target
 
 def test_movej_leads_every_joint_there_at_the_same_time() -> None:
     goal = (0.5, -0.25, 0.1, 0.0, 0.0, 0.0)
-    path, end = run(MoveJoints(goal, 1.0, 2.0), Target(SIX))
+    path, end = run(Move(goal, 1.0, 2.0), Target(SIX))
     assert end == Target(goal)
     # 0.5 rad at 1 rad/s and 2 rad/s²: 0.5 s up, 0 s along, 0.5 s down.
     assert len(path) * STEP_S == pytest.approx(1.0, abs=STEP_S)
@@ -157,13 +154,13 @@ def test_movej_leads_every_joint_there_at_the_same_time() -> None:
 
 
 def test_movej_goes_slower_with_the_slider() -> None:
-    path, _ = run(MoveJoints((0.5, *SIX[1:]), 1.0, 2.0), Target(SIX), share=0.25)
+    path, _ = run(Move((0.5, *SIX[1:]), 1.0, 2.0), Target(SIX), share=0.25)
     assert len(path) * STEP_S == pytest.approx(4.0, abs=STEP_S)
     assert max(abs(target.qd[0]) for target in path) == pytest.approx(0.25, rel=0.01)
 
 
 def test_movej_brakes_before_it_begins() -> None:
-    path, end = run(MoveJoints(SIX, 1.0, 2.0), Target(SIX, (0.5,) * 6))
+    path, end = run(Move(SIX, 1.0, 2.0), Target(SIX, (0.5,) * 6))
     assert end == Target(SIX)
     # 0.5 rad/s at 2 rad/s²: 1/16 rad beyond.
     assert max(target.q[0] for target in path) == pytest.approx(0.0625, rel=0.01)
