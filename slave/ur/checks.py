@@ -22,16 +22,13 @@ from haptether.slave.ur.services import (
 )
 from haptether.slave.ur.state import (
     FULL_SPEED,
-    NORMAL,
-    PLAYING,
     PROTECTIVE_BIT,
-    PROTECTIVE_STOP,
-    ROBOT_MODES,
-    RUNNING,
-    RUNTIME_STATES,
-    SAFETY_MODES,
     SLIDER,
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
     UrState,
+    mode_text,
 )
 
 OLDEST: Final = ((3, 15), (5, 4))
@@ -134,7 +131,7 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
         check_remote(host, checklist)
     check_state(seen, checklist)
     checklist.check(
-        "program", RUNTIME_STATES.get(seen.runtime_state, str(seen.runtime_state)), good=seen.runtime_state != PLAYING,
+        "program", mode_text(RuntimeState, seen.runtime_state), good=seen.runtime_state != RuntimeState.PLAYING,
         remedy="somebody else's program plays: stop it on the pendant",
     )  # fmt: skip
     checklist.finish()
@@ -156,14 +153,14 @@ def check_state(seen: Probe, checklist: Checklist) -> None:
     """Robot mode, safety mode and speed slider."""
     robot_mode, safety_mode = seen.robot_mode, seen.safety_mode
     checklist.check(
-        "robot mode", ROBOT_MODES.get(robot_mode, str(robot_mode)), good=robot_mode == RUNNING,
+        "robot mode", mode_text(RobotMode, robot_mode), good=robot_mode == RobotMode.RUNNING,
         remedy="power the arm on and release its brakes on the pendant",
     )  # fmt: skip
     # Reduced is normal with the lower limits of a zone: those are the controller's to keep.
-    good = safety_mode == NORMAL and not seen.safety_bits & ~0b11
-    stopped = safety_mode == PROTECTIVE_STOP
+    good = safety_mode == SafetyMode.NORMAL and not seen.safety_bits & ~0b11
+    stopped = safety_mode == SafetyMode.PROTECTIVE_STOP
     checklist.check(
-        "safety mode", SAFETY_MODES.get(safety_mode, str(safety_mode)), good=good,
+        "safety mode", mode_text(SafetyMode, safety_mode), good=good,
         remedy="find the cause, clear the tool, unlock it on the pendant" if stopped
         else "bring it to normal on the pendant, at full speed limits",
     )  # fmt: skip
@@ -261,10 +258,10 @@ def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float)
         check_remote(options.host, checklist)
     checklist.finish()
     end_s = time.monotonic() + ENDED_WITHIN_S
-    while connection.control is None and seen.runtime_state == PLAYING and time.monotonic() < end_s:
+    while connection.control is None and seen.runtime_state == RuntimeState.PLAYING and time.monotonic() < end_s:
         # Ours may just be ending.
         seen = probe(options.host)
-    if connection.control is None and seen.runtime_state == PLAYING:
+    if connection.control is None and seen.runtime_state == RuntimeState.PLAYING:
         # Ours has ended with its interface: to connect would stop what somebody has started meanwhile.
         message = "a program plays that is not ours: stop it on the pendant, then acknowledge again"
         raise RtdeConnectionError(message)
@@ -298,7 +295,7 @@ def _watchdog(options: UrOptions, connection: RtdeConnection) -> str:
     # Silence: the program must end.
     try:
         connection.await_state(
-            "the program ends in silence", lambda state: state.runtime_state != PLAYING, period_s + 1.0
+            "the program ends in silence", lambda state: state.runtime_state != RuntimeState.PLAYING, period_s + 1.0
         )
     except RtdeConnectionError as error:
         message = f"does not bite: {error}"

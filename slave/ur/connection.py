@@ -9,7 +9,7 @@ from typing import Any, Final, TypeAlias
 
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import DashboardError, stop_program
-from haptether.slave.ur.state import PLAYING, RAW_WRENCH, VARIABLES, UrState, read_state
+from haptether.slave.ur.state import RAW_WRENCH, VARIABLES, RuntimeState, UrState, read_state
 from haptether.slave.ur.worker import Call, CallTimeoutError, ControlProcess, Idle, TimedWorker
 
 Control: TypeAlias = Any
@@ -125,9 +125,11 @@ class RtdeConnection:
         Raises:
             RtdeConnectionError: It does not start.
         """
-        if self.state().runtime_state != PLAYING:
+        if self.state().runtime_state != RuntimeState.PLAYING:
             self.setting("upload of the control script", self.control.reuploadScript, UPLOAD_S)
-        self.await_state("the control script plays", lambda state: state.runtime_state == PLAYING, STARTED_S)
+        self.await_state(
+            "the control script plays", lambda state: state.runtime_state == RuntimeState.PLAYING, STARTED_S
+        )
 
     def _check_open(self) -> None:
         if self._closed:

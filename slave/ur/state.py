@@ -4,39 +4,62 @@ Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of mode
 """
 
 import math
+from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
-ROBOT_MODES: Final = {
-    -1: "no controller",
-    0: "disconnected",
-    1: "confirm safety",
-    2: "booting",
-    3: "power off",
-    4: "power on",
-    5: "idle",
-    6: "backdrive",
-    7: "running",
-    8: "updating firmware",
-}
-RUNNING: Final = 7
-RUNTIME_STATES: Final = {0: "stopping", 1: "stopped", 2: "playing", 3: "pausing", 4: "paused", 5: "resuming"}
-PLAYING: Final = 2
-SAFETY_MODES: Final = {
-    1: "normal",
-    2: "reduced",
-    3: "protective stop",
-    4: "recovery",
-    5: "safeguard stop",
-    6: "system emergency stop",
-    7: "robot emergency stop",
-    8: "violation",
-    9: "fault",
-    10: "validate joint id",
-    11: "undefined",
-    12: "automatic mode safeguard stop",
-    13: "three position enabling stop",
-}
-NORMAL, REDUCED, PROTECTIVE_STOP = 1, 2, 3
+
+class RobotMode(IntEnum):
+    """Power and brakes of the arm."""
+
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+    UPDATING_FIRMWARE = 8
+
+
+class SafetyMode(IntEnum):
+    """State of the safety system."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+    VALIDATE_JOINT_ID = 10
+    UNDEFINED = 11
+    AUTOMATIC_MODE_SAFEGUARD_STOP = 12
+    THREE_POSITION_ENABLING_STOP = 13
+
+
+class RuntimeState(IntEnum):
+    """State of the program."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
+
+
+def mode_text(kind: type[IntEnum], number: int) -> str:
+    """A mode as text; its number where the guide has none of that number."""
+    try:
+        return kind(number).name.lower().replace("_", " ")
+    except ValueError:
+        return str(number)
+
+
 FULL_SPEED: Final = 0.99
 """Of the speed slider. Below it a command that is to take 2 ms takes longer, and of those that follow some are lost."""
 SLIDER: Final = "set it to 100 % on the pendant, max_speed bounds the tool"
@@ -131,7 +154,7 @@ def safety_stop(state: UrState, before: UrState | None = None) -> str | None:
         state: The newest.
         before: The last one in which the arm was allowed to move.
     """
-    bits, mode = state.safety_bits, SAFETY_MODES.get(state.safety_mode, str(state.safety_mode))
+    bits, mode = state.safety_bits, mode_text(SafetyMode, state.safety_mode)
     for mask, text in (
         (EMERGENCY_BITS, EMERGENCY),
         (BROKEN_BITS, f"safety system: {mode}: see the pendant, restart the safety system there, then acknowledge"),
@@ -141,11 +164,11 @@ def safety_stop(state: UrState, before: UrState | None = None) -> str | None:
     ):
         if bits & mask:
             return text.format(seen=_last_seen([state] if before is None else [before, state]))
-    if state.robot_mode != RUNNING:
-        robot_mode = ROBOT_MODES.get(state.robot_mode, str(state.robot_mode))
+    if state.robot_mode != RobotMode.RUNNING:
+        robot_mode = mode_text(RobotMode, state.robot_mode)
         return f"robot mode {robot_mode}: power the arm on and release its brakes on the pendant, then acknowledge"
-    if state.runtime_state != PLAYING:
-        does = RUNTIME_STATES.get(state.runtime_state, str(state.runtime_state))
+    if state.runtime_state != RuntimeState.PLAYING:
+        does = mode_text(RuntimeState, state.runtime_state)
         return (
             f"the control script is {does} (at the pendant, by an error, or by its watchdog): see the pendant's log,"
             " then acknowledge"

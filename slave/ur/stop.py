@@ -13,7 +13,7 @@ from typing import Final
 from haptether.slave.ur.connection import Order, RtdeConnection
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import DashboardError, is_in_remote_control, stop_program
-from haptether.slave.ur.state import PLAYING, UrState
+from haptether.slave.ur.state import RuntimeState, UrState
 from haptether.slave.ur.worker import Call, Idle, TimedWorker
 
 STOP_S: Final = 1.0
@@ -154,7 +154,7 @@ class SoftStop:
         else:
             return None
         self._phase = Phase.AT_REST if self._phase is Phase.STOPPING else Phase.PAUSED
-        return why if state.runtime_state == PLAYING or stale else None
+        return why if state.runtime_state == RuntimeState.PLAYING or stale else None
 
     def cut(self) -> None:
         """Cuts the connection, so that nothing leads the arm any more, and has the dashboard end the program.

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from haptether.printable import printable
+from haptether.slave.ur.state import SafetyMode
 from haptether.slave.ur_emulator.connections import KINDS, MAX_LINE
-from haptether.slave.ur_emulator.robot.safety import MOVING_MODES, SafetyMode
+from haptether.slave.ur_emulator.robot.safety import MOVING_MODES
 from haptether.slave.ur_emulator.rtde.variables import REGISTERS, ControllerVersion
 
 if TYPE_CHECKING:

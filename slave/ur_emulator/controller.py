@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from haptether.slave.ur.kinematics.pose import pose_from_transform
+from haptether.slave.ur.state import RobotMode, RuntimeState
 from haptether.slave.ur_emulator.robot.kinematics import Joints, Six, six
 from haptether.slave.ur_emulator.robot.robot import Robot
 from haptether.slave.ur_emulator.robot.safety import (
     JOINT_MODES,
     JOINT_POWER_OFF,
-    RobotMode,
     SafetyLimits,
     SafetySystem,
     safety_status_bits,
@@ -34,7 +34,7 @@ from haptether.slave.ur_emulator.script.control_script import (
 )
 from haptether.slave.ur_emulator.script.functions import ScriptFunctions
 from haptether.slave.ur_emulator.script.port import Submitted, ignored
-from haptether.slave.ur_emulator.script.program import Program, Registers, RuntimeState, ScriptError, Setup, Thread
+from haptether.slave.ur_emulator.script.program import Program, Registers, ScriptError, Setup, Thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator

@@ -6,40 +6,12 @@ Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of mode
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Final
+
+from haptether.slave.ur.state import RobotMode, SafetyMode
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.robot.robot import Robot
-
-
-class RobotMode(IntEnum):
-    """Power and brakes of the arm."""
-
-    NO_CONTROLLER = -1
-    DISCONNECTED = 0
-    CONFIRM_SAFETY = 1
-    BOOTING = 2
-    POWER_OFF = 3
-    POWER_ON = 4
-    IDLE = 5
-    BACKDRIVE = 6
-    RUNNING = 7
-    UPDATING_FIRMWARE = 8
-
-
-class SafetyMode(IntEnum):
-    """State of the safety system."""
-
-    NORMAL = 1
-    REDUCED = 2
-    PROTECTIVE_STOP = 3
-    RECOVERY = 4
-    SAFEGUARD_STOP = 5
-    SYSTEM_EMERGENCY_STOP = 6
-    ROBOT_EMERGENCY_STOP = 7
-    VIOLATION = 8
-    FAULT = 9
 
 
 JOINT_MODES: Final = {RobotMode.RUNNING: 253, RobotMode.IDLE: 255, RobotMode.BACKDRIVE: 238, RobotMode.BOOTING: 247}

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Generator, Mapping, MutableMapping
 from dataclasses import dataclass, field, fields
-from enum import IntEnum
 from typing import Final
 
 from haptether.slave.ur_emulator.rtde.variables import ControllerVersion, Value
@@ -19,17 +18,6 @@ MAX_GRAVITY: Final = 100.0
 
 class ScriptError(Exception):
     """A runtime error of URScript: the program ends, and the message goes to the log and to its sender."""
-
-
-class RuntimeState(IntEnum):
-    """State of the program, as RTDE carries it."""
-
-    STOPPING = 0
-    STOPPED = 1
-    PLAYING = 2
-    PAUSING = 3
-    PAUSED = 4
-    RESUMING = 5
 
 
 @dataclass(slots=True, eq=False)
