@@ -95,22 +95,22 @@ class Dashboard:
             "get operational mode": lambda _: self._operational_mode,
             "version": lambda _: str(controller.reported_version),
             "play": lambda _: "Starting program" if controller.play() else "Failed to execute: play",
-            "stop": self._stop,
+            "stop": _done("Stopped", lambda _: controller.stop_program()),
             "pause": lambda _: "Pausing program" if controller.pause() else "Failed to execute: pause",
             "load": self._load,
             "load installation": self._load_installation,
             "savelog": lambda _: "Log saved to disk",
             "generate flight report": self._flight_report,
             "generate support file": self._support_file,
-            "power on": self._power_on,
-            "power off": self._power_off,
-            "brake release": self._release_brakes,
+            "power on": _done("Powering on", lambda _: controller.safety.power_on(controller.now_s)),
+            "power off": _done("Powering off", lambda _: controller.safety.power_off()),
+            "brake release": _done("Brake releasing", lambda _: controller.safety.release_brakes(controller.now_s)),
             "unlock protective stop": lambda _: controller.safety.unlock(controller.now_s),
-            "restart safety": self._restart,
+            "restart safety": _done("Restarting safety", lambda _: controller.safety.restart(controller.now_s)),
             "close safety popup": lambda _: "closing safety popup",
             "close popup": lambda _: "closing popup",
             "popup": lambda _: "showing popup",
-            "addtolog": self._add_to_log,
+            "addtolog": _done("Added log message", lambda text: controller.write_log(f"dashboard: {text}")),
             **(
                 {}
                 if controller.version.is_cb3
@@ -120,10 +120,6 @@ class Dashboard:
                 }
             ),
         }
-
-    def _stop(self, _: str) -> str:
-        self._controller.stop_program()
-        return "Stopped"
 
     def _load(self, name: str) -> str:
         file = name.rpartition("/")[2]
@@ -168,22 +164,12 @@ class Dashboard:
         self._controller.operational_mode = None
         return f"No longer controlling the operational mode. Current operational mode: '{self._operational_mode}'."
 
-    def _power_on(self, _: str) -> str:
-        self._controller.safety.power_on(self._controller.now_s)
-        return "Powering on"
 
-    def _power_off(self, _: str) -> str:
-        self._controller.safety.power_off()
-        return "Powering off"
+def _done(answer: str, act: Callable[[str], None]) -> Callable[[str], str]:
+    """What acts on its argument, and has one answer."""
 
-    def _release_brakes(self, _: str) -> str:
-        self._controller.safety.release_brakes(self._controller.now_s)
-        return "Brake releasing"
+    def answered(argument: str) -> str:
+        act(argument)
+        return answer
 
-    def _restart(self, _: str) -> str:
-        self._controller.safety.restart(self._controller.now_s)
-        return "Restarting safety"
-
-    def _add_to_log(self, text: str) -> str:
-        self._controller.write_log(f"dashboard: {text}")
-        return "Added log message"
+    return answered

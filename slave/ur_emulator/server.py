@@ -7,12 +7,13 @@ import select
 import socket
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from haptether.slave.ur_emulator.connections import PORTS, Outbox, Peer, PeerFactory
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.connections import Faults
+    from haptether.slave.ur_emulator.control import ControlChannel
     from haptether.slave.ur_emulator.controller import Controller
 
 MAX_CONNECTIONS: Final = 64
@@ -30,16 +31,6 @@ MAX_CATCH_UP_S: Final = 0.5
 """Time that is made up for after a stall."""
 PRIORITY: Final = 80
 """Under SCHED_FIFO: that of a bridge, so that a client that spins cannot hold the controller up."""
-
-
-class Channel(Protocol):
-    """A further source of input of this loop: the control channel."""
-
-    def readers(self) -> list[int]:
-        """Descriptors to wait for."""
-
-    def serve(self, descriptor: int) -> None:
-        """Reads and answers input."""
 
 
 class Connection:
@@ -75,7 +66,8 @@ class Server:
         self.controller = controller
         self.faults = faults
         self.host = host
-        self.channel: Channel | None = None
+        self.channel: ControlChannel | None = None
+        """A further source of input of its loop."""
         self.lost_s = 0.0
         """Time that was not made up for."""
         self.late_cycles = 0

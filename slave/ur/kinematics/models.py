@@ -106,20 +106,14 @@ TORQUES_NM: Final[dict[str, Six]] = {
     "ur30": (738, 738, 433, 107, 107, 107),
 }
 
-# From the motors' currents: the vendor's forum states an accuracy, nobody a range or a precision.
-ESTIMATED: Final = WrenchSensor(
-    force_range_n=None,
-    force_precision_n=None,
-    force_accuracy_n=10.0,
-    torque_range_nm=None,
-    torque_precision_nm=None,
-    torque_accuracy_nm=5.0,
-    measured=False,
-)
 
-
-def _sensor(force: tuple[float, float, float], torque: tuple[float, float, float]) -> WrenchSensor:
-    """A flange sensor from range, precision and accuracy."""
+def _sensor(
+    force: tuple[float | None, float | None, float],
+    torque: tuple[float | None, float | None, float],
+    *,
+    measured: bool = True,
+) -> WrenchSensor:
+    """A sensor from range, precision and accuracy."""
     return WrenchSensor(
         force_range_n=force[0],
         force_precision_n=force[1],
@@ -127,9 +121,12 @@ def _sensor(force: tuple[float, float, float], torque: tuple[float, float, float
         torque_range_nm=torque[0],
         torque_precision_nm=torque[1],
         torque_accuracy_nm=torque[2],
-        measured=True,
+        measured=measured,
     )
 
+
+# From the motors' currents: the vendor's forum states an accuracy, nobody a range or a precision.
+ESTIMATED: Final = _sensor((None, None, 10.0), (None, None, 5.0), measured=False)
 
 SENSORS: Final[dict[str, WrenchSensor]] = {
     "ur3": ESTIMATED,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from haptether.slave.ur.state import RobotMode, SafetyMode
+from haptether.slave.ur.state import RobotMode, SafetyMode, mode_text
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.robot.robot import Robot
@@ -138,7 +138,7 @@ class SafetySystem:
         self.mode = mode
         self.reason = reason
         self._stopped_at_s = now_s
-        self._log(f"{mode.name.lower().replace('_', ' ')}: {reason}")
+        self._log(f"{mode_text(SafetyMode, mode)}: {reason}")
         self._stop(reason)
 
 

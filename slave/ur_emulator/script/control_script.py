@@ -246,15 +246,17 @@ class ControlProgram:
     def _run(self, name: str, steps: Steps) -> None:
         self._threads[name] = self.program.spawn(steps)
 
-    def _runs(self, name: str) -> bool:
+    def _keep(self, name: str, loop: Callable[[], Steps]) -> None:
         thread = self._threads.get(name)
-        return thread is not None and thread.alive
+        if thread is None or not thread.alive:
+            self._run(name, loop())
 
     def _kill(self, name: str) -> bool:
-        runs = self._runs(name)
-        if runs:
-            self._threads[name].kill()
-        return runs
+        thread = self._threads.get(name)
+        if thread is None or not thread.alive:
+            return False
+        thread.kill()
+        return True
 
     # --------------------------------------------------------------------------------------------------- moves
 
@@ -312,8 +314,7 @@ class ControlProgram:
         self._servo_target = target
         self._servo = registers.double(8), registers.double(9), registers.double(10)
         self.setup.engage()
-        if not self._runs("servo"):
-            self._run("servo", self._servo_loop())
+        self._keep("servo", self._servo_loop)
 
     def _servo_loop(self) -> Steps:
         while True:
@@ -323,8 +324,7 @@ class ControlProgram:
         registers = self.registers
         self._circular = registers.six(0), registers.double(6), registers.double(7)
         self.setup.engage()
-        if not self._runs("servoc"):
-            self._run("servoc", self._servoc_loop())
+        self._keep("servoc", self._servoc_loop)
 
     def _servoc_loop(self) -> Steps:
         while True:
@@ -340,8 +340,7 @@ class ControlProgram:
         registers = self.registers
         self._speed = along_tool, registers.six(0), registers.double(6), registers.double(7)
         self.setup.engage()
-        if not self._runs("speed"):
-            self._run("speed", self._speed_loop())
+        self._keep("speed", self._speed_loop)
 
     def _speed_loop(self) -> Steps:
         while True:
@@ -359,8 +358,7 @@ class ControlProgram:
         registers = self.registers
         selection = tuple(registers.integer(number) != 0 for number in range(2, 8))
         self._force = registers.six(0), selection, registers.six(6), registers.integer(1), registers.six(12)
-        if not self._runs("force"):
-            self._run("force", self._force_loop())
+        self._keep("force", self._force_loop)
 
     def _force_loop(self) -> Steps:
         while self._force is not None:
@@ -377,8 +375,7 @@ class ControlProgram:
     def _start_jog(self) -> None:
         registers = self.registers
         self._jog = JogSpeed(registers.six(0), int(registers.double(6)), registers.double(7), registers.six(8))
-        if not self._runs("jog"):
-            self._run("jog", self._jog_loop())
+        self._keep("jog", self._jog_loop)
 
     def _jog_loop(self) -> Steps:
         while self._jog is not None:
@@ -509,7 +506,7 @@ class ImmediateCommands:
             18: lambda: self._freedrive(on=True),
             19: lambda: self._freedrive(on=False),
             20: lambda: force_mode.set_damping(registers.double(0)),
-            21: self._set_gain_scaling,
+            21: self._since((5, 0), lambda: force_mode.set_gain_scaling(registers.double(0))),
             25: lambda: registers.write_integer(1, self.functions.tool_contact(registers.six(0))),
             26: lambda: registers.write_double(0, self.robot.period_s),
             27: lambda: registers.write_six(0, self.functions.positions_before(registers.integer(1))),
@@ -533,17 +530,21 @@ class ImmediateCommands:
             56: self._external_sensor,
             57: self._external_sensor,
             58: lambda: registers.write_six(0, self.functions.arm.flange_pose(self.robot.measured.q)),
-            59: self._set_gravity,
-            60: lambda: self._has_inverse(None),
-            61: lambda: self._has_inverse(registers.six(6)),
-            65: self._set_target_payload,
-            66: self._direct_torque,
-            67: lambda: self._dynamics("get_mass_matrix"),
-            68: lambda: self._dynamics("get_coriolis_and_centrifugal_torques"),
-            69: self._target_acceleration,
-            70: self._jacobian,
-            71: self._jacobian_rate,
+            59: lambda: self.setup.set_gravity(registers.six(0)[:3]),
+            60: self._since((5, 10), lambda: self._has_inverse(None), cb3=(3, 15)),
+            61: self._since((5, 10), lambda: self._has_inverse(registers.six(6)), cb3=(3, 15)),
+            65: self._since((5, 10), self._set_target_payload),
+            66: self._since((5, 26), self._direct_torque),
+            67: self._since((5, 23), lambda: self._dynamics("get_mass_matrix")),
+            68: self._since((5, 23), lambda: self._dynamics("get_coriolis_and_centrifugal_torques")),
+            69: self._since((5, 23), lambda: registers.write_six(0, self.robot.target.qdd)),
+            70: self._since((5, 23), self._jacobian),
+            71: self._since((5, 23), self._jacobian_rate),
         }
+
+    def _since(self, e_series: tuple[int, ...], command: Command, cb3: tuple[int, ...] | None = None) -> Command:
+        """A command that older controllers take and do nothing about."""
+        return command if self.setup.version.has(cb3, e_series) else lambda: None
 
     def _answer(self, *, yes: bool) -> None:
         self.registers.write_integer(1, int(yes))
@@ -551,10 +552,6 @@ class ImmediateCommands:
     def _freedrive(self, *, on: bool) -> None:
         self.setup.freedrive = on
         self.robot.set_freedrive(on=on)
-
-    def _set_gain_scaling(self) -> None:
-        if self.setup.version.has(None, (5, 0)):
-            self.robot.force_mode.set_gain_scaling(self.registers.double(0))
 
     def _target_waypoint(self) -> None:
         motion = self.robot.motion
@@ -566,41 +563,28 @@ class ImmediateCommands:
     def _external_sensor(self) -> None:
         self.setup.external_sensor = self.registers.integer(1) == 1
 
-    def _set_gravity(self) -> None:
-        self.setup.set_gravity(self.registers.six(0)[:3])
-
     def _has_inverse(self, near: Six | None) -> None:
-        if self.setup.version.has((3, 15), (5, 10)):
-            self._answer(yes=self.functions.has_inverse(self.registers.six(0), near))
+        self._answer(yes=self.functions.has_inverse(self.registers.six(0), near))
 
     def _set_target_payload(self) -> None:
-        if self.setup.version.has(None, (5, 10)):
-            self.setup.set_payload(self.registers.double(0), self.registers.six(1)[:3])
-            self.setup.payload_inertia = self.registers.six(4)
+        self.setup.set_payload(self.registers.double(0), self.registers.six(1)[:3])
+        self.setup.payload_inertia = self.registers.six(4)
 
     def _direct_torque(self) -> None:
-        if self.setup.version.has(None, (5, 26)):
-            self.functions.begin(Torque(self.registers.six(0), self.robot.loop.inertia, self.robot.friction))
+        self.functions.begin(Torque(self.registers.six(0), self.robot.loop.inertia, self.robot.friction))
 
     def _dynamics(self, name: str) -> None:
-        if self.setup.version.has(None, (5, 23)):
-            message = f"{name}: the emulator has no masses and inertias of the links"
-            raise ScriptError(message)
-
-    def _target_acceleration(self) -> None:
-        if self.setup.version.has(None, (5, 23)):
-            self.registers.write_six(0, self.robot.target.qdd)
+        message = f"{name}: the emulator has no masses and inertias of the links"
+        raise ScriptError(message)
 
     def _jacobian(self) -> None:
-        if self.setup.version.has(None, (5, 23)):
-            _, jacobian = self.functions.arm.transform_and_jacobian(self.robot.measured.q)
-            self._matrix(jacobian.ravel(order="F").tolist())
+        _, jacobian = self.functions.arm.transform_and_jacobian(self.robot.measured.q)
+        self._matrix(jacobian.ravel(order="F").tolist())
 
     def _jacobian_rate(self) -> None:
-        if self.setup.version.has(None, (5, 23)):
-            measured = self.robot.measured
-            rate = self.functions.arm.jacobian_rate(measured.q, measured.qd)
-            self._matrix(rate.ravel(order="F").tolist())
+        measured = self.robot.measured
+        rate = self.functions.arm.jacobian_rate(measured.q, measured.qd)
+        self._matrix(rate.ravel(order="F").tolist())
 
     def _matrix(self, numbers: list[float]) -> None:
         for register, number in zip(MATRIX_REGISTERS, numbers, strict=True):
