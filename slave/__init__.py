@@ -52,25 +52,21 @@ __all__ = [
 
 # Whoever has no UR arm does not wait for NumPy.
 WHERE: Final = {
-    "UR_MODELS": "ur.kinematics.models",
-    "QuadraticProgram": "ur.kinematics.streaming",
-    "Rates": "ur.kinematics.arm",
-    "SelfKeepOut": "ur.kinematics.constraints",
-    "StreamingCost": "ur.kinematics.constraints",
-    "StreamingLimits": "ur.kinematics.constraints",
-    "UrCalibration": "ur.kinematics.chain",
-    "UrInverse": "ur.kinematics.inverse",
-    "UrKinematics": "ur.kinematics.arm",
-    "UrModel": "ur.kinematics.models",
-    "UrOptions": "ur.options",
-    "UrSlave": "ur.driver",
-    "UrStreaming": "ur.kinematics.streaming",
-    "WorkspacePlane": "ur.kinematics.constraints",
-    "WrenchSensor": "ur.kinematics.models",
-    "model_limits": "ur.kinematics.constraints",
-    "read_calibration": "ur.kinematics.chain",
-    "ur_model": "ur.kinematics.models",
-}
+    name: module
+    for module, names in {
+        "ur.driver": ("UrSlave",),
+        "ur.kinematics.arm": ("Rates", "UrKinematics"),
+        "ur.kinematics.chain": ("UrCalibration", "read_calibration"),
+        "ur.kinematics.constraints": (
+            "SelfKeepOut", "StreamingCost", "StreamingLimits", "WorkspacePlane", "model_limits",
+        ),
+        "ur.kinematics.inverse": ("UrInverse",),
+        "ur.kinematics.models": ("UR_MODELS", "UrModel", "WrenchSensor", "ur_model"),
+        "ur.kinematics.streaming": ("QuadraticProgram", "UrStreaming"),
+        "ur.options": ("UrOptions",),
+    }.items()
+    for name in names
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> object:

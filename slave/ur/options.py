@@ -9,10 +9,9 @@ from msgspec import Meta
 
 from haptether.slave.allowed import allowed
 from haptether.slave.ur.kinematics.constraints import WorkspacePlane
-from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS, ur_model
+from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS, Six, ur_model
 
 Three: TypeAlias = tuple[float, float, float]
-Six: TypeAlias = tuple[float, float, float, float, float, float]
 Four: TypeAlias = tuple[float, float, float, float]
 Mode: TypeAlias = Literal["servoj", "servol", "speedl", "direct-torque"]
 

@@ -3,8 +3,9 @@
 import math
 from typing import TYPE_CHECKING, Final
 
+from haptether.slave.ur.kinematics.models import Six
 from haptether.slave.ur.kinematics.pose import matrix_from_rotvec
-from haptether.slave.ur.options import Six, Three
+from haptether.slave.ur.options import Three
 from haptether.slave.ur.state import Numbers
 
 if TYPE_CHECKING:

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from haptether.slave.ur.kinematics.pose import pose_from_transform
-from haptether.slave.ur.state import RobotMode, RuntimeState
+from haptether.slave.ur.state import RuntimeState
 from haptether.slave.ur_emulator.robot.kinematics import Joints, Six, six
 from haptether.slave.ur_emulator.robot.robot import Robot
 from haptether.slave.ur_emulator.robot.safety import (
     JOINT_MODES,
     JOINT_POWER_OFF,
+    POWERED_MODES,
     SafetyLimits,
     SafetySystem,
     safety_status_bits,
@@ -295,7 +296,7 @@ class Controller:
             for now, before in zip(velocities, self._tool_velocities, strict=True)
         )
         self._tool_velocities = velocities
-        powered, playing = self.is_powered, self.runtime == RuntimeState.PLAYING
+        powered, playing = self.safety.robot_mode in POWERED_MODES, self.runtime == RuntimeState.PLAYING
         values: dict[str, Value] = {
             "timestamp": self.timestamp,
             "speed_scaling": self.limiter,
@@ -347,8 +348,10 @@ class Controller:
 
     def submit(self, submitted: Submitted) -> bool:
         """Takes a program from a script interface, which starts after START_UP_S; returns whether it is accepted."""
-        if not self.may_run:
-            self._fail(submitted.failed, f"script {_name(submitted)!r} refused: {self._refusal()}")
+        if self.is_local or not self.safety.may_move:
+            modes = f"robot mode {self.safety.robot_mode.name}, safety mode {self.safety.mode.name}"
+            refusal = "not in remote control" if self.is_local else modes
+            self._fail(submitted.failed, f"script {_name(submitted)!r} refused: {refusal}")
             return False
         if submitted.secondary:
             self._run_secondary(submitted)
@@ -358,14 +361,9 @@ class Controller:
         return True
 
     @property
-    def may_run(self) -> bool:
-        """Whether programs from outside may run."""
-        return self.safety.may_move and (self.remote_control or self.version.is_cb3)
-
-    def _refusal(self) -> str:
-        if not (self.remote_control or self.version.is_cb3):
-            return "not in remote control"
-        return f"robot mode {self.safety.robot_mode.name}, safety mode {self.safety.mode.name}"
+    def is_local(self) -> bool:
+        """Whether commands from outside are refused: a CB3 controller takes them always."""
+        return not (self.remote_control or self.version.is_cb3)
 
     def reset(self) -> None:
         """Resets all but time, log and registers; the arm is back at its start at once."""
@@ -426,11 +424,6 @@ class Controller:
         if not self._has_engaged:
             self._has_engaged = True
             self.on_engaged()
-
-    @property
-    def is_powered(self) -> bool:
-        """Whether the arm has power."""
-        return self.safety.robot_mode in {RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.BACKDRIVE, RobotMode.RUNNING}
 
 
 def _check_start(settings: ControllerSettings) -> None:

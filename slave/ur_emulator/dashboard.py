@@ -59,13 +59,9 @@ class Dashboard:
         name = command if command in self._answers else next(filter(command.startswith, TAKE_ARGUMENT), "").rstrip()
         if name not in self._answers:
             return f"could not understand: '{line.strip()[:MAX_SHOWN]}'", True
-        if self._is_local and name in NEEDS_REMOTE:
+        if self._controller.is_local and name in NEEDS_REMOTE:
             return "Command is not allowed due to safety reasons", True
         return self._answers[name](line.strip()[len(name) :].strip()[:MAX_SHOWN]), True
-
-    @property
-    def _is_local(self) -> bool:
-        return not (self._controller.remote_control or self._controller.version.is_cb3)
 
     def _table(self) -> dict[str, Callable[[str], str]]:
         controller = self._controller

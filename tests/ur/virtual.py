@@ -109,7 +109,14 @@ class World:
         """A session of RTDE with the controller."""
         of = self.controller
         return RtdeSession(
-            99, 500.0, lambda: of.version, of.inputs, of.outputs, of.output_types, of.write_log, protocol=protocol
+            99,
+            500.0,
+            lambda: of.reported_version,
+            of.inputs,
+            of.outputs,
+            of.output_types,
+            of.write_log,
+            protocol=protocol,
         )
 
     # ---------------------------------------------------------------------------------------------------- time

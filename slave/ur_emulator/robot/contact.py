@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from haptether._core import ForceSensor
+from haptether.slave.ur.kinematics.pose import Vector
 from haptether.slave.ur_emulator.robot.kinematics import Array, Six, Three
 
 if TYPE_CHECKING:
     from haptether._core import SceneTouch
-
-Vector = tuple[float, float, float]
 
 TORQUE_SHARE: Final = 0.1
 """Noise of a torque in N m, of that of a force in N."""

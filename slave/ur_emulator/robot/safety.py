@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 JOINT_MODES: Final = {RobotMode.RUNNING: 253, RobotMode.IDLE: 255, RobotMode.BACKDRIVE: 238, RobotMode.BOOTING: 247}
 """Mode of every joint by mode of the robot; power off (239) in all others."""
 JOINT_POWER_OFF: Final = 239
+POWERED_MODES: Final = frozenset({RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.BACKDRIVE, RobotMode.RUNNING})
 
 STATUS_BITS: Final = {
     SafetyMode.NORMAL: 1 << 0,

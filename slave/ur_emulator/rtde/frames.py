@@ -7,8 +7,6 @@ import struct
 from collections.abc import Iterator
 from typing import Final
 
-from haptether.slave.ur_emulator.rtde.variables import ControllerVersion
-
 PROTOCOL_VERSION, CONTROLLER_VERSION, TEXT_MESSAGE, DATA_PACKAGE = b"VvMU"
 SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE = b"OISP"
 
@@ -68,11 +66,6 @@ def frame(kind: int, payload: bytes = b"") -> bytes:
 def acceptance(kind: int, *, yes: bool) -> bytes:
     """The answer to a request that is accepted or not."""
     return frame(kind, bytes([yes]))
-
-
-def controller_version(version: ControllerVersion) -> bytes:
-    """The answer to a request for the version of the controller."""
-    return frame(CONTROLLER_VERSION, struct.pack(">4I", version.major, version.minor, version.bugfix, version.build))
 
 
 def recipe(kind: int, number: int | None, types: list[str]) -> bytes:

@@ -130,7 +130,8 @@ class RtdeSession:
             case frames.PROTOCOL_VERSION if len(payload) == 2:
                 return self._negotiated(int.from_bytes(payload, "big"))
             case frames.CONTROLLER_VERSION:
-                return frames.controller_version(self.version())
+                of = self.version()
+                return frames.frame(kind, struct.pack(">4I", of.major, of.minor, of.bugfix, of.build))
             case frames.SETUP_OUTPUTS if self.protocol == 1:
                 return self._set_up_outputs(V1_RATE_HZ, frames.names_in(payload))
             case frames.SETUP_OUTPUTS if len(payload) >= 8:
@@ -157,8 +158,7 @@ class RtdeSession:
         self.started = False
         self._output = None
         number = None if self.protocol == 1 else 0
-        if not _fits(names):
-            self._refuse_list(names)
+        if not self._fits(names):
             return frames.recipe(frames.SETUP_OUTPUTS, number, [])
         types = [kind.name if (kind := self.output_types.get(name)) else NOT_FOUND for name in names]
         kinds = [kind for name in names if (kind := self.output_types.get(name))]
@@ -179,8 +179,7 @@ class RtdeSession:
         return frames.recipe(frames.SETUP_OUTPUTS, number, types)
 
     def _set_up_inputs(self, names: tuple[str, ...]) -> bytes:
-        if not _fits(names):
-            self._refuse_list(names)
+        if not self._fits(names):
             return frames.recipe(frames.SETUP_INPUTS, 0, [])
         fields = sum(len(recipe.names) for recipe in self._recipes.values()) + len(names)
         fits = bool(names) and len(self._recipes) < MAX_RECIPES and fields <= MAX_INPUT_FIELDS
@@ -193,8 +192,12 @@ class RtdeSession:
             self._recipes[number] = InputRecipe(self.inputs.known(names), kinds, layout)
         return frames.recipe(frames.SETUP_INPUTS, number, types)
 
-    def _refuse_list(self, names: tuple[str, ...]) -> None:
-        self.log(f"list of {len(names)} names refused: must have at most {frames.MAX_NAME_LIST} bytes")
+    def _fits(self, names: tuple[str, ...]) -> bool:
+        """Whether a list of names is short enough; one that is not is in the log."""
+        fits = sum(len(name) + 1 for name in names) <= frames.MAX_NAME_LIST
+        if not fits:
+            self.log(f"list of {len(names)} names refused: must have at most {frames.MAX_NAME_LIST} bytes")
+        return fits
 
     def _start(self) -> bytes:
         if self._output is None:
@@ -209,7 +212,3 @@ class RtdeSession:
         known = self._recipes.get(number)
         if known is not None and (values := known.values(packed)) is not None:
             self.inputs.write(values)
-
-
-def _fits(names: tuple[str, ...]) -> bool:
-    return sum(len(name) + 1 for name in names) <= frames.MAX_NAME_LIST

@@ -12,7 +12,8 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from haptether.slave.ur_emulator.script.program import ScriptError, Six
+from haptether.slave.ur_emulator.robot.kinematics import Six
+from haptether.slave.ur_emulator.script.program import ScriptError
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.rtde.variables import DigitalOutputs

@@ -5,10 +5,9 @@ from collections.abc import Callable, Generator, Mapping, MutableMapping
 from dataclasses import dataclass, field, fields
 from typing import Final
 
+from haptether.slave.ur_emulator.robot.kinematics import Six, Three
 from haptether.slave.ur_emulator.rtde.variables import ControllerVersion, Value
 
-Six = tuple[float, ...]
-Three = tuple[float, ...]
 Steps = Generator[None, None, None]
 """Runs until the end of the control cycle at each `yield`."""
 

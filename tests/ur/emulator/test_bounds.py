@@ -17,7 +17,6 @@ from tests.ur.virtual import World
 
 from haptether.slave.ur_emulator.connections import PeerFactory
 from haptether.slave.ur_emulator.controller import LOG_LINES, MAX_LOG_LINE
-from haptether.slave.ur_emulator.rtde.frames import controller_version
 from haptether.slave.ur_emulator.rtde.session import MAX_INPUT_FIELDS
 from haptether.slave.ur_emulator.script.calls import CALLS_PER_CYCLE, MAX_CALLS
 from haptether.slave.ur_emulator.script.control_script import CONTROL_SCRIPT, MAX_WAYPOINTS, recognised
@@ -173,7 +172,7 @@ def test_a_version_that_no_client_could_be_sent_is_refused() -> None:
     for text in ("5.99999999999", "5.\u00b2", f"5.{'9' * 5000}"):
         assert world.line.answer(f"version {text}", 0.0).startswith("error: version: must be")
     assert world.line.answer("version 5.9.999999999", 0.0) == "ok"
-    assert controller_version(world.controller.reported_version)
+    assert world.rtde().receive(frame("v")) == frame("v", struct.pack(">4I", 5, 9, 999_999_999, 0))
 
 
 def test_scripts_without_an_end_share_what_they_may_hold(running: Emulated) -> None:
