@@ -47,7 +47,7 @@ def scene() -> bytes:
 
 def wakes(who: str, peer: str, seconds: float) -> npt.NDArray[np.float64]:
     """Overshoots in us of one turn of the bench."""
-    how: dict[str, Any] = {"peer": peer, "session": 1, "insecure": True, "patience_s": seconds}
+    how: dict[str, Any] = {"peer": peer, "run_id": 1, "insecure": True, "patience_s": seconds}
     if who == "native":
         master: LiveMaster | MasterRun = LiveMaster(scene(), **how)
     else:
@@ -60,7 +60,7 @@ def wakes(who: str, peer: str, seconds: float) -> npt.NDArray[np.float64]:
 
 def turn_us(peer: str) -> tuple[float, float]:
     """Median time in us of a turn, and of a call of the extension that does nothing."""
-    loop = MasterLoop(scene(), peer=peer, session=1, insecure=True, realtime="off", keep_s=1.0)
+    loop = MasterLoop(scene(), peer=peer, run_id=1, insecure=True, realtime="off", keep_s=1.0)
     loop.begin()
     step, nothing = loop.step, loop.press_clutch
     took = np.empty((2, TURNS))

@@ -83,7 +83,7 @@ def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, st
         master = LiveMaster(
             scene_json(scene),
             peer=peer,
-            session=1,
+            run_id=1,
             insecure=True,
             patience_s=wakes * PERIOD_US * 1e-6,
             realtime="auto" if policy == "fifo" else "off",

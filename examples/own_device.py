@@ -48,11 +48,9 @@ def main() -> None:
     parser.parse_args()
     scene = scene_json(load_scene("remote_push", ["link.forward={}", "link.backward={}"]))
     key = secrets.token_bytes(32)
-    loop = SlaveLoop(scene, listen="127.0.0.1:0", session=secrets.randbits(64), key=key)
+    loop = SlaveLoop(scene, listen="127.0.0.1:0", run_id=secrets.randbits(64), key=key)
     slave = SlaveRun(SpringArm(), loop)
-    master = LiveMaster(
-        scene, peer=loop.address, session=secrets.randbits(64), key=key, duration_s=2.0, patience_s=10.0
-    )
+    master = LiveMaster(scene, peer=loop.address, run_id=secrets.randbits(64), key=key, duration_s=2.0, patience_s=10.0)
     while not (master.finished or slave.finished):
         slave.poll()
         master.poll()

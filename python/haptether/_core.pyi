@@ -2168,7 +2168,7 @@ class LiveMaster(_LiveSide):
     Args:
         scene: As `scene_json` gives it; its device is a model that its operator holds.
         peer: The slave or a proxy before it, `HOST:PORT`.
-        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
@@ -2195,7 +2195,7 @@ class LiveMaster(_LiveSide):
         scene: bytes,
         *,
         peer: str,
-        session: int,
+        run_id: int,
         key: bytes | bytearray | None = None,
         insecure: bool = False,
         listen: str | None = None,
@@ -2248,7 +2248,7 @@ class LiveSlave(_LiveSide):
     Args:
         scene: As `scene_json` gives it; its arm is a model in its environment.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
-        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only when told.
@@ -2272,7 +2272,7 @@ class LiveSlave(_LiveSide):
         scene: bytes,
         *,
         listen: str,
-        session: int,
+        run_id: int,
         key: bytes | bytearray | None = None,
         insecure: bool = False,
         duration_s: float | None = None,
@@ -2319,7 +2319,7 @@ class MasterLoop(_LiveSide):
     Args:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
         peer: The slave or a proxy before it, `HOST:PORT`.
-        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
@@ -2350,7 +2350,7 @@ class MasterLoop(_LiveSide):
         scene: bytes,
         *,
         peer: str,
-        session: int,
+        run_id: int,
         key: bytes | bytearray | None = None,
         insecure: bool = False,
         listen: str | None = None,
@@ -2446,7 +2446,7 @@ class SlaveLoop(_LiveSide):
     Args:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
-        session: Drawn anew at every start, 0 to 2⁶⁴ - 1.
+        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
@@ -2470,7 +2470,7 @@ class SlaveLoop(_LiveSide):
         scene: bytes,
         *,
         listen: str,
-        session: int,
+        run_id: int,
         key: bytes | bytearray | None = None,
         insecure: bool = False,
         duration_s: float | None = None,

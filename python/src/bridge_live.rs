@@ -77,14 +77,14 @@ pub(crate) struct LiveMaster {
 #[pymethods]
 impl LiveMaster {
     #[new]
-    #[pyo3(signature = (scene, *, peer, session, key=None, insecure=false, listen=None, duration_s=None,
+    #[pyo3(signature = (scene, *, peer, run_id, key=None, insecure=false, listen=None, duration_s=None,
         patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         py: Python<'_>,
         scene: &[u8],
         peer: &str,
-        session: u64,
+        run_id: u64,
         key: Option<&Bound<'_, PyAny>>,
         insecure: bool,
         listen: Option<&str>,
@@ -109,7 +109,7 @@ impl LiveMaster {
         let Started { run, watched } = of_axes!(scene_axes(scene)?, N => {
             let scene = scene_spec::<N>(scene)?;
             let place = place(live_periods(&scene)?[0])?;
-            start(py, simulated_master::<N>(&scene, session).map_err(refuse)?, place)?
+            start(py, simulated_master::<N>(&scene, run_id).map_err(refuse)?, place)?
         });
         Ok(Self { run, watched })
     }
@@ -147,14 +147,14 @@ pub(crate) struct LiveSlave {
 #[pymethods]
 impl LiveSlave {
     #[new]
-    #[pyo3(signature = (scene, *, listen, session, key=None, insecure=false, duration_s=None,
+    #[pyo3(signature = (scene, *, listen, run_id, key=None, insecure=false, duration_s=None,
         patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         py: Python<'_>,
         scene: &[u8],
         listen: &str,
-        session: u64,
+        run_id: u64,
         key: Option<&Bound<'_, PyAny>>,
         insecure: bool,
         duration_s: Option<f64>,
@@ -185,7 +185,7 @@ impl LiveSlave {
         let Started { run, watched } = of_axes!(scene_axes(scene)?, N => {
             let scene = scene_spec::<N>(scene)?;
             let place = place(live_periods(&scene)?[1])?;
-            start(py, simulated_slave::<N>(&scene, session).map_err(refuse)?, place)?
+            start(py, simulated_slave::<N>(&scene, run_id).map_err(refuse)?, place)?
         });
         Ok(Self { run, watched })
     }

@@ -211,14 +211,14 @@ pub(crate) struct MasterLoop {
 #[pymethods]
 impl MasterLoop {
     #[new]
-    #[pyo3(signature = (scene, *, peer, session, key=None, insecure=false, listen=None, clutch="once",
+    #[pyo3(signature = (scene, *, peer, run_id, key=None, insecure=false, listen=None, clutch="once",
         duration_s=None, patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         py: Python<'_>,
         scene: &[u8],
         peer: &str,
-        session: u64,
+        run_id: u64,
         key: Option<&Bound<'_, PyAny>>,
         insecure: bool,
         listen: Option<&str>,
@@ -253,7 +253,7 @@ impl MasterLoop {
                 realtime: realtime_settings(realtime, priority, cpu)?,
                 record: recorder_settings(record, min_free_bytes, insecure),
             };
-            let side = driven_master::<N>(&scene, session, simulated_clutch).map_err(refuse)?;
+            let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
             let (paced, watched) = prepare(py, side, Place::of_master(peer, listen, how)?)?;
             Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
         })
@@ -294,14 +294,14 @@ pub(crate) struct SlaveLoop {
 #[pymethods]
 impl SlaveLoop {
     #[new]
-    #[pyo3(signature = (scene, *, listen, session, key=None, insecure=false, duration_s=None,
+    #[pyo3(signature = (scene, *, listen, run_id, key=None, insecure=false, duration_s=None,
         patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
         min_free_bytes=1_000_000_000))]
     fn new(
         py: Python<'_>,
         scene: &[u8],
         listen: &str,
-        session: u64,
+        run_id: u64,
         key: Option<&Bound<'_, PyAny>>,
         insecure: bool,
         duration_s: Option<f64>,
@@ -325,7 +325,7 @@ impl SlaveLoop {
                 realtime: realtime_settings(realtime, priority, cpu)?,
                 record: recorder_settings(record, min_free_bytes, insecure),
             };
-            let side = driven_slave::<N>(&scene, session).map_err(refuse)?;
+            let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
             let (paced, watched) = prepare(py, side, Place::of_slave(listen, how)?)?;
             Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
         })

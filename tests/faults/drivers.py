@@ -161,12 +161,12 @@ def watch(device: PythonHand | PythonArm, trouble: Trouble, then: Callable[[Devi
     slave: LiveSlave | SlaveRun
     run: MasterRun | SlaveRun
     if isinstance(device, PythonHand):
-        slave = LiveSlave(spec, listen="127.0.0.1:0", session=1, key=key)
-        master = run = MasterRun(device, MasterLoop(spec, peer=slave.address, session=2, key=key))
+        slave = LiveSlave(spec, listen="127.0.0.1:0", run_id=1, key=key)
+        master = run = MasterRun(device, MasterLoop(spec, peer=slave.address, run_id=2, key=key))
     else:
-        loop = SlaveLoop(spec, listen="127.0.0.1:0", session=1, key=key)
+        loop = SlaveLoop(spec, listen="127.0.0.1:0", run_id=1, key=key)
         slave = run = SlaveRun(device, loop)
-        master = LiveMaster(spec, peer=loop.address, session=2, key=key)
+        master = LiveMaster(spec, peer=loop.address, run_id=2, key=key)
     states: dict[str, list[tuple[float, str]]] = {"master": [], "slave": []}
 
     def look() -> None:

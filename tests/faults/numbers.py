@@ -154,8 +154,8 @@ def to_a_living_loop() -> Row:
     """A scale that cannot be, told to loops that run: refused, and they run on as they did."""
     key = secrets.token_bytes(32)
     scene = scene_json(baseline_scene())
-    slave = LiveSlave(scene, listen="127.0.0.1:0", session=1, key=key, realtime="off")
-    master = LiveMaster(scene, peer=slave.address, session=2, key=key, realtime="off")
+    slave = LiveSlave(scene, listen="127.0.0.1:0", run_id=1, key=key, realtime="off")
+    master = LiveMaster(scene, peer=slave.address, run_id=2, key=key, realtime="off")
     found = Complaints()
     asked = 0
     time.sleep(1.5)

@@ -46,7 +46,7 @@ ONE = scene_json(load_scene("remote_push", ["environment.pushers=[]"]))
 
 
 def how(**others: object) -> dict[str, Any]:
-    return {"session": secrets.randbits(64), "insecure": True, **others}
+    return {"run_id": secrets.randbits(64), "insecure": True, **others}
 
 
 class Hand:

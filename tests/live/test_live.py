@@ -466,8 +466,8 @@ def test_scales_change_while_both_sides_run() -> None:
         safety={"ladder": {"hold_after_s": 0.1, "stop_after_s": 1.0}},
     )
     key = bytes(range(32))
-    slave = LiveSlave(scene_json(scene), listen="127.0.0.1:0", session=2, key=key)
-    master = LiveMaster(scene_json(scene), peer=slave.address, session=1, key=key)
+    slave = LiveSlave(scene_json(scene), listen="127.0.0.1:0", run_id=2, key=key)
+    master = LiveMaster(scene_json(scene), peer=slave.address, run_id=1, key=key)
     for refused in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="must be finite and above 0"):
             master.set_force_scale(refused)

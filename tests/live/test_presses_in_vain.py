@@ -22,7 +22,7 @@ OLD_S = 5.5
 
 
 def how(**others: object) -> dict[str, Any]:
-    return {"session": secrets.randbits(64), "insecure": True, "realtime": "off", **others}
+    return {"run_id": secrets.randbits(64), "insecure": True, "realtime": "off", **others}
 
 
 def until(done: Callable[[], bool], seconds: float = 10.0) -> bool:

@@ -52,7 +52,7 @@ def peer() -> Iterator[str]:
 
 def start(peer: str, patience_s: float | None = None, **options: Unpack[Options]) -> LiveMaster:
     scene = scene_json(two_sides(operator={"clutch": []}))
-    return LiveMaster(scene, peer=peer, session=1, insecure=True, patience_s=patience_s, **options)
+    return LiveMaster(scene, peer=peer, run_id=1, insecure=True, patience_s=patience_s, **options)
 
 
 def run_for(peer: str, seconds: float, **options: Unpack[Options]) -> tuple[MasterTrace, LoopReport]:
@@ -271,8 +271,8 @@ def test_late_wakes_are_no_fault_of_a_clock() -> None:
     burning = [subprocess.Popen(busy) for _ in range(2)]
     try:
         both: dict[str, Any] = {"key": secrets.token_bytes(32), "realtime": "off"}
-        slave = LiveSlave(scene, listen="127.0.0.1:0", session=1, **both)
-        master = LiveMaster(scene, peer=slave.address, session=2, **both)
+        slave = LiveSlave(scene, listen="127.0.0.1:0", run_id=1, **both)
+        master = LiveMaster(scene, peer=slave.address, run_id=2, **both)
         time.sleep(BUSY_S)
         reports = [run.finish()[1] for run in (master, slave)]
     finally:

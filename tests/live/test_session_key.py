@@ -58,7 +58,7 @@ def test_a_weak_key_is_refused_wherever_it_enters(tmp_path: Path, key: bytes) ->
         read_key(written(tmp_path / "arm.key", text))
     for given in (key, bytearray(key)):
         with pytest.raises(ValueError, match="weak key"):
-            LiveSlave(scene_json(baseline_scene()), listen="127.0.0.1:0", session=1, key=given)
+            LiveSlave(scene_json(baseline_scene()), listen="127.0.0.1:0", run_id=1, key=given)
 
 
 def copies(pid: int, *secrets: bytes) -> int:
@@ -89,8 +89,8 @@ from haptether.cli.live.sides import baseline_scene
 def settled(port):
     key = read_key(Path(sys.argv[1]))
     scene = scene_json(baseline_scene(depth=0.0))
-    slave = LiveSlave(scene, listen="127.0.0.1:0", session=1, key=key, realtime="off")
-    master = LiveMaster(scene, peer=slave.address, session=2, key=key, realtime="off")
+    slave = LiveSlave(scene, listen="127.0.0.1:0", run_id=1, key=key, realtime="off")
+    master = LiveMaster(scene, peer=slave.address, run_id=2, key=key, realtime="off")
     wipe_key(key)
     end = time.monotonic() + 20.0
     while master.state == "disengaged" and time.monotonic() < end:

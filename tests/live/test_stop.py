@@ -218,7 +218,7 @@ def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> N
 
 def test_what_is_kept_of_a_run_is_bounded_and_in_order() -> None:
     slave = LiveSlave(
-        scene_json(two_sides()), listen="127.0.0.1:0", session=1, insecure=True, keep_s=0.25, patience_s=1.0
+        scene_json(two_sides()), listen="127.0.0.1:0", run_id=1, insecure=True, keep_s=0.25, patience_s=1.0
     )
     while not slave.finished:
         assert slave.poll() <= 250

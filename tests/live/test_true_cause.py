@@ -259,7 +259,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
 
 
 def how(**others: object) -> dict[str, Any]:
-    return {"session": secrets.randbits(64), "insecure": True, **others}
+    return {"run_id": secrets.randbits(64), "insecure": True, **others}
 
 
 class Hand:
@@ -376,8 +376,8 @@ def test_a_sample_that_is_none_names_the_line_that_gave_it() -> None:
 @pytest.mark.parametrize("first", ["master", "slave"])
 def test_an_orderly_end_is_no_hold(secure: bool, first: str) -> None:
     kind: dict[str, Any] = {"key": secrets.token_bytes(32)} if secure else {"insecure": True}
-    slave = LiveSlave(ONE, listen="127.0.0.1:0", session=1, **kind)
-    master = LiveMaster(ONE, peer=slave.address, session=2, **kind)
+    slave = LiveSlave(ONE, listen="127.0.0.1:0", run_id=1, **kind)
+    master = LiveMaster(ONE, peer=slave.address, run_id=2, **kind)
     until(lambda: slave.state == "engaged" == master.state)
     time.sleep(0.5)
     ends, stays = (master, slave) if first == "master" else (slave, master)

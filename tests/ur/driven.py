@@ -33,11 +33,11 @@ class Watched:
         scene = load_scene("remote_push", [*overrides, period, "environment.pushers=[]", "operator.clutch=once"])
         spec, key = scene_json(scene), os.urandom(32)
         self.device: Any = load_slave("ur", options)
-        loop = SlaveLoop(spec, listen="127.0.0.1:0", session=1, key=key)
+        loop = SlaveLoop(spec, listen="127.0.0.1:0", run_id=1, key=key)
         self.slave = SlaveRun(self.device, loop)
         while not self.slave.ready():
             time.sleep(LOOK_S)
-        self.master = LiveMaster(spec, peer=loop.address, session=2, key=key)
+        self.master = LiveMaster(spec, peer=loop.address, run_id=2, key=key)
         self._seen: dict[str, object] = {}
 
     def look(self) -> None:

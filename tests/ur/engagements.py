@@ -113,7 +113,7 @@ def started(count: int, folder: Path) -> dict[str, Any]:
         ]  # fmt: skip
         # The master is there first: it engages as soon as the slave is ready.
         spec = scene_json(load_scene(SCENE))
-        master = LiveMaster(spec, peer=address, session=time.time_ns() >> 8, insecure=True, patience_s=OPEN_S)
+        master = LiveMaster(spec, peer=address, run_id=time.time_ns() >> 8, insecure=True, patience_s=OPEN_S)
         slave = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         try:
             end_s = time.monotonic() + OPEN_S

@@ -32,12 +32,12 @@ pub(super) fn coupled<const N: usize>(
 /// What decides at the side of the hand.
 pub(super) fn master_endpoint<const N: usize>(
     scene: &SceneSpec<N>,
-    session: u64,
+    run_id: u64,
 ) -> Result<MasterEndpoint<N>, SceneError> {
     let (_, coupling) = coupled(scene)?;
     Ok(MasterEndpoint::new(&MasterSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
-        run_id: session,
+        run_id,
         device: device_model(scene)?,
         estimator: scene.safety.estimator,
         safety: scene.safety.settings,
@@ -50,12 +50,12 @@ pub(super) fn master_endpoint<const N: usize>(
 /// What decides at the side of the robot.
 pub(super) fn slave_endpoint<const N: usize>(
     scene: &SceneSpec<N>,
-    session: u64,
+    run_id: u64,
 ) -> Result<SlaveEndpoint<N>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
     Ok(SlaveEndpoint::new(&SlaveSettings {
         period_ns: period_ns("slave.period_s", slave.period_s)?,
-        run_id: session,
+        run_id,
         position_scale: coupling.position_scale,
         bounds: coupling.bounds,
         ladder: scene.safety.ladder.unwrap_or_default(),
@@ -74,7 +74,7 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
     )?)
 }
 
-/// The side of the hand with the scene's device in the scene's hand; `session` is drawn anew at every start.
+/// The side of the hand with the scene's device in the scene's hand; `run_id` is drawn anew at every start.
 ///
 /// # Errors
 ///
@@ -82,7 +82,7 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
 #[allow(clippy::type_complexity)]
 pub fn simulated_master<const N: usize>(
     scene: &SceneSpec<N>,
-    session: u64,
+    run_id: u64,
 ) -> Result<Timed<MasterSide<Box<dyn MasterPlant<N> + Send>, N>>, SceneError> {
     let plant: Box<dyn MasterPlant<N> + Send> = match scene.run.integrator {
         Integrator::Exact => {
@@ -96,7 +96,7 @@ pub fn simulated_master<const N: usize>(
             Box::new(plant)
         }
     };
-    let side = MasterSide::new(plant, master_endpoint(scene, session)?, live_clutch(scene))?;
+    let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?;
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
@@ -107,9 +107,9 @@ pub fn simulated_master<const N: usize>(
 /// As [`simulated_master`].
 pub fn simulated_slave<const N: usize>(
     scene: &SceneSpec<N>,
-    session: u64,
+    run_id: u64,
 ) -> Result<Timed<SlaveSide<SimulatedSlave<N>, N>>, SceneError> {
-    let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, session)?);
+    let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?);
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
@@ -121,12 +121,12 @@ pub fn simulated_slave<const N: usize>(
 /// As [`simulated_master`], and times at which the clutch would be pressed.
 pub fn driven_master<const N: usize>(
     scene: &SceneSpec<N>,
-    session: u64,
+    run_id: u64,
     simulated_clutch: bool,
 ) -> Result<Timed<MasterSide<DrivenMaster<N>, N>>, SceneError> {
     let side = MasterSide::new(
         DrivenMaster::default(),
-        master_endpoint(scene, session)?,
+        master_endpoint(scene, run_id)?,
         driven_clutch(scene, simulated_clutch)?,
     )?;
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
@@ -139,11 +139,11 @@ pub fn driven_master<const N: usize>(
 /// As [`simulated_master`].
 pub fn driven_slave<const N: usize>(
     scene: &SceneSpec<N>,
-    session: u64,
+    run_id: u64,
 ) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
-    let side = SlaveSide::new(plant, slave_endpoint(scene, session)?);
+    let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?);
     Ok(Timed::new(side, commands::<N>(coupling)?))
 }

@@ -93,7 +93,7 @@ class CheckLink:
                     # Nobody presses its clutch, and its device is a model: nothing is driven.
                     scene_json(override_scene(scene, ["operator.clutch=[]"])),
                     peer=self.peer,
-                    session=secrets.randbits(64),
+                    run_id=secrets.randbits(64),
                     key=key,
                     insecure=self.insecure,
                     # Never engages, so this is when it ends.

@@ -59,7 +59,7 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
             message = f"{name} = {value}: must be {minimum} to {maximum}"
             raise ValueError(message)
     return {
-        "session": secrets.randbits(64),
+        "run_id": secrets.randbits(64),
         "key": key,
         "insecure": command.insecure,
         "listen": command.listen,
