@@ -34,9 +34,9 @@ pub use endpoint::{
 };
 pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
 pub use ladder::{
-    Clutch, ClutchError, Diagnosis, Explanation, FlightEntry, FlightRecorder, History, Ladder, LadderError,
-    LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame,
-    PeerReport, Reason, Remedy, SimulatedOperator, Step, Transition,
+    Clutch, ClutchError, ClutchOperator, Diagnosis, Explanation, FlightEntry, FlightRecorder, History,
+    Ladder, LadderError, LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed,
+    PeerCause, PeerFrame, PeerReport, Reason, Remedy, Step, Transition,
 };
 pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status};
 pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};

@@ -4,7 +4,7 @@ use crate::{
     command::OperatorCommand,
     coupling::CouplingError,
     endpoint::{Exchange, MasterEndpoint, SlaveEndpoint},
-    ladder::{Button, Clutch, ClutchError, LadderState, SimulatedOperator},
+    ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
     pace::TickTime,
     plant::{MasterPlant, SlavePlant},
@@ -62,14 +62,14 @@ pub struct MasterSide<P, const N: usize> {
     /// What decides.
     pub endpoint: MasterEndpoint<N>,
     /// Who presses the clutch of a device that has no button.
-    operator: SimulatedOperator,
+    operator: ClutchOperator,
     button: Button,
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// A side whose clutch is worked as `clutch` says, unless the device has a button.
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
-        Ok(Self { plant, endpoint, operator: SimulatedOperator::new(clutch)?, button: Button::default() })
+        Ok(Self { plant, endpoint, operator: ClutchOperator::new(clutch)?, button: Button::default() })
     }
 }
 

@@ -1,8 +1,8 @@
 //! The degradation ladder: what a silent peer, an open clutch and a bad number lead to.
 //!
 //! [`table`] says what leads where, and `docs/ladder.md` shows it as a diagram that a test holds to the table.
-//! [`Ladder`] finds out what is the case at a tick and looks it up there. [`SimulatedOperator`] is a hand at the
-//! clutch for runs without a button, [`FlightRecorder`] what is left when something went wrong.
+//! [`Ladder`] finds out what is the case at a tick and looks it up there. [`ClutchOperator`] works the clutch of
+//! runs without a button, [`FlightRecorder`] what is left when something went wrong.
 
 mod diagnosis;
 mod flight;
@@ -16,5 +16,5 @@ pub use flight::{FlightEntry, FlightRecorder, FlightValues, Observed, thresholds
 pub use input::{LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
 pub use machine::{History, Ladder, LadderError, LadderSettings, Transition};
 pub(crate) use operator::{Button, START_NS};
-pub use operator::{Clutch, ClutchError, SimulatedOperator};
+pub use operator::{Clutch, ClutchError, ClutchOperator};
 pub use table::{LadderState, Reason};

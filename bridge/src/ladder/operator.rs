@@ -1,4 +1,4 @@
-//! The hand at the clutch: the button of a device, and a simulated operator for runs without one.
+//! What works the clutch: the button of a device, and without one the operator's commands and a simulated operator.
 
 use super::table::LadderState;
 
@@ -6,7 +6,7 @@ use super::table::LadderState;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Clutch {
     /// Pressed at the start and held. After a hold it stays as it is, so nothing couples again but by
-    /// [`SimulatedOperator::press_again`].
+    /// [`ClutchOperator::press_again`].
     #[default]
     Once,
     /// A simulated operator: presses at the start, lets go when it holds or the press was not answered, and presses
@@ -30,20 +30,21 @@ pub enum ClutchError {
     Reaction(u64),
 }
 
-/// For how long in ns [`SimulatedOperator::press_again`] opens the clutch: enough frames for the other side to see it.
+/// For how long in ns [`ClutchOperator::press_again`] opens the clutch: enough frames for the other side to see it.
 const OPEN_NS: u64 = 100_000_000;
 
-/// Within what time in ns of [`SimulatedOperator::press_again`] it must be pressed; a loop that slept meanwhile presses
+/// Within what time in ns of [`ClutchOperator::press_again`] it must be pressed; a loop that slept meanwhile presses
 /// no more.
 const LATEST_NS: u64 = 2 * OPEN_NS;
 
 /// Within what time in ns of the start the first tick must be, for the start to be a press.
 pub(crate) const START_NS: u64 = 5_000_000_000;
 
-/// Who works the clutch: a pure function of time and of what the ladder shows.
+/// Works the clutch of a side without a button, as [`Clutch`] and an operator's commands have it: a pure function of
+/// time and of what the ladder shows.
 #[allow(clippy::struct_excessive_bools)] // what it has done and seen
 #[derive(Clone, Debug, PartialEq)]
-pub struct SimulatedOperator {
+pub struct ClutchOperator {
     clutch: Clutch,
     start_ns: u64,
     pressed: bool,
@@ -59,7 +60,7 @@ pub struct SimulatedOperator {
     requested_ns: Option<u64>,
 }
 
-impl SimulatedOperator {
+impl ClutchOperator {
     /// An operator who has not begun.
     pub fn new(clutch: Clutch) -> Result<Self, ClutchError> {
         match &clutch {
@@ -227,7 +228,7 @@ mod tests {
     fn a_simulated_operator_presses_anew_for_whoever_comes_after_an_end_but_not_after_a_fault() {
         use LadderState::{Disengaged, Fault};
         for faulted in [false, true] {
-            let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+            let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
             operator.begin(0);
             assert!(operator.at(0, Disengaged, false));
             for now in 1..1000 {
@@ -249,19 +250,19 @@ mod tests {
 
     #[test]
     fn a_schedule_is_followed() {
-        let mut operator = SimulatedOperator::new(Clutch::Schedule(vec![(0, 5), (8, 9)])).unwrap();
+        let mut operator = ClutchOperator::new(Clutch::Schedule(vec![(0, 5), (8, 9)])).unwrap();
         operator.begin(100);
         let pressed: Vec<_> = (100..112).filter(|now| operator.at(*now, Engaged, true)).collect();
         assert_eq!(pressed, [100, 101, 102, 103, 104, 108]);
         for times in [vec![(5, 5)], vec![(0, 5), (5, 6)], vec![(3, 4), (1, 2)]] {
-            let error = SimulatedOperator::new(Clutch::Schedule(times)).unwrap_err();
+            let error = ClutchOperator::new(Clutch::Schedule(times)).unwrap_err();
             assert!(error.to_string().ends_with("must follow one another in time"), "{error}");
         }
     }
 
     #[test]
     fn a_simulated_operator_lets_go_and_presses_once_both_are_ready() {
-        let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         operator.begin(0);
         assert!(operator.at(0, Aligning, false));
         assert!(operator.at(MS, Engaged, true));
@@ -272,12 +273,12 @@ mod tests {
         assert_eq!(pressed, [1500]);
         let pressed: Vec<_> = (2000..2500).filter(|now| operator.at(now * MS, Hold, true)).collect();
         assert_eq!(pressed.first(), Some(&2002));
-        assert!(SimulatedOperator::new(Clutch::Auto { reaction_ns: 1 }).is_err());
+        assert!(ClutchOperator::new(Clutch::Auto { reaction_ns: 1 }).is_err());
     }
 
     #[test]
     fn who_presses_once_does_so_again_when_told() {
-        let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+        let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
         assert!((0..1000).all(|now| operator.at(now * MS, Hold, true)));
         operator.press_again();
@@ -287,7 +288,7 @@ mod tests {
 
     /// From 0 on, every ms from `requested` on but those of `asleep`: at which ms it presses.
     fn presses(requested: &[u64], asleep: std::ops::Range<u64>, resets: bool) -> Vec<u64> {
-        let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+        let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
         let (mut was, mut pressed) = (operator.at(0, Hold, true), Vec::new());
         for now in (1..60_000).filter(|now| !asleep.contains(now)) {
@@ -307,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_press_that_was_requested_for_is_at_its_time_or_never() {
+    fn a_requested_press_is_made_after_the_release_or_dropped() {
         assert_eq!(presses(&[1000], 0..0, false), [1100]);
         // Twice at once is one press; once more after it is another.
         assert_eq!(presses(&[1000, 1001, 1050], 0..0, false), [1100]);
@@ -321,7 +322,7 @@ mod tests {
 
     #[test]
     fn a_simulated_operator_tries_anew_where_a_press_was_not_answered() {
-        let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         operator.begin(0);
         assert!(operator.at(0, LadderState::Disengaged, false), "the start is a press");
         assert!((1..5000).all(|now| operator.at(now * MS, Aligning, false)));
@@ -333,7 +334,7 @@ mod tests {
     #[test]
     fn a_start_is_a_press_for_five_seconds() {
         for (first_ms, presses) in [(0, true), (5000, true), (5001, false)] {
-            let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+            let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
             operator.begin(7 * MS);
             assert_eq!(
                 operator.at((7 + first_ms) * MS, LadderState::Disengaged, false),
@@ -350,7 +351,7 @@ mod tests {
             (Clutch::Auto { reaction_ns: 500 * MS }, false),
             (Clutch::Schedule(vec![(0, 10)]), false),
         ] {
-            let mut operator = SimulatedOperator::new(clutch).unwrap();
+            let mut operator = ClutchOperator::new(clutch).unwrap();
             operator.begin(0);
             assert_eq!((operator.release_clutch(), operator.release_clutch()), (was_pressed, false));
         }
@@ -358,7 +359,7 @@ mod tests {
 
     #[test]
     fn a_simulated_operator_does_not_press_after_a_fault_until_requested() {
-        let mut operator = SimulatedOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
+        let mut operator = ClutchOperator::new(Clutch::Auto { reaction_ns: 500 * MS }).unwrap();
         operator.begin(0);
         assert!(operator.at(0, Aligning, false));
         assert!(!operator.at(MS, Hold, true), "it lets go");
@@ -371,7 +372,7 @@ mod tests {
 
     #[test]
     fn who_has_let_go_presses_only_when_requested() {
-        let mut operator = SimulatedOperator::new(Clutch::Once).unwrap();
+        let mut operator = ClutchOperator::new(Clutch::Once).unwrap();
         operator.begin(0);
         operator.release_clutch();
         assert!((0..1000).all(|now| !operator.at(now * MS, LadderState::Disengaged, true)));
