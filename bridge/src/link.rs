@@ -28,7 +28,7 @@ pub struct LinkStatistics {
     /// Round trip of the newest echo in ns, without the time that the peer held it; 0 before the first.
     pub round_trip_ns: u64,
     /// Least round trip seen in ns; 0 before the first.
-    pub least_round_trip_ns: u64,
+    pub min_round_trip_ns: u64,
 }
 
 impl LinkStatistics {
@@ -241,8 +241,8 @@ impl<const N: usize> FrameLink<N> {
         if let Some(echo) = echo {
             let round_trip = by_ns.saturating_sub(echo.sent_ns).saturating_sub(echo.held_ns);
             self.statistics.round_trip_ns = round_trip;
-            let min = self.statistics.least_round_trip_ns;
-            self.statistics.least_round_trip_ns = if min == 0 { round_trip } else { min.min(round_trip) };
+            let min = self.statistics.min_round_trip_ns;
+            self.statistics.min_round_trip_ns = if min == 0 { round_trip } else { min.min(round_trip) };
         }
         Ok(begins)
     }

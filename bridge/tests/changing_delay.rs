@@ -178,7 +178,7 @@ fn a_delay_that_jumps_to_and_fro_holds_once_and_stays() {
 /// a press engages at the new delay.
 #[test]
 fn a_delay_that_creeps_up_holds_once_news_is_old() {
-    let creep = |most_s: f64| vec![DelayChange { at_s: 3.0, delay_s: 0.01 + most_s, ramp_s: 10.0 }];
+    let creep = |max_s: f64| vec![DelayChange { at_s: 3.0, delay_s: 0.01 + max_s, ramp_s: 10.0 }];
     for (forward, backward) in
         [(creep(0.12), Vec::new()), (Vec::new(), creep(0.12)), (creep(0.06), creep(0.06))]
     {

@@ -11,9 +11,9 @@ const US: u64 = 1_000;
 const MS: u64 = 1_000 * US;
 const TICKS: u64 = 20_000;
 /// What a frame takes.
-const WAY_NS: u64 = 30 * US;
+const ONE_WAY_NS: u64 = 30 * US;
 
-/// One loop: its end of the link, its next deadline, and what is on the way to it with the time of its arrival.
+/// One loop: its end of the link, its next deadline, and what is in flight to it with the time of its arrival.
 struct Loop {
     link: FrameLink<1>,
     deadline_ns: u64,
@@ -22,9 +22,9 @@ struct Loop {
 }
 
 impl Loop {
-    fn new(role: Role, session: u64, first_ns: u64) -> Self {
+    fn new(role: Role, run_id: u64, first_ns: u64) -> Self {
         Self {
-            link: FrameLink::new(role, session, 1_000 * MS),
+            link: FrameLink::new(role, run_id, 1_000 * MS),
             deadline_ns: first_ns,
             woken_ns: first_ns,
             inward: Vec::new(),
@@ -44,14 +44,14 @@ impl Loop {
     }
 }
 
-/// Faults of a clock that each side counts, and the least round trip of the first in ns.
+/// Faults of a clock that each side counts, and the shortest round trip of the first in ns.
 fn run(knows: bool) -> ([u64; 2], u64) {
     let mut loops = [Loop::new(Role::Master, 1, 10 * MS), Loop::new(Role::Slave, 2, 10 * MS + 500 * US)];
     let mut draw = 1_u64;
     for _ in 0..2 * TICKS {
         let turns = usize::from(loops[1].woken_ns < loops[0].woken_ns);
         let (leaves_ns, datagram) = loops[turns].step(knows);
-        loops[1 - turns].inward.push((leaves_ns + WAY_NS, datagram));
+        loops[1 - turns].inward.push((leaves_ns + ONE_WAY_NS, datagram));
         // Mostly 20 us late, one wake in sixteen by up to 0.95 ms.
         draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let late_ns = if draw >> 60 == 0 { (draw >> 20) % (950 * US) } else { 20 * US };
@@ -60,15 +60,15 @@ fn run(knows: bool) -> ([u64; 2], u64) {
     }
     let faults =
         [0, 1].map(|side: usize| loops[side].link.path().report(loops[side].deadline_ns).clock_faults);
-    (faults, loops[0].link.statistics().least_round_trip_ns)
+    (faults, loops[0].link.statistics().min_round_trip_ns)
 }
 
 #[test]
 fn late_wakes_are_no_fault_of_a_clock() {
-    let (faults, least_ns) = run(true);
+    let (faults, min_ns) = run(true);
     assert_eq!(faults, [0, 0]);
-    // Never below what the way takes there and back.
-    assert!(least_ns >= 2 * WAY_NS, "{least_ns}");
+    // Never below what a frame takes there and back.
+    assert!(min_ns >= 2 * ONE_WAY_NS, "{min_ns}");
 }
 
 #[test]

@@ -326,9 +326,10 @@ fn a_slave_that_forgot_the_session_gets_a_new_one_after_the_keys_grew_too_old() 
     }
 }
 
-/// While its frames were lost, a person at the slave let another master begin: the first is told, though it has keys.
+/// While its frames were lost, a person at the slave let another master begin: the first is notified, though it has
+/// keys.
 #[test]
-fn a_master_whose_lease_was_taken_over_is_told() {
+fn a_master_whose_lease_was_taken_over_is_notified() {
     let mut pair = Pair::opened();
     let mut second = end(settings(Role::Master), key(), 55);
     let mut entropy = Numbers(56);
@@ -345,17 +346,17 @@ fn a_master_whose_lease_was_taken_over_is_told() {
     pair.slave.receive(now_ns, &mut frame, &mut entropy).unwrap();
     // The slave seals for the second, which this master cannot open.
     pair.run(12_000);
-    let told = pair.master.poll_event();
+    let event = pair.master.poll_event();
     assert!(
-        matches!(told, Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, .. })),
-        "{told:?}"
+        matches!(event, Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, .. })),
+        "{event:?}"
     );
     assert_eq!(pair.slave.session.session(), second.session.session());
 }
 
 #[test]
 fn a_used_up_counter_refuses_to_send() {
-    let few = |role| SessionSettings { most_sealed: 20, ..settings(role) };
+    let few = |role| SessionSettings { max_sealed: 20, ..settings(role) };
     let mut pair = Pair::with(few(Role::Master), few(Role::Slave));
     pair.run(100);
     assert_eq!(pair.taken_at(Role::Slave).len(), 20);
@@ -422,7 +423,7 @@ fn a_master_that_takes_leave_makes_room_at_once() {
     assert!(pair.rejected.iter().all(|what| what.1 == Rejection::Session));
 }
 
-/// Another with the very key, while a session lives: refused, told on both sides, and nothing disturbed.
+/// Another with the very key, while a session lives: refused, reported on both sides, and nothing disturbed.
 #[test]
 fn a_second_master_is_refused() {
     let mut pair = Pair::opened();
@@ -454,7 +455,7 @@ fn a_second_master_is_refused() {
     assert!(pair.taken_at(Role::Slave).len() > 500);
 }
 
-/// Two masters race for a free slave: the first frame decides, and the loser is told when it tries again.
+/// Two masters race for a free slave: the first frame decides, and the loser is notified when it tries again.
 #[test]
 fn of_two_masters_at_once_one_wins() {
     let mut pair = Pair::new();
@@ -475,14 +476,14 @@ fn of_two_masters_at_once_one_wins() {
 }
 
 #[test]
-fn sides_of_different_payloads_are_told_so() {
+fn sides_of_different_payloads_are_notified() {
     let longer = SessionSettings { payload_length: PAYLOAD + 24, ..settings(Role::Slave) };
     let mut pair = Pair::with(settings(Role::Master), longer);
     pair.run(50);
     let decision = HandshakeDecision::PayloadLength;
-    let told = |payload_length| Some(HandshakeEvent::Refused { decision, payload_length });
-    assert_eq!(pair.master.poll_event(), told(116));
-    assert_eq!(pair.slave.poll_event(), told(92));
+    let refused = |payload_length| Some(HandshakeEvent::Refused { decision, payload_length });
+    assert_eq!(pair.master.poll_event(), refused(116));
+    assert_eq!(pair.slave.poll_event(), refused(92));
     assert_eq!(pair.taken, []);
 }
 
@@ -534,12 +535,12 @@ proptest! {
 
     #[test]
     fn sides_find_each_other_over_any_bearable_network(
-        seed in any::<u64>(), loss in 0u64..30, most_ms in 1u64..400,
+        seed in any::<u64>(), loss in 0u64..30, max_ms in 1u64..400,
     ) {
         let mut pair = Pair::new();
         let mut numbers = Numbers(seed);
         pair.fate = Box::new(move |_, _, _| {
-            if numbers.draw() % 100 < loss { vec![] } else { vec![numbers.draw() % (most_ms * MS)] }
+            if numbers.draw() % 100 < loss { vec![] } else { vec![numbers.draw() % (max_ms * MS)] }
         });
         // A hello is repeated every 2 s at most, and of a hello and its answer half are lost at worst: that none of 17
         // comes through in 30 s has a probability of 1e-5.

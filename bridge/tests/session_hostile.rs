@@ -240,7 +240,7 @@ fn hasty(role: Role) -> SessionSettings {
 }
 
 /// 4000 authentic first messages a second, of other sessions and of this one, from the master's address or others: keys
-/// are renewed as without them, and nobody is told of another master.
+/// are renewed as without them, and nobody is notified of another master.
 #[test]
 fn replayed_hellos_do_not_starve_the_next_keys() {
     for own in [false, true] {
@@ -381,7 +381,7 @@ fn the_shared_key_alone_does_not_rekey_a_session_of_others() {
 
 #[test]
 fn too_many_forgeries_end_the_session() {
-    let few = |role| SessionSettings { most_forged: 10, ..settings(role) };
+    let few = |role| SessionSettings { max_forged: 10, ..settings(role) };
     let mut pair = Pair::with(few(Role::Master), few(Role::Slave));
     pair.run(50);
     let mut buffer = [0; MAX_DATAGRAM];

@@ -175,7 +175,7 @@ impl From<LinkStatistics> for PyLinkStatistics {
             refused: of.refused,
             missing: of.missing,
             round_trip_s: seconds(of.round_trip_ns),
-            least_round_trip_s: seconds(of.least_round_trip_ns),
+            least_round_trip_s: seconds(of.min_round_trip_ns),
         }
     }
 }

@@ -157,10 +157,10 @@ impl<const N: usize> Exchange<N> {
         });
         // On arrival an age is what the link is used to; until the next frame it grows by what silence may.
         let over = self.link.path().over_baseline_ns(now_ns);
-        let over_usual_ns = over.map(|over| over.saturating_sub(expected_age_ns));
+        let over_baseline_ns = over.map(|over| over.saturating_sub(expected_age_ns));
         let next_sequence = self.link.next_sequence();
         let ended = self.peer_ended;
-        let view = LinkView { age_ns, expected_age_ns, over_usual_ns, newest, next_sequence, ended };
+        let view = LinkView { age_ns, expected_age_ns, over_baseline_ns, newest, next_sequence, ended };
         let before = self.ladder.state();
         let state = self.inputs.step(&mut self.ladder, now_ns, clutch, &view);
         if state == LadderState::Hold && self.ladder.history().cause() == Some(Reason::PeerDisengaged) {

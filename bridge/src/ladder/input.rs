@@ -27,7 +27,7 @@ pub struct LadderInput {
     /// Age in ns that the link has when nothing is wrong: silence counts from there.
     pub expected_age_ns: u64,
     /// By how much in ns the newest may be older than the link is used to; none until that is known.
-    pub over_usual_ns: Option<u64>,
+    pub over_baseline_ns: Option<u64>,
     /// What the newest frame says.
     pub peer: Option<PeerReport>,
     /// Whether the clutch is closed: at the master the button, at the slave what the master's frame says of it. A
@@ -64,8 +64,8 @@ pub struct LinkView {
     pub age_ns: Option<u64>,
     /// As [`LadderInput::expected_age_ns`].
     pub expected_age_ns: u64,
-    /// As [`LadderInput::over_usual_ns`].
-    pub over_usual_ns: Option<u64>,
+    /// As [`LadderInput::over_baseline_ns`].
+    pub over_baseline_ns: Option<u64>,
     /// The newest frame of the peer.
     pub newest: Option<PeerFrame>,
     /// Sequence of the frame that this tick sends.
@@ -122,8 +122,8 @@ impl LadderInputs {
                 // Whoever is disengaged with a closed clutch has let a press expire: it is none any more.
                 let closed =
                     newest.is_some_and(|frame| frame.clutch && frame.state != LadderState::Disengaged);
-                let most_ns = settings.hold_after_ns + link.expected_age_ns;
-                let heard = link.age_ns.is_some_and(|age| age <= most_ns);
+                let max_ns = settings.hold_after_ns + link.expected_age_ns;
+                let heard = link.age_ns.is_some_and(|age| age <= max_ns);
                 let age_ns = newest.and_then(|frame| frame.echo_age_ns);
                 // Without an echo it aligns, so that the master hears of it, but does not engage.
                 let is_press = newest.is_some_and(|frame| frame.state == LadderState::Aligning)
@@ -138,9 +138,9 @@ impl LadderInputs {
             answers: hears && echo.is_some_and(|echo| echo >= self.closed_sequence),
             is_current,
         });
-        let &LinkView { age_ns, expected_age_ns, over_usual_ns, ended, .. } = link;
+        let &LinkView { age_ns, expected_age_ns, over_baseline_ns, ended, .. } = link;
         let needs_answer = self.role == Role::Slave && self.closings > 0;
-        LadderInput { age_ns, expected_age_ns, over_usual_ns, peer, clutch, needs_answer, is_press, ended }
+        LadderInput { age_ns, expected_age_ns, over_baseline_ns, peer, clutch, needs_answer, is_press, ended }
     }
 
     /// The clutch as of the last tick.
@@ -164,7 +164,7 @@ mod tests {
         LinkView {
             age_ns: Some(2 * MS),
             expected_age_ns: MS,
-            over_usual_ns: Some(0),
+            over_baseline_ns: Some(0),
             newest,
             next_sequence,
             ended: false,
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn the_frame_that_first_told_of_a_press_is_the_one_of_its_tick() {
+    fn the_first_frame_with_a_press_is_that_of_its_tick() {
         let mut inputs = LadderInputs::new(Role::Master);
         let mut ladder = ladder();
         let newest = frame(LadderState::Disengaged, false, Some(39), None);

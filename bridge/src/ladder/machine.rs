@@ -68,7 +68,7 @@ impl Ladder {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
         let silent = self.excess_ns.is_none_or(|excess| excess > hold_after_ns);
-        let old = input.over_usual_ns.is_some_and(|over| over > hold_after_ns);
+        let old = input.over_baseline_ns.is_some_and(|over| over > hold_after_ns);
         // What had arrived while this side was blind is as old as that.
         let seen = input
             .age_ns

@@ -102,7 +102,7 @@ impl Side {
         let view = LinkView {
             age_ns: self.newest.map(|(_, arrived)| (now - arrived) * TICK_NS),
             expected_age_ns: TICK_NS,
-            over_usual_ns: None,
+            over_baseline_ns: None,
             newest,
             next_sequence: now,
             ended: self.peer_ended,

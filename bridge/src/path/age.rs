@@ -248,8 +248,8 @@ mod tests {
         feed(&mut baseline, 73_000, 80_000, |_| 40.0);
         let left_ms = level_ms(&baseline) - 40.0;
         let s = 10.0 - 5.0_f64.ln();
-        let most_ms = (100.0 + 100.0 * s + 40.0 * s * s) * (-s).exp();
-        assert!((0.0..most_ms).contains(&left_ms), "{left_ms} {most_ms}");
+        let max_ms = (100.0 + 100.0 * s + 40.0 * s * s) * (-s).exp();
+        assert!((0.0..max_ms).contains(&left_ms), "{left_ms} {max_ms}");
         baseline.restart();
         assert_eq!(baseline, AgeBaseline::new());
     }

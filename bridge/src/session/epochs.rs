@@ -83,7 +83,7 @@ impl Epochs {
         } else {
             return Err(Rejection::Session);
         };
-        if header.counter >= settings.most_sealed {
+        if header.counter >= settings.max_sealed {
             return Err(Rejection::Counter);
         }
         let arrival = match slot {
@@ -165,16 +165,16 @@ impl Epochs {
 
     /// Drops what time has run out for; says whether the newest keys were among it.
     pub(super) fn advance(&mut self, now_ns: u64, settings: &SessionSettings) -> bool {
-        let most_ns = settings.open_ns();
-        self.previous.take_if(|(epoch, until_ns)| now_ns >= *until_ns || epoch.age_ns(now_ns) >= most_ns);
+        let max_ns = settings.open_ns();
+        self.previous.take_if(|(epoch, until_ns)| now_ns >= *until_ns || epoch.age_ns(now_ns) >= max_ns);
         let living = self.id().map(|id| id.session);
         for offered in &mut self.offered {
             offered.take_if(|epoch| {
-                let most_ns = if living == Some(epoch.id.session) { most_ns } else { OFFER_NS };
-                epoch.age_ns(now_ns) >= most_ns
+                let max_ns = if living == Some(epoch.id.session) { max_ns } else { OFFER_NS };
+                epoch.age_ns(now_ns) >= max_ns
             });
         }
-        let over = self.current.as_ref().is_some_and(|epoch| epoch.age_ns(now_ns) >= most_ns);
+        let over = self.current.as_ref().is_some_and(|epoch| epoch.age_ns(now_ns) >= max_ns);
         if over {
             let lapsed = self.current.as_ref().map(|epoch| (epoch.id, epoch.chain.copied()));
             self.clear();

@@ -138,7 +138,7 @@ impl Session {
 
     fn check(&self, now_ns: u64, epoch: &Epoch) -> Result<(), SealError> {
         let (age_ns, sealed) = (epoch.age_ns(now_ns), epoch.sealed);
-        if age_ns >= self.settings.refuse_ns || sealed >= self.settings.most_sealed {
+        if age_ns >= self.settings.refuse_ns || sealed >= self.settings.max_sealed {
             return Err(SealError::UsedUp { age_ns, sealed });
         }
         Ok(())
@@ -279,7 +279,7 @@ impl Session {
     /// Source: RFC 9001, section 6.6: all forgeries against a session count, whatever its keys.
     fn count_forgery(&mut self) {
         self.forged += 1;
-        if self.forged >= self.settings.most_forged {
+        if self.forged >= self.settings.max_forged {
             self.stop(SessionEvent::Forgeries);
         }
     }
@@ -537,9 +537,9 @@ pub struct SessionSettings {
     /// Silence of the peer after which the master begins anew, and a local act at the slave may free the lease.
     pub silence_ns: u64,
     /// Datagrams that one key seals at most.
-    pub most_sealed: u64,
+    pub max_sealed: u64,
     /// Forgeries against one session, all its keys together, after which it ends.
-    pub most_forged: u64,
+    pub max_forged: u64,
 }
 
 /// Settings that do not make a session.
@@ -599,8 +599,8 @@ impl SessionSettings {
             refuse_ns: 180 * SECOND,
             overlap_ns: 5 * SECOND,
             silence_ns: 2 * SECOND,
-            most_sealed: 1 << 32,
-            most_forged: 1 << 36,
+            max_sealed: 1 << 32,
+            max_forged: 1 << 36,
         }
     }
 
@@ -620,8 +620,8 @@ impl SessionSettings {
         for (name, value) in [
             ("overlap_ns", overlap_ns),
             ("silence_ns", self.silence_ns),
-            ("most_sealed", self.most_sealed),
-            ("most_forged", self.most_forged),
+            ("max_sealed", self.max_sealed),
+            ("max_forged", self.max_forged),
         ] {
             if value == 0 {
                 return Err(SettingsError::Zero(name));
@@ -672,7 +672,7 @@ mod tests {
             (SessionSettings { rekey_ns: good.refuse_ns, ..good }, "rekey_ns = 180000000000"),
             (SessionSettings { overlap_ns: good.rekey_ns, ..good }, "overlap_ns = 120000000000"),
             (SessionSettings { silence_ns: 0, ..good }, "silence_ns = 0"),
-            (SessionSettings { most_forged: 0, ..good }, "most_forged = 0"),
+            (SessionSettings { max_forged: 0, ..good }, "max_forged = 0"),
         ] {
             let error = bad.check().unwrap_err().to_string();
             assert!(error.contains(said), "{error}");

@@ -10,7 +10,7 @@ fn sound(age: u64) -> LadderInput {
     LadderInput {
         age_ns: Some(age * MS),
         expected_age_ns: MS,
-        over_usual_ns: Some(0),
+        over_baseline_ns: Some(0),
         peer: Some(PeerReport { state: Engaged, hears: true, answers: true, is_current: true }),
         clutch: true,
         needs_answer: false,
@@ -111,7 +111,7 @@ fn what_a_peer_says_holds_this_side() {
 /// then.
 #[test]
 fn old_news_holds_until_a_press_at_the_new_age() {
-    let old = |over| LadderInput { over_usual_ns: Some(over), ..sound(1) };
+    let old = |over| LadderInput { over_baseline_ns: Some(over), ..sound(1) };
     let mut ladder = engaged();
     assert_eq!(ladder.step(301 * MS, &old(20 * MS)), Engaged);
     assert_eq!(ladder.step(302 * MS, &old(20 * MS + 1)), Hold);
@@ -122,7 +122,7 @@ fn old_news_holds_until_a_press_at_the_new_age() {
     ladder.step(1000 * MS, &LadderInput { clutch: false, ..old(900 * MS) });
     assert_eq!(ladder.step(1001 * MS, &LadderInput { is_press: true, ..old(900 * MS) }), Engaged);
     assert_eq!(ladder.step(1002 * MS, &old(0)), Engaged);
-    let unknown = LadderInput { over_usual_ns: None, ..sound(1) };
+    let unknown = LadderInput { over_baseline_ns: None, ..sound(1) };
     assert_eq!(ladder.step(1003 * MS, &unknown), Engaged);
 }
 
@@ -191,7 +191,7 @@ fn a_released_clutch_moves_the_master_alone_and_a_press_engages_it_again() {
 const ALONE: LadderInput = LadderInput {
     age_ns: None,
     expected_age_ns: MS,
-    over_usual_ns: None,
+    over_baseline_ns: None,
     peer: None,
     clutch: true,
     needs_answer: false,
@@ -385,7 +385,7 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
         .prop_map(|(age, peer, clutch, over, ended)| LadderInput {
             age_ns: age.map(|age| age * MS),
             expected_age_ns: MS,
-            over_usual_ns: over.map(|over| over * MS),
+            over_baseline_ns: over.map(|over| over * MS),
             peer,
             clutch,
             needs_answer: false,
@@ -506,7 +506,7 @@ fn what_is_shown_of_the_clutch_is_the_case() {
 #[test]
 fn a_peer_of_which_nothing_is_known_any_more_is_silent_since_it_was_sound() {
     let mut ladder = engaged();
-    let unknown = LadderInput { age_ns: None, over_usual_ns: None, peer: None, ..sound(0) };
+    let unknown = LadderInput { age_ns: None, over_baseline_ns: None, peer: None, ..sound(0) };
     let states: Vec<_> = (301..=600).map(|now| ladder.step(now * MS, &unknown)).collect();
     assert_eq!((states[0], states[199], states[200]), (Hold, Hold, Stop));
 }
