@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_that_is_led_again_while_it_brakes_is_told_no_jump() {
+    fn an_arm_that_is_led_again_while_it_brakes_is_commanded_no_jump() {
         let mut arm = DrivenSlave::<3>::new(2.0).unwrap();
         let velocity = Axes::<3>::new(1.0, 0.0, 0.0);
         arm.read(0);

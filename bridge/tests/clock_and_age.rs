@@ -133,9 +133,9 @@ impl Truth {
 }
 
 /// Both sides at the end, and how often each was held against the truth.
-fn run(settings: [ClockOf; 2], ways: [LinkSettings; 2], seed: u64) -> (Vec<Measuring>, [u64; 2]) {
+fn run(settings: [ClockOf; 2], links: [LinkSettings; 2], seed: u64) -> (Vec<Measuring>, [u64; 2]) {
     let clocks = settings.map(|settings| EndpointClock::new(&settings).unwrap());
-    let [forward, backward] = ways;
+    let [forward, backward] = links;
     let run = VirtualSettings {
         period_ns: MS,
         slave_period_ns: 2 * MS,
@@ -166,13 +166,13 @@ fn wrong_clocks_and_bad_links_leave_every_bound_true_and_report_no_fault() {
     let paths = [
         [link(0.0, 0.0, 0.0), link(0.0, 0.0, 0.0)],
         [link(0.02, 0.005, 0.05), link(0.02, 0.005, 0.05)],
-        // Of which the offset cannot know that one way takes twelve times the other.
+        // Of which the offset cannot know that one direction takes twelve times the other.
         [link(0.005, 0.001, 0.3), link(0.06, 0.02, 0.3)],
     ];
-    for (seed, ways) in (0..).zip(&paths) {
+    for (seed, links) in (0..).zip(&paths) {
         for [near_ppm, far_ppm] in [[0.0, 0.0], [80.0, -100.0], [-100.0, 95.0]] {
             let clocks = [endpoint_clock(-1.5, near_ppm, 0.0), endpoint_clock(1e6, far_ppm, 0.0)];
-            let (sides, checked) = run(clocks, ways.clone(), seed);
+            let (sides, checked) = run(clocks, links.clone(), seed);
             for side in sides {
                 assert_eq!(side.faults, [], "{seed} {near_ppm} {far_ppm}");
             }
@@ -183,14 +183,14 @@ fn wrong_clocks_and_bad_links_leave_every_bound_true_and_report_no_fault() {
 
 #[test]
 fn a_step_is_reported_within_a_round_trip_by_both_sides() {
-    let ways = [link(0.02, 0.005, 0.05), link(0.02, 0.005, 0.05)];
+    let links = [link(0.02, 0.005, 0.05), link(0.02, 0.005, 0.05)];
     for (whose, step_ms) in [(1, 300), (1, -300), (0, 300), (0, -300), (1, 3_600_000), (0, 3_600_000_i32)] {
         let step_s = f64::from(step_ms) * 1e-3;
         let mut steps_s = [0.0; 2];
         steps_s[whose] = step_s;
         let clocks = [endpoint_clock(-1.5, 80.0, steps_s[0]), endpoint_clock(1e6, -100.0, steps_s[1])];
         let settings = clocks.map(|clock| EndpointClock::new(&clock).unwrap());
-        let (sides, checked) = run(clocks, ways.clone(), 7);
+        let (sides, checked) = run(clocks, links.clone(), 7);
         // Known anew a round trip after the proof.
         assert!(checked[0] > TICKS * 9 / 10 && checked[1] > TICKS * 4 / 10, "{checked:?}");
         for (own, side) in sides.iter().enumerate() {
@@ -200,28 +200,28 @@ fn a_step_is_reported_within_a_round_trip_by_both_sides() {
                 "{whose} {step_s}, {own}: {:?}",
                 side.faults
             );
-            let told = side.faults.iter().find_map(|&(_, fault)| match fault {
+            let step = side.faults.iter().find_map(|&(_, fault)| match fault {
                 ClockFault::Step { by_ns, at_least_ns, .. } => Some((by_ns, at_least_ns)),
                 _ => None,
             });
-            let (by_ns, at_least_ns) = told.unwrap();
-            // Seen from the other side a step goes the other way.
+            let (by_ns, at_least_ns) = step.unwrap();
+            // Seen from the other side a step has the opposite sign.
             let seen_s = if own == whose { -step_s } else { step_s };
             assert_eq!(by_ns > 0, seen_s > 0.0, "{whose} {step_s}, {own}: {by_ns}");
             let step_ns = u64::from(step_ms.unsigned_abs()) * MS;
             assert!(at_least_ns <= step_ns, "{whose} {step_s}: {at_least_ns}");
             // A loop whose own clock is set back waits; in the backlog that it then finds, the step grows from frame to
-            // frame, and the first proof is told.
+            // frame, and the first proof is reported.
             if own != whose || step_s > 0.0 {
-                // Less two ways of at most 20 + 8.7 ms and ticks, whose share cannot be told from them, and what clocks
-                // may part by 200 ppm in the time of a step of our own.
+                // Less both directions, of at most 20 + 8.7 ms and ticks, whose share cannot be distinguished from
+                // theirs, and what clocks may part by 200 ppm in the time of a step of our own.
                 let parted_ns = step_ns / 5_000;
                 assert!(at_least_ns >= step_ns - 64 * MS - parted_ns, "{whose} {step_s}: {at_least_ns}");
                 let off_ns = by_ns.unsigned_abs().abs_diff(step_ns);
                 assert!(off_ns < 40 * MS + 2 * parted_ns, "{whose} {step_s}: {by_ns}");
             }
             let (at_ns, _) = side.faults[0];
-            // 62 ms of two ways and ticks, and ten frames lost together, which 5 % never are here.
+            // 62 ms of both directions and ticks, and ten frames lost together, which 5 % never are here.
             let stepped_ns = settings[own].reading_ns(10 * S).cast_unsigned().wrapping_add(1 << 62);
             assert!(
                 at_ns.saturating_sub(stepped_ns) < 82 * MS + step_ns.min(300 * MS),

@@ -87,7 +87,7 @@ struct Met {
 
 const NOTHING: Met = Met { acknowledged: false, failed: false, bad: false };
 
-/// The failure is told before the acts of the same tick, as a loop does, or after them.
+/// The failure is reported before the commands of the same tick, as a loop does, or after them.
 fn ticks<S: Seen>(mut side: S, failed_first: bool, met: &[Met]) -> Vec<(LadderState, u8)> {
     side.begin(0);
     let mut tick = |(n, met): (u64, &Met)| {
@@ -166,9 +166,9 @@ fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
                 side.exchange_mut().device_failed(None);
             }
         };
-        let told = paced.step(before, |side| side.exchange().state());
+        let state = paced.step(before, |side| side.exchange().state());
         paced.wait();
-        told
+        state
     };
     step(&mut paced, false);
     watch.command(OperatorCommand::Acknowledge).unwrap();
@@ -230,9 +230,12 @@ fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) 
         std::thread::sleep(Duration::from_micros(100));
     }
     failing.join().unwrap();
-    let mut told = Vec::new();
-    records.drain(|record| told.push(S::shown(&record).0));
-    assert!(told.len() > 10 && told.iter().all(|state| *state == LadderState::Fault), "{role:?} {told:?}");
+    let mut states = Vec::new();
+    records.drain(|record| states.push(S::shown(&record).0));
+    assert!(
+        states.len() > 10 && states.iter().all(|state| *state == LadderState::Fault),
+        "{role:?} {states:?}"
+    );
 }
 
 #[test]
@@ -348,7 +351,7 @@ fn nobody_simulated_presses_for_a_real_device() {
     assert_eq!(engagements(never, &mut slave, Away::Link(60), true), 0);
 }
 
-/// A force at the arm beyond what can be measured: fault at the slave in its tick, and one way later the master stops.
+/// A force at the arm beyond what can be measured: fault at the slave in its tick, and a delay later the master stops.
 /// Nothing of it reaches the hand.
 #[test]
 fn a_force_that_cannot_be_measured_stops_both_sides() {

@@ -102,8 +102,8 @@ fn run<const N: usize>(drawn: &Drawn) -> Result<Seen, String> {
     let far = SlaveSide::new(Plant::new(arm::<N>(drawn), far_broken), far);
     let sent = Sent::default();
     let mut near =
-        Near::new(near, drawn.limiter, period_ns, drawn.acts.clone(), drawn.secure.then(|| sent.clone()));
-    let mut far = Far::new(far, drawn.bounds, drawn.acts.clone(), drawn.secure.then_some(sent));
+        Near::new(near, drawn.limiter, period_ns, drawn.commands.clone(), drawn.secure.then(|| sent.clone()));
+    let mut far = Far::new(far, drawn.bounds, drawn.commands.clone(), drawn.secure.then_some(sent));
     let [master_clock, slave_clock] =
         drawn.clocks.map(|clock| clock.map(|settings| EndpointClock::new(&settings).unwrap()));
     let [forward, backward] = drawn.links.clone();

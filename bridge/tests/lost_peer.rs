@@ -194,7 +194,7 @@ fn outages_lead_down_the_ladder_and_a_person_leads_out_again() {
                     .max()
             };
             let what = format!("{dead:?} {length}");
-            // The side that still hears follows when it is told, which for a short outage is never.
+            // The side that still hears follows when the peer says so, which for a short outage is never.
             let sides = match dead {
                 (false, true) => vec![1],
                 (true, false) => vec![0],
@@ -214,7 +214,7 @@ fn outages_lead_down_the_ladder_and_a_person_leads_out_again() {
 /// After silence of 15 ms and more the arm stands, and has gone on by less than with a constant velocity.
 #[test]
 fn the_arm_goes_on_for_a_moment_and_comes_to_rest() {
-    // Mid-way the hand moves at some 0.1 m/s; the last frame before the outage is that of tick 299.
+    // In the middle the hand moves at some 0.1 m/s; the last frame before the outage is that of tick 299.
     let history = run(400, |tick| if tick < 300 { (true, true) } else { (false, false) });
     let command = |tick: usize| history[tick][1].1;
     let velocity = (command(299) - command(298)) / 1e-3;
@@ -222,8 +222,11 @@ fn the_arm_goes_on_for_a_moment_and_comes_to_rest() {
     for tick in 300..=305 {
         assert_eq!(command(tick), command(299), "{tick}");
     }
-    let way = command(399) - command(299);
-    assert!(way < 0.0 && way > 1.05 * velocity * 7.5e-3 && way < 0.9 * velocity * 7.5e-3, "{way} {velocity}");
+    let distance = command(399) - command(299);
+    assert!(
+        distance < 0.0 && distance > 1.05 * velocity * 7.5e-3 && distance < 0.9 * velocity * 7.5e-3,
+        "{distance} {velocity}"
+    );
     let steps: Vec<_> = (305..330).map(|tick| (command(tick + 1) - command(tick)).abs()).collect();
     assert!(steps.windows(2).all(|pair| pair[1] <= pair[0] + 1e-15), "it only slows down: {steps:?}");
     assert!((320..399).all(|tick| command(tick) == command(399)));
@@ -306,15 +309,15 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
                 ),
             )
             .unwrap();
-        let told = slave.tick(now_ns, &still, &still, &still);
+        let output = slave.tick(now_ns, &still, &still, &still);
         let answer = slave.exchange.send(LinkTime::at(now_ns), &mut buffer).to_vec();
         link.receive(LinkTime::at(now_ns), &answer).unwrap();
-        let command = told.command.map_or(0.0, |command| command[0]);
+        let command = output.command.map_or(0.0, |command| command[0]);
         assert!((command - last).abs() <= 3e-3 + 1e-12, "{tick}: {command}");
-        assert!(told.command_velocity.norm() <= 3.0 + 1e-12);
-        assert!(tick < 2 || told.state == LadderState::Engaged, "{tick}: {:?}", told.state);
+        assert!(output.command_velocity.norm() <= 3.0 + 1e-12);
+        assert!(tick < 2 || output.state == LadderState::Engaged, "{tick}: {:?}", output.state);
         // Ten steps out and ten back, the last of which just fits, but for rounding.
-        assert!(tick == 119 || told.limited.any() == (100..119).contains(&tick), "{tick}");
+        assert!(tick == 119 || output.limited.any() == (100..119).contains(&tick), "{tick}");
         last = command;
     }
     assert!(
@@ -418,8 +421,8 @@ fn nothing_is_exerted_without_a_peer_however_the_hand_moves() {
         let mut endpoint = MasterEndpoint::<1>::new(&MasterSettings { safety, ..master_settings() }).unwrap();
         for tick in 0..500_u32 {
             let position = Axes::<1>::new(0.8 * f64::from(tick) * 1e-3);
-            let told = endpoint.tick(u64::from(tick) * MS, 0, &position, None, true);
-            assert_eq!(told.safety.device_force[0], 0.0);
+            let output = endpoint.tick(u64::from(tick) * MS, 0, &position, None, true);
+            assert_eq!(output.safety.device_force[0], 0.0);
         }
     }
 }
@@ -432,8 +435,8 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
     for tick in 0..1500 {
         let now_ns = tick * MS;
         if tick == 1000 {
-            let told = master.endpoint.tick(now_ns, 0, &Axes::<1>::new(f64::NAN), None, true);
-            assert_eq!(told.safety.device_force[0], 0.0, "in the same tick");
+            let output = master.endpoint.tick(now_ns, 0, &Axes::<1>::new(f64::NAN), None, true);
+            assert_eq!(output.safety.device_force[0], 0.0, "in the same tick");
         }
         let record = master.tick(TickTime::at(now_ns));
         let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
@@ -464,22 +467,22 @@ fn frames_tell_the_energy_that_went_through_each_port() {
         let near = master.tick(TickTime::at(now_ns));
         let frame = Frame::<1>::decode(master.send(LinkTime::at(now_ns), &mut buffer), Role::Master).unwrap();
         let expected = add(0, -near.rendered_force[0] * frame.velocity[0]);
-        for (told, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
-            assert!((told - expected).abs() <= 1e-12, "master, {tick}: {told} J, must be {expected} J");
+        for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
+            assert!((sent - expected).abs() <= 1e-12, "master, {tick}: {sent} J, must be {expected} J");
         }
-        // Every third frame is lost, and what it told is in the next.
+        // Every third frame is lost, and what it said is in the next.
         if tick % 3 != 0 {
             let _ = slave.receive(LinkTime::at(now_ns), &buffer[..Frame::<1>::LENGTH]);
         }
         let sample = SlavePlant::read(&mut slave.plant, now_ns);
-        let told = slave.endpoint.tick(now_ns, &sample[0], &sample[1], &sample[2]);
-        if let Some(command) = &told.command {
-            SlavePlant::write(&mut slave.plant, command, &told.command_velocity);
+        let output = slave.endpoint.tick(now_ns, &sample[0], &sample[1], &sample[2]);
+        if let Some(command) = &output.command {
+            SlavePlant::write(&mut slave.plant, command, &output.command_velocity);
         }
         let frame = Frame::<1>::decode(slave.send(LinkTime::at(now_ns), &mut buffer), Role::Slave).unwrap();
-        let expected = add(1, sample[2][0] * told.command_velocity[0]);
-        for (told, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
-            assert!((told - expected).abs() <= 1e-12, "slave, {tick}: {told} J, must be {expected} J");
+        let expected = add(1, sample[2][0] * output.command_velocity[0]);
+        for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
+            assert!((sent - expected).abs() <= 1e-12, "slave, {tick}: {sent} J, must be {expected} J");
         }
         let _ = master.receive(LinkTime::at(now_ns), &buffer[..Frame::<1>::LENGTH]);
     }
@@ -521,7 +524,7 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
         run_virtual(&settings, &mut master, &mut slave, |_, _| ControlFlow::Continue(())).unwrap();
         for counts in [master.exchange().counts(), slave.exchange().counts()] {
             assert_eq!(counts.holds, 0, "{drift_ppm}");
-            for round_trip_ns in [counts.link.round_trip_ns, counts.link.least_round_trip_ns] {
+            for round_trip_ns in [counts.link.round_trip_ns, counts.link.min_round_trip_ns] {
                 assert!((100 * MS - 100..=102 * MS).contains(&round_trip_ns), "{drift_ppm}: {round_trip_ns}");
             }
         }

@@ -89,7 +89,7 @@ fn arms() -> Vec<(&'static str, ArmModel)> {
 }
 
 /// The hand moves at 0.5 m/s when the link dies. From HOLD on the command stands, and the arm comes to rest at it: it
-/// does not jump ahead, does not come back by more than a hundredth of its way, and is at rest after the stop.
+/// does not jump ahead, does not come back by more than a hundredth of its path, and is at rest after the stop.
 #[test]
 fn an_arm_at_speed_comes_to_rest_without_a_jump_or_a_swing() {
     for (name, arm) in arms() {
@@ -111,14 +111,14 @@ fn an_arm_at_speed_comes_to_rest_without_a_jump_or_a_swing() {
         assert!(speeds.iter().all(|speed| speed.abs() <= 1.02 * SPEED), "{name}: {speeds:?}");
         let end = after.last().unwrap();
         let furthest = after.iter().fold(f64::MIN, |most, one| most.max(one.position));
-        let way = end.position - moving.position;
-        assert!(furthest - end.position <= 0.01 * way + 1e-6, "{name}: {furthest} {end:?}");
+        let distance = end.position - moving.position;
+        assert!(furthest - end.position <= 0.01 * distance + 1e-6, "{name}: {furthest} {end:?}");
         assert!(speeds[stopped + 300..].iter().all(|speed| speed.abs() < 1e-4), "{name}: at rest");
         assert!((end.position - end.command).abs() < 1e-4, "{name}: {end:?}");
     }
 }
 
-/// An arm that is far behind its command when the stop comes brakes where it is and lets the rest of the way be. What
+/// An arm that is far behind its command when the stop comes brakes where it is and lets the rest of the path be. What
 /// is commanded afterwards begins where it came to rest.
 #[test]
 fn a_stop_ends_what_an_arm_still_had_to_go() {

@@ -102,7 +102,7 @@ impl Pair {
 }
 
 /// Where, what, and the steps, as a side has it.
-fn told(side: &impl Side<1>) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
+fn explained(side: &impl Side<1>) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
     let explanation = side.exchange().flight().diagnosis().unwrap().explain();
     let steps = explanation.steps.iter().map(|step| (step.at, step.remedy)).collect();
     (explanation.at, explanation.text, steps)
@@ -123,18 +123,18 @@ fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
     assert_eq!(pair.states(), (Stop, Fault));
     let steps = vec![("slave", Remedy::Acknowledge), ("master", Remedy::Press)];
     let expected = ("slave", format!("the slave has a fault: {WORDS}"), steps);
-    assert_eq!(told(&pair.master), expected);
-    assert_eq!(told(&pair.slave), expected);
+    assert_eq!(explained(&pair.master), expected);
+    assert_eq!(explained(&pair.slave), expected);
     assert_eq!(reasons(&pair.master)[2..], ["peer has a fault", "no sound peer for too long"]);
 
     // A press before the acknowledgement changes nothing, and what is said stays.
     pair.press();
     assert_eq!(pair.states(), (Stop, Fault));
-    assert_eq!(told(&pair.master), expected);
+    assert_eq!(explained(&pair.master), expected);
     pair.slave.command(pair.now_ns, OperatorCommand::Acknowledge).unwrap();
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Stop, Disengaged));
-    assert_eq!(told(&pair.master).2, [("master", Remedy::Press)]);
+    assert_eq!(explained(&pair.master).2, [("master", Remedy::Press)]);
     pair.press();
     assert_eq!(pair.states(), (Engaged, Engaged));
     assert_eq!(
@@ -158,7 +158,7 @@ fn a_fault_of_the_master_is_told_at_both_sides() {
     assert_eq!(pair.states(), (Fault, Stop));
     let steps = vec![("master", Remedy::Acknowledge), ("master", Remedy::Press)];
     let expected = ("master", format!("the master has a fault: {WORDS}"), steps);
-    assert_eq!((told(&pair.master), told(&pair.slave)), (expected.clone(), expected));
+    assert_eq!((explained(&pair.master), explained(&pair.slave)), (expected.clone(), expected));
 }
 
 /// A number that cannot be has no words of a driver: its code says what it was, at both sides.
@@ -168,7 +168,7 @@ fn a_bad_number_is_told_by_its_code() {
     pair.slave.plant.sample[2][0] = f64::NAN;
     pair.run(100, |_| (true, true));
     let text = "the slave has a fault: environment force is not a finite number";
-    assert_eq!((told(&pair.master).1, told(&pair.slave).1), (text.to_owned(), text.to_owned()));
+    assert_eq!((explained(&pair.master).1, explained(&pair.slave).1), (text.to_owned(), text.to_owned()));
 }
 
 /// A master that begins while the slave has a fault learns why nothing moves, before it ever engaged.
@@ -177,7 +177,7 @@ fn a_fault_from_before_is_told_to_a_master_that_begins() {
     let mut pair = Pair::new();
     pair.slave.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     pair.run(100, |_| (true, true));
-    assert_eq!(told(&pair.master).1, format!("the slave has a fault: {WORDS}"));
+    assert_eq!(explained(&pair.master).1, format!("the slave has a fault: {WORDS}"));
 }
 
 #[test]
@@ -187,15 +187,15 @@ fn a_hold_tells_whose_loop_was_late() {
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Hold, Hold));
     assert_eq!(
-        told(&pair.master),
+        explained(&pair.master),
         ("slave", "the slave held: its own loop was late".to_owned(), vec![("master", Remedy::Press)])
     );
-    assert_eq!(told(&pair.slave).1, "the slave's own loop was late");
+    assert_eq!(explained(&pair.slave).1, "the slave's own loop was late");
     // A link that is cut is neither's fault.
     let mut pair = Pair::engaged();
     pair.run(300, |_| (false, true));
-    assert_eq!(told(&pair.slave).0, "link");
-    assert_eq!(told(&pair.master).0, "link");
+    assert_eq!(explained(&pair.slave).0, "link");
+    assert_eq!(explained(&pair.master).0, "link");
 }
 
 /// One of the last frames is enough, whichever it is; the rest of the link is dead by then.
@@ -209,7 +209,7 @@ fn an_orderly_end_is_no_hold() {
         assert_eq!(reasons(&pair.slave).last().unwrap(), Reason::PeerEnded.text());
         assert_eq!(pair.slave.exchange().counts().holds, 0);
         assert_eq!(
-            told(&pair.slave),
+            explained(&pair.slave),
             ("master", "the master has ended".to_owned(), vec![("master", Remedy::Start)])
         );
 
@@ -219,7 +219,7 @@ fn an_orderly_end_is_no_hold() {
         assert_eq!((pair.master.exchange().state(), pair.master.exchange().counts().holds), (Disengaged, 0));
         assert_eq!(pair.master.plant.force[0], 0.0);
         let steps = vec![("slave", Remedy::Start), ("master", Remedy::Press)];
-        assert_eq!(told(&pair.master), ("slave", "the slave has ended".to_owned(), steps));
+        assert_eq!(explained(&pair.master), ("slave", "the slave has ended".to_owned(), steps));
     }
 }
 
@@ -254,7 +254,7 @@ fn a_false_end_of_one_side_holds_the_other() {
     assert_eq!(pair.slave.exchange().state(), Disengaged);
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Hold, Disengaged));
-    assert_eq!(told(&pair.master).1, "the slave took the master for ended");
+    assert_eq!(explained(&pair.master).1, "the slave took the master for ended");
     pair.press();
     assert_eq!(pair.states(), (Engaged, Engaged));
 
@@ -306,7 +306,7 @@ fn a_released_session_is_an_end() {
     pair.slave.exchange_mut().peer_ended();
     pair.run(600, |_| (false, false));
     assert_eq!((pair.slave.exchange().state(), pair.slave.exchange().counts().holds), (Disengaged, 0));
-    assert_eq!(told(&pair.slave).1, "the master has ended");
+    assert_eq!(explained(&pair.slave).1, "the master has ended");
 }
 
 /// A driver that raised an exception ends its run: the fault says more than the end.
@@ -320,5 +320,5 @@ fn a_failure_that_ends_a_run_stays_a_failure() {
     pair.run(600, |_| (false, false));
     let steps = vec![("slave", Remedy::Start), ("master", Remedy::Press)];
     let text = format!("the slave has a fault, and has ended: {WORDS}");
-    assert_eq!(told(&pair.master), ("slave", text, steps));
+    assert_eq!(explained(&pair.master), ("slave", text, steps));
 }

@@ -42,7 +42,7 @@ struct SteppedRelease<S> {
 struct SteppedLeg<const N: usize, S> {
     begins: S,
     rate: S,
-    way: Axes<N, S>,
+    displacement: Axes<N, S>,
     shape: [f64; DEGREE + 1],
     /// First power of s in the shape, and the one after the last.
     powers: (usize, usize),
@@ -62,7 +62,7 @@ impl<const N: usize> SteppedHand<N> {
             SteppedLeg {
                 begins: path.begins(index),
                 rate: leg.duration_s.recip(),
-                way: leg.end - path.from(index),
+                displacement: leg.end - path.from(index),
                 shape,
                 powers: (first, after),
                 earliest: path.begins(index),
@@ -117,7 +117,7 @@ impl<const N: usize> SteppedHand<N> {
             SteppedLeg {
                 begins: gather(of, |one| one.legs[index].begins),
                 rate: gather(of, |one| one.legs[index].rate),
-                way: gather_axes(of, |one| one.legs[index].way),
+                displacement: gather_axes(of, |one| one.legs[index].displacement),
                 shape: first.legs[index].shape,
                 powers: first.legs[index].powers,
                 earliest: times(|leg| leg.earliest).fold(f64::INFINITY, f64::min),
@@ -183,7 +183,7 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
                 break;
             }
             if t > leg.latest {
-                target += leg.way;
+                target += leg.displacement;
                 continue;
             }
             let s = ((S::splat(t) - leg.begins) * leg.rate).simd_clamp(zero, one);
@@ -195,7 +195,7 @@ impl<const N: usize, S: Real> SteppedHand<N, S> {
             for _ in 0..first {
                 share *= s;
             }
-            target += leg.way * share;
+            target += leg.displacement * share;
         }
         if let Some([amplitude, rate]) = self.tremor {
             let shake = amplitude * (rate * S::splat(t)).map_lanes(f64::sin);

@@ -146,16 +146,16 @@ mod decay_tests {
         const MS: u64 = 1_000_000;
         assert_eq!(decayed(0, 15 * MS), (0.0, 1.0));
         for late in [15 * MS, 16 * MS, u64::MAX] {
-            let (way, share) = decayed(late, 15 * MS);
-            assert!((way - 7.5e-3).abs() < 1e-17 && share == 0.0);
+            let (distance, share) = decayed(late, 15 * MS);
+            assert!((distance - 7.5e-3).abs() < 1e-17 && share == 0.0);
         }
         assert_eq!(decayed(5 * MS, 0), (0.0, 0.0));
         // The distance is the integral of the velocity: trapezoids are exact for a straight line.
-        let mut way = 0.0;
+        let mut distance = 0.0;
         for tick in 0..15 {
             let [(_, before), (_, after)] = [tick, tick + 1].map(|tick| decayed(tick * MS, 15 * MS));
-            way += 0.5 * (before + after) * 1e-3;
-            assert!((decayed((tick + 1) * MS, 15 * MS).0 - way).abs() < 1e-16);
+            distance += 0.5 * (before + after) * 1e-3;
+            assert!((decayed((tick + 1) * MS, 15 * MS).0 - distance).abs() < 1e-16);
         }
     }
 }

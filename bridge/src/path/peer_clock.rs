@@ -266,8 +266,8 @@ impl PeerClock {
     pub(super) fn range(&self, at_ns: u64) -> Option<(i64, i64)> {
         // Before the newest exchange the lines do not hold; what they say of that time relaxes backwards.
         let from = self.newest_ns.max(at_ns);
-        let way = self.drifted(from) + self.drifted(from - at_ns);
-        Some((whole(self.lower? - way), whole(self.upper? + way + PARTS - 1)))
+        let widening = self.drifted(from) + self.drifted(from - at_ns);
+        Some((whole(self.lower? - widening), whole(self.upper? + widening + PARTS - 1)))
     }
 
     /// How often a clock stepped.

@@ -115,8 +115,8 @@ fn netsim_links_are_measured_within_the_bound() {
         };
         let mut links = [Direction::Forward, Direction::Backward]
             .map(|direction| (direction, Link::new(direction, seed, &settings).unwrap()));
-        let mut pass = |way: usize, index, sent_ns| {
-            let (direction, link) = &mut links[way];
+        let mut pass = |path: usize, index, sent_ns| {
+            let (direction, link) = &mut links[path];
             match link.judge(&Packet { direction: *direction, sent_ns, size: 100, index }).verdict {
                 Verdict::Deliver { at_ns } => Some(at_ns),
                 Verdict::Drop { .. } => None,

@@ -115,7 +115,7 @@ pub(crate) struct Drawn {
     pub(crate) clocks: [Option<ClockSettings>; 2],
     pub(crate) broken: [Option<Broken>; 2],
     /// What people do at both sides, in order.
-    pub(crate) acts: Vec<(u64, OperatorCommand)>,
+    pub(crate) commands: Vec<(u64, OperatorCommand)>,
     /// Whether frames travel in a secure session.
     pub(crate) secure: bool,
 }
@@ -170,7 +170,7 @@ impl Drawn {
             links: [link(n), link(n)],
             clocks: [clock(n), clock(n)],
             broken: [Broken::draw(n, end_ns), Broken::draw(n, end_ns)],
-            acts: acts(n, end_ns, axes),
+            commands: commands(n, end_ns, axes),
             secure: n.chance(0.5),
         }
     }
@@ -282,12 +282,12 @@ fn clock(n: &mut Numbers) -> Option<ClockSettings> {
     (n.chance(0.3) && EndpointClock::new(&settings).is_ok()).then_some(settings)
 }
 
-fn acts(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, OperatorCommand)> {
-    let mut acts: Vec<_> = (0..n.whole(0, 4))
+fn commands(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, OperatorCommand)> {
+    let mut commands: Vec<_> = (0..n.whole(0, 4))
         .map(|_| {
             let half = n.real(-1.5, 1.5);
             let turned = if axes == 3 { [half.cos(), 0.0, half.sin(), 0.0] } else { [1.0, 0.0, 0.0, 0.0] };
-            let act = match n.whole(0, 4) {
+            let command = match n.whole(0, 4) {
                 0 => OperatorCommand::PositionScale(n.real(0.1, 5.0)),
                 1 => OperatorCommand::ForceScale(n.real(0.1, 5.0)),
                 2 => OperatorCommand::Frame {
@@ -296,9 +296,9 @@ fn acts(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, OperatorCommand)
                 },
                 _ => OperatorCommand::Acknowledge,
             };
-            (n.whole(0, end_ns), act)
+            (n.whole(0, end_ns), command)
         })
         .collect();
-    acts.sort_by_key(|(at_ns, _)| *at_ns);
-    acts
+    commands.sort_by_key(|(at_ns, _)| *at_ns);
+    commands
 }

@@ -60,7 +60,7 @@ struct Watch {
     pressed: bool,
     /// Run and sequence of the newest frame that was acted on.
     newest: Option<(u64, u64)>,
-    acts: Vec<(u64, OperatorCommand)>,
+    commands: Vec<(u64, OperatorCommand)>,
     /// What either side has sent, where a session must let nothing else through.
     sent: Option<Sent>,
     seen: Seen,
@@ -71,7 +71,7 @@ struct Watch {
 pub(crate) type Sent = Rc<RefCell<[Vec<Vec<u8>>; 2]>>;
 
 impl Watch {
-    fn new(side: usize, acts: Vec<(u64, OperatorCommand)>, sent: Option<Sent>) -> Self {
+    fn new(side: usize, commands: Vec<(u64, OperatorCommand)>, sent: Option<Sent>) -> Self {
         let state = LadderState::Disengaged;
         Self {
             side,
@@ -82,7 +82,7 @@ impl Watch {
             opened: true,
             pressed: false,
             newest: None,
-            acts,
+            commands,
             sent,
             seen: Seen::default(),
             wrong: None,
@@ -198,11 +198,11 @@ impl<P: MasterPlant<N>, const N: usize> Near<P, N> {
         side: MasterSide<Plant<P, N>, N>,
         limiter: LimiterSettings,
         period_ns: u64,
-        acts: Vec<(u64, OperatorCommand)>,
+        commands: Vec<(u64, OperatorCommand)>,
         sent: Option<Sent>,
     ) -> Self {
         let period_s = period_ns as f64 * 1e-9;
-        Self { side, watch: Watch::new(0, acts, sent), limiter, period_s, force: Axes::zeros() }
+        Self { side, watch: Watch::new(0, commands, sent), limiter, period_s, force: Axes::zeros() }
     }
 
     pub(crate) fn verdict(self) -> Result<Seen, String> {
@@ -229,7 +229,7 @@ impl<P: MasterPlant<N>, const N: usize> Near<P, N> {
         self.watch
             .hold(!dead || force.norm() == 0.0, time, || format!("force {} without gain", force.norm()));
         let written = self.side.plant.written.map(|[force, _]| force);
-        self.watch.hold(written == Some(force), time, || format!("recorded {force:?}, told {written:?}"));
+        self.watch.hold(written == Some(force), time, || format!("recorded {force:?}, written {written:?}"));
     }
 }
 
@@ -237,10 +237,10 @@ impl<P: SlavePlant<N>, const N: usize> Far<P, N> {
     pub(crate) fn new(
         side: SlaveSide<Plant<P, N>, N>,
         bounds: CommandBounds,
-        acts: Vec<(u64, OperatorCommand)>,
+        commands: Vec<(u64, OperatorCommand)>,
         sent: Option<Sent>,
     ) -> Self {
-        Self { side, watch: Watch::new(1, acts, sent), bounds, home: None, command: None, clock_ns: 0 }
+        Self { side, watch: Watch::new(1, commands, sent), bounds, home: None, command: None, clock_ns: 0 }
     }
 
     pub(crate) fn verdict(self) -> Result<Seen, String> {
@@ -382,11 +382,11 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for Far<P, N> {
 
 /// Does at a side what people do there by the time of a tick.
 fn act<const N: usize>(side: &mut impl Side<N>, watch: &mut Watch, time: TickTime) {
-    let due = watch.acts.iter().take_while(|(at_ns, _)| *at_ns <= time.now_ns).count();
-    for (_, act) in watch.acts.drain(..due) {
-        let done = side.command(time.clock_ns, act);
+    let due = watch.commands.iter().take_while(|(at_ns, _)| *at_ns <= time.now_ns).count();
+    for (_, command) in watch.commands.drain(..due) {
+        let done = side.command(time.clock_ns, command);
         if done.is_err() {
-            watch.wrong.get_or_insert_with(|| format!("{act:?}: {done:?}"));
+            watch.wrong.get_or_insert_with(|| format!("{command:?}: {done:?}"));
         }
     }
 }
