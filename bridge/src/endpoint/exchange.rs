@@ -23,8 +23,19 @@ pub struct SideCounts {
     pub limited: u64,
 }
 
+/// What has happened since the last tick, in any combination: set by whoever sees it, read by the endpoint's tick, and
+/// cleared by [`Exchange::end_tick`], so that each event counts at one tick only.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct TickEvents {
+    /// A run of the peer began, its first or another.
+    pub(super) peer_began: bool,
+    /// The loop was late by more than the ladder allows.
+    stalled: bool,
+    /// The device has failed, or says so.
+    pub(super) device_failed: bool,
+}
+
 /// The part of an endpoint that talks to the peer.
-#[allow(clippy::struct_excessive_bools)] // events since the last tick, in any combination
 #[derive(Clone, Debug)]
 pub struct Exchange<const N: usize> {
     pub(super) ladder: Ladder,
@@ -44,10 +55,7 @@ pub struct Exchange<const N: usize> {
     pub(super) flight: Box<FlightRecorder>,
     /// Ticks at which a bound acted on the remote command.
     pub(super) limited_ticks: u64,
-    /// Since the last tick: the peer began a run, the loop was late by more than the ladder allows, the device failed.
-    pub(super) has_begun: bool,
-    has_stalled: bool,
-    pub(super) has_failed: bool,
+    pub(super) events: TickEvents,
     /// Code of this side's fault, 0 without, and the driver's text on it.
     fault: u8,
     spoken: SpokenText,
@@ -88,9 +96,7 @@ impl<const N: usize> Exchange<N> {
             inputs: LadderInputs::new(role),
             flight: Box::new(FlightRecorder::new(role.name())),
             limited_ticks: 0,
-            has_begun: false,
-            has_stalled: false,
-            has_failed: false,
+            events: TickEvents::default(),
             fault: 0,
             spoken: SpokenText::default(),
             failing: None,
@@ -118,7 +124,7 @@ impl<const N: usize> Exchange<N> {
         if begins {
             (self.interval_ns, self.first_interval_ns) = (None, None);
             self.counted = (sequence, sent_ns);
-            self.has_begun = true;
+            self.events.peer_began = true;
             if is_known {
                 // Whoever starts a master means to engage, so a slave may follow a new one. A hand is never coupled
                 // again by what arrives from the network.
@@ -186,7 +192,7 @@ impl<const N: usize> Exchange<N> {
         };
         let diagnosis = self.diagnosis();
         self.flight.take(entry, self.ladder.history(), diagnosis.as_ref());
-        (self.has_begun, self.has_stalled, self.has_failed) = (false, false, false);
+        self.events = TickEvents::default();
     }
 
     /// Why the two sides are not coupled; none where nothing is wrong.
@@ -233,7 +239,7 @@ impl<const N: usize> Exchange<N> {
     ///
     /// It counts as a bad number in that tick's sample does, so that no command before the tick undoes it.
     pub fn device_failed(&mut self, text: Option<&FaultText>) {
-        self.has_failed = true;
+        self.events.device_failed = true;
         self.failing = text.copied().or(self.failing);
     }
 
@@ -268,13 +274,13 @@ impl<const N: usize> Exchange<N> {
 
     /// The loop was late by more than the ladder allows, until `now_ns`.
     pub fn stalled(&mut self, now_ns: u64) {
-        self.has_stalled = true;
+        self.events.stalled = true;
         self.ladder.stalled(now_ns);
     }
 
     /// Whether it was, since the last tick.
     pub(crate) fn has_stalled(&self) -> bool {
-        self.has_stalled
+        self.events.stalled
     }
 
     /// The operator at this side says that its fault is mended.

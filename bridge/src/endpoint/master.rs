@@ -93,8 +93,8 @@ impl<const N: usize> MasterEndpoint<N> {
         velocity: Option<&Axes<N>>,
         clutch: bool,
     ) -> MasterTick<N> {
-        let has_failed = self.exchange.has_failed;
-        if has_failed {
+        let device_failed = self.exchange.events.device_failed;
+        if device_failed {
             self.exchange.fault(now_ns, Fault::Device);
         }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
@@ -113,7 +113,7 @@ impl<const N: usize> MasterEndpoint<N> {
         } else {
             self.carry_over(missed, position, velocity);
         }
-        if has_failed {
+        if device_failed {
             // After the reset above: nobody can have acknowledged what shows at this tick only.
             self.layer.fail(Fault::Device);
         }

@@ -82,10 +82,10 @@ impl<const N: usize> SlaveEndpoint<N> {
         velocity: &Axes<N>,
         environment_force: &Axes<N>,
     ) -> SlaveTick<N> {
-        if self.exchange.has_begun {
+        if self.exchange.events.peer_began {
             self.coupling.disengage();
         }
-        let checked = if self.exchange.has_failed { Err(Fault::Device) } else { Ok(()) }
+        let checked = if self.exchange.events.device_failed { Err(Fault::Device) } else { Ok(()) }
             .and_then(|()| Signal::Position.check(position))
             .and_then(|()| Signal::Velocity.check(velocity))
             .and_then(|()| Signal::EnvironmentForce.check(environment_force));
