@@ -7,7 +7,8 @@ use super::{
     handshake::{Handshake, HandshakeDatagram, HandshakeEvent},
     keys::{KeyError, PreSharedKey},
     noise::{Entropy, HandshakeError},
-    session::{Incoming, Session, SessionSettings, SettingsError},
+    session::{Incoming, Session},
+    settings::{SessionSettings, SettingsError},
     wire::{Rejection, Rejections},
 };
 

@@ -3,7 +3,7 @@
 
 use super::{
     keys::{Chain, Epoch, EpochId},
-    session::SessionSettings,
+    settings::SessionSettings,
     wire::{Header, Rejection},
 };
 use crate::wire::Role;

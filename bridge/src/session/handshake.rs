@@ -9,7 +9,8 @@ use super::{
     budget::{Bucket, Shares},
     keys::{Epoch, EpochId, MacKey, PreSharedKey},
     noise::{Entropy, HandshakeError, MESSAGE, Noise},
-    session::{SessionSettings, Standing},
+    session::Standing,
+    settings::SessionSettings,
     wire::{
         EPHEMERAL, HANDSHAKE_LENGTH, HandshakeDecision, HandshakePayload, Header, Kind, NO_TICKET, Rejection,
         Rejections, SESSION_HEADER, Ticket, write_mac,

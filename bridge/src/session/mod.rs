@@ -28,6 +28,7 @@ mod keys;
 mod noise;
 #[expect(clippy::module_inception, reason = "the room is named after what it holds")]
 mod session;
+mod settings;
 mod wire;
 
 pub(crate) use budget::{Bucket, Shares};
@@ -37,9 +38,8 @@ pub use handshake::{Handshake, HandshakeDatagram, HandshakeEvent, Outcome};
 pub(crate) use handshake::{message_is_answer, session_and_epoch};
 pub use keys::{Epoch, KeyError, PreSharedKey};
 pub use noise::{Entropy, HandshakeError, NoEntropy, SeededEntropy, SystemEntropy};
-pub use session::{
-    Incoming, SealError, Session, SessionEvent, SessionSettings, SettingsError, Standing, StillHeard,
-};
+pub use session::{Incoming, SealError, Session, SessionEvent, Standing, StillHeard};
+pub use settings::{SessionSettings, SettingsError};
 pub use wire::{
     HANDSHAKE_LENGTH, HandshakeDecision, MAX_DATAGRAM, Rejection, Rejections, SESSION_HEADER, SESSION_MAGIC,
     SESSION_VERSION, sealed_length,
