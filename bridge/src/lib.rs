@@ -39,10 +39,10 @@ pub use ladder::{
     PeerCause, PeerFrame, PeerReport, Reason, Remedy, Step, Transition,
 };
 pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status};
-pub use local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Watch, Watched};
+pub use local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Watch, Watched};
 pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
-pub use plant::{MasterPlant, SlavePlant, Truth};
+pub use plant::{MasterPlant, ModelPlant, SlavePlant, Truth};
 pub use record::{MasterRecord, SlaveRecord};
 pub use side::{MasterSide, Side, SlaveSide};
 pub use virtual_time::{Event, LoopCounts, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

@@ -1,12 +1,14 @@
 //! The loop without a network: device, hand and a force that is rendered on the spot.
 
-use haptether_master::{SimulatedMaster, SteppedMaster};
+use haptether_master::SteppedMaster;
 use haptether_safety::{
     Axes, Limiter, Observation, Real, SafetyLayer,
     controller::{Response, SafetyController},
 };
 use haptether_slave::{Environment, RenderedWalls};
 use nalgebra::SimdValue as _;
+
+use crate::plant::{ModelPlant, Truth};
 
 /// One tick of the loop.
 #[derive(Clone, Copy, Debug)]
@@ -46,10 +48,16 @@ pub struct LocalLoop<P, R, const N: usize, S: Real = f64> {
     last_position: Axes<N, S>,
 }
 
-impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop<P, R, N, S> {
+impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop<P, R, N, S> {
     /// A loop at time 0 with a period of `period_ns`; what is rendered acts `delay` ticks late.
-    pub fn new(plant: P, rendering: R, delay: DelayLine<N, S>, watch: Watch<N, S>, period_ns: u64) -> Self {
-        let last_position = plant.measured_position();
+    pub fn new(
+        mut plant: P,
+        rendering: R,
+        delay: DelayLine<N, S>,
+        watch: Watch<N, S>,
+        period_ns: u64,
+    ) -> Self {
+        let (last_position, _) = plant.read(0);
         let period_s = period_ns as f64 * 1e-9;
         Self { plant, rendering, delay, watch, period_ns, period_s, tick: 0, last_position }
     }
@@ -75,9 +83,8 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
     #[inline(always)]
     pub fn step(&mut self) -> LocalTick<N, S> {
         let time_s = self.time_s();
-        self.plant.advance(self.tick * self.period_ns);
+        let (position, measured_velocity) = self.plant.read(self.tick * self.period_ns);
         self.tick += 1;
-        let position = self.plant.measured_position();
         let mut velocity = Axes::zeros();
         if self.rendering.needs_velocity() {
             // What a servo loop has of V when it renders damping.
@@ -86,12 +93,13 @@ impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalLoop
         }
         let now = self.rendering.force(time_s, self.period_s, &position, &velocity);
         let requested_force = self.delay.pass(now);
-        let watched = self.watch.step(&self.plant, &position, &requested_force);
+        let watched = self.watch.step(&self.plant, &position, measured_velocity.as_ref(), &requested_force);
         self.plant.write(&watched.device_force);
+        let Truth { position, velocity, hand_force } = self.plant.state();
         LocalTick {
-            position: self.plant.position(),
-            velocity: self.plant.velocity(),
-            hand_force: self.plant.hand_force(),
+            position,
+            velocity,
+            hand_force,
             wall_force: self.plant.wall_force(),
             requested_force,
             rendered_force: watched.rendered_force,
@@ -128,109 +136,6 @@ pub(crate) fn gather<const N: usize, S: Real + haptether_master::Real>(
         tick: first.tick,
         last_position,
     })
-}
-
-/// Device and hand, for one scenario or several side by side; time is an argument.
-pub trait LocalPlant<const N: usize, S: Real> {
-    /// Advances to `now_ns`.
-    fn advance(&mut self, now_ns: u64);
-
-    /// x in m, as the encoder sees it.
-    fn measured_position(&self) -> Axes<N, S>;
-
-    /// V in m/s, only from a device that measures it.
-    fn measured_velocity(&self) -> Option<Axes<N, S>>;
-
-    /// True position in m.
-    fn position(&self) -> Axes<N, S>;
-
-    /// True velocity in m/s.
-    fn velocity(&self) -> Axes<N, S>;
-
-    /// True force of the hand in N.
-    fn hand_force(&self) -> Axes<N, S>;
-
-    /// True force in N of walls that act on the device by themselves.
-    fn wall_force(&self) -> Axes<N, S>;
-
-    /// Exerts `force` in N from now on.
-    fn write(&mut self, force: &Axes<N, S>);
-}
-
-impl<const N: usize> LocalPlant<N, f64> for SimulatedMaster<N> {
-    fn advance(&mut self, now_ns: u64) {
-        self.read(now_ns);
-    }
-
-    fn measured_position(&self) -> Axes<N> {
-        self.measured().position
-    }
-
-    fn measured_velocity(&self) -> Option<Axes<N>> {
-        self.measured().velocity
-    }
-
-    fn position(&self) -> Axes<N> {
-        *SimulatedMaster::position(self)
-    }
-
-    fn velocity(&self) -> Axes<N> {
-        *SimulatedMaster::velocity(self)
-    }
-
-    fn hand_force(&self) -> Axes<N> {
-        SimulatedMaster::hand_force(self)
-    }
-
-    fn wall_force(&self) -> Axes<N> {
-        SimulatedMaster::wall_force(self)
-    }
-
-    fn write(&mut self, force: &Axes<N>) {
-        SimulatedMaster::write(self, force);
-    }
-}
-
-impl<const N: usize, S: Real + haptether_master::Real> LocalPlant<N, S> for SteppedMaster<N, S> {
-    #[inline(always)]
-    fn advance(&mut self, now_ns: u64) {
-        SteppedMaster::advance(self, now_ns);
-    }
-
-    #[inline(always)]
-    fn measured_position(&self) -> Axes<N, S> {
-        SteppedMaster::measured_position(self)
-    }
-
-    #[inline(always)]
-    fn measured_velocity(&self) -> Option<Axes<N, S>> {
-        SteppedMaster::measured_velocity(self)
-    }
-
-    #[inline(always)]
-    fn position(&self) -> Axes<N, S> {
-        *SteppedMaster::position(self)
-    }
-
-    #[inline(always)]
-    fn velocity(&self) -> Axes<N, S> {
-        *SteppedMaster::velocity(self)
-    }
-
-    #[inline(always)]
-    fn hand_force(&self) -> Axes<N, S> {
-        *SteppedMaster::hand_force(self)
-    }
-
-    #[inline(always)]
-    fn wall_force(&self) -> Axes<N, S> {
-        SteppedMaster::wall_force(self)
-    }
-
-    #[inline(always)]
-    fn write(&mut self, force: &Axes<N, S>) {
-        SteppedMaster::write(self, force);
-    }
 }
 
 /// A force field that a servo loop samples.
@@ -360,18 +265,19 @@ impl<const N: usize, S: Real> Watch<N, S> {
         Some(Self::True { controller: SafetyController::gather(&controllers)?, limiters })
     }
 
-    /// One tick: `position` in m as measured, `requested_force` in N.
+    /// One tick: `position` in m and, from a device that measures it, `velocity` in m/s; `requested_force` in N.
     #[inline(always)]
     pub fn step(
         &mut self,
-        plant: &impl LocalPlant<N, S>,
+        plant: &impl ModelPlant<N, S>,
         position: &Axes<N, S>,
+        velocity: Option<&Axes<N, S>>,
         requested_force: &Axes<N, S>,
     ) -> Watched<N, S> {
         let all = S::splat(1.0);
         match self {
             Self::Estimated(layer) => {
-                let tick = layer.advance(position, plant.measured_velocity().as_ref(), requested_force, all);
+                let tick = layer.advance(position, velocity, requested_force, all);
                 Watched {
                     rendered_force: tick.rendered_force,
                     grasp_force: tick.grasp_force,
@@ -380,7 +286,7 @@ impl<const N: usize, S: Real> Watch<N, S> {
                 }
             }
             Self::True { controller, limiters } => {
-                let (velocity, grasp_force) = (plant.velocity(), plant.hand_force());
+                let Truth { velocity, hand_force: grasp_force, .. } = plant.state();
                 let rendered_force = match limiters {
                     Some([rendering, _]) => rendering.limit(requested_force, &Axes::zeros()).force,
                     None => *requested_force,

@@ -1,19 +1,19 @@
 //! What a runner drives: a device on one side, an arm on the other, each along N axes.
 
 use haptether_master::{SimulatedMaster, SteppedMaster};
-use haptether_safety::Axes;
+use haptether_safety::{Axes, Real};
 use haptether_slave::SimulatedSlave;
 
-/// A master device as a runner sees it; time is an argument.
-pub trait MasterPlant<const N: usize> {
+/// A master device as a runner sees it; time is an argument. With a lane type each lane is a device of its own.
+pub trait MasterPlant<const N: usize, S: Real = f64> {
     /// Time begins at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
     /// Position in m at `now_ns` and, if the device measures it, velocity in m/s.
-    fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>);
+    fn read(&mut self, now_ns: u64) -> (Axes<N, S>, Option<Axes<N, S>>);
 
     /// Exerts `force` in N from now on.
-    fn write(&mut self, force: &Axes<N>);
+    fn write(&mut self, force: &Axes<N, S>);
 
     /// Whether the clutch of the device is pressed; none if it has no button.
     fn clutch(&self) -> Option<bool> {
@@ -24,20 +24,29 @@ pub trait MasterPlant<const N: usize> {
     fn engaged(&mut self) {}
 
     /// What no sensor measures, where the plant is a model.
-    fn truth(&self) -> Option<Truth<N>> {
+    fn truth(&self) -> Option<Truth<N, S>> {
         None
     }
 }
 
 /// What no sensor of a device measures.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Truth<const N: usize> {
+pub struct Truth<const N: usize, S: Real = f64> {
     /// True position in m.
-    pub position: Axes<N>,
+    pub position: Axes<N, S>,
     /// True velocity in m/s.
-    pub velocity: Axes<N>,
+    pub velocity: Axes<N, S>,
     /// True force of the hand in N.
-    pub hand_force: Axes<N>,
+    pub hand_force: Axes<N, S>,
+}
+
+/// A model of a device and its hand.
+pub trait ModelPlant<const N: usize, S: Real = f64>: MasterPlant<N, S> {
+    /// What no sensor measures.
+    fn state(&self) -> Truth<N, S>;
+
+    /// True force in N of walls that act on the device by themselves.
+    fn wall_force(&self) -> Axes<N, S>;
 }
 
 /// A slave arm as a runner sees it; time is an argument.
@@ -110,21 +119,33 @@ impl<const N: usize> MasterPlant<N> for SimulatedMaster<N> {
     }
 
     fn truth(&self) -> Option<Truth<N>> {
-        Some(Truth { position: *self.position(), velocity: *self.velocity(), hand_force: self.hand_force() })
+        Some(self.state())
     }
 }
 
-impl<const N: usize> MasterPlant<N> for SteppedMaster<N> {
+impl<const N: usize> ModelPlant<N> for SimulatedMaster<N> {
+    fn state(&self) -> Truth<N> {
+        Truth { position: *self.position(), velocity: *self.velocity(), hand_force: self.hand_force() }
+    }
+
+    fn wall_force(&self) -> Axes<N> {
+        SimulatedMaster::wall_force(self)
+    }
+}
+
+impl<const N: usize, S: Real + haptether_master::Real> MasterPlant<N, S> for SteppedMaster<N, S> {
     fn begin(&mut self, now_ns: u64) {
         SteppedMaster::begin(self, now_ns);
     }
 
-    fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
+    #[inline(always)]
+    fn read(&mut self, now_ns: u64) -> (Axes<N, S>, Option<Axes<N, S>>) {
         self.advance(now_ns);
         (self.measured_position(), self.measured_velocity())
     }
 
-    fn write(&mut self, force: &Axes<N>) {
+    #[inline(always)]
+    fn write(&mut self, force: &Axes<N, S>) {
         SteppedMaster::write(self, force);
     }
 
@@ -132,8 +153,20 @@ impl<const N: usize> MasterPlant<N> for SteppedMaster<N> {
         self.set_waiting(false);
     }
 
-    fn truth(&self) -> Option<Truth<N>> {
-        Some(Truth { position: *self.position(), velocity: *self.velocity(), hand_force: *self.hand_force() })
+    fn truth(&self) -> Option<Truth<N, S>> {
+        Some(self.state())
+    }
+}
+
+impl<const N: usize, S: Real + haptether_master::Real> ModelPlant<N, S> for SteppedMaster<N, S> {
+    #[inline(always)]
+    fn state(&self) -> Truth<N, S> {
+        Truth { position: *self.position(), velocity: *self.velocity(), hand_force: *self.hand_force() }
+    }
+
+    #[inline(always)]
+    fn wall_force(&self) -> Axes<N, S> {
+        SteppedMaster::wall_force(self)
     }
 }
 

@@ -15,7 +15,10 @@ use super::{
     record::{EventLog, Recorder, Sample, SceneRun},
     spec::{Integrator, SceneSpec},
 };
-use crate::local::{DelayLine, LocalLoop, LocalPlant, LocalTick, Rendering, SceneRendering, Surfaces};
+use crate::{
+    local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Surfaces},
+    plant::ModelPlant,
+};
 
 pub(crate) fn simulate<const N: usize>(
     scene: &SceneSpec<N>,
@@ -56,7 +59,7 @@ pub(crate) fn simulate<const N: usize>(
     }
 }
 
-fn log_touch<P: LocalPlant<N, f64>, R: Rendering<N, f64> + Surfaces<N>, const N: usize>(
+fn log_touch<P: ModelPlant<N>, R: Rendering<N, f64> + Surfaces<N>, const N: usize>(
     time_s: f64,
     tick: &LocalTick<N>,
     looped: &LocalLoop<P, R, N>,
@@ -107,13 +110,13 @@ pub(crate) fn check_local<const N: usize>(scene: &SceneSpec<N>) -> Result<(), Sc
 }
 
 /// A loop of its parts.
-pub(crate) fn local_run<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
+pub(crate) fn local_run<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
     rendering: R,
 ) -> Result<LocalRun<P, R, N>, SceneError> {
     let period_ns = period_ns("run.period_s", scene.run.period_s)?;
-    let judged = Measures::new(&MeasureSettings::of(scene), &plant.position());
+    let judged = Measures::new(&MeasureSettings::of(scene), &plant.state().position);
     let delay = DelayLine::new(delay_ticks(scene)?);
     Ok(LocalRun {
         looped: LocalLoop::new(plant, rendering, delay, watch(scene)?, period_ns),
@@ -122,7 +125,7 @@ pub(crate) fn local_run<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: us
     })
 }
 
-fn follow<P: LocalPlant<N, f64>, R: Rendering<N, f64>, const N: usize>(
+fn follow<P: ModelPlant<N>, R: Rendering<N, f64>, const N: usize>(
     mut run: LocalRun<P, R, N>,
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
@@ -165,7 +168,7 @@ pub(crate) struct LocalRun<P, R, const N: usize, S: Real = f64> {
     pub(crate) ticks: u64,
 }
 
-impl<P: LocalPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
+impl<P: ModelPlant<N, S>, R: Rendering<N, S>, const N: usize, S: Real> LocalRun<P, R, N, S> {
     /// Runs all scenarios to their ends, unless `stop` is set meanwhile.
     #[inline(always)]
     pub(crate) fn run(&mut self, stop: &AtomicBool, outcomes: &mut [Option<Outcome>]) {
