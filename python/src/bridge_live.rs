@@ -13,8 +13,8 @@ use crate::{
     axes::{of_axes, refuse},
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live::{
-        How, Place, Watched, finished_before, locked, not_begun, realtime_settings, recorder_settings,
-        security, watch_methods,
+        How, Place, Watched, constructor, finished_before, locked, master_methods, not_begun,
+        realtime_settings, recorder_settings, security, slave_methods, watch_methods,
     },
     scene::{live_periods, scene_axes, scene_spec},
 };
@@ -24,11 +24,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<LiveSlave>()
 }
 
-/// A loop on a thread of its own.
-struct Started<Rows> {
-    run: Mutex<LiveRun>,
-    watched: Watched<Rows>,
-}
+/// A loop on a thread of its own, and what watches it.
+type Started<Rows> = (Mutex<LiveRun>, Watched<Rows>);
 
 /// Without the interpreter: once a first loop has locked the process's memory, the rings of the next take 100 ms to
 /// map.
@@ -45,7 +42,7 @@ where
         let (newest, recorder) = (place.newest()?, place.recorder()?);
         let (run, watch, reader) =
             run_live(side, place.socket, place.settings, place.security, recorder).map_err(not_begun)?;
-        Ok(Started { run: Mutex::new(run), watched: Watched::new(watch, reader, newest) })
+        Ok((Mutex::new(run), Watched::new(watch, reader, newest)))
     })
 }
 
@@ -68,75 +65,42 @@ fn join<Rows>(
     Ok((watched.rows(), report.into()))
 }
 
+/// What both classes share, as their fields `run` and `watched`.
+macro_rules! live_methods {
+    ($class:ident, $rows:ident) => {
+        #[pymethods]
+        impl $class {
+            #[getter]
+            fn finished(&self) -> bool {
+                locked(&self.run).is_finished()
+            }
+
+            #[getter]
+            fn realtime(&self) -> String {
+                locked(&self.run).realtime().to_string()
+            }
+        }
+
+        impl $class {
+            fn end(&self, py: Python<'_>) -> PyResult<($rows, PyLoopReport)> {
+                join(py, &self.run, &self.watched)
+            }
+        }
+    };
+}
+
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveMaster {
     run: Mutex<LiveRun>,
     pub(crate) watched: Watched<MasterRows>,
 }
 
-#[pymethods]
-impl LiveMaster {
-    #[new]
-    #[pyo3(signature = (scene, *, peer, run_id, key=None, insecure=false, listen=None, duration_s=None,
-        patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
-        min_free_bytes=1_000_000_000))]
-    fn new(
-        py: Python<'_>,
-        scene: &[u8],
-        peer: &str,
-        run_id: u64,
-        key: Option<&Bound<'_, PyAny>>,
-        insecure: bool,
-        listen: Option<&str>,
-        duration_s: Option<f64>,
-        patience_s: Option<f64>,
-        started_s: Option<f64>,
-        keep_s: f64,
-        realtime: &str,
-        priority: u8,
-        cpu: Option<u16>,
-        record: Option<PathBuf>,
-        min_free_bytes: u64,
-    ) -> PyResult<Self> {
-        let realtime = realtime_settings(realtime, priority, cpu)?;
-        let record = recorder_settings(record, min_free_bytes, insecure);
-        let place = |period_ns| {
-            let security = security(key, insecure)?;
-            let how =
-                How { security, period_ns, duration_s, patience_s, started_s, keep_s, realtime, record };
-            Place::of_master(peer, listen, how)
-        };
-        let Started { run, watched } = of_axes!(scene_axes(scene)?, N => {
-            let scene = scene_spec::<N>(scene)?;
-            let place = place(live_periods(&scene)?[0])?;
-            start(py, simulated_master::<N>(&scene, run_id).map_err(refuse)?, place)?
-        });
-        Ok(Self { run, watched })
-    }
-
-    #[getter]
-    fn finished(&self) -> bool {
-        locked(&self.run).is_finished()
-    }
-
-    #[getter]
-    fn realtime(&self) -> String {
-        locked(&self.run).realtime().to_string()
-    }
-
-    fn press_clutch(&self) {
-        self.watched.handle.press_clutch();
-    }
-
-    fn set_force_scale(&self, scale: f64) -> PyResult<()> {
-        self.command(OperatorCommand::ForceScale(scale))
-    }
-
-    fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
-        let (rows, report) = join(py, &self.run, &self.watched)?;
-        Ok((MasterTrace { rows }, report))
-    }
-}
+constructor!(LiveMaster, peer, [listen: Option<&str> = None, started_s: Option<f64> = None], |py, scene, run_id, how| {
+    let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
+    let side = simulated_master::<N>(&scene, run_id).map_err(refuse)?;
+    let (run, watched) = start(py, side, place)?;
+    Ok(Self { run, watched })
+});
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveSlave {
@@ -144,75 +108,16 @@ pub(crate) struct LiveSlave {
     pub(crate) watched: Watched<SlaveRows>,
 }
 
-#[pymethods]
-impl LiveSlave {
-    #[new]
-    #[pyo3(signature = (scene, *, listen, run_id, key=None, insecure=false, duration_s=None,
-        patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
-        min_free_bytes=1_000_000_000))]
-    fn new(
-        py: Python<'_>,
-        scene: &[u8],
-        listen: &str,
-        run_id: u64,
-        key: Option<&Bound<'_, PyAny>>,
-        insecure: bool,
-        duration_s: Option<f64>,
-        patience_s: Option<f64>,
-        keep_s: f64,
-        realtime: &str,
-        priority: u8,
-        cpu: Option<u16>,
-        record: Option<PathBuf>,
-        min_free_bytes: u64,
-    ) -> PyResult<Self> {
-        let realtime = realtime_settings(realtime, priority, cpu)?;
-        let record = recorder_settings(record, min_free_bytes, insecure);
-        let place = |period_ns| {
-            let security = security(key, insecure)?;
-            let how = How {
-                security,
-                period_ns,
-                duration_s,
-                patience_s,
-                started_s: None,
-                keep_s,
-                realtime,
-                record,
-            };
-            Place::of_slave(listen, how)
-        };
-        let Started { run, watched } = of_axes!(scene_axes(scene)?, N => {
-            let scene = scene_spec::<N>(scene)?;
-            let place = place(live_periods(&scene)?[1])?;
-            start(py, simulated_slave::<N>(&scene, run_id).map_err(refuse)?, place)?
-        });
-        Ok(Self { run, watched })
-    }
+constructor!(LiveSlave, listen, [], |py, scene, run_id, how| {
+    let place = Place::of_slave(listen, live_periods(&scene)?[1], how)?;
+    let side = simulated_slave::<N>(&scene, run_id).map_err(refuse)?;
+    let (run, watched) = start(py, side, place)?;
+    Ok(Self { run, watched })
+});
 
-    #[getter]
-    fn finished(&self) -> bool {
-        locked(&self.run).is_finished()
-    }
-
-    #[getter]
-    fn realtime(&self) -> String {
-        locked(&self.run).realtime().to_string()
-    }
-
-    fn allow_takeover(&self) {
-        self.watched.handle.allow_takeover();
-    }
-
-    fn set_position_scale(&self, scale: f64) -> PyResult<()> {
-        self.command(OperatorCommand::PositionScale(scale))
-    }
-
-    fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {
-        let (rows, report) = join(py, &self.run, &self.watched)?;
-        Ok((SlaveTrace { rows }, report))
-    }
-}
-
+live_methods!(LiveMaster, MasterRows);
+live_methods!(LiveSlave, SlaveRows);
+master_methods!(LiveMaster);
+slave_methods!(LiveSlave);
 watch_methods!(LiveMaster);
 watch_methods!(LiveSlave);

@@ -21,8 +21,8 @@ use crate::{
     axes::{of_axes, refuse},
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live::{
-        How, Place, Watched, finished_before, not_begun, realtime_settings, recorder_settings, security,
-        watch_methods,
+        How, Place, Watched, constructor, finished_before, master_methods, not_begun, realtime_settings,
+        recorder_settings, security, slave_methods, watch_methods,
     },
     scene::{live_periods, scene_axes, scene_spec},
 };
@@ -147,21 +147,9 @@ fn own<T: ?Sized>(of: &Mutex<Box<T>>) -> PyResult<MutexGuard<'_, Box<T>>> {
     of.try_lock().map_err(|_| PyRuntimeError::new_err("the loop is turned by another thread"))
 }
 
-/// Ends a loop and returns its rows and report.
-fn finish<T: DriverLoop + Send + ?Sized, Rows>(
-    py: Python<'_>,
-    paced: &Mutex<Box<T>>,
-    watched: &Watched<Rows>,
-) -> PyResult<(Rows, PyLoopReport)> {
-    let mut paced = own(paced)?;
-    let paced = &mut **paced;
-    let (report, flight) = py.detach(|| paced.end()).ok_or_else(finished_before)?;
-    watched.watch().ended(flight);
-    Ok((watched.rows(), report.into()))
-}
-
+/// What both classes share, as their fields `paced` and `watched`.
 macro_rules! loop_methods {
-    ($class:ident) => {
+    ($class:ident, $rows:ident) => {
         #[pymethods]
         impl $class {
             fn begin(&self, py: Python<'_>) -> PyResult<String> {
@@ -199,6 +187,16 @@ macro_rules! loop_methods {
                 self.watched.handle.is_stopped()
             }
         }
+
+        impl $class {
+            fn end(&self, py: Python<'_>) -> PyResult<($rows, PyLoopReport)> {
+                let mut paced = own(&self.paced)?;
+                let paced = &mut **paced;
+                let (report, flight) = py.detach(|| paced.end()).ok_or_else(finished_before)?;
+                self.watched.watch().ended(flight);
+                Ok((self.watched.rows(), report.into()))
+            }
+        }
     };
 }
 
@@ -208,31 +206,9 @@ pub(crate) struct MasterLoop {
     pub(crate) watched: Watched<MasterRows>,
 }
 
-#[pymethods]
-impl MasterLoop {
-    #[new]
-    #[pyo3(signature = (scene, *, peer, run_id, key=None, insecure=false, listen=None, clutch="once",
-        duration_s=None, patience_s=None, started_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
-        min_free_bytes=1_000_000_000))]
-    fn new(
-        py: Python<'_>,
-        scene: &[u8],
-        peer: &str,
-        run_id: u64,
-        key: Option<&Bound<'_, PyAny>>,
-        insecure: bool,
-        listen: Option<&str>,
-        clutch: &str,
-        duration_s: Option<f64>,
-        patience_s: Option<f64>,
-        started_s: Option<f64>,
-        keep_s: f64,
-        realtime: &str,
-        priority: u8,
-        cpu: Option<u16>,
-        record: Option<PathBuf>,
-        min_free_bytes: u64,
-    ) -> PyResult<Self> {
+constructor!(MasterLoop, peer,
+    [listen: Option<&str> = None, clutch: &str = "once", started_s: Option<f64> = None],
+    |py, scene, run_id, how| {
         let simulated_clutch = match clutch {
             "once" => false,
             "auto" => true,
@@ -241,24 +217,15 @@ impl MasterLoop {
                 return Err(PyValueError::new_err(text));
             }
         };
-        of_axes!(scene_axes(scene)?, N => {
-            let scene = scene_spec::<N>(scene)?;
-            let how = How {
-                security: security(key, insecure)?,
-                period_ns: live_periods(&scene)?[0],
-                duration_s,
-                patience_s,
-                started_s,
-                keep_s,
-                realtime: realtime_settings(realtime, priority, cpu)?,
-                record: recorder_settings(record, min_free_bytes, insecure),
-            };
-            let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
-            let (paced, watched) = prepare(py, side, Place::of_master(peer, listen, how)?)?;
-            Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
-        })
+        let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
+        let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
+        let (paced, watched) = prepare(py, side, place)?;
+        Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
     }
+);
 
+#[pymethods]
+impl MasterLoop {
     #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None))]
     fn step<'py>(
         &self,
@@ -270,19 +237,6 @@ impl MasterLoop {
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         own(&self.paced)?.step(py, MasterRead { position, velocity, clutch, fault })
     }
-
-    fn press_clutch(&self) {
-        self.watched.handle.press_clutch();
-    }
-
-    fn set_force_scale(&self, scale: f64) -> PyResult<()> {
-        self.command(OperatorCommand::ForceScale(scale))
-    }
-
-    fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
-        let (rows, report) = finish(py, &self.paced, &self.watched)?;
-        Ok((MasterTrace { rows }, report))
-    }
 }
 
 #[pyclass(module = "haptether.bridge", frozen)]
@@ -291,46 +245,15 @@ pub(crate) struct SlaveLoop {
     pub(crate) watched: Watched<SlaveRows>,
 }
 
+constructor!(SlaveLoop, listen, [], |py, scene, run_id, how| {
+    let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
+    let place = Place::of_slave(listen, live_periods(&scene)?[1], how)?;
+    let (paced, watched) = prepare(py, side, place)?;
+    Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
+});
+
 #[pymethods]
 impl SlaveLoop {
-    #[new]
-    #[pyo3(signature = (scene, *, listen, run_id, key=None, insecure=false, duration_s=None,
-        patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None, record=None,
-        min_free_bytes=1_000_000_000))]
-    fn new(
-        py: Python<'_>,
-        scene: &[u8],
-        listen: &str,
-        run_id: u64,
-        key: Option<&Bound<'_, PyAny>>,
-        insecure: bool,
-        duration_s: Option<f64>,
-        patience_s: Option<f64>,
-        keep_s: f64,
-        realtime: &str,
-        priority: u8,
-        cpu: Option<u16>,
-        record: Option<PathBuf>,
-        min_free_bytes: u64,
-    ) -> PyResult<Self> {
-        of_axes!(scene_axes(scene)?, N => {
-            let scene = scene_spec::<N>(scene)?;
-            let how = How {
-                security: security(key, insecure)?,
-                period_ns: live_periods(&scene)?[1],
-                duration_s,
-                patience_s,
-                started_s: None,
-                keep_s,
-                realtime: realtime_settings(realtime, priority, cpu)?,
-                record: recorder_settings(record, min_free_bytes, insecure),
-            };
-            let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
-            let (paced, watched) = prepare(py, side, Place::of_slave(listen, how)?)?;
-            Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
-        })
-    }
-
     #[pyo3(signature = (position, velocity, force, *, fault=None))]
     fn step<'py>(
         &self,
@@ -341,19 +264,6 @@ impl SlaveLoop {
         fault: Option<&str>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         own(&self.paced)?.step(py, SlaveRead { position, velocity, force, fault })
-    }
-
-    fn allow_takeover(&self) {
-        self.watched.handle.allow_takeover();
-    }
-
-    fn set_position_scale(&self, scale: f64) -> PyResult<()> {
-        self.command(OperatorCommand::PositionScale(scale))
-    }
-
-    fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {
-        let (rows, report) = finish(py, &self.paced, &self.watched)?;
-        Ok((SlaveTrace { rows }, report))
     }
 }
 
@@ -374,7 +284,9 @@ where
     })
 }
 
-loop_methods!(MasterLoop);
-loop_methods!(SlaveLoop);
+loop_methods!(MasterLoop, MasterRows);
+loop_methods!(SlaveLoop, SlaveRows);
+master_methods!(MasterLoop);
+slave_methods!(SlaveLoop);
 watch_methods!(MasterLoop);
 watch_methods!(SlaveLoop);

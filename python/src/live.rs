@@ -67,7 +67,13 @@ pub(crate) struct Place {
 
 impl Place {
     /// Where a master goes; without `listen` any free port.
-    pub(crate) fn of_master(peer: &str, listen: Option<&str>, how: How) -> PyResult<Self> {
+    pub(crate) fn of_master(
+        peer: &str,
+        listen: Option<&str>,
+        started_s: Option<f64>,
+        period_ns: u64,
+        how: How,
+    ) -> PyResult<Self> {
         let known = address("peer", peer)?;
         let listen = listen.unwrap_or(if known.is_ipv6() { "[::]:0" } else { "0.0.0.0:0" });
         if address("listen", listen)?.is_ipv6() != known.is_ipv6() {
@@ -75,16 +81,23 @@ impl Place {
                 format!("listen = {listen:?}: must be of the same kind, IPv4 or IPv6, as peer = {peer:?}");
             return Err(PyValueError::new_err(text));
         }
-        Self::new(Role::Master, listen, PeerAddress::Known(known), how)
+        Self::new(Role::Master, listen, PeerAddress::Known(known), started_s, period_ns, how)
     }
 
     /// Where a slave waits.
-    pub(crate) fn of_slave(listen: &str, how: How) -> PyResult<Self> {
-        Self::new(Role::Slave, listen, PeerAddress::Learned, how)
+    pub(crate) fn of_slave(listen: &str, period_ns: u64, how: How) -> PyResult<Self> {
+        Self::new(Role::Slave, listen, PeerAddress::Learned, None, period_ns, how)
     }
 
-    fn new(role: Role, listen: &str, peer: PeerAddress, how: How) -> PyResult<Self> {
-        let How { security, period_ns, duration_s, patience_s, started_s, keep_s, realtime, record } = how;
+    fn new(
+        role: Role,
+        listen: &str,
+        peer: PeerAddress,
+        started_s: Option<f64>,
+        period_ns: u64,
+        how: How,
+    ) -> PyResult<Self> {
+        let How { security, duration_s, patience_s, keep_s, realtime, record } = how;
         if !(keep_s > 0.0 && keep_s <= MAX_KEPT_S) {
             let text = format!("keep_s = {keep_s}: must be above 0 and at most {MAX_KEPT_S} s");
             return Err(PyValueError::new_err(text));
@@ -151,10 +164,8 @@ fn started(time_s: f64) -> PyResult<u64> {
 /// How a side goes.
 pub(crate) struct How {
     pub(crate) security: Security,
-    pub(crate) period_ns: u64,
     pub(crate) duration_s: Option<f64>,
     pub(crate) patience_s: Option<f64>,
-    pub(crate) started_s: Option<f64>,
     pub(crate) keep_s: f64,
     pub(crate) realtime: RealtimeSettings,
     pub(crate) record: Option<RecorderSettings>,
@@ -266,6 +277,97 @@ impl<Rows> Watched<Rows> {
 pub(crate) fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+/// The constructor of the class of a side: where it is, the options of its own, and those that all sides share. The block
+/// begins it along `N` axes.
+macro_rules! constructor {
+    ($class:ident, $place:ident, [$($own:ident: $own_type:ty = $default:tt),*],
+        |$py:ident, $scene:ident, $run_id:ident, $how:ident| $begin:block) => {
+        #[pymethods]
+        impl $class {
+            #[new]
+            #[pyo3(signature = (scene, *, $place, run_id, key=None, insecure=false, $($own=$default,)*
+                duration_s=None, patience_s=None, keep_s=600.0, realtime="auto", priority=80, cpu=None,
+                record=None, min_free_bytes=1_000_000_000))]
+            fn new(
+                $py: Python<'_>,
+                scene: &[u8],
+                $place: &str,
+                run_id: u64,
+                key: Option<&Bound<'_, PyAny>>,
+                insecure: bool,
+                $($own: $own_type,)*
+                duration_s: Option<f64>,
+                patience_s: Option<f64>,
+                keep_s: f64,
+                realtime: &str,
+                priority: u8,
+                cpu: Option<u16>,
+                record: Option<PathBuf>,
+                min_free_bytes: u64,
+            ) -> PyResult<Self> {
+                let $run_id = run_id;
+                let $how = How {
+                    security: security(key, insecure)?,
+                    duration_s,
+                    patience_s,
+                    keep_s,
+                    realtime: realtime_settings(realtime, priority, cpu)?,
+                    record: recorder_settings(record, min_free_bytes, insecure),
+                };
+                of_axes!(scene_axes(scene)?, N => {
+                    let $scene = scene_spec::<N>(scene)?;
+                    $begin
+                })
+            }
+        }
+    };
+}
+pub(crate) use constructor;
+
+/// What the classes of a master share; their `end` ends the loop.
+macro_rules! master_methods {
+    ($class:ident) => {
+        #[pymethods]
+        impl $class {
+            fn press_clutch(&self) {
+                self.watched.handle.press_clutch();
+            }
+
+            fn set_force_scale(&self, scale: f64) -> PyResult<()> {
+                self.command(OperatorCommand::ForceScale(scale))
+            }
+
+            fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
+                let (rows, report) = self.end(py)?;
+                Ok((MasterTrace { rows }, report))
+            }
+        }
+    };
+}
+pub(crate) use master_methods;
+
+/// What the classes of a slave share; their `end` ends the loop.
+macro_rules! slave_methods {
+    ($class:ident) => {
+        #[pymethods]
+        impl $class {
+            fn allow_takeover(&self) {
+                self.watched.handle.allow_takeover();
+            }
+
+            fn set_position_scale(&self, scale: f64) -> PyResult<()> {
+                self.command(OperatorCommand::PositionScale(scale))
+            }
+
+            fn finish(&self, py: Python<'_>) -> PyResult<(SlaveTrace, PyLoopReport)> {
+                let (rows, report) = self.end(py)?;
+                Ok((SlaveTrace { rows }, report))
+            }
+        }
+    };
+}
+pub(crate) use slave_methods;
 
 /// What the classes that watch a loop share, as their field `watched`; `finished` says whether it has ended.
 macro_rules! watch_methods {
