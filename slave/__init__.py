@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-from haptether._core import Arm, ForceSensor, Pusher, SceneTouch, Wall
+from haptether._core import ForceSensor, SceneTouch, Wall
 from haptether.slave.device import SlaveDevice, SlaveSample
 
 if TYPE_CHECKING:
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "UR_MODELS",
-    "Arm",
     "ForceSensor",
-    "Pusher",
     "QuadraticProgram",
     "Rates",
     "SceneTouch",

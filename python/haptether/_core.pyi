@@ -26,7 +26,6 @@ __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
     "OBSERVERS",
-    "Arm",
     "DeviceModel",
     "DirectionStatistics",
     "Echo",
@@ -51,7 +50,6 @@ __all__ = [
     "PathReport",
     "Proxy",
     "ProxyStatistics",
-    "Pusher",
     "Recording",
     "RecordingReport",
     "SafetyController",
@@ -1115,27 +1113,6 @@ class Wall:
         """
 
 @final
-class Pusher:
-    """Something that shoves the tool: a force that rises linearly, stays and ends.
-
-    Args:
-        at_s: When it begins, in s since the two sides engaged.
-        force_n: Force in N, positive along +x.
-        duration_s: How long it lasts, the rise included, in s, 0 or more.
-        rise_s: Time in s in which it rises, 0 or more.
-
-    Raises:
-        ValueError: A parameter outside its range.
-    """
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
-
-    def __new__(cls, *, at_s: float, force_n: float, duration_s: float, rise_s: float = 0.0) -> Pusher: ...
-    def __eq__(self, other: object, /) -> bool: ...
-    def force(self, time_s: float) -> float:
-        """Force in N at a time in s."""
-
-@final
 class SceneTouch:
     """What an arm that is not the scene's would touch there: `[environment]`, along the first axes of the arm's base.
 
@@ -1193,29 +1170,6 @@ class ForceSensor:
     ) -> ForceSensor: ...
     def sample(self, force: Sequence[float], index: int) -> tuple[float, float, float]:
         """Sample number `index` of a force in N, (3,): the same index yields the same noise."""
-
-@final
-class Arm:
-    """Model of a position-controlled arm along one axis, advanced exactly between ticks.
-
-    `M x'' = M w² (x_set - x) - 2 M w x' + F_e` with w = 2 pi bandwidth: critically damped.
-
-    Args:
-        mass_kg: M in kg, above 0.
-        bandwidth_hz: Bandwidth of the position control in Hz, above 0.
-        max_speed: Fastest that the set position moves, in m/s, above 0.
-
-    Raises:
-        ValueError: A parameter outside its range.
-    """
-
-    __hash__: ClassVar[None]  # type: ignore[assignment]
-
-    def __new__(cls, *, mass_kg: float = 4.0, bandwidth_hz: float = 15.0, max_speed: float = 1.0) -> Arm: ...
-    def __eq__(self, other: object, /) -> bool: ...
-    @property
-    def stiffness(self) -> float:
-        """Stiffness M w² of the position control in N/m."""
 
 @final
 class UrInverseSolver:

@@ -6,9 +6,7 @@ use haptether_safety::{
     Axes, DeviceModel, LayerSettings, LimiterSettings, SafetyLayer, controller::ControllerKind,
     estimator::EstimatorKind,
 };
-use haptether_slave::{
-    ArmParameters, PushShape, Pusher, RenderedPush, RenderedWall, RenderedWalls, SimulatedSlave, Wall,
-};
+use haptether_slave::{PushShape, RenderedPush, RenderedWall, RenderedWalls, Wall};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::{
@@ -21,8 +19,6 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyHapticDevice>()?;
     module.add_class::<PyHand>()?;
     module.add_class::<PyWall>()?;
-    module.add_class::<PyPusher>()?;
-    module.add_class::<PyArm>()?;
     module.add_class::<PySinusoid>()?;
     module.add_class::<LocalTrace>()?;
     module.add_function(wrap_pyfunction!(run_local, module)?)
@@ -188,56 +184,6 @@ impl PyWall {
 
     fn force(&self, position: f64) -> f64 {
         self.inner.force(position)
-    }
-
-    fn __repr__(&self) -> String {
-        format!("{:?}", self.inner)
-    }
-}
-
-#[pyclass(name = "Pusher", module = "haptether.slave", frozen, eq)]
-#[derive(Clone, PartialEq)]
-pub(crate) struct PyPusher {
-    pub(crate) inner: Pusher,
-}
-
-#[pymethods]
-impl PyPusher {
-    #[new]
-    #[pyo3(signature = (*, at_s, force_n, duration_s, rise_s=0.0))]
-    fn new(at_s: f64, force_n: f64, duration_s: f64, rise_s: f64) -> PyResult<Self> {
-        Ok(Self { inner: Pusher::new(at_s, rise_s, duration_s, force_n).map_err(refuse)? })
-    }
-
-    fn force(&self, time_s: f64) -> f64 {
-        self.inner.force(time_s)[0]
-    }
-
-    fn __repr__(&self) -> String {
-        format!("{:?}", self.inner)
-    }
-}
-
-#[pyclass(name = "Arm", module = "haptether.slave", frozen, eq)]
-#[derive(Clone, Copy, PartialEq)]
-pub(crate) struct PyArm {
-    pub(crate) inner: ArmParameters,
-}
-
-#[pymethods]
-impl PyArm {
-    #[new]
-    #[pyo3(signature = (*, mass_kg=4.0, bandwidth_hz=15.0, max_speed=1.0))]
-    fn new(mass_kg: f64, bandwidth_hz: f64, max_speed: f64) -> PyResult<Self> {
-        let inner = ArmParameters { mass_kg, bandwidth_hz, max_speed };
-        let wall = Wall::new(0.0, 0.0).map_err(refuse)?;
-        SimulatedSlave::new(inner, wall, None, 0.0, 0).map_err(refuse)?;
-        Ok(Self { inner })
-    }
-
-    #[getter]
-    fn stiffness(&self) -> f64 {
-        self.inner.stiffness()
     }
 
     fn __repr__(&self) -> String {

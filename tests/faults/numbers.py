@@ -17,7 +17,7 @@ from haptether.bridge import LiveMaster, LiveSlave, scene_json, simulate
 from haptether.cli.live.sides import baseline_scene
 from haptether.master import Hand, HapticDevice
 from haptether.safety import DeviceModel, LimiterSettings, SafetyLayer, SafetySettings, SafetyTicks, fault_message
-from haptether.slave import Arm, Wall
+from haptether.slave import Wall
 from haptether.studies import RAVEN_ATTACKS
 from haptether.studies.raven import measure_attack
 
@@ -131,7 +131,7 @@ def at_the_door() -> Row:
         "hand stiffness": lambda bad: Hand(stiffness=bad, damping=8.0, strength_n=12.0, start=0.0),
         "wall stiffness": lambda bad: Wall(stiffness=bad),
         "wall position": lambda bad: Wall(stiffness=1.0, position=bad),
-        "arm mass": lambda bad: Arm(mass_kg=bad),
+        "arm mass": lambda bad: simulate(two_sides(), overrides=[f"slave.mass_kg={bad}"]),
         "max_force_n": lambda bad: SafetyLayer(
             DeviceModel.phantom_desktop(), SafetySettings(["wsc"]), limiter=LimiterSettings(max_force_n=bad)
         ),

@@ -11,7 +11,7 @@ import pytest
 from haptether.bridge import LocalTrace, Sinusoid, run_local
 from haptether.master import Hand, HapticDevice
 from haptether.safety import EstimatorKind, LimiterSettings, SafetySettings
-from haptether.slave import Arm, Pusher, Wall
+from haptether.slave import Wall
 
 MASS = 0.157
 STIFFNESS = 200.0
@@ -37,10 +37,6 @@ def hand(**parameters: Any) -> Callable[[], object]:  # noqa: ANN401
     return lambda: Hand(**sound | parameters)
 
 
-def pusher(**parameters: float) -> Callable[[], object]:
-    return lambda: Pusher(**{"at_s": 0.0, "force_n": 1.0, "duration_s": 1.0} | parameters)
-
-
 TABLE: list[tuple[float, str, Callable[[], object]]] = [
     *((x, POSITIVE, device(mass_kg=x)) for x in (0.0, -1.0, NAN, INF)),
     *((x, "finite", device(viscous=x)) for x in (NAN, INF)),
@@ -59,13 +55,6 @@ TABLE: list[tuple[float, str, Callable[[], object]]] = [
     *((x, "finite", lambda x=x: Hand.absent(position=x)) for x in (NAN, INF)),
     *((x, NON_NEGATIVE, lambda x=x: Wall(stiffness=x)) for x in (-0.5, NAN, INF)),
     *((x, "finite", lambda x=x: Wall(stiffness=1.0, position=x)) for x in (NAN, INF)),
-    *((x, "finite", pusher(at_s=x)) for x in (NAN, INF)),
-    *((x, "finite", pusher(force_n=x)) for x in (NAN, INF)),
-    *((x, NON_NEGATIVE, pusher(duration_s=x)) for x in (-0.5, NAN)),
-    *((x, NON_NEGATIVE, pusher(rise_s=x)) for x in (-0.5, INF)),
-    *((x, POSITIVE, lambda x=x: Arm(mass_kg=x)) for x in (0.0, NAN)),
-    *((x, POSITIVE, lambda x=x: Arm(bandwidth_hz=x)) for x in (-0.5, INF)),
-    *((x, POSITIVE, lambda x=x: Arm(max_speed=x)) for x in (0.0, NAN)),
 ]
 
 
@@ -128,19 +117,6 @@ def test_a_wall_pushes_out_and_never_pulls() -> None:
         assert abs(wall.force(position) - force) <= 1e-13
     assert wall == Wall(stiffness=200.0, position=0.1)
     assert wall != Wall(stiffness=200.0)
-
-
-def test_a_shove_rises_stays_and_ends() -> None:
-    shove = Pusher(at_s=2.0, force_n=-4.0, duration_s=1.0, rise_s=0.1)
-    for time_s, force in [(1.9, 0.0), (2.05, -2.0), (2.5, -4.0), (2.9999, -4.0), (3.0, 0.0)]:
-        assert abs(shove.force(time_s) - force) <= 1e-12
-    assert Pusher(at_s=0.0, force_n=3.0, duration_s=1.0).force(0.0) == 3.0
-
-
-def test_the_arm_is_a_spring_of_its_bandwidth() -> None:
-    # Four roundings.
-    assert abs(Arm(mass_kg=4.0, bandwidth_hz=15.0).stiffness / (4.0 * (30.0 * np.pi) ** 2) - 1) < 1e-15
-    assert Arm() == Arm(mass_kg=4.0, bandwidth_hz=15.0, max_speed=1.0)
 
 
 def ejected(settings: SafetySettings | None = None, stiffness: float = STIFFNESS, depth: float = DEPTH) -> LocalTrace:
@@ -357,5 +333,5 @@ def test_a_loop_that_cannot_be_is_refused(keywords: dict[str, Any], told: str) -
 
 
 def test_only_a_wall_or_a_sinusoid_is_rendered() -> None:
-    with pytest.raises(ValueError, match=r"^rendered: Arm, must be a Wall or a Sinusoid$"):
-        run_local(*LOOP[:2], Arm(), ticks=1)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^rendered: HapticDevice, must be a Wall or a Sinusoid$"):
+        run_local(*LOOP[:2], LOOP[0], ticks=1)  # type: ignore[arg-type]

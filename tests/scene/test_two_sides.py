@@ -29,7 +29,6 @@ from haptether.netsim import (
     judge_all,
     link_bounds,
 )
-from haptether.slave import Arm
 
 TICK_NS = 1_000_000
 MASS = 0.157
@@ -76,8 +75,8 @@ def press(
 
 
 def contact_stiffness() -> float:
-    """What the master feels of the wall behind the arm: two springs in series."""
-    return 1.0 / (1.0 / Arm().stiffness + 1.0 / WALL_STIFFNESS)
+    """What the master feels of the wall behind the arm, of 4 kg and 15 Hz: two springs in series."""
+    return 1.0 / (1.0 / (4.0 * (30.0 * math.pi) ** 2) + 1.0 / WALL_STIFFNESS)
 
 
 def series_force() -> float:

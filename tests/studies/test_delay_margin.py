@@ -12,7 +12,6 @@ from haptether.bridge import Scene, load_scene, override_scene, simulate
 from haptether.cli.live.check_link import scene_loops, scene_times
 from haptether.cli.live.sides import START_M, baseline_scene
 from haptether.netsim import LinkSettings
-from haptether.slave import Arm
 from haptether.studies import ContactLoop, Follower, LinkSummary, judge_link, largest_delay_s
 
 DELAYS_S = (1e-3, 10e-3, 20e-3, 50e-3, 100e-3, 200e-3, 500e-3)
@@ -90,7 +89,7 @@ def test_a_soft_wall_under_a_firm_hand_bears_any_delay() -> None:
 def test_the_arm_of_check_link_is_the_simulated_one() -> None:
     (loop,) = scene_loops(baseline_scene())
     assert loop.follower is not None
-    assert loop.follower.stiffness == pytest.approx(Arm().stiffness, rel=1e-12)
+    assert loop.follower.stiffness == pytest.approx(4.0 * (2.0 * math.pi * 15.0) ** 2, rel=1e-12)
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.7, False), (1.4, True)])
