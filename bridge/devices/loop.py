@@ -6,15 +6,18 @@ import gc
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from haptether._core import LoopReport, MasterLoop, MasterTrace, RecordingReport, SlaveLoop, SlaveTrace
+from haptether._core import LiveSlave, LoopReport, MasterLoop, MasterTrace, SlaveLoop, SlaveTrace
 from haptether.bridge.devices.open import DeviceNotes, close_once, encodable, failure, opened
 from haptether.bridge.interpreter import QUIET
 
 if TYPE_CHECKING:
+    from haptether._core import _LiveSide
     from haptether.master import MasterDevice
     from haptether.slave import SlaveDevice
+else:
+    _LiveSide = object
 
 JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
@@ -44,53 +47,33 @@ def drive_master(
     """
     notes = notes or DeviceNotes()
     rest: tuple[float, ...] = ()
+
+    def step() -> bool:
+        nonlocal rest
+        position, velocity, clutch, fault = device.read()
+        if fault is not None:
+            notes.fault = fault = encodable(fault)
+        force = loop.step(position, velocity, clutch, fault=fault)
+        if force is None:
+            return False
+        device.write(force)
+        rest = (0.0,) * len(force)
+        return True
+
+    def come_to_rest() -> None:
+        if rest:
+            device.write(rest)
+
     with opened(device, notes, "[run] period_s", period_s):
-        realtime = loop.begin()
-        QUIET.prioritise()
-        notes.realtime = realtime
-        wait = None if device.paces else loop.wait
-        try:
-            while True:
-                if notes.acknowledged_s is not None:
-                    _acknowledge(device, loop, notes, notes.acknowledged_s)
-                position, velocity, clutch, fault = device.read()
-                if fault is not None:
-                    notes.fault = fault = encodable(fault)
-                force = loop.step(position, velocity, clutch, fault=fault)
-                if force is None:
-                    break
-                device.write(force)
-                rest = (0.0,) * len(force)
-                if wait is not None:
-                    wait()
-            if rest:
-                device.write(rest)
-            loop.announce_end()
-        except BaseException as error:
-            # Also where somebody presses Ctrl-C: first the device, then the peer.
-            with contextlib.suppress(Exception):
-                if rest:
-                    device.write(rest)
-            if not isinstance(error, Exception):
-                loop.fail(f"{type(device).__name__}: {type(error).__name__}")
-                raise
-            failed = failure(device, error)
-            loop.fail(encodable(str(failed)))
-            raise failed from error
+        _drive(device, loop, notes, step, come_to_rest)
 
 
 def drive_slave(
     device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | None = None, *, period_s: float | None = None
 ) -> None:
-    """Runs the loop of a slave with its arm to its end.
+    """Runs the loop of a slave with its arm to its end; arguments as with `drive_master`.
 
     The arm is opened here, is stopped at the end, and closed.
-
-    Args:
-        device: What is driven.
-        loop: What leads it.
-        notes: Faults of the device, and acknowledgements by the operator beside it.
-        period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
 
     Raises:
         DeviceError: The device has another period, or the driver raised an exception: the arm was stopped, and the
@@ -99,41 +82,62 @@ def drive_slave(
     """
     notes = notes or DeviceNotes()
     before = "wait"
-    with opened(device, notes, "[slave] period_s", period_s):
-        realtime = loop.begin()
-        QUIET.prioritise()
-        notes.realtime = realtime
-        wait = None if device.paces else loop.wait
-        try:
-            while True:
-                if notes.acknowledged_s is not None:
-                    _acknowledge(device, loop, notes, notes.acknowledged_s)
-                position, velocity, force, fault = device.read()
-                if fault is not None:
-                    notes.fault = fault = encodable(fault)
-                order = loop.step(position, velocity, force, fault=fault)
-                if order is None:
-                    break
-                kind, position, velocity = order
-                if kind == "move":
-                    device.write(position, velocity)
-                elif kind == "stop" and before == "move":
-                    device.stop()
-                before = kind
-                if wait is not None:
-                    wait()
+
+    def step() -> bool:
+        nonlocal before
+        position, velocity, force, fault = device.read()
+        if fault is not None:
+            notes.fault = fault = encodable(fault)
+        order = loop.step(position, velocity, force, fault=fault)
+        if order is None:
+            return False
+        kind, position, velocity = order
+        if kind == "move":
+            device.write(position, velocity)
+        elif kind == "stop" and before == "move":
             device.stop()
-            loop.announce_end()
-        except BaseException as error:
-            # Also where somebody presses Ctrl-C: first the arm, then the peer.
-            with contextlib.suppress(Exception):
-                device.stop()
-            if not isinstance(error, Exception):
-                loop.fail(f"{type(device).__name__}: {type(error).__name__}")
-                raise
-            failed = failure(device, error)
-            loop.fail(encodable(str(failed)))
-            raise failed from error
+        before = kind
+        return True
+
+    def come_to_rest() -> None:
+        device.stop()
+
+    with opened(device, notes, "[slave] period_s", period_s):
+        _drive(device, loop, notes, step, come_to_rest)
+
+
+def _drive(
+    device: "MasterDevice | SlaveDevice",
+    loop: MasterLoop | SlaveLoop,
+    notes: DeviceNotes,
+    step: Callable[[], bool],
+    come_to_rest: Callable[[], None],
+) -> None:
+    """Steps an open device until `step` says that the run is over; whatever ends it, the device comes to rest."""
+    realtime = loop.begin()
+    QUIET.prioritise()
+    notes.realtime = realtime
+    wait = None if device.paces else loop.wait
+    try:
+        while True:
+            if notes.acknowledged_s is not None:
+                _acknowledge(device, loop, notes, notes.acknowledged_s)
+            if not step():
+                break
+            if wait is not None:
+                wait()
+        come_to_rest()
+        loop.announce_end()
+    except BaseException as error:
+        # Also where somebody presses Ctrl-C: first the device, then the peer.
+        with contextlib.suppress(Exception):
+            come_to_rest()
+        if not isinstance(error, Exception):
+            loop.fail(f"{type(device).__name__}: {type(error).__name__}")
+            raise
+        failed = failure(device, error)
+        loop.fail(encodable(str(failed)))
+        raise failed from error
 
 
 def _acknowledge(
@@ -150,8 +154,11 @@ def _acknowledge(
         loop.acknowledge()
 
 
-class DeviceRun:
+class DeviceRun(_LiveSide):
     """A loop and its device on a thread of their own; what is seen of it is as with `LiveMaster` and `LiveSlave`."""
+
+    FROM_LOOP: ClassVar = frozenset(dir(MasterLoop)) & frozenset(dir(LiveSlave))
+    """What every live side has: where it is not answered here, the loop answers."""
 
     def __init__(
         self,
@@ -188,6 +195,14 @@ class DeviceRun:
             self._loop.stop()
             self._unquiet()
 
+    if not TYPE_CHECKING:  # else any name would do
+
+        def __getattr__(self, name: str) -> object:
+            if name in self.FROM_LOOP:
+                return getattr(self._loop, name)
+            message = f"{type(self).__name__!r} object has no attribute {name!r}"
+            raise AttributeError(message, name=name, obj=self)
+
     def ready(self) -> bool:
         """Whether the device is open and its loop runs, or it has ended."""
         return bool(self.notes.realtime) or self.finished
@@ -203,59 +218,17 @@ class DeviceRun:
         return not self._thread.is_alive()
 
     @property
-    def address(self) -> str:
-        """Where it listens."""
-        return self._loop.address
-
-    @property
     def realtime(self) -> str:
         """What the loop's thread got of the system; empty until the device is open."""
         return self.notes.realtime
 
-    @property
-    def is_answered(self) -> bool:
-        """Whether the peer has answered a frame of this side."""
-        return self._loop.is_answered
-
-    @property
-    def state(self) -> str:
-        """Where the ladder stands."""
-        return self._loop.state
-
-    @property
-    def ticks(self) -> int:
-        """Ticks done so far."""
-        return self._loop.ticks
-
-    @property
-    def recording(self) -> RecordingReport | None:
-        """How the recording stands; none without one."""
-        return self._loop.recording
-
-    def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, as text."""
-        return self._loop.security_events()
-
-    def flight(self) -> str | None:
-        """The last states and commands as JSON."""
-        return self._loop.flight()
-
-    def cause(self) -> str | None:
-        """Why the two sides are not coupled, as JSON; none where all is well."""
-        return self._loop.cause()
-
-    @property
-    def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time; none where `cause` says it."""
-        return self._loop.ineffective_presses
+    def acknowledge(self) -> None:
+        """Says that its fault is mended: the clutch must then be released and pressed. Void after 0.25 s."""
+        self.notes.acknowledged_s = time.monotonic()
 
     def stop(self) -> None:
         """Requests the loop to end after its current tick."""
         self._loop.stop()
-
-    def acknowledge(self) -> None:
-        """Says that its fault is mended: the clutch must then be released and pressed. Void after 0.25 s."""
-        self.notes.acknowledged_s = time.monotonic()
 
     def give_up(self) -> None:
         """Ends a run whose device does not open; where `open` does not return within 1 s, the device is closed here."""

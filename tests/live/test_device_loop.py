@@ -23,6 +23,7 @@ from tests.ur.stalls import STALL_S, anew_after_stalls
 
 from haptether.bridge import (
     DeviceError,
+    DeviceRun,
     LiveMaster,
     LiveSlave,
     MasterLoop,
@@ -136,6 +137,17 @@ def test_a_side_that_begins_leaves_the_interpreter_to_the_loops_that_run(side: t
     begun.finish()
     assert took_s > 4.0 * STALL_S, "too short to be seen beside a stall of the machine"
     assert max(after - before for before, after in itertools.pairwise(turns)) < 0.5 * took_s
+
+
+def test_a_run_answers_for_its_loop_but_does_not_step_it() -> None:
+    loop = SlaveLoop(ONE, listen="127.0.0.1:0", **how())
+    run = SlaveRun(Arm(1), loop)
+    try:
+        assert (run.address, run.recording) == (loop.address, None)
+        assert not {name for name in dir(LiveSlave) if name in DeviceRun.FROM_LOOP and not hasattr(run, name)}
+        assert not {name for name in ("begin", "step", "wait", "fail", "announce_end") if hasattr(run, name)}
+    finally:
+        run.finish()
 
 
 @pytest.mark.parametrize(("axes", "spec"), [(1, ONE), (3, THREE)])
