@@ -1564,8 +1564,44 @@ class Sinusoid:
 
     def __new__(cls, *, amplitude_n: float, rate: float) -> Sinusoid: ...
 
+@type_check_only
+class _ObservedTicks:
+    """What the controllers saw of each tick, and who tripped."""
+
+    @property
+    def grasp_force(self) -> _Array:
+        """F_h in N as estimated; 0 where no controller reads it.
+
+        Source: paper Eq. 4.
+        """
+
+    @property
+    def velocity_force(self) -> _Array:
+        """S_vf; NaN where not observed.
+
+        Source: paper Eq. 1.
+        """
+
+    @property
+    def grasp(self) -> _Array:
+        """S_h; NaN where not observed.
+
+        Source: paper Eq. 5.
+        """
+
+    @property
+    def windowed_energy_j(self) -> _Array:
+        """E_wso in J; NaN where not observed.
+
+        Source: paper Eq. 11.
+        """
+
+    @property
+    def tripped(self) -> _Bits:
+        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
+
 @final
-class LocalTrace:
+class LocalTrace(_ObservedTicks):
     """Ticks of `run_local`: each signal an array of shape `(n_ticks,)`."""
 
     def __len__(self) -> int: ...
@@ -1590,36 +1626,8 @@ class LocalTrace:
         """F_v in N."""
 
     @property
-    def grasp_force(self) -> _Array:
-        """F_h in N as estimated; 0 where no controller reads it.
-
-        Source: paper Eq. 4.
-        """
-
-    @property
     def device_force(self) -> _Array:
         """F_device in N, after the limiter."""
-
-    @property
-    def velocity_force(self) -> _Array:
-        """S_vf; NaN where not observed.
-
-        Source: paper Eq. 1.
-        """
-
-    @property
-    def grasp(self) -> _Array:
-        """S_h; NaN where not observed.
-
-        Source: paper Eq. 5.
-        """
-
-    @property
-    def windowed_energy_j(self) -> _Array:
-        """E_wso in J; NaN where not observed.
-
-        Source: paper Eq. 11.
-        """
 
     @property
     def energy_j(self) -> _Array:
@@ -1627,10 +1635,6 @@ class LocalTrace:
 
         Source: paper Eq. 9.
         """
-
-    @property
-    def tripped(self) -> _Bits:
-        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
 
 def run_local(
     device: HapticDevice,
@@ -1665,14 +1669,46 @@ def run_local(
     Source: paper Eq. 15 and section 4 (the experiments).
     """
 
-@final
-class MasterTrace:
-    """Ticks of a master: each signal an array of shape `(n_ticks,)`, or `(n_ticks, axes)` for vectors of several axes."""
+@type_check_only
+class _SideTicks:
+    """How a side and its ladder stood at each tick."""
 
     def __len__(self) -> int: ...
     @property
     def time_s(self) -> _Array:
         """Time since the run began, in s."""
+
+    @property
+    def state(self) -> _Bits:
+        """State of the ladder, for `ladder_state_name`."""
+
+    @property
+    def reason(self) -> _Bits:
+        """Why it stands there, for `ladder_reason`; 0 where it began."""
+
+    @property
+    def clutch(self) -> _Bits:
+        """1 while the clutch is closed, as far as this side knows."""
+
+    @property
+    def age_s(self) -> _Array:
+        """Silence of the peer in s; infinite before its first frame."""
+
+    @property
+    def round_trip_s(self) -> _Array:
+        """Round trip in s of the newest echo, both loops' waits for their ticks included; infinite before the first."""
+
+    @property
+    def overshoot_s(self) -> _Array:
+        """How late the loop woke, in s; in virtual time only where the clock of this side is set."""
+
+    @property
+    def fault(self) -> _Bits:
+        """Code for `fault_message`, 0 without fault, shape `(n_ticks,)`."""
+
+@final
+class MasterTrace(_SideTicks, _ObservedTicks):
+    """Ticks of a master: each signal an array of shape `(n_ticks,)`, or `(n_ticks, axes)` for vectors of several axes."""
 
     @property
     def position(self) -> _Array:
@@ -1691,13 +1727,6 @@ class MasterTrace:
         """F_v in N, faded by the ladder and bounded to what the device can render."""
 
     @property
-    def grasp_force(self) -> _Array:
-        """F_h in N as estimated; 0 where no controller reads it.
-
-        Source: paper Eq. 4.
-        """
-
-    @property
     def safety_force(self) -> _Array:
         """F_c in N."""
 
@@ -1706,70 +1735,12 @@ class MasterTrace:
         """F_device in N, after the limiter."""
 
     @property
-    def velocity_force(self) -> _Array:
-        """S_vf; NaN where not observed.
-
-        Source: paper Eq. 1.
-        """
-
-    @property
-    def grasp(self) -> _Array:
-        """S_h; NaN where not observed.
-
-        Source: paper Eq. 5.
-        """
-
-    @property
-    def windowed_energy_j(self) -> _Array:
-        """E_wso in J; NaN where not observed.
-
-        Source: paper Eq. 11.
-        """
-
-    @property
-    def tripped(self) -> _Bits:
-        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
-
-    @property
     def acted(self) -> _Bits:
         """Which bounds of the limiter acted: sum of |F| 1, slew 2, power 4, ramp-in 8."""
 
-    @property
-    def state(self) -> _Bits:
-        """State of the ladder, for `ladder_state_name`."""
-
-    @property
-    def reason(self) -> _Bits:
-        """Why it stands there, for `ladder_reason`; 0 where it began."""
-
-    @property
-    def clutch(self) -> _Bits:
-        """1 while the clutch is closed, as far as this side knows."""
-
-    @property
-    def age_s(self) -> _Array:
-        """Silence of the peer in s; infinite before its first frame."""
-
-    @property
-    def round_trip_s(self) -> _Array:
-        """Round trip in s of the newest echo, both loops' waits for their ticks included; infinite before the first."""
-
-    @property
-    def overshoot_s(self) -> _Array:
-        """How late the loop woke, in s; in virtual time only where the clock of this side is set."""
-
-    @property
-    def fault(self) -> _Bits:
-        """Code for `fault_message`, 0 without fault, shape `(n_ticks,)`."""
-
 @final
-class SlaveTrace:
+class SlaveTrace(_SideTicks):
     """Ticks of a slave: each signal an array of shape `(n_ticks,)`, or `(n_ticks, axes)` for vectors of several axes."""
-
-    def __len__(self) -> int: ...
-    @property
-    def time_s(self) -> _Array:
-        """Time since the run began, in s."""
 
     @property
     def position(self) -> _Array:
@@ -1786,34 +1757,6 @@ class SlaveTrace:
     @property
     def limited(self) -> _Bits:
         """Which bounds acted on the remote command: speed 1, reach 2."""
-
-    @property
-    def state(self) -> _Bits:
-        """State of the ladder, for `ladder_state_name`."""
-
-    @property
-    def reason(self) -> _Bits:
-        """Why it stands there, for `ladder_reason`; 0 where it began."""
-
-    @property
-    def clutch(self) -> _Bits:
-        """1 while the clutch is closed, as far as this side knows."""
-
-    @property
-    def age_s(self) -> _Array:
-        """Silence of the peer in s; infinite before its first frame."""
-
-    @property
-    def round_trip_s(self) -> _Array:
-        """Round trip in s of the newest echo, both loops' waits for their ticks included; infinite before the first."""
-
-    @property
-    def overshoot_s(self) -> _Array:
-        """How late the loop woke, in s; in virtual time only where the clock of this side is set."""
-
-    @property
-    def fault(self) -> _Bits:
-        """Code for `fault_message`, 0 without fault, shape `(n_ticks,)`."""
 
 @final
 class LinkStatistics:
@@ -2115,8 +2058,86 @@ class _LiveSide:
         any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
         """
 
+    def acknowledge(self) -> None:
+        """Says that the fault of this side is mended: the master's clutch must then be released and pressed.
+
+        Raises:
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+@type_check_only
+class _MasterSide(_LiveSide):
+    """What the side of the hand has."""
+
+    def press_clutch(self) -> None:
+        """Lets go of the clutch for 0.1 s and presses it again: a command of this side's operator.
+
+        Void if the loop does not read it within 0.25 s, or was late within 0.25 s before.
+        """
+
+    def set_force_scale(self, scale: float) -> None:
+        """Changes lambda_f from the next tick on; the limiter says how fast the force follows.
+
+        Raises:
+            ValueError: A scale that is not finite or not above 0.
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def finish(self) -> tuple[MasterTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went.
+
+        Raises:
+            RuntimeError: Called a second time, or the loop panicked.
+        """
+
+@type_check_only
+class _SlaveSide(_LiveSide):
+    """What the side of the robot has."""
+
+    def allow_takeover(self) -> None:
+        """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""
+
+    def set_position_scale(self, scale: float) -> None:
+        """Changes lambda_p from the next tick on; the arm goes on from where it is.
+
+        Raises:
+            ValueError: A scale that is not finite or not above 0.
+            RuntimeError: The loop has ended, or hangs.
+        """
+
+    def finish(self) -> tuple[SlaveTrace, LoopReport]:
+        """Ends the loop and returns all its ticks and how it went.
+
+        Raises:
+            RuntimeError: Called a second time, or the loop panicked.
+        """
+
+@type_check_only
+class _DrivenLoop:
+    """What a loop has that a driver steps."""
+
+    def begin(self) -> str:
+        """Time begins; requests real time of the system for this thread, and returns what was granted.
+
+        Raises:
+            OSError: Real time is required and refused; the loop is over.
+        """
+
+    def wait(self) -> None:
+        """Sleeps until the next tick is due: for a device that does not wait in `read`."""
+
+    def fail(self, text: str = "") -> None:
+        """The device is gone: a fault, which is sent to the peer for 60 ticks; the loop is over.
+
+        Args:
+            text: The driver's own, which both sides show: up to 239 bytes of UTF-8 on one line.
+        """
+
+    def announce_end(self) -> None:
+        """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
+
 @final
-class LiveMaster(_LiveSide):
+class LiveMaster(_MasterSide):
     """The side of the hand, live over UDP on a thread of its own.
 
     Args:
@@ -2126,12 +2147,12 @@ class LiveMaster(_LiveSide):
         key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
         insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
         listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
-        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
+        duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
         patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        started_s: When a person started this side, by `time.monotonic()`; without it now. At the first tick it counts as
-            a press of the clutch if it is at most 5 s old.
+        started_s: When the operator started this side, by `time.monotonic()`; without it now. At the first tick it counts
+            as a press of the clutch if it is at most 5 s old.
         keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
-        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
+        realtime: "auto": requests SCHED_FIFO and locked memory, and goes on without; "off": requests nothing; "require":
             fails without.
         priority: Under SCHED_FIFO, 1 to 99.
         cpu: Processor that the loop stays on; without it the kernel chooses.
@@ -2167,53 +2188,15 @@ class LiveMaster(_LiveSide):
     def realtime(self) -> str:
         """What the loop's thread got of the system, as read back from it."""
 
-    def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: the act of a person at this side.
-
-        Void if the loop does not come to it within 0.25 s, or was late within 0.25 s before.
-        """
-
-    def set_force_scale(self, scale: float) -> None:
-        """Changes lambda_f from the next tick on; the limiter says how fast the force follows.
-
-        Raises:
-            ValueError: A scale that is not finite or not above 0.
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def acknowledge(self) -> None:
-        """Says that the fault of this side is mended: the clutch must then be released and pressed.
-
-        Raises:
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def finish(self) -> tuple[MasterTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went.
-
-        Raises:
-            RuntimeError: Called a second time, or the loop panicked.
-        """
-
 @final
-class LiveSlave(_LiveSide):
+class LiveSlave(_SlaveSide):
     """The side of the robot, live over UDP on a thread of its own; it learns the master's address.
 
     Args:
         scene: As `scene_json` gives it; its arm is a model in its environment.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
-        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
-        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
-        duration_s: Ends this long after the two sides engaged, in s; without it only when told.
-        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
-        realtime: "auto": asks for SCHED_FIFO and locked memory, and goes on without; "off": does not ask; "require":
-            fails without.
-        priority: Under SCHED_FIFO, 1 to 99.
-        cpu: Processor that the loop stays on; without it the kernel chooses.
-        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
-        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
+
+    The others are those of `LiveMaster`.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
@@ -2242,55 +2225,17 @@ class LiveSlave(_LiveSide):
     def realtime(self) -> str:
         """What the loop's thread got of the system, as read back from it."""
 
-    def allow_takeover(self) -> None:
-        """Lets another master begin, if the one before has been silent for 2 s: the act of a person at the slave."""
-    def set_position_scale(self, scale: float) -> None:
-        """Changes lambda_p from the next tick on; the arm goes on from where it is.
-
-        Raises:
-            ValueError: A scale that is not finite or not above 0.
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def acknowledge(self) -> None:
-        """Says that the fault of this side is mended: the master's clutch must then be released and pressed.
-
-        Raises:
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def finish(self) -> tuple[SlaveTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went.
-
-        Raises:
-            RuntimeError: Called a second time, or the loop panicked.
-        """
-
 @final
-class MasterLoop(_LiveSide):
+class MasterLoop(_MasterSide, _DrivenLoop):
     """The side of the hand, live over UDP, stepped by a driver at each sample of its device: `begin`, `step`, `finish`.
 
     Args:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
-        peer: The slave or a proxy before it, `HOST:PORT`.
-        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
-        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
-        listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6); any free port if not given.
         clutch: Of a device without a button: "once" is pressed by the start, if the device opens within 5 s, and anew by
             `press_clutch` only; "auto" also by a simulated operator, 0.5 s (or its reaction) after each hold.
             The scene's operator has no say.
-        duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
-        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        started_s: When the operator started this side, by `time.monotonic()`; without it now. At the first tick it counts as
-            a press of the clutch if it is at most 5 s old.
-        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
-        realtime: "auto": requests SCHED_FIFO and locked memory, and goes on without; "off": requests nothing; "require":
-            fails without.
-        priority: Under SCHED_FIFO, 1 to 99.
-        cpu: Processor that the loop stays on; without it the kernel chooses.
-        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
-        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
+
+    The others are those of `LiveMaster`.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
@@ -2319,13 +2264,6 @@ class MasterLoop(_LiveSide):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
     ) -> MasterLoop: ...
-    def begin(self) -> str:
-        """Time begins; requests real time of the system for this thread, and returns what was granted.
-
-        Raises:
-            OSError: Real time is required and refused; the loop is over.
-        """
-
     def step(
         self,
         position: _Sample,
@@ -2352,66 +2290,15 @@ class MasterLoop(_LiveSide):
             RuntimeError: Another thread steps it.
         """
 
-    def wait(self) -> None:
-        """Sleeps until the next tick is due: for a device that does not wait in `read`."""
-
-    def fail(self, text: str = "") -> None:
-        """The device is gone: a fault, which is sent to the peer for 60 ticks; the loop is over.
-
-        Args:
-            text: The driver's own, which both sides show: up to 239 bytes of UTF-8 on one line.
-        """
-
-    def announce_end(self) -> None:
-        """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
-
-    def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: a command of this side's operator.
-
-        Void if the loop does not read it within 0.25 s, or was late within 0.25 s before.
-        """
-
-    def set_force_scale(self, scale: float) -> None:
-        """Changes lambda_f from the next tick on; the limiter says how fast the force follows.
-
-        Raises:
-            ValueError: A scale that is not finite or not above 0.
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def acknowledge(self) -> None:
-        """Says that the fault of this side is mended: the clutch must then be released and pressed.
-
-        Raises:
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def finish(self) -> tuple[MasterTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went.
-
-        Raises:
-            RuntimeError: Called a second time, or the loop panicked.
-        """
-
 @final
-class SlaveLoop(_LiveSide):
+class SlaveLoop(_SlaveSide, _DrivenLoop):
     """The side of the robot, live over UDP, stepped by a driver at each sample of its arm: `begin`, `step`, `finish`.
 
     Args:
         scene: As `scene_json` gives it; its device and its arm are left to drivers.
         listen: Its address, `HOST:PORT`; port 0 lets the system choose.
-        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
-        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
-        duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
-        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start.
-        realtime: "auto": requests SCHED_FIFO and locked memory, and goes on without; "off": requests nothing; "require":
-            fails without.
-        priority: Under SCHED_FIFO, 1 to 99.
-        cpu: Processor that the loop stays on; without it the kernel chooses.
-        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
-        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
+
+    The others are those of `LiveMaster`.
 
     Raises:
         ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
@@ -2436,13 +2323,6 @@ class SlaveLoop(_LiveSide):
         record: str | PathLike[str] | None = None,
         min_free_bytes: int = ...,
     ) -> SlaveLoop: ...
-    def begin(self) -> str:
-        """Time begins; requests real time of the system for this thread, and returns what was granted.
-
-        Raises:
-            OSError: Real time is required and refused; the loop is over.
-        """
-
     def step(
         self,
         position: _Sample,
@@ -2469,43 +2349,6 @@ class SlaveLoop(_LiveSide):
         Raises:
             TypeError: A sample that is no number, or of another number of axes; nothing was done.
             RuntimeError: Another thread steps it.
-        """
-
-    def wait(self) -> None:
-        """Sleeps until the next tick is due: for an arm that does not wait in `read`."""
-
-    def fail(self, text: str = "") -> None:
-        """The arm is gone: a fault, which is sent to the peer for 60 ticks; the loop is over.
-
-        Args:
-            text: The driver's own, which both sides show: up to 239 bytes of UTF-8 on one line.
-        """
-
-    def announce_end(self) -> None:
-        """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
-
-    def allow_takeover(self) -> None:
-        """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""
-    def set_position_scale(self, scale: float) -> None:
-        """Changes lambda_p from the next tick on; the arm goes on from where it is.
-
-        Raises:
-            ValueError: A scale that is not finite or not above 0.
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def acknowledge(self) -> None:
-        """Says that the fault of this side is mended: the master's clutch must then be released and pressed.
-
-        Raises:
-            RuntimeError: The loop has ended, or hangs.
-        """
-
-    def finish(self) -> tuple[SlaveTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went.
-
-        Raises:
-            RuntimeError: Called a second time, or the loop panicked.
         """
 
 def ladder_reason(code: int) -> str:
