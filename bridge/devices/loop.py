@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, ClassVar
 
-from haptether._core import LiveSlave, LoopReport, MasterLoop, MasterTrace, SlaveLoop, SlaveTrace
+from haptether._core import LoopReport, MasterLoop, MasterTrace, SlaveLoop, SlaveTrace
 from haptether.bridge.devices.open import DeviceNotes, close_once, encodable, failure, opened
 from haptether.bridge.interpreter import QUIET
 
@@ -157,8 +157,20 @@ def _acknowledge(
 class DeviceRun(_LiveSide):
     """A loop and its device on a thread of their own; what is seen of it is as with `LiveMaster` and `LiveSlave`."""
 
-    FROM_LOOP: ClassVar = frozenset(dir(MasterLoop)) & frozenset(dir(LiveSlave))
-    """What every live side has: where it is not answered here, the loop answers."""
+    _FROM_LOOP: ClassVar = frozenset(
+        {
+            "address",
+            "cause",
+            "flight",
+            "ineffective_presses",
+            "is_answered",
+            "recording",
+            "security_events",
+            "state",
+            "ticks",
+        }
+    )
+    """What the loop answers as it does to whoever has `LiveMaster` or `LiveSlave`."""
 
     def __init__(
         self,
@@ -198,7 +210,7 @@ class DeviceRun(_LiveSide):
     if not TYPE_CHECKING:  # else any name would do
 
         def __getattr__(self, name: str) -> object:
-            if name in self.FROM_LOOP:
+            if name in self._FROM_LOOP:
                 return getattr(self._loop, name)
             message = f"{type(self).__name__!r} object has no attribute {name!r}"
             raise AttributeError(message, name=name, obj=self)
@@ -249,7 +261,7 @@ class DeviceRun(_LiveSide):
         atexit.unregister(self._leave)
         self._unquiet()
         if self._thread.is_alive():
-            message = f"the driver has blocked for {JOIN_S:g} s: its device keeps what it was told last"
+            message = f"the driver has blocked for {JOIN_S:g} s: its device keeps its last command"
             raise RuntimeError(message)
 
 

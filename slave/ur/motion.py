@@ -103,7 +103,7 @@ class Motion:
         away_m = math.dist(target, tool)
         if away_m > max_m:
             message = (
-                f"told to begin {1e3 * away_m:.1f} mm away from where the tool is (max_jump {1e3 * max_m:g} mm):"
+                f"commanded to begin {1e3 * away_m:.1f} mm away from where the tool is (max_jump {1e3 * max_m:g} mm):"
                 " acknowledge and engage anew"
             )
             raise MotionError(message)
@@ -125,7 +125,7 @@ class Motion:
         behind_m = math.dist(self.point.position, _three(state.pose))
         if behind_m > self._max_behind_m:
             message = (
-                f"the arm does not follow: {1e3 * behind_m:.0f} mm behind where it was sent"
+                f"the arm does not follow: {1e3 * behind_m:.0f} mm behind its command"
                 f" (allowed {1e3 * self._max_behind_m:.0f} mm): see what holds it, then acknowledge"
             )
             raise MotionError(message)

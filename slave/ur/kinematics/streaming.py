@@ -256,8 +256,8 @@ class BrakedPoint:
         upper = np.full(len(least) + 3, UNBOUNDED)
         nearest = QuadraticProgram(np.eye(3), -target, self._normals, np.concatenate((-anywhere, least)), upper)
         solution = self._solver.solve(nearest)
-        if solution is not None:
-            self.position = np.array(solution)
+        # Without a solution no plane accounts for any lag.
+        self.position = target if solution is None else np.array(solution)
 
 
 # ---------------------------------------------------------------------------------------------------------- the program

@@ -11,7 +11,7 @@ const MAX_SHAPE: f64 = 1e4;
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Gamma {
-    least_s: f64,
+    min_s: f64,
     scale_s: f64,
     excess: StandardGamma,
 }
@@ -21,7 +21,7 @@ impl Gamma {
         let max_s = mean_s / MIN_SHAPE.sqrt();
         at_most(sigma_s, max_s, "gamma", mean_s, "for more take the distribution lognormal")?;
         let ratio = mean_s / sigma_s;
-        Ok(Self { least_s: 0.0, scale_s: sigma_s / ratio, excess: StandardGamma::new(ratio * ratio) })
+        Ok(Self { min_s: 0.0, scale_s: sigma_s / ratio, excess: StandardGamma::new(ratio * ratio) })
     }
 
     pub(super) fn shifted(mean_s: f64, sigma_s: f64, shape: f64) -> Result<Self, LinkSettingsError> {
@@ -30,14 +30,14 @@ impl Gamma {
         let remedy = "for more take a smaller distribution_shape";
         at_most(sigma_s, mean_s / root, "a least one and a gamma excess of this shape", mean_s, remedy)?;
         Ok(Self {
-            least_s: (mean_s - root * sigma_s).max(0.0),
+            min_s: (mean_s - root * sigma_s).max(0.0),
             scale_s: sigma_s / root,
             excess: StandardGamma::new(shape),
         })
     }
 
     pub(super) fn at(&self, point: Tails) -> f64 {
-        self.least_s + self.scale_s * self.excess.quantile(point)
+        self.min_s + self.scale_s * self.excess.quantile(point)
     }
 }
 

@@ -33,7 +33,7 @@ impl Uniform {
 /// Source: A. M. Sukhov, N. Kuznetsova, A. Pervitsky, A. Galtsev, "Generating function for network delay", 2010.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exponential {
-    least_s: f64,
+    min_s: f64,
     scale_s: f64,
 }
 
@@ -41,11 +41,11 @@ impl Exponential {
     pub(super) fn new(mean_s: f64, sigma_s: f64) -> Result<Self, LinkSettingsError> {
         let remedy = "for more take the distribution gamma or lognormal";
         at_most(sigma_s, mean_s, "a least one and an exponential excess", mean_s, remedy)?;
-        Ok(Self { least_s: (mean_s - sigma_s).max(0.0), scale_s: sigma_s })
+        Ok(Self { min_s: (mean_s - sigma_s).max(0.0), scale_s: sigma_s })
     }
 
     pub(super) fn at(&self, point: Tails) -> f64 {
-        self.least_s - self.scale_s * log_above(point)
+        self.min_s - self.scale_s * log_above(point)
     }
 }
 
@@ -67,7 +67,7 @@ const MAX_INDEX: f64 = 100.0;
 /// Source: N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous univariate distributions" vol. 1, 1994, chapter 20.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pareto {
-    least_s: f64,
+    min_s: f64,
     scale_s: f64,
     index: f64,
 }
@@ -81,11 +81,11 @@ impl Pareto {
         let remedy = "for more take a smaller distribution_shape or the distribution lognormal";
         at_most(sigma_s, mean_s / rise, "a least one and a Pareto excess", mean_s, remedy)?;
         let scale_s = sigma_s * (index - 1.0) * rise;
-        Ok(Self { least_s: (mean_s - rise * sigma_s).max(0.0), scale_s, index })
+        Ok(Self { min_s: (mean_s - rise * sigma_s).max(0.0), scale_s, index })
     }
 
     pub(super) fn at(&self, point: Tails) -> f64 {
-        self.least_s + self.scale_s * libm::expm1(-log_above(point) / self.index)
+        self.min_s + self.scale_s * libm::expm1(-log_above(point) / self.index)
     }
 }
 
