@@ -4,11 +4,10 @@ Each line says what was found, and what to do where it is refused.
 """
 
 import math
-import sys
 import time
-from collections.abc import Callable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
+from haptether.slave.checklist import Checklist, RefusedError
 from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import (
@@ -31,6 +30,9 @@ from haptether.slave.ur.state import (
     mode_text,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 OLDEST: Final = ((3, 15), (5, 4))
 """Before these, registers or status bits that the library needs are missing."""
 REMOTE_SINCE: Final = (5, 6)
@@ -46,47 +48,8 @@ ENDED_WITHIN_S: Final = 0.5
 """More than the watchdog's longest period."""
 
 
-class UrRefusedError(RuntimeError):
+class UrRefusedError(RefusedError):
     """The arm is not to be moved now."""
-
-
-class Checklist:
-    """Lines of what was found; `finish` raises where one was refused.
-
-    Args:
-        host: The controller.
-        report: Takes each line; by default they go to standard error.
-    """
-
-    def __init__(self, host: str, report: Callable[[str], None] | None = None) -> None:
-        self._host = host
-        self._report = report or _to_stderr
-        self.refused: list[str] = []
-
-    def ok(self, what: str, found: str) -> None:
-        """It is as it should be."""
-        self._report(f"ur {self._host}: ok       {what}: {found}")
-
-    def refuse(self, what: str, found: str, remedy: str) -> None:
-        """It is not."""
-        self._report(f"ur {self._host}: REFUSED  {what}: {found}: {remedy}")
-        self.refused.append(f"{what}: {found}: {remedy}")
-
-    def check(self, what: str, found: str, *, good: bool, remedy: str) -> None:
-        """One or the other."""
-        if good:
-            self.ok(what, found)
-        else:
-            self.refuse(what, found, remedy)
-
-    def finish(self) -> None:
-        """Ends a part of the list.
-
-        Raises:
-            UrRefusedError: Something was refused.
-        """
-        if self.refused:
-            raise UrRefusedError("; ".join(self.refused))
 
 
 REACHABLE: Final = "is it on, in this network, and RTDE not disabled in its security settings?"
@@ -333,7 +296,3 @@ def _unlocked(host: str, seen: Probe, stopped_at_s: float) -> Probe:
 
 def _text(pose: object) -> str:
     return "(" + ", ".join(f"{part:g}" for part in pose) + ")"  # type: ignore[attr-defined]  # numbers
-
-
-def _to_stderr(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)

@@ -6,11 +6,12 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
+from haptether.slave.checklist import Checklist
 from haptether.slave.device import SlaveSample
 from haptether.slave.ur.checks import (
     NO_DASHBOARD_SINCE,
     REMOTE_SINCE,
-    Checklist,
+    UrRefusedError,
     check_address,
     check_after,
     check_before,
@@ -91,7 +92,7 @@ class UrSlave:
         """Goes through the checklist and connects; the arm does not move."""
         vendor_module()
         self._closed = False
-        checklist = Checklist(self.options.host)
+        checklist = Checklist(f"ur {self.options.host}", error=UrRefusedError)
         options = self.options = replace(self.options, host=check_address(self.options.host, checklist))
         seen = check_before(options, checklist)
         check_mode(options, seen.version)

@@ -1,13 +1,13 @@
 """What the driver of a UR arm is called with: `[slave.options]` of a scene."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
-from haptether.slave.allowed import allowed
+from haptether.slave.options import converted, refused
 from haptether.slave.ur.kinematics.constraints import WorkspacePlane
 from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS, Six, ur_model
 
@@ -97,22 +97,7 @@ def ur_options(given: Mapping[str, Any]) -> UrOptions:
     Raises:
         ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
     """
-    known = UrOptions.__struct_fields__
-    for key in given:
-        if key not in known:
-            raise _wrong(key, given[key], f"is no option: must be one of {', '.join(known)}")
-    if "host" not in given:
-        message = "device = ur: options: host is missing: must be the address of the controller"
-        raise ValueError(message)
-    for key, value in given.items():
-        if not all(map(math.isfinite, _numbers(value))):
-            raise _wrong(key, value, "must be finite")
-    try:
-        options = msgspec.convert(dict(given), UrOptions, strict=False)
-    except msgspec.ValidationError as error:
-        _, _, place = str(error).partition(" - at `$.")
-        key = place.split("[")[0].split(".")[0].rstrip("`")
-        raise _wrong(key, given.get(key), f"must be {allowed(UrOptions, key)}") from None
+    options = converted(UrOptions, given, "device = ur", {"host": "the address of the controller"})
     _check(options)
     return options
 
@@ -142,15 +127,5 @@ def _check(options: UrOptions) -> None:
         raise _wrong("force_source", "raw", f"a {model.name} has no sensor in its flange: must be tcp")
 
 
-def _numbers(value: object) -> Iterator[float]:
-    if isinstance(value, float | int):
-        yield float(value)
-    elif isinstance(value, list | tuple):
-        for part in value:
-            yield from _numbers(part)
-    elif isinstance(value, str) and value.strip().lstrip("+-").lower() in {"nan", "inf", "infinity"}:
-        yield math.nan
-
-
 def _wrong(key: str, value: object, why: str) -> ValueError:
-    return ValueError(f"device = ur: {key} = {value!r}: {why}")
+    return refused("device = ur", key, value, why)

@@ -1,0 +1,91 @@
+"""The options of a driver: read from what a scene has, and what each may be, as text, from its annotation."""
+
+import math
+from collections.abc import Iterator, Mapping
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import Meta, Struct
+
+Options = TypeVar("Options", bound=Struct)
+
+
+def converted(kind: type[Options], given: Mapping[str, Any], device: str, required: Mapping[str, str]) -> Options:
+    """The options from what a scene has, whose numbers may be written as text.
+
+    Args:
+        kind: Their type.
+        given: What the scene has.
+        device: What names the driver in the scene, such as `device = ur`.
+        required: What must be given, each with what it must be.
+
+    Raises:
+        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+    """
+    known = kind.__struct_fields__
+    for key in given:
+        if key not in known:
+            raise refused(device, key, given[key], f"is no option: must be one of {', '.join(known)}")
+    for key, what in required.items():
+        if key not in given:
+            message = f"{device}: options: {key} is missing: must be {what}"
+            raise ValueError(message)
+    for key, value in given.items():
+        if not all(map(math.isfinite, _numbers(value))):
+            raise refused(device, key, value, "must be finite")
+    try:
+        return msgspec.convert(dict(given), kind, strict=False)
+    except msgspec.ValidationError as error:
+        _, _, place = str(error).partition(" - at `$.")
+        key = place.split("[")[0].split(".")[0].rstrip("`")
+        raise refused(device, key, given.get(key), f"must be {allowed(kind, key)}") from None
+
+
+def refused(device: str, key: str, value: object, why: str) -> ValueError:
+    """The error of an option: driver, key, what was given, and what it must be."""
+    return ValueError(f"{device}: {key} = {value!r}: {why}")
+
+
+def allowed(options: type[Struct], key: str) -> str:
+    """What may stand at a key of the options, such as `0 to 50 kg`.
+
+    The unit is that of the annotation, `Meta(extra={"unit": "kg"})`.
+    """
+    return _text(get_type_hints(options, include_extras=True)[key], Meta())
+
+
+def _text(kind: Any, meta: Meta) -> str:  # noqa: ANN401  # a type as typing writes it
+    origin, parts = get_origin(kind), get_args(kind)
+    unit = f" {meta.extra['unit']}" if meta.extra else ""
+    if origin is Annotated:
+        text = _text(parts[0], parts[1])
+    elif origin in {UnionType, Union}:
+        # A scene cannot write the none that stands for a default.
+        text = " or ".join(_text(part, meta) for part in parts if part is not NoneType)
+    elif origin is Literal:
+        text = f"one of {', '.join(parts)}" if isinstance(parts[0], str) else " or ".join(map(str, parts)) + unit
+    elif origin is tuple and parts[-1] is Ellipsis:
+        text = f"a list of {_text(parts[0], meta)} each"
+    elif origin is tuple:
+        text = f"{len(parts)} numbers"
+    else:
+        text = {bool: "true or false", str: "a string"}.get(kind) or f"{_range(meta)}{unit}"
+    return text
+
+
+def _range(meta: Meta) -> str:
+    if meta.ge is not None and meta.le is not None:
+        return f"{meta.ge:g} to {meta.le:g}"
+    limits = (("above", meta.gt), ("at least", meta.ge), ("below", meta.lt), ("at most", meta.le))
+    return " and ".join(f"{word} {limit:g}" for word, limit in limits if limit is not None) or "a number"
+
+
+def _numbers(value: object) -> Iterator[float]:
+    if isinstance(value, float | int):
+        yield float(value)
+    elif isinstance(value, list | tuple):
+        for part in value:
+            yield from _numbers(part)
+    elif isinstance(value, str) and value.strip().lstrip("+-").lower() in {"nan", "inf", "infinity"}:
+        yield math.nan
