@@ -18,7 +18,7 @@ from haptether._core import (
     ladder_state_name,
     run_local,
 )
-from haptether.bridge.devices.find import MASTERS, SLAVES, device_names, load_master, load_slave
+from haptether.bridge.devices.find import GRIPPERS, MASTERS, SLAVES, device_names, load_gripper, load_master, load_slave
 from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
 from haptether.bridge.recording import RecordedCause, RecordedStep, Recording, read_recording
@@ -70,6 +70,7 @@ from haptether.bridge.scene.tables.slave import (
 from haptether.bridge.session_key import read_key, wipe_key, write_key
 
 __all__ = [
+    "GRIPPERS",
     "MASTERS",
     "SLAVES",
     "AdaptiveWindow",
@@ -138,6 +139,7 @@ __all__ = [
     "drive_slave",
     "ladder_reason",
     "ladder_state_name",
+    "load_gripper",
     "load_master",
     "load_scene",
     "load_slave",

@@ -1,12 +1,16 @@
-"""The side of the robot: arm and environment models, what a driver of an arm has, the UR arm and its kinematics."""
+"""The side of the robot: arm and environment models, what drivers of arms and grippers have, the UR arm, Robotiq."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from haptether._core import ForceSensor, SceneTouch, Wall
 from haptether.slave.device import SlaveDevice, SlaveSample
+from haptether.slave.gripper import Gripper, GripperCommand, GripperSample
 
 if TYPE_CHECKING:
+    from haptether.slave.robotiq.driver import RobotiqGripper
+    from haptether.slave.robotiq.models import ROBOTIQ_MODELS, RobotiqModel
+    from haptether.slave.robotiq.options import RobotiqOptions
     from haptether.slave.ur.driver import UrSlave
     from haptether.slave.ur.kinematics.arm import Rates, UrKinematics
     from haptether.slave.ur.kinematics.chain import UrCalibration, read_calibration
@@ -23,10 +27,17 @@ if TYPE_CHECKING:
     from haptether.slave.ur.options import UrOptions
 
 __all__ = [
+    "ROBOTIQ_MODELS",
     "UR_MODELS",
     "ForceSensor",
+    "Gripper",
+    "GripperCommand",
+    "GripperSample",
     "QuadraticProgram",
     "Rates",
+    "RobotiqGripper",
+    "RobotiqModel",
+    "RobotiqOptions",
     "SceneTouch",
     "SelfKeepOut",
     "SlaveDevice",
@@ -52,6 +63,9 @@ __all__ = [
 WHERE: Final = {
     name: module
     for module, names in {
+        "robotiq.driver": ("RobotiqGripper",),
+        "robotiq.models": ("ROBOTIQ_MODELS", "RobotiqModel"),
+        "robotiq.options": ("RobotiqOptions",),
         "ur.driver": ("UrSlave",),
         "ur.kinematics.arm": ("Rates", "UrKinematics"),
         "ur.kinematics.chain": ("UrCalibration", "read_calibration"),

@@ -8,13 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from haptether.master import MasterDevice
-    from haptether.slave import SlaveDevice
+    from haptether.slave import Gripper, SlaveDevice
 
 MASTERS = "haptether.masters"
 SLAVES = "haptether.slaves"
-_KEYS = {MASTERS: "[master] driver", SLAVES: "[slave] device"}
+GRIPPERS = "haptether.grippers"
+_KEYS = {MASTERS: "[master] driver", SLAVES: "[slave] device", GRIPPERS: "[slave.gripper] device"}
 """What names a driver in a scene."""
-_METHODS = {MASTERS: ("open", "read", "write", "close"), SLAVES: ("open", "read", "write", "stop", "close")}
+_METHODS = {
+    MASTERS: ("open", "read", "write", "close"),
+    SLAVES: ("open", "read", "write", "stop", "close"),
+    GRIPPERS: ("open", "read", "write", "hold", "close"),
+}
 
 
 def device_names(group: str) -> tuple[str, ...]:
@@ -42,7 +47,17 @@ def load_slave(name: str, options: Mapping[str, Any]) -> "SlaveDevice":
     return device
 
 
-def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401  # of either group
+def load_gripper(name: str, options: Mapping[str, Any]) -> "Gripper":
+    """The driver of a gripper, called with `options` as keywords.
+
+    Raises:
+        ValueError: No such driver, options that it does not have, or something that is none.
+    """
+    gripper: Gripper = _load(GRIPPERS, name, options)
+    return gripper
+
+
+def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401  # of that group
     named = _KEYS[group]
     found = entry_points(group=group, name=name)
     if not found:
@@ -69,7 +84,8 @@ def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: AN
         raise ValueError(message) from None
     device = make(**options)
     missing = [method for method in _METHODS[group] if not callable(getattr(device, method, None))]
-    if not isinstance(getattr(device, "paces", None), bool):
+    # A gripper has a pace of its own.
+    if group != GRIPPERS and not isinstance(getattr(device, "paces", None), bool):
         missing.append("paces")
     if missing:
         message = f"{named} = {name}: {point.value} has no {', '.join(missing)}"

@@ -11,8 +11,8 @@ import tyro
 class List:
     """Say what there is to name: drivers of devices, presets of devices, scenes, networks, and who watches a hand.
 
-    Drivers are entry points of the groups `haptether.masters` and `haptether.slaves`; other packages that are installed
-    may bring more.
+    Drivers are entry points of the groups `haptether.masters`, `haptether.slaves` and `haptether.grippers`; other
+    packages that are installed may bring more.
 
     Examples:
 
@@ -28,7 +28,7 @@ class List:
         """Prints the names of each kind."""
         from rich.padding import Padding
 
-        from haptether.bridge import MASTERS, SLAVES, device_names, scene_names
+        from haptether.bridge import GRIPPERS, MASTERS, SLAVES, device_names, scene_names
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.master import DEVICE_PRESETS
@@ -39,6 +39,10 @@ class List:
         kinds: dict[str, tuple[str, tuple[str, ...]]] = {
             "[master] driver": ("drivers of haptic devices; without one a model", device_names(MASTERS)),
             "[slave] device": ("drivers of arms, and a model", ("simulated", *device_names(SLAVES))),
+            "[slave.gripper] device": (
+                "drivers of grippers, for haptether.bridge.load_gripper",
+                device_names(GRIPPERS),
+            ),
             "[master] device": ("presets of haptic devices", tuple(DEVICE_PRESETS)),
             "SCENE": ("scenes: haptether simulate --list says what they show", scene_names()),
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),

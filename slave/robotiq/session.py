@@ -1,0 +1,243 @@
+"""Which request a gripper is sent next, and what its replies say of it: a state machine, time is an argument."""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+from haptether.slave.gripper import GripperCommand, GripperSample
+from haptether.slave.robotiq.models import Scale
+from haptether.slave.robotiq.protocol import (
+    ACTIVE,
+    CLEAR,
+    CONTACT,
+    CONTACT_CLOSING,
+    MOVING,
+    Request,
+    fault_text,
+    get,
+    set_,
+)
+
+NS: Final = 1_000_000_000
+BUSY: Final = 3.0
+"""A position is asked for at most each so many round trips: the server has other clients, and commands are to get
+through at once."""
+AVERAGED: Final = 8
+"""Round trips that the measured one follows."""
+TURNS: Final = {"POS": 1, "OBJ": 2, "FLT": 5, "STA": 10}
+"""Each is read every so many periods of the position."""
+RESENT_NS: Final = 300_000_000
+"""After which a request is sent again that the gripper does not echo: one that comes right after GTO may be dropped."""
+ECHOED_NS: Final = 1_000_000_000
+MAX_ECHOES: Final = 256
+VELOCITY_NS: Final = 100_000_000
+"""Over which the velocity is measured: a count each 20 ms is 0.2 /s."""
+START: Final = ("STA", "FLT", "POS", "PRE", "OBJ", "GTO", "FOR")
+"""What a session begins with."""
+
+
+class Order(NamedTuple):
+    """What the gripper is to do, the newest of all."""
+
+    number: int
+    """Another one for each order."""
+    move: GripperCommand | None
+    """None to hold."""
+
+
+class Session:
+    """One connection to a gripper that is active.
+
+    Args:
+        scale: Of the gripper.
+        rate_hz: How often the position is read at most.
+        values: Those of `START`, as they were read.
+        order: The last order that is not to be followed any more.
+        now_ns: Time in ns.
+    """
+
+    def __init__(
+        self, scale: Scale, rate_hz: float, values: Mapping[str, int], order: Order | None, now_ns: int
+    ) -> None:
+        self.fault: str | None = None
+        """Latched."""
+        self._scale = scale
+        self._least_ns = round(NS / rate_hz)
+        self._round_trip_ns = 0.0
+        self._position = values["POS"]
+        self._going = values["GTO"] == 1
+        self._contact = values["OBJ"] if self._going and values["OBJ"] in CONTACT else None
+        """OBJ, where it is that of something between the jaws."""
+        self._moves = self._going and values["OBJ"] == MOVING
+        self._force_n = scale.force_n(values["FOR"])
+        self._done = -1 if order is None else order.number
+        self._sent: dict[str, int] | None = None
+        """The newest request; none where this session has made none."""
+        self._sent_ns = now_ns
+        self._echoes: deque[tuple[int, int]] = deque(maxlen=MAX_ECHOES)
+        """Requested positions that PRE has not shown, each with when it was sent, the newest last."""
+        self._unread = False
+        """Whether OBJ was not read since PRE shows the newest request."""
+        self._was_set = False
+        """Whether the last exchange was no reading: a stream of commands is to leave room for those."""
+        self._read_ns = dict.fromkeys((*TURNS, "PRE"), now_ns - NS)
+        self._positions = deque([(now_ns, self._position)], maxlen=64)
+
+    # ------------------------------------------------------------------------------------------------- requests
+
+    def due(self, order: Order | None, now_ns: int) -> Request | None:
+        """The request that is due, if any; its reply must be reported before the next."""
+        request = self._setting(order, now_ns)
+        self._was_set = request is not None
+        if request is not None:
+            return request
+        wanted_ns, variable = min((self._due_ns(variable), variable) for variable in self._read)
+        if wanted_ns > now_ns:
+            return None
+        self._read_ns[variable] = now_ns
+        return get(variable)
+
+    def wait_ns(self, order: Order | None, now_ns: int) -> int:
+        """How long until something is due, in ns, unless there is a newer order."""
+        due_ns = min(map(self._due_ns, self._read))
+        if order is not None and order.number != self._done:
+            due_ns = min(due_ns, self._sent_ns + self._period_ns)
+        return max(0, due_ns - now_ns)
+
+    @property
+    def round_trip_s(self) -> float:
+        """From a request to its reply, in s, averaged."""
+        return self._round_trip_ns / NS
+
+    @property
+    def _period_ns(self) -> int:
+        return max(self._least_ns, round(BUSY * self._round_trip_ns))
+
+    @property
+    def _read(self) -> tuple[str, ...]:
+        return (*TURNS, "PRE") if self._echoes else tuple(TURNS)
+
+    def _due_ns(self, variable: str) -> int:
+        often = variable == "PRE" or (variable == "OBJ" and (self._unread or self._moves))
+        return self._read_ns[variable] + (1 if often else TURNS[variable]) * self._period_ns
+
+    def _setting(self, order: Order | None, now_ns: int) -> Request | None:
+        if self.fault is not None:
+            # What was ordered before it is not followed after it.
+            self._done = self._done if order is None else order.number
+            return self._stop()
+        if order is not None and order.number != self._done:
+            if order.move is None:
+                self._done = order.number
+                return self._stop()
+            if self._was_set or now_ns - self._sent_ns < self._period_ns:
+                return None
+            self._done = order.number
+            wanted = self._scale.request(order.move)
+            return None if self._going and wanted == self._sent else self._go(wanted, now_ns)
+        if self._echoes and self._sent is not None and now_ns - self._sent_ns >= RESENT_NS:
+            self._sent_ns = now_ns
+            return set_({**self._sent, "GTO": 1})
+        return None
+
+    def _go(self, wanted: dict[str, int], now_ns: int) -> Request:
+        if not self._going or self._sent is None or self._sent["POS"] != wanted["POS"]:
+            self._echoes.append((now_ns, wanted["POS"]))
+            self._unread = True
+        self._sent, self._sent_ns, self._going = wanted, now_ns, True
+        self._force_n = self._scale.force_n(wanted["FOR"])
+        return set_({**wanted, "GTO": 1})
+
+    def _stop(self) -> Request | None:
+        """GTO 0, unless the jaws rest: those that press on something keep their force."""
+        if not self._may_move:
+            return None
+        self._going = self._unread = self._moves = False
+        self._contact = None
+        self._echoes.clear()
+        return set_({"GTO": 0})
+
+    @property
+    def _may_move(self) -> bool:
+        if not self._going:
+            return False
+        if not self._unread:
+            return self._moves
+        # What they do about the newest request is not known: they rest where it presses on what they hold.
+        return self._contact is None or not self._presses(self._contact)
+
+    def _presses(self, contact: int) -> bool:
+        """Whether the newest request goes on against what was met."""
+        requested = self._position if self._sent is None else self._sent["POS"]
+        return requested >= self._position if contact == CONTACT_CLOSING else requested <= self._position
+
+    # -------------------------------------------------------------------------------------------------- replies
+
+    def replied(self, request: Request, value: int | None, sent_ns: int, now_ns: int) -> None:
+        """The reply to a request, as it was sent at a time in ns."""
+        self._round_trip_ns += (now_ns - sent_ns - self._round_trip_ns) / AVERAGED
+        if request.reads is None or value is None:
+            return
+        match request.reads:
+            case "POS":
+                self._position = value
+                self._positions.append((now_ns, value))
+            case "PRE":
+                self._look_at_echo(value, now_ns)
+            case "OBJ":
+                self._look_at_jaws(value)
+            case "FLT" if value != 0:
+                self.latch(fault_text(value))
+            case "STA" if value != ACTIVE:
+                self.latch(f"not active: STA {value}: it lost power, or another program has reset it: {CLEAR}")
+            case _:
+                pass
+
+    def latch(self, fault: str) -> None:
+        """Something is wrong; the first that is stays until `acknowledge`."""
+        self.fault = self.fault or fault
+
+    def acknowledge(self) -> None:
+        """The operator has removed the fault; what still is wrong shows again with the next readings."""
+        self.fault = None
+        self._echoes.clear()
+
+    def _look_at_jaws(self, value: int) -> None:
+        if not self._going:
+            return
+        if not self._echoes:
+            self._unread = False
+            self._moves = value == MOVING
+            self._contact = value if value in CONTACT else None
+        elif value == MOVING:
+            self._moves, self._contact = True, None
+        elif value in CONTACT and self._presses(value):
+            # A stream of requests is never echoed to its end; what the newest presses on is held all the same.
+            self._contact = value
+
+    def _look_at_echo(self, value: int, now_ns: int) -> None:
+        shown = next((n for n, (_, position) in reversed([*enumerate(self._echoes)]) if position == value), -1)
+        for _ in range(shown + 1):
+            self._echoes.popleft()
+        if self._echoes and now_ns - self._echoes[0][0] > ECHOED_NS:
+            self.latch(
+                f"request not taken: PRE {value} for {ECHOED_NS / NS:g} s after POS {self._echoes[0][1]}:"
+                " does another program command it, or a camera share its USB?"
+            )
+
+    # --------------------------------------------------------------------------------------------------- sample
+
+    def sample(self, now_ns: int) -> GripperSample:
+        """What is known of the gripper."""
+        while len(self._positions) > 2 and now_ns - self._positions[1][0] >= VELOCITY_NS:
+            self._positions.popleft()
+        (first_ns, first), (last_ns, last) = self._positions[0], self._positions[-1]
+        holds = self._contact is not None
+        per_s = (last - first) * NS / (last_ns - first_ns) if last_ns > first_ns else 0.0
+        return GripperSample(
+            position=self._scale.position(self._position),
+            velocity=self._scale.velocity(per_s),
+            force_n=self._force_n if holds else 0.0,
+            holds_object=holds,
+            fault=self.fault,
+        )
