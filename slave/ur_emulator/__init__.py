@@ -6,6 +6,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.connections import Faults
     from haptether.slave.ur_emulator.control import ControlChannel, ControlLine
     from haptether.slave.ur_emulator.controller import Controller, ControllerSettings
+    from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper, GrippedObject, GripperSettings
     from haptether.slave.ur_emulator.robot.contact import ToolEnvironment, WrenchSensing
     from haptether.slave.ur_emulator.robot.safety import SafetyLimits
     from haptether.slave.ur_emulator.rtde.variables import ControllerVersion
@@ -17,7 +18,10 @@ _MODULES = {
     "Controller": "controller",
     "ControllerSettings": "controller",
     "ControllerVersion": "rtde.variables",
+    "EmulatedGripper": "gripper.gripper",
     "Faults": "connections",
+    "GrippedObject": "gripper.gripper",
+    "GripperSettings": "gripper.gripper",
     "SafetyLimits": "robot.safety",
     "Server": "server",
     "ToolEnvironment": "robot.contact",
@@ -31,7 +35,10 @@ __all__ = [
     "Controller",
     "ControllerSettings",
     "ControllerVersion",
+    "EmulatedGripper",
     "Faults",
+    "GrippedObject",
+    "GripperSettings",
     "SafetyLimits",
     "Server",
     "ToolEnvironment",

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from haptether.slave.ur_emulator.dashboard import BANNER, Dashboard
+from haptether.slave.ur_emulator.gripper.port import MAX_REQUEST, SETTLED, answered, is_request
 from haptether.slave.ur_emulator.rtde.session import RtdeSession
 from haptether.slave.ur_emulator.script.port import ScriptBudget, ScriptReader, runtime_exception
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.controller import Controller
+    from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper
 
 MAX_LINE: Final = 4096
 """Bytes."""
@@ -20,10 +22,12 @@ MAX_MESSAGES: Final = 100
 READ_TIMEOUT_S: Final = 1.0
 """How long a client may read nothing before its connection is closed."""
 
-RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
+RTDE, DASHBOARD, SCRIPT, GRIPPER = "rtde", "dashboard", "script", "gripper"
 PORTS: Final = {30004: RTDE, 29999: DASHBOARD, 30001: SCRIPT, 30002: SCRIPT, 30003: SCRIPT}
 """Fixed by the protocol: clients have no setting for them."""
-KINDS: Final = frozenset({RTDE, DASHBOARD, SCRIPT})
+GRIPPER_PORT: Final = 63352
+"""Of the URCap's server; clients have a setting for it."""
+KINDS: Final = frozenset({RTDE, DASHBOARD, SCRIPT, GRIPPER})
 
 
 class Peer:
@@ -42,6 +46,10 @@ class Peer:
             ValueError: Bytes that break the protocol.
         """
         raise NotImplementedError
+
+    def more(self) -> bytes:
+        """A further answer to bytes that arrived, to be sent on its own; empty where there is none."""
+        return b""
 
     def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
         """The data package or message that is due after so many control cycles, if any."""
@@ -136,6 +144,47 @@ class ScriptPeer(Peer):
         self._messages.append(runtime_exception(error, self._controller.timestamp))
 
 
+class GripperPeer(Peer):
+    """A client of the URCap's server."""
+
+    kind = GRIPPER
+
+    def __init__(self, gripper: "EmulatedGripper") -> None:
+        self._gripper = gripper
+        self._waiting = b""
+        self._waited = 0
+        """Control cycles since the last bytes came."""
+
+    def receive(self, received: bytes) -> tuple[bytes, bool]:
+        """See `Peer`; one reply, `more` has those that follow."""
+        self._waiting += received
+        self._waited = 0
+        answer = self.more()
+        if not answer and len(self._waiting) > MAX_REQUEST:
+            message = f"request of {len(self._waiting)} bytes without an end: must be at most {MAX_REQUEST}"
+            raise ValueError(message)
+        return answer, True
+
+    def more(self) -> bytes:
+        """See `Peer`."""
+        while b"\n" in self._waiting:
+            line, _, self._waiting = self._waiting.partition(b"\n")
+            # An empty line is what is left of an end of line.
+            if (request := line.strip()) and not self._gripper.silent:
+                return answered(self._gripper, request, bare=False)
+        return b""
+
+    def package(self, cycles: int) -> bytes | None:
+        """See `Peer`: the reply to a request whose end of line has not come."""
+        if not self._waiting:
+            return None
+        self._waited += cycles
+        if self._waited < SETTLED or not is_request(self._waiting):
+            return None
+        request, self._waiting = self._waiting, b""
+        return None if self._gripper.silent else answered(self._gripper, request, bare=True)
+
+
 class PeerFactory:
     """Creates the peer of each connection that is accepted."""
 
@@ -148,9 +197,12 @@ class PeerFactory:
     def peer(self, port: int) -> Peer:
         """The peer of a new connection to a port."""
         self._accepted += 1
-        kind = PORTS[port]
+        kind = GRIPPER if port == GRIPPER_PORT else PORTS[port]
         if kind == RTDE:
             return RtdePeer(self._controller, self._accepted)
+        if kind == GRIPPER:
+            assert self._controller.gripper is not None
+            return GripperPeer(self._controller.gripper)
         return DashboardPeer(self._dashboard) if kind == DASHBOARD else ScriptPeer(self._controller, self._held)
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from haptether.printable import printable
 from haptether.slave.ur.state import SafetyMode
 from haptether.slave.ur_emulator.connections import KINDS, MAX_LINE
+from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper, GrippedObject
 from haptether.slave.ur_emulator.robot.safety import MOVING_MODES
 from haptether.slave.ur_emulator.rtde.variables import REGISTERS, ControllerVersion
 
@@ -84,6 +85,9 @@ class ControlLine:
             "refuse": self._refuse_connections,
             "version": self._version,
             "in-use": self._in_use,
+            "gripper-fault": self._gripper_fault,
+            "gripper-object": self._gripper_object,
+            "gripper-silent": self._gripper_silent,
         }
 
     def answer(self, line: str, now_s: float) -> str:
@@ -133,6 +137,7 @@ class ControlLine:
             "watchdog_hz": controller.setup.watchdog_hz,
             "digital_outputs": controller.digital.bits,
             "refused_packages": controller.inputs.refused,
+            "gripper": None if controller.gripper is None else controller.gripper.figures(),
             **(self._process.figures() if self._process is not None else {}),
         }
 
@@ -231,6 +236,37 @@ class ControlLine:
     def _in_use(self, arguments: list[str], _now_s: float) -> None:
         names = [f"input_{kind}_register_{number}" for kind in ("int", "double") for number in range(REGISTERS)]
         self._controller.inputs.blocked = frozenset(names if _switch(arguments) else ())
+
+    # -------------------------------------------------------------------------------------------------- gripper
+
+    @property
+    def _gripper(self) -> EmulatedGripper:
+        gripper = self._controller.gripper
+        if gripper is None:
+            message = "there is no gripper: begin with --gripper"
+            raise ValueError(message)
+        return gripper
+
+    def _gripper_fault(self, arguments: list[str], _now_s: float) -> None:
+        (fault,) = _numbers(arguments, 1)
+        if fault != int(fault):
+            _refuse(f"{arguments[0]}: must be a whole number")
+        self._gripper.fail(int(fault))
+
+    def _gripper_object(self, arguments: list[str], _now_s: float) -> None:
+        if arguments == ["none"]:
+            self._gripper.put(None)
+            return
+        numbers = [argument for argument in arguments if argument != "inside"]
+        if not 1 <= len(numbers) <= 2:
+            _refuse("must be none, or a width in mm, 'inside' where the jaws meet it so, and a stiffness in N/mm")
+        (width_mm,) = _numbers(numbers[:1], 1)
+        stiffness_n_per_m = 1e3 * _positive(numbers[1:], math.inf)
+        inside = "inside" in arguments
+        self._gripper.put(GrippedObject(width_m=1e-3 * width_mm, inside=inside, stiffness_n_per_m=stiffness_n_per_m))
+
+    def _gripper_silent(self, arguments: list[str], _now_s: float) -> None:
+        self._gripper.silent = _switch(arguments)
 
 
 class ControlChannel:

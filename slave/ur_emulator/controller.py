@@ -9,6 +9,7 @@ import numpy as np
 
 from haptether.slave.ur.kinematics.pose import pose_from_transform
 from haptether.slave.ur.state import RuntimeState
+from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper, GripperSettings
 from haptether.slave.ur_emulator.robot.kinematics import Joints, Six, six
 from haptether.slave.ur_emulator.robot.robot import Robot
 from haptether.slave.ur_emulator.robot.safety import (
@@ -74,6 +75,8 @@ class ControllerSettings:
     remote_control: bool = True
     unlock_after_s: float = 5.0
     limits: SafetyLimits = field(default_factory=SafetyLimits)
+    gripper: GripperSettings | None = None
+    """The gripper on its flange, and the URCap's server for it; none without."""
 
 
 class Controller:
@@ -111,6 +114,7 @@ class Controller:
         self.safety = SafetySystem(settings.unlock_after_s, self._safety_stop, self.write_log)
         self.setup = Setup(settings.version, self.protective_stop, self._engaged)
         self.digital = DigitalOutputs(self.inputs)
+        self.gripper = None if settings.gripper is None else EmulatedGripper(settings.gripper)
         self.on_engaged: Callable[[], None] = lambda: None
         """Is called at the first servo or speed command."""
         self.slider = 1.0
@@ -168,6 +172,8 @@ class Controller:
         self._check_limits()
         self._start_program()
         self._run_programs()
+        if self.gripper is not None:
+            self.gripper.advance(self.now_s)
         self._update_outputs()
 
     def _scale_speed(self) -> None:
@@ -377,6 +383,8 @@ class Controller:
         self.setup.reset()
         self.digital.reset()
         self.robot.reset(self.settings.start, self.settings.tcp)
+        if self.gripper is not None:
+            self.gripper.reset()
         self._stop_reason = ""
         self._has_engaged = False
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from haptether.slave.ur_emulator.connections import PORTS, Outbox, Peer, PeerFactory
+from haptether.slave.ur_emulator.connections import GRIPPER_PORT, PORTS, Outbox, Peer, PeerFactory
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.connections import Faults
@@ -49,7 +49,7 @@ class Connection:
 
 
 class Server:
-    """Listens on the five ports of a controller and runs its control cycles at absolute times.
+    """Listens on the ports of a controller and of its gripper, and runs its control cycles at absolute times.
 
     `select.select` waits to the microsecond; epoll rounds up to a millisecond, half a control cycle.
 
@@ -57,12 +57,13 @@ class Server:
         controller: What is served.
         faults: Faults of the network.
         host: An address of this machine.
+        gripper_port: Of the URCap's server, where the controller has a gripper; 0 for any that is free.
 
     Raises:
         OSError: A port that cannot be used; the message names it.
     """
 
-    def __init__(self, controller: "Controller", faults: "Faults", host: str) -> None:
+    def __init__(self, controller: "Controller", faults: "Faults", host: str, gripper_port: int = GRIPPER_PORT) -> None:
         self.controller = controller
         self.faults = faults
         self.host = host
@@ -83,10 +84,17 @@ class Server:
         """Time that clients were served in this control cycle."""
         self._first = 0
         """Counts rounds: another connection is served first in each, where there is not time for all."""
+        self.gripper_port: int | None = None
+        """Where the URCap's server listens; none without a gripper."""
         self._listening: dict[socket.socket, int] = {}
+        """The port of the protocol of each."""
         try:
             for port in PORTS:
                 self._listening[_listen(host, port)] = port
+            if controller.gripper is not None:
+                listening = _listen(host, gripper_port)
+                self._listening[listening] = GRIPPER_PORT
+                self.gripper_port = int(listening.getsockname()[1])
         except OSError:
             self.close()
             raise
@@ -246,9 +254,13 @@ class Server:
             self.controller.write_log(f"{connection.peer.kind} client: {error}")
             self._drop(connection)
             return
-        connection.outbox.answer(answer)
         connection.closing = not stays_open
-        self._flush(connection, now_s)
+        while True:
+            connection.outbox.answer(answer)
+            self._flush(connection, now_s)
+            # Each with a call of its own: clients take what one call reads for one answer.
+            if not (answer := connection.peer.more()):
+                return
 
     def _flush(self, connection: Connection, now_s: float) -> None:
         if connection not in self._connections:

@@ -8,10 +8,11 @@ import tyro
 
 if TYPE_CHECKING:
     from haptether.slave import SceneTouch
-    from haptether.slave.ur_emulator import ControlChannel, Controller, ToolEnvironment
+    from haptether.slave.ur_emulator import ControlChannel, Controller, GripperSettings, Server, ToolEnvironment
 
 
 MAX_UNLOCK_S = 3600.0
+MAX_PORT = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +27,8 @@ class UrEmulator:
     Examples:
 
     haptether ur-emulator
+
+    haptether ur-emulator --gripper 2f-85 --gripper-object-mm 40
 
     haptether ur-emulator --host 127.0.0.2 --model ur10e --version 5.23 --scene three_axis_box --control -
     """
@@ -54,6 +57,14 @@ class UrEmulator:
     """Offset of the force sensor, three in N and three in N m."""
     seed: int = 0
     """Seed of the sensor's noise and of the jitter of late packages."""
+    gripper: Literal["2f-85", "2f-140", "hand-e"] | None = None
+    """A Robotiq gripper on the flange, and the server of its URCap; by default none."""
+    gripper_port: int = 63352
+    """Of that server; 0 for any that is free, which the first line names."""
+    gripper_object_mm: float | None = None
+    """Width of what is between its jaws, in mm; by default nothing."""
+    gripper_active: bool = False
+    """Begin with the gripper activated, rather than as after its power is switched on."""
     local: bool = False
     """Begin in local control, in which scripts are refused, rather than in remote control."""
     unlock_after_s: float = 5.0
@@ -88,7 +99,7 @@ class UrEmulator:
         self._check_host()
         controller, environment = self._controller()
         faults = Faults(seed=self.seed)
-        server = Server(controller, faults, self.host)
+        server = Server(controller, faults, self.host, self.gripper_port)
         line = ControlLine(controller, environment, faults, server)
         end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
         with Stopped() as stopped:
@@ -103,7 +114,7 @@ class UrEmulator:
                 with realtime(self.realtime) as granted:
                     # Whoever started this process reads the line to learn that the ports are open.
                     stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                    print(f"{self._headline(channel)}, real time: {granted}", file=stream, flush=True)
+                    print(f"{self._headline(server, channel)}, real time: {granted}", file=stream, flush=True)
                     server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
             finally:
                 server.close()
@@ -113,9 +124,10 @@ class UrEmulator:
             write_json(self.json, line.status_json())
         return 0
 
-    def _headline(self, channel: "ControlChannel | None") -> str:
+    def _headline(self, server: "Server", channel: "ControlChannel | None") -> str:
+        gripper = "" if self.gripper is None else f", a {self.gripper} on port {server.gripper_port}"
         controlled = "" if channel is None else f", controlled by {channel.address}"
-        return f"listening on {self.host} as a {self.model} with software {self.version}{controlled}"
+        return f"listening on {self.host} as a {self.model} with software {self.version}{gripper}{controlled}"
 
     def _check_host(self) -> None:
         import ipaddress
@@ -150,11 +162,32 @@ class UrEmulator:
             tcp=self.tcp,
             remote_control=not self.local,
             unlock_after_s=self.unlock_after_s,
+            gripper=self._gripper(),
         )
         sensing = WrenchSensing(noise_n=self.noise, bias=self.bias, seed=self.seed)
         controller = Controller(settings, environment, sensing)
         controller.on_engaged = environment.engage
         return controller, environment
+
+    def _gripper(self) -> "GripperSettings | None":
+        if not 0 <= self.gripper_port <= MAX_PORT:
+            message = f"gripper_port = {self.gripper_port}: must be 0 to {MAX_PORT}"
+            raise ValueError(message)
+        if self.gripper is None:
+            if self.gripper_object_mm is not None or self.gripper_active:
+                message = "gripper_object_mm, gripper_active: --gripper must name a gripper"
+                raise ValueError(message)
+            return None
+        from haptether.slave.robotiq.models import ROBOTIQ_MODELS
+        from haptether.slave.ur_emulator import GrippedObject, GripperSettings
+
+        width_mm = self.gripper_object_mm
+        try:
+            grips = None if width_mm is None else GrippedObject(width_m=1e-3 * width_mm)
+            return GripperSettings(model=ROBOTIQ_MODELS[self.gripper], grips=grips, active=self.gripper_active)
+        except ValueError as error:
+            message = f"gripper_object_mm = {width_mm:g}: {error}"
+            raise ValueError(message) from None
 
     def _scene(self) -> "SceneTouch | None":
         if self.scene is None:
