@@ -313,7 +313,7 @@ def test_a_request_that_is_not_taken_is_sent_again_and_is_then_a_fault() -> None
 
 
 def test_a_request_that_was_dropped_once_is_taken_the_second_time() -> None:
-    of, dropped = gripper(), []
+    of, dropped = gripper(), list[Request]()
 
     def drops_the_first(request: Request, value: int | None) -> int | None:
         if request.reads is None and not dropped:

@@ -39,7 +39,7 @@ LATE_S = 0.05
 """Of a control cycle under a flood. It was 0.14 to 4.5 s late where all that had come was answered at once."""
 MORE_MB = 40.0
 """Of memory that no client may make the controller take."""
-DASHBOARD, RTDE, SCRIPT = 29999, 30004, 30002
+DASHBOARD, RTDE, SCRIPT, GRIPPER = 29999, 30004, 30002, 63352
 
 
 @pytest.fixture
@@ -84,6 +84,7 @@ def flood(host: str, port: int, content: bytes, *, reads: bool) -> None:
         (DASHBOARD, b"x\n", True), (DASHBOARD, b"get loaded program\n", True), (DASHBOARD, b"x\n", False),
         (RTDE, frame("v"), True), (RTDE, frame("v"), False), (RTDE, frame("O", bytes(8) + b"x," * 1000), True),
         (SCRIPT, b"x\n", True), (SCRIPT, b"sec x():\nend\n", True),
+        (GRIPPER, b"GET POS\n", True), (GRIPPER, b"SET POS 9\n", False), (GRIPPER, b"x", True), (GRIPPER, b"\n", True),
     ],
 )  # fmt: skip
 def test_no_flood_of_requests_holds_the_control_cycle_up(port: int, request_: bytes, reads: bool) -> None:
@@ -91,7 +92,7 @@ def test_no_flood_of_requests_holds_the_control_cycle_up(port: int, request_: by
 
     @anew_after_stalls
     def flooded() -> None:
-        with emulator() as running:
+        with emulator("--gripper", "2f-85") as running:
             before_mb = memory_mb(running)
             running.do("forget-lateness")
             flood(running.host, port, content, reads=reads)

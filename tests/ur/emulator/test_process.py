@@ -38,6 +38,11 @@ def test_it_ends_cleanly(way: str) -> None:
         (["--noise", "-1"], 2, "must be finite and 0 or more"),
         (["--start", "9", "0", "0", "0", "0", "0"], 2, "start"),
         (["--control", "192.0.2.1:9000"], 2, "control = "),
+        (["--gripper", "2f-85", "--gripper-port", "65536"], 2, "gripper_port = 65536: must be 0 to 65535"),
+        (["--gripper", "2f-85", "--gripper-object-mm", "90"], 2, "gripper_object_mm = 90: 90 mm: must be 0 to 85 mm"),
+        (["--gripper", "2f-85", "--gripper-object-mm", "nan"], 2, "gripper_object_mm = nan: width nan m"),
+        (["--gripper-object-mm", "40"], 2, "--gripper must name a gripper"),
+        (["--gripper-active"], 2, "--gripper must name a gripper"),
     ],
 )
 def test_bad_requests_are_refused(
