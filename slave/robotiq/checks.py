@@ -12,6 +12,7 @@ from haptether.slave.robotiq.protocol import (
     ACTIVE,
     CLEAR,
     CONTACT,
+    FAULTS,
     REACTIVATION,
     Request,
     fault_text,
@@ -72,8 +73,8 @@ def check_gripper(
         remedy=f"must be within {1e3 * SLOW_S:g} ms: see the network, and what else asks it",
     )  # fmt: skip
     checklist.finish()
+    choose(wire, options)
     if options.slave_id is not None:
-        wire.exchange(set_({"SID": options.slave_id}))
         checklist.ok("gripper", f"slave id {options.slave_id}")
     state, flt = _read(wire, "STA"), _read(wire, "FLT")
     if flt and flt not in REACTIVATION:
@@ -83,11 +84,21 @@ def check_gripper(
     if state == ACTIVE and not flt:
         checklist.ok("active", f"STA {state}")
     else:
-        _activate(wire, checklist, fault_text(flt) if flt else f"STA {state}", ask, pause)
+        _activate(wire, checklist, f"FLT {flt}: {FAULTS[flt][0]}" if flt else f"STA {state}", ask, pause)
     values = look(wire)
     position, holds = options.scale.position(values["POS"]), values["GTO"] == 1 and values["OBJ"] in CONTACT
     checklist.ok("jaws", f"{100.0 * position:.0f} % closed, {'on an object' if holds else 'on nothing'}")
     return values
+
+
+def choose(wire: Wire, options: RobotiqOptions) -> None:
+    """Has the server speak of the gripper that the options name, if they do.
+
+    Raises:
+        WireError: The server does not answer.
+    """
+    if options.slave_id is not None:
+        wire.exchange(set_({"SID": options.slave_id}))
 
 
 def look(wire: Wire) -> dict[str, int]:

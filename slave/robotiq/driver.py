@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from haptether.slave.checklist import Checklist, RefusedError
 from haptether.slave.gripper import GripperCommand, GripperSample
-from haptether.slave.robotiq.checks import check_address, check_gripper, look
+from haptether.slave.robotiq.checks import check_address, check_gripper, choose, look
 from haptether.slave.robotiq.options import RobotiqOptions, robotiq_options
 from haptether.slave.robotiq.session import Order, Session
 from haptether.slave.robotiq.wire import CONNECT_S, Wire, WireError
@@ -181,6 +181,7 @@ class RobotiqGripper:
             self._lose(str(error))
             return
         try:
+            choose(wire, self.options)
             values = look(wire)
         except (WireError, RefusedError) as error:
             wire.close()

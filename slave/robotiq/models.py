@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from haptether.slave.gripper import GripperCommand
+from haptether.slave.gripper import MAX_SPEED, GripperCommand
 
 MAX_COUNT: Final = 255
 
@@ -82,9 +82,9 @@ class Scale:
         return min(max((count - opened) / (closed - opened), 0.0), 1.0)
 
     def velocity(self, counts_per_s: float) -> float:
-        """In 1/s."""
+        """In 1/s, no faster than a sample may be."""
         opened, closed = self.counts
-        return counts_per_s / (closed - opened)
+        return min(max(counts_per_s / (closed - opened), -MAX_SPEED), MAX_SPEED)
 
     def force_n(self, count: int) -> float:
         """In N, of a count of FOR."""

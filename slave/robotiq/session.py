@@ -141,11 +141,14 @@ class Session:
         return None
 
     def _go(self, wanted: dict[str, int], now_ns: int) -> Request:
-        if not self._going or self._sent is None or self._sent["POS"] != wanted["POS"]:
-            self._echoes.append((now_ns, wanted["POS"]))
-            self._unread = True
+        before = self._sent if self._going else None
         self._sent, self._sent_ns, self._going = wanted, now_ns, True
         self._force_n = self._scale.force_n(wanted["FOR"])
+        if before is not None and before["POS"] == wanted["POS"]:
+            # A position that is requested anew would be taken for the begin of a motion.
+            return set_({variable: value for variable, value in wanted.items() if value != before[variable]})
+        self._echoes.append((now_ns, wanted["POS"]))
+        self._unread = True
         return set_({**wanted, "GTO": 1})
 
     def _stop(self) -> Request | None:

@@ -1,7 +1,6 @@
 """The connection to the URCap's server: each call within a time limit, each failure by name."""
 
 import contextlib
-import select
 import socket
 import time
 from typing import Final
@@ -38,7 +37,6 @@ class Wire:
             message = f"no connection: {host}:{port}: {error.strerror or error}: {SEE_URCAP}"
             raise WireError(message) from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.settimeout(limit_s)
 
     def exchange(self, request: Request) -> int | None:
         """Sends a request and waits for its reply; the value that it has, if any.
@@ -49,15 +47,15 @@ class Wire:
         end_s = time.monotonic() + self._limit_s
         try:
             self._discard_line_end()
+            self._socket.settimeout(self._limit_s)
             self._socket.sendall(request.text)
             return self._reply(request, end_s)
         except TimeoutError:
             message = f"silence: no reply to {request.shown} within {self._limit_s:g} s: {SEE_URCAP}"
         except MalformedReplyError as error:
             message = f"malformed reply: {error}: does another program speak on this port?"
-        except (OSError, ValueError) as error:
-            seen = getattr(error, "strerror", None) or error
-            message = f"connection lost: {request.shown}: {seen}: see the network and the controller"
+        except OSError as error:
+            message = f"connection lost: {request.shown}: {error.strerror or error}: see the network and the controller"
         self.close()
         raise WireError(message)
 
@@ -72,28 +70,30 @@ class Wire:
         received, value, progress = b"", None, Progress.PARTIAL
         while progress is not Progress.WHOLE:
             settles = progress is Progress.OPEN
-            left_s = end_s - time.monotonic()
-            if not self._is_readable(SETTLE_S if settles else left_s):
+            part = self._received(SETTLE_S if settles else end_s - time.monotonic())
+            if part is None:
                 if settles:
                     break
                 raise TimeoutError
-            received += self._received()
+            received += part
             progress, value = parsed(received, request.reads)
         return value
 
     def _discard_line_end(self) -> None:
         """What still comes of the reply before may be an end of line, nothing else."""
-        if self._is_readable(0.0) and (late := self._received()).strip():
+        late = self._received(0.0)
+        if late is not None and late.strip():
             message = f"{late[:MAX_SHOWN]!r}: nothing was asked"
             raise MalformedReplyError(message)
 
-    def _received(self) -> bytes:
-        part = self._socket.recv(MAX_REPLY + 1)
+    def _received(self, limit_s: float) -> bytes | None:
+        """What comes within a time in s; none where nothing does."""
+        self._socket.settimeout(max(0.0, limit_s))
+        try:
+            part = self._socket.recv(MAX_REPLY + 1)
+        except (TimeoutError, BlockingIOError):
+            return None
         if not part:
             message = "closed by the other side"
             raise ConnectionError(message)
         return part
-
-    def _is_readable(self, limit_s: float) -> bool:
-        # A socket that was closed meanwhile is a ValueError.
-        return bool(select.select([self._socket], [], [], max(0.0, limit_s))[0])

@@ -107,6 +107,18 @@ def test_a_slave_id_is_chosen_first(server: Served) -> None:
     assert server.settings == ["SET SID 3"]
 
 
+def test_a_slave_id_is_chosen_again_by_a_new_connection(server: Served) -> None:
+    of = driver(server, slave_id=3)
+    of.open()
+    server.misbehaves = silent
+    until(of, faulty)
+    server.misbehaves = None
+    of.acknowledge()
+    until(of, lambda sample: sample.fault is None)
+    of.close()
+    assert server.settings == ["SET SID 3"] * 2
+
+
 def test_a_server_that_is_too_slow_is_refused(server: Served) -> None:
     def slow(_connection: object, line: bytes) -> bytes:
         time.sleep(0.15)

@@ -64,6 +64,23 @@ def test_an_object_stops_the_jaws_and_is_held_with_the_force() -> None:
     assert led.sample.force_n == 0.0
 
 
+def test_another_force_is_set_without_the_position() -> None:
+    led = Led(gripper(40.0))
+    led.write(move(1.0, force_n=50.0))
+    led.run(2.0)
+    led.write(move(1.0, force_n=150.0))
+    # Not even for a moment it is taken for lost.
+    assert led.run(1.0, until=lambda sample: not sample.holds_object) >= 1.0
+    assert led.settings[1:] == ["SET FOR 154"]
+    assert led.sample.force_n == pytest.approx(150.0, abs=1.0)
+
+
+def test_a_leap_between_two_readings_is_a_sample_all_the_same() -> None:
+    led = Led(gripper(), answer=lambda request, value: 255 if request.reads == "POS" else value)
+    led.run(0.004)
+    assert led.sample.velocity == 100.0
+
+
 def test_an_object_is_held_from_inside() -> None:
     led = Led(gripper())
     led.write(move(1.0))
