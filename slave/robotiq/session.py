@@ -11,6 +11,7 @@ from haptether.slave.robotiq.protocol import (
     CLEAR,
     CONTACT,
     CONTACT_CLOSING,
+    CONTACT_OPENING,
     MOVING,
     Request,
     fault_text,
@@ -20,8 +21,8 @@ from haptether.slave.robotiq.protocol import (
 
 NS: Final = 1_000_000_000
 BUSY: Final = 3.0
-"""A position is asked for at most each so many round trips: the server has other clients, and commands are to get
-through at once."""
+"""A position is asked for, and a command sent, at most each so many round trips: the server has other clients, commands
+are to get through at once, and a stream of them is to hide no fault."""
 AVERAGED: Final = 8
 """Round trips that the measured one follows."""
 TURNS: Final = {"POS": 1, "OBJ": 2, "FLT": 5, "STA": 10}
@@ -30,6 +31,10 @@ RESENT_NS: Final = 300_000_000
 """After which a request is sent again that the gripper does not echo: one that comes right after GTO may be dropped."""
 ECHOED_NS: Final = 1_000_000_000
 MAX_ECHOES: Final = 256
+GIVES: Final = 2
+"""Counts by which jaws may move that are on something."""
+STALL_NS: Final = 200_000_000
+"""After which jaws that are sent on and stand still are on something; the slowest move 10 counts meanwhile."""
 VELOCITY_NS: Final = 100_000_000
 """Over which the velocity is measured: a count each 20 ms is 0.2 /s."""
 START: Final = ("STA", "FLT", "POS", "PRE", "OBJ", "GTO", "FOR")
@@ -68,7 +73,13 @@ class Session:
         self._going = values["GTO"] == 1
         self._contact = values["OBJ"] if self._going and values["OBJ"] in CONTACT else None
         """OBJ, where it is that of something between the jaws."""
+        self._contact_at = self._position
+        """Where the jaws were then."""
         self._moves = self._going and values["OBJ"] == MOVING
+        self._sent_on: int | None = None
+        """Which contact it would be if they stood still now: the direction that they are sent in, if any."""
+        self._stands_at, self._stands_ns = self._position, now_ns
+        """Since when they stand still, and are sent in one direction."""
         self._force_n = scale.force_n(values["FOR"])
         self._done = -1 if order is None else order.number
         self._sent: dict[str, int] | None = None
@@ -78,8 +89,6 @@ class Session:
         """Requested positions that PRE has not shown, each with when it was sent, the newest last."""
         self._unread = False
         """Whether OBJ was not read since PRE shows the newest request."""
-        self._was_set = False
-        """Whether the last exchange was no reading: a stream of commands is to leave room for those."""
         self._read_ns = dict.fromkeys((*TURNS, "PRE"), now_ns - NS)
         self._positions = deque([(now_ns, self._position)], maxlen=64)
 
@@ -88,7 +97,6 @@ class Session:
     def due(self, order: Order | None, now_ns: int) -> Request | None:
         """The request that is due, if any; its reply must be reported before the next."""
         request = self._setting(order, now_ns)
-        self._was_set = request is not None
         if request is not None:
             return request
         wanted_ns, variable = min((self._due_ns(variable), variable) for variable in self._read)
@@ -130,7 +138,7 @@ class Session:
             if order.move is None:
                 self._done = order.number
                 return self._stop()
-            if self._was_set or now_ns - self._sent_ns < self._period_ns:
+            if now_ns - self._sent_ns < self._period_ns:
                 return None
             self._done = order.number
             wanted = self._scale.request(order.move)
@@ -162,12 +170,10 @@ class Session:
 
     @property
     def _may_move(self) -> bool:
-        if not self._going:
+        if not self._going or (self._contact is not None and self._presses(self._contact)):
             return False
-        if not self._unread:
-            return self._moves
-        # What they do about the newest request is not known: they rest where it presses on what they hold.
-        return self._contact is None or not self._presses(self._contact)
+        # What they do about a request that is not echoed is not known.
+        return self._unread or self._moves
 
     def _presses(self, contact: int) -> bool:
         """Whether the newest request goes on against what was met."""
@@ -183,8 +189,7 @@ class Session:
             return
         match request.reads:
             case "POS":
-                self._position = value
-                self._positions.append((now_ns, value))
+                self._look_at_position(value, now_ns)
             case "PRE":
                 self._look_at_echo(value, now_ns)
             case "OBJ":
@@ -205,18 +210,33 @@ class Session:
         self.fault = None
         self._echoes.clear()
 
+    def _look_at_position(self, value: int, now_ns: int) -> None:
+        self._position = value
+        self._positions.append((now_ns, value))
+        if self._contact is not None and (abs(value - self._contact_at) > GIVES or not self._presses(self._contact)):
+            self._contact = None
+        opened, closed = self._scale.counts
+        aim = value if self._sent is None or not self._going else min(max(self._sent["POS"], opened), closed)
+        sent_on = None if abs(aim - value) <= GIVES else (CONTACT_CLOSING if aim > value else CONTACT_OPENING)
+        if sent_on != self._sent_on or abs(value - self._stands_at) > 1:
+            self._sent_on, self._stands_at, self._stands_ns = sent_on, value, now_ns
+        elif sent_on is not None and self._unread and now_ns - self._stands_ns >= STALL_NS:
+            # Each request of a stream makes OBJ 0 again: that they stand still tells.
+            self._contact, self._contact_at = sent_on, value
+
     def _look_at_jaws(self, value: int) -> None:
         if not self._going:
             return
+        if value == MOVING:
+            # Also of jaws that press on, until the new request shows the same contact: their position tells.
+            self._moves = True
+        elif value in CONTACT and (not self._echoes or self._presses(value)):
+            self._contact, self._contact_at = value, self._position
+        elif not self._echoes:
+            self._contact = None
         if not self._echoes:
             self._unread = False
             self._moves = value == MOVING
-            self._contact = value if value in CONTACT else None
-        elif value == MOVING:
-            self._moves, self._contact = True, None
-        elif value in CONTACT and self._presses(value):
-            # A stream of requests is never echoed to its end; what the newest presses on is held all the same.
-            self._contact = value
 
     def _look_at_echo(self, value: int, now_ns: int) -> None:
         shown = next((n for n, (_, position) in reversed([*enumerate(self._echoes)]) if position == value), -1)

@@ -151,7 +151,10 @@ def dribbling(connection: socket.socket, _line: bytes) -> None:
 
 def volunteering(connection: socket.socket, line: bytes) -> None:
     """Says more than it was asked, a moment later."""
-    connection.sendall(line.removeprefix(b"GET ") + b" 0" if line.startswith(b"GET") else b"ack")
+    # As of jaws that are on 40 mm.
+    values = {b"POS": b"123", b"OBJ": b"2", b"STA": b"3"}
+    variable = line.removeprefix(b"GET ")
+    connection.sendall(variable + b" " + values.get(variable, b"0") if line.startswith(b"GET") else b"ack")
     time.sleep(0.01)
     connection.sendall(b"GRIPPER READY")
 

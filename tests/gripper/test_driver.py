@@ -1,5 +1,6 @@
 """The driver on sockets of this machine: its checklist, its thread, and whoever misbehaves at the other end."""
 
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,7 +12,8 @@ from tests.gripper.virtual import gripper, move
 
 from haptether.slave import GripperSample, RobotiqGripper
 from haptether.slave.checklist import RefusedError
-from haptether.slave.robotiq.wire import WireError
+from haptether.slave.robotiq.protocol import get
+from haptether.slave.robotiq.wire import Wire, WireError
 
 pytestmark = pytest.mark.live
 
@@ -145,6 +147,32 @@ def test_whoever_else_is_there_is_named_in_time(server: Served, misbehaves: Misb
         of.open()
     assert time.monotonic() - begun_s < 5 * REPLY_S + 1.0
     of.close()
+
+
+def test_a_reply_that_comes_twice_is_not_that_to_the_next_request(server: Served) -> None:
+    def twice(connection: socket.socket, _line: bytes) -> None:
+        connection.sendall(b"STA 3")
+        time.sleep(0.02)
+        connection.sendall(b"STA 3")
+
+    server.misbehaves = twice
+    wire = Wire("127.0.0.1", server.port, REPLY_S)
+    assert wire.exchange(get("STA")) == 3
+    time.sleep(0.2)
+    with pytest.raises(WireError, match=r"malformed reply: b'STA 3': nothing was asked"):
+        wire.exchange(get("STA"))
+
+
+def test_an_end_of_line_that_comes_late_belongs_to_the_reply_before(server: Served) -> None:
+    def ends_late(connection: socket.socket, _line: bytes) -> None:
+        connection.sendall(b"STA 3")
+        time.sleep(0.02)
+        connection.sendall(b"\r\n")
+
+    server.misbehaves = ends_late
+    wire = Wire("127.0.0.1", server.port, REPLY_S)
+    assert [wire.exchange(get("STA")) for _ in range(5)] == [3] * 5
+    wire.close()
 
 
 # ---------------------------------------------------------------------------------------------------------- motion
