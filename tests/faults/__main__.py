@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from tests.faults import clocks, drivers, hostile, machine, numbers, presses, processes, stopping, virtual
+from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, presses, processes, stopping, virtual
 from tests.faults.rows import Row
 from tests.faults.table import print_table
 
@@ -15,6 +15,7 @@ GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "virtual": lambda: [*virtual.rows(), *clocks.rows()],
     "numbers": numbers.rows,
     "drivers": drivers.rows,
+    "grippers": grippers.rows,
     "processes": lambda: list(processes.rows().values()),
     "presses": lambda: list(presses.rows().values()),
     "stopping": lambda: list(stopping.rows().values()),

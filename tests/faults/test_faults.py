@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tests.faults import clocks, drivers, hostile, machine, numbers, processes, virtual
+from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, processes, virtual
 from tests.faults.rows import Row
 from tests.faults.running import Recorded
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
@@ -46,6 +46,14 @@ DRIVERS = drivers.rows(LOOSE.hold_s)
 
 @pytest.mark.parametrize("measure", DRIVERS, ids=names(DRIVERS))
 def test_drivers_in_python_that_fail(measure: Callable[[], Row]) -> None:
+    judge(measure())
+
+
+GRIPPERS = grippers.rows(2.0)
+
+
+@pytest.mark.parametrize("measure", GRIPPERS, ids=names(GRIPPERS))
+def test_grippers_that_fail(measure: Callable[[], Row]) -> None:
     judge(measure())
 
 
