@@ -75,7 +75,7 @@ class RobotiqGripper:
             self._stalled = f"silence: its thread has stood still for {age_s:.1f} s: see what else this machine does"
             self._give(None)
         if sample.fault is None and self._stalled is not None:
-            sample = replace(sample, fault=self._stalled)
+            sample = replace(sample, velocity=0.0, fault=self._stalled)
         self._shown = sample.fault
         return sample
 

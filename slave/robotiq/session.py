@@ -33,6 +33,8 @@ ECHOED_NS: Final = 1_000_000_000
 MAX_ECHOES: Final = 256
 GIVES: Final = 2
 """Counts by which jaws may move that are on something."""
+HELD_GIVES: Final = 10
+"""The same while they are to hold, 4 mm of a 2F-85: further they are stopped."""
 STALL_NS: Final = 200_000_000
 """After which jaws that are sent on and stand still are on something; the slowest move 10 counts meanwhile."""
 VELOCITY_NS: Final = 100_000_000
@@ -76,6 +78,7 @@ class Session:
         self._contact_at = self._position
         """Where the jaws were then."""
         self._moves = self._going and values["OBJ"] == MOVING
+        self._holding = False
         self._sent_on: int | None = None
         """Which contact it would be if they stood still now: the direction that they are sent in, if any."""
         self._stands_at, self._stands_ns = self._position, now_ns
@@ -130,19 +133,22 @@ class Session:
         return self._read_ns[variable] + (1 if often else TURNS[variable]) * self._period_ns
 
     def _setting(self, order: Order | None, now_ns: int) -> Request | None:
+        if order is not None and (order.move is None or self.fault is not None):
+            # What was ordered before a fault is not followed after it.
+            self._done = order.number
+            self._holding = True
         if self.fault is not None:
-            # What was ordered before it is not followed after it.
-            self._done = self._done if order is None else order.number
             return self._stop()
-        if order is not None and order.number != self._done:
-            if order.move is None:
-                self._done = order.number
-                return self._stop()
+        if order is not None and order.move is not None and order.number != self._done:
             if now_ns - self._sent_ns < self._period_ns:
                 return None
             self._done = order.number
             wanted = self._scale.request(order.move)
+            self._holding = False
             return None if self._going and wanted == self._sent else self._go(wanted, now_ns)
+        if self._holding:
+            # Not once: what they pressed on may be gone later.
+            return self._stop()
         if self._echoes and self._sent is not None and now_ns - self._sent_ns >= RESENT_NS:
             self._sent_ns = now_ns
             return set_({**self._sent, "GTO": 1})
@@ -213,7 +219,8 @@ class Session:
     def _look_at_position(self, value: int, now_ns: int) -> None:
         self._position = value
         self._positions.append((now_ns, value))
-        if self._contact is not None and (abs(value - self._contact_at) > GIVES or not self._presses(self._contact)):
+        gives = HELD_GIVES if self._holding else GIVES
+        if self._contact is not None and (abs(value - self._contact_at) > gives or not self._presses(self._contact)):
             self._contact = None
         opened, closed = self._scale.counts
         aim = value if self._sent is None or not self._going else min(max(self._sent["POS"], opened), closed)

@@ -132,6 +132,34 @@ def test_hold_leaves_jaws_alone_that_press_on_something() -> None:
     assert led.sample.holds_object
 
 
+def test_jaws_that_hold_are_stopped_where_what_they_held_slips_out() -> None:
+    led = Led(gripper(40.0))
+    led.write(move(1.0))
+    led.run(2.0)
+    led.hold()
+    led.run(0.5)
+    led.gripper.put(None)
+    led.run(2.0)
+    assert led.settings[-1] == "SET GTO 0"
+    assert not led.sample.holds_object
+    # 10 counts, and two readings at 1 /s.
+    assert led.sample.position < CONTACT_40_MM + 10 * COUNT + 0.05
+
+
+def test_jaws_that_hold_follow_what_gives_way() -> None:
+    led = Led(gripper(40.0))
+    led.write(move(1.0))
+    led.run(2.0)
+    led.hold()
+    led.run(0.5)
+    led.gripper.put(GrippedObject(width_m=38.0 * MM))
+    led.run(2.0)
+    assert len(led.settings) == 1
+    assert led.sample.position == pytest.approx(1.0 - 38.0 / 85.0, abs=COUNT)
+    assert led.gripper.figures()["force_n"] != 0.0
+    assert led.sample.holds_object
+
+
 @pytest.mark.parametrize(
     ("position", "stops"), [(0.9, False), (0.0, True)], ids=["presses on", "lets go"],
 )  # fmt: skip

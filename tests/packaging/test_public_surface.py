@@ -151,7 +151,9 @@ def heavy_modules(program: str) -> str:
     return answer.stdout.rpartition("loaded:")[2].strip()
 
 
-@pytest.mark.parametrize("module", ["haptether", *(f"haptether.{room}" for room in CRATES)])
+@pytest.mark.parametrize(
+    "module", ["haptether", *(f"haptether.{room}" for room in CRATES), "haptether.slave.robotiq.driver"]
+)
 def test_an_import_loads_nothing_heavy(module: str) -> None:
     assert heavy_modules(f"import {module}") == ""
 
