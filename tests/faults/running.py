@@ -83,10 +83,12 @@ class Process:
         self.send(signal.SIGCONT)
 
     def kill(self) -> None:
-        """Ends it whatever it does."""
+        """Ends it whatever it does, and closes its pipe, also where it has ended by itself and nobody read it out."""
         if self.process.poll() is None:
             self.process.kill()
-            self.process.communicate()
+        self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
 
 
 @dataclass

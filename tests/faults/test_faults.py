@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, processes, virtual
 from tests.faults.rows import Row
-from tests.faults.running import Recorded
+from tests.faults.running import Process, Recorded, Stage
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
 
 pytestmark = pytest.mark.live
@@ -130,6 +130,15 @@ def test_a_run_that_is_disturbed_is_measured_anew() -> None:
     row = processes.again(never, "a")()
     assert row.verdict == "FAILED"
     assert row.complaints == ("3 attempts, each disturbed: held",)
+
+
+def test_a_stage_leaves_no_pipe_open_of_a_process_that_has_ended_by_itself() -> None:
+    with Stage.set() as stage:
+        process = Process("list")
+        stage.processes.append(process)
+        process.process.wait()
+    assert process.process.stderr is not None
+    assert process.process.stderr.closed
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.003, 0.03])
