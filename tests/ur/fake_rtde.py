@@ -5,6 +5,7 @@ What the real ones do when something is wrong is asked for, and what was called 
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ from haptether.slave.ur.services import Probe
 START_Q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 START_POSE = (-0.143195, -0.436400, 0.215901, 0.045165, 3.112182, -0.019942)
 PLAYING, STOPPED = 2, 1
+PERIOD_S = 0.002
 
 
 @dataclass
@@ -50,10 +52,14 @@ class Arm:
     watchdog_bites: bool = True
     released: threading.Event = field(default_factory=threading.Event)
     kicked_s: float = 0.0
+    packages: int = 0
+    """How many have been seen by the driver."""
+    clock: Callable[[], float] = time.monotonic
+    """Of its watchdog, in s."""
 
     def call(self, name: str, *arguments: Any) -> bool:  # noqa: ANN401
         """Any call of the control interface."""
-        self.kicked_s = time.monotonic()
+        self.kicked_s = self.clock()
         self.enter(name, *arguments)
         return name not in self.refuses and (self.runtime_state == PLAYING or name == "reuploadScript")
 
@@ -68,8 +74,13 @@ class Arm:
     def look(self) -> None:
         """Lets its watchdog look at the time."""
         hz = self.watchdog_hz
-        if hz is not None and self.watchdog_bites and time.monotonic() - self.kicked_s > 1.0 / hz:
+        if hz is not None and self.watchdog_bites and self.clock() - self.kicked_s > 1.0 / hz:
             self.runtime_state, self.watchdog_hz = STOPPED, None
+
+    def count_packages(self) -> None:
+        """Has its watchdog count packages that the driver has seen: no time passes while a machine stalls."""
+        self.packages, self.kicked_s = 0, 0.0
+        self.clock = lambda: self.packages * PERIOD_S
 
     @property
     def names(self) -> list[str]:
@@ -160,13 +171,17 @@ class Receive:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
+        self._stamp = 0.0
         arm.connected, arm.frozen_at = True, None
 
     def getTimestamp(self) -> float:  # noqa: N802
         self._arm.look()
         if self._arm.frozen_at is not None:
             return self._arm.frozen_at
-        return round(time.monotonic() / 0.002) * 0.002
+        stamp = round(time.monotonic() / PERIOD_S) * PERIOD_S
+        self._arm.packages += stamp != self._stamp
+        self._stamp = stamp
+        return stamp
 
     def isConnected(self) -> bool:  # noqa: N802
         return self._arm.connected
