@@ -46,7 +46,7 @@ INTERVENTION = (
 
 
 class Machine(NamedTuple):
-    """A class with `step` and `run`, and how its results are told as a tuple."""
+    """A class with `step` and `run`, and how its results become a tuple."""
 
     build: Callable[[int], Any]
     names: tuple[str, ...]
@@ -72,8 +72,8 @@ def estimator(kind: EstimatorKind) -> Machine:
     )
 
 
-def intervention(told: Intervention | Interventions) -> tuple[Any, ...]:
-    return tuple(getattr(told, name) for name in INTERVENTION)
+def intervention(result: Intervention | Interventions) -> tuple[Any, ...]:
+    return tuple(getattr(result, name) for name in INTERVENTION)
 
 
 # A window, a hold-off and a ramp shorter than the arrays, so that all of them is passed through.
@@ -154,8 +154,8 @@ def test_a_run_equals_its_steps(name: str, axes: int) -> None:
     whole = machine.run(machine.build(axes), *arrays)
     stepped = machine.build(axes)
     for tick in range(TICKS):
-        told = machine.step(stepped, *(list(array[tick]) for array in arrays))
-        for result, one in zip(whole, told, strict=True):
+        results = machine.step(stepped, *(list(array[tick]) for array in arrays))
+        for result, one in zip(whole, results, strict=True):
             assert result[tick].tobytes() == np.asarray(one, dtype=result.dtype).tobytes()
             assert result[tick].shape == np.shape(one)
 
@@ -169,8 +169,8 @@ def test_one_axis_is_also_a_float_and_a_flat_array(name: str) -> None:
     same(flat, tuple(result.reshape(TICKS) for result in matrix))
     stepped = machine.build(1)
     for tick in range(TICKS):
-        told = machine.step(stepped, *(float(array[tick, 0]) for array in arrays))
-        for result, one in zip(flat, told, strict=True):
+        results = machine.step(stepped, *(float(array[tick, 0]) for array in arrays))
+        for result, one in zip(flat, results, strict=True):
             assert result[tick].tobytes() == np.asarray(one, dtype=result.dtype).tobytes()
 
 

@@ -1,4 +1,4 @@
-"""Bad numbers stop at the door: a fault or a refusal that says what was seen, and no trace left."""
+"""Bad numbers are refused where they enter: a fault or a refusal that says what was seen, and no trace left."""
 
 import re
 from collections.abc import Callable
@@ -62,8 +62,8 @@ def controller(axes: int) -> SafetyController:
     return SafetyController(DeviceModel.phantom_desktop(axes), SETTINGS)
 
 
-def columns(told: Interventions, kept: npt.NDArray[np.intp] | slice = slice(None)) -> list[npt.NDArray[Any]]:
-    return [getattr(told, name)[kept] for name in (*COLUMNS, *OBSERVED)]
+def columns(interventions: Interventions, kept: npt.NDArray[np.intp] | slice = slice(None)) -> list[npt.NDArray[Any]]:
+    return [getattr(interventions, name)[kept] for name in (*COLUMNS, *OBSERVED)]
 
 
 def assert_same(left: list[npt.NDArray[Any]], right: list[npt.NDArray[Any]]) -> None:
@@ -83,18 +83,18 @@ def test_a_bad_number_gives_a_fault_no_force_and_no_memory(place: int, axes: int
         arrays = signals(4, axes, 0)
         tick = TICKS // 2
         arrays[place][tick, axes - 1] = bad
-        told = controller(axes).run(*arrays)
-        assert fault_message(int(told.fault[tick])) == message
+        interventions = controller(axes).run(*arrays)
+        assert fault_message(int(interventions.fault[tick])) == message
         for name in OBSERVED:
-            assert np.isnan(getattr(told, name)[tick])
-        assert not told.safety_force[tick].any()
-        assert not told.device_force[tick].any()
-        assert told.tripped[tick] == 0
-        assert np.flatnonzero(told.fault).tolist() == [tick]
+            assert np.isnan(getattr(interventions, name)[tick])
+        assert not interventions.safety_force[tick].any()
+        assert not interventions.device_force[tick].any()
+        assert interventions.tripped[tick] == 0
+        assert np.flatnonzero(interventions.fault).tolist() == [tick]
         others = np.delete(np.arange(TICKS), tick)
         undisturbed = controller(axes).run(*(array[others] for array in arrays))
         assert undisturbed.safety_force.any()
-        assert_same(columns(told, others), columns(undisturbed))
+        assert_same(columns(interventions, others), columns(undisturbed))
 
 
 @given(
@@ -116,14 +116,14 @@ def test_any_number_of_faults_leaves_the_rest_alone(
     arrays = signals(4, axes, seed)
     for place, tick, axis, bad in faults:
         arrays[place][tick, axis % axes] = bad
-    told = controller(axes).run(*arrays)
+    interventions = controller(axes).run(*arrays)
     faulty = sorted({tick for _, tick, _, _ in faults})
-    assert np.flatnonzero(told.fault).tolist() == faulty
-    assert not told.device_force[faulty].any()
-    assert np.isfinite(told.device_force).all()
+    assert np.flatnonzero(interventions.fault).tolist() == faulty
+    assert not interventions.device_force[faulty].any()
+    assert np.isfinite(interventions.device_force).all()
     others = np.delete(np.arange(TICKS), faulty)
     undisturbed = controller(axes).run(*(array[others] for array in arrays))
-    assert_same(columns(told, others), columns(undisturbed))
+    assert_same(columns(interventions, others), columns(undisturbed))
 
 
 @pytest.mark.parametrize("place", range(4))
@@ -134,23 +134,23 @@ def test_a_step_faults_as_a_run_does(place: int) -> None:
             one = [list(values) for values in sample]
             if tick == TICKS // 2:
                 one[place][1] = bad
-                told = stepped.step(*one)
-                assert fault_message(told.fault) == message
-                assert not told.safety_force.any()
-                assert not told.device_force.any()
-                assert told.tripped == 0
-                assert all(np.isnan(getattr(told, name)) for name in OBSERVED)
+                intervention = stepped.step(*one)
+                assert fault_message(intervention.fault) == message
+                assert not intervention.safety_force.any()
+                assert not intervention.device_force.any()
+                assert intervention.tripped == 0
+                assert all(np.isnan(getattr(intervention, name)) for name in OBSERVED)
             else:
-                told, sound = stepped.step(*one), expected.step(*one)
-                assert told.fault == 0
-                assert told.device_force.tobytes() == sound.device_force.tobytes()
-                assert told.tripped == sound.tripped
+                intervention, sound = stepped.step(*one), expected.step(*one)
+                assert intervention.fault == 0
+                assert intervention.device_force.tobytes() == sound.device_force.tobytes()
+                assert intervention.tripped == sound.tripped
 
 
 def test_a_large_number_within_the_bounds_is_no_fault() -> None:
-    told = controller(1).run(np.array([-1e3]), np.array([1e4]), np.array([-1e4]))
-    assert told.fault.tolist() == [0]
-    assert told.device_force.tolist() == [5e3]
+    interventions = controller(1).run(np.array([-1e3]), np.array([1e4]), np.array([-1e4]))
+    assert interventions.fault.tolist() == [0]
+    assert interventions.device_force.tolist() == [5e3]
 
 
 def test_fault_messages() -> None:
@@ -208,7 +208,7 @@ def test_observers_and_estimators_refuse_and_name_the_tick(name: str, axes: int)
 
 
 def step(state: Any, one: list[list[float]], only: int | None = None) -> list[Any]:  # noqa: ANN401
-    """One tick; of an estimator, which takes two calls, only one of them if that is asked for."""
+    """One tick; of an estimator, which takes two calls, only one of them if that is requested."""
     if not isinstance(state, Estimator):
         return flat(state.step(*one))
     moved = [] if only == 1 else list(state.step(one[0]))
@@ -316,8 +316,8 @@ def test_a_parameter_out_of_range_is_refused(
 ) -> None:
     number = "NaN" if np.isnan(seen) else f"{seen:.16g}".removesuffix(".0")
     number = "-0.000000001" if seen == -1e-9 else number
-    told = f"({symbol}) = {number}: must be {allowed}"
-    with pytest.raises(ValueError, match=rf"^\w+ {re.escape(told)}$"):
+    message = f"({symbol}) = {number}: must be {allowed}"
+    with pytest.raises(ValueError, match=rf"^\w+ {re.escape(message)}$"):
         build()
 
 
@@ -328,7 +328,7 @@ def test_a_kalman_filter_that_follows_nothing_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("build", "told"),
+    ("build", "message"),
     [
         (
             lambda: SafetySettings(["tsc"]),  # type: ignore[list-item]
@@ -353,8 +353,8 @@ def test_a_kalman_filter_that_follows_nothing_is_refused() -> None:
         ),
     ],
 )
-def test_names_and_counts_are_refused(build: Callable[[], object], told: str) -> None:
-    with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
+def test_names_and_counts_are_refused(build: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         build()
 
 

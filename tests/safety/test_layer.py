@@ -31,10 +31,10 @@ def motion(axes: int) -> tuple[np.ndarray, np.ndarray]:
 def test_the_chain_is_the_sum_of_its_parts(axes: int) -> None:
     position, rendered = motion(axes)
     device = DeviceModel.phantom_desktop(axes)
-    told = SafetyLayer(device, SETTINGS, limiter=LIMITS).run(position, rendered)
+    ticks = SafetyLayer(device, SETTINGS, limiter=LIMITS).run(position, rendered)
 
     of_device, of_rendered = Estimator(axes=axes), Estimator(axes=axes)
-    # What is asked is bounded first, so that the observers see what can be rendered; then the sum is.
+    # What is requested is bounded first, so that the observers see what can be rendered; then the sum is.
     rendered, rendering = Limiter(LIMITS, axes=axes).run(rendered, np.zeros_like(rendered))
     controller = SafetyController(device, SETTINGS)
     limiter = Limiter(LimiterSettings(ramp_in_s=0.0), axes=axes)
@@ -46,24 +46,24 @@ def test_the_chain_is_the_sum_of_its_parts(axes: int) -> None:
         step = controller.step(velocity, rendered[n], grasp, of_rendered.align(last_rendered))
         device_force, acted = limiter.step(step.device_force, velocity)
         last_rendered = rendered[n]
-        np.testing.assert_array_equal(told.velocity[n], velocity)
-        np.testing.assert_array_equal(told.rendered_force[n], rendered[n])
-        np.testing.assert_array_equal(told.grasp_force[n], grasp)
-        np.testing.assert_array_equal(told.device_force[n], device_force)
-        assert (told.tripped[n], told.acted[n]) == (step.tripped, acted | rendering[n])
-    assert told.tripped.any(), "the throw is seen"
+        np.testing.assert_array_equal(ticks.velocity[n], velocity)
+        np.testing.assert_array_equal(ticks.rendered_force[n], rendered[n])
+        np.testing.assert_array_equal(ticks.grasp_force[n], grasp)
+        np.testing.assert_array_equal(ticks.device_force[n], device_force)
+        assert (ticks.tripped[n], ticks.acted[n]) == (step.tripped, acted | rendering[n])
+    assert ticks.tripped.any(), "the throw is seen"
 
 
 def test_a_run_is_its_steps() -> None:
     position, rendered = motion(3)
     device = DeviceModel.phantom_desktop(3)
-    told = SafetyLayer(device, SETTINGS).run(position, rendered)
+    ticks = SafetyLayer(device, SETTINGS).run(position, rendered)
     layer = SafetyLayer(device, SETTINGS)
     for n in range(TICKS):
         step = layer.step(position[n], rendered[n])
-        np.testing.assert_array_equal(step.device_force, told.device_force[n])
-        assert (step.tripped, step.acted, step.fault) == (told.tripped[n], told.acted[n], told.fault[n])
-        assert step.owed_energy_j == told.owed_energy_j[n]
+        np.testing.assert_array_equal(step.device_force, ticks.device_force[n])
+        assert (step.tripped, step.acted, step.fault) == (ticks.tripped[n], ticks.acted[n], ticks.fault[n])
+        assert step.owed_energy_j == ticks.owed_energy_j[n]
 
 
 def test_a_saturated_pc_says_what_it_owes() -> None:
@@ -72,25 +72,25 @@ def test_a_saturated_pc_says_what_it_owes() -> None:
     position = np.cumsum(velocity) * 1e-3
     device = DeviceModel(mass_kg=0.157)
     limits = LimiterSettings(max_force_n=0.2, ramp_in_s=0.0, max_slew_n_per_s=1e6)
-    told = SafetyLayer(device, SafetySettings(["pc"]), limiter=limits).run(position, np.zeros(50), velocity)
+    ticks = SafetyLayer(device, SafetySettings(["pc"]), limiter=limits).run(position, np.zeros(50), velocity)
     # Nobody holds and nothing is rendered: E_so = -m V² / (2 eta) + dT sum F_h V, with F_h = -F_device[n-1].
-    grasp = np.concatenate([[0.0], -told.device_force[:-1]])
+    grasp = np.concatenate([[0.0], -ticks.device_force[:-1]])
     energy = 1e-3 * np.cumsum(grasp * velocity) - 0.157 * velocity**2
-    delivered = np.maximum(-told.device_force * velocity * 1e-3, 0.0)
-    np.testing.assert_allclose(told.owed_energy_j, np.maximum(-energy - delivered, 0.0), atol=1e-15)
-    assert told.owed_energy_j[-1] > 0.1
-    assert np.abs(told.device_force).max() == pytest.approx(0.2)
+    delivered = np.maximum(-ticks.device_force * velocity * 1e-3, 0.0)
+    np.testing.assert_allclose(ticks.owed_energy_j, np.maximum(-energy - delivered, 0.0), atol=1e-15)
+    assert ticks.owed_energy_j[-1] > 0.1
+    assert np.abs(ticks.device_force).max() == pytest.approx(0.2)
 
 
 def test_a_bad_number_stops_until_reset() -> None:
     position, rendered = motion(1)
     position[100] = np.nan
     layer = SafetyLayer(DeviceModel.phantom_desktop(), SETTINGS)
-    told = layer.run(position, rendered)
-    assert np.abs(told.device_force[99]).max() > 0.0
-    assert not told.device_force[100:].any()
-    assert fault_message(int(told.fault[100])) == "position is not a finite number"
-    assert (told.fault[100:] == told.fault[100]).all()
+    ticks = layer.run(position, rendered)
+    assert np.abs(ticks.device_force[99]).max() > 0.0
+    assert not ticks.device_force[100:].any()
+    assert fault_message(int(ticks.fault[100])) == "position is not a finite number"
+    assert (ticks.fault[100:] == ticks.fault[100]).all()
     with pytest.raises(ValueError, match="position"):
         layer.reset(float("inf"))
     layer.reset(-0.03)

@@ -168,26 +168,26 @@ def test_eq_12_passivity_controller(axes: int, seed: int) -> None:
     # The pushes of the hand against the motion make E_so go up and down around 0.
     grasp -= 0.3 * velocity
     device = DeviceModel(mass_kg=MASS, axes=axes)
-    most = 30.0
-    controller = SafetyController(device, SafetySettings(["pc"], pc_max_damping=most, energy_ratio=0.5))
-    told = controller.run(velocity, rendered, grasp)
+    max_damping = 30.0
+    controller = SafetyController(device, SafetySettings(["pc"], pc_max_damping=max_damping, energy_ratio=0.5))
+    interventions = controller.run(velocity, rendered, grasp)
     total, bound = sum_so_far(dot(grasp, velocity))
     energy = total - kinetic(velocity, 0.5)
     bound += U * (4 * axes + 10) * (np.cumsum(DT * dot(abs(grasp), abs(velocity))) + abs(energy))
     bound += U * (4 * axes + 10) * kinetic(velocity, 0.5)
-    assert told.energy_j is not None
-    assert np.all(abs(told.energy_j - energy) <= bound)
+    assert interventions.energy_j is not None
+    assert np.all(abs(interventions.energy_j - energy) <= bound)
 
     squared = np.where(dot(velocity, velocity) > 0, dot(velocity, velocity), np.inf)
     # The paper's -E / (V dT) counts a force against the motion; along +x it is E / (V dT).
-    damping = np.minimum(np.maximum(-energy, 0.0) / (squared * DT), most)
+    damping = np.minimum(np.maximum(-energy, 0.0) / (squared * DT), max_damping)
     expected = -damping[:, None] * velocity
     # The damping is wrong by what the energy is; it is continuous at both of its bounds.
     slack = bound / (squared * DT) + U * (4 * axes + 10) * damping
-    assert np.all(abs(told.safety_force - expected) <= slack[:, None] * abs(velocity))
+    assert np.all(abs(interventions.safety_force - expected) <= slack[:, None] * abs(velocity))
     clear = abs(energy) > bound
-    assert np.array_equal((told.tripped == 8)[clear], (np.any(expected != 0, axis=1))[clear])
-    assert {0, 8} == set(told.tripped.tolist())
+    assert np.array_equal((interventions.tripped == 8)[clear], (np.any(expected != 0, axis=1))[clear])
+    assert {0, 8} == set(interventions.tripped.tolist())
 
 
 def judged(name: str, velocity: Array, rendered: Array, grasp: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -214,15 +214,15 @@ def judged(name: str, velocity: Array, rendered: Array, grasp: Array) -> tuple[A
 def test_eq_2_13_14_cancel_and_damp(name: str, bit: int, axes: int, seed: int) -> None:
     velocity, rendered, grasp = signals(axes, seed)
     device = DeviceModel(mass_kg=MASS, axes=axes)
-    told = SafetyController(device, settings(name)).run(velocity, rendered, grasp)
+    interventions = SafetyController(device, settings(name)).run(velocity, rendered, grasp)
     beyond, clear = judged(name, velocity, rendered, grasp)
     unsafe = beyond > 0
-    assert np.array_equal((told.tripped == bit)[clear], unsafe[clear])
+    assert np.array_equal((interventions.tripped == bit)[clear], unsafe[clear])
     assert 0 < unsafe.sum() < TICKS, "the signals do not reach both branches"
     # The same two roundings on both sides: bit for bit.
-    law = np.where((told.tripped == bit)[:, None], -rendered - 5.0 * velocity, 0.0)
-    assert np.array_equal(told.safety_force, law)
-    assert np.array_equal(told.device_force, rendered + law)
+    law = np.where((interventions.tripped == bit)[:, None], -rendered - 5.0 * velocity, 0.0)
+    assert np.array_equal(interventions.safety_force, law)
+    assert np.array_equal(interventions.device_force, rendered + law)
 
 
 @axes_and_seed
@@ -231,17 +231,17 @@ def test_s_h_compares_forces_of_the_same_lateness(axes: int, seed: int) -> None:
     aligned = 0.7 * rendered + 0.3 * np.roll(rendered, 1, axis=0)
     device = DeviceModel(mass_kg=MASS, axes=axes)
     controller = SafetyController(device, SafetySettings(["hsc"]))
-    told = controller.run(velocity, rendered, grasp, aligned)
+    interventions = controller.run(velocity, rendered, grasp, aligned)
     # Eq. 5 and 14 with the force that is as late as F_h; what is cancelled is F_v of this tick.
-    assert told.grasp is not None
+    assert interventions.grasp is not None
     ratio = norm(aligned) / (norm(grasp) + 1e-3)
-    assert np.all(abs(told.grasp - ratio) <= U * (2 * axes + 8) * ratio)
+    assert np.all(abs(interventions.grasp - ratio) <= U * (2 * axes + 8) * ratio)
     beyond, clear = judged("hsc", velocity, aligned, grasp)
     # F_t must hold for the force of this tick as well: nothing is cancelled where nothing is rendered.
     pushing = norm(rendered) > 0.1
-    assert np.array_equal((told.tripped == 2)[clear], ((beyond > 0) & pushing)[clear])
-    law = np.where((told.tripped == 2)[:, None], -rendered - 5.0 * velocity, 0.0)
-    assert np.array_equal(told.safety_force, law)
+    assert np.array_equal((interventions.tripped == 2)[clear], ((beyond > 0) & pushing)[clear])
+    law = np.where((interventions.tripped == 2)[:, None], -rendered - 5.0 * velocity, 0.0)
+    assert np.array_equal(interventions.safety_force, law)
 
 
 def settings(name: str) -> SafetySettings:

@@ -65,15 +65,15 @@ def controlled(axes: int, names: list[Name], *given_signals: Array) -> Intervent
 )
 def test_the_law_acts_exactly_when_one_trips(names: list[Name], axes: int, seed: int) -> None:
     velocity, rendered, grasp = signals(axes, seed)
-    told = controlled(axes, names, velocity, rendered, grasp)
-    tripped = told.tripped != 0
-    assert np.array_equal(told.safety_force, np.where(tripped[:, None], -rendered - 5.0 * velocity, 0.0))
+    interventions = controlled(axes, names, velocity, rendered, grasp)
+    tripped = interventions.tripped != 0
+    assert np.array_equal(interventions.safety_force, np.where(tripped[:, None], -rendered - 5.0 * velocity, 0.0))
     # While it acts, the device renders the damping alone.
     rounding = 2 * U * (abs(rendered) + 5.0 * abs(velocity))
-    assert np.all(abs(told.device_force + 5.0 * velocity)[tripped] <= rounding[tripped])
-    assert np.array_equal(told.device_force[~tripped], rendered[~tripped])
+    assert np.all(abs(interventions.device_force + 5.0 * velocity)[tripped] <= rounding[tripped])
+    assert np.array_equal(interventions.device_force[~tripped], rendered[~tripped])
     alone = [controlled(axes, [name], velocity, rendered, grasp).tripped for name in names]
-    assert np.array_equal(told.tripped, sum(alone, np.zeros(TICKS, dtype=np.uint8)))
+    assert np.array_equal(interventions.tripped, sum(alone, np.zeros(TICKS, dtype=np.uint8)))
 
 
 def test_an_intervention_is_held_and_fades() -> None:
@@ -83,15 +83,15 @@ def test_an_intervention_is_held_and_fades() -> None:
     grasp = np.full(16, -3.0)
     grasp[2] = 0.0  # nobody holds at this one tick
     grasp[9] = 0.0  # and again while the first intervention fades
-    told = controller.run(velocity, rendered, grasp)
+    interventions = controller.run(velocity, rendered, grasp)
     held = [1.0] * 5
     fading = [0.96, 0.84, 0.64, 0.36]  # 1 - s² with s in fifths
     gain = np.array([0.0, 0.0, *held, *fading[:2], *held, *fading[:2]])
     # Three roundings, of values below 8 N.
-    assert np.all(abs(told.safety_force - gain * -4.0) <= 3 * U * 8.0)
+    assert np.all(abs(interventions.safety_force - gain * -4.0) <= 3 * U * 8.0)
     bits = np.where(gain > 0, 16, 0)
     bits[[2, 9]] = 2
-    assert np.array_equal(told.tripped, bits)
+    assert np.array_equal(interventions.tripped, bits)
 
 
 def test_the_passivity_controller_has_the_share_that_an_intervention_leaves() -> None:
@@ -124,11 +124,11 @@ def test_motion_along_one_axis_is_the_scalar_case(axes: int, seed: int) -> None:
     for scalar_run, vector_run in zip(observers(1), observers(axes), strict=True):
         assert np.array_equal(scalar_run(*flat), vector_run(*wide))
     names: list[Name] = ["vfc", "hsc", "wsc", "pc"]
-    scalar_told, vector_told = controlled(1, names, *flat), controlled(axes, names, *wide)
-    assert np.array_equal(scalar_told.tripped, vector_told.tripped)
+    scalar_interventions, vector_interventions = controlled(1, names, *flat), controlled(axes, names, *wide)
+    assert np.array_equal(scalar_interventions.tripped, vector_interventions.tripped)
     expected = np.zeros((TICKS, axes))
-    expected[:, along] = scalar_told.safety_force
-    assert np.array_equal(vector_told.safety_force, expected)
+    expected[:, along] = scalar_interventions.safety_force
+    assert np.array_equal(vector_interventions.safety_force, expected)
     device = DeviceModel.phantom_desktop(axes)
     grasp = DeviceModel.phantom_desktop().grasp_force(*flat)
     assert np.array_equal(device.grasp_force(*wide)[:, along], grasp)
@@ -137,8 +137,8 @@ def test_motion_along_one_axis_is_the_scalar_case(axes: int, seed: int) -> None:
 @given(seed=seeds)
 def test_a_rotation_of_the_frame_changes_no_observer_and_turns_the_force(seed: int) -> None:
     straight = signals(3, seed)
-    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
-    turned = [signal @ turn.T for signal in straight]
+    rotation = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    rotated = [signal @ rotation.T for signal in straight]
     velocity, rendered, grasp = (np.linalg.norm(signal, axis=1) for signal in straight)
     # An entry of the matrix is off by some 8 u, a rotated component adds 3 products and 2 sums:
     # together less than 32 u of the length of the vector. In a product of two vectors this counts
@@ -156,11 +156,11 @@ def test_a_rotation_of_the_frame_changes_no_observer_and_turns_the_force(seed: i
         sums,
     ]
     for run, run_again, bound in zip(observers(3), observers(3), bounds, strict=True):
-        assert np.all(abs(run(*straight) - run_again(*turned)) <= bound)
+        assert np.all(abs(run(*straight) - run_again(*rotated)) <= bound)
 
     for name, bound in zip(("vfc", "hsc", "wsc"), (bounds[0], bounds[2], bounds[4]), strict=True):
         names: list[Name] = [name]  # type: ignore[list-item]
-        left, right = controlled(3, names, *straight), controlled(3, names, *turned)
+        left, right = controlled(3, names, *straight), controlled(3, names, *rotated)
         seen = {"vfc": left.velocity_force, "hsc": left.grasp, "wsc": left.windowed_energy_j}[name]
         threshold = {"vfc": 1.0, "hsc": 1.5, "wsc": -0.03}[name]
         assert seen is not None
@@ -169,7 +169,7 @@ def test_a_rotation_of_the_frame_changes_no_observer_and_turns_the_force(seed: i
             clear &= abs(rendered - 0.1) > vector * rendered
         assert np.array_equal(left.tripped[clear], right.tripped[clear])
         slack = vector * (rendered + 5.0 * velocity)
-        error = abs(left.safety_force @ turn.T - right.safety_force).max(axis=1)
+        error = abs(left.safety_force @ rotation.T - right.safety_force).max(axis=1)
         # Rotated inputs, and the rotation of the result.
         assert np.all((error <= 2 * slack)[clear])
 
@@ -180,22 +180,22 @@ def test_energy_scales_with_the_square(seed: int, axes: int, power: int) -> None
     # would be taken for absurd.
     s = 2.0**power
     device = DeviceModel(mass_kg=0.157, axes=axes)
-    plain = signals(axes, seed)
-    scaled = [s * signal for signal in plain]
+    unscaled = signals(axes, seed)
+    scaled = [s * signal for signal in unscaled]
     for observer in (
         lambda: SafetyObserver(device),
         lambda: WindowedSafetyObserver(device, window=30),
     ):
-        assert np.array_equal(observer().run(*scaled), s * s * observer().run(*plain))
-    told = [
+        assert np.array_equal(observer().run(*scaled), s * s * observer().run(*unscaled))
+    interventions = [
         SafetyController(device, SafetySettings(["wsc"], window=30, energy_threshold_j=-0.03 * scale * scale)).run(
             *given_signals
         )
-        for scale, given_signals in ((1.0, plain), (s, scaled))
+        for scale, given_signals in ((1.0, unscaled), (s, scaled))
     ]
-    assert told[0].tripped.any()
-    assert np.array_equal(told[0].tripped, told[1].tripped)
-    assert np.array_equal(told[1].safety_force, s * told[0].safety_force)
+    assert interventions[0].tripped.any()
+    assert np.array_equal(interventions[0].tripped, interventions[1].tripped)
+    assert np.array_equal(interventions[1].safety_force, s * interventions[0].safety_force)
 
 
 @given(seed=seeds, quiet=st.integers(1, 90), window=st.integers(1, 60))
@@ -219,7 +219,7 @@ OPEN = {"max_force_n": 1e3, "max_slew_n_per_s": 1e9, "max_power_w": 1e6, "ramp_i
 
 
 def forces(axes: int, seed: int) -> tuple[Array, Array]:
-    """A force that is asked for, in steps and drifts, and V."""
+    """A force that is requested, in steps and drifts, and V."""
     random = np.random.default_rng(seed)
     steps = np.repeat(random.normal(size=(TICKS // 10, axes)), 10, axis=0) * 8.0
     return steps + random.normal(size=(TICKS, axes)), random.normal(size=(TICKS, axes)) * 0.6
@@ -229,8 +229,8 @@ def forces(axes: int, seed: int) -> tuple[Array, Array]:
 def test_the_limiter_holds_cap_power_and_growth(axes: int, seed: int) -> None:
     cap, growth, power, ramp = 7.9, 1.0, 3.0, 20
     settings = LimiterSettings(max_force_n=cap, max_slew_n_per_s=growth / DT, max_power_w=power, ramp_in_s=ramp * DT)
-    asked, velocity = forces(axes, seed)
-    force, acted = Limiter(settings, axes=axes).run(asked, velocity)
+    requested, velocity = forces(axes, seed)
+    force, acted = Limiter(settings, axes=axes).run(requested, velocity)
     sizes = np.linalg.norm(force, axis=1)
     speeds = np.linalg.norm(velocity, axis=1)
     rounding = 8 * (axes + 4) * U
@@ -252,40 +252,40 @@ def test_the_limiter_holds_cap_power_and_growth(axes: int, seed: int) -> None:
     assert not (acted[ramp:] & 8).any()
     assert not force[0].any(), "a force rises from zero"
     clipped = acted & 1 != 0
-    assert np.array_equal(clipped[ramp:], np.linalg.norm(asked[ramp:], axis=1) > cap * (1 + rounding))
+    assert np.array_equal(clipped[ramp:], np.linalg.norm(requested[ramp:], axis=1) > cap * (1 + rounding))
     bound_by_power = acted & 4 != 0
     assert np.all(abs(delivered[bound_by_power] - power) <= rounding * (cap * 5.0 + power))
-    assert np.array_equal(force[acted == 0], asked[acted == 0])
+    assert np.array_equal(force[acted == 0], requested[acted == 0])
     assert {0, 2} <= set((acted & 2).tolist())
     assert {0, 4} <= set((acted & 4).tolist())
 
 
 @given(axes=st.sampled_from((1, 3)), seed=seeds)
 def test_an_open_limiter_changes_nothing(axes: int, seed: int) -> None:
-    asked, velocity = forces(axes, seed)
-    force, acted = Limiter(LimiterSettings(**OPEN), axes=axes).run(asked, velocity)
-    assert np.array_equal(force, asked)
+    requested, velocity = forces(axes, seed)
+    force, acted = Limiter(LimiterSettings(**OPEN), axes=axes).run(requested, velocity)
+    assert np.array_equal(force, requested)
     assert not acted.any()
 
 
 def test_the_limiter_bounds_one_thing_at_a_time() -> None:
-    asked, still = np.full(4, 10.0), np.zeros(4)
+    requested, still = np.full(4, 10.0), np.zeros(4)
     for key, value, velocity, expected, bit in [
         ("max_force_n", 4.0, still, [4.0, 4.0, 4.0, 4.0], 1),
         ("max_slew_n_per_s", 3000.0, still, [3.0, 6.0, 9.0, 10.0], 2),
         ("max_power_w", 3.0, still + 2.0, [1.5, 1.5, 1.5, 1.5], 4),
         ("ramp_in_s", 0.004, still, [0.0, 2.5, 5.0, 7.5], 8),
     ]:
-        force, acted = Limiter(LimiterSettings(**OPEN | {key: value})).run(asked, velocity)
+        force, acted = Limiter(LimiterSettings(**OPEN | {key: value})).run(requested, velocity)
         # A handful of roundings of values up to 10 N.
         assert np.all(abs(force - expected) <= 8 * U * 10.0), key
-        assert np.array_equal(acted != 0, force != asked), key
+        assert np.array_equal(acted != 0, force != requested), key
         assert set(acted.tolist()) <= {0, bit}, key
 
 
 def test_unloading_is_free_and_a_reversal_is_not() -> None:
     limiter = Limiter(LimiterSettings(**OPEN | {"max_slew_n_per_s": 1000.0}))
-    asked = np.array([1.0, 2.0, 3.0, 0.5, -3.0, 0.0])
-    force, acted = limiter.run(asked, np.zeros(6))
+    requested = np.array([1.0, 2.0, 3.0, 0.5, -3.0, 0.0])
+    force, acted = limiter.run(requested, np.zeros(6))
     assert np.all(abs(force - [1.0, 2.0, 3.0, 0.5, -1.0, 0.0]) <= 8 * U * 3.0)
     assert acted.tolist() == [0, 0, 0, 0, 2, 0]
