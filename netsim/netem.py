@@ -84,7 +84,7 @@ def compare_netem(text: str, sent_ns: Times, *, seed: int = 0, size: int = 92) -
     """
     settings, correlations = _translated(text)
     verdicts = judge_all(LinkSettings(netem=text), sent_ns, seed=seed, sizes=size)
-    netem, wanted = realised(verdicts), _asked(settings)
+    netem, wanted = realised(verdicts), _requested(settings)
     ours, refused = LinkFigures(), None
     try:
         ours = realised(judge_all(settings, sent_ns, seed=seed, sizes=size))
@@ -100,7 +100,7 @@ def compare_netem(text: str, sent_ns: Times, *, seed: int = 0, size: int = 92) -
     )
 
 
-def _asked(settings: LinkSettings) -> LinkFigures:
+def _requested(settings: LinkSettings) -> LinkFigures:
     """What the text says by itself: with a rate, delays depend on the traffic."""
     # Jitter that no link can have, as of 10 ms around 10 ms, was requested all the same.
     without = dict.fromkeys(("jitter_s", "distribution", "distribution_shape", "jitter_correlation_s"))
@@ -225,12 +225,12 @@ def _of_draws(correlations: Correlations, wanted: LinkFigures, netem: LinkFigure
         ("corrupt", correlations.corrupt, wanted.damaged, netem.damaged),
         ("reorder", correlations.reorder, wanted.reordered, netem.reordered),
     )
-    for name, correlation, asked_for, found in of:
-        if correlation <= 0.0 or not asked_for or found is None:
+    for name, correlation, requested, found in of:
+        if correlation <= 0.0 or not requested or found is None:
             continue
-        if abs(found - asked_for) > _DOUBT * sqrt(asked_for * (1.0 - asked_for) / sent):
+        if abs(found - requested) > _DOUBT * sqrt(requested * (1.0 - requested) / sent):
             yield (
-                f"the correlation of {name} narrows its draws around one half: {_share(asked_for)} with "
+                f"the correlation of {name} narrows its draws around one half: {_share(requested)} with "
                 f"{_share(correlation)} became {_share(found)}"
             )
 

@@ -42,8 +42,8 @@ def test_the_same_seed_gives_the_same_bytes(capsys: pytest.CaptureFixture[str], 
 
 
 def test_a_copy_has_a_row_directly_after_its_packet_and_shifts_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    plain, doubled = rows(sample(capsys, *ROUGH)), rows(sample(capsys, *ROUGH, "--duplicate", "0.2"))
-    assert [row for row in doubled if row["cause"] != "duplicate"] == plain
+    single, doubled = rows(sample(capsys, *ROUGH)), rows(sample(capsys, *ROUGH, "--duplicate", "0.2"))
+    assert [row for row in doubled if row["cause"] != "duplicate"] == single
     places = [place for place, row in enumerate(doubled) if row["cause"] == "duplicate"]
     # 1800 packets arrive, a fifth of them twice: 360 +- 4 * 17.
     assert 290 <= len(places) <= 430
@@ -161,11 +161,11 @@ def test_a_bad_file_says_where(
     scene = tmp_path / "mine.toml"
     scene.write_text(f"schema = 1\n[link.forward]\n{setting}\n")
     assert main(["netsim", "sample", str(scene)]) == 2
-    told = capsys.readouterr().err
+    stderr = capsys.readouterr().err
     said = said.format(path=tmp_path / name, folder=tmp_path)
-    assert told.startswith("haptether: [link.forward")
-    assert said.partition(".file")[2] in told
-    assert told.count("\n") == 1
+    assert stderr.startswith("haptether: [link.forward")
+    assert said.partition(".file")[2] in stderr
+    assert stderr.count("\n") == 1
 
 
 def test_a_file_that_is_too_large_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -199,9 +199,9 @@ def test_a_bad_request_is_one_line_and_status_2(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["netsim", "sample", *arguments]) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert told.count("\n") == 1
+    stderr = capsys.readouterr().err
+    assert said in stderr
+    assert stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,7 @@ def test_a_run_that_is_too_late_is_invalid(start: Start, peer: socket.socket) ->
     assert json.loads(out)["valid"] is False
 
 
-def test_drops_are_told_by_cause(start: Start, peer: socket.socket) -> None:
+def test_drops_are_counted_by_cause(start: Start, peer: socket.socket) -> None:
     proxy = start(*to(peer), "--loss", "1", *ANY_ERROR, "--duration-s", "2", "--json", "-")
     with Client(proxy, peer) as client:
         for _ in range(5):
@@ -247,9 +247,9 @@ def test_a_bad_request_is_one_line(
 ) -> None:
     proxy = ["netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", "127.0.0.1:9", "--duration-s", "0"]
     assert main([*proxy, *arguments]) == status
-    told = capsys.readouterr().err
-    assert said in told
-    assert told.count("\n") == 1
+    stderr = capsys.readouterr().err
+    assert said in stderr
+    assert stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -328,9 +328,9 @@ def test_a_measurement_that_cannot_be_made_is_one_line(tmp_path: Path, capsys: p
         (["127.0.0.1:9", "--duration-s", "0.1"], "none of ", 1),
     ):
         assert main(["netsim", "record", *arguments]) == status
-        told = capsys.readouterr().err
-        assert said in told
-        assert told.count("\n") == 1
+        stderr = capsys.readouterr().err
+        assert said in stderr
+        assert stderr.count("\n") == 1
 
 
 def test_an_echo_ends_by_itself() -> None:

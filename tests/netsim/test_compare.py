@@ -1,4 +1,4 @@
-"""`haptether netsim compare`: netem's quirks are the known ones, and ours does what was asked."""
+"""`haptether netsim compare`: netem's quirks are the known ones, and ours does what was requested."""
 
 import json
 from typing import Any
@@ -59,7 +59,9 @@ def test_a_correlated_loss_all_but_ceases_and_ours_does_not(capsys: pytest.Captu
         ("loss 5% duplicate 5%", "passes once"),
     ],
 )
-def test_each_quirk_is_told_when_it_acts(text: str, quirk: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_quirk_is_reported_where_it_has_an_effect(
+    text: str, quirk: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     report = compared(capsys, text)
     assert any(quirk in line for line in report["quirks"]), report["quirks"]
     assert report["arguments"] == text
@@ -122,9 +124,9 @@ def test_a_bad_request_is_one_line_and_status_2(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["netsim", "compare", *arguments]) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert told.count("\n") == 1
+    stderr = capsys.readouterr().err
+    assert said in stderr
+    assert stderr.count("\n") == 1
 
 
 def test_the_error_is_that_of_a_link() -> None:

@@ -17,19 +17,19 @@ PATIENCE_S = 10.0
 
 
 class Changes:
-    """In the place of a proxy: notes what it is told."""
+    """In the place of a proxy: keeps what it receives."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, LinkSettings]] = []
+        self.received: list[tuple[str, LinkSettings]] = []
 
     def change(self, direction: str, settings: LinkSettings) -> None:
-        self.told.append((direction, settings))
+        self.received.append((direction, settings))
 
     def statistics(self) -> ProxyStatistics:
         raise AssertionError
 
 
-def asked(request: object, *, forward: LinkSettings | None = None) -> tuple[dict[str, Any], Changes, bool]:
+def handled(request: object, *, forward: LinkSettings | None = None) -> tuple[dict[str, Any], Changes, bool]:
     changes = Changes()
     controlled = Controlled(changes, forward or LinkSettings(delay_s=0.05, loss=0.01), LinkSettings(), lambda _: {})
     line = request if isinstance(request, bytes) else json.dumps(request).encode()
@@ -38,7 +38,7 @@ def asked(request: object, *, forward: LinkSettings | None = None) -> tuple[dict
 
 
 def test_what_is_not_named_stays() -> None:
-    answer, changes, _ = asked({"forward": {"delay_s": 0.1}, "backward": {"loss": 0.5, "mean_burst": 4}})
+    answer, changes, _ = handled({"forward": {"delay_s": 0.1}, "backward": {"loss": 0.5, "mean_burst": 4}})
     assert answer == {
         "ok": True,
         "changed": {
@@ -46,18 +46,18 @@ def test_what_is_not_named_stays() -> None:
             "backward": {"loss": {"old": None, "new": 0.5}, "mean_burst": {"old": None, "new": 4.0}},
         },
     }
-    assert changes.told == [
+    assert changes.received == [
         ("forward", LinkSettings(delay_s=0.1, loss=0.01)),
         ("backward", LinkSettings(loss=0.5, mean_burst=4.0)),
     ]
-    answer, changes, _ = asked({"forward": {"loss": None, "outages": [{"times": {"kind": "once", "at_s": 1.0,
+    answer, changes, _ = handled({"forward": {"loss": None, "outages": [{"times": {"kind": "once", "at_s": 1.0,
                                                                                  "duration_s": 1.0}}]}})  # fmt: skip
     assert answer["changed"]["forward"]["loss"] == {"old": 0.01, "new": None}
     assert answer["changed"]["forward"]["outages"]["old"] is None
-    ((_, settings),) = changes.told
+    ((_, settings),) = changes.received
     assert settings.loss is None
     assert settings.outages is not None
-    assert asked({"forward": {}})[0] == {"ok": True, "changed": {"forward": {}}}
+    assert handled({"forward": {}})[0] == {"ok": True, "changed": {"forward": {}}}
 
 
 @pytest.mark.parametrize(
@@ -89,15 +89,15 @@ def test_a_bad_request_names_the_key_and_changes_nothing(request_: object, said:
     # Beside one that could be carried out.
     if isinstance(request_, dict) and "backward" in request_:
         request_ = {"forward": {"delay_s": 0.2}, **request_}
-    answer, changes, goes_on = asked(request_)
+    answer, changes, goes_on = handled(request_)
     assert answer["ok"] is False
     assert answer["error"].startswith(said)
     assert "\n" not in answer["error"]
-    assert not changes.told
+    assert not changes.received
     assert goes_on == (not said.startswith("no JSON"))
 
 
-def test_a_recording_is_told_by_its_length() -> None:
+def test_a_recording_is_shown_by_its_length() -> None:
     trace = DelayTrace(time_s=tuple(map(float, range(5000))), delay_s=(0.1,) * 5000)
     with proxied(LinkSettings(trace=trace)) as (address, _):
         answer = ask_control(address, {"show": True})

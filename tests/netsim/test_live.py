@@ -63,8 +63,8 @@ def test_the_log_says_what_became_of_each_datagram(peer: socket.socket, tmp_path
     assert [row["t_out_ns"] == "" for row in rows] == [False] * 10 + [True]
     for index, row in enumerate(rows[:10]):
         assert (row["direction"], row["index"], row["kind"]) == ("forward", str(index), "")
-        came, due, left = (int(row[key]) for key in ("t_in_ns", "t_due_ns", "t_out_ns"))
-        assert due == came + 10_000_000
+        received, due, left = (int(row[key]) for key in ("t_in_ns", "t_due_ns", "t_out_ns"))
+        assert due == received + 10_000_000
         assert left - due == int(row["error_ns"]) >= 0
 
 

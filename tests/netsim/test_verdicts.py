@@ -141,7 +141,7 @@ def test_an_impairment_shifts_no_draw_of_another(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ({"delay_s": -0.1}, "delay_s = -0.1: must be a number from 0 to 3600"),
         ({"delay_s": 3601.0}, "delay_s = 3601.0: must be a number from 0 to 3600"),
@@ -161,8 +161,8 @@ def test_an_impairment_shifts_no_draw_of_another(seed: int) -> None:
         ({"preset": "star-link"}, 'preset = "star-link": must be one of wired-lan, '),
     ],
 )
-def test_settings_out_of_range_are_refused(settings: dict[str, Any], told: str) -> None:
-    with pytest.raises(LinkError, match=f"^{re.escape(told)}"):
+def test_settings_out_of_range_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(LinkError, match=f"^{re.escape(message)}"):
         judge(LinkSettings(**settings), SENT_NS)
 
 
@@ -179,7 +179,7 @@ def test_settings_tell_what_they_were_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sent", "keywords", "error", "told"),
+    ("sent", "keywords", "error", "message"),
     [
         (np.array([0, 5, -1]), {}, ValueError, r"^sent_ns\[2\] = -1: must be 0 or more$"),
         (np.array([0, 5, 4]), {}, ValueError, r"^sent_ns\[2\] = 4: must be at least the one before it, 5$"),
@@ -199,7 +199,7 @@ def test_settings_tell_what_they_were_given() -> None:
     ],
 )
 def test_bad_questions_are_refused(
-    sent: Times, keywords: dict[str, Any], error: type[Exception], told: str | None
+    sent: Times, keywords: dict[str, Any], error: type[Exception], message: str | None
 ) -> None:
-    with pytest.raises(error, match=told):
+    with pytest.raises(error, match=message):
         judge(LinkSettings(), sent, **keywords)
