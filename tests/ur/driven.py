@@ -106,7 +106,7 @@ def main() -> None:
             for line in lines:
                 going = watched.command(line.decode()) and going
     emit({"end": watched.end()})
-    # Threads that never came back and the library's destructors are not waited for.
+    # Threads whose call never returned and the library's destructors are not waited for.
     sys.stdout.flush()
     os._exit(0)
 

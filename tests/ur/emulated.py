@@ -39,15 +39,15 @@ class Emulated:
             if left <= 0.0 or not select.select([self.process.stdout], [], [], left)[0]:
                 message = f"the emulator said nothing for {patience_s} s"
                 raise TimeoutError(message)
-            came = os.read(self.process.stdout.fileno(), 1 << 16)
-            if not came:
+            received = os.read(self.process.stdout.fileno(), 1 << 16)
+            if not received:
                 message = f"the emulator ended with {self.process.wait(ANSWER_S)}"
                 raise RuntimeError(message)
-            self._waiting += came
+            self._waiting += received
         line, self._waiting = self._waiting.split(b"\n", 1)
         return line.decode()
 
-    def ask(self, line: str) -> str:
+    def request(self, line: str) -> str:
         """The answer to a control line."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n".encode())
@@ -56,7 +56,7 @@ class Emulated:
 
     def do(self, line: str) -> str:
         """The result of a control line that must succeed."""
-        answer = self.ask(line)
+        answer = self.request(line)
         assert answer.startswith("ok"), answer
         return answer[3:]
 
@@ -106,9 +106,9 @@ def client(scenario: str, host: str, arguments: Sequence[object] = (), patience_
     return result_of(ended.stdout)
 
 
-def result_of(told: str) -> dict[str, Any]:
+def result_of(output: str) -> dict[str, Any]:
     """The result in what a client said; ur_rtde says things of its own, from threads of its own."""
-    lines = [line for line in told.splitlines() if line.startswith("{")]
-    assert lines, f"no result: {told!r}"
+    lines = [line for line in output.splitlines() if line.startswith("{")]
+    assert lines, f"no result: {output!r}"
     result: dict[str, Any] = json.loads(lines[-1])
     return result

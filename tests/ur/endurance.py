@@ -87,27 +87,28 @@ def main() -> int:
         "--attempts", type=int, default=3, metavar="N",
         help="how often at most a mode is measured that was not good while the host stole more than 1 %% (default: 3)",
     )  # fmt: skip
-    asked = parser.parse_args()
-    if asked.attempts < 1:
-        parser.error(f"--attempts = {asked.attempts}: must be 1 or more")
+    arguments = parser.parse_args()
+    if arguments.attempts < 1:
+        parser.error(f"--attempts = {arguments.attempts}: must be 1 or more")
     results = {}
     for mode in runs(0.0):
-        measure = partial(endured, mode, asked.seconds, asked.version)
-        results[mode] = figures = attempted(measure, asked.attempts, asked.seconds, os.cpu_count() or 1)
+        measure = partial(endured, mode, arguments.seconds, arguments.version)
+        results[mode] = figures = attempted(measure, arguments.attempts, arguments.seconds, os.cpu_count() or 1)
         shown = {name: f"{1e3 * figures[name]:.2f} ms" for name in figures if name.endswith("_s")}
         print(
             f"{mode:7} {'good' if figures['good'] else 'NOT GOOD'}: {figures['accepted']} of {figures['calls']} calls, "
             f"client late p99 {shown['late_p99_s']}, longest call {shown['call_max_s']}, longest gap of states "
             f"{shown['state_gap_max_s']}, {figures['late_cycles']} cycles late, the worst {shown['worst_late_s']}, "
-            f"{shown['stolen_s']} stolen by the host, attempt {len(figures['attempts'])} of at most {asked.attempts}",
+            f"{shown['stolen_s']} stolen by the host, attempt {len(figures['attempts'])} of at most "
+            f"{arguments.attempts}",
             flush=True,
         )
-    if asked.json is not None:
+    if arguments.json is not None:
         text = json.dumps(results, indent=2)
-        if str(asked.json) == "-":
+        if str(arguments.json) == "-":
             print(text)
         else:
-            asked.json.write_text(text + "\n", encoding="utf-8")
+            arguments.json.write_text(text + "\n", encoding="utf-8")
     return 0 if all(figures["good"] for figures in results.values()) else 1
 
 

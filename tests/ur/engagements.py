@@ -209,13 +209,17 @@ def main() -> int:
         help="how often at most a start is measured in which the machine stood still (default: 3)",
     )  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="PATH", help="where to write all figures; - for standard output")
-    asked = parser.parse_args()
-    if min(asked.count, asked.each, asked.attempts) < 1 or asked.busy < 0:
+    arguments = parser.parse_args()
+    if min(arguments.count, arguments.each, arguments.attempts) < 1 or arguments.busy < 0:
         parser.error("--count, --each, --attempts: must be 1 or more, --busy 0 or more")
-    told = sys.stderr if asked.json is not None and str(asked.json) == "-" else sys.stdout
-    print(HEADINGS, file=told, flush=True)
+    out = sys.stderr if arguments.json is not None and str(arguments.json) == "-" else sys.stdout
+    print(HEADINGS, file=out, flush=True)
     result = measured(
-        asked.count, asked.each, asked.busy, asked.attempts, lambda row: print(row, file=told, flush=True)
+        arguments.count,
+        arguments.each,
+        arguments.busy,
+        arguments.attempts,
+        lambda row: print(row, file=out, flush=True),
     )
     for side in ("master", "slave"):
         figures = result[side]
@@ -223,22 +227,22 @@ def main() -> int:
             f"{side:6} {figures['engaged']} engagements, {figures['with_late_frames']} with late frames, "
             f"{figures['held']} of them held; loop late by {figures['wakes_late_median_ms']:.2f} ms (median), "
             f"{figures['wakes_late_max_ms']:.2f} ms (most)",
-            file=told,
+            file=out,
         )
     print(
         f"{'good' if result['good'] else 'NOT GOOD'}: {result['starts']} starts in {result['elapsed_s']:.0f} s beside "
         f"{result['busy']} busy processes, {result['measured_anew']} measured anew because the machine stood still, "
         f"{result['stolen_s']:.2f} s stolen by the host",
-        file=told,
+        file=out,
         flush=True,
     )
-    if asked.json is not None:
+    if arguments.json is not None:
         text = json.dumps(result, indent=2)
-        if str(asked.json) == "-":
+        if str(arguments.json) == "-":
             print(text)
         else:
-            asked.json.parent.mkdir(parents=True, exist_ok=True)
-            asked.json.write_text(text + "\n", encoding="utf-8")
+            arguments.json.parent.mkdir(parents=True, exist_ok=True)
+            arguments.json.write_text(text + "\n", encoding="utf-8")
     return 0 if result["good"] else 1
 
 

@@ -53,8 +53,8 @@ def machine_stalls() -> Iterator[list[tuple[float, float]]]:
         yield found
     finally:
         for child in children:
-            told, _ = child.communicate()
-            found += [(at_s, late_s) for at_s, late_s in json.loads(told or "[]")]
+            output, _ = child.communicate()
+            found += [(at_s, late_s) for at_s, late_s in json.loads(output or "[]")]
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from tests.ur.plain_rtde import frame
+from tests.ur.raw_rtde import frame
 
 from haptether.slave.ur_emulator import ControllerVersion
 from haptether.slave.ur_emulator.rtde.session import RtdeSession

@@ -10,7 +10,7 @@ from tests.ur.clients.scenario import START, Result, scenario
 
 
 def seen() -> None:
-    """Waits until a state that came after an answer is there: the two have connections of their own."""
+    """Waits until a state newer than an answer is there: the two have connections of their own."""
     time.sleep(0.02)
 
 
@@ -52,7 +52,7 @@ def moves(host: str) -> Result:
 
 @scenario
 def questions(host: str) -> Result:
-    """What is set up and asked for."""
+    """Settings and requests."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     pose = receive.getActualTCPPose()

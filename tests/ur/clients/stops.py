@@ -92,7 +92,7 @@ def dashboard(host: str) -> Result:
 
 @scenario
 def lost(host: str, seconds: float) -> Result:
-    """Streams servoJ and says what happens to each call, until it is told to end; tells when it begins."""
+    """Streams servoJ and says what happens to each call, until it receives the end; reports when it begins."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     print("streaming", flush=True)

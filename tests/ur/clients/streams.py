@@ -13,7 +13,7 @@ from tests.ur.clients.scenario import NO_TIMES, PERIOD_S, START, Pace, Result, s
 
 
 class Stream:
-    """Control and Receive clients that stream at a rate, and what came of it.
+    """Control and Receive clients that stream at a rate, and what they measured.
 
     Args:
         host: Where the controller is.

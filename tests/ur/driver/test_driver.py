@@ -385,7 +385,7 @@ def test_an_arm_that_was_closed_while_it_opened_is_not_connected(arm: Arm, monke
 
 
 @pytest.mark.parametrize(
-    ("mode", "qd", "asked", "want"),
+    ("mode", "qd", "requested", "want"),
     [
         # 0.1 s of the watchdog, 50 ms of them for braking.
         ("servoj", 0.7, 5.0, 14.0),
@@ -396,9 +396,9 @@ def test_an_arm_that_was_closed_while_it_opened_is_not_connected(arm: Arm, monke
         ("direct-torque", 0.7, 5.0, 14.0),
     ],
 )
-def test_a_stop_ends_before_the_watchdog_would(arm: Arm, mode: str, qd: float, asked: float, want: float) -> None:
+def test_a_stop_ends_before_the_watchdog_would(arm: Arm, mode: str, qd: float, requested: float, want: float) -> None:
     arm.version = (5, 26, 0, 0)
-    driven = Driven(arm, mode=mode, stop_deceleration=asked)
+    driven = Driven(arm, mode=mode, stop_deceleration=requested)
     order, call = {
         "servoj": ("servoJ", "servoStop"), "servol": ("servoL", "servoStop"), "speedl": ("speedL", "speedStop"),
         "direct-torque": ("directTorque", "stopJ"),

@@ -41,7 +41,7 @@ BAD, DISTURBED, GOOD = run(good=False, stolen_s=0.1), run(good=False, stolen_s=2
         ([DISTURBED, DISTURBED, DISTURBED, GOOD], 3),
     ],
 )
-def test_the_last_attempt_counts_and_all_are_told(runs: list[dict[str, Any]], made: int) -> None:
+def test_the_last_attempt_counts_and_all_are_reported(runs: list[dict[str, Any]], made: int) -> None:
     waiting = iter(runs)
     figures = attempted(lambda: next(waiting), 3, SECONDS, PROCESSORS)
     assert figures == {**runs[made - 1], "attempts": runs[:made]}

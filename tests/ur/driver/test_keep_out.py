@@ -133,11 +133,11 @@ def test_an_arm_that_cannot_follow_faults_before_a_plane_as_it_does_without(
     towards: tuple[float, ...], ahead_m: tuple[float, ...], speed: float
 ) -> None:
     # What its joints do not do is not for a plane that it would brake at as well.
-    way = np.array(towards)
-    free = led(way, 1.2, speed=speed, max_acceleration=20.0)
+    direction = np.array(towards)
+    free = led(direction, 1.2, speed=speed, max_acceleration=20.0)
     assert "the tool cannot follow" in free.fault
     for at_m in ahead_m:
-        bounded = led(way, 1.2, speed=speed, max_acceleration=20.0, workspace=[plane_ahead(way, at_m)])
+        bounded = led(direction, 1.2, speed=speed, max_acceleration=20.0, workspace=[plane_ahead(direction, at_m)])
         assert "the tool cannot follow" in bounded.fault
         assert len(free.q) <= len(bounded.q) <= len(free.q) + 5
         assert np.linalg.norm(bounded.behind[-1]) < 0.03

@@ -149,7 +149,7 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
         at_s = time.monotonic()
         emulated.do("freeze 0.06")
         took_s = watching.wait_for("slave", "hold", "stop", since_s=at_s)["at_s"] - at_s
-        # A loop holds that is later than 20 ms; the last package came a period before the silence, or less.
+        # A loop holds that is later than 20 ms; the last package arrived a period before the silence, or less.
         assert 0.02 - PERIOD_S <= took_s <= 0.06 + SHARED_S, took_s
         time.sleep(0.1)
         press_s = time.monotonic()
@@ -164,8 +164,8 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
             took_s = event["at_s"] - at_s
             said = watching.wait_for("fault", since_s=at_s)["fault"]
             assert said.startswith(row.said), (row.name, said)
-            least_s, most_s = row.limits_s
-            assert least_s <= took_s <= most_s + SHARED_S, (row.name, took_s)
+            min_s, max_s = row.limits_s
+            assert min_s <= took_s <= max_s + SHARED_S, (row.name, took_s)
             watching.wait_for("master", "hold", "stop", since_s=at_s)
             seen.append(f"{row.name}: {1e3 * took_s:.0f} ms")
             # The arm rests.

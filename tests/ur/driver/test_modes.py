@@ -39,7 +39,7 @@ def test_the_tool_follows_and_keeps_its_orientation() -> None:
     home = (state.pose[0], state.pose[1], state.pose[2])
     point.begin(home)
     kinematics = UrKinematics(MODEL)
-    turn = matrix_from_rotvec(state.pose[3:])
+    rotation = matrix_from_rotvec(state.pose[3:])
     worst_m = worst_rad = 0.0
     for tick in range(1, 1500):
         t = tick * PERIOD_S
@@ -50,7 +50,7 @@ def test_the_tool_follows_and_keeps_its_orientation() -> None:
         transform = np.array(kinematics.forward(joints.q))
         there = transform[:3, 3] + off
         worst_m = max(worst_m, float(np.abs(there - point.position).max()))
-        worst_rad = max(worst_rad, float(np.abs(transform[:3, :3] @ turn.T - np.eye(3)).max()))
+        worst_rad = max(worst_rad, float(np.abs(transform[:3, :3] @ rotation.T - np.eye(3)).max()))
     # Fed forward, so what is left is acceleration within the closing time of 4 periods, a T^2 = 0.32 * 64e-6 m, twice.
     assert worst_m < 4e-5
     # Curvature of the chain within a period, (v T)^2 over a lever of 0.1 m, four periods of it.
@@ -66,7 +66,7 @@ def test_near_a_singularity_the_tool_stays_behind_and_no_joint_runs_away() -> No
     home = (state.pose[0], state.pose[1], state.pose[2])
     point.begin(home)
     outward = np.array(home) / np.linalg.norm(home)
-    most = JOINT_SPEED_SHARE * np.array(MODEL.max_speed)
+    max_speed = JOINT_SPEED_SHARE * np.array(MODEL.max_speed)
     fastest = np.zeros(6)
     message = ""
     for tick in range(1, 2000):
@@ -79,7 +79,7 @@ def test_near_a_singularity_the_tool_stays_behind_and_no_joint_runs_away() -> No
             break
         fastest = np.maximum(fastest, np.abs(joints.qd))
     assert "the tool cannot follow" in message
-    assert (fastest <= most * (1 + 1e-9)).all()
+    assert (fastest <= max_speed * (1 + 1e-9)).all()
 
 
 @pytest.mark.parametrize(("version", "good"), [((5, 11, 0, 0), False), ((5, 25, 9, 0), False), ((5, 26, 0, 0), True)])
@@ -92,7 +92,7 @@ def test_direct_torque_is_for_new_software(version: tuple[int, ...], good: bool)
 
 
 class Said:
-    """A control interface that keeps what it was asked."""
+    """A control interface that keeps its calls."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []

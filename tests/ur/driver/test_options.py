@@ -66,10 +66,10 @@ def test_each_option_says_what_it_may_be(key: str) -> None:
 
 
 def test_numbers_come_as_a_scene_or_a_command_line_has_them() -> None:
-    plain = ur_options(HOST | {"axes": 3, "gain": 300, "frequency": 125, "workspace": [[0, 0, 2, 0.2]]})
+    numbers = ur_options(HOST | {"axes": 3, "gain": 300, "frequency": 125, "workspace": [[0, 0, 2, 0.2]]})
     text = ur_options(HOST | {"axes": "3", "gain": "300", "frequency": "125", "workspace": [["0", 0, "2", 0.2]]})
-    assert plain == text
-    assert (plain.gain, plain.frequency, plain.workspace) == (300.0, 125, ((0.0, 0.0, 2.0, 0.2),))
+    assert numbers == text
+    assert (numbers.gain, numbers.frequency, numbers.workspace) == (300.0, 125, ((0.0, 0.0, 2.0, 0.2),))
 
 
 def test_defaults_are_cautious() -> None:

@@ -39,10 +39,10 @@ def test_the_payload_is_taken_away_in_every_orientation() -> None:
 
     wrench = UrWrench(raw=True, tool=TOOL, filter_hz=None, deadband_n=0.0, payload_kg=1.5)
     wrench.zero(shown(POSE[3:], (0.0, 0.0, 0.0)), POSE)
-    for turned in ((0.0, 0.0, 0.0), (1.2, 0.0, 0.0), (0.3, -2.0, 0.9)):
-        pose = (*POSE[:3], *turned)
+    for rotation in ((0.0, 0.0, 0.0), (1.2, 0.0, 0.0), (0.3, -2.0, 0.9)):
+        pose = (*POSE[:3], *rotation)
         for pushed in ((0.0, 0.0, 0.0), (5.0, -1.0, 2.0)):
-            assert wrench.base_force(shown(turned, pushed), pose) == pytest.approx(pushed, abs=1e-12)
+            assert wrench.base_force(shown(rotation, pushed), pose) == pytest.approx(pushed, abs=1e-12)
 
 
 def test_the_filter_is_the_discrete_one_of_its_corner() -> None:

@@ -1,4 +1,4 @@
-"""What the emulated controller is asked and set up for: poses, tools, forces, contact, the watchdog."""
+"""Requests to the emulated controller, and its settings: poses, tools, forces, contact, the watchdog."""
 
 import math
 
@@ -10,7 +10,7 @@ from haptether.slave.ur.kinematics.pose import pose_trans
 from haptether.slave.ur_emulator import SafetyLimits
 from haptether.slave.ur_emulator.script.control_script import RUNNING
 
-# -------------------------------------------------------------------------------------------------- asked and set up
+# --------------------------------------------------------------------------------------------- requests and settings
 
 
 def test_the_tool_moves_with_its_offset(world: World) -> None:
@@ -150,22 +150,22 @@ def test_zero_ftsensor_takes_away_what_is_there(world: World) -> None:
     world.cycles(1)
     assert world.vector("actual_TCP_force") == (0.0,) * 6
     # At the flange, in its frame and without the offset.
-    turn = world.controller.robot.measured.tool[:3, :3]
-    assert world.vector("ft_raw_wrench")[:3] == pytest.approx(turn.T @ (3.0, -4.0, 12.0))
+    rotation = world.controller.robot.measured.tool[:3, :3]
+    assert world.vector("ft_raw_wrench")[:3] == pytest.approx(rotation.T @ (3.0, -4.0, 12.0))
 
 
 def test_the_sensor_carries_the_payload_and_the_force_at_the_tool_does_not(world: World) -> None:
     cog = (0.01, -0.02, 0.05)
     world.controller.setup.set_payload(1.5, cog)
     world.cycles(2)
-    turn = world.controller.robot.measured.tool[:3, :3]
-    weight = turn.T @ (0.0, 0.0, -1.5 * 9.82)
+    rotation = world.controller.robot.measured.tool[:3, :3]
+    weight = rotation.T @ (0.0, 0.0, -1.5 * 9.82)
     assert world.vector("ft_raw_wrench") == pytest.approx([*weight, *np.cross(cog, weight)])
     assert world.vector("actual_TCP_force")[:3] == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("line", "answer"), [("slider 0.5", "ok"), ("slider 1.2", "error: slider: 1.2: must be")])
-def test_the_speed_slider_is_told(world: World, line: str, answer: str) -> None:
+def test_the_speed_slider_is_reported(world: World, line: str, answer: str) -> None:
     assert world.line.answer(line, 0.0).startswith(answer)
     world.cycles(2)
     assert world.number("target_speed_fraction") == (0.5 if answer == "ok" else 1.0)
@@ -191,7 +191,7 @@ def test_force_mode_presses_with_the_force_that_was_asked_for() -> None:
     assert world.vector("target_qd") == pytest.approx((0.0,) * 6)
 
 
-def test_contact_is_told_with_how_long_it_lasts(world: World) -> None:
+def test_contact_is_reported_with_how_long_it_lasts(world: World) -> None:
     world.environment.push((0.0, 0.0, 20.0), 10.0)
     world.cycles(30)
     world.realtime(25, [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
@@ -207,7 +207,7 @@ def test_move_until_contact_goes_back_to_where_it_touched() -> None:
     world.environment.engage()
     begin = world.vector("actual_TCP_pose")
     world.call(51, [-0.05, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5])
-    # The face is 20 mm away; contact is told from 1 N on, 7 mm deep at 150 N/m.
+    # The face is 20 mm away; contact is reported from 1 N on, 7 mm deep at 150 N/m.
     assert world.vector("actual_TCP_pose")[0] - begin[0] == pytest.approx(-0.02 - 1.0 / 150.0, abs=1e-3)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from tests.ur.emulated import Emulated, emulator
-from tests.ur.plain_rtde import frame
+from tests.ur.raw_rtde import frame
 from tests.ur.stalls import anew_after_stalls
 from tests.ur.virtual import World
 

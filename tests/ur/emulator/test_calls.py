@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from tests.ur.emulated import Emulated, client
-from tests.ur.plain_rtde import Client
+from tests.ur.raw_rtde import Client
 from tests.ur.virtual import START
 
 pytestmark = pytest.mark.alone

@@ -72,7 +72,7 @@ def test_a_block_that_is_pushed_takes_the_momentum() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_stops_at_the_door(bad: float) -> None:
+def test_what_is_not_finite_is_refused_at_the_boundary(bad: float) -> None:
     box = touch("three_axis_box")
     for call in (
         lambda: box.force(bad, REST, REST),

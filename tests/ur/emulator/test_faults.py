@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.ur.emulated import Emulated, client, result_of
-from tests.ur.plain_rtde import Client
+from tests.ur.raw_rtde import Client
 
 pytestmark = pytest.mark.slow
 
@@ -103,17 +103,17 @@ def test_dropped_connections_are_met_again(arm: Emulated) -> None:
     ],
 )
 def test_stops_on_command_end_the_program(arm: Emulated, line: str, undo: str, key: str, value: str) -> None:
-    with Client(arm.host) as plain:
+    with Client(arm.host) as rtde:
         names = ["runtime_state", "robot_mode", "safety_mode", "safety_status_bits", "robot_status_bits"]
-        plain.outputs(names, 500.0)
-        plain.start()
+        rtde.outputs(names, 500.0)
+        rtde.start()
         with socket.create_connection((arm.host, 30003), 5.0) as script:
             script.sendall(b"def waiting():\n  sleep(20)\nend\n")
-            plain.until(runtime_state=2)
+            rtde.until(runtime_state=2)
             arm.do(line)
-            package = plain.until(runtime_state=1)
+            package = rtde.until(runtime_state=1)
             for _ in range(5):
-                package = plain.package()
+                package = rtde.package()
         assert arm.status()[key] == value
         expected = {
             "protective-stop": (7, 3, 1 << 2 | 1 << 10),
@@ -124,15 +124,15 @@ def test_stops_on_command_end_the_program(arm: Emulated, line: str, undo: str, k
         }[line.split(maxsplit=1)[0]]
         assert (package["robot_mode"], package["safety_mode"], package["safety_status_bits"]) == expected
         arm.do(undo)
-        plain.until(robot_mode=7, safety_mode=1)
+        rtde.until(robot_mode=7, safety_mode=1)
 
 
 def test_a_client_that_nobody_sees_holds_the_registers(arm: Emulated) -> None:
     arm.do("in-use on")
     assert "in use" in client("connect_control", arm.host)["refused"].lower()
     arm.do("in-use off")
-    with Client(arm.host) as plain:
-        assert plain.inputs(["input_int_register_0"]) == (1, ["INT32"])
+    with Client(arm.host) as rtde:
+        assert rtde.inputs(["input_int_register_0"]) == (1, ["INT32"])
 
 
 def test_local_control_and_wrong_versions_refuse_the_client(arm: Emulated) -> None:
@@ -140,11 +140,11 @@ def test_local_control_and_wrong_versions_refuse_the_client(arm: Emulated) -> No
     assert "remote control" in client("connect_control", arm.host)["refused"].lower()
     arm.do("remote-control on")
     arm.do("version 3.2.0.19000")
-    with Client(arm.host) as plain:
-        assert plain.controller_version() == (3, 2, 0, 19000)
+    with Client(arm.host) as rtde:
+        assert rtde.controller_version() == (3, 2, 0, 19000)
     arm.do("version real")
-    with Client(arm.host) as plain:
-        assert plain.controller_version() == (5, 11, 0, 0)
+    with Client(arm.host) as rtde:
+        assert rtde.controller_version() == (5, 11, 0, 0)
 
 
 def test_connections_can_be_refused(arm: Emulated) -> None:
@@ -152,8 +152,8 @@ def test_connections_can_be_refused(arm: Emulated) -> None:
     with pytest.raises((ConnectionResetError, BrokenPipeError)), Client(arm.host):
         pass
     arm.do("refuse off")
-    with Client(arm.host) as plain:
-        assert plain.controller_version()[0] == 5
+    with Client(arm.host) as rtde:
+        assert rtde.controller_version()[0] == 5
 
 
 def test_packages_can_be_late(arm: Emulated) -> None:
@@ -173,11 +173,11 @@ def test_packages_can_be_late(arm: Emulated) -> None:
 
 
 def test_a_push_is_felt(arm: Emulated) -> None:
-    with Client(arm.host) as plain:
-        plain.outputs(["actual_TCP_force", "safety_mode"], 500.0)
-        plain.start()
+    with Client(arm.host) as rtde:
+        rtde.outputs(["actual_TCP_force", "safety_mode"], 500.0)
+        rtde.start()
         arm.do("push 10,-20,5 0.2")
-        assert plain.until(actual_TCP_force=(10.0, -20.0, 5.0, 0.0, 0.0, 0.0))["safety_mode"] == 1
-        plain.until(actual_TCP_force=(0.0,) * 6)
+        assert rtde.until(actual_TCP_force=(10.0, -20.0, 5.0, 0.0, 0.0, 0.0))["safety_mode"] == 1
+        rtde.until(actual_TCP_force=(0.0,) * 6)
         arm.do("push 200")
-        plain.until(safety_mode=3)
+        rtde.until(safety_mode=3)

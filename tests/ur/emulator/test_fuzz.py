@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.ur.plain_rtde import frame
+from tests.ur.raw_rtde import frame
 from tests.ur.virtual import START, World
 
 from haptether.slave.ur_emulator.dashboard import Dashboard
@@ -177,10 +177,10 @@ requests = st.one_of(
 
 
 @given(st.lists(requests, max_size=5), st.sampled_from([1, 2]), st.integers(1, 64))
-def test_whatever_an_rtde_client_asks(asked: list[tuple[str, bytes]], protocol: int, piece: int) -> None:
+def test_whatever_an_rtde_client_asks(sequence: list[tuple[str, bytes]], protocol: int, piece: int) -> None:
     of = world()
     session = of.rtde(protocol)
-    stream = b"".join(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload for kind, payload in asked)
+    stream = b"".join(struct.pack(">HB", 3 + len(payload), ord(kind)) + payload for kind, payload in sequence)
     for begin in range(0, len(stream), 1009 * piece):
         whole_frames(session.receive(stream[begin : begin + 1009 * piece]))
     of.cycles(2)

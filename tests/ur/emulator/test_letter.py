@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from tests.ur.emulated import Emulated
-from tests.ur.plain_rtde import Client
+from tests.ur.raw_rtde import Client
 from tests.ur.virtual import START
 
 from haptether.slave.ur_emulator.connections import READ_TIMEOUT_S
@@ -23,27 +23,27 @@ LATE_S = 0.1
 @pytest.mark.parametrize("protocol", [1, 2])
 def test_a_client_to_the_letter(arm: Emulated, protocol: int) -> None:
     names = ["timestamp", "actual_q", "robot_mode", "output_int_register_12"]
-    with Client(arm.host, protocol) as plain, Client(arm.host) as other:
-        number, types = plain.outputs(names, 100.0)
+    with Client(arm.host, protocol) as rtde, Client(arm.host) as other:
+        number, types = rtde.outputs(names, 100.0)
         assert number == (None if protocol == 1 else 1)
         assert types == ["DOUBLE", "VECTOR6D", "INT32", "INT32"]
-        assert plain.inputs(["input_int_register_24"]) == (1, ["INT32"])
-        assert plain.inputs(["input_int_register_24", "input_double_register_24"]) == (2, ["INT32", "DOUBLE"])
+        assert rtde.inputs(["input_int_register_24"]) == (1, ["INT32"])
+        assert rtde.inputs(["input_int_register_24", "input_double_register_24"]) == (2, ["INT32", "DOUBLE"])
         assert other.inputs(["input_int_register_25", "input_int_register_24"]) == (0, ["INT32", "IN_USE"])
         assert other.inputs(["nothing"]) == (0, ["NOT_FOUND"])
-        assert plain.start()
-        stamps = [plain.package()["timestamp"] for _ in range(20)]
+        assert rtde.start()
+        stamps = [rtde.package()["timestamp"] for _ in range(20)]
         # Version 1 cannot ask for a rate.
         assert np.median(np.diff(stamps)) == pytest.approx(0.008 if protocol == 1 else 0.01, abs=1e-6)
-        assert plain.package()["actual_q"] == START
-        plain.write(2, "id", 5, 0.5)
-        assert plain.pause()
-        plain.socket.settimeout(0.1)
+        assert rtde.package()["actual_q"] == START
+        rtde.write(2, "id", 5, 0.5)
+        assert rtde.pause()
+        rtde.socket.settimeout(0.1)
         with pytest.raises(TimeoutError):
-            plain.next()
-        plain.socket.settimeout(5.0)
-        assert plain.start()
-        assert plain.package()["robot_mode"] == 7
+            rtde.next()
+        rtde.socket.settimeout(5.0)
+        assert rtde.start()
+        assert rtde.package()["robot_mode"] == 7
     with Client(arm.host) as third:
         # What was given back can be had again.
         assert third.inputs(["input_int_register_24"]) == (1, ["INT32"])
@@ -51,12 +51,12 @@ def test_a_client_to_the_letter(arm: Emulated, protocol: int) -> None:
 
 def test_clients_have_rates_of_their_own(arm: Emulated) -> None:
     with Client(arm.host) as fast, Client(arm.host) as slow:
-        for plain, rate_hz in ((fast, 500.0), (slow, 20.0)):
-            plain.outputs(["timestamp"], rate_hz)
-            plain.start()
-            plain.package()
-        for plain, period_s in ((fast, 0.002), (slow, 0.05)):
-            stamps = [plain.package()["timestamp"] for _ in range(11)]
+        for rtde, rate_hz in ((fast, 500.0), (slow, 20.0)):
+            rtde.outputs(["timestamp"], rate_hz)
+            rtde.start()
+            rtde.package()
+        for rtde, period_s in ((fast, 0.002), (slow, 0.05)):
+            stamps = [rtde.package()["timestamp"] for _ in range(11)]
             assert np.median(np.diff(stamps)) == pytest.approx(period_s, abs=1e-6)
 
 
@@ -86,21 +86,21 @@ def test_noise_harms_nobody(arm: Emulated, noise: bytes) -> None:
             broken.sendall(noise)
             # Closed with what was sent unread: the other end sees a reset.
             broken.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    with Client(arm.host) as plain:
-        assert plain.controller_version()[0] == 5
+    with Client(arm.host) as rtde:
+        assert rtde.controller_version()[0] == 5
 
 
 def test_many_clients_at_once(arm: Emulated) -> None:
     def one(_: int) -> tuple[float, float]:
-        with Client(arm.host) as plain:
-            plain.outputs(["timestamp"], 125.0)
-            plain.start()
-            stamps = [plain.package()["timestamp"] for _ in range(40)]
+        with Client(arm.host) as rtde:
+            rtde.outputs(["timestamp"], 125.0)
+            rtde.start()
+            stamps = [rtde.package()["timestamp"] for _ in range(40)]
             gaps = np.diff(stamps)
             return float(np.median(gaps)), float(gaps.max())
 
     with ThreadPoolExecutor(8) as pool:
         medians, longest = zip(*pool.map(one, range(24)), strict=True)
-    # Whoever asked for 125 Hz gets that and no more, but for what a stall takes.
+    # Whoever requested 125 Hz gets that and no more, but for what a stall takes.
     assert medians == pytest.approx([0.008] * 24, abs=1e-6)
     assert max(longest) < 0.008 + LATE_S

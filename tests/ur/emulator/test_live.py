@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.ur.emulated import Emulated, client, emulator
-from tests.ur.plain_rtde import Client
+from tests.ur.raw_rtde import Client
 from tests.ur.virtual import START
 
 from haptether.slave.ur_emulator.robot.motions import transition
@@ -144,5 +144,5 @@ def test_other_versions(version: str) -> None:
         assert result["stopped"] is True
         assert np.diff(np.unique(result["time_s"])).min() == pytest.approx(1.0 / rate_hz, abs=1e-6)
         assert np.ptp(np.array(result["q"])[:, 0]) > 0.05
-        with Client(other.host) as plain:
-            assert plain.controller_version()[:2] == tuple(map(int, version.split(".")))
+        with Client(other.host) as rtde:
+            assert rtde.controller_version()[:2] == tuple(map(int, version.split(".")))

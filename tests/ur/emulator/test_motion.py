@@ -100,7 +100,7 @@ def test_a_joint_gives_way_to_a_torque_and_comes_back() -> None:
 
 def test_a_motor_that_is_asked_for_too_much_falls_behind() -> None:
     joints = loop()
-    # 100 rad/s² asked of 150 N m / 3 kg m²: after t the joint is 25 t² behind.
+    # 100 rad/s² commanded of 150 N m / 3 kg m²: after t the joint is 25 t² behind.
     for _ in range(10):
         joints.step((100.0, *SIX[1:]), SIX, STEP_S)
     assert joints.saturated
@@ -117,18 +117,18 @@ def test_a_torque_beyond_the_motor_pushes_the_joint_away() -> None:
 
 @given(positive, positive, positive, st.floats(0.0, 1.0))
 def test_trapezoids_begin_and_end_at_rest(length: float, speed: float, acceleration: float, share: float) -> None:
-    way = Trapezoid(length, speed, acceleration)
-    end = way.duration_s
-    assert way.at(0.0) == 0.0
-    assert way.at(end) == length
-    assert way.top_speed <= speed
+    profile = Trapezoid(length, speed, acceleration)
+    end = profile.duration_s
+    assert profile.at(0.0) == 0.0
+    assert profile.at(end) == length
+    assert profile.top_speed <= speed
     # Symmetric, and never faster than the top speed or the acceleration allow.
     t = share * end
-    assert way.at(t) + way.at(end - t) == pytest.approx(length, rel=1e-9)
+    assert profile.at(t) + profile.at(end - t) == pytest.approx(length, rel=1e-9)
     h = 1e-4 * end
-    v = (way.at(t + h) - way.at(t)) / h
-    assert -1e-9 * speed <= v <= way.top_speed * (1 + 1e-6)
-    a = (way.at(t + h) - 2 * way.at(t) + way.at(t - h)) / h**2
+    v = (profile.at(t + h) - profile.at(t)) / h
+    assert -1e-9 * speed <= v <= profile.top_speed * (1 + 1e-6)
+    a = (profile.at(t + h) - 2 * profile.at(t) + profile.at(t - h)) / h**2
     assert abs(a) <= acceleration * (1 + 1e-4) + 1e-9 * length / h**2
 
 

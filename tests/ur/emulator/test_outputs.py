@@ -37,8 +37,8 @@ script_control_line time_scale_source target_gravity target_base_acceleration co
 """
 """Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", robot controller outputs, software 5.23."""
 REGISTERS = {
-    f"{way}_{kind}_register_{number}"
-    for way in ("input", "output")
+    f"{direction}_{kind}_register_{number}"
+    for direction in ("input", "output")
     for kind, numbers in (("bit", range(64, 128)), ("int", range(48)), ("double", range(48)))
     for number in numbers
 }
@@ -139,7 +139,7 @@ def test_accelerations_of_the_tool_are_those_of_its_velocities() -> None:
 
 
 @pytest.mark.parametrize("slider", [1.0, 0.4, 0.0])
-def test_the_slider_is_told_once(slider: float) -> None:
+def test_the_slider_is_reported_once(slider: float) -> None:
     world = World()
     world.controller.slider = slider
     world.cycles(3)
@@ -148,7 +148,7 @@ def test_the_slider_is_told_once(slider: float) -> None:
     assert world.controller.outputs["target_speed_fraction"] == slider
 
 
-def test_the_limiter_is_told_beside_the_slider() -> None:
+def test_the_limiter_is_reported_beside_the_slider() -> None:
     world = World(limits=SafetyLimits(tool_speed=0.5))
     world.controller.slider = 0.8
     world.cycles(1)
@@ -228,7 +228,7 @@ def robot_message(packed: bytes) -> tuple[int, int, str]:
         ("def far():\n  movej(p[9,9,9,0,0,0])\nend\n", "far: .*"),
     ],
 )
-def test_who_sent_a_script_is_told_what_stopped_it(port: int, script: str, said: str) -> None:
+def test_who_sent_a_script_receives_what_stopped_it(port: int, script: str, said: str) -> None:
     world = World(upload=False)
     reception = PeerFactory(world.controller)
     sender, other = reception.peer(port), reception.peer(port)
@@ -244,7 +244,7 @@ def test_who_sent_a_script_is_told_what_stopped_it(port: int, script: str, said:
     assert other.package(1) is None
 
 
-def test_a_script_that_is_refused_is_told() -> None:
+def test_a_script_that_is_refused_is_reported() -> None:
     world = World(upload=False)
     world.controller.remote_control = False
     sender = PeerFactory(world.controller).peer(30002)

@@ -15,14 +15,14 @@ from haptether.cli import main
 pytestmark = pytest.mark.live
 
 
-@pytest.mark.parametrize("way", ["SIGINT", "SIGTERM", "end of input"])
-def test_it_ends_cleanly(way: str) -> None:
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "end of input"])
+def test_it_ends_cleanly(how: str) -> None:
     with emulator() as running:
         assert running.process.stdin is not None
-        if way == "end of input":
+        if how == "end of input":
             running.process.stdin.close()
         else:
-            running.process.send_signal(signal.Signals[way])
+            running.process.send_signal(signal.Signals[how])
         assert running.process.wait(5.0) == 0
 
 
@@ -75,8 +75,8 @@ def test_the_control_line_on_a_socket(tmp_path: Path) -> None:
             control.connect(str(path))
             control.sendall(b"status\nnonsense\n\n \r\nquit\n")
             answers = b""
-            while came := control.recv(1 << 16):
-                answers += came
+            while received := control.recv(1 << 16):
+                answers += received
         status, error, empty, blank, end = answers.decode().splitlines()
         assert json.loads(status.removeprefix("ok "))["model"] == "ur5e"
         assert error.startswith("error: 'nonsense': must be one of")

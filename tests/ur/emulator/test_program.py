@@ -136,9 +136,9 @@ def test_speedl_keeps_to_its_line(world: World) -> None:
     world.realtime(10, [0.05, 0.02, 0.03, 0.0, 0.0, 0.0, 0.5, 0.0])
     world.seconds(2.0)
     end = world.vector("actual_TCP_pose")
-    way = np.array(end[:3]) - begin[:3]
+    travel = np.array(end[:3]) - begin[:3]
     line = np.array((0.05, 0.02, 0.03))
-    across = way - line * (way @ line) / (line @ line)
+    across = travel - line * (travel @ line) / (line @ line)
     # The rates of each step are exact at its begin: an error of the order of step² per step.
     assert np.abs(across).max() < 2e-5
     assert end[3:] == pytest.approx(begin[3:], abs=2e-5)

@@ -6,7 +6,7 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.ur.plain_rtde import frame
+from tests.ur.raw_rtde import frame
 from tests.ur.sessions import CB3, Controller, inputs_request, outputs_request
 
 from haptether.slave.ur_emulator import ControllerVersion
@@ -68,11 +68,11 @@ def test_unknown_frames_and_messages_are_not_answered() -> None:
 # ------------------------------------------------------------------------------------------------------ versions
 
 
-@pytest.mark.parametrize(("asked", "accepted"), [(1, 1), (2, 1), (0, 0), (3, 0), (65535, 0)])
-def test_protocol_versions(asked: int, accepted: int) -> None:
+@pytest.mark.parametrize(("requested", "accepted"), [(1, 1), (2, 1), (0, 0), (3, 0), (65535, 0)])
+def test_protocol_versions(requested: int, accepted: int) -> None:
     session = Controller().session(protocol=1)
-    assert session.receive(frame("V", struct.pack(">H", asked))) == frame("V", bytes([accepted]))
-    assert session.protocol == (asked if accepted else 1)
+    assert session.receive(frame("V", struct.pack(">H", requested))) == frame("V", bytes([accepted]))
+    assert session.protocol == (requested if accepted else 1)
 
 
 def test_the_controller_says_its_version() -> None:

@@ -1,11 +1,11 @@
-"""Recipes of RTDE with the emulated controller, byte by byte: what is told at which rate, and what is written."""
+"""Recipes of RTDE with the emulated controller, byte by byte: what is sent at which rate, and what is written."""
 
 import itertools
 import math
 import struct
 
 import pytest
-from tests.ur.plain_rtde import frame
+from tests.ur.raw_rtde import frame
 from tests.ur.sessions import CB3, E_SERIES, Controller, inputs_request, outputs_request
 
 from haptether.slave.ur_emulator import ControllerVersion
@@ -110,9 +110,9 @@ def test_packages_come_at_the_rate_that_was_asked_for(
     session = Controller(version).session()
     session.receive(outputs_request(["timestamp"], rate_hz))
     session.receive(frame("S"))
-    came = [session.package() is not None for _ in range(version.rate_hz)]
-    assert sum(came) == packages
-    at = [cycle for cycle, yes in enumerate(came) if yes]
+    due = [session.package() is not None for _ in range(version.rate_hz)]
+    assert sum(due) == packages
+    at = [cycle for cycle, yes in enumerate(due) if yes]
     distances = [after - before for before, after in itertools.pairwise(at)]
     assert max(distances) - min(distances) <= 1
 

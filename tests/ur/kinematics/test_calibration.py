@@ -35,7 +35,7 @@ def test_whole_numbers_and_absent_keys_will_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (f"delta_b = [0.0, {ZEROS}]", "unknown field `delta_b`"),
         ("delta_a = [0.0]", "length 6.*delta_a"),
@@ -53,10 +53,10 @@ def test_whole_numbers_and_absent_keys_will_do(tmp_path: Path) -> None:
         ("delta_a = [0.0", "calibration.toml: "),
     ],
 )
-def test_what_is_wrong_is_named(text: str, told: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_named(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "calibration.toml"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=rf"calibration\.toml: .*{told}" if "toml" not in told else told):
+    with pytest.raises(ValueError, match=rf"calibration\.toml: .*{message}" if "toml" not in message else message):
         read_calibration(file, ur_model("ur3"))
 
 
@@ -67,7 +67,7 @@ def test_deltas_of_another_arm_are_refused() -> None:
         UrKinematics(ur_model("ur5"), calibration)
 
 
-def test_arms_are_told_apart_only_as_far_as_they_differ() -> None:
+def test_arms_are_distinguished_only_as_far_as_they_differ() -> None:
     model: UrModel = ur_model("ur10")
     _, calibration = CALIBRATIONS["ur10 near"]
     calibration.check(model)

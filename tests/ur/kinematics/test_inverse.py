@@ -19,7 +19,7 @@ ARMS: dict[str, tuple[UrModel, UrCalibration | None]] = {
     **{name: (model, None) for name, model in UR_MODELS.items()},
     **CALIBRATIONS,
 }
-# What was asked for; ours is at 1e-14 for a model, and at 2e-13 where common normals lie 446 m away.
+# What is required; ours is at 1e-14 for a model, and at 2e-13 where common normals lie 446 m away.
 TIGHT = 1e-12
 
 
@@ -98,13 +98,13 @@ def test_the_nearest_is_the_nearest_of_all_branches_and_turns(near: tuple[float,
         pose = forward.forward(q)
         found = inverse.nearest(pose, np.array(near))
         assert found is not None
-        turned = []
+        distances = []
         for posture in inverse.all(pose):
             turns = posture[:, None] + 2 * math.pi * np.arange(-2, 3)
             allowed = np.abs(turns) <= 2 * math.pi
             away = np.where(allowed, np.abs(turns - np.array(near)[:, None]), np.inf)
-            turned.append(float((away.min(axis=1) ** 2).sum()))
-        assert np.square(found - near).sum() == pytest.approx(min(turned), rel=1e-9, abs=1e-12)
+            distances.append(float((away.min(axis=1) ** 2).sum()))
+        assert np.square(found - near).sum() == pytest.approx(min(distances), rel=1e-9, abs=1e-12)
         assert (np.abs(found) <= 2 * math.pi).all()
 
 
@@ -132,18 +132,18 @@ def test_a_wrist_without_end_follows_its_turns() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "told"),
+    ("x", "message"),
     [
         (3.0, r"wrist 2\.\d+ m from the shoulder: must be within 0\.032800 to 0\.817200 m"),
         (0.05, r"wrist centre 0\.050000 m from the axis of the base: must be at least 0\.133300 m"),
     ],
 )
-def test_what_is_out_of_reach_is_none_with_a_reason(x: float, told: str) -> None:
+def test_what_is_out_of_reach_is_none_with_a_reason(x: float, message: str) -> None:
     pose = np.eye(4)
     pose[0, 3] = x
     inverse = UrInverse(ur_model("ur5e"))
     assert inverse.nearest(pose, np.zeros(6)) is None
-    assert re.fullmatch(told, inverse.reason)
+    assert re.fullmatch(message, inverse.reason)
     assert inverse.all(pose).shape == (0, 6)
 
 
@@ -158,7 +158,7 @@ def test_sequences_will_do() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pose", "near", "told"),
+    ("pose", "near", "message"),
     [
         (np.eye(3), np.zeros(6), r"shape \[3, 3\], must be \(4, 4\)"),
         (np.full((4, 4), math.nan), np.zeros(6), "last row"),
@@ -170,9 +170,9 @@ def test_sequences_will_do() -> None:
         (np.eye(4), np.full(6, math.nan), "q_near: NaN, must be finite"),
     ],
 )
-def test_what_cannot_be_a_pose_or_a_posture_is_refused(pose: Array, near: Array, told: str) -> None:
+def test_what_cannot_be_a_pose_or_a_posture_is_refused(pose: Array, near: Array, message: str) -> None:
     inverse = UrInverse(ur_model("ur5e"))
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         inverse.nearest(pose, near)
 
 

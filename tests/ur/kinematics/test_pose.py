@@ -100,8 +100,8 @@ def test_poses_compose(numbers: list[float]) -> None:
 
 def test_urscripts_example() -> None:
     # URScript manual, pose_trans: a turn of the frame carries the second pose along.
-    turned = pose_trans((0.2, 0.5, 0.1, 0, 0, math.pi / 2), (0.1, 0, 0, 0, 0, 0))
-    np.testing.assert_allclose(turned, (0.2, 0.6, 0.1, 0, 0, math.pi / 2), rtol=0, atol=ROUNDING)
+    rotated = pose_trans((0.2, 0.5, 0.1, 0, 0, math.pi / 2), (0.1, 0, 0, 0, 0, 0))
+    np.testing.assert_allclose(rotated, (0.2, 0.6, 0.1, 0, 0, math.pi / 2), rtol=0, atol=ROUNDING)
 
 
 REFUSED: list[tuple[Callable[[], object], str]] = [
@@ -118,7 +118,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("call", "told"), REFUSED)
-def test_what_is_no_rotation_is_refused(call: Callable[[], object], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+@pytest.mark.parametrize(("call", "message"), REFUSED)
+def test_what_is_no_rotation_is_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         call()

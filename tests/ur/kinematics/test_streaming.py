@@ -25,12 +25,12 @@ def residual(streaming: UrStreaming, q: Array, x: Array, multipliers: Array) -> 
     # A positive multiplier is of an upper bound, a negative one of a lower bound: its sign is its feasibility.
     slack = np.where(multipliers > 0, program.upper - values, np.where(multipliers < 0, values - program.lower, 0.0))
     parts = [infeasible.max(), np.abs(multipliers * slack).max()]
-    most = streaming.limits.max_tool_speed
-    if most is not None:
+    max_speed = streaming.limits.max_tool_speed
+    if max_speed is not None:
         # 1/2 |J x|^2 <= 1/2 most^2
         jacobian = streaming.kinematics.forward_and_jacobian(q)[1][:3]
         gradient = gradient + m * jacobian.T @ (jacobian @ x)
-        excess = (float(np.sum((jacobian @ x) ** 2)) - most**2) / 2
+        excess = (float(np.sum((jacobian @ x) ** 2)) - max_speed**2) / 2
         assert m >= 0
         parts += [max(excess, 0.0), abs(m * excess)]
     return float(max(np.abs(gradient).max(), *parts))
@@ -82,9 +82,9 @@ def least_distance(program: QuadraticProgram) -> Array:
     constraints = np.vstack((np.eye(6), program.rows))
     low, high = program.lower > -1e30, program.upper < 1e30
     above = np.vstack((constraints[low], -constraints[high]))
-    least = np.concatenate((program.lower[low], -program.upper[high]))
+    lower_bounds = np.concatenate((program.lower[low], -program.upper[high]))
     across = np.linalg.solve(root.T, above.T)
-    left = least - across.T @ goal
+    left = lower_bounds - across.T @ goal
     # Rows of other lengths than 1 only scale the multipliers.
     system = np.vstack((across, left))
     found, _ = scipy.optimize.nnls(system, np.eye(7)[6], maxiter=1000)

@@ -112,7 +112,7 @@ def test_what_is_no_vector_brakes(bad: Any) -> None:  # noqa: ANN401
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "message"),
     [
         ({"position_min": (0.0,) * 6}, "must both be given"),
         ({"position_min": (1.0,) * 6, "position_max": (1.0,) * 6}, "position_min = 1.0: must be less than"),
@@ -123,8 +123,8 @@ def test_what_is_no_vector_brakes(bad: Any) -> None:  # noqa: ANN401
         ({"approach_rate_hz": 0.0}, "approach_rate_hz = 0.0"),
     ],
 )
-def test_limits_that_cannot_be_are_refused(fields: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_limits_that_cannot_be_are_refused(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         StreamingLimits(**fields)
 
 

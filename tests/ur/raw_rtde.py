@@ -46,10 +46,10 @@ class Client:
     def next(self) -> tuple[str, bytes]:
         """Type and payload of the next frame; a connection that was closed raises."""
         while len(self._waiting) < 3 or len(self._waiting) < int.from_bytes(self._waiting[:2], "big"):
-            came = self.socket.recv(1 << 16)
-            if not came:
+            received = self.socket.recv(1 << 16)
+            if not received:
                 raise ConnectionResetError
-            self._waiting += came
+            self._waiting += received
         size = int.from_bytes(self._waiting[:2], "big")
         kind, payload = chr(self._waiting[2]), self._waiting[3:size]
         self._waiting = self._waiting[size:]
@@ -117,5 +117,5 @@ class Client:
             package = self.package()
             if all(package[name] == value for name, value in wanted.items()):
                 return package
-        message = f"{wanted} never came"
+        message = f"{wanted} never arrived"
         raise TimeoutError(message)
