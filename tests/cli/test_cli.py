@@ -122,15 +122,15 @@ def test_paper_draws_its_figures(tmp_path: Path) -> None:
     assert all(picture.stat().st_size > 10_000 for picture in drawn)
 
 
-@pytest.mark.parametrize("asked", ["once", "auto"])
-def test_a_scene_presses_its_clutch_anew_only_where_the_command_says_so(asked: str) -> None:
+@pytest.mark.parametrize("clutch", ["once", "auto"])
+def test_a_scene_presses_its_clutch_anew_only_where_the_command_says_so(clutch: str) -> None:
     scene = load_scene("ur_peg")
     assert scene.operator is not None
     # The default of a scene, for simulations.
     assert scene.operator.clutch == "auto"
-    live = with_clutch(scene, asked)
+    live = with_clutch(scene, clutch)
     assert live.operator is not None
-    assert live.operator.clutch == asked
+    assert live.operator.clutch == clutch
 
 
 def test_a_scene_without_an_operator_has_nobody_who_presses_anew() -> None:
@@ -140,7 +140,7 @@ def test_a_scene_without_an_operator_has_nobody_who_presses_anew() -> None:
     with pytest.raises(ValueError, match=r"--clutch auto: the scene has no \[operator\]"):
         with_clutch(alone, "auto")
     driven = msgspec.structs.replace(alone, master=msgspec.structs.replace(alone.master, driver="mine"))
-    assert with_clutch(driven, "auto") == driven, "its loop is told"
+    assert with_clutch(driven, "auto") == driven, "its loop receives it"
 
 
 def test_times_of_a_clutch_are_kept() -> None:
@@ -150,7 +150,7 @@ def test_times_of_a_clutch_are_kept() -> None:
         with_clutch(scene, "auto")
 
 
-def test_a_driver_that_times_out_by_itself_is_told_with_its_own_words() -> None:
+def test_a_driver_that_times_out_by_itself_is_reported_with_its_own_words() -> None:
     error = DeviceError("Own: TimeoutError: no answer from the arm")
     error.__cause__ = TimeoutError("no answer from the arm")
     given_up: list[bool] = []

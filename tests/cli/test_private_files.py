@@ -1,4 +1,4 @@
-"""What commands write is for their user alone, and goes where it was asked to go and nowhere else."""
+"""What commands write is for their user alone, and goes to the path that was given and nowhere else."""
 
 import os
 import stat

@@ -126,11 +126,11 @@ def test_the_counts_of_a_proxy_fit() -> None:
         def __getattr__(self, name: str) -> object:
             return {"dropped": {"loss": 10**12, "queue": 10**12}, "scheduling": "fifo"}.get(name, 0.123456)
 
-    way = SimpleNamespace(dropped={"loss": 10**12}, **dict.fromkeys(
+    direction = SimpleNamespace(dropped={"loss": 10**12}, **dict.fromkeys(
         ("received", "released", "lost", "queue_full", "damaged", "extras", "overtaking", "refused", "oversize",
          "unsent"), 10**12))  # fmt: skip
     file = io.StringIO()
-    statistics: Any = Big(forward=way, backward=way)
+    statistics: Any = Big(forward=direction, backward=direction)
     print_proxy(Screen(file=file, width=WIDTH), statistics)
     table = "\n".join(line for line in file.getvalue().splitlines() if line[:1] in "┃│┏┡└")
     fits(table)
@@ -142,7 +142,7 @@ def test_the_table_of_a_measurement_fits(capsys: pytest.CaptureFixture[str], mon
     figures: dict[str, float | int | None] = {
         "probes": 600_000, "worst_gap_s": 12.345678, "shortest_s": 0.01, "latest_s": 0.001, "sent_forward": 600_000,
         "lost_forward": 123_456, "sent_backward": 476_544, "lost_backward": 123_456,
-        **{f"{way}_{percent}_s": 12.345678 for way in ("round_trip", "forward", "backward") for percent in
+        **{f"{path}_{percent}_s": 12.345678 for path in ("round_trip", "forward", "backward") for percent in
            ("p50", "p99")},
     }  # fmt: skip
     Record(peer="127.0.0.1:9")._print(figures)
@@ -405,8 +405,8 @@ def test_a_name_that_is_none_is_answered_by_the_nearest(
 def numbers_of(command: type[Any]) -> list[str]:
     """Options that take a number, also where they may be left out or take several."""
     hints = get_type_hints(command)
-    plain = {name: set(get_args(hint)) - {type(None)} or {hint} for name, hint in hints.items()}
-    return [name for name, types in plain.items() if types <= {int, float}]
+    scalars = {name: set(get_args(hint)) - {type(None)} or {hint} for name, hint in hints.items()}
+    return [name for name, types in scalars.items() if types <= {int, float}]
 
 
 REQUIRED = {

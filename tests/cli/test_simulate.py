@@ -272,7 +272,7 @@ def test_a_folder_that_cannot_be_is_refused_before_the_run(
     assert not given
 
 
-def test_what_chatters_is_told_once() -> None:
+def test_what_chatters_is_reported_once() -> None:
     from haptether.bridge import Event
     from haptether.cli.scene.simulate import merged_events
 

@@ -73,7 +73,7 @@ class Hand:
 
 
 class Arm:
-    """Where it is told to be; x < 0 pushes with 100 N/m. It waits for its own samples."""
+    """Where it is commanded to be; x < 0 pushes with 100 N/m. It waits for its own samples."""
 
     paces = True
 
@@ -117,14 +117,14 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
 @anew_after_stalls
 def test_a_side_that_begins_leaves_the_interpreter_to_the_loops_that_run(side: type[LiveSlave | SlaveLoop]) -> None:
     """What it sets aside takes its time; an arm whose watchdog is armed waits for its driver meanwhile."""
-    turns, ended = [time.monotonic()], threading.Event()
+    woken_s, ended = [time.monotonic()], threading.Event()
 
-    def turn() -> None:
+    def wake() -> None:
         while not ended.is_set():
             time.sleep(5e-4)
-            turns.append(time.monotonic())
+            woken_s.append(time.monotonic())
 
-    beside = threading.Thread(target=turn)
+    beside = threading.Thread(target=wake)
     beside.start()
     try:
         begun_s = time.monotonic()
@@ -135,7 +135,7 @@ def test_a_side_that_begins_leaves_the_interpreter_to_the_loops_that_run(side: t
         beside.join()
     begun.finish()
     assert took_s > 4.0 * STALL_S, "too short to be seen beside a stall of the machine"
-    assert max(after - before for before, after in itertools.pairwise(turns)) < 0.5 * took_s
+    assert max(after - before for before, after in itertools.pairwise(woken_s)) < 0.5 * took_s
 
 
 def test_a_run_answers_for_its_loop_but_does_not_step_it() -> None:
@@ -191,7 +191,7 @@ def test_a_driven_device_is_led_and_left_without_force(axes: int, spec: bytes) -
     assert np.abs(trace.device_force).max() > 0.2
 
 
-def test_a_turn_refuses_what_is_no_sample_and_stays_alive() -> None:
+def test_a_step_refuses_what_is_no_sample_and_stays_alive() -> None:
     loop = MasterLoop(THREE, peer="127.0.0.1:9", **how(realtime="off"))
     loop.begin()
     for bad in ("a", [1.0, 2.0], [[1.0], [2.0], [3.0]], None, [1.0, "b", 2.0], 4.0):
@@ -252,7 +252,7 @@ def test_ctrl_c_in_a_driver_leaves_no_force_and_tells_the_peer() -> None:
     assert "peer has a fault" in reasons
 
 
-def test_a_loop_that_did_not_begin_turns_not() -> None:
+def test_a_loop_that_did_not_begin_takes_no_step() -> None:
     loop = SlaveLoop(ONE, listen="127.0.0.1:0", **how())
     assert loop.step(0.0, 0.0, 0.0) is None
     trace, report = loop.finish()
@@ -410,7 +410,7 @@ def test_of_two_loops_the_last_that_ends_brings_back_the_interpreter() -> None:
         assert quiet()
         runs[0].finish()
         assert quiet()
-        # An end that is asked for again is none of another loop.
+        # An end that is requested again is none of another loop.
         with pytest.raises(RuntimeError, match="finished before"):
             runs[0].finish()
         assert quiet()
@@ -436,8 +436,8 @@ def test_a_collector_that_was_off_stays_off() -> None:
 def declare(monkeypatch: pytest.MonkeyPatch, group: str, **values: str) -> None:
     points = EntryPoints(EntryPoint(name, value, group) for name, value in values.items())
 
-    def found(**asked: Any) -> EntryPoints:  # noqa: ANN401  # as of entry_points
-        return points.select(**asked)
+    def found(**selection: Any) -> EntryPoints:  # noqa: ANN401  # as of entry_points
+        return points.select(**selection)
 
     monkeypatch.setattr("haptether.bridge.devices.find.entry_points", found)
 
@@ -490,7 +490,7 @@ def packaged(folder: Path, driver: str) -> dict[str, str]:
     return {"PYTHONPATH": os.pathsep.join([str(folder), *([before] if before else [])]), "PATH": "/usr/bin:/bin"}
 
 
-def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_told(tmp_path: Path) -> None:
+def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_reported(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "haptether"]
     environment = packaged(tmp_path, DRIVER)
     slave = subprocess.Popen(

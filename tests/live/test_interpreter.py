@@ -51,7 +51,7 @@ def test_without_a_loop_the_collector_is_left_alone() -> None:
         assert gc.get_freeze_count() == frozen
 
 
-def in_realtime(act: Any) -> bool:  # noqa: ANN401  # a function
+def in_realtime(call: Any) -> bool:  # noqa: ANN401  # a function
     """Calls it on a thread with SCHED_FIFO, if that is granted; whether it was."""
     granted: list[bool] = []
 
@@ -61,7 +61,7 @@ def in_realtime(act: Any) -> bool:  # noqa: ANN401  # a function
         except OSError:
             return
         granted.append(True)
-        act()
+        call()
 
     thread = threading.Thread(target=run)
     thread.start()

@@ -160,7 +160,7 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
     assert master.process.returncode == 0, said
     trace = load(trace_path)
     held = trace["state"] == 4
-    assert np.count_nonzero(held) > 800, "the link came back after 0.1 s, and it still held"
+    assert np.count_nonzero(held) > 800, "the link was up again after 0.1 s, and it still held"
     begun = int(np.flatnonzero(held)[0])
     assert not trace["device_force"][begun + 120 :][held[begun + 120 :]].any()
     assert trace["state"][-1] in {2, 3}, "pressed anew"
@@ -495,6 +495,6 @@ def test_scales_change_while_both_sides_run() -> None:
     assert abs(measured) > 1.0
     assert felt == pytest.approx(0.5 * measured, rel=0.1)
     assert np.nanmax(np.abs(np.diff(far.command))) <= 3.0 * 0.05, "no jump"
-    for act in (master.acknowledge, slave.acknowledge):
+    for acknowledge in (master.acknowledge, slave.acknowledge):
         with pytest.raises(RuntimeError, match="ended"):
-            act()
+            acknowledge()

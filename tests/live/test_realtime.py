@@ -33,7 +33,7 @@ BUSY_S = 4.0
 
 
 class Options(TypedDict, total=False):
-    """What a loop is asked for."""
+    """What a loop requests."""
 
     realtime: str
     priority: int

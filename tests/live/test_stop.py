@@ -81,7 +81,7 @@ def test_closed_streams_are_taken_by_nothing_else(closed: str, tmp_path: Path) -
     command = " ".join([*HAPTETHER, "slave", "--insecure", "--listen", "127.0.0.1:0", "--patience-s", "0.5",
                         "--record", str(record), "--min-free-bytes", "0"])  # fmt: skip
     ended = subprocess.run(["sh", "-c", f"exec {command} {closed}"], timeout=30, check=False)
-    assert ended.returncode == 1, "no master came"
+    assert ended.returncode == 1, "no master connected"
     assert read_recording(record).whole
 
 

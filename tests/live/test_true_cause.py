@@ -167,7 +167,7 @@ SHOWN = "joint 4: the brake [/nope] is \\ufffd[2Jstuck"
 
 
 @pytest.mark.parametrize("secure", [True, False], ids=["secure", "insecure"])
-def test_a_fault_of_the_arm_is_told_at_both_screens_with_what_to_do_in_order(
+def test_a_fault_of_the_arm_is_shown_at_both_screens_with_what_to_do_in_order(
     tmp_path: Path, screens: list[Screen], secure: bool
 ) -> None:
     flag = tmp_path / "fails"
@@ -291,7 +291,7 @@ def cause(side: Any) -> dict[str, Any]:  # noqa: ANN401  # any of the four
     return json.loads(said) if said is not None else {}
 
 
-def test_a_fault_of_the_hands_device_is_told_at_the_slave() -> None:
+def test_a_fault_of_the_hands_device_is_shown_at_the_slave() -> None:
     slave = LiveSlave(ONE, listen="127.0.0.1:0", **how())
     hand = Hand()
     master = MasterRun(hand, MasterLoop(ONE, peer=slave.address, **how()))
@@ -302,9 +302,9 @@ def test_a_fault_of_the_hands_device_is_told_at_the_slave() -> None:
     text = f"the master has a fault: {hand.fault}"
     for side in (master, slave):
         until(lambda side=side: cause(side).get("text") == text)  # type: ignore[misc]
-        told = cause(side)
-        assert told["at"] == "master"
-        assert [(step["at"], step["remedy"]) for step in told["steps"]] == [
+        shown = cause(side)
+        assert shown["at"] == "master"
+        assert [(step["at"], step["remedy"]) for step in shown["steps"]] == [
             ("master", "acknowledge"), ("master", "press"),
         ]  # fmt: skip
     hand.fault = None

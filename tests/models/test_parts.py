@@ -66,8 +66,8 @@ def test_a_parameter_out_of_range_is_refused(seen: float, allowed: str, build: C
 
 
 def test_other_shapes_of_legs_are_refused() -> None:
-    told = 'leg shape "cubic": must be "linear", "smooth" or "minimum-jerk"'
-    with pytest.raises(ValueError, match=f"^{re.escape(told)}$"):
+    message = 'leg shape "cubic": must be "linear", "smooth" or "minimum-jerk"'
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         hand(legs=[(1.0, 0.0, "cubic")])()
 
 
@@ -308,7 +308,7 @@ LOOP = (HapticDevice(mass_kg=MASS), Hand.absent(), Wall(stiffness=1.0))
 
 
 @pytest.mark.parametrize(
-    ("keywords", "told"),
+    ("keywords", "message"),
     [
         ({"ticks": 20_000_001}, r"^ticks = 20000001: must be at most 20000000$"),
         ({"ticks": 1, "period_s": 0.0}, r"^period_s \(dT\) = 0: must be a whole number of nano"),
@@ -327,8 +327,8 @@ LOOP = (HapticDevice(mass_kg=MASS), Hand.absent(), Wall(stiffness=1.0))
         ),
     ],
 )
-def test_a_loop_that_cannot_be_is_refused(keywords: dict[str, Any], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_loop_that_cannot_be_is_refused(keywords: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         run_local(*LOOP, **keywords)
 
 

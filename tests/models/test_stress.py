@@ -25,13 +25,13 @@ SHAPES: dict[str, dict[str, Any]] = {
 MAX_OF_REAL_TIME = 100.0
 
 
-def run(plain: dict[str, Any]) -> Run:
+def run(raw: dict[str, Any]) -> Run:
     """Runs a scene, and checks what holds of every run and that it took no more than 100 times as long."""
-    scene = msgspec.convert(plain, Scene)
+    scene = msgspec.convert(raw, Scene)
     done = simulate(scene)
     check(done, scene)
     simulated_s = done.metrics.ticks * scene.run.period_s
-    assert done.metrics.wall_time_s < 0.5 + MAX_OF_REAL_TIME * simulated_s, plain
+    assert done.metrics.wall_time_s < 0.5 + MAX_OF_REAL_TIME * simulated_s, raw
     return done
 
 
@@ -49,7 +49,7 @@ def stressed(
     start = [(1e-5 if shape == "spring" else 1e-3) * share for share in along]
     if axes > 1 and shape != "spring":
         contact["friction"] = 0.5
-    plain: dict[str, Any] = {
+    raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": duration_s, "period_s": period_s, "integrator": integrator},
         "master": {"axes": axes, "mass_kg": 1e-3, "viscous": viscous, "velocity": -0.1},
@@ -62,9 +62,9 @@ def stressed(
     }  # fmt: skip
     if has_arm:
         link = {"delay_s": 0.005}
-        plain["slave"] = {"control": "pd", "stiffness": 1e4, "mass_kg": 0.5}
-        plain["link"] = {"forward": link, "backward": link}
-    return plain
+        raw["slave"] = {"control": "pd", "stiffness": 1e4, "mass_kg": 0.5}
+        raw["link"] = {"forward": link, "backward": link}
+    return raw
 
 
 @pytest.mark.parametrize("has_arm", [False, True])
@@ -81,15 +81,15 @@ def test_every_shape_law_and_rate_ends_with_numbers(integrator: str, axes: int, 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_continuous_walls_end_with_numbers(integrator: str, axes: int) -> None:
     for period_s, viscous in product((1e-5, 1e-3, 2e-2), (-0.005, -0.5)):
-        plain = stressed(integrator, axes, False, shape="plane", law="kelvin-voigt", period_s=period_s, viscous=viscous)
-        plain["environment"]["objects"][0]["contact"] = {"stiffness": STIFF, "damping": 1.0}
-        plain["environment"]["rendering"] = "continuous"
-        run(plain)
+        raw = stressed(integrator, axes, False, shape="plane", law="kelvin-voigt", period_s=period_s, viscous=viscous)
+        raw["environment"]["objects"][0]["contact"] = {"stiffness": STIFF, "damping": 1.0}
+        raw["environment"]["rendering"] = "continuous"
+        run(raw)
 
 
 def unstable(integrator: str, axes: int, has_arm: bool) -> dict[str, Any]:
     """A spring far above what its rate and its delay allow."""
-    plain: dict[str, Any] = {
+    raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": 20.0, "integrator": integrator},
         "master": {"axes": axes, "mass_kg": 0.1, "viscous": 0.5, "position": 1e-3},
@@ -98,10 +98,10 @@ def unstable(integrator: str, axes: int, has_arm: bool) -> dict[str, Any]:
         "record": {},
     }
     if has_arm:
-        plain["slave"] = {"control": "pd", "stiffness": 800.0, "damping": 80.0, "mass_kg": 2.0}
-        plain["link"] = {"forward": {"delay_s": 0.02}, "backward": {"delay_s": 0.02}}
-        plain["environment"]["pushers"] = [{"at_s": 0.3, "duration_s": 0.05, "force_n": 1.0}]
-    return plain
+        raw["slave"] = {"control": "pd", "stiffness": 800.0, "damping": 80.0, "mass_kg": 2.0}
+        raw["link"] = {"forward": {"delay_s": 0.02}, "backward": {"delay_s": 0.02}}
+        raw["environment"]["pushers"] = [{"at_s": 0.3, "duration_s": 0.05, "force_n": 1.0}]
+    return raw
 
 
 @pytest.mark.parametrize("has_arm", [False, True])
@@ -119,44 +119,44 @@ def test_a_loop_that_diverges_says_when_and_why_and_stops(integrator: str, axes:
 
 @pytest.mark.parametrize("has_arm", [False, True])
 @pytest.mark.parametrize("period_s", [2.4e-5, 1.1e-4, 1e-3])
-def test_what_is_too_stiff_is_taken_coarsely_and_told_at_any_rate(period_s: float, has_arm: bool) -> None:
+def test_what_is_too_stiff_is_taken_coarsely_and_reported_at_any_rate(period_s: float, has_arm: bool) -> None:
     """A spring that drags a body of 0.3 g with 2e5 N s/m: a rate of 7e8 / s. Short ticks have no more patience."""
-    plain = unstable("exact", 3, has_arm)
-    plain["run"] = {"duration_s": 100 * period_s, "period_s": period_s}
+    raw = unstable("exact", 3, has_arm)
+    raw["run"] = {"duration_s": 100 * period_s, "period_s": period_s}
     drags = {"stiffness": 5e3, "damping": 2e5}
-    plain["environment"]["objects"] = [
+    raw["environment"]["objects"] = [
         {"shape": {"kind": "spring"}, "contact": drags, "body": {"mass_kg": 3e-4, "velocity": 5.0}}
     ]
-    done = run(plain)
+    done = run(raw)
     assert any(event.kind == "coarse" for event in done.events) or done.metrics.diverged
 
 
 def test_an_arm_that_meets_impossible_numbers_has_diverged() -> None:
-    plain = unstable("exact", 1, True)
-    plain["environment"]["objects"][0] = {
+    raw = unstable("exact", 1, True)
+    raw["environment"]["objects"][0] = {
         "shape": {"kind": "spring", "anchor": 0.5}, "contact": {"stiffness": STIFF}
     }  # fmt: skip
-    done = run(plain)
+    done = run(raw)
     assert done.metrics.diverged
     assert "fault of the slave: environment force exceeds 10000 N" in done.events[-1].detail
 
 
 def test_an_arm_that_leaves_its_room_has_diverged() -> None:
-    plain = unstable("exact", 1, True)
-    plain["run"]["diverged_position"] = 0.02
-    plain["environment"]["objects"] = []
-    plain["environment"]["pushers"] = [{"force_n": 100.0}]
-    done = run(plain)
+    raw = unstable("exact", 1, True)
+    raw["run"]["diverged_position"] = 0.02
+    raw["environment"]["objects"] = []
+    raw["environment"]["pushers"] = [{"force_n": 100.0}]
+    done = run(raw)
     assert done.events[-1].detail.startswith("the arm was 2.0")
 
 
 def test_long_delays_lose_nothing_and_stay_finite() -> None:
     """More frames are under way than a queue of the network holds: in virtual time it is as long as it must be."""
-    plain = unstable("exact", 1, True)
-    plain["run"] = {"duration_s": 2.2, "period_s": 1e-5}
-    plain["link"] = {"forward": {"delay_s": 1.0}, "backward": {"delay_s": 1.0}}
-    plain["record"] = {"every": 100}
-    done = run(plain)
+    raw = unstable("exact", 1, True)
+    raw["run"] = {"duration_s": 2.2, "period_s": 1e-5}
+    raw["link"] = {"forward": {"delay_s": 1.0}, "backward": {"delay_s": 1.0}}
+    raw["record"] = {"every": 100}
+    done = run(raw)
     kinds = [event.kind for event in done.events]
     assert "engaged" in kinds
     assert "lost" not in kinds
@@ -180,7 +180,7 @@ def test_a_spring_five_seconds_late_diverges(integrator: str) -> None:
 
 def test_ten_million_ticks() -> None:
     """A free oscillation keeps its energy over 1e7 ticks: the wall's held force returns what b takes at K = b / T."""
-    plain: dict[str, Any] = {
+    raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": 100.0, "period_s": 1e-5},
         "master": {"mass_kg": 0.1, "viscous": 0.0005, "position": 1e-3, "measures_velocity": True},
@@ -188,7 +188,7 @@ def test_ten_million_ticks() -> None:
         "safety": {"signals": "true", "limiter": {"enabled": False}},
         "record": {"every": 1000},
     }
-    done = run(plain)
+    done = run(raw)
     assert done.metrics.ticks == 10_000_000
     position, velocity = done.signals["position"], done.signals["velocity"]
     energy = 0.5 * 0.1 * velocity**2 + 50.0 * position**2
@@ -211,28 +211,28 @@ def test_a_diverged_row_is_marked_in_a_sweep() -> None:
     ],
 )
 def test_a_spring_has_no_surface_and_no_other_law(contact: dict[str, Any], message: str) -> None:
-    plain = unstable("exact", 3, False)
-    plain["environment"]["objects"][0]["contact"] |= contact
+    raw = unstable("exact", 3, False)
+    raw["environment"]["objects"][0]["contact"] |= contact
     with pytest.raises(SceneError) as refused:
-        run(plain)
+        run(raw)
     assert str(refused.value).startswith(message)
 
 
 def test_points_of_a_recording_are_apart() -> None:
-    plain = unstable("exact", 1, False)
-    plain["operator"] = {"recorded": {"time_s": [0.0, 1e-300], "values": [0.0, 1.0]}}
+    raw = unstable("exact", 1, False)
+    raw["operator"] = {"recorded": {"time_s": [0.0, 1e-300], "values": [0.0, 1.0]}}
     with pytest.raises(SceneError, match="at least 1e-09 s after the time before it"):
-        run(plain)
-    plain["operator"] = {"recorded": {"time_s": [1e-300, 0.1], "values": [0.0, 0.001]}}
-    run(plain)
+        run(raw)
+    raw["operator"] = {"recorded": {"time_s": [1e-300, 0.1], "values": [0.0, 0.001]}}
+    run(raw)
 
 
 def test_a_normal_of_any_length_is_a_direction() -> None:
-    plain = unstable("exact", 3, False)
-    plain["run"]["duration_s"] = 0.1
+    raw = unstable("exact", 3, False)
+    raw["run"]["duration_s"] = 0.1
     ends = []
     for length in (1.0, 1e-200, 1e8):
         shape = {"kind": "plane", "normal": [-0.6 * length, 0.8 * length, 0.0]}
-        plain["environment"]["objects"] = [{"shape": shape, "contact": {"stiffness": 100.0}}]
-        ends.append(run(plain).signals["position"][-1])
+        raw["environment"]["objects"] = [{"shape": shape, "contact": {"stiffness": 100.0}}]
+        ends.append(run(raw).signals["position"][-1])
     assert np.allclose(ends, ends[0], rtol=0.0, atol=1e-12)

@@ -31,5 +31,5 @@ def test_a_hundred_depths(threads: int, lanes: bool) -> None:
 
 
 def test_the_rust_bench_has_the_same_scene() -> None:
-    told = json.loads((ROOT / "bridge" / "benches" / "work_unit.json").read_text())
-    assert told == json.loads(scene_json(load_scene(SCENE)))
+    stored = json.loads((ROOT / "bridge" / "benches" / "work_unit.json").read_text())
+    assert stored == json.loads(scene_json(load_scene(SCENE)))

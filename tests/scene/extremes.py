@@ -8,9 +8,9 @@ from msgspec import inspect
 
 from haptether.bridge.scene.errors import Path, types_at
 
-Plain = dict[str, Any]
+Raw = dict[str, Any]
 
-HAND: Plain = {
+HAND: Raw = {
     "stiffness": 300.0,
     "damping": 5.0,
     "grip_strength_n": 12.0,
@@ -20,7 +20,7 @@ HAND: Plain = {
     "regrasp": {"reaction_s": 0.001, "rise_s": 0.001},
     "tremor": {"amplitude": 1e-4, "frequency_hz": 10.0},
 }
-DEVICE: Plain = {
+DEVICE: Raw = {
     "axes": 2,
     "mass_kg": 0.2,
     "viscous": 0.01,
@@ -33,7 +33,7 @@ DEVICE: Plain = {
     "position": 0.01,
     "velocity": 0.1,
 }
-SAFETY: Plain = {
+SAFETY: Raw = {
     "controllers": ["vfc", "hsc", "wsc", "pc"],
     "estimator": {"kind": "kalman", "jerk_density": 10.0, "quantum_m": 2e-5},
     "damping": 5.0,
@@ -50,7 +50,7 @@ SAFETY: Plain = {
     "release_ramp_s": 0.002,
     "limiter": {"max_force_n": 5.0, "max_slew_n_per_s": 1000.0, "max_power_w": 10.0, "ramp_in_s": 0.002},
 }
-ENVIRONMENT: Plain = {
+ENVIRONMENT: Raw = {
     "objects": [
         {
             "shape": {"kind": "plane", "point": 0.0, "normal": [1.0, 0.5]},
@@ -78,14 +78,14 @@ ENVIRONMENT: Plain = {
         {"shape": "recorded", "recorded": {"time_s": [0.0, 0.01, 0.02], "values": [0.0, 1.0, 0.0]}},
     ],
 }
-LINEAR: Plain = {
+LINEAR: Raw = {
     "objects": [
         {"shape": {"kind": "plane", "normal": [1.0, 0.0]}, "contact": {"stiffness": 500.0, "damping": 2.0}},
         {"shape": {"kind": "spring", "anchor": 0.0}, "contact": {"stiffness": 50.0, "damping": 1.0}},
     ],
     "pushers": [{"shape": "ramp", "at_s": 0.001, "duration_s": 0.01, "rise_s": 0.005, "force_n": 1.0}],
 }
-ARM: Plain = {
+ARM: Raw = {
     "mass_kg": 4.0,
     "bandwidth_hz": 15.0,
     "max_speed": 1.0,
@@ -94,20 +94,20 @@ ARM: Plain = {
     "position": 0.01,
     "force_sensor": {"noise_n": 0.01, "bias_n": 0.01, "quantum_n": 0.01, "rate_hz": 700.0},
 }
-COUPLING: Plain = {
+COUPLING: Raw = {
     "position_scale": 1.0,
     "force_scale": 1.0,
     "command_speed": 1.0,
     "command_reach": 0.2,
     "changes": [{"at_s": 0.01, "position_scale": 1.5, "force_scale": 0.5}],
 }
-LINK: Plain = {
+LINK: Raw = {
     "forward": {"delay_s": 0.001, "jitter_s": 0.0002, "jitter_correlation_s": 0.01, "loss": 0.01, "reorder": 0.01},
     "backward": {"delay_s": 0.001, "duplicate": 0.01},
     "master_clock": {"offset_s": 0.1, "drift_ppm": 10.0, "step_s": 0.001, "step_at_s": 0.01},
     "slave_clock": {"offset_s": 0.1},
 }
-LADDER: Plain = {
+LADDER: Raw = {
     "stale_after_s": 0.005,
     "hold_after_s": 0.02,
     "stop_after_s": 0.2,
@@ -117,22 +117,22 @@ LADDER: Plain = {
 }
 
 
-def _scene(run: Plain, estimator: Plain | None = None, **tables: Plain) -> Plain:
-    plain: dict[str, Any] = {"schema": 1, "record": {}, "run": {"duration_s": 0.02} | run}
-    plain |= {"master": DEVICE, "operator": HAND, "environment": ENVIRONMENT, "safety": SAFETY} | tables
+def _scene(run: Raw, estimator: Raw | None = None, **tables: Raw) -> Raw:
+    raw: dict[str, Any] = {"schema": 1, "record": {}, "run": {"duration_s": 0.02} | run}
+    raw |= {"master": DEVICE, "operator": HAND, "environment": ENVIRONMENT, "safety": SAFETY} | tables
     if estimator is not None:
-        plain["safety"] = plain["safety"] | {"estimator": estimator}
-    return copy.deepcopy(plain)
+        raw["safety"] = raw["safety"] | {"estimator": estimator}
+    return copy.deepcopy(raw)
 
 
-FAR: dict[str, Plain] = {
+FAR: dict[str, Raw] = {
     "slave": ARM,
     "coupling": COUPLING,
     "link": LINK,
     "operator": HAND | {"clutch": [[0.0, 0.015]], "clutch_reaction_s": 0.1},
     "safety": SAFETY | {"ladder": LADDER},
 }
-BASES: dict[str, Plain] = {
+BASES: dict[str, Raw] = {
     "exact": _scene({}),
     "stepped": _scene(
         {"integrator": "rk4", "step_s": 1e-4, "diverged_position": 1.0, "diverged_speed": 10.0},
@@ -156,15 +156,15 @@ TINY = (5e-324, 1e-300, 1e-160, 1e-30, 1e-12, 1e-9)
 LARGE = (1e3, 1e6)
 
 
-def numbers(plain: Any, path: Path = ()) -> Iterator[Path]:  # noqa: ANN401  # tables as TOML has them
+def numbers(raw: Any, path: Path = ()) -> Iterator[Path]:  # noqa: ANN401  # tables as TOML has them
     """Where the numbers of plain tables stand."""
-    if isinstance(plain, dict):
-        for key, value in plain.items():
+    if isinstance(raw, dict):
+        for key, value in raw.items():
             yield from numbers(value, (*path, key))
-    elif isinstance(plain, list):
-        for index, value in enumerate(plain):
+    elif isinstance(raw, list):
+        for index, value in enumerate(raw):
             yield from numbers(value, (*path, index))
-    elif isinstance(plain, int | float) and not isinstance(plain, bool):
+    elif isinstance(raw, int | float) and not isinstance(raw, bool):
         yield path
 
 
@@ -180,11 +180,11 @@ def extremes(path: Path) -> list[float]:
     return sorted(found)
 
 
-def changed(plain: Plain, path: Path, value: float) -> Plain:
+def changed(raw: Raw, path: Path, value: float) -> Raw:
     """The tables with another number at a place."""
-    plain = copy.deepcopy(plain)
-    at: Any = plain
+    raw = copy.deepcopy(raw)
+    at: Any = raw
     for step in path[:-1]:
         at = at[step]
     at[path[-1]] = value
-    return plain
+    return raw

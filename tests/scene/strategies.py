@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from haptether.bridge import Scene
 
-Plain = dict[str, Any]
+Raw = dict[str, Any]
 
 STEPPED = ("semi-implicit-euler", "velocity-verlet", "rk4")
 DEVICES = ("phantom-desktop", "phantom-omni", "touch", "phantom-premium-1.5", "inverse3", "dynamixel-leader")
@@ -22,7 +22,7 @@ def maybe(strategy: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
     return st.none() | strategy
 
 
-def table(required: Plain | None = None, /, **optional: st.SearchStrategy[Any]) -> st.SearchStrategy[Plain]:
+def table(required: Raw | None = None, /, **optional: st.SearchStrategy[Any]) -> st.SearchStrategy[Raw]:
     """A table whose optional keys may be left out."""
     return st.fixed_dictionaries(required or {}, optional=optional)
 
@@ -32,8 +32,8 @@ def per_axis(axes: int, low: float, high: float) -> st.SearchStrategy[Any]:
     return number | st.lists(number, min_size=axes, max_size=axes)
 
 
-def series(axes: int, low: float, high: float) -> st.SearchStrategy[Plain]:
-    def of(steps: list[float]) -> st.SearchStrategy[Plain]:
+def series(axes: int, low: float, high: float) -> st.SearchStrategy[Raw]:
+    def of(steps: list[float]) -> st.SearchStrategy[Raw]:
         times = [sum(steps[: count + 1]) for count in range(len(steps))]
         rows = st.lists(per_axis(axes, low, high), min_size=len(times), max_size=len(times))
         return rows.map(lambda values: {"time_s": times, "values": values})
@@ -45,8 +45,8 @@ def series(axes: int, low: float, high: float) -> st.SearchStrategy[Plain]:
 
 
 @st.composite
-def masters(draw: st.DrawFn, axes: int) -> Plain:
-    master: Plain = {"axes": axes}
+def masters(draw: st.DrawFn, axes: int) -> Raw:
+    master: Raw = {"axes": axes}
     if draw(st.booleans()):
         master["device"] = draw(st.sampled_from(DEVICES))
     else:
@@ -70,14 +70,12 @@ def masters(draw: st.DrawFn, axes: int) -> Plain:
 
 
 @st.composite
-def operators(draw: st.DrawFn, axes: int, duration_s: float, *, has_arm: bool) -> Plain:
+def operators(draw: st.DrawFn, axes: int, duration_s: float, *, has_arm: bool) -> Raw:
     leg = table(
         {"duration_s": real(0.01, 0.3), "end": per_axis(axes, -0.08, 0.08)},
         shape=st.sampled_from(["linear", "smooth", "minimum-jerk"]),
     )
-    operator: Plain = draw(
-        table(stiffness=real(10.0, 1000.0), damping=real(0.1, 20.0), grip_strength_n=real(0.0, 30.0))
-    )
+    operator: Raw = draw(table(stiffness=real(10.0, 1000.0), damping=real(0.1, 20.0), grip_strength_n=real(0.0, 30.0)))
     match draw(st.sampled_from(["legs", "recorded", "still"])):
         case "legs":
             operator["start"] = draw(per_axis(axes, -0.05, 0.05))
@@ -103,9 +101,9 @@ def operators(draw: st.DrawFn, axes: int, duration_s: float, *, has_arm: bool) -
 
 
 @st.composite
-def contacts(draw: st.DrawFn, axes: int, shape: str) -> Plain:
+def contacts(draw: st.DrawFn, axes: int, shape: str) -> Raw:
     laws = ["kelvin-voigt"] if shape == "spring" else ["kelvin-voigt", "hunt-crossley"]
-    contact: Plain = {"law": draw(st.sampled_from(laws)), "stiffness": draw(real(0.0, 3000.0) | real(1e4, 1e6))}
+    contact: Raw = {"law": draw(st.sampled_from(laws)), "stiffness": draw(real(0.0, 3000.0) | real(1e4, 1e6))}
     contact |= draw(table(damping=real(0.0, 50.0)))
     if contact["law"] == "hunt-crossley":
         contact |= draw(table(exponent=real(1.0, 3.0)))
@@ -115,9 +113,9 @@ def contacts(draw: st.DrawFn, axes: int, shape: str) -> Plain:
 
 
 @st.composite
-def objects(draw: st.DrawFn, axes: int) -> Plain:
+def objects(draw: st.DrawFn, axes: int) -> Raw:
     kind = draw(st.sampled_from(["plane", "sphere", "box", "spring"]))
-    shape: Plain = {"kind": kind}
+    shape: Raw = {"kind": kind}
     place = per_axis(axes, -0.05, 0.05)
     match kind:
         case "plane":
@@ -131,7 +129,7 @@ def objects(draw: st.DrawFn, axes: int) -> Plain:
             shape |= {"half_extents": draw(per_axis(axes, 1e-3, 0.1))} | draw(table(centre=place))
         case _:
             shape |= draw(table(anchor=place))
-    thing: Plain = {"shape": shape, "contact": draw(contacts(axes, kind))}
+    thing: Raw = {"shape": shape, "contact": draw(contacts(axes, kind))}
     match draw(st.sampled_from(["fixed", "fixed", "moving", "free"])):
         case "moving":
             motion = table(velocity=per_axis(axes, -0.2, 0.2), from_s=real(0.0, 0.2), frequency_hz=real(0.1, 20.0))
@@ -151,9 +149,9 @@ def objects(draw: st.DrawFn, axes: int) -> Plain:
 
 
 @st.composite
-def pushers(draw: st.DrawFn, axes: int) -> Plain:
+def pushers(draw: st.DrawFn, axes: int) -> Raw:
     shape = draw(st.sampled_from(["step", "ramp", "half-sine", "sine", "recorded"]))
-    pusher: Plain = {"shape": shape, "at_s": draw(real(0.0, 0.3))}
+    pusher: Raw = {"shape": shape, "at_s": draw(real(0.0, 0.3))}
     if shape == "recorded":
         pusher["recorded"] = draw(series(axes, -5.0, 5.0))
     else:
@@ -168,7 +166,7 @@ def pushers(draw: st.DrawFn, axes: int) -> Plain:
 
 
 @st.composite
-def slaves(draw: st.DrawFn, axes: int, period_s: float) -> Plain:
+def slaves(draw: st.DrawFn, axes: int, period_s: float) -> Raw:
     control = draw(st.sampled_from(["position", "velocity", "pd"]))
     sensor = table(
         noise_n=real(0.0, 0.1),
@@ -176,7 +174,7 @@ def slaves(draw: st.DrawFn, axes: int, period_s: float) -> Plain:
         quantum_n=real(0.0, 0.1),
         rate_hz=real(10.0, 1e4),
     )
-    slave: Plain = {"control": control}
+    slave: Raw = {"control": control}
     options: dict[str, st.SearchStrategy[Any]] = {
         "mass_kg": real(0.1, 10.0),
         "bandwidth_hz": real(0.5, 50.0),
@@ -193,13 +191,13 @@ def slaves(draw: st.DrawFn, axes: int, period_s: float) -> Plain:
 
 
 @st.composite
-def links(draw: st.DrawFn) -> Plain:
+def links(draw: st.DrawFn) -> Raw:
     delay_s = draw(real(0.0, 0.1))
     return {"delay_s": delay_s} | draw(table(jitter_s=real(0.0, delay_s / 4.0), loss=real(0.0, 1.0)))
 
 
 @st.composite
-def couplings(draw: st.DrawFn, axes: int, duration_s: float) -> Plain:
+def couplings(draw: st.DrawFn, axes: int, duration_s: float) -> Raw:
     angle = draw(real(-3.0, 3.0)) if axes == 3 else 0.0
     frame = {
         "quat_wxyz": st.just([math.cos(angle), 0.0, math.sin(angle), 0.0]),
@@ -216,7 +214,7 @@ def couplings(draw: st.DrawFn, axes: int, duration_s: float) -> Plain:
 
 
 @st.composite
-def ladders(draw: st.DrawFn) -> Plain:
+def ladders(draw: st.DrawFn) -> Raw:
     stale_after_s = draw(real(1e-3, 0.01))
     hold_after_s = stale_after_s + draw(real(1e-3, 0.03))
     times = {"stale_after_s": stale_after_s, "hold_after_s": hold_after_s}
@@ -227,7 +225,7 @@ def ladders(draw: st.DrawFn) -> Plain:
 # ---------------------------------------------------------------------------------------------- safety
 
 
-def estimators(period_s: float) -> st.SearchStrategy[Plain]:
+def estimators(period_s: float) -> st.SearchStrategy[Raw]:
     return st.one_of(
         st.just({"kind": "backward-difference"}),
         st.builds(lambda hz: {"kind": "low-pass", "cutoff_hz": hz}, real(1.0, 0.5 / period_s)),
@@ -243,8 +241,8 @@ def estimators(period_s: float) -> st.SearchStrategy[Plain]:
 
 
 @st.composite
-def safeties(draw: st.DrawFn, period_s: float, has_arm: bool) -> Plain:
-    safety: Plain = {"estimator": draw(estimators(period_s))}
+def safeties(draw: st.DrawFn, period_s: float, has_arm: bool) -> Raw:
+    safety: Raw = {"estimator": draw(estimators(period_s))}
     safety["controllers"] = draw(st.lists(st.sampled_from(["vfc", "hsc", "wsc", "pc"]), unique=True))
     options: dict[str, st.SearchStrategy[Any]] = {
         "velocity_threshold": real(0.01, 2.0),
@@ -276,7 +274,7 @@ def safeties(draw: st.DrawFn, period_s: float, has_arm: bool) -> Plain:
 
 
 @st.composite
-def plain_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = False) -> Plain:
+def raw_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = False) -> Raw:
     """Tables of a valid scene.
 
     Args:
@@ -289,7 +287,7 @@ def plain_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = Fal
     duration_s = draw(real(0.05, 0.5))
     has_arm = False if shared else draw(st.booleans()) if arm is None else arm
     integrator = draw(st.sampled_from(STEPPED if shared else ("exact", *STEPPED)))
-    scene: Plain = {
+    scene: Raw = {
         "schema": 1,
         "run": {
             "duration_s": duration_s,
@@ -311,13 +309,13 @@ def plain_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = Fal
         things = st.lists(objects(axes), max_size=3)
         pushes = st.lists(pushers(axes), max_size=2)
         if shared:
-            things = things.map(lambda all_: [part for part in all_ if is_plain(part)])
+            things = things.map(lambda all_: [part for part in all_ if is_linear(part)])
             pushes = pushes.map(lambda all_: [push for push in all_ if push["shape"] != "recorded"])
-        environment: Plain = {"objects": draw(things), "pushers": draw(pushes)}
+        environment: Raw = {"objects": draw(things), "pushers": draw(pushes)}
         if not has_arm:
-            plain = all(is_plain(part) and part["shape"]["kind"] == "plane" for part in environment["objects"])
-            plain = plain and all(push["shape"] != "recorded" for push in environment["pushers"])
-            if plain and draw(st.booleans()):
+            linear = all(is_linear(part) and part["shape"]["kind"] == "plane" for part in environment["objects"])
+            linear = linear and all(push["shape"] != "recorded" for push in environment["pushers"])
+            if linear and draw(st.booleans()):
                 environment["rendering"] = "continuous"
             else:
                 environment |= draw(table(delay_ticks=st.integers(0, 50)))
@@ -336,7 +334,7 @@ def plain_scenes(draw: st.DrawFn, *, arm: bool | None = None, shared: bool = Fal
     return scene
 
 
-def is_plain(thing: Plain) -> bool:
+def is_linear(thing: Raw) -> bool:
     """Whether an object is a resting plane or spring of Kelvin and Voigt without friction."""
     contact = thing["contact"]
     return (
@@ -349,4 +347,4 @@ def is_plain(thing: Plain) -> bool:
 
 def scenes(*, arm: bool | None = None, shared: bool = False) -> st.SearchStrategy[Scene]:
     """Valid scenes; see `plain_scenes`."""
-    return plain_scenes(arm=arm, shared=shared).map(lambda plain: msgspec.convert(plain, Scene))
+    return raw_scenes(arm=arm, shared=shared).map(lambda raw: msgspec.convert(raw, Scene))

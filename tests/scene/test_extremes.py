@@ -67,12 +67,12 @@ def test_a_number_at_the_end_of_its_range_is_run_or_refused_in_one_line(base: st
     ],
 )
 def test_what_cannot_be_is_named(path: tuple[str | int, ...], value: float, said: str) -> None:
-    plain = BASES["stepped" if path[0] == "run" else "arm, integrated"]
+    raw = BASES["stepped" if path[0] == "run" else "arm, integrated"]
     if path == ("master", "encoder_quantum"):
         estimator = {"kind": "kalman"}
-        plain = changed(plain, path, value)
-        plain["safety"] = plain["safety"] | {"estimator": estimator}
+        raw = changed(raw, path, value)
+        raw["safety"] = raw["safety"] | {"estimator": estimator}
     else:
-        plain = changed(plain, path, value)
+        raw = changed(raw, path, value)
     with pytest.raises(SceneError, match=re.escape(said)):
-        checked(plain, FilePath())
+        checked(raw, FilePath())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, example, given, seed, settings
 from hypothesis import strategies as st
-from tests.scene.strategies import Plain, plain_scenes, real, scenes
+from tests.scene.strategies import Raw, raw_scenes, real, scenes
 
 from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 
@@ -60,16 +60,16 @@ def fingerprint(run: Run) -> tuple[dict[str, bytes], tuple[object, ...], dict[st
     return {name: signal.tobytes() for name, signal in run.signals.items()}, run.events, metrics
 
 
-def scene_of(**tables: Any) -> Plain:  # noqa: ANN401  # tables as TOML has them
+def scene_of(**tables: Any) -> Raw:  # noqa: ANN401  # tables as TOML has them
     return {"schema": 1, "record": {}, **tables}
 
 
 @seed(SEED)
 @settings(SLOW, max_examples=EXAMPLES, derandomize=False, database=None)
-@given(plain=plain_scenes())
+@given(raw=raw_scenes())
 # A release that ends a rounding before a tick, where less was left of the tick than the clock can tell.
 @example(
-    plain=scene_of(
+    raw=scene_of(
         run={"duration_s": 0.1, "period_s": 5e-3},
         master={"mass_kg": 0.1},
         operator={
@@ -81,13 +81,13 @@ def scene_of(**tables: Any) -> Plain:  # noqa: ANN401  # tables as TOML has them
 )
 # A speed whose square is 0: friction along it had no direction.
 @example(
-    plain=scene_of(
+    raw=scene_of(
         run={"duration_s": 0.05, "period_s": 5e-3}, master={"device": "phantom-omni", "axes": 3, "velocity": 1e-256}
     )
 )
-# Friction whose direction turned faster than its series told.
+# Friction whose direction turned faster than its series said.
 @example(
-    plain=scene_of(
+    raw=scene_of(
         run={"duration_s": 0.4, "period_s": 2e-3},
         master={"device": "phantom-desktop", "axes": 3, "coulomb": 0.07448222660652905},
         operator={
@@ -96,8 +96,8 @@ def scene_of(**tables: Any) -> Plain:  # noqa: ANN401  # tables as TOML has them
         },
     )
 )
-def test_any_valid_scene_gives_numbers(plain: Plain) -> None:
-    scene = msgspec.convert(plain, Scene)
+def test_any_valid_scene_gives_numbers(raw: Raw) -> None:
+    scene = msgspec.convert(raw, Scene)
     check(simulate(scene), scene)
 
 

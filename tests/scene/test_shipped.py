@@ -126,10 +126,10 @@ def test_contact_with_a_wall_is_where_the_device_is_inside(overrides: list[str])
     run = simulate("paper_wall", overrides=overrides)
     inside = run.signals["position"] < 0.0
     changes = np.flatnonzero(np.diff(inside.astype(int)))
-    told = [event.time_s for event in run.events if event.kind in {"contact", "free"}]
-    # Told at the first tick inside, or at the instant itself between that tick and the one before.
-    assert len(told) == len(changes) >= 2
-    assert np.all(abs(np.array(told) - run.signals["time_s"][changes + 1]) <= 1.001e-3)
+    reported_s = [event.time_s for event in run.events if event.kind in {"contact", "free"}]
+    # Reported at the first tick inside, or at the instant itself between that tick and the one before.
+    assert len(reported_s) == len(changes) >= 2
+    assert np.all(abs(np.array(reported_s) - run.signals["time_s"][changes + 1]) <= 1.001e-3)
 
 
 def test_the_moving_wall_comes_to_the_hand() -> None:

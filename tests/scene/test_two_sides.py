@@ -207,7 +207,7 @@ def test_a_gentle_wall_stays_bounded_under_delay_jitter_and_loss() -> None:
     assert np.ptp(signals.position[-1000:]) <= 3e-9 / HAND_STIFFNESS
     assert np.ptp(signals.slave_position[-1000:]) <= 3e-9 / HAND_STIFFNESS
     assert [report.holds for report in reports(run)] == [0, 0]
-    # Both must hear that they are heard: two ways, and a few ticks where frames were lost.
+    # Both must hear that they are heard: one delay in each direction, and a few ticks where frames were lost.
     for report in reports(run):
         assert 0.08 <= report.engaged_s <= 0.13
         assert 0.08 <= report.link.least_round_trip_s <= report.link.round_trip_s <= 0.121
@@ -249,18 +249,18 @@ def received(
 def test_the_counts_are_those_of_the_verdicts(forward: LinkSettings, backward: LinkSettings, seed: int) -> None:
     ticks = 1500
     master, slave = reports(press(forward=forward, backward=backward, seed=seed, duration_s=1.5))
-    ways: list[tuple[LinkStatistics, LinkSettings, Literal["forward", "backward"]]] = [
+    directions: list[tuple[LinkStatistics, LinkSettings, Literal["forward", "backward"]]] = [
         (slave.link, forward, "forward"),
         (master.link, backward, "backward"),
     ]
-    for link, settings, direction in ways:
+    for link, settings, direction in directions:
         arrived = received(settings, direction, seed, ticks)
         assert link.sent == ticks
         assert link.fresh + link.late == len(arrived)
         assert (link.duplicate, link.refused) == (0, 0)
         newest = np.maximum.accumulate(arrived)
         assert link.fresh == len(np.unique(newest))
-        # From the first that arrived to the newest; what came before the first is not counted.
+        # From the first that arrived to the newest; what arrived before the first is not counted.
         if len(arrived):
             span = newest[-1] - arrived[0] + 1
             assert link.missing == span - np.count_nonzero(arrived >= arrived[0])
@@ -334,7 +334,7 @@ def test_the_names_of_the_ladder() -> None:
         ladder_reason(0)
 
 
-def test_the_report_says_what_the_way_did() -> None:
+def test_the_report_says_what_the_link_did() -> None:
     """A second over 5 ms each way: the same frames as the link counts, and a clock that is ours."""
     forward = LinkSettings(delay_s=0.005, loss=0.1, mean_burst=3.0)
     master, slave = reports(press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0))
@@ -351,7 +351,7 @@ def test_the_report_says_what_the_way_did() -> None:
         assert path.offset_s is not None
         assert path.offset_bound_s is not None
         assert abs(path.offset_s) <= path.offset_bound_s <= 0.006
-        # Both ways and the wait for a tick; what is usual lies above the median by the jitter.
+        # Both directions and the wait for a tick; the expected age lies above the median by the jitter.
         assert path.usual_age_s is not None
         assert 0.010 <= path.usual_age_s <= 0.020
 

@@ -23,7 +23,7 @@ WINDOWS_MS = [(100, 200), (100, 700), (200, 100), (300, 300), (70, 20), (1, 1), 
 
 def pushed(engine: str, *pushers: dict[str, Any], duration_s: float = 0.9) -> Run:
     changed = ENGINES[engine]
-    plain = {
+    raw = {
         "schema": 1,
         "master": {"mass_kg": 0.5, "encoder_quantum": 0.0},
         "operator": {},
@@ -33,7 +33,7 @@ def pushed(engine: str, *pushers: dict[str, Any], duration_s: float = 0.9) -> Ru
         "environment": {**changed.get("environment", {}), "pushers": list(pushers)},
         "safety": {"limiter": {"enabled": False}},
     }
-    return simulate(msgspec.convert(plain, Scene))
+    return simulate(msgspec.convert(raw, Scene))
 
 
 def ticks_ms(run: Run) -> list[int]:
@@ -69,7 +69,7 @@ def test_pushes_that_follow_one_another_are_one(engine: str) -> None:
 def test_a_hand_that_grips_at_once_does_so_at_its_tick(at_s: float) -> None:
     """0.1 s + 0.2 s + 0.3 s of release, fall and reaction end at a tick, as 0.6 s does."""
     for integrator in ("exact", "semi-implicit-euler"):
-        plain = {
+        raw = {
             "schema": 1,
             "run": {"duration_s": 1.5, "integrator": integrator},
             "master": {"mass_kg": 0.5, "position": 0.01},
@@ -80,7 +80,7 @@ def test_a_hand_that_grips_at_once_does_so_at_its_tick(at_s: float) -> None:
             },
             "record": {},
         }
-        run = simulate(msgspec.convert(plain, Scene))
+        run = simulate(msgspec.convert(raw, Scene))
         held = np.ravel(run.signals.hand_force) != 0.0
         grips_ms = round(at_s * 1000) + 500
         assert not held[grips_ms - 1], integrator

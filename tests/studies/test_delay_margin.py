@@ -119,7 +119,7 @@ def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bo
 
 def linear_scene(**changed: Any) -> Scene:  # noqa: ANN401  # tables as TOML has them
     """A loop without anything that is not linear: a hand nudges the device, whose arm hangs on a spring."""
-    plain: dict[str, Any] = {
+    raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": 4.0, "diverged_position": 1e3, "diverged_speed": 1e3},
         "master": {"mass_kg": 0.157, "viscous": 0.1, "encoder_quantum": 0.0},
@@ -135,8 +135,8 @@ def linear_scene(**changed: Any) -> Scene:  # noqa: ANN401  # tables as TOML has
         "record": {},
     }
     for table, fields in changed.items():
-        plain[table] = {**plain.get(table, {}), **fields}
-    return msgspec.convert(plain, Scene)
+        raw[table] = {**raw.get(table, {}), **fields}
+    return msgspec.convert(raw, Scene)
 
 
 def critical_scale(scene: Scene) -> float:

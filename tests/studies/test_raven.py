@@ -26,8 +26,8 @@ def row_of(report: RavenReport, scene: str, security: str) -> RavenRow:
 
 
 def test_every_attack_runs_on_every_kind_of_frames(report: RavenReport) -> None:
-    asked = [(attack.scene, security) for attack in RAVEN_ATTACKS for security in SECURITY]
-    assert [(row.scene, row.security) for row in report.rows] == asked
+    expected = [(attack.scene, security) for attack in RAVEN_ATTACKS for security in SECURITY]
+    assert [(row.scene, row.security) for row in report.rows] == expected
     assert sorted(path.stem for path in SCENES.glob("raven_*.toml")) == sorted(one.scene for one in RAVEN_ATTACKS)
 
 
@@ -71,20 +71,20 @@ def test_a_displaced_pose_displaces_the_arm_by_as_much(report: RavenReport) -> N
     assert row_of(report, "pose", "off").astray_mm == pytest.approx(30.0, abs=0.1)
 
 
-def test_a_hijacked_arm_goes_where_it_is_told(report: RavenReport) -> None:
+def test_a_hijacked_arm_goes_where_it_is_commanded(report: RavenReport) -> None:
     """80 mm into the wall, until the slave echoes nothing any more that the hand has sent: then its news is old."""
     run = simulate("raven_hijack", overrides=SECURITY["off"])
     held = [event for event in run.events if event.kind == "hold"]
     assert held[0].detail == "master: peer's news is old"
     # The last echo arrives 20 ms after the first frame of somebody else; then 20 ms, a period of silence, ticks, and
-    # what is left of the first guess of the deviation, 40 ms * 20 ms / 580 ms. The slave is told within 11 ms.
+    # what is left of the first guess of the deviation, 40 ms * 20 ms / 580 ms. The slave receives that within 11 ms.
     assert 0.64 <= held[0].time_s <= held[1].time_s <= 0.64 + 0.006 + 0.011
     time_s, position = run.signals["time_s"], run.signals["position"]
     away_mm = 1e3 * abs(position[(time_s >= 0.6) & (time_s <= held[1].time_s)] + 0.08)
     assert away_mm.min() - 0.1 <= row_of(report, "hijack", "off").lag_mm <= away_mm.max() + 0.1
 
 
-def test_told_forces_are_felt(report: RavenReport) -> None:
+def test_forged_forces_are_felt(report: RavenReport) -> None:
     """6 N, where what is touched gives as much as the run that nobody attacks says."""
     overrides = [*SECURITY["off"], "link.backward.attacks=[]"]
     peak = simulate("raven_feedback", overrides=overrides).metrics.peak_device_force
@@ -135,12 +135,12 @@ def test_what_is_refused_changes_not_a_byte(security: Security, scene: str) -> N
 def test_the_limits_are_those_of_the_runs(report: RavenReport) -> None:
     """20 ms of coasting at the largest speed of the hand, and one tick at the bound of the command."""
     for row in report.rows:
-        most = 1.875 * 0.06 / 0.6 * COASTING_S + COMMAND_SPEED * 1e-3
-        assert 0.5 * most < row.astray_limit_mm * 1e-3 <= 1.1 * most
+        max_m = 1.875 * 0.06 / 0.6 * COASTING_S + COMMAND_SPEED * 1e-3
+        assert 0.5 * max_m < row.astray_limit_mm * 1e-3 <= 1.1 * max_m
         assert row.extra_force_limit_n == pytest.approx(0.1 * row.astray_limit_mm)  # 100 N/m
 
 
-def test_an_attack_that_does_something_else_is_told(report: RavenReport) -> None:
+def test_an_attack_that_does_something_else_is_reported(report: RavenReport) -> None:
     assert report.is_as_expected
     first, *rest = report.rows
     for wrong in (replace(first, effect="moved"), replace(first, moved_in_hold_mm=1e-9)):

@@ -16,45 +16,45 @@ def stroke(*overrides: str) -> Run:
     return simulate("three_axis_box", overrides=[*free, *overrides])
 
 
-def ways(run: Run) -> tuple[Any, Any]:
+def displacements(run: Run) -> tuple[Any, Any]:
     """How far master and slave went, at the end."""
     return tuple(run.signals[name][-1] - run.signals[name][0] for name in ("position", "slave_position"))
 
 
 def test_the_slave_follows_in_its_own_frame() -> None:
-    near, far = ways(stroke())
-    assert far == pytest.approx(near, abs=1e-3)
+    hand, arm = displacements(stroke())
+    assert arm == pytest.approx(hand, abs=1e-3)
     # A quarter turn about z takes x to y and y to -x.
     run = stroke(f"coupling.quat_wxyz=[{HALF!r}, 0, 0, {HALF!r}]")
-    near, far = ways(run)
-    assert far == pytest.approx([-near[1], near[0], near[2]], abs=1e-3)
-    assert abs(far[0]) > 0.02
+    hand, arm = displacements(run)
+    assert arm == pytest.approx([-hand[1], hand[0], hand[2]], abs=1e-3)
+    assert abs(arm[0]) > 0.02
     assert run.metrics.position_rmse_m is not None
     assert run.metrics.position_rmse_m < 2e-3, "measured in the frame of the slave"
 
 
 def test_a_locked_axis_stays_where_it_is() -> None:
     run = stroke("coupling.locked_axes=[1]", "coupling.position_scale=2.0")
-    near, far = ways(run)
+    hand, arm = displacements(run)
     assert not np.ptp(run.signals["slave_command"][:, 1])
-    assert far[[0, 2]] == pytest.approx(2.0 * near[[0, 2]], abs=2e-3)
+    assert arm[[0, 2]] == pytest.approx(2.0 * hand[[0, 2]], abs=2e-3)
 
 
 def test_changes_come_at_their_time_and_move_nothing_by_themselves() -> None:
     changes = "[{at_s=1.5, position_scale=3.0}, {at_s=1.8, locked_axes=[2]}, {at_s=2.0, quat_wxyz=[0, 0, 0, 1]}]"
-    plain, run = stroke(), stroke(f"coupling.changes={changes}")
+    baseline, run = stroke(), stroke(f"coupling.changes={changes}")
     at = {time_s: int(np.searchsorted(run.signals["slave_time_s"], time_s - 1e-9)) for time_s in (1.5, 1.8, 2.0)}
-    command, before = run.signals["slave_command"], plain.signals["slave_command"]
+    command, before = run.signals["slave_command"], baseline.signals["slave_command"]
     assert np.array_equal(command[: at[1.5]], before[: at[1.5]])
     for tick in at.values():
         # The tick of the change commands what the one before did.
         assert command[tick] == pytest.approx(command[tick - 1], abs=1e-12)
-    steps, usual = np.diff(command, axis=0), np.diff(before, axis=0)
+    steps, baseline_steps = np.diff(command, axis=0), np.diff(before, axis=0)
     scaled = slice(at[1.5] + 1, at[1.8] - 1)
-    assert steps[scaled] == pytest.approx(3.0 * usual[scaled], abs=1e-6)
+    assert steps[scaled] == pytest.approx(3.0 * baseline_steps[scaled], abs=1e-6)
     assert not steps[at[1.8] + 1 :, 2].any()
-    turned = slice(at[2.0] + 1, None)
-    assert steps[turned, :2] == pytest.approx(-3.0 * usual[turned, :2], abs=1e-6)
+    rotated = slice(at[2.0] + 1, None)
+    assert steps[rotated, :2] == pytest.approx(-3.0 * baseline_steps[rotated, :2], abs=1e-6)
 
 
 def test_a_force_scale_that_changes_is_felt_and_measured() -> None:
@@ -90,8 +90,8 @@ def test_a_ladder_with_other_times() -> None:
 
 def test_a_command_is_kept_within_its_reach() -> None:
     run = stroke("coupling.command_reach=0.01")
-    way = run.signals["slave_command"] - run.signals["slave_command"][0]
-    assert np.linalg.norm(way, axis=1).max() == pytest.approx(0.01, rel=1e-9)
+    displacement = run.signals["slave_command"] - run.signals["slave_command"][0]
+    assert np.linalg.norm(displacement, axis=1).max() == pytest.approx(0.01, rel=1e-9)
 
 
 def test_a_scene_with_changes_is_overridden_like_any_other() -> None:
