@@ -33,25 +33,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     parser.add_argument("--json", type=Path, help="where the same goes for machines; - for standard output")
     parser.add_argument("--only", choices=list(GROUPS), action="append", help="these rows alone")
-    asked = parser.parse_args()
-    console = Console(stderr=str(asked.json) == "-")
+    arguments = parser.parse_args()
+    console = Console(stderr=str(arguments.json) == "-")
     if not console.is_terminal:
         console.width = WIDTH
     rows: list[Row] = []
-    for name in asked.only or GROUPS:
+    for name in arguments.only or GROUPS:
         for make in GROUPS[name]():
             rows.append(make())
             if rows[-1].how == "processes":
                 print(f"{rows[-1].fault}: {rows[-1].verdict}", file=sys.stderr, flush=True)
     print_table(console, rows)
     passed = not any(row.complaints for row in rows)
-    if asked.json is not None:
+    if arguments.json is not None:
         text = json.dumps({"passed": passed, "rows": [row.as_json() for row in rows]}, indent=1) + "\n"
-        if str(asked.json) == "-":
+        if str(arguments.json) == "-":
             sys.stdout.write(text)
         else:
-            asked.json.parent.mkdir(parents=True, exist_ok=True)
-            asked.json.write_text(text, encoding="utf-8")
+            arguments.json.parent.mkdir(parents=True, exist_ok=True)
+            arguments.json.write_text(text, encoding="utf-8")
     return 0 if passed else 1
 
 

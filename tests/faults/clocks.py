@@ -11,7 +11,7 @@ from haptether.bridge import Run, simulate
 
 STEP_S = 1.0
 """When a clock jumps, in s."""
-QUIET = [f"link.{way}.{key}=0" for way in ("forward", "backward") for key in ("loss", "jitter_s")]
+QUIET = [f"link.{direction}.{key}=0" for direction in ("forward", "backward") for key in ("loss", "jitter_s")]
 
 
 def offset(side: str, offset_s: float) -> Row:

@@ -42,8 +42,8 @@ class Broken(Exception):  # noqa: N818  # what a driver of somebody else raises
 
 
 @dataclass
-class Trouble:
-    """What befalls a driver, once it is asked for."""
+class InjectedFault:
+    """A fault of a driver, injected once both sides have engaged."""
 
     kind: str = "none"
     blocked_s: float = 0.0
@@ -65,7 +65,7 @@ class Trouble:
 class PythonHand:
     """A master in Python: a hand that goes into the wall and breathes."""
 
-    trouble: Trouble = field(default_factory=Trouble)
+    injected: InjectedFault = field(default_factory=InjectedFault)
     paces: bool = False
     forces: list[tuple[float, float]] = field(default_factory=list)
     opened: int = 0
@@ -78,8 +78,8 @@ class PythonHand:
     def read(self) -> MasterSample:
         elapsed_s = time.monotonic() - self.begun_s
         depth_m = 0.04 * min(1.0, elapsed_s / 1.0) + 0.002 * math.sin(6.0 * elapsed_s)
-        wrong = self.trouble.meet()
-        return MasterSample(0.02 - depth_m + wrong, fault="unplugged" if self.trouble.kind == "fault" else None)
+        wrong = self.injected.meet()
+        return MasterSample(0.02 - depth_m + wrong, fault="unplugged" if self.injected.kind == "fault" else None)
 
     def write(self, force: tuple[float, ...]) -> None:
         self.forces.append((time.monotonic(), force[0]))
@@ -88,17 +88,17 @@ class PythonHand:
         self.closed += 1
 
     def acknowledge(self) -> None:
-        self.trouble = Trouble()
+        self.injected = InjectedFault()
 
 
 @dataclass
 class PythonArm:
-    """A slave in Python: an arm that is where it is told to be, at a spring of 100 N/m at 0."""
+    """A slave in Python: an arm that is where it is commanded to be, at a spring of 100 N/m at 0."""
 
-    trouble: Trouble = field(default_factory=Trouble)
+    injected: InjectedFault = field(default_factory=InjectedFault)
     paces: bool = False
     position: float = 0.02
-    told: list[tuple[float, str, float]] = field(default_factory=list)
+    orders: list[tuple[float, str, float]] = field(default_factory=list)
     opened: int = 0
     closed: int = 0
 
@@ -106,23 +106,23 @@ class PythonArm:
         self.opened += 1
 
     def read(self) -> SlaveSample:
-        wrong = self.trouble.meet()
-        fault = "unplugged" if self.trouble.kind == "fault" else None
+        wrong = self.injected.meet()
+        fault = "unplugged" if self.injected.kind == "fault" else None
         return SlaveSample(self.position + wrong, 0.0, max(0.0, -100.0 * self.position), fault)
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
         assert len(velocity) == 1
         self.position = position[0]
-        self.told.append((time.monotonic(), "move", position[0]))
+        self.orders.append((time.monotonic(), "move", position[0]))
 
     def stop(self) -> None:
-        self.told.append((time.monotonic(), "stop", self.position))
+        self.orders.append((time.monotonic(), "stop", self.position))
 
     def close(self) -> None:
         self.closed += 1
 
     def acknowledge(self) -> None:
-        self.trouble = Trouble()
+        self.injected = InjectedFault()
 
 
 @dataclass
@@ -143,7 +143,7 @@ class Seen:
         times = [at_s for at_s, state in self.states[side] if at_s >= self.at_s and state in STILL]
         return times[0] - self.at_s if times else math.inf
 
-    def came_back(self, side: str) -> bool:
+    def engaged_again(self, side: str) -> bool:
         """Whether a side was coupled again after it had come to rest."""
         after = [state for at_s, state in self.states[side] if at_s >= self.at_s + self.after_s(side)]
         return any(state in COUPLED for state in after)
@@ -154,8 +154,10 @@ def scene() -> Scene:
     return load_scene("remote_push", ["environment.pushers=[]", "slave.max_acceleration=5.0", "operator.clutch=once"])
 
 
-def watch(device: PythonHand | PythonArm, trouble: Trouble, then: Callable[[DeviceRun], None] | None = None) -> Seen:
-    """Runs a side in Python against a native one, and lets `trouble` befall its driver once both have engaged."""
+def watch(
+    device: PythonHand | PythonArm, injected: InjectedFault, then: Callable[[DeviceRun], None] | None = None
+) -> Seen:
+    """Runs a side in Python against a native one, and injects a fault into its driver once both have engaged."""
     spec, key = scene_json(scene()), secrets.token_bytes(32)
     master: LiveMaster | MasterRun
     slave: LiveSlave | SlaveRun
@@ -184,9 +186,9 @@ def watch(device: PythonHand | PythonArm, trouble: Trouble, then: Callable[[Devi
     assert until(lambda: master.state == slave.state == "engaged", ENGAGED_WITHIN_S), (master.state, slave.state)
     # Until the hand is in the wall.
     until(lambda: False, 1.2)
-    device.trouble = trouble
+    device.injected = injected
     begun_s = time.monotonic()
-    until(lambda: False, WATCHED_S + trouble.blocked_s)
+    until(lambda: False, WATCHED_S + injected.blocked_s)
     if then is not None:
         then(run)
         until(lambda: False, 0.3)
@@ -197,7 +199,7 @@ def watch(device: PythonHand | PythonArm, trouble: Trouble, then: Callable[[Devi
     # A trace of each side.
     traces: dict[str, MasterTrace | SlaveTrace] = {"master": near, "slave": far}
     return Seen(
-        at_s=trouble.at_s or begun_s,
+        at_s=injected.at_s or begun_s,
         states=states,
         run=run,
         reasons={
@@ -216,20 +218,20 @@ def watch(device: PythonHand | PythonArm, trouble: Trouble, then: Callable[[Devi
 def raising(side: str, limit_s: float) -> Row:
     """The driver raises an exception."""
     device = PythonHand() if side == "master" else PythonArm()
-    seen = watch(device, Trouble("raise"))
+    seen = watch(device, InjectedFault("raise"))
     found = Complaints()
     peer = "slave" if side == "master" else "master"
     error = seen.run.error
     found.check(isinstance(error, DeviceError) and isinstance(error.__cause__, Broken), f"the run ended by {error!r}")
     found.check(seen.faults[side] == "the device failed", f"fault: {seen.faults[side]}")
     found.check("peer has a fault" in seen.reasons[peer], f"{peer}: {seen.reasons[peer]}")
-    found.check(not seen.came_back(peer), f"the {peer} engaged again")
+    found.check(not seen.engaged_again(peer), f"the {peer} engaged again")
     found.check((device.opened, device.closed) == (1, 1), f"opened {device.opened}, closed {device.closed} times")
     if isinstance(device, PythonHand):
         found.check(device.forces[-1][1] == 0.0, f"{device.forces[-1][1]:g} N left on the device")
         found.check(max(force for _, force in device.forces) > 1.0, "there was no force before it")
     else:
-        found.check(device.told[-1][1] == "stop", f"told last: {device.told[-1]}")
+        found.check(device.orders[-1][1] == "stop", f"commanded last: {device.orders[-1]}")
     took_s = seen.after_s(peer)
     found.check(took_s <= limit_s, f"the {peer} held after {took_s:g} s")
     return Row(
@@ -242,14 +244,14 @@ def raising(side: str, limit_s: float) -> Row:
 def blocking(side: str, blocked_s: float, limit_s: float) -> Row:
     """The driver blocks in `read`, then goes on as if nothing had been."""
     device = PythonHand() if side == "master" else PythonArm()
-    trouble = Trouble("block", blocked_s)
-    seen = watch(device, trouble)
+    injected = InjectedFault("block", blocked_s)
+    seen = watch(device, injected)
     found = Complaints()
     peer = "slave" if side == "master" else "master"
     found.check(seen.run.error is None, f"the run ended by {seen.run.error!r}")
     for name in (side, peer):
         found.check(seen.after_s(name) < math.inf, f"the {name} did not hold")
-        found.check(not seen.came_back(name), f"the {name} engaged again by itself")
+        found.check(not seen.engaged_again(name), f"the {name} engaged again by itself")
     period_s = 1e-3
     found.check(seen.skipped >= blocked_s / period_s - 2, f"{seen.skipped} ticks left out")
     took_s = seen.after_s(peer)
@@ -276,7 +278,7 @@ def bad_number(side: str, limit_s: float) -> Row:
         time.sleep(0.1)
         after.append(run.state)
 
-    seen = watch(device, Trouble("nan"), acknowledge)
+    seen = watch(device, InjectedFault("nan"), acknowledge)
     found = Complaints()
     peer = "slave" if side == "master" else "master"
     found.check(seen.run.error is None, f"the run ended by {seen.run.error!r}")
@@ -296,15 +298,15 @@ def bad_number(side: str, limit_s: float) -> Row:
 def says_so(side: str, limit_s: float) -> Row:
     """The device says that something is wrong with it."""
     device = PythonHand() if side == "master" else PythonArm()
-    seen = watch(device, Trouble("fault"))
+    seen = watch(device, InjectedFault("fault"))
     found = Complaints()
     peer = "slave" if side == "master" else "master"
     found.check(seen.run.error is None, f"the run ended by {seen.run.error!r}")
     found.check(seen.faults[side] == "the device failed", f"fault: {seen.faults[side]}")
-    found.check(seen.run.notes.fault == "unplugged", f"told: {seen.run.notes.fault}")
+    found.check(seen.run.notes.fault == "unplugged", f"reported: {seen.run.notes.fault}")
     if isinstance(device, PythonArm):
-        stops = [kind for _, kind, _ in device.told].count("stop")
-        found.check(stops == 2, f"told to stop {stops} times: once at the fault, once at the end")
+        stops = [kind for _, kind, _ in device.orders].count("stop")
+        found.check(stops == 2, f"stopped {stops} times: once at the fault, once at the end")
     took_s = seen.after_s(peer)
     found.check(took_s <= limit_s, f"the {peer} held after {took_s:g} s")
     return Row(

@@ -1,4 +1,4 @@
-"""A sender of datagrams that nobody with the key has made, as fast as one thread can or as fast as it is told.
+"""A sender of datagrams that nobody with the key has made, as fast as one thread can or at a given rate.
 
 Run as `python -m tests.faults.flood HOST:PORT --rate 100000 --seconds 3`; prints the rate that it reached as JSON.
 """
@@ -119,13 +119,13 @@ def main() -> int:
     parser.add_argument("--session", type=int, default=1, help="session in the headers")
     parser.add_argument("--counter", type=int, default=1_000_000, help="counter in the first header")
     parser.add_argument("--kind", choices=list(KINDS), default="frame", help="what they seem to be")
-    asked = parser.parse_args()
-    if not (1.0 <= asked.rate <= 1e7 and 0.0 < asked.seconds <= 60.0):
+    arguments = parser.parse_args()
+    if not (1.0 <= arguments.rate <= 1e7 and 0.0 < arguments.seconds <= 60.0):
         parser.error("--rate must be 1 to 1e7, --seconds above 0 and at most 60")
-    host, port = asked.peer.rsplit(":", 1)
+    host, port = arguments.peer.rsplit(":", 1)
     sent = flood(
-        host, int(port), rate_hz=asked.rate, seconds=asked.seconds, session=asked.session, counter=asked.counter,
-        kind=asked.kind,
+        host, int(port), rate_hz=arguments.rate, seconds=arguments.seconds, session=arguments.session,
+        counter=arguments.counter, kind=arguments.kind,
     )  # fmt: skip
     print(json.dumps({**asdict(sent), "rate_hz": sent.rate_hz}))
     return 0

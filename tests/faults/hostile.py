@@ -226,11 +226,11 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
         quiet_s = time.monotonic()
         time.sleep(seconds)
         # Ahead of what the master will have sent by then, and never to be reached.
-        asked = ["--session", str(session), "--counter", str(counter + 100_000_000), "--kind", kind]
+        header = ["--session", str(session), "--counter", str(counter + 100_000_000), "--kind", kind]
         begun_s = time.monotonic()
         sender = [sys.executable, "-m", "tests.faults.flood", slave.address]
         ended = subprocess.run(
-            [*sender, "--rate", f"{RATE_HZ}", "--seconds", f"{seconds}", *asked],
+            [*sender, "--rate", f"{RATE_HZ}", "--seconds", f"{seconds}", *header],
             capture_output=True, text=True, timeout=END_S, check=True,
         )  # fmt: skip
         flooded_s = time.monotonic()
@@ -354,20 +354,20 @@ def copied(limits: Limits) -> Row:
     judged = Judged(limits)
     judged.never_held(*sides)
     judged.slave(sides[0])
-    judged.wrong.check(duplicates > 1000, f"{duplicates} originals came second")
-    judged.say(f"{duplicates} originals came second; no hold")
+    judged.wrong.check(duplicates > 1000, f"{duplicates} originals arrived second")
+    judged.say(f"{duplicates} originals arrived second; no hold")
     return judged.row(COPIED, "the answers still reach the master")
 
 
 def last_sequence(limits: Limits) -> Row:
     """In the clear, one frame of the living session with the highest sequence there is."""
     with Stage.set() as stage:
-        plain = ("--insecure", "--json", str(stage.path("slave.json")))
-        slave = Process("slave", "--listen", "127.0.0.1:0", *plain, record=stage.path("slave.mcap"))
+        options = ("--insecure", "--json", str(stage.path("slave.json")))
+        slave = Process("slave", "--listen", "127.0.0.1:0", *options, record=stage.path("slave.mcap"))
         stage.processes.append(slave)
         relay = Relay(slave.address)
-        plain = ("--insecure", "--json", str(stage.path("master.json")))
-        master = Process("master", "--peer", relay.address, *plain, record=stage.path("master.mcap"))
+        options = ("--insecure", "--json", str(stage.path("master.json")))
+        master = Process("master", "--peer", relay.address, *options, record=stage.path("master.mcap"))
         stage.processes.append(master)
         time.sleep(PRESSED_S)
         frame = bytearray(relay.recorded[-1][:-4])

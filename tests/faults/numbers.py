@@ -30,19 +30,19 @@ OF_SLAVE = "fault of the slave: environment force exceeds 10000 N"
 
 
 def from_device(signal: str) -> Row:
-    """One bad sample at the door of a master tick: fault and no force in the same tick, and they stay."""
+    """One bad sample as a master tick takes it in: fault and no force in the same tick, and they stay."""
     found = Complaints()
     worst_ticks, force_n, reasons = 0, 0.0, set()
     for name, bad in BAD.items():
-        told = _layer(signal, bad)
-        faulty = np.flatnonzero(told.fault)
+        ticks = _layer(signal, bad)
+        faulty = np.flatnonzero(ticks.fault)
         if not faulty.size:
             found.check(False, f"{name}: no fault")
             continue
-        reasons.add(str(fault_message(int(told.fault[AT]))))
+        reasons.add(str(fault_message(int(ticks.fault[AT]))))
         worst_ticks = max(worst_ticks, int(faulty[0]) - AT)
-        force_n = max(force_n, float(np.abs(told.device_force[AT:]).max()))
-        found.check(np.abs(told.device_force[:AT]).max() > 0.5, f"{name}: no force before it")
+        force_n = max(force_n, float(np.abs(ticks.device_force[AT:]).max()))
+        found.check(np.abs(ticks.device_force[:AT]).max() > 0.5, f"{name}: no force before it")
         found.check(faulty.tolist() == list(range(AT, TICKS)), f"{name}: faulty at {faulty[:3].tolist()}...")
     found.check(worst_ticks == 0, f"{worst_ticks} ticks late")
     found.check(force_n == 0.0, f"{force_n:g} N after it")
@@ -79,7 +79,9 @@ def from_arm() -> Row:
         force = np.abs(signals.device_force)
         grown_n = float(force[signals.time_s >= pushed_s].max() - force[signals.time_s < pushed_s].max())
         force_n = max(force_n, grown_n)
-    found.check(took_s <= PERIOD_S + 1e-9, f"the slave's fault came after {took_s:g} s, must be {PERIOD_S:g} s at most")
+    found.check(
+        took_s <= PERIOD_S + 1e-9, f"the slave's fault followed after {took_s:g} s, must be {PERIOD_S:g} s at most"
+    )
     # The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
     found.check(force_n <= 1e-6, f"{force_n:g} N more on the hand")
     for push_n in (1e300, sys.float_info.max):
@@ -100,9 +102,9 @@ def tiny_from_device() -> Row:
     for signal in ("position", "rendered_force", "velocity"):
         zero = _layer(signal, 0.0)
         for name, tiny in TINY.items():
-            told = _layer(signal, tiny)
-            found.check(not told.fault.any(), f"{name} as {signal}: fault")
-            apart_n = max(apart_n, float(np.abs(told.device_force - zero.device_force).max()))
+            ticks = _layer(signal, tiny)
+            found.check(not ticks.fault.any(), f"{name} as {signal}: fault")
+            apart_n = max(apart_n, float(np.abs(ticks.device_force - zero.device_force).max()))
     # A force as small as the sample itself.
     found.check(apart_n <= 1e-300, f"{apart_n:g} N from what zero gives")
     return Row(
@@ -123,7 +125,7 @@ def _layer(signal: str, sample: float) -> SafetyTicks:
     return layer.run(signals["position"], signals["rendered_force"], signals["velocity"])
 
 
-def at_the_door() -> Row:
+def at_construction() -> Row:
     """What describes a side is refused before there is one."""
     builds: dict[str, Callable[[float], object]] = {
         "force_scale": lambda bad: baseline_scene(force_scale=bad),
@@ -138,33 +140,33 @@ def at_the_door() -> Row:
         "hold_after_s": lambda bad: simulate(two_sides(), overrides=[f"safety.ladder.hold_after_s={bad}"]),
     }
     found = Complaints()
-    asked = 0
+    attempts = 0
     for key, build in builds.items():
         # A bound that is large is a matter of taste; what is no number never is.
         for name in ("NaN", "+Inf", "-Inf"):
-            asked += 1
+            attempts += 1
             found.check(_refuses(partial(build, BAD[name])), f"{key} = {name} was taken")
     return Row(
         fault="NaN, +Inf, -Inf from Python: settings", how="calls", expected="ValueError, nothing is built",
-        measured=f"{asked} refused" if not found.all() else "; ".join(found.all()), complaints=found.all(),
+        measured=f"{attempts} refused" if not found.all() else "; ".join(found.all()), complaints=found.all(),
     )  # fmt: skip
 
 
 def to_a_living_loop() -> Row:
-    """A scale that cannot be, told to loops that run: refused, and they run on as they did."""
+    """A scale that cannot be, set on loops that run: refused, and they run on as they did."""
     key = secrets.token_bytes(32)
     scene = scene_json(baseline_scene())
     slave = LiveSlave(scene, listen="127.0.0.1:0", run_id=1, key=key, realtime="off")
     master = LiveMaster(scene, peer=slave.address, run_id=2, key=key, realtime="off")
     found = Complaints()
-    asked = 0
+    attempts = 0
     time.sleep(1.5)
-    for tell, who in ((master.set_force_scale, "force_scale"), (slave.set_position_scale, "position_scale")):
+    for set_scale, who in ((master.set_force_scale, "force_scale"), (slave.set_position_scale, "position_scale")):
         for name, bad in {**BAD, "-1": -1.0, "0": 0.0}.items():
             if name in {"1e300", "largest"}:
                 continue
-            asked += 1
-            found.check(_refuses(partial(tell, bad)), f"{who} = {name} was taken")
+            attempts += 1
+            found.check(_refuses(partial(set_scale, bad)), f"{who} = {name} was taken")
     time.sleep(0.2)
     # Whatever is allowed, the limiter and the bounds of a command have the last word.
     for scale in (sys.float_info.max, 5e-324):
@@ -175,16 +177,16 @@ def to_a_living_loop() -> Row:
     far, _ = slave.finish()
     force_n = float(np.abs(trace.device_force).max())
     step_m = float(np.abs(np.diff(far.command)).max())
-    most_n = LIMITER_N
+    max_n = LIMITER_N
     found.check(np.isfinite(trace.device_force).all(), "a force that is no number")
     found.check(np.isfinite(far.command).all(), "a command that is no number")
-    found.check(force_n <= most_n + 1e-9, f"{force_n:g} N, must be {most_n:g} N at most")
+    found.check(force_n <= max_n + 1e-9, f"{force_n:g} N, must be {max_n:g} N at most")
     grown_n = float(np.diff(np.abs(trace.device_force)).max())
     found.check(grown_n <= GROWTH_N + 1e-9, f"{grown_n:g} N more within a tick, must be {GROWTH_N:g} N at most")
     return Row(
         fault="the same, 0, -1, huge and denormal to living loops", how="calls",
         expected="ValueError; what is taken stays within force and speed bounds",
-        measured=f"{asked} refused; huge force scale: {NAMES[int(trace.state.max())]}; "
+        measured=f"{attempts} refused; huge force scale: {NAMES[int(trace.state.max())]}; "
         f"{force_n:.2f} N, {grown_n:.2f} N more a tick at most, {step_m * 1e3:.2f} mm a tick",
         complaints=found.all(),
     )  # fmt: skip
@@ -224,7 +226,7 @@ def rows() -> list[Callable[[], Row]]:
         *(partial(from_device, signal) for signal in ("position", "rendered_force", "velocity")),
         from_arm,
         tiny_from_device,
-        at_the_door,
+        at_construction,
         to_a_living_loop,
         *(partial(in_frames, security) for security in ("on", "off")),
     ]

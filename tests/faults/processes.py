@@ -60,15 +60,15 @@ def again(measure: Callable[[], Row], fault: str) -> Callable[[], Row]:
     """Measures anew where the machine got in between; after `ATTEMPTS` the row has failed."""
 
     def measured() -> Row:
-        told = ""
+        reason = ""
         for attempt in range(ATTEMPTS):
             try:
                 row = measure()
             except DisturbedError as error:
-                told = str(error)
+                reason = str(error)
                 continue
             return row if attempt == 0 else replace(row, measured=f"{row.measured}; at attempt {attempt + 1}")
-        return replace(_nothing(fault), complaints=(f"{ATTEMPTS} attempts, each disturbed: {told}",))
+        return replace(_nothing(fault), complaints=(f"{ATTEMPTS} attempts, each disturbed: {reason}",))
 
     return measured
 
@@ -84,13 +84,13 @@ class Judged:
         self.wrong = Complaints()
         self._limits = limits
         self._took_s: list[float] = []
-        self._told: list[str] = []
+        self._findings: list[str] = []
         self._moved_m: float | None = None
         self._force_n: float | None = None
 
-    def say(self, told: str) -> None:
+    def say(self, finding: str) -> None:
         """Adds to what was measured."""
-        self._told.append(told)
+        self._findings.append(finding)
 
     def never_held(self, *sides: Recorded, excused: bool = True) -> None:
         """No side held, whatever was done to them, and both are engaged at the end.
@@ -187,7 +187,7 @@ class Judged:
         """All of it."""
         took_s = max(self._took_s, default=None)
         return Row(
-            fault=fault, how="processes", expected=expected, measured="; ".join(self._told), reaction_s=took_s,
+            fault=fault, how="processes", expected=expected, measured="; ".join(self._findings), reaction_s=took_s,
             limit_s=None if took_s is None else self._limits.hold_s, moved_m=self._moved_m, force_n=self._force_n,
             complaints=self.wrong.all(),
         )  # fmt: skip
@@ -259,7 +259,7 @@ def killed_master(limits: Limits) -> Row:
     judged.silence(at_slave)
     judged.slave(at_slave)
     judged.reached(at_slave, "stop")
-    judged.wrong.check("another master has the lease" in said, "the next master was not told why it was refused")
+    judged.wrong.check("another master has the lease" in said, "the next master does not say why it was refused")
     judged.wrong.check(refused.process.returncode == 1, "the next master engaged without leave")
     judged.ended(at_allowed)
     judged.say("next master refused until SIGUSR1 at the slave, then engaged")

@@ -27,7 +27,7 @@ AGAIN_S = 1.2
 """From a press: 0.1 s released, realignment, 0.2 s of fade-in."""
 
 APART_S = 0.2
-"""Between the ends of two processes that are told at once: each looks for that every 50 ms."""
+"""Between the ends of two processes that receive SIGTERM at once: each checks for it every 50 ms."""
 
 
 class Process:
@@ -149,8 +149,8 @@ class Stage:
 
     def report(self, name: str) -> dict[str, Any]:
         """What a process that has ended says of itself."""
-        told: dict[str, Any] = json.loads(self.path(f"{name}.json").read_text())
-        return told
+        content: dict[str, Any] = json.loads(self.path(f"{name}.json").read_text())
+        return content
 
     def ticks(self, name: str) -> "Recorded":
         """What a process recorded."""

@@ -113,9 +113,9 @@ def stopped_by(side: str, kind: str, number: signal.Signals, _limits: Limits) ->
         status = process.process.returncode
         time.sleep(AFTER_S)
         beside.process.terminate()
-        asked_s = time.monotonic()
+        requested_s = time.monotonic()
         beside.end(None)
-        after_s = uncoupled_after_s(stage.ticks(other), asked_s, signal_s)
+        after_s = uncoupled_after_s(stage.ticks(other), requested_s, signal_s)
         if took_s is not None:
             whole = read_recording(stage.path(f"{side}.mcap")).whole
             report = stage.path(f"{side}.json").exists()
@@ -259,10 +259,10 @@ def without_memory(side: str, given: str, _limits: Limits) -> Row:
         status = process.process.returncode
         time.sleep(AFTER_S)
         beside.process.terminate()
-        asked_s = time.monotonic()
+        requested_s = time.monotonic()
         sent = "the peer has ended the session" in beside.end(None)
         said = process.end(None if took_s is not None else signal.SIGKILL)
-        after_s = uncoupled_after_s(stage.ticks(other), asked_s, signal_s)
+        after_s = uncoupled_after_s(stage.ticks(other), requested_s, signal_s)
     judged = Judged(_limits)
     judged.wrong.check(took_s is not None, f"it had not ended after {ENDS_S:g} s")
     judged.wrong.check(status == 1, f"status {status}: {said[-300:]}")

@@ -96,9 +96,9 @@ def test_a_force_that_stays_shows() -> None:
 
 
 def test_a_row_says_what_was_not_as_expected() -> None:
-    """An outage that is told as shorter than it is."""
+    """An outage that is reported as shorter than it is."""
     dead = virtual.without(0.1)
-    row = virtual.outage("told as 10 ms", 0.010, forward=dead, backward=dead)
+    row = virtual.outage("reported as 10 ms", 0.010, forward=dead, backward=dead)
     assert row.verdict == "FAILED"
     assert "a side held" in row.complaints
     assert row.as_json()["verdict"] == "FAILED"
@@ -107,7 +107,7 @@ def test_a_row_says_what_was_not_as_expected() -> None:
 def test_datagrams_that_change_something_show() -> None:
     from haptether.netsim import LinkSettings
 
-    row = virtual.stray("later by 2 ms", LinkSettings(delay_s=virtual.DELAY_S + 0.002), least_refused=0)
+    row = virtual.stray("later by 2 ms", LinkSettings(delay_s=virtual.DELAY_S + 0.002), min_refused=0)
     assert any("m off" in complaint for complaint in row.complaints)
 
 

@@ -27,7 +27,7 @@ from haptether.netsim import (
 
 PERIOD_S = 1e-3
 DELAY_S = 0.005
-"""One way, both ways: so that what one side knows is not known to the other at once."""
+"""One-way delay in s of both directions: so that what one side knows is not known to the other at once."""
 FAULT_S = 2.0
 """Mid-way of a stroke, so that what goes on moving shows."""
 STALE_S, HOLD_S, STOP_S, FADE_S = 0.005, 0.020, 0.200, 0.075
@@ -75,13 +75,13 @@ def outage(name: str, length_s: float, *, forward: LinkSettings, backward: LinkS
     worst = "stale" if length_s < HOLD_S else "hold" if length_s < STOP_S else "stop"
     holds = worst != "stale"
     wrong = Complaints()
-    # The first frame that is missing would have come now.
+    # The first frame that is missing was due now.
     missed_s = FAULT_S + DELAY_S
     disturbed_s = missed_s + length_s + DELAY_S
     sides = {"master": pair.master.between(missed_s), "slave": pair.slave.between(missed_s)}
     reached = {side: ticks.between(missed_s, disturbed_s).worst for side, ticks in sides.items()}
     if one_way:
-        # The side that still hears follows as far as it is told.
+        # The side that still receives follows as far as it is commanded.
         wrong.check(worst in reached.values(), f"went to {reached}, must reach {worst}")
         wrong.check(not holds or not {"engaged", "stale"} & set(reached.values()), f"went to {reached}: both must hold")
     else:
@@ -96,7 +96,7 @@ def outage(name: str, length_s: float, *, forward: LinkSettings, backward: LinkS
         wrong.check(not any(ticks.held.any() for ticks in sides.values()), "a side held")
         return finished(row, wrong, pair)
     took_s = [ticks.held_after_s(missed_s) for ticks in sides.values()]
-    # A side that must be told hears of it one way later; a tick for each of the two.
+    # A side that still receives learns of it a one-way delay later; a tick for each of the two.
     limit_s = HOLD_S + 2 * PERIOD_S + (DELAY_S + PERIOD_S if one_way else 0.0)
     wrong.check(max(took_s) <= limit_s + 1e-9, f"held after {max(took_s):g} s, must be {limit_s:g} s at most")
     wrong.check(min(took_s) >= HOLD_S - 1e-9, f"held after {min(took_s):g} s: before its time")
@@ -123,14 +123,14 @@ def finished(
     )  # fmt: skip
 
 
-def stray(name: str, forward: LinkSettings, *, least_refused: int, held_back_s: float = 0.0, cause: str = "") -> Row:
+def stray(name: str, forward: LinkSettings, *, min_refused: int, held_back_s: float = 0.0, cause: str = "") -> Row:
     """Datagrams that must change nothing, or only make true ones late by `held_back_s`."""
     duration_s = 6.0
     pair, alone = run(forward, CLEAN, duration_s), undisturbed(duration_s)
     moved_m = float(np.abs(pair.slave.output - alone.slave.output).max())
     extra_n = float(np.abs(pair.master.output - alone.master.output).max())
     wrong = Complaints()
-    # Who follows a path late is behind by the way of that time; the path itself answers to the force, hence twice.
+    # Who follows a path late is behind by the path of that time; the path itself answers to the force, hence twice.
     fastest = float(np.abs(np.diff(alone.slave.output)).max()) / PERIOD_S
     allowed_m = 2.0 * fastest * held_back_s
     wrong.check(moved_m <= allowed_m, f"the command was {moved_m:g} m off, must be {allowed_m:g} m at most")
@@ -143,21 +143,21 @@ def stray(name: str, forward: LinkSettings, *, least_refused: int, held_back_s: 
     if cause == "late":
         counted = {"late": pair.at_slave.link.late}
     refused = sum(counted.values())
-    wrong.check(refused >= least_refused, f"{counted}: must be {least_refused} at least")
-    told = causes(counted)
+    wrong.check(refused >= min_refused, f"{counted}: must be {min_refused} at least")
+    summary = causes(counted)
     expected = "refused and counted, nothing changes" if held_back_s == 0.0 else "counted, not obeyed; no hold"
     return Row(
-        fault=name, how="virtual", expected=expected, measured=f"{told}; no hold" if holds == 0 else told,
+        fault=name, how="virtual", expected=expected, measured=f"{summary}; no hold" if holds == 0 else summary,
         moved_m=moved_m, force_n=extra_n if held_back_s == 0.0 else None, complaints=wrong.all(),
     )  # fmt: skip
 
 
-def causes(counted: dict[str, int], most: int = 2) -> str:
+def causes(counted: dict[str, int], max_causes: int = 2) -> str:
     """The commonest causes of refusals in few words, and how many had others."""
     ordered = sorted(counted.items(), key=lambda item: -item[1])
-    others = sum(count for _, count in ordered[most:])
-    told = [f"{count} {cause.split(':')[0]}" for cause, count in ordered[:most]]
-    return ", ".join([*told, f"{others} for other causes"] if others else told)
+    others = sum(count for _, count in ordered[max_causes:])
+    parts = [f"{count} {cause.split(':')[0]}" for cause, count in ordered[:max_causes]]
+    return ", ".join([*parts, f"{others} for other causes"] if others else parts)
 
 
 def attacked(*attacks: Attack) -> LinkSettings:
@@ -191,33 +191,31 @@ def outages() -> Iterator[Callable[[], Row]]:
 def strays() -> Iterator[Callable[[], Row]]:
     """Datagrams out of place, and those that nobody with the key has sent: 6000 true ones each."""
     reorder = LinkSettings(delay_s=DELAY_S, reorder=0.2, reorder_hold_s=0.003)
-    yield partial(
-        stray, "reorder: a fifth is held for 3 ms", reorder, least_refused=500, held_back_s=0.008, cause="late"
-    )
+    yield partial(stray, "reorder: a fifth is held for 3 ms", reorder, min_refused=500, held_back_s=0.008, cause="late")
     twice = LinkSettings(delay_s=DELAY_S, duplicate=0.5, duplicate_gap_s=0.002)
-    yield partial(stray, "duplicate: every second one", twice, least_refused=2_500)
+    yield partial(stray, "duplicate: every second one", twice, min_refused=2_500)
     again = attacked(Attack(action=Replay(after_s=0.5)))
-    yield partial(stray, "replay of all, 0.5 s later", again, least_refused=5_000)
+    yield partial(stray, "replay of all, 0.5 s later", again, min_refused=5_000)
     long_ago = attacked(Attack(action=Replay(after_s=3.0)))
-    yield partial(stray, "replay of all, 3 s later: beyond the window", long_ago, least_refused=2_500)
+    yield partial(stray, "replay of all, 3 s later: beyond the window", long_ago, min_refused=2_500)
     mirror = attacked(Attack(action=Mirror()))
-    yield partial(stray, "all sent back to their sender", mirror, least_refused=5_500)
+    yield partial(stray, "all sent back to their sender", mirror, min_refused=5_500)
     forged = attacked(Attack(action=Forge(keep_bytes=24)))
-    yield partial(stray, "forged: true header, random rest", forged, least_refused=5_500)
+    yield partial(stray, "forged: true header, random rest", forged, min_refused=5_500)
     ahead = attacked(Attack(action=SequenceLead(lead=1_000_000, offset=16)))
-    yield partial(stray, "forged: counter a million ahead", ahead, least_refused=5_500)
+    yield partial(stray, "forged: counter a million ahead", ahead, min_refused=5_500)
     fuzz = attacked(*(Attack(action=Forge(keep_bytes=keep)) for keep in (0, 2, 3, 4, 8, 16)))
-    yield partial(stray, "header fuzz: random from byte 0, 2, 3, 4, 8, 16 on", fuzz, least_refused=30_000)
+    yield partial(stray, "header fuzz: random from byte 0, 2, 3, 4, 8, 16 on", fuzz, min_refused=30_000)
     flip = attacked(
         Attack(action=BitFlip(bits=1, within=ByteRange(start=0, end=164)), target=Target(from_s=0.5, every=3))
     )
-    yield partial(stray, "a bit flipped in every third", flip, least_refused=1_750, held_back_s=0.003)
+    yield partial(stray, "a bit flipped in every third", flip, min_refused=1_750, held_back_s=0.003)
     head = attacked(
         Attack(action=BitFlip(bits=3, within=ByteRange(start=0, end=24)), target=Target(from_s=0.5, every=3))
     )
-    yield partial(stray, "three bits flipped in every third header", head, least_refused=1_750, held_back_s=0.003)
+    yield partial(stray, "three bits flipped in every third header", head, min_refused=1_750, held_back_s=0.003)
     cut = LinkSettings(delay_s=DELAY_S, truncate=0.1, truncate_bytes=100)
-    yield partial(stray, "a tenth cut short", cut, least_refused=450, held_back_s=0.006)
+    yield partial(stray, "a tenth cut short", cut, min_refused=450, held_back_s=0.006)
 
 
 def rows() -> list[Callable[[], Row]]:

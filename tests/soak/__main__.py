@@ -79,7 +79,7 @@ class Running:
         return said or ""
 
 
-def soak(duration_s: float, tell: Callable[[str], None]) -> dict[str, Any]:
+def soak(duration_s: float, log: Callable[[str], None]) -> dict[str, Any]:
     """Runs the three processes for `duration_s`, and gives what became of each."""
     with tempfile.TemporaryDirectory() as folder:
         results = {name: Path(folder, f"{name}.json") for name in ("slave", "network", "master")}
@@ -89,18 +89,18 @@ def soak(duration_s: float, tell: Callable[[str], None]) -> dict[str, Any]:
             running["slave"] = Running(commands.slave(results["slave"]))
             running["network"] = Running(commands.proxy(running["slave"].address(), results["network"]))
             running["master"] = Running(commands.master(running["network"].address(), results["master"]))
-            ended = watch(running, duration_s, tell)
+            ended = watch(running, duration_s, log)
         finally:
             said = {name: running[name].end() for name in reversed(running)}
         reports = {name: json.loads(path.read_text()) for name, path in results.items() if path.exists()}
-    processes = {name: told(one, reports.get(name)) for name, one in running.items()}
+    processes = {name: summary(one, reports.get(name)) for name, one in running.items()}
     for name in ended:
         processes[name]["ended_early"] = said[name].strip().splitlines()[-3:]
     is_flat = all(one["is_flat"] for one in processes.values())
     return {"duration_s": duration_s, "passed": is_flat and not ended, "processes": processes}
 
 
-def watch(running: dict[str, Running], duration_s: float, tell: Callable[[str], None]) -> list[str]:
+def watch(running: dict[str, Running], duration_s: float, log: Callable[[str], None]) -> list[str]:
     """Samples until the time is over or a process has ended; gives those that have."""
     begun = time.monotonic()
     for n in range(1, round(duration_s / SAMPLE_S) + 1):
@@ -112,11 +112,11 @@ def watch(running: dict[str, Running], duration_s: float, tell: Callable[[str], 
             one.sample(name in LOOPS)
         held = ", ".join(f"{name} {one.bytes[-1] / 1024:.0f} KiB" for name, one in running.items())
         late = ", ".join(f"{name} {one.late[-1]}" for name, one in running.items() if one.late)
-        tell(f"{n * SAMPLE_S:5.0f} s  {held}; late cycles: {late or '-'}")
+        log(f"{n * SAMPLE_S:5.0f} s  {held}; late cycles: {late or '-'}")
     return []
 
 
-def told(one: Running, report: object) -> dict[str, Any]:
+def summary(one: Running, report: object) -> dict[str, Any]:
     """What was seen of a process, and what it said of itself."""
     enough = len(one.bytes) >= 4
     grown = growth(one.bytes, SAMPLE_S) if enough else Growth(first_bytes=0, last_bytes=0, allowed_bytes=0)
@@ -141,12 +141,12 @@ def table(result: dict[str, Any]) -> str:
     lines = [" ".join([" " * 8, *(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True))])]
     for name, one in result["processes"].items():
         kib = [one[key] / 1024 for key in ("first_bytes", "last_bytes", "grown_bytes", "allowed_bytes")]
-        late, most = one["late_cycles"], one["most_late_cycles_in_a_second"]
+        late, worst = one["late_cycles"], one["most_late_cycles_in_a_second"]
         verdict = "flat" if one["is_flat"] else "NOT FLAT"
         if "ended_early" in one:
             verdict = "ended early: " + " / ".join(one["ended_early"])
         lines.append(
-            f"{name:8} {kib[0]:12.0f} {kib[1]:11.0f} {kib[2]:+7.0f} {kib[3]:8.0f} {late:12} {most:7}  {verdict}"
+            f"{name:8} {kib[0]:12.0f} {kib[1]:11.0f} {kib[2]:+7.0f} {kib[3]:8.0f} {late:12} {worst:7}  {verdict}"
         )
     return "\n".join(lines)
 
@@ -156,14 +156,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help=f"how long, {MIN_S:g} to 1e6; 600 by default")
     parser.add_argument("--json", type=Path, help="where the same goes for machines")
-    asked = parser.parse_args()
-    if not MIN_S <= asked.seconds <= 1e6:
-        parser.error(f"--seconds {asked.seconds:g}: must be {MIN_S:g} to 1e6, the ring of a loop is full before")
-    result = soak(asked.seconds, lambda line: print(line, flush=True))
+    arguments = parser.parse_args()
+    if not MIN_S <= arguments.seconds <= 1e6:
+        parser.error(f"--seconds {arguments.seconds:g}: must be {MIN_S:g} to 1e6, the ring of a loop is full before")
+    result = soak(arguments.seconds, lambda line: print(line, flush=True))
     print(table(result))
-    if asked.json is not None:
-        asked.json.parent.mkdir(parents=True, exist_ok=True)
-        asked.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    if arguments.json is not None:
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        arguments.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return 0 if result["passed"] else 1
 
 
