@@ -150,8 +150,8 @@ class Plant:
             found["holds"] = lambda t, y: sign * self.wish(t, y[0], y[1]) - self.grip(t)
         if regime.rub == 0.0:
             found["sets off"] = lambda t, y: self.coulomb - abs(self.load(regime, t, y[0], 0.0))
-        elif (way := regime.rub) is not None:
-            found["turns"] = lambda _, y: way * y[1]
+        elif (motion_sign := regime.rub) is not None:
+            found["turns"] = lambda _, y: motion_sign * y[1]
         if self.wall_stiffness == 0.0:
             return found
         if regime.wall == "away":
@@ -218,13 +218,13 @@ def terminal(law: Law) -> Law:
     return event
 
 
-def integrate(scene: Scene, rtol: float = RTOL, most_step_s: float | None = None) -> Motion:
+def integrate(scene: Scene, rtol: float = RTOL, max_step_s: float | None = None) -> Motion:
     """The motion at each tick of a scene whose wall acts continuously.
 
     Args:
         scene: One axis, at most one wall, a steady push; other than that it is not implemented.
         rtol: Of `solve_ivp`; the absolute tolerance is a hundredth of it.
-        most_step_s: Longest step; by default a tick, so that the dense output is as good as the steps.
+        max_step_s: Longest step; by default a tick, so that the dense output is as good as the steps.
     """
     plant, period = Plant(scene), scene.run.period_s
     ticks = ticks_of(scene)
@@ -241,19 +241,19 @@ def integrate(scene: Scene, rtol: float = RTOL, most_step_s: float | None = None
                 message = f"{pieces} pieces until {t} s"
                 raise RuntimeError(message)
             laws = plant.margins(regime)
-            asked = ticks[known:][ticks[known:] < end - KINKED]
-            asked = asked[asked > t]
+            requested = ticks[known:][ticks[known:] < end - KINKED]
+            requested = requested[requested > t]
             solved = solve_ivp(
                 plant.slope(regime), (t, end), (x, v), method="DOP853", rtol=rtol, atol=rtol * ATOL / RTOL,
-                max_step=period if most_step_s is None else most_step_s,
-                t_eval=[*asked, end], events=[terminal(law) for law in laws.values()],
+                max_step=period if max_step_s is None else max_step_s,
+                t_eval=[*requested, end], events=[terminal(law) for law in laws.values()],
             )  # fmt: skip
             happened = [
                 (times[0], states[0], name)
                 for times, states, name in zip(solved.t_events or (), solved.y_events or (), laws, strict=True)
                 if len(times)
             ]
-            seen = min(len(solved.t), len(asked))
+            seen = min(len(solved.t), len(requested))
             if seen:
                 positions[known : known + seen], velocities[known : known + seen] = solved.y[:, :seen]
                 known += seen

@@ -189,8 +189,8 @@ class PinocchioArm:
         self.model: Any = pinocchio.Model()
         placement, parent = pinocchio.SE3.Identity(), 0
         for number, (theta, a, d, alpha) in enumerate(rows, start=1):
-            turn = pinocchio.SE3(pinocchio.utils.rotate("z", theta), np.zeros(3))
-            parent = self.model.addJoint(parent, pinocchio.JointModelRZ(), placement * turn, f"joint_{number}")
+            rotation = pinocchio.SE3(pinocchio.utils.rotate("z", theta), np.zeros(3))
+            parent = self.model.addJoint(parent, pinocchio.JointModelRZ(), placement * rotation, f"joint_{number}")
             placement = pinocchio.SE3(pinocchio.utils.rotate("x", alpha), np.array((a, 0.0, d)))
         tool_placement = placement * pinocchio.SE3(tool[:3, :3], tool[:3, 3])
         frame = pinocchio.Frame("tool", parent, tool_placement, pinocchio.FrameType.OP_FRAME)

@@ -115,8 +115,8 @@ def quadprog(_: list[QuadraticProgram]) -> Solve:
     package: Any = importlib.import_module("quadprog")
 
     def solve(program: QuadraticProgram) -> Array:
-        above, least = one_sided(program)
-        found: Array = package.solve_qp(program.hessian, -program.linear, above.T, least)[0]
+        above, lower_bounds = one_sided(program)
+        found: Array = package.solve_qp(program.hessian, -program.linear, above.T, lower_bounds)[0]
         return found
 
     return solve

@@ -1,8 +1,8 @@
-"""What a driver in Python costs: a loop that it turns, beside the native loop, turn by turn in the same run.
+"""What a driver in Python costs: a loop that it steps, beside the native loop, alternately in the same run.
 
 Both are the master of the same scene under the same policy, send to a socket that nobody reads, and wait for the same
 absolute deadlines of 1 ms; one reads its device by a call into Python and back. Two figures: how late each wakes, and
-how long a turn takes from Python, conversions included, beside a call that does nothing.
+how long a step takes from Python, conversions included, beside a call that does nothing.
 """
 
 import socket
@@ -18,7 +18,7 @@ from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_scene, scen
 from haptether.master import MasterSample
 
 EXAMPLE = "example: python benches/device_loop.py --rounds 4 --json -"
-TURNS = 5_000
+STEPS = 5_000
 
 
 class Still:
@@ -46,7 +46,7 @@ def scene() -> bytes:
 
 
 def wakes(who: str, peer: str, seconds: float) -> npt.NDArray[np.float64]:
-    """Overshoots in us of one turn of the bench."""
+    """Overshoots in us of one run."""
     how: dict[str, Any] = {"peer": peer, "run_id": 1, "insecure": True, "patience_s": seconds}
     if who == "native":
         master: LiveMaster | MasterRun = LiveMaster(scene(), **how)
@@ -58,13 +58,13 @@ def wakes(who: str, peer: str, seconds: float) -> npt.NDArray[np.float64]:
     return trace.overshoot_s[100:] * 1e6
 
 
-def turn_us(peer: str) -> tuple[float, float]:
-    """Median time in us of a turn, and of a call of the extension that does nothing."""
+def call_us(peer: str) -> tuple[float, float]:
+    """Median time in us of a step, and of a call of the extension that does nothing."""
     loop = MasterLoop(scene(), peer=peer, run_id=1, insecure=True, realtime="off", keep_s=1.0)
     loop.begin()
     step, nothing = loop.step, loop.press_clutch
-    took = np.empty((2, TURNS))
-    for number in range(TURNS):
+    took = np.empty((2, STEPS))
+    for number in range(STEPS):
         # Samples that come faster than the period are held back.
         loop.wait()
         begun = time.perf_counter_ns()
@@ -73,8 +73,8 @@ def turn_us(peer: str) -> tuple[float, float]:
         nothing()
         took[:, number] = between - begun, time.perf_counter_ns() - between
     loop.finish()
-    of_turn, of_nothing = (float(np.median(row)) / 1e3 for row in took)
-    return of_turn, of_nothing
+    of_step, of_nothing = (float(np.median(row)) / 1e3 for row in took)
+    return of_step, of_nothing
 
 
 def main() -> int:
@@ -92,15 +92,15 @@ def main() -> int:
             order = ("native", "python") if number % 2 == 0 else ("python", "native")
             for who in order:
                 pooled[who].append(wakes(who, peer, arguments.seconds))
-        of_turn, of_nothing = turn_us(peer)
-    report: dict[str, float] = {"turn_us": of_turn, "empty_call_us": of_nothing}
+        of_step, of_nothing = call_us(peer)
+    report: dict[str, float] = {"turn_us": of_step, "empty_call_us": of_nothing}
     print(f"{'wakes late, us':<16}{'p50':>10}{'p99':>10}{'p99.9':>10}", file=out)
-    for who, turns in pooled.items():
-        late = np.concatenate(turns)
+    for who, runs in pooled.items():
+        late = np.concatenate(runs)
         p50, p99, p999 = (float(np.quantile(late, share)) for share in (0.5, 0.99, 0.999))
         report |= {f"{who}_p50_us": p50, f"{who}_p99_us": p99, f"{who}_p999_us": p999}
         print(f"{who:<16}{p50:>10.1f}{p99:>10.1f}{p999:>10.1f}", file=out)
-    print(f"\na turn from Python takes {of_turn:.1f} us, a call that does nothing {of_nothing:.2f} us", file=out)
+    print(f"\na turn from Python takes {of_step:.1f} us, a call that does nothing {of_nothing:.2f} us", file=out)
     write_json(arguments.json, report)
     return 0
 

@@ -101,8 +101,8 @@ def postures(count: int, seed: int) -> Array:
 # Forward kinematics and Jacobian
 
 
-def plain_casadi(model: UrModel, calibration: UrCalibration | None) -> Callable[[Array], tuple[Array, Array]]:
-    """The same expressions, called the usual way."""
+def raw_casadi(model: UrModel, calibration: UrCalibration | None) -> Callable[[Array], tuple[Array, Array]]:
+    """The same expressions, called as CasADi's functions are."""
     chain = UrKinematics(model, calibration).chain
     function: Any = casadi.Function("plain", [chain.q], [chain.transform, chain.jacobian])
 
@@ -114,14 +114,14 @@ def plain_casadi(model: UrModel, calibration: UrCalibration | None) -> Callable[
 
 
 def forward_rows(rounds: int) -> list[Row]:
-    """Ours, plain CasADi and pinocchio, for a model and for a unit with its calibration."""
+    """Ours, CasADi called directly, and pinocchio, for a model and for a unit with its calibration."""
     q = np.ascontiguousarray(postures(CALLS, 1))
     found = []
     for arm, (model, calibration) in {MODEL: (ur_model(MODEL), None), UNIT: CALIBRATIONS[UNIT]}.items():
         peer = PinocchioArm(model, calibration, np.eye(4))
         calls: dict[str, Callable[[Array], tuple[Array, Array]]] = {
             "ours": UrKinematics(model, calibration).forward_and_jacobian,
-            "plain CasADi call": plain_casadi(model, calibration),
+            "plain CasADi call": raw_casadi(model, calibration),
             "pinocchio": peer.forward_and_jacobian,
         }
         poses, jacobians = extended_chain(dh_rows(model, calibration), q)
@@ -132,9 +132,9 @@ def forward_rows(rounds: int) -> list[Row]:
                 off = np.abs(transform - poses[index]).max(), np.abs(jacobian - jacobians[index]).max()
                 errors[name] = max(errors[name], float(max(off)))
         works = {name: over(call, q) for name, call in calls.items()}
-        for name, (least, median) in timed(works, rounds).items():
+        for name, (fastest, median) in timed(works, rounds).items():
             table = f"forward kinematics and Jacobian, {arm}"
-            found.append(Row(table=table, name=name, us=least, us_median=median, errors={"error": errors[name]}))
+            found.append(Row(table=table, name=name, us=fastest, us_median=median, errors={"error": errors[name]}))
     return found
 
 
@@ -193,9 +193,9 @@ def inverse_rows(rounds: int, poses: int) -> list[Row]:
             errors[name] = {"m": float(metres.max()), "rad": float(radians.max())}
         works = {name: over(call, targets, q) for name, call in nearest.items()}
         works |= {name: over(call, targets) for name, call in every.items()}
-        for name, (least, median) in timed(works, rounds).items():
+        for name, (fastest, median) in timed(works, rounds).items():
             table = f"inverse kinematics, {arm}"
-            found.append(Row(table=table, name=name, us=least, us_median=median, errors=errors[name]))
+            found.append(Row(table=table, name=name, us=fastest, us_median=median, errors=errors[name]))
     return found
 
 
@@ -243,9 +243,9 @@ def streaming_rows(rounds: int) -> list[Row]:
             errors[solver] = {"error rad/s": max(off), "missed": len(programs) - len(off)}
             works[solver] = over(solve, programs)
         errors["ours (daqp, warm)"]["conditions"] = worst
-        for solver, (least, median) in timed(works, rounds).items():
+        for solver, (fastest, median) in timed(works, rounds).items():
             table = f"streamed step, {name}: {len(programs)} programs of {len(programs[0].rows)} rows"
-            found.append(Row(table=table, name=solver, us=least, us_median=median, errors=errors[solver]))
+            found.append(Row(table=table, name=solver, us=fastest, us_median=median, errors=errors[solver]))
     return found
 
 
@@ -281,11 +281,11 @@ def whole_steps(rounds: int) -> list[Row]:
         Row(
             table=f"a period of UrStreaming over {CALLS} along a run, with limits of",
             name=name,
-            us=least,
+            us=fastest,
             us_median=median,
             errors=errors[name],
         )
-        for name, (least, median) in timed(works, rounds).items()
+        for name, (fastest, median) in timed(works, rounds).items()
     ]
 
 

@@ -1,4 +1,4 @@
-"""How late the live loop wakes, beside cyclictest in the same run, turn by turn and under the same policy.
+"""How late the live loop wakes, beside cyclictest in the same run, alternately and under the same policy.
 
 Required: p50 and p99 of the overshoot at most 1.2 times those of cyclictest.
 
@@ -34,7 +34,7 @@ SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """Overshoot in us of one turn."""
+    """Overshoot in us of one run."""
 
     who: str
     wakes: int
@@ -47,7 +47,7 @@ class Round:
 
 
 def quantiles(who: str, overshoot_ns: npt.NDArray[np.float64], beyond: int, load_average: float) -> Round:
-    """Of one turn; what is beyond the histogram counts as 1 ms."""
+    """Of one run; what is beyond the histogram counts as 1 ms."""
     p50, p99, p999 = (float(np.quantile(overshoot_ns, share)) / 1e3 for share in SHARES.values())
     return Round(
         who=who, wakes=overshoot_ns.size, beyond=beyond, p50_us=p50, p99_us=p99, p999_us=p999, load_average=load_average
@@ -120,7 +120,7 @@ def main() -> int:
     pooled: dict[str, list[npt.NDArray[np.float64]]] = {"cyclictest": [], "haptether": []}
     realtime = ""
 
-    def turn(who: str) -> None:
+    def measure(who: str) -> None:
         nonlocal realtime
         load_average = os.getloadavg()[0]
         if who == "cyclictest":
@@ -142,13 +142,13 @@ def main() -> int:
         # Who goes first changes, so that a load that rises or falls favours neither.
         order = ("cyclictest", "haptether") if number % 2 == 0 else ("haptether", "cyclictest")
         for who in order:
-            turn(who)
+            measure(who)
 
     print("\nall turns together", file=out)
     together = {}
-    for who, turns in pooled.items():
+    for who, runs in pooled.items():
         beyond = sum(of.beyond for of in rounds if of.who == who)
-        together[who] = quantiles(who, np.concatenate(turns), beyond, os.getloadavg()[0])
+        together[who] = quantiles(who, np.concatenate(runs), beyond, os.getloadavg()[0])
         show(together[who])
     ours, theirs = together["haptether"], together["cyclictest"]
     ratios = {name: getattr(ours, f"{name}_us") / getattr(theirs, f"{name}_us") for name in SHARES}

@@ -97,7 +97,7 @@ def be_peer(name: str, listen: str, peer: str) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class Direction:
     """One direction, as the load saw it."""
 
     sent: int
@@ -118,7 +118,7 @@ class Run:
     proxy: str
     rate_hz: int
     seconds: float
-    ways: tuple[Way, Way]
+    ways: tuple[Direction, Direction]
     load_average: float
     scheduling: str | None = None
     own_p50_us: float | None = None
@@ -129,21 +129,21 @@ class Run:
     @property
     def offered_hz(self) -> float:
         """What was sent each way, the lesser of the two."""
-        return min(way.sent - way.refused for way in self.ways) / self.seconds
+        return min(direction.sent - direction.refused for direction in self.ways) / self.seconds
 
     @property
     def lost(self) -> int:
         """What did not arrive, both directions together."""
-        return sum(way.sent - way.refused - way.received for way in self.ways)
+        return sum(direction.sent - direction.refused - direction.received for direction in self.ways)
 
     @property
     def early(self) -> int:
         """What arrived before the delay was over."""
-        return sum(way.early for way in self.ways) + (self.own_early or 0)
+        return sum(direction.early for direction in self.ways) + (self.own_early or 0)
 
     def error_us(self, quantile: str) -> float:
         """Time beyond the delay, the worse of the two directions."""
-        worse_ns: int = max(getattr(way, f"{quantile}_ns") for way in self.ways)
+        worse_ns: int = max(getattr(direction, f"{quantile}_ns") for direction in self.ways)
         return worse_ns / 1e3 - DELAY_S * 1e6
 
     @property
@@ -187,7 +187,7 @@ def peer_proxy(name: str, listen: str, peer: str) -> Iterator[None]:
             process.kill()
 
 
-def offer(load: Path, listen: str, peer: str, rate_hz: int, seconds: float) -> tuple[Way, Way]:
+def offer(load: Path, listen: str, peer: str, rate_hz: int, seconds: float) -> tuple[Direction, Direction]:
     """Runs the load."""
     command = [str(load), listen, peer, str(rate_hz), str(seconds), str(DELAY_S)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -196,7 +196,7 @@ def offer(load: Path, listen: str, peer: str, rate_hz: int, seconds: float) -> t
     if process.returncode != 0:
         raise SystemExit(process.returncode)
     seen = json.loads(said)
-    return Way(**seen["forward"]), Way(**seen["backward"])
+    return Direction(**seen["forward"]), Direction(**seen["backward"])
 
 
 def measure(load: Path, name: str, rate_hz: int, seconds: float) -> Run:
@@ -205,19 +205,19 @@ def measure(load: Path, name: str, rate_hz: int, seconds: float) -> Run:
     load_average = os.getloadavg()[0]
     if name != "haptether":
         with peer_proxy(name, listen, peer):
-            ways = offer(load, listen, peer, rate_hz, seconds)
-        return Run(proxy=name, rate_hz=rate_hz, seconds=seconds, ways=ways, load_average=load_average)
+            directions = offer(load, listen, peer, rate_hz, seconds)
+        return Run(proxy=name, rate_hz=rate_hz, seconds=seconds, ways=directions, load_average=load_average)
     link = LinkSettings(delay_s=DELAY_S)
     proxy = Proxy(listen=listen, forward=peer, forward_link=link, backward_link=link)
     try:
-        ways = offer(load, listen, peer, rate_hz, seconds)
+        directions = offer(load, listen, peer, rate_hz, seconds)
     finally:
         own: ProxyStatistics = proxy.stop()
     return Run(
         proxy=name,
         rate_hz=rate_hz,
         seconds=seconds,
-        ways=ways,
+        ways=directions,
         load_average=load_average,
         scheduling=own.scheduling,
         own_p50_us=own.scheduling_error_p50_s * 1e6,

@@ -120,19 +120,19 @@ def work(packets: int) -> Iterator[tuple[str, Callable[[], object]]]:
     """Everything that judges packets, by its name."""
     sent_ns = np.arange(packets, dtype=np.int64) * PERIOD_NS
     sizes = np.full(packets, SIZE, dtype=np.int64)
-    plain = sent_ns.tolist()
+    sent = sent_ns.tolist()
     for name, tables in LINKS.items():
         settings = msgspec.convert(tables, LinkSettings)
         yield name, partial(judge_all, settings, sent_ns, sizes=sizes)
     yield "NumPy: delay", lambda: numpy_delay(sent_ns)
     yield "NumPy: delay, jitter, loss", lambda: numpy_jitter_loss(sent_ns)
-    yield "Python: delay", lambda: python_delay(plain)
-    yield "Python: delay, jitter, loss", lambda: python_jitter_loss(plain)
+    yield "Python: delay", lambda: python_delay(sent)
+    yield "Python: delay, jitter, loss", lambda: python_jitter_loss(sent)
 
 
 def scenes() -> Iterator[tuple[str, tuple[Scene, Scene]]]:
     """A hand that trembles before a wall that an arm would touch, short and long, by its link."""
-    plain: Tables = {
+    base: Tables = {
         "schema": 1,
         "master": {"device": "phantom-desktop"},
         "operator": {"start": 0.02, "damping": 8.0, "tremor": {"amplitude": 1e-3, "frequency_hz": 5.0}},
@@ -148,15 +148,15 @@ def scenes() -> Iterator[tuple[str, tuple[Scene, Scene]]]:
     }
     for name, link in links.items():
         short, long = (
-            msgspec.convert({**plain, **link, "run": {"duration_s": lasts}}, Scene) for lasts in (SHORT_S, LONG_S)
+            msgspec.convert({**base, **link, "run": {"duration_s": lasts}}, Scene) for lasts in (SHORT_S, LONG_S)
         )
         yield name, (short, long)
 
 
-def processor_ns(act: Callable[[], object]) -> float:
+def processor_ns(call: Callable[[], object]) -> float:
     """Time that it takes, in ns."""
     begun = time.process_time_ns()
-    act()
+    call()
     return float(time.process_time_ns() - begun)
 
 
@@ -171,22 +171,22 @@ def main() -> int:
 
     out = table_file(arguments.json)
     judged, run = dict(work(arguments.packets)), dict(scenes())
-    least = dict.fromkeys(judged, math.inf)
+    min_ns = dict.fromkeys(judged, math.inf)
     ran = {name: [math.inf, math.inf] for name in run}
     rounds = range(arguments.repeats)
     # All take turns, so that a machine that is busy for a while does not spoil one of them.
     for _ in track(rounds, "packets", console=Console(stderr=True), transient=True):
-        for name, act in judged.items():
-            least[name] = min(least[name], processor_ns(act) / arguments.packets)
+        for name, judge in judged.items():
+            min_ns[name] = min(min_ns[name], processor_ns(judge) / arguments.packets)
         for name, pair in run.items():
             times = [processor_ns(partial(simulate, scene)) for scene in pair]
             ran[name] = [min(pair) for pair in zip(ran[name], times, strict=True)]
 
-    costs = [Cost(name=name, ns=least[name]) for name in LINKS]
+    costs = [Cost(name=name, ns=min_ns[name]) for name in LINKS]
     for language in ("NumPy", "Python"):
         for peer, link in PEERS.items():
             name = f"{language}: {peer}"
-            costs.append(Cost(name=name, ns=least[name], ratio=least[name] / least[link]))
+            costs.append(Cost(name=name, ns=min_ns[name], ratio=min_ns[name] / min_ns[link]))
     packets = (LONG_S - SHORT_S) * 1e9 / PERIOD_NS * PACKETS_PER_TICK
     per_packet = {name: (long - short) / packets for name, (short, long) in ran.items()}
     base = per_packet["engine, no [link]"]

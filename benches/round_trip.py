@@ -52,7 +52,7 @@ def answer_socket(port: Connection, pings: int) -> None:
             there.sendto(data, source)
 
 
-def ask_socket(port: int, pings: int) -> Taken:
+def ping_socket(port: int, pings: int) -> Taken:
     """Round trips in ns."""
     taken = np.empty(pings)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
@@ -110,11 +110,11 @@ class Asking(asyncio.DatagramProtocol):
         self.answers.put_nowait(data)
 
 
-def ask_asyncio(port: int, pings: int) -> Taken:
+def ping_asyncio(port: int, pings: int) -> Taken:
     """Round trips in ns."""
     taken = np.empty(pings)
 
-    async def ask() -> None:
+    async def client() -> None:
         loop = asyncio.get_running_loop()
         transport, protocol = await loop.create_datagram_endpoint(Asking, remote_addr=("127.0.0.1", port))
         for ping in range(pings):
@@ -124,7 +124,7 @@ def ask_asyncio(port: int, pings: int) -> Taken:
             taken[ping] = time.perf_counter_ns() - begun
         transport.close()
 
-    asyncio.run(ask())
+    asyncio.run(client())
     return taken
 
 
@@ -147,7 +147,7 @@ def answer_zmq(port: Connection, pings: int) -> None:
     there.context.term()
 
 
-def ask_zmq(port: int, pings: int) -> Taken:
+def ping_zmq(port: int, pings: int) -> Taken:
     """Round trips in ns."""
     taken = np.empty(pings)
     here = pair()
@@ -163,15 +163,15 @@ def ask_zmq(port: int, pings: int) -> Taken:
 
 
 PEERS: dict[str, tuple[Callable[[Connection, int], None], Callable[[int, int], Taken]]] = {
-    "Python socket": (answer_socket, ask_socket),
-    "asyncio": (answer_asyncio, ask_asyncio),
-    "pyzmq": (answer_zmq, ask_zmq),
+    "Python socket": (answer_socket, ping_socket),
+    "asyncio": (answer_asyncio, ping_asyncio),
+    "pyzmq": (answer_zmq, ping_zmq),
 }
 
 
 def measured(name: str, pings: int) -> Taken:
     """Round trips of a peer in Python, in ns."""
-    answer, ask = PEERS[name]
+    answer, client = PEERS[name]
     here, there = multiprocessing.Pipe()
     # Not forked: a copy of this process would share the peers' threads.
     process = multiprocessing.get_context("spawn").Process(target=answer, args=(there, pings + WARM_UP), daemon=True)
@@ -179,7 +179,7 @@ def measured(name: str, pings: int) -> Taken:
     if not here.poll(PATIENCE_S):
         message = f"{name}: did not open its socket within {PATIENCE_S:g} s"
         raise RuntimeError(message)
-    taken = ask(here.recv(), pings + WARM_UP)[WARM_UP:]
+    taken = client(here.recv(), pings + WARM_UP)[WARM_UP:]
     process.join(PATIENCE_S)
     return taken
 
@@ -201,8 +201,8 @@ def main() -> int:
         ended = subprocess.run(
             [str(ping_pong), "1", str(arguments.pings)], check=True, capture_output=True, text=True, timeout=300
         )
-        for kind, turns in json.loads(ended.stdout).items():
-            rounds.setdefault(kind, []).extend(np.array(turn, dtype=np.float64) for turn in turns)
+        for kind, runs in json.loads(ended.stdout).items():
+            rounds.setdefault(kind, []).extend(np.array(samples, dtype=np.float64) for samples in runs)
         for name in PEERS:
             try:
                 rounds.setdefault(name, []).append(measured(name, arguments.pings))
@@ -216,8 +216,8 @@ def main() -> int:
     print(f"round trip in us, {arguments.turns} turns of {arguments.pings}, {BYTES} bytes\n", file=out)
     print(f"{'':<28}{'p50':>8}{'p99':>8}{'p99.9':>9}{'p50, times bare':>18}", file=out)
     figures = {}
-    for kind, turns in rounds.items():
-        taken = np.concatenate(turns)
+    for kind, runs in rounds.items():
+        taken = np.concatenate(runs)
         p50, p99, p999 = (float(np.percentile(taken, share)) / 1e3 for share in (50, 99, 99.9))
         ratio = p50 / (float(np.percentile(bare, 50)) / 1e3)
         figures[kind] = {"p50_us": p50, "p99_us": p99, "p999_us": p999, "p50_times_bare": ratio}

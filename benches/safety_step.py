@@ -114,8 +114,8 @@ def python_limiter(velocity: Array, rendered: Array, grasp: Array) -> Array:
     """Cap, slew and power on one axis, without ramp."""
     del grasp
     last, forces = 0.0, []
-    for v, asked in zip(velocity.tolist(), rendered.tolist(), strict=True):
-        force = min(max(asked, -7.9), 7.9)
+    for v, requested in zip(velocity.tolist(), rendered.tolist(), strict=True):
+        force = min(max(requested, -7.9), 7.9)
         unloaded = last * min(max(force / last, 0.0), 1.0) if last else 0.0
         force = unloaded + min(max(force - unloaded, -1.0), 1.0)
         if force * v > 20.0:

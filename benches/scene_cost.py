@@ -69,14 +69,14 @@ def scene(axes: int = 1, *, arm: bool = False, depth: float = -0.02, **tables: T
     """A hand that trembles `depth` in m inside a wall, or, if it is negative, before it."""
     wall = {"shape": {"kind": "plane"}, "contact": {"stiffness": 200.0}}
     start = [-depth] + [0.0] * (axes - 1)
-    plain: Tables = {
+    common: Tables = {
         "schema": 1,
         "master": {"device": "phantom-desktop", "axes": axes},
         "operator": {"start": start, "damping": 8.0, "tremor": {"amplitude": 1e-3, "frequency_hz": 5.0}},
         "environment": {"objects": [wall]},
         **tables,
     }
-    return plain | ({"slave": {}} if arm else {})
+    return common | ({"slave": {}} if arm else {})
 
 
 def far(count: int) -> Tables:
@@ -131,11 +131,11 @@ def ticks_ns(found: list[Row], repeats: int) -> Iterator[list[float]]:
         return msgspec.convert(tables | {"run": tables.get("run", {}) | {"duration_s": duration_s}}, Scene)
 
     scenes = [(lasting(row.scene, SHORT_S), lasting(row.scene, LONG_S)) for row in found]
-    least = [[math.inf, math.inf] for _ in found]
+    fastest = [[math.inf, math.inf] for _ in found]
     for _ in range(repeats):
-        for known, pair in zip(least, scenes, strict=True):
+        for known, pair in zip(fastest, scenes, strict=True):
             known[:] = [min(s, processor_s(one)) for s, one in zip(known, pair, strict=True)]
-        yield [(long - short) / (LONG_S - SHORT_S) * 1e6 for short, long in least]
+        yield [(long - short) / (LONG_S - SHORT_S) * 1e6 for short, long in fastest]
 
 
 def process_s(*command: str) -> float:

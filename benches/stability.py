@@ -85,9 +85,9 @@ class Row:
 # Closed forms
 
 
-def first_crossing(curve: Curve, least: float, most: float) -> Critical:
-    """The least positive gain with a root on the edge, among frequencies from `least` to `most` in rad/s."""
-    grid = np.geomspace(least, most, 40_000)
+def first_crossing(curve: Curve, min_rad_s: float, max_rad_s: float) -> Critical:
+    """The least positive gain with a root on the edge, among frequencies from `min_rad_s` to `max_rad_s`."""
+    grid = np.geomspace(min_rad_s, max_rad_s, 40_000)
     imaginary = curve(grid).imag
     found: list[Critical] = []
     for index in np.flatnonzero(np.sign(imaginary[:-1]) != np.sign(imaginary[1:])):
@@ -225,10 +225,10 @@ PUSH_S = 0.02
 
 
 def teleoperator_scene(
-    plant: Teleoperator, period_s: float, ways: tuple[int, int]
+    plant: Teleoperator, period_s: float, delays: tuple[int, int]
 ) -> Callable[[float, float, int], dict[str, Any]]:
-    """Both endpoints, `ways` ticks apart, and a push on the arm once they have engaged and faded in."""
-    forward, backward = (round(ticks * period_s, 12) for ticks in ways)
+    """Both endpoints, `delays` in ticks apart, and a push on the arm once they have engaged and faded in."""
+    forward, backward = (round(ticks * period_s, 12) for ticks in delays)
 
     def scene(force_scale: float, duration_s: float, every: int) -> dict[str, Any]:
         spring = {"shape": {"kind": "spring"}, "contact": {"stiffness": plant.spring}}
@@ -338,7 +338,7 @@ def teleoperator_case(
         round_trip = round(round_trip_s / period_s) - 1 if round_trip_s > 0.0 else 1
         if round_trip < 1:
             continue
-        ways = (round_trip // 2, round_trip - round_trip // 2) if round_trip_s > 0.0 else (0, 0)
+        delays = (round_trip // 2, round_trip - round_trip // 2) if round_trip_s > 0.0 else (0, 0)
         curve = plant.sampled(period_s, round_trip)
         sampled = first_crossing(curve, closed.frequency * 1e-2, np.pi / period_s * (1.0 - 1e-9))
         if abs(sampled.gain / closed.gain - 1.0) < within:
@@ -349,7 +349,7 @@ def teleoperator_case(
         closed=closed,
         sampled=sampled,
         printed=printed,
-        scene=teleoperator_scene(plant, period_s, ways),
+        scene=teleoperator_scene(plant, period_s, delays),
         period_s=period_s,
         begin_s=0.3 + PUSH_S + 3.0 * round_trip_s,
     )

@@ -109,14 +109,14 @@ def main() -> int:
     line = bench_options(__doc__, EXAMPLE)
     line.add_argument("--seconds", type=float, default=5.0, help="of motion for each row")
     arguments = line.parse_args()
-    asked = [("servoj", "5.11", {"lookahead_time": lookahead_s, "gain": gain}) for lookahead_s, gain in SERVO]
-    asked += [
+    modes = [("servoj", "5.11", {"lookahead_time": lookahead_s, "gain": gain}) for lookahead_s, gain in SERVO]
+    modes += [
         ("servol", "5.11", {"lookahead_time": 0.05, "gain": 1000.0}),
         ("speedl", "5.11", {"position_gain": 10.0}),
         ("direct-torque", "5.26", {}),
     ]
     rows = []
-    for mode, version, options in asked:
+    for mode, version, options in modes:
         for left in reversed(range(MAX_TRIES)):
             try:
                 rows.append(measure(mode, version, options, arguments.seconds))

@@ -159,7 +159,7 @@ class Scenario:
 
 def scenarios() -> list[Scenario]:
     """Everything in the table."""
-    other = partial(integrate, most_step_s=OTHER_STEP_S)
+    other = partial(integrate, max_step_s=OTHER_STEP_S)
     return [
         Scenario(name="throw", scene=throw(), reference=thrown, energy_j=0.5 * 200.0 * 0.039**2),
         Scenario(name="bounces", scene=bounces(), reference=other),

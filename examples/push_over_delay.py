@@ -70,10 +70,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=get_args(Controller))
     parser.add_argument("--delays-ms", nargs="+", type=float, default=[1.0, 10.0, 50.0, 100.0])
-    asked = parser.parse_args()
-    print("one-way delay [ms]" + "".join(f"{name:>10}" for name in asked.controllers))
-    for delay_ms in asked.delays_ms:
-        speeds = [thrown_at(name, delay_ms * 1e-3) for name in asked.controllers]
+    arguments = parser.parse_args()
+    print("one-way delay [ms]" + "".join(f"{name:>10}" for name in arguments.controllers))
+    for delay_ms in arguments.delays_ms:
+        speeds = [thrown_at(name, delay_ms * 1e-3) for name in arguments.controllers]
         print(f"{delay_ms:18g}" + "".join(f"{speed:10.3f}" for speed in speeds) + "  m/s")
 
 
