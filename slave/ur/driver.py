@@ -175,14 +175,14 @@ class UrSlave:
             return
         self._fault = None
         self._watchdog.reset()
-        under_way = self._soft_stop.acknowledge()
+        pending = self._soft_stop.acknowledge()
         if self._aside.stuck is not None:
             self._aside.end()
             self._aside = TimedWorker("ur-aside")
         options, connection, stopped_s = self.options, self._connection, self._fault_s
 
         def recovered() -> UrState:
-            for call in under_way:
+            for call in pending:
                 call.wait(call.limit_s)
             return recover(options, connection, stopped_s)
 

@@ -147,8 +147,8 @@ class SpeedL:
         wanted = [v + self._gain * (x_set - x) for v, x_set, x in zip(velocity, position, state.pose[:3], strict=True)]
         away = rotvec_from_matrix(self._rotation @ matrix_from_rotvec(state.pose[3:]).T)
         xd = [
-            *_at_most(wanted, self._max_speed),
-            *_at_most([self._gain * part for part in away], ROTATION_SPEED),
+            *_limited(wanted, self._max_speed),
+            *_limited([self._gain * part for part in away], ROTATION_SPEED),
         ]
         acceleration, time_s = self._acceleration, self._period_s
         return lambda control: bool(control.speedL(xd, acceleration, time_s))
@@ -334,7 +334,7 @@ def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
     return DirectTorque(options, joints, model)
 
 
-def _at_most(vector: list[float], limit: float) -> list[float]:
+def _limited(vector: list[float], limit: float) -> list[float]:
     length = math.hypot(*vector)
     return [part * limit / length for part in vector] if length > limit else vector
 

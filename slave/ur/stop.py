@@ -167,21 +167,21 @@ class SoftStop:
 
     def acknowledge(self) -> list[Call]:
         """The operator has removed the fault; returns the stops that have not ended."""
-        under_way = self._under_way
+        pending = self._pending
         self._phase, self._call, self._still_since = Phase.AT_REST, None, None
         if self._dashboard.stuck is not None:
             self._dashboard.end()
             self._dashboard = TimedWorker("ur-stopper")
-        return under_way
+        return pending
 
     def close(self) -> None:
         """Waits for the stops that are under way, within their limits."""
-        for call in self._under_way:
+        for call in self._pending:
             call.wait(call.limit_s)
         self._dashboard.end()
 
     @property
-    def _under_way(self) -> list[Call]:
+    def _pending(self) -> list[Call]:
         return [call for call in (self._call, self._program_stop) if call is not None]
 
     def _rests(self, state: UrState) -> bool:

@@ -161,11 +161,11 @@ class Dashboard:
         return f"No longer controlling the operational mode. Current operational mode: '{self._operational_mode}'."
 
 
-def _done(answer: str, act: Callable[[str], None]) -> Callable[[str], str]:
+def _done(answer: str, action: Callable[[str], None]) -> Callable[[str], str]:
     """What acts on its argument, and has one answer."""
 
     def answered(argument: str) -> str:
-        act(argument)
+        action(argument)
         return answer
 
     return answered

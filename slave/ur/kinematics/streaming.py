@@ -35,7 +35,7 @@ from haptether.slave.ur.kinematics.constraints import (
 from haptether.slave.ur.kinematics.pose import Array, Numbers, Vector
 from haptether.slave.ur.kinematics.symbolic import Buffered, Symbol, casadi_module
 
-# Solutions that the search for its multiplier may take; 1 to 4 are usual.
+# Solutions that the search for its multiplier may take; 1 to 4 are common.
 MAX_SOLUTIONS: Final = 40
 # From this multiplier on, (m/s)^-2, the cost drowns in rounding: then the tool cannot be that slow.
 MAX_MULTIPLIER: Final = 1e6
@@ -248,13 +248,13 @@ class BrakedPoint:
 
     def step(self, target: Array) -> None:
         """Goes on for a period towards a target, (3,), m."""
-        least = self._levels + self._share * (self._normals @ self.position - self._levels)
-        if (self._normals @ target >= least).all():
+        lower_levels = self._levels + self._share * (self._normals @ self.position - self._levels)
+        if (self._normals @ target >= lower_levels).all():
             self.position = target
             return
         anywhere = np.full(3, UNBOUNDED)
-        upper = np.full(len(least) + 3, UNBOUNDED)
-        nearest = QuadraticProgram(np.eye(3), -target, self._normals, np.concatenate((-anywhere, least)), upper)
+        upper = np.full(len(lower_levels) + 3, UNBOUNDED)
+        nearest = QuadraticProgram(np.eye(3), -target, self._normals, np.concatenate((-anywhere, lower_levels)), upper)
         solution = self._solver.solve(nearest)
         # Without a solution no plane accounts for any lag.
         self.position = target if solution is None else np.array(solution)
