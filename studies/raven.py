@@ -148,7 +148,7 @@ def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
 def _nobody(scene: Scene) -> list[str]:
     """Overrides by which nobody attacks."""
     links = {} if scene.link is None else {"forward": scene.link.forward, "backward": scene.link.backward}
-    return [f"link.{way}.attacks=[]" for way, link in links.items() if link is not None and link.attacks]
+    return [f"link.{direction}.attacks=[]" for direction, link in links.items() if link is not None and link.attacks]
 
 
 def _stiffness(scene: Scene) -> float:

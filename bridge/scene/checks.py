@@ -326,11 +326,11 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
         if not low <= master["position"][axis] <= high:
             allowed = f"within the stops, {low:g} to {high:g}"
             yield wrong(("master", "position"), master["position"][axis], allowed)
-    most = max_damping(master["mass_kg"], run["period_s"])
-    allowed = f"at most m / (5 dT) = {most:g}"
-    if set(safety["controllers"]) - {"pc"} and safety["damping"] > most:
+    limit = max_damping(master["mass_kg"], run["period_s"])
+    allowed = f"at most m / (5 dT) = {limit:g}"
+    if set(safety["controllers"]) - {"pc"} and safety["damping"] > limit:
         yield wrong(("safety", "damping"), safety["damping"], allowed)
-    if "pc" in safety["controllers"] and safety["pc_max_damping"] > most:
+    if "pc" in safety["controllers"] and safety["pc_max_damping"] > limit:
         yield wrong(("safety", "pc_max_damping"), safety["pc_max_damping"], allowed)
     estimator = safety["estimator"]
     if estimator["kind"] == "kalman":

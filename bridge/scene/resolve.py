@@ -242,10 +242,10 @@ def max_damping(mass_kg: Sequence[float], period_s: float) -> float:
 
 def _safety(scene: Scene, master: Spec) -> SafetyTable:
     table = scene.safety
-    most = max_damping(master["mass_kg"], scene.run.period_s)
+    limit = max_damping(master["mass_kg"], scene.run.period_s)
     max_force_n = master["max_force_n"] or DEFAULT_MAX_FORCE_N
     return replace(
-        _filled(table, damping=min(DEFAULT_DAMPING, most), pc_max_damping=min(DEFAULT_PC_DAMPING, most)),
+        _filled(table, damping=min(DEFAULT_DAMPING, limit), pc_max_damping=min(DEFAULT_PC_DAMPING, limit)),
         estimator=_estimator(table.estimator, master["encoder_quantum"] or DEFAULT_QUANTUM_M),
         limiter=_filled(table.limiter, max_force_n=max_force_n),
         ladder=None if scene.slave is None else _ladder(table.ladder or LadderTable(), table.limiter),

@@ -180,7 +180,7 @@ def scene_loops(scene: "Scene", wall_stiffness: float | None = None) -> list["Co
     )
     # What is locked from the first to the last change is never felt.
     locked = set.intersection(*(set(state["locked_axes"]) for state in states if state["locked_axes"] is not None))
-    turned = any(state["quat_wxyz"] not in (None, [1.0, 0.0, 0.0, 0.0]) for state in states)
+    rotated = any(state["quat_wxyz"] not in (None, [1.0, 0.0, 0.0, 0.0]) for state in states)
     return [
         ContactLoop(
             mass_kg=mass_kg,
@@ -193,7 +193,7 @@ def scene_loops(scene: "Scene", wall_stiffness: float | None = None) -> list["Co
             follower=_arm(spec["slave"]),
         )
         for axis, (mass_kg, viscous) in enumerate(zip(master["mass_kg"], master["viscous"], strict=True))
-        if turned or axis not in locked or len(locked) == master["axes"]
+        if rotated or axis not in locked or len(locked) == master["axes"]
     ]
 
 

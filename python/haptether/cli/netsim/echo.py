@@ -26,7 +26,7 @@ class Echo:
     """Write the counts as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Answers until told to stop."""
+        """Answers until it is stopped."""
         import msgspec
 
         from haptether.cli.shared.numbers import check_duration

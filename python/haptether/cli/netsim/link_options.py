@@ -62,20 +62,20 @@ class LinkOptions:
         from haptether.bridge.scene.load import overridden
         from haptether.cli.shared.numbers import check_seed
 
-        plain, seed, folder = _read(scene)
+        raw, seed, folder = _read(scene)
         flags = {name: value for name in FLAGS if (value := getattr(self, name)) is not None}
         if self.trace is not None:
             # Of the working folder, not of the scene's.
             flags["trace"] = {"file": str(self.trace.absolute())}
-        link: dict[str, Any] = plain.setdefault("link", {})
+        link: dict[str, Any] = raw.setdefault("link", {})
         for direction in ("forward", "backward"):
             link[direction] = {**link.get(direction, {}), **flags}
         for direction, settings in (("forward", self.set), ("backward", (*self.set, *self.backward_set))):
             for setting in settings:
-                plain = overridden(plain, f"link.{direction}.{setting}")
+                raw = overridden(raw, f"link.{direction}.{setting}")
         seed = seed if self.seed is None else self.seed
         check_seed(seed)
-        return _typed(plain, folder, seed)
+        return _typed(raw, folder, seed)
 
 
 @dataclass(frozen=True)
@@ -96,21 +96,21 @@ def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
     path = Path(scene)
     if scene in scene_names() or not path.is_file():
         path = _shipped(scene)
-    plain = _toml(path)
-    if "master" in plain:
+    raw = _toml(path)
+    if "master" in raw:
         load_scene(scene)  # refuses all that is wrong with it
-        return {"link": plain.get("link", {})}, plain.get("run", {}).get("seed", 0), path.parent
-    for key in plain.keys() - {"schema", "title", "shows", "seed", "link"}:
+        return {"link": raw.get("link", {})}, raw.get("run", {}).get("seed", 0), path.parent
+    for key in raw.keys() - {"schema", "title", "shows", "seed", "link"}:
         message = f"{path.name}: {key}: a file of links has only schema, title, shows, seed and [link.*]"
         raise SceneError(message)
-    if plain.get("schema") != 1:
-        message = f"{path.name}: schema = {plain.get('schema', 'nothing')}: must be 1"
+    if raw.get("schema") != 1:
+        message = f"{path.name}: schema = {raw.get('schema', 'nothing')}: must be 1"
         raise SceneError(message)
-    seed = plain.get("seed", 0)
+    seed = raw.get("seed", 0)
     if not isinstance(seed, int) or isinstance(seed, bool):
         message = f"{path.name}: seed = {seed!r}: must be a whole number"
         raise SceneError(message)
-    return {"link": plain.get("link", {})}, seed, path.parent
+    return {"link": raw.get("link", {})}, seed, path.parent
 
 
 def _shipped(scene: str) -> Path:
@@ -133,7 +133,7 @@ def _toml(path: Path) -> dict[str, Any]:
     raise SceneError(message)
 
 
-def _typed(plain: dict[str, Any], folder: Path, seed: int) -> Links:
+def _typed(raw: dict[str, Any], folder: Path, seed: int) -> Links:
     import msgspec
 
     from haptether.bridge.scene.errors import explained, refuse_infinite
@@ -141,15 +141,15 @@ def _typed(plain: dict[str, Any], folder: Path, seed: int) -> Links:
     from haptether.bridge.scene.tables.session import LinksTable
     from haptether.netsim import LinkSettings
 
-    refuse_infinite(plain)
+    refuse_infinite(raw)
 
     class Tables(msgspec.Struct):
         link: LinksTable
 
     try:
-        links = msgspec.convert(plain, Tables).link
+        links = msgspec.convert(raw, Tables).link
     except msgspec.ValidationError as error:
-        raise explained(error, plain) from None
+        raise explained(error, raw) from None
     links = embedded_links(links, folder)
     spec_of_links(links)  # refuses what does not go together
     return Links(links.forward or LinkSettings(), links.backward or LinkSettings(), seed)

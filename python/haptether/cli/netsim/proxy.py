@@ -61,7 +61,7 @@ class Proxy(LinkOptions):
     """Write the counts as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Forwards until told to stop."""
+        """Forwards until it is stopped."""
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.stop import Stopped
