@@ -1,14 +1,20 @@
 //! Couplings: what each side requests of its device, given the newest of the other side.
 
 mod command;
+#[cfg(test)]
+mod drawn;
+mod orientation;
 mod position_force;
+mod wrench;
 
 use haptether_safety::Axes;
 use nalgebra::SMatrix;
 
 pub use command::{CommandBounds, Limited};
 pub(crate) use command::{bounded, decayed};
+pub use orientation::{MAX_NORM_ERROR, canonical, checked, is_canonical};
 pub use position_force::PositionForce;
+pub use wrench::{Twist, Wrench};
 
 /// A coupling that cannot be.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -35,6 +41,16 @@ pub enum CouplingError {
     /// A rotation of axes that are not those of one space.
     #[error("rotation of {0} axes: must be of at most 3")]
     Rotation(usize),
+    /// A measured or received quaternion that is no orientation.
+    #[error(
+        "orientation: quat_wxyz = {seen:?} has a norm of {norm}: must be 1 to within 1e-9; normalise it where it is made"
+    )]
+    Orientation {
+        /// What was given.
+        seen: [f64; 4],
+        /// Its norm, no number where a part is none.
+        norm: f64,
+    },
 }
 
 impl CouplingError {
@@ -65,6 +81,15 @@ const UNIT: f64 = 1e-6;
 /// How far R' R may be from the identity, in its largest element.
 const ORTHONORMAL: f64 = 1e-9;
 
+/// A quaternion that somebody wrote, of norm 1 to within [`UNIT`], with norm 1.
+fn normalised(quat_wxyz: [f64; 4]) -> Result<[f64; 4], CouplingError> {
+    let norm = quat_wxyz.iter().map(|part| part * part).sum::<f64>().sqrt();
+    if norm.is_nan() || (norm - 1.0).abs() > UNIT {
+        return Err(CouplingError::Quaternion(norm));
+    }
+    Ok(quat_wxyz.map(|part| part / norm))
+}
+
 impl<const N: usize> FrameMap<N> {
     /// With R as rows, orthonormal; for at most 3 axes, because more are no axes of one space.
     pub fn new(rotation: [[f64; N]; N], locked: [bool; N]) -> Result<Self, CouplingError> {
@@ -86,11 +111,7 @@ impl<const N: usize> FrameMap<N> {
     ///
     /// With 2 axes the rotation is about z, which neither has; of 1, 6 or 7 axes there is none.
     pub fn rotated(quat_wxyz: [f64; 4], locked: &[bool]) -> Result<Self, CouplingError> {
-        let norm = quat_wxyz.iter().map(|part| part * part).sum::<f64>().sqrt();
-        if norm.is_nan() || (norm - 1.0).abs() > UNIT {
-            return Err(CouplingError::Quaternion(norm));
-        }
-        let [w, x, y, z] = quat_wxyz.map(|part| part / norm);
+        let [w, x, y, z] = normalised(quat_wxyz)?;
         let lies_in_space = match N {
             3 => true,
             2 => x == 0.0 && y == 0.0,
