@@ -5,6 +5,7 @@ mod command;
 mod drawn;
 mod orientation;
 mod position_force;
+mod rotational_spring;
 mod wrench;
 
 use haptether_safety::Axes;
@@ -14,6 +15,7 @@ pub use command::{CommandBounds, Limited};
 pub(crate) use command::{bounded, decayed};
 pub use orientation::{MAX_NORM_ERROR, canonical, checked, is_canonical};
 pub use position_force::PositionForce;
+pub use rotational_spring::{FULL_SPRING_RAD, RotationalSpring};
 pub use wrench::{Twist, Wrench};
 
 /// A coupling that cannot be.

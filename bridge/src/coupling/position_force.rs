@@ -22,7 +22,7 @@ pub struct PositionForce<const N: usize> {
     anchor: Option<(Axes<N>, Axes<N>)>,
 }
 
-fn check(name: &'static str, symbol: &'static str, seen: f64) -> Result<f64, CouplingError> {
+pub(super) fn check(name: &'static str, symbol: &'static str, seen: f64) -> Result<f64, CouplingError> {
     if seen.is_finite() && seen > 0.0 { Ok(seen) } else { Err(CouplingError::scale(name, symbol, seen)) }
 }
 
