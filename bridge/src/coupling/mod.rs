@@ -5,6 +5,7 @@ mod command;
 mod drawn;
 mod orientation;
 mod position_force;
+mod rotation;
 mod rotational_spring;
 mod wrench;
 
@@ -15,6 +16,7 @@ pub use command::{CommandBounds, Limited};
 pub(crate) use command::{bounded, decayed};
 pub use orientation::{MAX_NORM_ERROR, canonical, checked, is_canonical};
 pub use position_force::PositionForce;
+pub use rotation::{ANCHOR_REACH_RAD, RotationCoupling, RotationLock};
 pub use rotational_spring::{FULL_SPRING_RAD, RotationalSpring};
 pub use wrench::{Twist, Wrench};
 
@@ -53,6 +55,9 @@ pub enum CouplingError {
         /// Its norm, no number where a part is none.
         norm: f64,
     },
+    /// An axis that is no direction.
+    #[error("axis of rotation has a length of {0}: must be 1 to within 1e-6")]
+    Axis(f64),
 }
 
 impl CouplingError {
