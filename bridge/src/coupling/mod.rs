@@ -1,5 +1,6 @@
 //! Couplings: what each side requests of its device, given the newest of the other side.
 
+mod alignment;
 mod command;
 #[cfg(test)]
 mod drawn;
@@ -12,6 +13,7 @@ mod wrench;
 use haptether_safety::Axes;
 use nalgebra::SMatrix;
 
+pub use alignment::{Alignment, AlignmentStep};
 pub use command::{CommandBounds, Limited};
 pub(crate) use command::{bounded, decayed};
 pub use orientation::{MAX_NORM_ERROR, canonical, checked, is_canonical};
@@ -58,6 +60,25 @@ pub enum CouplingError {
     /// An axis that is no direction.
     #[error("axis of rotation has a length of {0}: must be 1 to within 1e-6")]
     Axis(f64),
+    /// An angle beyond which no two orientations are.
+    #[error("{name} = {seen} rad: must be above 0 and at most pi")]
+    Angle {
+        /// Which.
+        name: &'static str,
+        /// What was given.
+        seen: f64,
+    },
+    /// Master and slave are turned too far from one another to be aligned.
+    #[error(
+        "master and slave are turned {seen_rad} rad from one another, alignment is allowed up to {allowed_rad} rad: turn \
+         the handle towards the slave's tool"
+    )]
+    Misaligned {
+        /// Angle between them.
+        seen_rad: f64,
+        /// Largest that is allowed.
+        allowed_rad: f64,
+    },
 }
 
 impl CouplingError {

@@ -1,0 +1,217 @@
+//! Turning the slave to the master before they engage.
+
+use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+use std::f64::consts::PI;
+
+use super::{CouplingError, normalised, position_force::check};
+
+/// Turns the slave's orientation to the master's at a bounded rate, or refuses beyond an angle.
+///
+/// `R_s -> C R_m C'`, taken as absolute, about the axis of `phi = log(C R_m C' R_s')`, by at most `w_max dt` each tick.
+/// A coupling of `lambda_r = 1` that engages there keeps `R_s = C R_m C'` from then on.
+///
+/// Where the two are just pi apart the axis is one of two, and of one sign for one pair of orientations; after the first
+/// tick they are nearer, and the way goes on about the same axis.
+///
+/// Source: the dVRK aligns before it follows (`mtsTeleOperationPSM`, state `ALIGNING_MTM`), by turning its motorised
+/// master to the slave; here it is the slave, because most masters cannot turn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment {
+    frame: UnitQuaternion<f64>,
+    max_speed: f64,
+    max_angle: f64,
+}
+
+/// What one tick of an alignment commands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AlignmentStep {
+    /// Orientation to command.
+    pub orientation: UnitQuaternion<f64>,
+    /// Its angular velocity in rad/s, in the base frame.
+    pub angular_velocity: Vector3<f64>,
+    /// Angle in rad that is still to go after it; 0 where they are aligned.
+    pub remaining_rad: f64,
+}
+
+impl Alignment {
+    /// With C as a unit quaternion, the largest speed in rad/s (> 0), and the largest angle in rad (in (0, pi]).
+    pub fn new(quat_wxyz: [f64; 4], max_speed: f64, max_angle: f64) -> Result<Self, CouplingError> {
+        if !(max_angle > 0.0 && max_angle <= PI) {
+            return Err(CouplingError::Angle { name: "alignment_angle", seen: max_angle });
+        }
+        let [w, x, y, z] = normalised(quat_wxyz)?;
+        Ok(Self {
+            frame: Unit::new_unchecked(Quaternion::new(w, x, y, z)),
+            max_speed: check("alignment_speed", "w_max", max_speed)?,
+            max_angle,
+        })
+    }
+
+    /// The next command, `dt_s` after `command`; refused, so that the slave stays, beyond the largest angle and
+    /// where an orientation is no number.
+    ///
+    /// `command` is the last commanded orientation, at first the measured one.
+    pub fn step(
+        &self,
+        master: &UnitQuaternion<f64>,
+        command: &UnitQuaternion<f64>,
+        dt_s: f64,
+    ) -> Result<AlignmentStep, CouplingError> {
+        let target = Unit::new_normalize((self.frame * master * self.frame.inverse()).into_inner());
+        let way = target * command.inverse();
+        let angle = way.angle();
+        if angle.is_nan() || angle > self.max_angle {
+            return Err(CouplingError::Misaligned { seen_rad: angle, allowed_rad: self.max_angle });
+        }
+        let phi = way.scaled_axis();
+        let max_step = self.max_speed * dt_s.max(0.0);
+        if angle <= max_step {
+            let angular_velocity = if max_step > 0.0 { phi / dt_s } else { Vector3::zeros() };
+            return Ok(AlignmentStep { orientation: target, angular_velocity, remaining_rad: 0.0 });
+        }
+        let axis = phi / angle;
+        let stepped = UnitQuaternion::from_scaled_axis(axis * max_step) * command;
+        Ok(AlignmentStep {
+            orientation: Unit::new_normalize(stepped.into_inner()),
+            angular_velocity: if max_step > 0.0 { axis * self.max_speed } else { Vector3::zeros() },
+            remaining_rad: angle - max_step,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::coupling::{
+        RotationCoupling,
+        drawn::{direction, orientation, vector},
+    };
+    use proptest::prelude::*;
+
+    const SPEED: f64 = 0.5;
+    const TICK_S: f64 = 1e-3;
+
+    fn unturned(max_angle: f64) -> Alignment {
+        Alignment::new([1.0, 0.0, 0.0, 0.0], SPEED, max_angle).unwrap()
+    }
+
+    fn about(axis: Vector3<f64>, angle: f64) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_scaled_axis(axis * angle)
+    }
+
+    /// Of the closed form: `|phi|` falls by `w_max dt` a tick, so it takes `ceil(|phi| / (w_max dt))` of them.
+    #[test]
+    fn it_arrives_after_the_angle_over_the_rate() {
+        let axis = Vector3::new(0.6, 0.0, -0.8);
+        for (angle, ticks) in [(0.0, 1), (4e-4, 1), (0.0101, 21), (1.0, 2000), (3.1, 6200)] {
+            let master = about(axis, 0.3 + angle);
+            let mut command = about(axis, 0.3);
+            let mut taken = 0_i32;
+            loop {
+                let step = unturned(PI).step(&master, &command, TICK_S).unwrap();
+                taken += 1;
+                let turned = step.orientation * command.inverse();
+                let expected = UnitQuaternion::from_scaled_axis(step.angular_velocity * TICK_S);
+                assert!(turned.angle_to(&expected) < 1e-15);
+                assert!(step.angular_velocity.norm() < SPEED * (1.0 + 1e-9));
+                command = step.orientation;
+                if step.remaining_rad == 0.0 {
+                    break;
+                }
+                // Each tick rounds by an ulp or two of the angle.
+                let left = angle - SPEED * TICK_S * f64::from(taken);
+                assert!((step.remaining_rad - left).abs() < 1e-15 * f64::from(taken) * 4.0);
+            }
+            assert!((taken - ticks).abs() <= 1, "{taken} ticks for {angle} rad, must be {ticks}");
+            assert!(command.angle_to(&master) < 1e-15);
+        }
+    }
+
+    proptest! {
+        /// Frame invariance, and what the coupling makes of it: aligned stays aligned.
+        #[test]
+        fn it_ends_where_the_coupling_goes_on(
+            (frame, master, slave) in (orientation(), orientation(), orientation()),
+            hand in vector(1.0),
+        ) {
+            let [x, y, z, w] = frame.coords.into();
+            let alignment = Alignment::new([w, x, y, z], 50.0, PI).unwrap();
+            let mut command = slave;
+            for _ in 0..64 {
+                command = alignment.step(&master, &command, TICK_S).unwrap().orientation;
+            }
+            prop_assert!(command.angle_to(&(frame * master * frame.inverse())) < 1e-14);
+            let mut coupling = RotationCoupling::new(1.0, 1.0).unwrap();
+            coupling.set_frame([w, x, y, z]).unwrap();
+            coupling.commanded_orientation(&master, &command);
+            let turned = UnitQuaternion::from_scaled_axis(hand) * master;
+            let seen = coupling.commanded_orientation(&turned, &command);
+            prop_assert!(seen.angle_to(&(frame * turned * frame.inverse())) < 1e-14);
+        }
+
+        /// A hand that moves, slower than the slave may: caught, and then followed in each tick.
+        #[test]
+        fn a_hand_that_moves_is_caught((start, axis) in (orientation(), direction())) {
+            let (alignment, mut command) = (unturned(PI), start);
+            let hand = |tick: i32| {
+                about(axis.into_inner(), 0.2 * TICK_S * f64::from(tick)) * about(Vector3::x(), 0.3) * start
+            };
+            for tick in 0..1100 {
+                let step = alignment.step(&hand(tick), &command, TICK_S).unwrap();
+                let before = command;
+                command = step.orientation;
+                prop_assert!(command.angle_to(&before) < SPEED * TICK_S * (1.0 + 1e-9));
+                // At worst the hand goes straight away: 0.3 rad at 0.5 - 0.2 rad/s are 1 s.
+                prop_assert!(tick < 1001 || step.remaining_rad == 0.0);
+            }
+        }
+    }
+
+    #[test]
+    fn too_far_is_refused_and_so_is_what_is_no_number() {
+        let (master, slave) = (UnitQuaternion::identity(), about(Vector3::y(), 0.6));
+        unturned(0.61).step(&master, &slave, TICK_S).unwrap();
+        let error = unturned(0.59).step(&master, &slave, TICK_S).unwrap_err().to_string();
+        assert!(error.contains("0.6 rad") && error.contains("up to 0.59 rad"), "{error}");
+        let none = Unit::new_unchecked(Quaternion::new(f64::NAN, 0.0, 0.0, 1.0));
+        for (master, slave) in [(&none, &slave), (&master, &none)] {
+            let error = unturned(PI).step(master, slave, TICK_S).unwrap_err();
+            assert!(matches!(error, CouplingError::Misaligned { seen_rad, .. } if seen_rad.is_nan()));
+        }
+        for dt_s in [0.0, -1.0, f64::NAN] {
+            let step = unturned(PI).step(&master, &slave, dt_s).unwrap();
+            assert_eq!(step.angular_velocity, Vector3::zeros());
+            assert!(step.orientation.angle_to(&slave) < 1e-15 && (step.remaining_rad - 0.6).abs() < 1e-15);
+        }
+    }
+
+    /// Just opposite, either way is the shorter: one is taken, and kept.
+    #[test]
+    fn just_opposite_it_goes_one_way_round() {
+        let (master, mut command) = (about(Vector3::z(), PI), UnitQuaternion::identity());
+        let mut axis = None;
+        for tick in 1..=100 {
+            let step = unturned(PI).step(&master, &command, TICK_S).unwrap();
+            let about = *axis.get_or_insert(step.angular_velocity);
+            assert!((step.angular_velocity - about).norm() < 1e-12);
+            assert!((step.remaining_rad - (PI - 5e-4 * f64::from(tick))).abs() < 1e-13);
+            command = step.orientation;
+        }
+    }
+
+    #[test]
+    fn what_bounds_nothing_is_refused() {
+        for (speed, angle, text) in [
+            (0.0, 1.0, "alignment_speed (w_max) = 0"),
+            (f64::NAN, 1.0, "alignment_speed (w_max) = NaN"),
+            (1.0, 0.0, "alignment_angle = 0 rad: must be above 0 and at most pi"),
+            (1.0, 3.2, "alignment_angle = 3.2 rad"),
+            (1.0, f64::NAN, "alignment_angle = NaN rad"),
+        ] {
+            let error = Alignment::new([1.0, 0.0, 0.0, 0.0], speed, angle).unwrap_err().to_string();
+            assert!(error.starts_with(text), "{error}");
+        }
+        let error = Alignment::new([1.0, 0.1, 0.0, 0.0], 1.0, 1.0).unwrap_err();
+        assert!(matches!(error, CouplingError::Quaternion(_)));
+    }
+}
