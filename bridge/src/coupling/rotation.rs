@@ -62,10 +62,10 @@ impl RotationLock {
 ///
 /// **Where it ends.** Only whole powers are continuous on all of SO(3): every phi of length 2 pi is the same D, but not
 /// every `lambda phi` the same rotation, so across a phi of nearly 2 pi the stretch has no bound. Beyond
-/// [`ANCHOR_REACH_RAD`] the two are therefore anchored anew where they are. Then the slave turns at most
-/// `max(lambda_r, sqrt 2)` times as fast as the master, `max(lambda_r, 1)` times up to pi. It is back in `R_s0` when the
-/// master is back in `R_m0`, by any way within this reach, and about one axis after any number of turns; after a way of
-/// several axes that led beyond, it is not.
+/// [`ANCHOR_REACH_RAD`] the two are therefore anchored anew where they are: the command goes on without a jump, its
+/// velocity across phi has a step. So the slave turns at most `max(lambda_r, sqrt 2)` times as fast as the master,
+/// `max(lambda_r, 1)` times up to pi. It is back in `R_s0` when the master is back in `R_m0`, by any way within this
+/// reach, and about one axis after any number of turns; after a way of several axes that led beyond, it is not.
 ///
 /// **About one axis** e: `R_s = exp(lambda alpha e) R_s0`, where alpha is the turn about e in `D = exp(alpha e) S`, with S
 /// a swing about an axis across e: `alpha = 2 atan2(e·v, w)` of D's quaternion (w, v), again the one nearest to the last,
@@ -249,7 +249,9 @@ impl RotationCoupling {
         (phi.norm() <= ANCHOR_REACH_RAD).then_some(phi)
     }
 
-    /// Slave half: the angular velocity of the commanded orientation, in rad/s, from the newest `w_m` in rad/s.
+    /// Slave half: the angular velocity in rad/s of the orientation that was commanded last, from the newest `w_m` in rad/s.
+    ///
+    /// Before the two engage it is that with which they will: `lambda_r L C w_m`.
     pub fn commanded_velocity(&self, master_velocity: &Vector3<f64>) -> Vector3<f64> {
         let velocity = self.frame * master_velocity;
         let scale = self.rotation_scale;
