@@ -279,7 +279,7 @@ impl<const N: usize> Hand<N> {
 }
 
 /// A time in s in which a grip changes, or 0 where it is too short for a rate: powers of it would overflow.
-fn or_at_once(duration_s: f64) -> f64 {
+pub(crate) fn or_at_once(duration_s: f64) -> f64 {
     if duration_s < MIN_LEG_S { 0.0 } else { duration_s }
 }
 

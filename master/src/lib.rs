@@ -5,6 +5,7 @@ mod device;
 mod hand;
 mod path;
 mod polynomial;
+mod rotation;
 mod simulated;
 #[cfg(test)]
 mod simulated_tests;
@@ -19,6 +20,10 @@ pub use axes::{Axes, Real};
 pub use device::{DeviceParameters, Friction};
 pub use hand::{Hand, Regrasp, Release, ReleaseKind, Tremor};
 pub use path::{Leg, LegShape, Path};
+pub use rotation::{
+    RotationHand, RotationHandParameters, RotationLeg, RotationParameters, RotationSample, SimulatedRotation,
+    TorsionSpring,
+};
 pub use simulated::{MasterSample, SimulatedMaster, Touch};
 pub use stepped::{SteppedMaster, Stepping};
 pub use stepped_hand::SteppedHand;

@@ -1,0 +1,323 @@
+//! A rotating handle against closed forms: free bodies, torsion springs, release, friction.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::{LegShape, Release, ReleaseKind};
+
+const UPRIGHT: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
+const TICK_NS: u64 = 1_000_000;
+const INERTIA: f64 = 2e-4;
+
+fn free(inertia: [f64; 3], w: [f64; 3]) -> SimulatedRotation {
+    let device =
+        RotationParameters { inertia_kg_m2: Axes::from(inertia), ..RotationParameters::ideal(1.0, 0.0, 0.0) };
+    let mut body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
+    body.place(UPRIGHT, &Axes::from(w)).unwrap();
+    body
+}
+
+/// A handle about z that a spring of `stiffness` turns back to 0, turned to `angle` and held by nobody.
+fn turned(viscous: f64, coulomb: f64, stiffness: f64, angle: f64) -> SimulatedRotation {
+    let device = RotationParameters::ideal(INERTIA, viscous, coulomb);
+    let spring = TorsionSpring::new(stiffness, 0.0, UPRIGHT).unwrap();
+    let body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
+    let mut body = body.among(vec![spring]).unwrap();
+    body.place(about_z(angle), &Axes::zeros()).unwrap();
+    body
+}
+
+fn about_z(angle: f64) -> [f64; 4] {
+    [(angle / 2.0).cos(), 0.0, 0.0, (angle / 2.0).sin()]
+}
+
+fn angle(body: &SimulatedRotation) -> f64 {
+    body.orientation().scaled_axis()[2]
+}
+
+#[test]
+fn a_free_body_keeps_energy_and_momentum() {
+    // About the middle axis too, where a rotation tumbles.
+    for w in [[3.0, -7.0, 5.0], [0.01, 20.0, 0.01], [25.0, 1.0, -12.0]] {
+        let mut body = free([1e-4, 2e-4, 4e-4], w);
+        let (energy, momentum) = (body.kinetic_energy_j(), *body.angular_momentum());
+        let mut most = 0.0_f64;
+        for tick in 1..=100_000 {
+            body.read(tick * TICK_NS);
+            most = most.max((body.kinetic_energy_j() / energy - 1.0).abs());
+        }
+        assert!(most < 2e-11, "{w:?}: {most}");
+        // L is the state, so it is what w and R make of it that must be the same.
+        let seen =
+            *body.orientation() * body.device.inertia_kg_m2.component_mul(&body.body_angular_velocity());
+        assert!((seen - momentum).norm() < 1e-12 * momentum.norm(), "{w:?}");
+        assert!((body.orientation().norm() - 1.0).abs() < 1e-15);
+    }
+}
+
+/// `w = (w_t cos(l t), w_t sin(l t), w_3)`, `l = (I_3 - I_1) w_3 / I_1`, in the frame of the body, whose axis goes round L
+/// at `|L| / I_1`. Source: Goldstein, Poole and Safko 2002, section 5.6.
+#[test]
+fn a_symmetric_top_precesses_by_its_closed_form() {
+    let (i_1, i_3, w_t, w_3) = (1e-4, 3e-4, 4.0, 9.0);
+    let mut body = free([i_1, i_1, i_3], [w_t, 0.0, w_3]);
+    let momentum = *body.angular_momentum();
+    let rate = (i_3 - i_1) / i_1 * w_3;
+    for tick in 1..=5_000 {
+        body.read(tick * TICK_NS);
+        let t = tick as f64 * 1e-3;
+        let (sine, cosine) = (rate * t).sin_cos();
+        let expected = Axes::<3>::new(w_t * cosine, w_t * sine, w_3);
+        // Some z^4 / 30 of each rad: z = 6e-3 a sub-step, 90 rad in 5 s.
+        assert!((body.body_angular_velocity() - expected).norm() < w_t * 90.0 * 4.4e-11, "{tick}");
+        let around = UnitQuaternion::from_scaled_axis(momentum / i_1 * t);
+        let axis = around * Axes::<3>::z();
+        assert!((body.orientation() * Axes::<3>::z() - axis).norm() < 1e-8, "{tick}");
+    }
+}
+
+/// A step half as long errs by a 16th over the same time.
+#[test]
+fn the_order_is_four() {
+    let spring = TorsionSpring::new(0.02, 1e-3, about_z(0.3)).unwrap();
+    let after = |steps: u32| {
+        let mut body = free([1e-4, 2e-4, 4e-4], [6.0, -9.0, 7.0]).among(vec![spring]).unwrap();
+        body.write(&Axes::<3>::new(1e-3, 2e-3, -1e-3));
+        for _ in 0..steps {
+            body.state = body.stepped(0.4 / f64::from(steps), None);
+        }
+        body.state
+    };
+    let exact = after(2048);
+    let apart = |steps| {
+        let state = after(steps);
+        let turn = (exact.orientation.inverse() * state.orientation).scaled_axis().norm();
+        [turn, (state.momentum - exact.momentum).norm()]
+    };
+    let (coarse, fine) = (apart(64), apart(128));
+    for (coarse, fine) in coarse.iter().zip(fine) {
+        let order = (coarse / fine).log2();
+        assert!((3.7..4.5).contains(&order), "{order}: {coarse} {fine}");
+    }
+}
+
+/// `phi = phi_0 exp(-d t) (cos(o t) + d / o sin(o t))`, `d = b / (2 I)`, `o² = k / I - d²`.
+#[test]
+fn a_torsion_spring_swings_by_its_closed_form() {
+    let (stiffness, start) = (0.5, 1.2);
+    for viscous in [0.0, 1e-4, 4e-3] {
+        let mut body = turned(viscous, 0.0, stiffness, start);
+        let decay = viscous / (2.0 * INERTIA);
+        let rate = (stiffness / INERTIA - decay * decay).sqrt();
+        for tick in 1..=1_000 {
+            body.read(tick * TICK_NS);
+            let t = tick as f64 * 1e-3;
+            let (sine, cosine) = (rate * t).sin_cos();
+            let expected = start * (-decay * t).exp() * (cosine + decay / rate * sine);
+            // 50 rad of phase at z^4 / 120 of each, z = 1/64.
+            assert!((angle(&body) - expected).abs() < 50.0 * 1.2 * 5e-10, "{viscous} {tick}");
+        }
+    }
+}
+
+/// A hand turns a handle against a torsion spring and lets go: `sqrt(k / I) phi` at most, less what friction takes.
+#[test]
+fn a_handle_that_is_let_go_is_as_fast_as_its_closed_form() {
+    let (stiffness, held): (f64, f64) = (0.8, 1.0);
+    for (viscous, coulomb) in [(0.0, 0.0), (4e-3, 0.0), (0.0, 0.05)] {
+        let device = RotationParameters::ideal(INERTIA, viscous, coulomb);
+        let leg = RotationLeg { duration_s: 0.5, end_wxyz: about_z(held), shape: LegShape::MinimumJerk };
+        let hand = RotationHand::new(&RotationHandParameters {
+            stiffness: 4.0,
+            damping: 0.05,
+            strength_n_m: None,
+            start_wxyz: UPRIGHT,
+            legs: vec![leg],
+            release: Some(Release { at_s: 1.5, decay_s: 0.0, kind: ReleaseKind::Gain }),
+        })
+        .unwrap();
+        let body = SimulatedRotation::new(device, hand, 0).unwrap();
+        let mut body = body.among(vec![TorsionSpring::new(stiffness, 0.0, UPRIGHT).unwrap()]).unwrap();
+        body.read(1_500 * TICK_NS);
+        let (phi, rate) = (angle(&body), (stiffness / INERTIA).sqrt());
+        assert!((phi - held * 4.0 / 4.8).abs() <= coulomb / 4.8 + 1e-9, "in balance: {phi}");
+        assert_eq!(body.hand_torque(), Axes::<3>::zeros());
+        assert!(
+            body.body_angular_velocity().norm() < 1e-9,
+            "at rest: {viscous} {coulomb} {}",
+            body.body_angular_velocity()
+        );
+        // The first turn of o t at which the angular acceleration is zero, tan(o t) = o / d.
+        let decay = viscous / (2.0 * INERTIA);
+        let own = (rate * rate - decay * decay).sqrt();
+        let at = if decay == 0.0 { std::f64::consts::FRAC_PI_2 / own } else { (own / decay).atan() / own };
+        let expected =
+            rate * rate / own * (phi - coulomb / stiffness) * (-decay * at).exp() * (own * at).sin();
+        // Sampled every 10 us, of which half is a phase of 0.3 mrad: 5e-8 below the peak.
+        let peak = (1..3_000_u64)
+            .map(|n| body.read(1_500 * TICK_NS + n * 10_000).angular_velocity.unwrap().norm())
+            .fold(0.0, f64::max);
+        assert!((peak / expected - 1.0).abs() < 2e-7, "{viscous} {coulomb}: {peak} {expected}");
+    }
+}
+
+/// Between two halts dry friction takes `2 c / k` of the amplitude; it rests where friction holds the spring.
+#[test]
+fn dry_friction_takes_its_share_of_each_swing() {
+    let (stiffness, coulomb, start) = (0.5, 0.03, 0.5);
+    let mut body = turned(0.0, coulomb, stiffness, start);
+    let swing = std::time::Duration::from_secs_f64(std::f64::consts::PI / (stiffness / INERTIA).sqrt());
+    let swing_ns = u64::try_from(swing.as_nanos()).unwrap();
+    let share = coulomb / stiffness;
+    let mut expected: f64 = start;
+    for swing in 1..=6 {
+        body.read(swing * swing_ns);
+        if expected.abs() > share {
+            expected = -(expected - 2.0 * share * expected.signum());
+        }
+        assert!((angle(&body) - expected).abs() < 1e-7, "{swing}: {} {expected}", angle(&body));
+    }
+    assert!(expected.abs() < share);
+    assert_eq!(body.body_angular_velocity(), Axes::<3>::zeros(), "at rest, exactly");
+}
+
+#[test]
+fn friction_at_rest_withstands_its_torque() {
+    let device = RotationParameters::ideal(INERTIA, 0.0, 0.02);
+    for (torque, acceleration) in
+        [(0.0199, 0.0), (-0.02, 0.0), (0.03, 0.01 / INERTIA), (-0.03, -0.01 / INERTIA)]
+    {
+        let mut body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
+        body.write(&Axes::<3>::new(0.0, torque, 0.0));
+        let w = body.read(100 * TICK_NS).angular_velocity.unwrap();
+        assert!((w - Axes::<3>::new(0.0, acceleration * 0.1, 0.0)).norm() < 1e-11, "{torque}: {w}");
+    }
+    // Once pushed and let alone it comes to rest after I w / c.
+    let mut body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
+    body.place(UPRIGHT, &Axes::<3>::new(3.0, 4.0, 0.0)).unwrap();
+    let halt_ns = 50 * TICK_NS;
+    assert!(body.read(halt_ns - TICK_NS).angular_velocity.unwrap().norm() > 0.09);
+    body.read(halt_ns + TICK_NS);
+    assert_eq!(*body.angular_momentum(), Axes::<3>::zeros());
+    assert!((body.orientation().angle() - INERTIA * 25.0 / 0.04).abs() < 1e-12);
+}
+
+#[test]
+fn a_held_torque_adds_its_impulse() {
+    let mut body = free([1e-4, 2e-4, 4e-4], [3.0, -2.0, 1.0]);
+    let (before, torque) = (*body.angular_momentum(), Axes::<3>::new(1e-3, -2e-3, 5e-4));
+    body.write(&torque);
+    for tick in 1..=100 {
+        body.read(tick * TICK_NS);
+    }
+    assert!((body.angular_momentum() - before - torque * 0.1).norm() < 1e-17);
+    body.write(&Axes::<3>::new(f64::NAN, 1.0, 0.0));
+    assert_eq!(*body.motor_torque(), Axes::<3>::zeros());
+}
+
+#[test]
+fn motors_have_a_bound_and_a_hand_may_wait() {
+    let device =
+        RotationParameters { max_torque_n_m: Some(0.05), ..RotationParameters::ideal(INERTIA, 0.0, 0.0) };
+    let leg = RotationLeg { duration_s: 0.1, end_wxyz: about_z(0.5), shape: LegShape::Smooth };
+    let hand = RotationHand::new(&RotationHandParameters {
+        stiffness: 2.0,
+        damping: 0.03,
+        strength_n_m: Some(1.0),
+        start_wxyz: UPRIGHT,
+        legs: vec![leg],
+        release: None,
+    })
+    .unwrap();
+    let mut body = SimulatedRotation::new(device, hand, 0).unwrap();
+    body.write(&Axes::<3>::new(0.0, 3.0, 4.0));
+    assert!((body.motor_torque() - Axes::<3>::new(0.0, 0.03, 0.04)).norm() < 1e-16);
+    body.write(&Axes::zeros());
+    body.set_waiting(true);
+    body.read(300 * TICK_NS);
+    assert_eq!(angle(&body), 0.0);
+    body.set_waiting(false);
+    body.read(1_300 * TICK_NS);
+    assert!((angle(&body) - 0.5).abs() < 1e-9);
+}
+
+#[test]
+fn refuses_what_no_device_can_have() {
+    let good = RotationParameters::ideal(INERTIA, 0.0, 0.0);
+    for bad in [
+        RotationParameters { inertia_kg_m2: Axes::<3>::new(1e-4, 0.0, 1e-4), ..good },
+        RotationParameters { viscous: -1.0, ..good },
+        RotationParameters { coulomb: f64::NAN, ..good },
+        RotationParameters { max_torque_n_m: Some(0.0), ..good },
+    ] {
+        assert!(SimulatedRotation::new(bad, RotationHand::absent(UPRIGHT).unwrap(), 0).is_err(), "{bad:?}");
+    }
+    let mut body = SimulatedRotation::new(good, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
+    assert!(body.place([2.0, 0.0, 0.0, 0.0], &Axes::zeros()).is_err());
+    assert!(body.place(UPRIGHT, &Axes::<3>::new(0.0, f64::INFINITY, 0.0)).is_err());
+    let rigid = TorsionSpring::new(1e9, 0.0, UPRIGHT).unwrap();
+    assert!(body.among(vec![rigid]).is_err(), "no number of sub-steps follows it");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    /// Springs and friction give out no energy, wherever the body is and however it turns.
+    #[test]
+    fn what_nobody_pushes_gains_no_energy(
+        inertia in prop::array::uniform3(1e-4..1e-3_f64),
+        w in prop::array::uniform3(-10.0..10.0_f64),
+        coulomb in prop_oneof![Just(0.0), 1e-4..1e-2_f64],
+        viscous in prop_oneof![Just(0.0), 1e-5..1e-3_f64],
+        stiffness in 0.01..0.5_f64,
+    ) {
+        let device = RotationParameters {
+            inertia_kg_m2: Axes::from(inertia), ..RotationParameters::ideal(1.0, viscous, coulomb)
+        };
+        let body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
+        let mut body = body.among(vec![TorsionSpring::new(stiffness, 0.0, about_z(0.4)).unwrap()]).unwrap();
+        body.place(UPRIGHT, &Axes::from(w)).unwrap();
+        let energy = |body: &SimulatedRotation| body.kinetic_energy_j() + body.spring_energy_j();
+        let (begun, mut last) = (energy(&body), energy(&body));
+        for tick in 1..=300 {
+            body.read(tick * TICK_NS);
+            let now = energy(&body);
+            prop_assert!(now <= last + 1e-10 * begun, "{} {} {}", tick, last, now);
+            last = now;
+        }
+        if coulomb == 0.0 && viscous == 0.0 {
+            prop_assert!((last - begun).abs() < 1e-8 * begun);
+        } else {
+            prop_assert!(last < begun);
+        }
+    }
+
+    /// All of it turned by C moves as before, turned by C.
+    #[test]
+    fn the_base_frame_does_not_matter(
+        by in prop::array::uniform3(-2.0..2.0_f64),
+        w in prop::array::uniform3(-10.0..10.0_f64),
+        torque in prop::array::uniform3(-0.01..0.01_f64),
+    ) {
+        let by = UnitQuaternion::from_scaled_axis(Axes::<3>::from(by));
+        let wxyz = |of: UnitQuaternion<f64>| [of.w, of.i, of.j, of.k];
+        let run = |frame: UnitQuaternion<f64>| {
+            let device = RotationParameters {
+                inertia_kg_m2: Axes::<3>::new(1e-4, 3e-4, 2e-4), ..RotationParameters::ideal(1.0, 1e-4, 1e-4)
+            };
+            let hand = RotationHand::new(&RotationHandParameters {
+                stiffness: 0.05, damping: 1e-4, strength_n_m: None, start_wxyz: wxyz(frame), legs: Vec::new(),
+                release: None,
+            }).unwrap();
+            let mut body = SimulatedRotation::new(device, hand, 0).unwrap();
+            body.place(wxyz(frame), &(frame * Axes::<3>::from(w))).unwrap();
+            body.write(&(frame * Axes::<3>::from(torque)));
+            body.read(100 * TICK_NS);
+            (*body.orientation(), body.angular_velocity(), body.hand_torque())
+        };
+        let (straight, turned) = (run(UnitQuaternion::identity()), run(by));
+        prop_assert!(((by * straight.0).inverse() * turned.0).angle() < 1e-10);
+        prop_assert!((by * straight.1 - turned.1).norm() < 1e-8);
+        prop_assert!((by * straight.2 - turned.2).norm() < 1e-10);
+    }
+}
