@@ -15,17 +15,53 @@ pub enum Signal {
     GraspForce,
     /// Force of the environment on the slave's tool, `F_e`.
     EnvironmentForce,
+    /// Device orientation R.
+    Orientation,
+    /// Angular velocity w of the device.
+    AngularVelocity,
+    /// Torque requested by the remote side.
+    RenderedTorque,
+    /// Estimated grasp torque.
+    GraspTorque,
+    /// Torque of the environment on the slave's tool.
+    EnvironmentTorque,
 }
 
 impl Signal {
+    const ALL: [Self; 10] = [
+        Self::Position,
+        Self::Velocity,
+        Self::RenderedForce,
+        Self::GraspForce,
+        Self::EnvironmentForce,
+        Self::Orientation,
+        Self::AngularVelocity,
+        Self::RenderedTorque,
+        Self::GraspTorque,
+        Self::EnvironmentTorque,
+    ];
+
+    /// The same of a rotation, by the same number: rad/s for m/s, N m for N.
+    pub(crate) const fn of_rotation(self) -> Self {
+        match self {
+            Self::Position | Self::Orientation => Self::Orientation,
+            Self::Velocity | Self::AngularVelocity => Self::AngularVelocity,
+            Self::RenderedForce | Self::RenderedTorque => Self::RenderedTorque,
+            Self::GraspForce | Self::GraspTorque => Self::GraspTorque,
+            Self::EnvironmentForce | Self::EnvironmentTorque => Self::EnvironmentTorque,
+        }
+    }
+
     /// Largest magnitude per axis, in SI, that is taken for a measurement rather than for a broken source.
     ///
     /// Chosen two orders of magnitude above any desktop haptic device (0.5 m, 5 m/s, 40 N) and leader arm
-    /// (6 rad, 30 rad/s), so that no true sample is refused.
+    /// (6 rad, 30 rad/s), so that no true sample is refused. Of an orientation it is how far the norm of its quaternion
+    /// may lie from 1.
     pub const fn bound(self) -> f64 {
         match self {
-            Self::Position | Self::Velocity => 1e3,
-            Self::RenderedForce | Self::GraspForce | Self::EnvironmentForce => 1e4,
+            Self::Position | Self::Velocity | Self::AngularVelocity => 1e3,
+            Self::Orientation => 1e-9,
+            _ => 1e4,
         }
     }
 
@@ -37,6 +73,11 @@ impl Signal {
             Self::RenderedForce => "rendered force",
             Self::GraspForce => "grasp force",
             Self::EnvironmentForce => "environment force",
+            Self::Orientation => "orientation",
+            Self::AngularVelocity => "angular velocity",
+            Self::RenderedTorque => "rendered torque",
+            Self::GraspTorque => "grasp torque",
+            Self::EnvironmentTorque => "environment torque",
         }
     }
 
@@ -45,6 +86,17 @@ impl Signal {
             Self::Position => "m",
             Self::Velocity => "m/s",
             Self::RenderedForce | Self::GraspForce | Self::EnvironmentForce => "N",
+            Self::AngularVelocity => "rad/s",
+            Self::RenderedTorque | Self::GraspTorque | Self::EnvironmentTorque => "N m",
+            Self::Orientation => "",
+        }
+    }
+
+    /// What is wrong with a finite one.
+    fn out_of_range(self) -> String {
+        match self {
+            Self::Orientation => "orientation is no unit quaternion: its norm is not 1 to 1e-9".to_owned(),
+            _ => format!("{} exceeds {} {}", self.name(), self.bound(), self.unit()),
         }
     }
 
@@ -69,7 +121,7 @@ pub enum Fault {
     #[error("{} is not a finite number", .0.name())]
     NotFinite(Signal),
     /// A sample was finite and absurd.
-    #[error("{} exceeds {} {}", .0.name(), .0.bound(), .0.unit())]
+    #[error("{}", .0.out_of_range())]
     OutOfRange(Signal),
     /// What drives the device has failed, or says that the device has.
     #[error("the device failed")]
@@ -80,26 +132,27 @@ impl Fault {
     /// A small number for records: 0 is reserved for "no fault".
     pub const fn code(self) -> u8 {
         match self {
-            Self::NotFinite(signal) => 1 + signal as u8,
-            Self::OutOfRange(signal) => 6 + signal as u8,
+            Self::NotFinite(signal) if signal as u8 <= Signal::EnvironmentForce as u8 => 1 + signal as u8,
+            Self::OutOfRange(signal) if signal as u8 <= Signal::EnvironmentForce as u8 => 6 + signal as u8,
             Self::Device => 11,
+            Self::NotFinite(signal) => 12 + signal as u8 - Signal::Orientation as u8,
+            Self::OutOfRange(signal) => 17 + signal as u8 - Signal::Orientation as u8,
         }
     }
 
     /// The fault with that [`code`](Fault::code), if there is one.
     pub fn from_code(code: u8) -> Option<Self> {
-        const SIGNALS: [Signal; 5] = [
-            Signal::Position,
-            Signal::Velocity,
-            Signal::RenderedForce,
-            Signal::GraspForce,
-            Signal::EnvironmentForce,
-        ];
-        match code {
-            1..=5 => Some(Self::NotFinite(SIGNALS[usize::from(code - 1)])),
-            6..=10 => Some(Self::OutOfRange(SIGNALS[usize::from(code - 6)])),
-            11 => Some(Self::Device),
-            _ => None,
+        let all =
+            Signal::ALL.into_iter().flat_map(|signal| [Self::NotFinite(signal), Self::OutOfRange(signal)]);
+        all.chain([Self::Device]).find(|fault| fault.code() == code)
+    }
+
+    /// The same fault of a rotation.
+    pub(crate) const fn of_rotation(self) -> Self {
+        match self {
+            Self::NotFinite(signal) => Self::NotFinite(signal.of_rotation()),
+            Self::OutOfRange(signal) => Self::OutOfRange(signal.of_rotation()),
+            Self::Device => Self::Device,
         }
     }
 }
@@ -116,13 +169,24 @@ mod tests {
         assert_eq!(bad(-1.1e4), Err(Fault::OutOfRange(Signal::RenderedForce)));
         assert_eq!(bad(-1e4), Ok(()));
         assert_eq!(Fault::OutOfRange(Signal::Velocity).to_string(), "velocity exceeds 1000 m/s");
+        let of_rotation = Fault::OutOfRange(Signal::GraspForce).of_rotation();
+        assert_eq!(of_rotation.to_string(), "grasp torque exceeds 10000 N m");
+        for signal in Signal::ALL {
+            assert_eq!(signal.of_rotation().of_rotation(), signal.of_rotation());
+        }
     }
 
     #[test]
     fn codes_are_distinct_and_reversible() {
-        for code in 1..=11 {
+        for code in 1..=21 {
             assert_eq!(Fault::from_code(code).map(Fault::code), Some(code));
         }
-        assert_eq!((Fault::from_code(0), Fault::from_code(12)), (None, None));
+        // Records and packets have these numbers.
+        assert_eq!(Fault::NotFinite(Signal::Position).code(), 1);
+        assert_eq!(Fault::OutOfRange(Signal::EnvironmentForce).code(), 10);
+        assert_eq!(Fault::Device.code(), 11);
+        assert_eq!(Fault::NotFinite(Signal::Orientation).code(), 12);
+        assert_eq!(Fault::OutOfRange(Signal::Orientation).code(), 17);
+        assert_eq!((Fault::from_code(0), Fault::from_code(22)), (None, None));
     }
 }

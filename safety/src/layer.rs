@@ -97,21 +97,29 @@ impl<const N: usize> SafetyLayer<N> {
         requested_force: &Axes<N>,
         authority: f64,
     ) -> SafetyTick<N> {
-        let checked = match self.fault {
-            Some(fault) => Err(fault),
-            None => Signal::Position
-                .check(position)
-                .and_then(|()| velocity.map_or(Ok(()), |v| Signal::Velocity.check(v)))
-                .and_then(|()| Signal::RenderedForce.check(requested_force)),
-        };
-        let perceived = checked.and_then(|()| {
-            let perceived = self.perceive(position, velocity, requested_force);
-            perceived.seen.check().map(|()| perceived)
-        });
-        match perceived {
+        match self.checked(position, velocity, requested_force, &mut PointMass) {
             Ok(perceived) => self.decide(&perceived, authority).lane(0),
             Err(fault) => self.stop(fault),
         }
+    }
+
+    /// What a tick sees, or why it sees nothing.
+    #[inline(always)]
+    pub(crate) fn checked(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        requested_force: &Axes<N>,
+        inertia: &mut impl Inertia<N>,
+    ) -> Result<Perceived<N, f64>, Fault> {
+        if let Some(fault) = self.fault {
+            return Err(fault);
+        }
+        Signal::Position.check(position)?;
+        velocity.map_or(Ok(()), |v| Signal::Velocity.check(v))?;
+        Signal::RenderedForce.check(requested_force)?;
+        let perceived = self.perceive(position, velocity, requested_force, inertia);
+        perceived.seen.check().map(|()| perceived)
     }
 
     /// A tick that was missed: the device has kept its force, and was at `position` (between two samples) by then.
@@ -119,12 +127,51 @@ impl<const N: usize> SafetyLayer<N> {
     /// Estimator and observers are carried along, so that a late loop does not read several ticks of motion as one;
     /// nothing is decided. The next [`tick`](Self::tick) refuses what is not finite.
     pub fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
-        if self.fault.is_none() && is_within(position, Signal::Position.bound()) {
-            let rendered_force = self.last_rendered;
-            let (_, seen) = self.observe(position, velocity, &rendered_force);
-            // A bad number would be met again at the tick, which names it.
-            let _ = self.controller.step(&seen);
+        if let Some(seen) = self.missed_observation(position, velocity, &mut PointMass) {
+            self.controller.respond(&seen, 1.0);
         }
+    }
+
+    /// What observers are carried along with over a missed tick. A bad number would be met again at the tick, which names
+    /// it.
+    pub(crate) fn missed_observation(
+        &mut self,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        inertia: &mut impl Inertia<N>,
+    ) -> Option<Observation<N>> {
+        if self.fault.is_some() || !is_within(position, Signal::Position.bound()) {
+            return None;
+        }
+        let rendered_force = self.last_rendered;
+        let (_, seen) = self.observe(position, velocity, &rendered_force, inertia);
+        seen.check().ok().map(|()| seen)
+    }
+
+    /// Moves the origin of the positions: the device has stood by so much in m further.
+    pub(crate) fn shift(&mut self, by: &Axes<N>) {
+        self.estimator.shift(by);
+        if let Some(kernel) = &mut self.rendered {
+            kernel.shift(by);
+        }
+    }
+
+    /// Forces that are held in other axes: those of the last tick as they were in its middle, and for the growth of the
+    /// next as they are now.
+    pub(crate) fn turn(
+        &mut self,
+        to_middle: impl Fn(&Axes<N>) -> Axes<N>,
+        to_now: impl Fn(&Axes<N>) -> Axes<N>,
+    ) {
+        self.device_force = to_middle(&self.device_force);
+        self.last_rendered = to_middle(&self.last_rendered);
+        self.rendering.turn(&to_now);
+        self.limiter.turn(&to_now);
+    }
+
+    /// Why it renders no force.
+    pub(crate) fn fault(&self) -> Option<Fault> {
+        self.fault
     }
 
     /// Renders no force from now on, until [`reset`](Self::reset): a fault that only others can see.
@@ -132,7 +179,7 @@ impl<const N: usize> SafetyLayer<N> {
         self.fault.get_or_insert(fault);
     }
 
-    fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
+    pub(crate) fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
         self.fault = Some(fault);
         self.device_force = Axes::zeros();
         self.rendering.reset();
@@ -198,7 +245,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         requested_force: &Axes<N, S>,
         authority: S,
     ) -> Advance<N, S> {
-        let perceived = self.perceive(position, velocity, requested_force);
+        let perceived = self.perceive(position, velocity, requested_force, &mut PointMass);
         self.decide(&perceived, authority)
     }
 
@@ -208,18 +255,31 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         position: &Axes<N, S>,
         velocity: Option<&Axes<N, S>>,
         requested_force: &Axes<N, S>,
+        inertia: &mut impl Inertia<N, S>,
     ) -> Perceived<N, S> {
         // The observers compare F_v with the hand. A force that the device cannot or must not render yet would look
         // like one that nobody holds, so F_v is bounded before it is observed. At V = 0 the power bound is idle.
         let rendering = self.rendering.limit(requested_force, &Axes::zeros());
-        let (motion, seen) = self.observe(position, velocity, &rendering.force);
+        let (motion, seen) = self.observe(position, velocity, &rendering.force, inertia);
         Perceived { rendering, motion, seen }
     }
 
     #[inline(always)]
-    fn decide(&mut self, perceived: &Perceived<N, S>, authority: S) -> Advance<N, S> {
+    pub(crate) fn decide(&mut self, perceived: &Perceived<N, S>, authority: S) -> Advance<N, S> {
+        let response = self.controller.respond(&perceived.seen, authority);
+        self.bound(perceived, response)
+    }
+
+    /// The observers and controllers.
+    #[inline(always)]
+    pub(crate) fn controller(&mut self) -> &mut SafetyController<N, S> {
+        &mut self.controller
+    }
+
+    /// What the device is to exert for what the controllers answer.
+    #[inline(always)]
+    pub(crate) fn bound(&mut self, perceived: &Perceived<N, S>, response: Response<N, S>) -> Advance<N, S> {
         let Perceived { rendering, motion, seen } = *perceived;
-        let response = self.controller.respond(&seen, authority);
         let rendered_force = seen.rendered_force;
         let limited = self.limiter.limit(&(rendered_force + response.safety_force), &motion.velocity);
         let delivered = limited.force - rendered_force;
@@ -245,15 +305,19 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         position: &Axes<N, S>,
         velocity: Option<&Axes<N, S>>,
         rendered_force: &Axes<N, S>,
+        inertia: &mut impl Inertia<N, S>,
     ) -> (Motion<N, S>, Observation<N, S>) {
         let motion = match velocity {
             Some(velocity) => self.measured.step(velocity),
             None => self.estimator.step(position),
         };
         let grasp_force = if self.controller.needs_grasp_force() {
-            let aligned = match velocity {
-                Some(_) => self.measured.align(&self.device_force),
-                None => self.estimator.align(&self.device_force),
+            let held = &self.device_force;
+            let aligned = if velocity.is_some() {
+                inertia.align(&motion, held, true, |force| self.measured.align(force))
+            } else {
+                let is_late = Estimator::<N, S>::has_late_velocity(&self.estimator);
+                inertia.align(&motion, held, is_late, |force| self.estimator.align(force))
             };
             self.device.grasp_force(&motion, &aligned)
         } else {
@@ -307,10 +371,41 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
 
 /// What is known before the controllers decide.
 #[derive(Clone, Copy)]
-struct Perceived<const N: usize, S: Real> {
+pub(crate) struct Perceived<const N: usize, S: Real> {
     rendering: SaturatedForce<N, S>,
     motion: Motion<N, S>,
-    seen: Observation<N, S>,
+    pub(crate) seen: Observation<N, S>,
+}
+
+/// The inertial forces of a device beside `m A`.
+pub(crate) trait Inertia<const N: usize, S: Real = f64> {
+    /// `F_device` as late as A, less the inertial forces beside `m A`.
+    ///
+    /// `kernel` is what stands between the true acceleration and A; `is_late` says that V has passed one of its own, of
+    /// which A is the difference ([`Estimator::has_late_velocity`]).
+    fn align(
+        &mut self,
+        motion: &Motion<N, S>,
+        device_force: &Axes<N, S>,
+        is_late: bool,
+        kernel: impl FnOnce(&Axes<N, S>) -> Axes<N, S>,
+    ) -> Axes<N, S>;
+}
+
+/// A point has none.
+pub(crate) struct PointMass;
+
+impl<const N: usize, S: Real> Inertia<N, S> for PointMass {
+    #[inline(always)]
+    fn align(
+        &mut self,
+        _: &Motion<N, S>,
+        device_force: &Axes<N, S>,
+        _: bool,
+        kernel: impl FnOnce(&Axes<N, S>) -> Axes<N, S>,
+    ) -> Axes<N, S> {
+        kernel(device_force)
+    }
 }
 
 /// What the safety layer saw and decided at one tick.

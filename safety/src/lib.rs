@@ -14,6 +14,8 @@ mod layer;
 mod limiter;
 pub mod observer;
 mod parameter;
+mod rotation;
+mod wrench;
 
 pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
@@ -22,6 +24,8 @@ pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
 pub use limiter::{Acted, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;
 pub use parameter::ParameterError;
+pub use rotation::{RotationLayer, RotationModel, RotationSettings};
+pub use wrench::{PoseSample, WrenchLayer, WrenchSettings, WrenchTick};
 
 /// What an observer, a controller or an estimator is called, and where it comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -22,6 +22,18 @@ pub struct LimiterSettings {
     pub ramp_in_s: f64,
 }
 
+impl LimiterSettings {
+    /// The bounds of a rotation whose handle is held at this lever r in m: torque is r F, power and time are the same.
+    #[must_use]
+    pub fn at_lever(self, lever_m: f64) -> Self {
+        Self {
+            max_force_n: self.max_force_n * lever_m,
+            max_slew_n_per_s: self.max_slew_n_per_s * lever_m,
+            ..self
+        }
+    }
+}
+
 impl Default for LimiterSettings {
     /// A PHANTOM Desktop's 7.9 N; a force that rises from zero to it in 8 ms; 20 W, above what an unprotected
     /// ejection of the paper reaches (7.8 N at 1.4 m/s is 11 W), so that the bound acts on faults only; 200 ms.
@@ -188,6 +200,11 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         });
         self.last = is_finite.if_else(|| force, Axes::zeros);
         SaturatedForce { force: self.last, norm: long, slew, power, ramp, fault: !is_finite }
+    }
+
+    /// The force of the last tick in other axes.
+    pub(crate) fn turn(&mut self, turned: impl FnOnce(&Axes<N, S>) -> Axes<N, S>) {
+        self.last = turned(&self.last);
     }
 
     /// Zero force at once, and the ramp starts anew.

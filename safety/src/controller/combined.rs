@@ -4,7 +4,9 @@ use nalgebra::{SimdBool as _, SimdValue as _, Vector3};
 
 use crate::{
     Axes, DeviceModel, Fault, Observation, ParameterError, Real,
-    controller::{Built, ControllerKind, Controllers, PerController, Tripped, cancel_and_damp, dampable},
+    controller::{
+        Built, ControllerKind, Controllers, PerController, Tripped, Verdicts, cancel_and_damp, dampable,
+    },
     lanes::{nowhere, pack},
     observer::VelocityForceForm,
     parameter::{in_range, positive},
@@ -44,6 +46,23 @@ pub struct SafetySettings {
     pub hold_off_s: f64,
     /// Time in s over which an intervention fades out; 0 returns the rendered force as a step.
     pub release_ramp_s: f64,
+}
+
+impl SafetySettings {
+    /// The thresholds of a rotation whose handle is held at this lever r in m: torque is r F, angular velocity V / r,
+    /// damping r² mu; energies and times are the same.
+    #[must_use]
+    pub fn at_lever(self, lever_m: f64) -> Self {
+        Self {
+            damping: self.damping * lever_m * lever_m,
+            velocity_threshold: self.velocity_threshold / lever_m,
+            vfc_force_threshold_n: self.vfc_force_threshold_n * lever_m,
+            grasp_floor_n: self.grasp_floor_n * lever_m,
+            hsc_force_threshold_n: self.hsc_force_threshold_n * lever_m,
+            pc_max_damping: self.pc_max_damping * lever_m * lever_m,
+            ..self
+        }
+    }
 }
 
 impl Default for SafetySettings {
@@ -156,10 +175,29 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// `F_c` for this tick, with damping in the share `authority` (0 to 1) only; nothing is checked.
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
-        let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let felt_share = self.felt_share();
-        let verdicts = self.controllers.step(seen, felt_share);
+        let verdicts = self.judge(seen);
         let is_unsafe = verdicts.is_unsafe();
+        self.answer(seen, authority, &verdicts, is_unsafe)
+    }
+
+    /// What each controller makes of this tick. An [`answer`](Self::answer) must follow.
+    #[inline(always)]
+    pub(crate) fn judge(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
+        let felt_share = self.felt_share();
+        self.controllers.step(seen, felt_share)
+    }
+
+    /// `F_c` for verdicts, where the tick is taken to be unsafe: where they say so, or also those of another device that
+    /// the same hand holds.
+    #[inline(always)]
+    pub(crate) fn answer(
+        &mut self,
+        seen: &Observation<N, S>,
+        authority: S,
+        verdicts: &Verdicts<N, S>,
+        is_unsafe: S::SimdBool,
+    ) -> Response<N, S> {
+        let (nothing, all) = (S::splat(0.0), S::splat(1.0));
         let gain = self.gain(is_unsafe);
         self.let_through = all - gain;
         let is_on = gain.simd_gt(nothing);
@@ -167,7 +205,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             || cancel_and_damp(seen, self.damping * authority) * gain,
             Axes::zeros, // not -0.0: records stay clean
         );
-        let held = is_on & !is_unsafe;
+        let held = is_on & !verdicts.is_unsafe();
         let mut response = Response {
             safety_force,
             acts: is_on,
@@ -283,7 +321,8 @@ pub struct Response<const N: usize, S: Real = f64> {
     pub acts: S::SimdBool,
     /// Where each called the tick unsafe, or adds a force of its own.
     pub tripped: PerController<S::SimdBool>,
-    /// Where no controller does now, but the minimum time on or the release ramp has not ended.
+    /// Where no controller does now, but the minimum time on or the release ramp has not ended, or the intervention is
+    /// that of another device of the same hand.
     pub held: S::SimdBool,
     /// The observers' values; NaN where the controller is not built.
     pub observed: PerController<S>,

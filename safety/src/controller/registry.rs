@@ -131,7 +131,7 @@ macro_rules! controllers {
         }
 
         /// What each makes of one tick; of one that is not built, NaN and nothing.
-        struct Verdicts<const N: usize, S: Real> {
+        pub(crate) struct Verdicts<const N: usize, S: Real> {
             $($file: Verdict<N, S>,)+
         }
 
@@ -144,7 +144,7 @@ macro_rules! controllers {
 
             /// Where any of them does.
             #[inline(always)]
-            fn is_unsafe(&self) -> S::SimdBool {
+            pub(crate) fn is_unsafe(&self) -> S::SimdBool {
                 nowhere::<S>() $(| self.$file.is_unsafe)+
             }
 

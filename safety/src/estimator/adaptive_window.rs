@@ -97,6 +97,16 @@ impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
         Axes::from_fn(|i, _| self.axes[i].align(device_force[i], &self.rule))
     }
 
+    fn shift(&mut self, by: &Axes<N>) {
+        for (axis, by) in self.axes.iter_mut().zip(by) {
+            axis.positions.iter_mut().for_each(|position| *position += by);
+        }
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        true
+    }
+
     fn reset(&mut self, position: &Axes<N>) {
         let Rule { bound, max_window, .. } = self.rule;
         self.axes = position.data.0[0].map(|x| Axis::at_rest(x, bound, max_window));
@@ -129,6 +139,16 @@ impl<const N: usize, S: Real> Estimator<N, S> for Box<[AdaptiveWindow<N>]> {
             aligned.replace(lane, estimator.align(&device_force.extract(lane)));
         }
         aligned
+    }
+
+    fn shift(&mut self, by: &Axes<N, S>) {
+        for (lane, estimator) in self.iter_mut().enumerate() {
+            estimator.shift(&by.extract(lane));
+        }
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        true
     }
 
     fn reset(&mut self, position: &Axes<N, S>) {

@@ -69,6 +69,16 @@ impl<const N: usize, S: Real> Estimator<N, S> for BackwardDifference<N, S> {
         aligned
     }
 
+    fn shift(&mut self, by: &Axes<N, S>) {
+        if let Some(position) = &mut self.previous_position {
+            *position += by;
+        }
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        true
+    }
+
     fn reset(&mut self, position: &Axes<N, S>) {
         self.previous_position = Some(*position);
         self.previous_velocity = Axes::zeros();

@@ -119,6 +119,16 @@ impl<const N: usize, S: Real> Estimator<N, S> for Kalman<N, S> {
         self.aligned_force
     }
 
+    fn shift(&mut self, by: &Axes<N, S>) {
+        if let Some(position) = &mut self.position {
+            *position += by;
+        }
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        false
+    }
+
     fn reset(&mut self, position: &Axes<N, S>) {
         self.position = Some(*position);
         self.velocity = Axes::zeros();

@@ -83,6 +83,14 @@ impl<const N: usize, S: Real> Estimator<N, S> for LowPass<N, S> {
         self.aligned_force
     }
 
+    fn shift(&mut self, by: &Axes<N, S>) {
+        self.difference.shift(by);
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        true
+    }
+
     fn reset(&mut self, position: &Axes<N, S>) {
         self.difference.reset(position);
         self.velocity = Axes::zeros();

@@ -84,6 +84,14 @@ macro_rules! estimators {
                 match self { $(Self::$kind(estimator) => estimator.align(device_force),)+ }
             }
 
+            fn shift(&mut self, by: &Axes<N, S>) {
+                match self { $(Self::$kind(estimator) => estimator.shift(by),)+ }
+            }
+
+            fn has_late_velocity(&self) -> bool {
+                match self { $(Self::$kind(estimator) => Estimator::<N, S>::has_late_velocity(estimator),)+ }
+            }
+
             fn reset(&mut self, position: &Axes<N, S>) {
                 match self { $(Self::$kind(estimator) => estimator.reset(position),)+ }
             }
@@ -167,6 +175,13 @@ pub trait Estimator<const N: usize, S: Real = f64>: Sized {
     /// force from m A, so the force must be the same mean, or every step of the device force would look like a hand.
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S>;
 
+    /// Moves the origin: all past positions were by so much in m further. V and A of the next positions, given from
+    /// the new origin, are what they would have been, but for rounding.
+    fn shift(&mut self, by: &Axes<N, S>);
+
+    /// Whether V is a mean over past ticks as A is, which is then a difference of it; else V is of the newest position.
+    fn has_late_velocity(&self) -> bool;
+
     /// Clears the past: the device has been at rest at `position`, without force.
     fn reset(&mut self, position: &Axes<N, S>);
 }
@@ -186,6 +201,14 @@ impl<const N: usize, S: Real, T: Estimator<N, S, One: Clone>> Estimator<N, S> fo
     #[inline(always)]
     fn align(&mut self, device_force: &Axes<N, S>) -> Axes<N, S> {
         T::align(self, device_force)
+    }
+
+    fn shift(&mut self, by: &Axes<N, S>) {
+        T::shift(self, by);
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        T::has_late_velocity(self)
     }
 
     fn reset(&mut self, position: &Axes<N, S>) {

@@ -111,6 +111,14 @@ impl<const N: usize, S: Real> Estimator<N, S> for SavitzkyGolay<N, S> {
         weighted.fold(Axes::zeros(), |sum, (force, g)| sum + force * S::splat(*g))
     }
 
+    fn shift(&mut self, by: &Axes<N, S>) {
+        self.positions.shift(by);
+    }
+
+    fn has_late_velocity(&self) -> bool {
+        false
+    }
+
     fn reset(&mut self, position: &Axes<N, S>) {
         self.positions.fill(position);
         self.forces.fill(&Axes::zeros());
@@ -196,6 +204,10 @@ impl<const N: usize, S: Real> Ring<N, S> {
     /// Makes every sample equal to `sample`.
     fn fill(&mut self, sample: &Axes<N, S>) {
         self.samples.fill(*sample);
+    }
+
+    fn shift(&mut self, by: &Axes<N, S>) {
+        self.samples.iter_mut().for_each(|sample| *sample += by);
     }
 
     /// Puts `sample` in the place of the oldest.

@@ -1,0 +1,171 @@
+//! The safety of a hand that moves and turns: a translation and a rotation that trip together.
+
+use nalgebra::UnitQuaternion;
+
+use crate::{
+    Axes, Fault, LayerSettings, ParameterError, SafetyLayer, SafetyTick,
+    rotation::{RotationLayer, RotationSettings, check, in_base},
+};
+
+#[cfg(test)]
+mod tests;
+
+/// How the safety layer of a pose is built.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WrenchSettings {
+    /// The layer of forces.
+    pub translation: LayerSettings<3>,
+    /// The layer of torques, with thresholds of its own.
+    pub rotation: RotationSettings,
+    /// Whether a trip of one acts on both.
+    pub shares_trips: bool,
+}
+
+/// What a device measures of its pose at one tick, in the base frame about the tool point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseSample {
+    /// x in m.
+    pub position: Axes<3>,
+    /// R, `base_from_body`.
+    pub orientation: UnitQuaternion<f64>,
+    /// V in m/s, if the device measures it (at every tick or at none).
+    pub velocity: Option<Axes<3>>,
+    /// w in rad/s, if the device measures it (at every tick or at none).
+    pub angular_velocity: Option<Axes<3>>,
+}
+
+/// What the safety layer saw and decided of force and torque at one tick, in the base frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WrenchTick {
+    /// Of the force, in N, m/s and m/s².
+    pub translation: SafetyTick<3>,
+    /// Of the torque, in N m, rad/s and rad/s².
+    pub rotation: SafetyTick<3>,
+}
+
+/// A layer of forces and a layer of torques on one hand.
+///
+/// Each watches, answers and bounds in its own unit. While trips are shared, a tick that one calls unsafe is unsafe for
+/// both, so that both cancel, hold off and fade together, by times that must be the same; the one that did not trip
+/// says [`Tripped::HELD`](crate::controller::Tripped::HELD). The force of PC is no intervention and stays with its layer.
+/// A fault of one stops both, whatever is shared.
+#[derive(Clone, Debug)]
+pub struct WrenchLayer {
+    translation: SafetyLayer<3>,
+    rotation: RotationLayer,
+    shares_trips: bool,
+}
+
+impl WrenchLayer {
+    /// A layer for a device at rest, without force.
+    pub fn new(settings: &WrenchSettings) -> Result<Self, ParameterError> {
+        let WrenchSettings { translation, rotation, shares_trips } = settings;
+        same("period_s", "dT", [translation.period_s, rotation.period_s])?;
+        if *shares_trips {
+            let [of, from] = [rotation.safety, translation.safety];
+            same("hold_off_s", "time", [from.hold_off_s, of.hold_off_s])?;
+            same("release_ramp_s", "time", [from.release_ramp_s, of.release_ramp_s])?;
+        }
+        Ok(Self {
+            translation: SafetyLayer::new(translation)?,
+            rotation: RotationLayer::new(rotation)?,
+            shares_trips: *shares_trips,
+        })
+    }
+
+    /// One tick: the pose, and the force in N and torque in N m that the remote side requests.
+    ///
+    /// Numbers that either layer refuses return no force and no torque at this tick and a fault in both that stays until
+    /// [`reset`](Self::reset).
+    pub fn tick(&mut self, sample: &PoseSample, force: &Axes<3>, torque: &Axes<3>) -> WrenchTick {
+        self.tick_with_authority(sample, force, torque, 1.0)
+    }
+
+    /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
+    pub fn tick_with_authority(
+        &mut self,
+        sample: &PoseSample,
+        force: &Axes<3>,
+        torque: &Axes<3>,
+        authority: f64,
+    ) -> WrenchTick {
+        let PoseSample { position, orientation, velocity, angular_velocity } = sample;
+        let moves =
+            self.translation.checked(position, velocity.as_ref(), force, &mut crate::layer::PointMass);
+        let turns = self.rotation.checked(orientation, angular_velocity.as_ref(), torque);
+        let (moves, turns) = match (moves, turns) {
+            (Ok(moves), Ok(turns)) => (moves, turns),
+            (Err(fault), _) | (_, Err(fault)) => return self.stop(fault),
+        };
+        let (translation, rotation) = (&mut self.translation, self.rotation.layer());
+        let (translation, rotation) = if self.shares_trips {
+            let of_force = translation.controller().judge(&moves.seen);
+            let of_torque = rotation.controller().judge(&turns.seen);
+            let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
+            let response = translation.controller().answer(&moves.seen, authority, &of_force, is_unsafe);
+            let translation = translation.bound(&moves, response);
+            let response = rotation.controller().answer(&turns.seen, authority, &of_torque, is_unsafe);
+            (translation, rotation.bound(&turns, response))
+        } else {
+            (translation.decide(&moves, authority), rotation.decide(&turns, authority))
+        };
+        WrenchTick { translation: translation.lane(0), rotation: in_base(orientation, &rotation) }
+    }
+
+    /// A tick that was missed, as [`SafetyLayer::missed`].
+    pub fn missed(&mut self, sample: &PoseSample) {
+        let PoseSample { position, orientation, velocity, angular_velocity } = sample;
+        let mut point = crate::layer::PointMass;
+        let moves = self.translation.missed_observation(position, velocity.as_ref(), &mut point);
+        let turns = self.rotation.missed_observation(orientation, angular_velocity.as_ref());
+        // A bad number would be met again at the tick, which stops both.
+        let (Some(moves), Some(turns)) = (moves, turns) else { return };
+        let (translation, rotation) = (self.translation.controller(), self.rotation.layer().controller());
+        if self.shares_trips {
+            let (of_force, of_torque) = (translation.judge(&moves), rotation.judge(&turns));
+            let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
+            translation.answer(&moves, 1.0, &of_force, is_unsafe);
+            rotation.answer(&turns, 1.0, &of_torque, is_unsafe);
+        } else {
+            translation.respond(&moves, 1.0);
+            rotation.respond(&turns, 1.0);
+        }
+    }
+
+    /// Renders nothing from now on, until [`reset`](Self::reset): a fault that only others can see.
+    pub fn fail(&mut self, fault: Fault) {
+        self.translation.fail(fault);
+        self.rotation.fail(fault);
+    }
+
+    fn stop(&mut self, fault: Fault) -> WrenchTick {
+        WrenchTick { translation: self.translation.stop(fault), rotation: self.rotation.stop(fault) }
+    }
+
+    /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
+    pub fn restart(&mut self, position: &Axes<3>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
+        check(orientation)?;
+        self.translation.restart(position)?;
+        self.rotation.restart(orientation)
+    }
+
+    /// Clears a fault and the past: the device rests at this pose, and force and torque rise from zero again.
+    pub fn reset(&mut self, position: &Axes<3>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
+        check(orientation)?;
+        self.translation.reset(position)?;
+        self.rotation.reset(orientation)
+    }
+}
+
+/// Refuses a number of the rotation that must be that of the translation.
+fn same(name: &'static str, symbol: &'static str, [expected, seen]: [f64; 2]) -> Result<(), ParameterError> {
+    if expected == seen {
+        return Ok(());
+    }
+    Err(ParameterError {
+        name,
+        symbol,
+        seen,
+        allowed: "that of the translation, with which the rotation acts",
+    })
+}
