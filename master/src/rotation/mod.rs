@@ -71,6 +71,9 @@ pub struct RotationSample {
 const STEP_ANGLE: f64 = 1.0 / 256.0;
 const STEP_PHASE: f64 = 1.0 / 64.0;
 
+/// Angle in rad by which a push turns the direction of motion, and of friction, in a sub-step.
+const STEP_SWERVE: f64 = 1.0 / 16.0;
+
 /// Sub-steps of one advance; beyond them each is longer, so that a tick always ends.
 const MAX_SUB_STEPS: f64 = 4096.0;
 
@@ -98,9 +101,9 @@ struct State {
 /// of it per step of z rad (of the linear test equation); sub-steps of z <= 1/256 leave 1e-11 over 1e5 ticks of 1 ms at
 /// 30 rad/s.
 ///
-/// **Friction** at rest withstands c. A sub-step in which the motion along its first direction ends is taken to that
-/// instant, found by secants; there a body that friction can hold halts. In space, speed across that direction that is
-/// left when friction cannot hold stays.
+/// **Friction** at rest withstands c. In a sub-step in which the motion along its first direction ends, it ends at that
+/// instant, found by secants; the body sets off again where friction cannot hold it. What it has of speed across that
+/// direction by then is dropped, at most `|tau| / I` times the shortest sub-step, a 4096th of a tick.
 ///
 /// Source: Munthe-Kaas 1998, section 4; Hairer, Lubich and Wanner 2006, IV.8 and XI.3 (drift of reversible systems).
 #[derive(Clone, Debug, PartialEq)]
@@ -293,7 +296,15 @@ impl SimulatedRotation {
         let lightest = self.device.inertia_kg_m2.min();
         // A torque turns the body by tau t² / (2 I): the rate of that is sqrt(tau / I).
         let pushed = (self.held_torque.norm() / lightest).sqrt();
-        (duration * (turning / STEP_ANGLE).max(self.rate.max(pushed) / STEP_PHASE)).ceil().max(1.0)
+        let mut rate = (turning / STEP_ANGLE).max(self.rate.max(pushed) / STEP_PHASE);
+        if self.device.coulomb > 0.0 && turning > 0.0 {
+            // Of a slow body a push across the motion changes its direction, and with it that of friction.
+            let direction = self.body_angular_velocity() / turning;
+            let push = self.smooth_torque(self.time, &self.state);
+            let across = (push - direction * push.dot(&direction)).norm();
+            rate = rate.max(across / (lightest * turning * STEP_SWERVE));
+        }
+        (duration * rate).ceil().max(1.0)
     }
 
     /// Moves on by at most `duration` in s and returns by how much.
@@ -337,12 +348,8 @@ impl SimulatedRotation {
             }
         }
         let (taken, mut state) = at;
-        let across = self.body_velocity(&state);
-        let across = across - direction * across.dot(&direction);
-        let push = self.smooth_torque(self.time + taken, &state);
-        let halts = push.norm() <= coulomb || across.norm() <= 1e-9 * speed;
-        let left = if halts { Axes::zeros() } else { across };
-        state.momentum = state.orientation * self.device.inertia_kg_m2.component_mul(&left);
+        // A push that friction cannot hold sets it off again.
+        state.momentum = Axes::zeros();
         self.state = state;
         taken.max(duration * MIN_SHARE)
     }

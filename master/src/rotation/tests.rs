@@ -202,6 +202,23 @@ fn friction_at_rest_withstands_its_torque() {
     assert!((body.orientation().angle() - INERTIA * 25.0 / 0.04).abs() < 1e-12);
 }
 
+/// A slow body that is pushed back and sideways: the direction of friction goes round within a tick.
+#[test]
+fn friction_follows_a_motion_that_swerves() {
+    let after = |period_ns: u64| {
+        let device = RotationParameters::ideal(INERTIA, 0.0, 0.01);
+        let mut body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
+        body.place(UPRIGHT, &Axes::<3>::new(0.01, 0.0, 0.0)).unwrap();
+        body.write(&Axes::<3>::new(-0.02, 0.01, 0.0));
+        for n in 1..=TICK_NS / period_ns {
+            body.read(n * period_ns);
+        }
+        body.body_angular_velocity()
+    };
+    let (coarse, fine) = (after(TICK_NS), after(100));
+    assert!((coarse - fine).norm() < 1e-5 * fine.norm(), "{coarse} {fine}");
+}
+
 #[test]
 fn a_held_torque_adds_its_impulse() {
     let mut body = free([1e-4, 2e-4, 4e-4], [3.0, -2.0, 1.0]);
