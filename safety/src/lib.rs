@@ -1,9 +1,9 @@
 //! Safety observers, controllers and limits that stand between a remote push and a hand.
 //!
 //! Per tick: position -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
-//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] is that pipeline in one step. Everything is a pure state machine:
-//! no clock, no allocation after construction, no lock. All of it is written over a [`Real`]: `f64`, or lanes of
-//! several scenarios that are stepped at once.
+//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] is that pipeline in one step, [`RotationLayer`] the same of a rotation,
+//! [`WrenchLayer`] both for one hand. Everything is a pure state machine: no clock, no allocation after construction, no
+//! lock. What a point needs is written over a [`Real`]: `f64`, or lanes of several scenarios that are stepped at once.
 
 pub mod controller;
 pub mod estimator;

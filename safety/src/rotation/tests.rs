@@ -53,7 +53,8 @@ fn negated(of: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
 #[test]
 fn a_spin_of_a_hundred_turns_is_as_exact_as_its_first() {
     let (axis, speed) = (Axes::<3>::new(2.0, -1.0, 2.0) / 3.0, 30.0);
-    let step = UnitQuaternion::from_scaled_axis(axis * speed * PERIOD);
+    let (step, torque) =
+        (UnitQuaternion::from_scaled_axis(axis * speed * PERIOD), Axes::<3>::new(0.1, -0.2, 0.3));
     for kind in KINDS {
         let mut layer = RotationLayer::new(&watching([2e-4; 3], kind)).unwrap();
         let mut flipped = layer.clone();
@@ -61,11 +62,11 @@ fn a_spin_of_a_hundred_turns_is_as_exact_as_its_first() {
         let ticks = (100.0 * TAU / (speed * PERIOD)).ceil();
         let mut n = 0.0;
         while n < ticks {
-            let tick = layer.tick(&orientation, None, &Axes::zeros());
+            let tick = layer.tick(&orientation, None, &torque);
             // q and -q are the same rotation.
             let sign = if n % 7.0 < 3.0 { negated(&orientation) } else { orientation };
             let seen = |tick: SafetyTick<3>| (tick.motion, tick.grasp_force, tick.device_force, tick.fault);
-            assert_eq!(seen(flipped.tick(&sign, None, &Axes::zeros())), seen(tick), "{kind:?} {n}");
+            assert_eq!(seen(flipped.tick(&sign, None, &torque)), seen(tick), "{kind:?} {n}");
             if n > 700.0 {
                 // A sample and the sum are wrong by some 2e-15 rad; no estimator weighs them more than differences do.
                 let apart = (tick.motion.velocity - axis * speed).norm();
@@ -201,10 +202,15 @@ fn a_hand_that_holds_a_turning_handle_is_seen() {
             let orientation = UnitQuaternion::from_scaled_axis(w * (f64::from(n) * PERIOD));
             let tick = layer.tick(&orientation, estimator.is_none().then_some(&w), &torque);
             if n > 700 {
-                // The kernel of the Kalman filter is 8 ms late: |w| 8 ms of the torque's direction in the body.
-                let late = if estimator == Some(KINDS[3]) { 5.0 * 10e-3 } else { 5.0 * 1.5e-3 };
-                let apart = (tick.grasp_force + torque).norm();
-                assert!(apart < late * torque.norm(), "{estimator:?} {n}: {apart}");
+                // The torque of the middle of the last tick, of the last two, or as late as a kernel of 8 ms.
+                let ago = |ticks: f64| UnitQuaternion::from_scaled_axis(w * (ticks * PERIOD)) * torque;
+                let (expected, tolerance) = match estimator {
+                    None => (ago(0.5), 1e-12),
+                    Some(EstimatorKind::BackwardDifference {}) => ((ago(0.5) + ago(1.5)) / 2.0, 1e-11),
+                    _ => (ago(8.0), 5.0 * 4e-3 * torque.norm()),
+                };
+                let apart = (tick.grasp_force + expected).norm();
+                assert!(apart < tolerance, "{estimator:?} {n}: {apart}");
             }
         }
     }
@@ -309,10 +315,8 @@ fn a_reset_leaves_nothing_of_the_past() {
     let next = |layer: &mut RotationLayer| {
         let tick = |n: i32| {
             let turn = Axes::<3>::new(0.01, -0.02, 0.005) * f64::from(n);
-            let w = Axes::<3>::new(10.0, -20.0, 5.0);
-            layer
-                .tick(&UnitQuaternion::from_scaled_axis(turn), (n < 0).then_some(&w), &along(1, 0.3))
-                .device_force
+            let seen = layer.tick(&UnitQuaternion::from_scaled_axis(turn), None, &along(1, 0.3));
+            (seen.device_force, seen.grasp_force)
         };
         (0..60).map(tick).collect::<Vec<_>>()
     };
@@ -373,6 +377,7 @@ proptest! {
             let other = turned.tick(&(by * orientation * body_frame), measures.then_some(&w), &torque);
             for (one, two, tolerance) in [
                 (seen.motion.velocity, other.motion.velocity, 1e-9),
+                (seen.motion.acceleration, other.motion.acceleration, 1e-6),
                 (seen.grasp_force, other.grasp_force, 1e-9),
                 (seen.rendered_force, other.rendered_force, 1e-9),
             ] {
@@ -388,6 +393,8 @@ proptest! {
             }
             prop_assert_eq!(seen.intervention.tripped, other.intervention.tripped);
             prop_assert!((by * seen.device_force - other.device_force).norm() < 1e-9);
+            let of = [seen, other].map(|one| one.intervention.safety_force);
+            prop_assert!((by * of[0] - of[1]).norm() < 1e-9);
         }
     }
 

@@ -217,6 +217,12 @@ fn missed_ticks_hold_off_in_both() {
         assert_eq!(tripped[0], tripped[1]);
         assert!((force / FORCE - torque / TORQUE).abs() < 1e-12);
     }
+    for (v, w) in [(1.0, 0.0), (0.0, 16.0)] {
+        layer.reset(&Axes::zeros(), &moving(0.0, 0.0).orientation).unwrap();
+        run(&mut layer, &[RESTS; 3]);
+        layer.missed(&moving(v, w));
+        assert_eq!(run(&mut layer, &[RESTS])[0].2, [Tripped::HELD; 2], "tripped while it was late");
+    }
 }
 
 #[test]
