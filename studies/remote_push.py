@@ -97,7 +97,8 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
     after = time_s >= (release_s if release_s is not None else 0.0)
     tripped_at = time_s[after & on]
     engaged = engaged_s is not None and len(trace) > 0
-    trips = int(np.count_nonzero(begins & ~after)) if release_s is not None else 0
+    before = ~after if release_s is not None else np.ones_like(after)
+    trips = int(np.count_nonzero(begins & before))
     return PushResult(
         controller=controller,
         security="secure" if report.secure else "insecure",

@@ -77,6 +77,9 @@ def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: AN
     except (ImportError, AttributeError) as error:
         message = f"{named} = {name}: {point.value} of {_origin(point)} cannot be loaded: {error}"
         raise ValueError(message) from None
+    if not callable(make):
+        message = f"{named} = {name}: {point.value} of {_origin(point)} is no driver: must be a class or a function"
+        raise ValueError(message)
     try:
         inspect.signature(make).bind(**options)
     except TypeError as error:

@@ -21,6 +21,9 @@ else:
 
 JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
+REST_ATTEMPTS = 5
+"""How often a device whose driver has failed is brought to rest, where that fails."""
+REST_EVERY_S = 2e-3
 PROMPT_S = 0.25
 """Longest age of an acknowledgement when the loop reads it."""
 GIVE_UP_S = 1.0
@@ -130,14 +133,25 @@ def _drive(
         loop.announce_end()
     except BaseException as error:
         # Also where somebody presses Ctrl-C: first the device, then the peer.
-        with contextlib.suppress(Exception):
-            come_to_rest()
+        rests = _comes_to_rest(come_to_rest)
         if not isinstance(error, Exception):
             loop.fail(f"{type(device).__name__}: {type(error).__name__}")
             raise
-        failed = failure(device, error)
+        failed = failure(device, error, rests=rests)
         loop.fail(encodable(str(failed)))
         raise failed from error
+
+
+def _comes_to_rest(come_to_rest: Callable[[], None]) -> bool:
+    """Brings a device to rest whose driver has failed: once more if that fails, too. Whether it took it."""
+    for _ in range(REST_ATTEMPTS):
+        try:
+            come_to_rest()
+        except Exception:
+            time.sleep(REST_EVERY_S)
+        else:
+            return True
+    return False
 
 
 def _acknowledge(

@@ -104,15 +104,22 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
             device.close()
 
 
-def failure(device: "MasterDevice | SlaveDevice", error: BaseException) -> DeviceError:
-    """An exception of a driver, with the driver's name and the line of it that led there."""
+def failure(device: "MasterDevice | SlaveDevice", error: BaseException, *, rests: bool = True) -> DeviceError:
+    """An exception of a driver, with the driver's name and the line of it that led there.
+
+    Args:
+        device: What is driven.
+        error: What the driver raised.
+        rests: Whether the device was brought to rest nevertheless.
+    """
     name, kind = type(device).__name__, type(error).__name__
     try:
         text = str(error)
     except Exception:  # a driver's own class: the other side must learn of it all the same
         text = ""
     place = _place(device, error)
-    return DeviceError(f"{name}: {kind}" + (f": {text}" if text else "") + (f" ({place})" if place else ""))
+    kept = "" if rests else "KEEPS ITS LAST COMMAND, switch it off: "
+    return DeviceError(f"{name}: {kept}{kind}" + (f": {text}" if text else "") + (f" ({place})" if place else ""))
 
 
 def encodable(text: str) -> str:

@@ -194,6 +194,8 @@ def test_output_that_cannot_be_written_is_one_line_or_none(arguments: list[str])
         (["master", *NOBODY, "--release-at-s", "-5"], "release_at_s = -5: must be at least 0 s"),
         (["slave", "--insecure", "--listen", "127.0.0.1:0", "--push-force-n", "nan"], "push force = NaN"),
         (["slave", "--insecure", "--listen", "127.0.0.1:0", "--push-duration-s", "-3"], "push duration = -3"),
+        (["slave", "--insecure", "--listen", "127.0.0.1:0", "--push-force-n", "5"],
+         "push_force_n = 5: nothing pushes: give --push-at-s, or leave it out"),
     ],
 )  # fmt: skip
 def test_what_would_be_passed_over_is_refused(arguments: list[str], said: str) -> None:

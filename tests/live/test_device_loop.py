@@ -224,6 +224,33 @@ def test_a_burst_of_samples_is_held_back_to_the_period() -> None:
     assert report.ticks == 401
 
 
+@pytest.mark.parametrize(("failures", "rests"), [(1, True), (3, True), (10**6, False)])
+def test_a_device_whose_driver_fails_is_brought_to_rest_again_and_again_or_named(failures: int, rests: bool) -> None:
+    class Failing(Hand):
+        left = 0
+
+        def write(self, force: tuple[float, ...]) -> None:
+            self.left -= 1
+            if self.left >= 0:
+                message = "the bus is busy"
+                raise OSError(message)
+            super().write(force)
+
+    device = Failing(1)
+    slave = LiveSlave(ONE, listen="127.0.0.1:0", **how())
+    run = MasterRun(device, MasterLoop(ONE, peer=slave.address, **how()))
+    until(lambda: run.ticks > 20)
+    device.force = (9.9,)
+    device.left = failures
+    until(lambda: run.finished)
+    assert isinstance(run.error, DeviceError)
+    assert ("KEEPS ITS LAST COMMAND, switch it off" in str(run.error)) is not rests
+    assert device.force == ((0.0,) if rests else (9.9,))
+    run.finish()
+    slave.stop()
+    slave.finish()
+
+
 def test_ctrl_c_in_a_driver_leaves_no_force_and_tells_the_peer() -> None:
     class Interrupted(Hand):
         reads = 0
@@ -443,15 +470,16 @@ def declare(monkeypatch: pytest.MonkeyPatch, group: str, **values: str) -> None:
 
 
 def test_drivers_are_found_by_name_and_called_with_their_options(monkeypatch: pytest.MonkeyPatch) -> None:
-    declare(monkeypatch, "haptether.slaves", bench=f"{__name__}:Arm", nothing="json:loads")
+    declare(monkeypatch, "haptether.slaves", bench=f"{__name__}:Arm", nothing="json:loads", version="json:__name__")
     monkeypatch.setitem(sys.modules, __name__, sys.modules[__name__])
     arm = load_slave("bench", {"axes": 3})
     assert isinstance(arm, SlaveDevice)
     for name, options, said in (
         ("benchh", {}, "did you mean bench?"),
-        ("zzz", {}, "there is simulated, bench, nothing"),
+        ("zzz", {}, "there is simulated, bench, nothing, version"),
         ("bench", {"axis": 3}, "it takes"),
         ("bench", {}, "missing a required argument: 'axes'"),
+        ("version", {}, "is no driver: must be a class or a function"),
         ("nothing", {"s": "[]"}, "has no open, read, write, stop, close, paces"),
     ):
         with pytest.raises(ValueError, match=said):

@@ -134,6 +134,10 @@ def start_slave(
             push_force_n=command.push_force_n,
             push_duration_s=command.push_duration_s,
         )
+        for flag in ("push_force_n", "push_duration_s"):
+            if command.push_at_s is None and getattr(command, flag) != getattr(type(command), flag):
+                message = f"{flag} = {getattr(command, flag):g}: nothing pushes: give --push-at-s, or leave it out"
+                raise ValueError(message)
     assert scene.slave is not None
     if scene.slave.device == "simulated":
         return stopped.attached(LiveSlave(scene_json(scene), **arguments))

@@ -100,6 +100,12 @@ class Sweep:
         from haptether.cli.scene.simulate import shown
         from haptether.cli.shared.output import write_report
 
+        # First what was computed, then what may not be read to its end.
+        if self.out is not None:
+            result.save(self.out)
+        if self.json is not None:
+            report = {"scene": self.scene, "version": __version__, "rows": list(result.rows())}
+            write_report(self.json, report)
         shows = self._columns(result)
         rows = [row for row, _ in zip(result.rows(), range(ROWS_SHOWN), strict=False)]
         columns = {
@@ -116,11 +122,7 @@ class Sweep:
         outcomes = Counter(result.columns["outcome"].tolist())
         counts = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
         console.print(f"{len(result)} rows: {counts}")
-        if self.json is not None:
-            report = {"scene": self.scene, "version": __version__, "rows": list(result.rows())}
-            write_report(self.json, report)
         if self.out is not None:
-            result.save(self.out)
             console.print(f"rows: {self.out}")
 
     def _columns(self, result: "SweepResult") -> list[str]:
