@@ -6,6 +6,7 @@
 
 mod arm;
 mod contact;
+mod gripper;
 mod one_axis;
 mod settings;
 mod simulated;
@@ -19,6 +20,7 @@ pub use contact::law::{Contact, ContactLaw, FULL_SLIP};
 pub use contact::object::{FreeBody, Object, ObjectMotion, Shape};
 pub use contact::pusher::{PushShape, Pusher, Series};
 pub use contact::rendered::{Real, RenderedPush, RenderedWall, RenderedWalls};
+pub use gripper::{GripperCommand, GripperSample, GripperSettings, SimulatedGripper};
 pub use one_axis::Wall;
 pub use settings::{
     ArmSettings, BodySettings, ContactLawKind, ContactSettings, ControlKind, ForceSensorSettings,

@@ -4,8 +4,8 @@
 //! that a table does not have, so that a table that writer and reader describe differently cannot be misread.
 
 use crate::{
-    ArmControl, ArmModel, Axes, Contact, ContactLaw, ForceSensor, FreeBody, ModelError, Object, ObjectMotion,
-    PushShape, Pusher, Series, Shape,
+    ArmControl, ArmModel, Axes, Contact, ContactLaw, ForceSensor, FreeBody, GripperSettings, ModelError,
+    Object, ObjectMotion, PushShape, Pusher, Series, Shape,
 };
 
 /// `[slave]`: a simulated arm.
@@ -33,6 +33,8 @@ pub struct ArmSettings<const N: usize> {
     pub position: Axes<N>,
     /// Its force sensor; without it the force is exact.
     pub force_sensor: Option<ForceSensorSettings<N>>,
+    /// Its gripper; none by default.
+    pub gripper: Option<GripperSettings>,
 }
 
 impl<const N: usize> ArmSettings<N> {
