@@ -60,6 +60,8 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
         yield from _operator(scene.operator)
         if scene.slave is None and scene.operator.clutch != "auto":
             yield contradiction(("operator", "clutch"), "needs an arm to let go of: add [slave] or leave it out")
+        if scene.operator.trigger and (scene.slave is None or scene.slave.gripper is None):
+            yield contradiction(("operator", "trigger"), "leads no gripper: add [slave.gripper] or leave it out")
     if scene.slave is not None:
         yield from _slave(scene.slave, scene.run)
     for key in ("link", "coupling", "security"):
@@ -108,6 +110,14 @@ def _run(run: RunTable) -> Iterator[SceneError]:
 
 
 def _operator(table: OperatorTable) -> Iterator[SceneError]:
+    before_s = -1.0
+    for index, (at_s, position) in enumerate(table.trigger):
+        path: Path = ("operator", "trigger", index)
+        if at_s <= before_s:
+            yield wrong((*path, 0), at_s, f"above the time before it, {before_s:g}")
+        if not 0.0 <= position <= 1.0:
+            yield wrong((*path, 1), position, "0 (open) to 1 (closed)")
+        before_s = at_s
     if table.recorded is not None:
         if table.legs:
             yield contradiction(("operator", "recorded"), "stands instead of legs: give one of the two")
@@ -143,6 +153,10 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
     for key in ("stiffness", "damping"):
         if table.control != "pd" and getattr(table, key) is not None:
             yield contradiction(("slave", key), f'control = "{table.control}" has none, only "pd"')
+    gripper = table.gripper
+    if gripper is not None and gripper.object is not None and gripper.object < gripper.position:
+        allowed = f"at least [slave.gripper] position, {gripper.position:g}: the jaws meet it from outside"
+        yield wrong(("slave", "gripper", "object"), gripper.object, allowed)
 
 
 def _driver_options(scene: Scene) -> Iterator[SceneError]:
@@ -153,6 +167,10 @@ def _driver_options(scene: Scene) -> Iterator[SceneError]:
     if scene.slave is not None and scene.slave.options and scene.slave.device == SIMULATED:
         allowed = f'left out where device = "{SIMULATED}", or [slave] device must name the driver that takes them'
         yield wrong(("slave", "options"), scene.slave.options, allowed)
+    gripper = None if scene.slave is None else scene.slave.gripper
+    if gripper is not None and gripper.options and gripper.device == SIMULATED:
+        allowed = f'left out where device = "{SIMULATED}", or device must name the driver that takes them'
+        yield wrong(("slave", "gripper", "options"), gripper.options, allowed)
 
 
 UNIT_QUATERNION = 1e-6

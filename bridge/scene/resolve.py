@@ -26,6 +26,7 @@ from haptether.bridge.scene.tables.session import (
 )
 from haptether.bridge.scene.tables.slave import (
     EnvironmentTable,
+    GripperTable,
     ObjectTable,
     Plane,
     PusherTable,
@@ -41,6 +42,7 @@ PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     Scene: frozenset({"schema", "title", "shows"}),
     MasterTable: frozenset({"device", "driver", "options"}),
     SlaveTable: frozenset({"device", "options"}),
+    GripperTable: frozenset({"device", "options"}),
     SeriesTable: frozenset({"file"}),
     LimiterTable: frozenset({"enabled"}),
 }

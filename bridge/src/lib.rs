@@ -8,6 +8,7 @@ pub mod coupling;
 mod driven;
 mod endpoint;
 mod fault_text;
+mod gripper;
 pub mod ladder;
 mod lanes;
 mod link;
@@ -33,6 +34,7 @@ pub use endpoint::{
     SlaveSettings, SlaveTick,
 };
 pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
+pub use gripper::{GripperOrder, LedGripper, Trigger};
 pub use ladder::{
     Clutch, ClutchError, ClutchOperator, Diagnosis, Explanation, FlightEntry, FlightRecorder, History,
     Ladder, LadderError, LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed,

@@ -3,11 +3,11 @@
 use haptether_safety::Axes;
 
 use crate::{
-    coupling::PortEnergy,
+    coupling::{GripperState, PortEnergy},
     fault_text::TextPiece,
     path::PeerPath,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
-    wire::{Echo, Frame, MAX_FRAME, Role, WireError},
+    wire::{Echo, Frame, MAX_FRAME, Role, WireError, frame_length},
 };
 
 /// Counts of one end since it started.
@@ -78,12 +78,14 @@ pub struct PortState<const N: usize> {
     pub force: Axes<N>,
     /// What went in and out of the link.
     pub energy: PortEnergy,
+    /// Gripper or trigger; none in a session without a gripper.
+    pub gripper: Option<GripperState>,
 }
 
 impl<const N: usize> Default for PortState<N> {
     fn default() -> Self {
         let [position, velocity, force] = [Axes::zeros(); 3];
-        Self { position, velocity, force, energy: PortEnergy::default() }
+        Self { position, velocity, force, energy: PortEnergy::default(), gripper: None }
     }
 }
 
@@ -167,6 +169,8 @@ pub struct FrameLink<const N: usize> {
     arrived: u64,
     /// Missing frames of the runs before this one.
     missing_before: u64,
+    /// Whether frames have a gripper, those sent and those received.
+    has_gripper: bool,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     pub(crate) path: PeerPath,
@@ -185,6 +189,7 @@ impl<const N: usize> FrameLink<N> {
             first_sequence: 0,
             arrived: 0,
             missing_before: 0,
+            has_gripper: false,
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
             path: PeerPath::default(),
@@ -200,8 +205,7 @@ impl<const N: usize> FrameLink<N> {
     /// the lease's silence it begins a run anew. So no frame takes the link from its peer for longer than that.
     pub fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<bool, RejectReason> {
         let LinkTime { tick_ns: now_ns, by_ns } = time;
-        let frame =
-            Frame::decode(datagram, self.role.peer()).inspect_err(|_| self.statistics.refused += 1)?;
+        let frame = self.decoded(datagram).inspect_err(|_| self.statistics.refused += 1)?;
         let begins = match &self.newest {
             Some(newest) if newest.frame.run_id == frame.run_id && newest.is_near(frame.sequence, by_ns) => {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
@@ -247,6 +251,24 @@ impl<const N: usize> FrameLink<N> {
         Ok(begins)
     }
 
+    fn decoded(&self, datagram: &[u8]) -> Result<Frame<N>, WireError> {
+        let allowed = self.frame_length();
+        if datagram.len() != allowed {
+            return Err(WireError::Length { seen: datagram.len(), allowed });
+        }
+        Frame::decode(datagram, self.role.peer())
+    }
+
+    /// From here on frames have a gripper.
+    pub fn carry_gripper(&mut self) {
+        self.has_gripper = true;
+    }
+
+    /// Bytes of each frame.
+    pub fn frame_length(&self) -> usize {
+        frame_length(N, self.has_gripper)
+    }
+
     /// Places a sequence of the living run: new, late or seen before.
     fn place(&mut self, sequence: u64) -> Result<(), RejectReason> {
         // What lies before the first frame of this run is not held by its counts.
@@ -280,7 +302,7 @@ impl<const N: usize> FrameLink<N> {
         &mut self,
         time: LinkTime,
         status: Status,
-        PortState { position, velocity, force, energy }: PortState<N>,
+        PortState { position, velocity, force, energy, gripper }: PortState<N>,
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
         let sent_ns = time.by_ns;
@@ -303,6 +325,7 @@ impl<const N: usize> FrameLink<N> {
             velocity,
             force,
             energy,
+            gripper,
             ending: status.ending,
             reason: status.reason,
             fault: status.fault,

@@ -4,6 +4,7 @@ use haptether_safety::{Axes, Fault, controller::PerController};
 
 use crate::{
     endpoint::{Exchange, MasterTick, SlaveTick},
+    gripper::LedGripper,
     ladder::LadderState,
     pace::TickTime,
     plant::Truth,
@@ -55,6 +56,8 @@ pub struct MasterRecord<const N: usize> {
     pub safety_force: Axes<N>,
     /// `F_device` in N.
     pub device_force: Axes<N>,
+    /// The trigger that leads the gripper, 0 open to 1 closed; NaN where it is not known, or without a gripper.
+    pub trigger: f64,
     /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where not observed.
     pub observers: PerController<f64>,
     /// Who tripped, [`haptether_safety::controller::Tripped::bits`].
@@ -93,6 +96,7 @@ impl<const N: usize> MasterRecord<N> {
             grasp_force: zeros,
             safety_force: zeros,
             device_force: zeros,
+            trigger: f64::NAN,
             observers: PerController::repeat(f64::NAN),
             tripped: 0,
             acted: 0,
@@ -111,6 +115,7 @@ impl<const N: usize> MasterRecord<N> {
         time: TickTime,
         position: &Axes<N>,
         truth: Option<Truth<N>>,
+        trigger: Option<f64>,
         tick: &MasterTick<N>,
         snapshot: LadderSnapshot,
     ) -> Self {
@@ -130,6 +135,7 @@ impl<const N: usize> MasterRecord<N> {
             grasp_force: tick.safety.grasp_force,
             safety_force: intervention.safety_force,
             device_force: tick.safety.device_force,
+            trigger: trigger.unwrap_or(f64::NAN),
             observers: intervention.observed,
             tripped: intervention.tripped.bits(),
             acted: tick.safety.acted.bits(),
@@ -156,6 +162,14 @@ pub struct SlaveRecord<const N: usize> {
     pub command: Axes<N>,
     /// `F_e` in N.
     pub environment_force: Axes<N>,
+    /// The gripper, 0 open to 1 closed; NaN without one, as all of it.
+    pub gripper: f64,
+    /// Its last command, 0 open to 1 closed.
+    pub gripper_command: f64,
+    /// Between its jaws in N.
+    pub gripper_force: f64,
+    /// Whether something stops its jaws.
+    pub holds_object: bool,
     /// State of the ladder.
     pub state: LadderState,
     /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
@@ -185,6 +199,10 @@ impl<const N: usize> SlaveRecord<N> {
             position: zeros,
             command: zeros,
             environment_force: zeros,
+            gripper: f64::NAN,
+            gripper_command: f64::NAN,
+            gripper_force: f64::NAN,
+            holds_object: false,
             state: LadderState::Disengaged,
             reason: 0,
             peer: NO_PEER,
@@ -200,14 +218,21 @@ impl<const N: usize> SlaveRecord<N> {
     pub(crate) fn new(
         time: TickTime,
         [position, _, environment_force]: &[Axes<N>; 3],
+        gripper: Option<&LedGripper>,
         tick: &SlaveTick<N>,
         snapshot: LadderSnapshot,
     ) -> Self {
+        let state = gripper.map(LedGripper::state);
+        let (jaws, gripper_command) = (state.map(|(jaws, _)| jaws), state.and_then(|(_, command)| command));
         Self {
             time_ns: time.now_ns - time.start_ns,
             position: *position,
             command: tick.command.unwrap_or(*position),
             environment_force: *environment_force,
+            gripper: jaws.map_or(f64::NAN, |jaws| jaws.position),
+            gripper_command: gripper_command.unwrap_or(f64::NAN),
+            gripper_force: jaws.map_or(f64::NAN, |jaws| jaws.force_n),
+            holds_object: jaws.is_some_and(|jaws| jaws.holds_object),
             state: tick.state,
             reason: snapshot.reason,
             peer: snapshot.peer,

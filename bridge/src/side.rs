@@ -2,8 +2,9 @@
 
 use crate::{
     command::OperatorCommand,
-    coupling::CouplingError,
+    coupling::{CouplingError, GripperState},
     endpoint::{Exchange, MasterEndpoint, SlaveEndpoint},
+    gripper::{LedGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
     pace::TickTime,
@@ -64,12 +65,24 @@ pub struct MasterSide<P, const N: usize> {
     /// Who presses the clutch of a device that has no button.
     operator: ClutchOperator,
     button: Button,
+    /// What leads the gripper; none where the slave has none.
+    pub trigger: Option<Trigger>,
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// A side whose clutch is worked as `clutch` says, unless the device has a button.
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
-        Ok(Self { plant, endpoint, operator: ClutchOperator::new(clutch)?, button: Button::default() })
+        let operator = ClutchOperator::new(clutch)?;
+        Ok(Self { plant, endpoint, operator, button: Button::default(), trigger: None })
+    }
+
+    /// The same side with a trigger that leads the slave's gripper.
+    #[must_use]
+    pub fn with_trigger(mut self, trigger: Option<Trigger>) -> Self {
+        if trigger.is_some() {
+            self.endpoint.exchange.carry_gripper();
+        }
+        Self { trigger, ..self }
     }
 }
 
@@ -95,13 +108,22 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for MasterSide<P, N> {
             }
             None => self.operator.at(time.now_ns, ladder.state(), ladder.is_ready()),
         };
+        let mut led_to = None;
+        if let Some(trigger) = &self.trigger {
+            let state = GripperState::of_trigger(trigger.position(time.now_ns));
+            led_to = state.position;
+            self.endpoint.exchange.report_gripper(state);
+        }
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &position, velocity.as_ref(), clutch);
         let truth = self.plant.truth();
         self.plant.write(&tick.safety.device_force);
         if tick.state.is_coupled() {
             self.plant.engaged();
+            if let Some(trigger) = &mut self.trigger {
+                trigger.engaged(time.now_ns);
+            }
         }
-        MasterRecord::new(time, &position, truth, &tick, LadderSnapshot::of(self.exchange()))
+        MasterRecord::new(time, &position, truth, led_to, &tick, LadderSnapshot::of(self.exchange()))
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
@@ -146,12 +168,23 @@ pub struct SlaveSide<P, const N: usize> {
     pub endpoint: SlaveEndpoint<N>,
     /// Where the ladder stood at the last tick.
     stood: LadderState,
+    /// Its gripper, if it has one.
+    pub gripper: Option<LedGripper>,
 }
 
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     /// A side whose arm has not been commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
-        Self { plant, endpoint, stood: LadderState::Disengaged }
+        Self { plant, endpoint, stood: LadderState::Disengaged, gripper: None }
+    }
+
+    /// The same side with a gripper.
+    #[must_use]
+    pub fn with_gripper(mut self, gripper: Option<LedGripper>) -> Self {
+        if gripper.is_some() {
+            self.endpoint.exchange.carry_gripper();
+        }
+        Self { gripper, ..self }
     }
 }
 
@@ -164,6 +197,10 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for SlaveSide<P, N> {
 
     fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
         let sample = self.plant.read(time.now_ns);
+        if let Some(gripper) = &mut self.gripper {
+            let measured = gripper.read(time.now_ns);
+            self.endpoint.exchange.report_gripper(GripperState::of_gripper(&measured));
+        }
         let mut tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
         let stood = std::mem::replace(&mut self.stood, tick.state);
         let is_stopped = |state| matches!(state, LadderState::Stop | LadderState::Fault);
@@ -185,7 +222,11 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for SlaveSide<P, N> {
         if tick.state.is_coupled() {
             self.plant.engaged(time.now_ns);
         }
-        SlaveRecord::new(time, &sample, &tick, LadderSnapshot::of(self.exchange()))
+        if let Some(gripper) = &mut self.gripper {
+            let trigger = self.endpoint.exchange.peer_gripper().and_then(|state| state.position);
+            gripper.lead(time.now_ns, trigger.filter(|_| tick.state.is_coupled()));
+        }
+        SlaveRecord::new(time, &sample, self.gripper.as_ref(), &tick, LadderSnapshot::of(self.exchange()))
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {

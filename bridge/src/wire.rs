@@ -1,16 +1,16 @@
 //! The frame that master and slave exchange, byte for byte.
 //!
-//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 36` bytes, the same for every frame of a
-//! session:
+//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 36` bytes, and 24 more with a gripper, the same
+//! for every frame of a session:
 //!
 //! | offset | type | field |
 //! |---|---|---|
 //! | 0 | `[u8; 2]` | magic, `HT` |
-//! | 2 | `u8` | version, 3 |
+//! | 2 | `u8` | version, 4 |
 //! | 3 | `u8` | role of the sender: 1 master, 2 slave |
 //! | 4 | `u8` | axes N |
 //! | 5 | `u8` | state of the sender's ladder |
-//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends |
+//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends; bit 4, the state of its gripper or trigger is known; bit 5, its gripper holds something |
 //! | 8 | `u64` | run id: drawn by the sender when it starts |
 //! | 16 | `u64` | sequence, from 0, one more with each frame |
 //! | 24 | `u64` | echo: newest sequence received from the peer |
@@ -23,6 +23,7 @@
 //! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
 //! | 64 + 24 N | `f64` | energy in J that this side's plant has put into the link since its start; it never falls |
 //! | 72 + 24 N | `f64` | energy in J that this side's plant has had out of the link; it never falls |
+//! | 80 + 24 N | `[f64; 3]` | only with a gripper, and what follows 24 bytes later: position of gripper or trigger, 0 open to 1 closed; velocity in 1/s; force in N |
 //! | 80 + 24 N | `u8` | why the sender stands in its state, [`crate::Reason::code`]; 0 where it began |
 //! | 81 + 24 N | `u8` | its fault, [`haptether_safety::Fault::code`]; 0 without |
 //! | 82 + 24 N | `u8` | number of its fault's text, 1 to 255; 0 without |
@@ -31,7 +32,7 @@
 //! | 96 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
 //! A frame has one encoding: flags without a meaning are zero, and so are the fields of an echo that is not valid,
-//! those of a text that there is not, and what lies after the end of a text. Codes of reasons and faults steer nothing:
+//! those of a gripper that is not known, those of a text that there is not, and what lies after the end of a text. Codes of reasons and faults steer nothing:
 //! one that this version does not know is passed on and shown as a number.
 //!
 //! Positions are absolute, never increments: a lost frame costs what it says and nothing else.
@@ -43,18 +44,20 @@ use zerocopy::{
 };
 
 use crate::{
-    coupling::{MAX_ENERGY_J, PortEnergy},
+    coupling::{GripperState, MAX_ENERGY_J, PortEnergy},
     fault_text::{PIECE, TextPiece},
 };
 
 /// Magic bytes at the start of a frame.
 pub const MAGIC: [u8; 2] = *b"HT";
 /// Version of the frame.
-pub const VERSION: u8 = 3;
+pub const VERSION: u8 = 4;
 /// Bytes before the first axis.
 pub const HEADER: usize = 64;
 /// Bytes of the two energies.
 const ENERGIES: usize = 16;
+/// Bytes of the state of a gripper.
+const GRIPPER: usize = 24;
 /// Bytes of what a sender says of its cause.
 const CAUSE: usize = 4 + PIECE;
 /// Bytes of the checksum.
@@ -62,11 +65,12 @@ const CHECKSUM: usize = 4;
 /// Max. number of axes of a device or an arm.
 pub const MAX_AXES: usize = 7;
 /// Bytes of a frame of the largest number of axes.
-pub const MAX_FRAME: usize = frame_length(MAX_AXES);
+pub const MAX_FRAME: usize = frame_length(MAX_AXES, true);
 
-/// Bytes of a frame of `axes` axes.
-pub const fn frame_length(axes: usize) -> usize {
-    HEADER + 24 * axes + ENERGIES + CAUSE + CHECKSUM
+/// Bytes of a frame of `axes` axes, with or without a gripper.
+pub const fn frame_length(axes: usize, has_gripper: bool) -> usize {
+    let gripper = if has_gripper { GRIPPER } else { 0 };
+    HEADER + 24 * axes + ENERGIES + gripper + CAUSE + CHECKSUM
 }
 
 /// Who sent a frame.
@@ -144,6 +148,8 @@ pub struct Frame<const N: usize> {
     pub force: Axes<N>,
     /// What went in and out of the link at the sender's port.
     pub energy: PortEnergy,
+    /// Gripper or trigger; none in a session without a gripper.
+    pub gripper: Option<GripperState>,
     /// Whether this is one of the sender's last frames: it ends, in good order.
     pub ending: bool,
     /// Why the sender stands in its state, [`crate::Reason::code`]; 0 where it began.
@@ -183,7 +189,9 @@ pub enum WireError {
         allowed: usize,
     },
     /// With flags that have no meaning, or with an echo that its flag denies.
-    #[error("flags {0:#06x}: must be a sum of 1, 2, 4 and 8, and without 1 the fields of the echo zero")]
+    #[error(
+        "flags {0:#06x}: must be a sum of 1, 2, 4, 8 and with a gripper 16 and 32, and without 1 the fields of the echo zero"
+    )]
     Flags(u16),
     /// Damaged in transit.
     #[error("checksum {seen:#010x}: must be {computed:#010x}")]
@@ -203,6 +211,16 @@ pub enum WireError {
         sequence: u64,
         /// As received.
         energy: PortEnergy,
+    },
+    /// A gripper that cannot be.
+    #[error(
+        "frame {sequence}: gripper {state:?}: must be at 0 to 1, within 100 1/s and 0 to 10000 N, or all unknown"
+    )]
+    Gripper {
+        /// Of the frame.
+        sequence: u64,
+        /// As received.
+        state: GripperState,
     },
     /// A piece of a text with more than one encoding.
     #[error(
@@ -240,6 +258,9 @@ const ECHO_VALID: u16 = 1;
 const HEARS_PEER: u16 = 2;
 const CLUTCH: u16 = 4;
 const ENDING: u16 = 8;
+const GRIPPER_KNOWN: u16 = 16;
+const HOLDS_OBJECT: u16 = 32;
+
 /// Whether the sender of a frame says that it hears its peer; of bytes that were decoded.
 pub(crate) fn hears_peer(frame: &[u8]) -> bool {
     frame.get(6).is_some_and(|flags| u16::from(*flags) & HEARS_PEER != 0)
@@ -249,12 +270,16 @@ pub(crate) fn hears_peer(frame: &[u8]) -> bool {
 const NO_ECHO: Echo = Echo { run_id: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 
 impl<const N: usize> Frame<N> {
-    /// Bytes of this frame.
-    pub const LENGTH: usize = frame_length(N);
+    /// Bytes of a frame without a gripper.
+    pub const LENGTH: usize = frame_length(N, false);
+    /// Bytes of one with a gripper.
+    pub const LENGTH_WITH_GRIPPER: usize = frame_length(N, true);
 
     /// Writes the frame and returns the bytes written.
     pub fn encode<'a>(&self, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         let echo = self.echo.unwrap_or(NO_ECHO);
+        let length = frame_length(N, self.gripper.is_some());
+        let gripper = self.gripper.unwrap_or_default();
         #[allow(clippy::cast_possible_truncation)] // at most 7 axes
         let header = Header {
             magic: MAGIC,
@@ -266,7 +291,9 @@ impl<const N: usize> Frame<N> {
                 if self.echo.is_some() { ECHO_VALID } else { 0 }
                     | if self.hears_peer { HEARS_PEER } else { 0 }
                     | if self.clutch { CLUTCH } else { 0 }
-                    | if self.ending { ENDING } else { 0 },
+                    | if self.ending { ENDING } else { 0 }
+                    | if gripper.position.is_some() { GRIPPER_KNOWN } else { 0 }
+                    | if gripper.holds_object { HOLDS_OBJECT } else { 0 },
             ),
             run_id: U64::new(self.run_id),
             sequence: U64::new(self.sequence),
@@ -278,23 +305,27 @@ impl<const N: usize> Frame<N> {
         };
         buffer[..HEADER].copy_from_slice(header.as_bytes());
         let energies = [self.energy.in_j, self.energy.out_j];
-        let values = self.position.iter().chain(&self.velocity).chain(&self.force).chain(&energies);
+        let jaws = [gripper.position.unwrap_or(0.0), gripper.velocity, gripper.force_n];
+        let jaws = if self.gripper.is_some() { &jaws[..] } else { &[] };
+        let values =
+            self.position.iter().chain(&self.velocity).chain(&self.force).chain(&energies).chain(jaws);
         for (slot, value) in buffer[HEADER..].chunks_exact_mut(8).zip(values) {
             slot.copy_from_slice(&value.to_le_bytes());
         }
-        let end = Self::LENGTH - CHECKSUM;
+        let end = length - CHECKSUM;
         let TextPiece { number, index, bytes } = self.text;
         let cause = &mut buffer[end - CAUSE..end];
         cause[..4].copy_from_slice(&[self.reason, self.fault, number, index]);
         cause[4..].copy_from_slice(&bytes);
         let checksum = crc32fast::hash(&buffer[..end]);
-        buffer[end..Self::LENGTH].copy_from_slice(&checksum.to_le_bytes());
-        &buffer[..Self::LENGTH]
+        buffer[end..length].copy_from_slice(&checksum.to_le_bytes());
+        &buffer[..length]
     }
 
     /// Reads a frame from the peer of role `from`; the cheap refusals first.
     pub fn decode(bytes: &[u8], from: Role) -> Result<Self, WireError> {
-        if bytes.len() != Self::LENGTH {
+        let has_gripper = bytes.len() == Self::LENGTH_WITH_GRIPPER;
+        if bytes.len() != Self::LENGTH && !has_gripper {
             return Err(WireError::Length { seen: bytes.len(), allowed: Self::LENGTH });
         }
         let Ok((header, _)) = Header::read_from_prefix(bytes) else {
@@ -312,7 +343,7 @@ impl<const N: usize> Frame<N> {
         if usize::from(header.axes) != N {
             return Err(WireError::Axes { seen: header.axes, allowed: N });
         }
-        let (body, tail) = bytes.split_at(Self::LENGTH - CHECKSUM);
+        let (body, tail) = bytes.split_at(bytes.len() - CHECKSUM);
         let computed = crc32fast::hash(body);
         let seen = tail.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
         if seen != computed {
@@ -326,7 +357,10 @@ impl<const N: usize> Frame<N> {
             held_ns: header.echo_held_ns.get(),
         };
         let is_valid = flags & ECHO_VALID != 0;
-        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING) != 0 || !(is_valid || echo == NO_ECHO) {
+        let of_gripper = if has_gripper { GRIPPER_KNOWN | HOLDS_OBJECT } else { 0 };
+        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING | of_gripper) != 0
+            || !(is_valid || echo == NO_ECHO)
+        {
             return Err(WireError::Flags(flags));
         }
         let (numbers, cause) = body.split_at(body.len() - CAUSE);
@@ -341,13 +375,23 @@ impl<const N: usize> Frame<N> {
             let value = Axes::<N>::from_iterator(numbers(N * index));
             signal.check(&value).map_err(|fault| WireError::Value(sequence, fault)).map(|()| value)
         };
-        let mut energies = numbers(3 * N);
-        let energy = PortEnergy {
-            in_j: energies.next().unwrap_or(f64::NAN),
-            out_j: energies.next().unwrap_or(f64::NAN),
-        };
+        let mut rest = numbers(3 * N);
+        let energy =
+            PortEnergy { in_j: rest.next().unwrap_or(f64::NAN), out_j: rest.next().unwrap_or(f64::NAN) };
         if !energy.is_possible() {
             return Err(WireError::Energy { sequence, energy });
+        }
+        let gripper = has_gripper.then(|| {
+            let [position, velocity, force_n] = std::array::from_fn(|_| rest.next().unwrap_or(f64::NAN));
+            // Zero in no other way than one, so that there is one encoding.
+            let is_unknown = [position, velocity, force_n].iter().all(|value| value.to_bits() == 0);
+            let position = (flags & GRIPPER_KNOWN != 0 || !is_unknown).then_some(position);
+            GripperState { position, velocity, force_n, holds_object: flags & HOLDS_OBJECT != 0 }
+        });
+        if let Some(state) = gripper
+            .filter(|state| !state.is_possible() || state.position.is_some() != (flags & GRIPPER_KNOWN != 0))
+        {
+            return Err(WireError::Gripper { sequence, state });
         }
         let mut text = TextPiece { number: cause[2], index: cause[3], bytes: [0; PIECE] };
         text.bytes.copy_from_slice(&cause[4..]);
@@ -373,6 +417,7 @@ impl<const N: usize> Frame<N> {
                 },
             )?,
             energy,
+            gripper,
             ending: flags & ENDING != 0,
             reason: cause[0],
             fault: cause[1],
@@ -400,6 +445,7 @@ mod tests {
             velocity: Axes::<1>::new(0.25),
             force: Axes::<1>::new(2.0),
             energy: PortEnergy { in_j: 1.5, out_j: 0.25 },
+            gripper: None,
             ending: true,
             reason: 4,
             fault: 11,
@@ -413,7 +459,7 @@ mod tests {
         let mut buffer = [0; MAX_FRAME];
         let bytes = frame().encode(&mut buffer);
         let mut expected = Vec::new();
-        expected.extend_from_slice(b"HT\x03\x02\x01\x02\x0F\x00");
+        expected.extend_from_slice(b"HT\x04\x02\x01\x02\x0F\x00");
         expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
         for number in [5_u64, 3, 1_000_000, 7, 9, 11] {
             expected.extend_from_slice(&number.to_le_bytes());
@@ -427,6 +473,54 @@ mod tests {
         expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
         assert_eq!(bytes, expected);
         assert_eq!(Frame::decode(bytes, Role::Slave), Ok(frame()));
+    }
+
+    /// The gripper stands behind the energies, and lengthens every frame by 24 bytes.
+    #[test]
+    fn a_gripper_is_three_numbers_and_two_flags() {
+        let state = GripperState { position: Some(0.5), velocity: -0.25, force_n: 2.0, holds_object: true };
+        let mut buffer = [0; MAX_FRAME];
+        let without = frame().encode(&mut buffer).to_vec();
+        let framed = Frame { gripper: Some(state), ..frame() };
+        let bytes = framed.encode(&mut buffer).to_vec();
+        let mut expected = without[..104].to_vec();
+        expected[6] |= 0x30;
+        for number in [0.5_f64, -0.25, 2.0] {
+            expected.extend_from_slice(&number.to_le_bytes());
+        }
+        expected.extend_from_slice(&without[104..120]);
+        expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
+        assert_eq!(bytes, expected);
+        assert_eq!(Frame::decode(&bytes, Role::Slave), Ok(framed));
+        let resealed = |change: &dyn Fn(&mut [u8])| {
+            let mut bytes = bytes[..bytes.len() - CHECKSUM].to_vec();
+            change(&mut bytes);
+            bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+            Frame::<1>::decode(&bytes, Role::Slave)
+        };
+        let unknown = Frame { gripper: Some(GripperState::default()), ..frame() };
+        let blank = |bytes: &mut [u8]| {
+            bytes[6] &= 0x0F;
+            bytes[104..128].fill(0);
+        };
+        assert_eq!(resealed(&blank), Ok(unknown));
+        for change in [
+            &(|b: &mut [u8]| b[6] &= !0x10) as &dyn Fn(&mut [u8]),
+            &|b| b[104..112].copy_from_slice(&1.001_f64.to_le_bytes()),
+            &|b| b[104..112].copy_from_slice(&f64::NAN.to_le_bytes()),
+            &|b| b[112..120].copy_from_slice(&101.0_f64.to_le_bytes()),
+            &|b| b[120..128].copy_from_slice(&(-1.0_f64).to_le_bytes()),
+            &|b| {
+                blank(b);
+                b[6] |= 0x20;
+            },
+            &|b| {
+                blank(b);
+                b[111] = 0x80; // -0.0
+            },
+        ] {
+            assert!(matches!(resealed(change), Err(WireError::Gripper { sequence: 5, .. })));
+        }
     }
 
     #[test]
@@ -488,6 +582,7 @@ mod tests {
             echo in prop::option::of(any::<(u64, u64, u64, u64)>()),
             (state, hears_peer, clutch) in any::<(u8, bool, bool)>(),
             (ending, reason, fault, number, index) in any::<(bool, u8, u8, u8, u8)>(),
+            gripper in prop::option::of((prop::option::of(0.0..=1.0f64), -100.0..=100.0f64, 0.0..=1e4f64, any::<bool>())),
         ) {
             let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
             let frame = Frame {
@@ -495,6 +590,10 @@ mod tests {
                 echo: echo.map(|(run_id, sequence, sent_ns, held_ns)| Echo { run_id, sequence, sent_ns, held_ns }),
                 position: part(0), velocity: part(3), force: part(6),
                 energy: PortEnergy { in_j: numbers[0].abs(), out_j: numbers[1].abs() },
+                gripper: gripper.map(|(position, velocity, force_n, holds_object)| match position {
+                    Some(_) => GripperState { position, velocity, force_n, holds_object },
+                    None => GripperState::default(),
+                }),
                 ending, reason, fault,
                 text: match number {
                     0 => TextPiece::default(),

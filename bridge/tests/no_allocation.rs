@@ -7,8 +7,8 @@ use std::{
 };
 
 use haptether_bridge::{
-    Clutch, LadderSettings, LadderState, LinkTime, MasterEndpoint, MasterSettings, MasterSide, Side,
-    SlaveEndpoint, SlaveSettings, SlaveSide, TickTime,
+    Clutch, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint, MasterSettings, MasterSide,
+    Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime, Trigger,
     coupling::CommandBounds,
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     wire::{MAX_FRAME, Role},
@@ -23,7 +23,7 @@ use haptether_safety::{
     controller::{ControllerKind, SafetySettings},
     estimator::{EstimatorKind, Fit},
 };
-use haptether_slave::{ArmParameters, Pusher, SimulatedSlave, Wall};
+use haptether_slave::{ArmParameters, GripperSettings, Pusher, SimulatedSlave, Wall};
 
 thread_local! {
     /// Of this thread alone: the harness allocates in another.
@@ -85,7 +85,8 @@ fn a_tick_of_both_sides_allocates_nothing() {
             ladder: LadderSettings::default(),
         })
         .unwrap();
-        let mut master = MasterSide::new(plant, endpoint, Clutch::Once).unwrap();
+        let trigger = Trigger::simulated(&[[0.1, 0.0], [0.5, 1.0]]).unwrap();
+        let mut master = MasterSide::new(plant, endpoint, Clutch::Once).unwrap().with_trigger(Some(trigger));
         let settings = SlaveSettings {
             period_ns: MS,
             run_id: 2,
@@ -96,16 +97,19 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let pusher = Pusher::new(0.8, 0.1, 1.0, 3.0).unwrap();
         let wall = Wall::new(0.0, 100.0).unwrap();
         let plant = SimulatedSlave::new(ArmParameters::default(), wall, Some(pusher), 0.02, 0).unwrap();
-        let mut slave = SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap());
+        let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
+        let gripper = LedGripper::simulated(jaws).unwrap();
+        let mut slave =
+            SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap()).with_gripper(Some(gripper));
         let mut buffer = [0; MAX_FRAME];
-        let mut tripped = false;
+        let (mut tripped, mut holds) = (false, false);
 
         let before = allocations();
         for tick in 0..2000 {
             let now_ns = tick * MS;
             tripped |= master.tick(TickTime::at(now_ns)).tripped != 0;
             let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
-            slave.tick(TickTime::at(now_ns));
+            holds |= slave.tick(TickTime::at(now_ns)).holds_object;
             let _ = master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer));
             let _ = master.receive(LinkTime::at(now_ns), &[0; 124]);
         }
@@ -113,7 +117,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
 
         assert_eq!(allocated, 0, "{estimator:?}");
         assert!(
-            tripped && master.exchange().state() == LadderState::Engaged,
+            tripped && holds && master.exchange().state() == LadderState::Engaged,
             "the run must have done something"
         );
     }

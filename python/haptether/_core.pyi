@@ -1738,6 +1738,10 @@ class MasterTrace(_SideTicks, _ObservedTicks):
     def acted(self) -> _Bits:
         """Which bounds of the limiter acted: sum of |F| 1, slew 2, power 4, ramp-in 8."""
 
+    @property
+    def trigger(self) -> _Array:
+        """What leads the gripper, 0 (open) to 1 (closed); NaN where it is not known, or without a gripper."""
+
 @final
 class SlaveTrace(_SideTicks):
     """Ticks of a slave: each signal an array of shape `(n_ticks,)`, or `(n_ticks, axes)` for vectors of several axes."""
@@ -1757,6 +1761,22 @@ class SlaveTrace(_SideTicks):
     @property
     def limited(self) -> _Bits:
         """Which bounds acted on the remote command: speed 1, reach 2."""
+
+    @property
+    def gripper(self) -> _Array:
+        """Position of the gripper, 0 (open) to 1 (closed); NaN without one."""
+
+    @property
+    def gripper_command(self) -> _Array:
+        """Its last command, 0 (open) to 1 (closed); NaN before the first."""
+
+    @property
+    def gripper_force(self) -> _Array:
+        """Between its jaws in N; NaN without one."""
+
+    @property
+    def holds_object(self) -> _Bits:
+        """1 where something stops its jaws."""
 
 @final
 class LinkStatistics:
@@ -2271,6 +2291,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         clutch: bool | None = None,
         *,
         fault: str | None = None,
+        trigger: float | None = None,
     ) -> tuple[float, ...] | None:
         """One tick, at a sample of the device.
 
@@ -2281,6 +2302,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             velocity: V in m/s from a device that measures it, at every sample or at none.
             clutch: Whether it is pressed, from a device with a button; none without one.
             fault: What the device says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
+            trigger: What leads the slave's gripper, 0 (open) to 1 (closed); none, or another number, leaves it as it is.
 
         Returns:
             F_device in N, shape `(axes,)`; none where the run is over.
@@ -2330,6 +2352,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         force: _Sample,
         *,
         fault: str | None = None,
+        gripper: tuple[float, float, float, bool] | None = None,
     ) -> tuple[Literal["wait", "move", "stop"], tuple[float, ...], tuple[float, ...]] | None:
         """One tick, at a sample of the arm.
 
@@ -2340,6 +2363,8 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
             velocity: Of the tool in m/s.
             force: F_e in N.
             fault: What the arm says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
+            gripper: Of a scene with `[slave.gripper]`: position, 0 (open) to 1 (closed), velocity in 1/s, force in N, and
+                whether it holds something; numbers that no gripper has are sent as not known.
 
         Returns:
             What the arm is to do, and where it is to move in m and with which velocity in m/s, shape `(axes,)` each,
@@ -2350,6 +2375,10 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
             TypeError: A sample that is no number, or of another number of axes; nothing was done.
             RuntimeError: Another thread steps it.
         """
+
+    @property
+    def gripper_command(self) -> tuple[float, float, float] | None:
+        """Position, 0 (open) to 1 (closed), speed in 1/s and force in N after the last tick; none: it keeps its grip."""
 
 def ladder_reason(code: int) -> str:
     """Why the ladder stands where it does, for the codes of `MasterTrace.reason` from 1; 0 stands for no step yet.

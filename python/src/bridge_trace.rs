@@ -126,6 +126,7 @@ macro_rules! columns {
 
 columns!(MasterTrace, MasterRows, record, {
     time_s => seconds(record.time_ns),
+    trigger => record.trigger,
     velocity_force => record.observers[ControllerKind::Vfc],
     grasp => record.observers[ControllerKind::Hsc],
     windowed_energy_j => record.observers[ControllerKind::Wsc],
@@ -142,6 +143,10 @@ columns!(MasterTrace, MasterRows, record, {
 
 columns!(SlaveTrace, SlaveRows, record, {
     time_s => seconds(record.time_ns),
+    gripper => record.gripper,
+    gripper_command => record.gripper_command,
+    gripper_force => record.gripper_force,
+    holds_object => u8::from(record.holds_object),
     limited => record.limited,
     state => record.state.code(),
     reason => record.reason,

@@ -6,11 +6,13 @@ use std::{
 };
 
 use haptether_bridge::{
-    DrivenMaster, DrivenSlave, FaultText, MasterSide, OperatorCommand, Side, SlaveOrder, SlaveSide,
+    DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterSide, OperatorCommand, Side, SlaveOrder,
+    SlaveSide, Trigger,
     live::{DriverLoop, Ineffective, PacedLoop, paced_by_device},
     scene::{Timed, driven_master, driven_slave},
 };
 use haptether_safety::Axes;
+use haptether_slave::{GripperCommand, GripperSample};
 use pyo3::{
     exceptions::{PyRuntimeError, PyTypeError, PyValueError},
     prelude::*,
@@ -21,8 +23,8 @@ use crate::{
     axes::{of_axes, refuse},
     bridge_trace::{MasterRows, MasterTrace, PyLoopReport, PyRecordingReport, Rowed, SlaveRows, SlaveTrace},
     live::{
-        How, Place, Watched, constructor, finished_before, master_methods, not_begun, realtime_settings,
-        recorder_settings, security, slave_methods, watch_methods,
+        How, Place, Watched, constructor, finished_before, locked, master_methods, not_begun,
+        realtime_settings, recorder_settings, security, slave_methods, watch_methods,
     },
     scene::{live_periods, scene_axes, scene_spec},
 };
@@ -38,6 +40,7 @@ struct MasterRead<'a, 'py> {
     velocity: Option<&'a Bound<'py, PyAny>>,
     clutch: Option<bool>,
     fault: Option<&'a str>,
+    trigger: Option<f64>,
 }
 
 /// What a slave's driver has read.
@@ -46,6 +49,7 @@ struct SlaveRead<'a, 'py> {
     velocity: &'a Bound<'py, PyAny>,
     force: &'a Bound<'py, PyAny>,
     fault: Option<&'a str>,
+    gripper: Option<GripperSample>,
 }
 
 trait MasterSteps: DriverLoop + Send {
@@ -61,6 +65,7 @@ trait SlaveSteps: DriverLoop + Send {
         &mut self,
         py: Python<'py>,
         read: SlaveRead<'_, 'py>,
+        gripper: &mut GripperOrder,
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
 }
 
@@ -103,6 +108,9 @@ impl<const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>,
                 report_fault(side, read.fault);
                 let plant = &mut side.side.plant;
                 (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
+                if let Some(trigger) = &mut side.side.trigger {
+                    *trigger = Trigger::Driven(read.trigger);
+                }
             },
             |side| side.side.plant.force,
         );
@@ -115,6 +123,7 @@ impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>
         &mut self,
         py: Python<'py>,
         read: SlaveRead<'_, 'py>,
+        gripper: &mut GripperOrder,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let sample = [
             read_axes("position", read.position)?,
@@ -126,10 +135,17 @@ impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>
             |side| {
                 report_fault(side, read.fault);
                 side.side.plant.sample = sample;
+                if let (Some(jaws), Some(read)) = (&mut side.side.gripper, read.gripper) {
+                    jaws.take(read);
+                }
             },
-            |side| *side.side.plant.order(),
+            |side| {
+                let led = side.side.gripper.as_ref().map_or(GripperOrder::Hold, |jaws| *jaws.order());
+                (*side.side.plant.order(), led)
+            },
         );
-        let Some(order) = order else { return Ok(None) };
+        let Some((order, led)) = order else { return Ok(None) };
+        *gripper = led;
         let named = match order {
             SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
@@ -226,7 +242,7 @@ constructor!(MasterLoop, peer,
 
 #[pymethods]
 impl MasterLoop {
-    #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None))]
+    #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None, trigger=None))]
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -234,14 +250,17 @@ impl MasterLoop {
         velocity: Option<&Bound<'py, PyAny>>,
         clutch: Option<bool>,
         fault: Option<&str>,
+        trigger: Option<f64>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        own(&self.paced)?.step(py, MasterRead { position, velocity, clutch, fault })
+        own(&self.paced)?.step(py, MasterRead { position, velocity, clutch, fault, trigger })
     }
 }
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SlaveLoop {
     paced: Mutex<Box<dyn SlaveSteps>>,
+    /// What the gripper is to do after the last tick.
+    gripper: Mutex<GripperOrder>,
     pub(crate) watched: Watched<SlaveRows>,
 }
 
@@ -249,12 +268,12 @@ constructor!(SlaveLoop, listen, [], |py, scene, run_id, how| {
     let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
     let place = Place::of_slave(listen, live_periods(&scene)?[1], how)?;
     let (paced, watched) = prepare(py, side, place)?;
-    Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
+    Ok(Self { paced: Mutex::new(Box::new(paced)), gripper: Mutex::new(GripperOrder::Hold), watched })
 });
 
 #[pymethods]
 impl SlaveLoop {
-    #[pyo3(signature = (position, velocity, force, *, fault=None))]
+    #[pyo3(signature = (position, velocity, force, *, fault=None, gripper=None))]
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -262,8 +281,29 @@ impl SlaveLoop {
         velocity: &Bound<'py, PyAny>,
         force: &Bound<'py, PyAny>,
         fault: Option<&str>,
+        gripper: Option<(f64, f64, f64, bool)>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        own(&self.paced)?.step(py, SlaveRead { position, velocity, force, fault })
+        let gripper = gripper.map(|(position, velocity, force_n, holds_object)| GripperSample {
+            position,
+            velocity,
+            force_n,
+            holds_object,
+        });
+        let mut led = GripperOrder::Hold;
+        let order =
+            own(&self.paced)?.step(py, SlaveRead { position, velocity, force, fault, gripper }, &mut led);
+        *locked(&self.gripper) = led;
+        order
+    }
+
+    #[getter]
+    fn gripper_command(&self) -> Option<(f64, f64, f64)> {
+        match *locked(&self.gripper) {
+            GripperOrder::Hold => None,
+            GripperOrder::Move(GripperCommand { position, speed, force_n }) => {
+                Some((position, speed, force_n))
+            }
+        }
     }
 }
 

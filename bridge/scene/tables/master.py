@@ -21,6 +21,7 @@ from haptether.bridge.scene.tables.ranges import (
     SpeedPerAxis,
     StopsPerAxis,
     TremorFrequency,
+    TriggerCourse,
     Unbounded,
 )
 
@@ -157,3 +158,6 @@ class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     only at the start; or pairs of press and release times in s since the start."""
     clutch_reaction_s: Reaction = 0.5
     """From when both sides are ready after a hold to the new press of "auto", in s, 0.05 to 60."""
+    trigger: TriggerCourse = ()
+    """What leads the gripper of `[slave.gripper]`: pairs of time in s since engagement and position, 0 (open) to 1
+    (closed), with straight lines between; by default it stays open."""

@@ -69,5 +69,9 @@ AxisIndices: TypeAlias = Annotated[tuple[Annotated[int, Meta(ge=0, le=MAX_AXES -
 """Some of the axes, counted from 0."""
 ClutchTimes: TypeAlias = tuple[_times, ...]
 """Press and release times in s."""
+Opening: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
+"""Of a gripper or a trigger: 0 (open) to 1 (closed)."""
+TriggerCourse: TypeAlias = tuple[_times, ...]
+"""Pairs of a time in s and where the trigger is then."""
 Options: TypeAlias = dict[str, Any]
 """What a driver is called with: its own business, and its own errors."""

@@ -10,6 +10,7 @@ from haptether.bridge.scene.tables.ranges import (
     Duration,
     ForcePerAxis,
     NonNegative,
+    Opening,
     Options,
     PerAxis,
     PositionPerAxis,
@@ -38,6 +39,28 @@ class ForceSensorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Samples per second, 1e-3 to 1e6; by default one at each tick."""
 
 
+class GripperTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[slave.gripper]`: follows the trigger of the master while the two sides are coupled, and else keeps its grip."""
+
+    position: Opening = 0.0
+    """Where it starts, 0 (open) to 1 (closed)."""
+    speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 1.8
+    """Fastest motion of the jaws in 1/s; 1.8 is 150 mm/s of 85 mm."""
+    force_n: Annotated[float, Meta(ge=0.0, le=10_000.0)] = 40.0
+    """With which it closes on what is in between, in N."""
+    object: Opening | None = None
+    """Where the jaws of a model meet something rigid; by default nothing is in between."""
+    device: str = SIMULATED
+    """Live only: drives a real gripper, by the name of an entry point of `haptether.grippers`, such as "robotiq"; by
+    default, and in virtual time, it is the model that the rest of this table describes."""
+    options: Options = {}
+    """Live only: what the driver is called with; nothing without one."""
+
+    def __hash__(self) -> int:
+        # Options are a table of any keys, which has no hash of its own.
+        return hash(json.encode(self))
+
+
 class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[slave]`: the arm. Without this table the environment is rendered on the device itself."""
 
@@ -62,6 +85,8 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Where it starts, in m; by default where the master does."""
     force_sensor: ForceSensorTable | None = None
     """Its force sensor; by default the force is exact."""
+    gripper: GripperTable | None = None
+    """Its gripper; none by default."""
     device: str = SIMULATED
     """Live only: drives a real arm, by the name of an entry point of `haptether.slaves`, such as "ur"; by default, and
     in virtual time, the arm is the model that the rest of this table describes."""

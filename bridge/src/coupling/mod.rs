@@ -4,6 +4,7 @@ mod alignment;
 mod command;
 #[cfg(test)]
 mod drawn;
+mod gripper;
 mod orientation;
 mod position_force;
 mod rotation;
@@ -16,6 +17,7 @@ use nalgebra::SMatrix;
 pub use alignment::{Alignment, AlignmentStep};
 pub use command::{CommandBounds, Limited};
 pub(crate) use command::{bounded, decayed};
+pub use gripper::{GripperFollower, GripperState};
 pub use orientation::{MAX_NORM_ERROR, canonical, checked, is_canonical};
 pub use position_force::PositionForce;
 pub use rotation::{ANCHOR_REACH_RAD, RotationCoupling, RotationLock};

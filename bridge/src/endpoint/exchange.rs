@@ -3,6 +3,7 @@
 use haptether_safety::{Axes, Fault};
 
 use crate::{
+    coupling::GripperState,
     fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
         Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInputs,
@@ -105,6 +106,22 @@ impl<const N: usize> Exchange<N> {
             ending: false,
             peer_ended: false,
         })
+    }
+
+    /// This side has a gripper or a trigger, and its peer the other: every frame says of it what is known.
+    pub fn carry_gripper(&mut self) {
+        self.link.carry_gripper();
+        self.outgoing.gripper = Some(GripperState::default());
+    }
+
+    /// What the next frame says of gripper or trigger.
+    pub(crate) fn report_gripper(&mut self, state: GripperState) {
+        self.outgoing.gripper = Some(state);
+    }
+
+    /// What the peer's newest frame says of gripper or trigger.
+    pub fn peer_gripper(&self) -> Option<GripperState> {
+        self.link.newest().and_then(|frame| frame.gripper)
     }
 
     /// Takes a datagram; a refused one changes nothing but its counter.

@@ -126,8 +126,9 @@ impl<const N: usize> MasterEndpoint<N> {
             let energy = &mut self.exchange.outgoing.energy;
             energy.add(-safety.rendered_force.dot(&velocity), self.period_s * (missed + 1) as f64);
             let energy = *energy;
+            let gripper = self.exchange.outgoing.gripper;
             self.exchange.outgoing =
-                PortState { position: *position, velocity, force: safety.device_force, energy };
+                PortState { position: *position, velocity, force: safety.device_force, energy, gripper };
         }
         let observed = Observed::of(&safety.intervention);
         self.exchange.end_tick(now_ns, [position, &safety.device_force, &safety.rendered_force], observed);

@@ -128,7 +128,8 @@ impl<const N: usize> SlaveEndpoint<N> {
             energy.add(environment_force.dot(&command_velocity), elapsed_s);
             let energy = *energy;
             let [position, velocity, force] = [*position, *velocity, *environment_force];
-            self.exchange.outgoing = PortState { position, velocity, force, energy };
+            let gripper = self.exchange.outgoing.gripper;
+            self.exchange.outgoing = PortState { position, velocity, force, energy, gripper };
         } else {
             self.exchange.outgoing.force = Axes::zeros();
         }

@@ -21,7 +21,6 @@ use crate::{
     pace::{DevicePace, Wake},
     recorder::Recorder,
     side::Side,
-    wire::frame_length,
 };
 
 /// How a loop went, and its last states and commands, for [`LiveWatch::ended`].
@@ -45,7 +44,12 @@ pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
     security: Security,
     recorder: Option<Recorder<S::Record>>,
 ) -> Result<(LiveRun, LiveWatch, RecordReader<S::Record>), StartError> {
-    let channel = LiveChannel::start(settings.role, frame_length(N), settings.period_ns, security)?;
+    let channel = LiveChannel::start(
+        settings.role,
+        side.exchange().link().frame_length(),
+        settings.period_ns,
+        security,
+    )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
     let (channels, watch, records, shared) =
         channels(settings.ring, started_ns, socket.local_address()?, recorder);
@@ -135,7 +139,12 @@ pub fn paced_by_device<S: Side<N>, const N: usize>(
     security: Security,
     recorder: Option<Recorder<S::Record>>,
 ) -> Result<Paced<S, N>, StartError> {
-    let channel = LiveChannel::start(settings.role, frame_length(N), settings.period_ns, security)?;
+    let channel = LiveChannel::start(
+        settings.role,
+        side.exchange().link().frame_length(),
+        settings.period_ns,
+        security,
+    )?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
     let (channels, watch, records, shared) =
         channels(settings.ring, started_ns, socket.local_address()?, recorder);

@@ -110,6 +110,7 @@ fn peer_state(code: u8) -> Value<'static> {
 }
 
 const TIME: &str = "time since the run began, in ns";
+const TRIGGER: &str = "what leads the gripper, 0 open to 1 closed; null where it is not known";
 const STATE: &str = "state of the ladder";
 const REASON: &str = "why the ladder stands there; empty where it began";
 const PEER_STATE: &str = "state of the peer's ladder, by its newest frame; empty before the first";
@@ -148,6 +149,7 @@ impl<const N: usize> Recorded for MasterRecord<N> {
             ("grasp_force", "F_h in N, as estimated", Value::Axes(self.grasp_force.as_slice())),
             ("safety_force", "F_c in N", Value::Axes(self.safety_force.as_slice())),
             ("device_force", "F_device in N", Value::Axes(self.device_force.as_slice())),
+            ("trigger", TRIGGER, Value::Number(self.trigger)),
         ];
         let state = [
             ("tripped", "bits of the controllers that tripped", Value::Count(self.tripped.into())),
@@ -186,6 +188,14 @@ impl<const N: usize> Recorded for SlaveRecord<N> {
             ("position", "of the tool, in m", Value::Axes(self.position.as_slice())),
             ("command", "commanded position in m", Value::Axes(self.command.as_slice())),
             ("environment_force", "F_e in N", Value::Axes(self.environment_force.as_slice())),
+            ("gripper", "0 open to 1 closed; null without a gripper", Value::Number(self.gripper)),
+            (
+                "gripper_command",
+                "its last command; null before the first",
+                Value::Number(self.gripper_command),
+            ),
+            ("gripper_force", "between its jaws in N", Value::Number(self.gripper_force)),
+            ("holds_object", "whether something stops its jaws", Value::Flag(self.holds_object)),
             ("limited", "bits of the bounds that acted on the command", Value::Count(self.limited.into())),
             ("state", STATE, Value::Name(self.state.name())),
             ("reason", REASON, reason(self.reason)),

@@ -19,7 +19,7 @@ use super::{
     coupling::{Present, commands},
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
     record::{EventLog, Recorder, Sample, SceneRun},
-    sides::{coupled, master_endpoint, simulated_arm, slave_endpoint},
+    sides::{coupled, master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger},
     spec::{CouplingSpec, Integrator, SceneSpec, SignalsSpec},
     timed::Timed,
 };
@@ -95,7 +95,8 @@ impl<'a, const N: usize> Bilateral<'a, N> {
             scene,
             settings,
             endpoint: master_endpoint(scene, SESSIONS.0)?,
-            slave: SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?),
+            slave: SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
+                .with_gripper(simulated_gripper(scene)?),
             coupling: coupling.clone(),
             commands: commands::<N>(coupling)?,
         })
@@ -104,7 +105,8 @@ impl<'a, const N: usize> Bilateral<'a, N> {
     fn run(self, plant: impl MasterPlant<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
         let Self { scene, settings, endpoint, slave, coupling, commands } = self;
         let start = plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-        let mut master = Timed::new(MasterSide::new(plant, endpoint, clutch(scene))?, commands.clone());
+        let side = MasterSide::new(plant, endpoint, clutch(scene))?.with_trigger(trigger(scene, false)?);
+        let mut master = Timed::new(side, commands.clone());
         let mut slave = Timed::new(slave, commands.clone());
         let coupling = Present::new(&coupling, commands);
         let every = scene.record.as_ref().map_or(0, |record| record.every);
@@ -114,6 +116,7 @@ impl<'a, const N: usize> Bilateral<'a, N> {
         // Until the two engage, a release that is scheduled lies ahead.
         let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
         let mut watched = Watched {
+            has_gripper: slave.side.gripper.is_some(),
             judged,
             measures: Measures::new(&ahead, &start),
             max_distance: scene.run.diverged_position * coupling.max_position_scale().max(1.0),
@@ -195,6 +198,7 @@ fn report<const N: usize>(
 
 /// What is seen of both sides as they run.
 struct Watched<const N: usize> {
+    has_gripper: bool,
     judged: MeasureSettings,
     measures: Measures<N>,
     /// Of the arm in m, beyond which the loop has diverged.
@@ -304,6 +308,7 @@ impl<const N: usize> Watched<N> {
             ("safety_force", Sample::Vector(&record.safety_force)),
             ("device_force", Sample::Vector(&record.device_force)),
         ];
+        let trigger = self.has_gripper.then_some(("trigger", Sample::Scalar(record.trigger)));
         let observed = ControllerKind::cancelling()
             .map(|kind| (kind.observed().column, Sample::Scalar(record.observers[kind])));
         let state = [
@@ -311,7 +316,7 @@ impl<const N: usize> Watched<N> {
             ("state", Sample::Scalar(f64::from(record.state.code()))),
             ("age_s", Sample::Scalar(age_s)),
         ];
-        self.near.take(signals.into_iter().chain(observed).chain(state));
+        self.near.take(signals.into_iter().chain(observed).chain(state).chain(trigger));
         self.newest = Some(*record);
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
@@ -326,6 +331,7 @@ impl<const N: usize> Watched<N> {
         }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
         self.log.touches(time_s, touches);
+        self.log.grips(time_s, record.holds_object);
         if !self.states.iter().all(|state| state.is_coupled()) {
             // They engage anew from where both are then.
             self.anchor = None;
@@ -335,6 +341,12 @@ impl<const N: usize> Watched<N> {
             self.squares[0] += (record.position - *far - wanted).norm_squared();
             self.samples[0] += 1;
         }
+        let gripper = self.has_gripper.then_some([
+            ("gripper", Sample::Scalar(record.gripper)),
+            ("gripper_command", Sample::Scalar(record.gripper_command)),
+            ("gripper_force", Sample::Scalar(record.gripper_force)),
+            ("holds_object", Sample::Scalar(f64::from(u8::from(record.holds_object)))),
+        ]);
         self.far.take(
             [
                 ("slave_time_s", Sample::Scalar(time_s)),
@@ -343,7 +355,8 @@ impl<const N: usize> Watched<N> {
                 ("environment_force", Sample::Vector(&record.environment_force)),
                 ("slave_state", Sample::Scalar(f64::from(record.state.code()))),
             ]
-            .into_iter(),
+            .into_iter()
+            .chain(gripper.into_iter().flatten()),
         );
         ControlFlow::Continue(())
     }

@@ -137,6 +137,10 @@ impl MeasureSettings {
                 let regrips = regrasp.map_or(0.0, |regrasp| regrasp.reaction_s + regrasp.rise_s);
                 quiet_after = quiet_after.max(release.at_s + release.decay_s + regrips);
             }
+            let gripper = scene.slave.as_ref().and_then(|slave| slave.gripper.as_ref());
+            if let (Some([last_s, _]), Some(gripper)) = (operator.trigger.last(), gripper) {
+                quiet_after = quiet_after.max(last_s + 1.0 / gripper.speed);
+            }
             if operator.tremor.is_some() && (release.is_none() || operator.regrasp.is_some()) {
                 // A hand that trembles and holds is never quiet.
                 quiet_after = f64::MAX;

@@ -90,7 +90,7 @@ pub struct SceneEvent {
     /// When, in s.
     pub time_s: f64,
     /// `disengaged`, `aligning`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the
-    /// hand, `contact` and `free` of what is touched, `trip` and `recover` of the controllers, `settled`, `diverged`,
+    /// hand, `contact` and `free` of what is touched, `grip` and `drop` of the gripper, `trip` and `recover` of the controllers, `settled`, `diverged`,
     /// `coarse`, `lost` or `refused`.
     pub kind: &'static str,
     /// What more there is to say.
@@ -105,6 +105,7 @@ pub(crate) struct EventLog {
     /// Trips and contacts beyond those that are kept.
     dropped: u64,
     touches: bool,
+    grips: bool,
 }
 
 /// Largest number of events that is kept; a loop that chatters would fill the memory.
@@ -112,7 +113,7 @@ const MAX_EVENTS: usize = 10_000;
 
 impl EventLog {
     pub(crate) fn add(&mut self, time_s: f64, kind: &'static str, detail: impl Into<String>) {
-        let chatters = matches!(kind, "trip" | "recover" | "contact" | "free");
+        let chatters = matches!(kind, "trip" | "recover" | "contact" | "free" | "grip" | "drop");
         if chatters && self.events.len() >= MAX_EVENTS {
             self.dropped += 1;
         } else {
@@ -149,6 +150,15 @@ impl EventLog {
         if touches != self.touches {
             self.touches = touches;
             self.add(time_s, if touches { "contact" } else { "free" }, "");
+        }
+    }
+
+    /// Whether the gripper holds something at this tick.
+    #[inline]
+    pub(crate) fn grips(&mut self, time_s: f64, grips: bool) {
+        if grips != self.grips {
+            self.grips = grips;
+            self.add(time_s, if grips { "grip" } else { "drop" }, "");
         }
     }
 

@@ -12,8 +12,8 @@ use super::{
     timed::Timed,
 };
 use crate::{
-    DrivenMaster, DrivenSlave, MasterEndpoint, MasterPlant, MasterSettings, MasterSide, SlaveEndpoint,
-    SlaveSettings, SlaveSide,
+    DrivenMaster, DrivenSlave, LedGripper, MasterEndpoint, MasterPlant, MasterSettings, MasterSide,
+    SlaveEndpoint, SlaveSettings, SlaveSide, Trigger,
 };
 
 /// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
@@ -62,6 +62,29 @@ pub(super) fn slave_endpoint<const N: usize>(
     })?)
 }
 
+/// What leads the gripper of the scene's arm, where that has one: the operator's trigger, or that of a driver.
+pub(super) fn trigger<const N: usize>(
+    scene: &SceneSpec<N>,
+    is_driven: bool,
+) -> Result<Option<Trigger>, SceneError> {
+    if coupled(scene)?.0.gripper.is_none() {
+        return Ok(None);
+    }
+    if is_driven {
+        return Ok(Some(Trigger::Driven(None)));
+    }
+    let course = scene.operator.as_ref().map_or(&[][..], |operator| &operator.trigger);
+    let open = [[0.0, 0.0]];
+    Ok(Some(Trigger::simulated(if course.is_empty() { &open } else { course })?))
+}
+
+/// The model of the gripper of the scene's arm.
+pub(super) fn simulated_gripper<const N: usize>(
+    scene: &SceneSpec<N>,
+) -> Result<Option<LedGripper>, SceneError> {
+    Ok(coupled(scene)?.0.gripper.map(LedGripper::simulated).transpose()?)
+}
+
 /// The scene's arm in its environment.
 pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedSlave<N>, SceneError> {
     let (slave, _) = coupled(scene)?;
@@ -96,7 +119,8 @@ pub fn simulated_master<const N: usize>(
             Box::new(plant)
         }
     };
-    let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?;
+    let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
+        .with_trigger(trigger(scene, false)?);
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
@@ -109,7 +133,8 @@ pub fn simulated_slave<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
 ) -> Result<Timed<SlaveSide<SimulatedSlave<N>, N>>, SceneError> {
-    let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?);
+    let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?)
+        .with_gripper(simulated_gripper(scene)?);
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
@@ -128,7 +153,8 @@ pub fn driven_master<const N: usize>(
         DrivenMaster::default(),
         master_endpoint(scene, run_id)?,
         driven_clutch(scene, simulated_clutch)?,
-    )?;
+    )?
+    .with_trigger(trigger(scene, true)?);
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
@@ -144,6 +170,7 @@ pub fn driven_slave<const N: usize>(
     let (slave, coupling) = coupled(scene)?;
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
-    let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?);
+    let gripper = slave.gripper.map(LedGripper::driven).transpose()?;
+    let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?).with_gripper(gripper);
     Ok(Timed::new(side, commands::<N>(coupling)?))
 }

@@ -172,6 +172,8 @@ pub struct OperatorSpec<const N: usize> {
     pub clutch_times: Option<Vec<(f64, f64)>>,
     /// From when both sides are ready after a hold to the new press, in s.
     pub clutch_reaction_s: f64,
+    /// Times in s since engagement and positions of the trigger that leads the gripper.
+    pub trigger: Vec<[f64; 2]>,
 }
 
 /// What a simulated operator does with the clutch.

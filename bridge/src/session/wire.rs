@@ -375,7 +375,9 @@ mod tests {
     fn no_frame_is_as_long_as_a_handshake() {
         assert_eq!(HANDSHAKE_LENGTH, 120);
         for axes in 1..=7 {
-            assert_ne!(sealed_length(frame_length(axes)), HANDSHAKE_LENGTH);
+            for has_gripper in [false, true] {
+                assert_ne!(sealed_length(frame_length(axes, has_gripper)), HANDSHAKE_LENGTH);
+            }
         }
     }
 

@@ -22,8 +22,9 @@ pub(crate) fn check(bytes: &[u8]) {
 }
 
 fn as_axes<const N: usize>(bytes: &[u8], role: Role) {
-    assert_eq!(Frame::<N>::LENGTH, frame_length(N));
-    if bytes.len() != Frame::<N>::LENGTH {
+    assert_eq!(Frame::<N>::LENGTH, frame_length(N, false));
+    assert_eq!(Frame::<N>::LENGTH_WITH_GRIPPER, frame_length(N, true));
+    if ![Frame::<N>::LENGTH, Frame::<N>::LENGTH_WITH_GRIPPER].contains(&bytes.len()) {
         let refused = Frame::<N>::decode(bytes, role);
         assert_eq!(refused, Err(WireError::Length { seen: bytes.len(), allowed: Frame::<N>::LENGTH }));
         return;
@@ -44,6 +45,8 @@ fn decode<const N: usize>(bytes: &[u8], role: Role) -> Result<(), WireError> {
             for values in [frame.position, frame.velocity, frame.force] {
                 assert!(values.iter().all(|value| value.is_finite() && value.abs() <= 1e4), "{frame:?}");
             }
+            assert!(frame.gripper.is_none_or(|gripper| gripper.is_possible()), "{frame:?}");
+            assert_eq!(frame.gripper.is_some(), bytes.len() == Frame::<N>::LENGTH_WITH_GRIPPER);
             let mut heard = HeardText::default();
             heard.take(&frame.text);
             assert!(heard.text().as_str().chars().all(|letter| !letter.is_control()), "{frame:?}");

@@ -1,0 +1,146 @@
+//! What leads a gripper at the side of the hand, and the gripper that is led at the side of the robot.
+
+use haptether_slave::{
+    Axes, GripperCommand, GripperSample, GripperSettings, ModelError, Series, SimulatedGripper,
+};
+
+use crate::coupling::GripperFollower;
+
+/// What the hand leads the gripper with: 0 open to 1 closed.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Trigger {
+    /// An operator who moves it over time, since the two sides engaged; in between along straight lines.
+    Simulated {
+        /// Its course.
+        course: Series<1>,
+        /// When the two engaged, in ns.
+        engaged_ns: Option<u64>,
+    },
+    /// That of a device whose driver is elsewhere, as read; none from a device without one.
+    Driven(Option<f64>),
+}
+
+impl Trigger {
+    /// Times in s since engagement, increasing, with one position each.
+    pub fn simulated(course: &[[f64; 2]]) -> Result<Self, ModelError> {
+        let (times, positions): (Vec<_>, Vec<_>) = course.iter().map(|[at_s, to]| (*at_s, *to)).unzip();
+        for position in &positions {
+            let allowed = "0 (open) to 1 (closed)";
+            if !(0.0..=1.0).contains(position) {
+                return Err(ModelError { name: "operator.trigger", seen: *position, allowed });
+            }
+        }
+        let course = Series::new(times, positions.into_iter().map(Axes::<1>::new).collect())?;
+        Ok(Self::Simulated { course, engaged_ns: None })
+    }
+
+    /// Where it is at `now_ns`.
+    pub(crate) fn position(&self, now_ns: u64) -> Option<f64> {
+        match self {
+            Self::Simulated { course, engaged_ns } => {
+                let since_ns = engaged_ns.map_or(0, |engaged_ns| now_ns.saturating_sub(engaged_ns));
+                Some(course.at(since_ns as f64 * 1e-9)[0])
+            }
+            Self::Driven(position) => *position,
+        }
+    }
+
+    /// The two sides are engaged at `at_ns`.
+    pub(crate) fn engaged(&mut self, at_ns: u64) {
+        if let Self::Simulated { engaged_ns, .. } = self {
+            engaged_ns.get_or_insert(at_ns);
+        }
+    }
+}
+
+/// What a driver is to have its gripper do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum GripperOrder {
+    /// Stay, and keep the force on what it holds.
+    Hold,
+    /// Go on to a position.
+    Move(GripperCommand),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Jaws {
+    Simulated(SimulatedGripper),
+    /// As the driver has read them.
+    Driven(GripperSample),
+}
+
+/// A gripper that follows the trigger of the master while the two sides are coupled, and else keeps its grip.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LedGripper {
+    jaws: Jaws,
+    follower: GripperFollower,
+    sample: GripperSample,
+    order: GripperOrder,
+    /// When it was last led, in ns.
+    led_ns: Option<u64>,
+}
+
+impl LedGripper {
+    /// A model.
+    pub fn simulated(settings: GripperSettings) -> Result<Self, ModelError> {
+        Ok(Self::new(Jaws::Simulated(SimulatedGripper::new(settings)?), &settings))
+    }
+
+    /// One whose driver is elsewhere.
+    pub fn driven(settings: GripperSettings) -> Result<Self, ModelError> {
+        let settings = settings.checked()?;
+        let at = GripperSample { position: settings.position, ..GripperSample::default() };
+        Ok(Self::new(Jaws::Driven(at), &settings))
+    }
+
+    fn new(jaws: Jaws, settings: &GripperSettings) -> Self {
+        Self {
+            jaws,
+            follower: GripperFollower::new(settings),
+            sample: GripperSample::default(),
+            order: GripperOrder::Hold,
+            led_ns: None,
+        }
+    }
+
+    /// What its driver has read.
+    pub fn take(&mut self, read: GripperSample) {
+        if let Jaws::Driven(sample) = &mut self.jaws {
+            *sample = read;
+        }
+    }
+
+    /// What it measures at `now_ns`.
+    pub(crate) fn read(&mut self, now_ns: u64) -> GripperSample {
+        self.sample = match &mut self.jaws {
+            Jaws::Simulated(gripper) => gripper.read(now_ns),
+            Jaws::Driven(sample) => *sample,
+        };
+        self.sample
+    }
+
+    /// Follows `trigger`, 0 open to 1 closed; without one it keeps its grip.
+    pub(crate) fn lead(&mut self, now_ns: u64, trigger: Option<f64>) {
+        let elapsed_s = now_ns.saturating_sub(self.led_ns.replace(now_ns).unwrap_or(now_ns)) as f64 * 1e-9;
+        self.order = match self.follower.step(trigger, &self.sample, elapsed_s) {
+            Some(command) => GripperOrder::Move(command),
+            None => GripperOrder::Hold,
+        };
+        if let Jaws::Simulated(gripper) = &mut self.jaws {
+            match self.order {
+                GripperOrder::Move(command) => gripper.write(command),
+                GripperOrder::Hold => gripper.hold(),
+            }
+        }
+    }
+
+    /// What its driver is to do after this tick.
+    pub fn order(&self) -> &GripperOrder {
+        &self.order
+    }
+
+    /// What it measured at this tick, and the last command, 0 open to 1 closed.
+    pub fn state(&self) -> (GripperSample, Option<f64>) {
+        (self.sample, self.follower.position())
+    }
+}
