@@ -16,6 +16,8 @@ class MasterSample(NamedTuple):
     fault: str | None = None
     """What the device says is wrong with it; the force stays zero while there is something, and until the operator at
     this side acknowledges it."""
+    trigger: float | None = None
+    """What leads the slave's gripper, 0 (open) to 1 (closed); none without one: the gripper then stays as it is."""
 
 
 @runtime_checkable

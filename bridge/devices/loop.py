@@ -6,16 +6,18 @@ import gc
 import threading
 import time
 from collections.abc import Callable
+from operator import attrgetter
 from typing import TYPE_CHECKING, ClassVar
 
 from haptether._core import LoopReport, MasterLoop, MasterTrace, SlaveLoop, SlaveTrace
-from haptether.bridge.devices.open import DeviceNotes, close_once, encodable, failure, opened
+from haptether.bridge.devices.open import DeviceNotes, close_once, encodable, failure, opened, opened_gripper
 from haptether.bridge.interpreter import QUIET
+from haptether.slave import GripperCommand
 
 if TYPE_CHECKING:
     from haptether._core import _LiveSide
     from haptether.master import MasterDevice
-    from haptether.slave import SlaveDevice
+    from haptether.slave import Gripper, SlaveDevice
 else:
     _LiveSide = object
 
@@ -24,6 +26,8 @@ JOIN_S = 10.0
 REST_ATTEMPTS = 5
 """How often a device whose driver has failed is brought to rest, where that fails."""
 REST_EVERY_S = 2e-3
+JAWS = ("position", "velocity", "force_n", "holds_object", "fault")
+"""What the loop reads of a gripper."""
 PROMPT_S = 0.25
 """Longest age of an acknowledgement when the loop reads it."""
 GIVE_UP_S = 1.0
@@ -53,10 +57,10 @@ def drive_master(
 
     def step() -> bool:
         nonlocal rest
-        position, velocity, clutch, fault = device.read()
+        position, velocity, clutch, fault, trigger = device.read()
         if fault is not None:
             notes.fault = fault = encodable(fault)
-        force = loop.step(position, velocity, clutch, fault=fault)
+        force = loop.step(position, velocity, clutch, fault=fault, trigger=trigger)
         if force is None:
             return False
         device.write(force)
@@ -72,11 +76,17 @@ def drive_master(
 
 
 def drive_slave(
-    device: "SlaveDevice", loop: SlaveLoop, notes: DeviceNotes | None = None, *, period_s: float | None = None
+    device: "SlaveDevice",
+    loop: SlaveLoop,
+    notes: DeviceNotes | None = None,
+    *,
+    period_s: float | None = None,
+    gripper: "Gripper | None" = None,
 ) -> None:
-    """Runs the loop of a slave with its arm to its end; arguments as with `drive_master`.
+    """Runs the loop of a slave with its arm to its end; arguments as with `drive_master`, and the arm's `gripper`.
 
-    The arm is opened here, is stopped at the end, and closed.
+    Both are opened here and closed at the end; the arm is stopped then, and the gripper keeps its grip. A fault of the
+    gripper is one of this side.
 
     Raises:
         DeviceError: The device has another period, or the driver raised an exception: the arm was stopped, and the
@@ -85,15 +95,23 @@ def drive_slave(
     """
     notes = notes or DeviceNotes()
     before = "wait"
+    jaws = None if gripper is None else LedJaws(gripper)
 
     def step() -> bool:
         nonlocal before
         position, velocity, force, fault = device.read()
+        if jaws is None:
+            measured = None
+        else:
+            measured, wrong = jaws.read()
+            fault = wrong if fault is None else fault
         if fault is not None:
             notes.fault = fault = encodable(fault)
-        order = loop.step(position, velocity, force, fault=fault)
+        order = loop.step(position, velocity, force, fault=fault, gripper=measured)
         if order is None:
             return False
+        if jaws is not None:
+            jaws.write(loop.gripper_command)
         kind, position, velocity = order
         if kind == "move":
             device.write(position, velocity)
@@ -103,10 +121,36 @@ def drive_slave(
         return True
 
     def come_to_rest() -> None:
-        device.stop()
+        try:
+            device.stop()
+        finally:
+            if gripper is not None:
+                gripper.hold()
 
-    with opened(device, notes, "[slave] period_s", period_s):
-        _drive(device, loop, notes, step, come_to_rest)
+    with opened(device, notes, "[slave] period_s", period_s), opened_gripper(gripper):
+        _drive(device, loop, notes, step, come_to_rest, gripper=gripper)
+
+
+class LedJaws:
+    """A gripper beside an arm, as the loop reads and leads it."""
+
+    def __init__(self, gripper: "Gripper") -> None:
+        self._gripper = gripper
+        self._moves = False
+
+    def read(self) -> tuple[tuple[float, float, float, bool], str | None]:
+        """Position, velocity in 1/s, force in N, whether it holds something; and its fault."""
+        position, velocity, force_n, holds, fault = attrgetter(*JAWS)(self._gripper.read())
+        return (position, velocity, force_n, holds), None if fault is None else f"gripper: {fault}"
+
+    def write(self, command: tuple[float, float, float] | None) -> None:
+        """Leads it to a position at a speed in 1/s with a force in N; once it is none, it keeps its grip."""
+        if command is not None:
+            position, speed, force_n = command
+            self._gripper.write(GripperCommand(position=position, speed=speed, force_n=force_n))
+        elif self._moves:
+            self._gripper.hold()
+        self._moves = command is not None
 
 
 def _drive(
@@ -115,6 +159,8 @@ def _drive(
     notes: DeviceNotes,
     step: Callable[[], bool],
     come_to_rest: Callable[[], None],
+    *,
+    gripper: "Gripper | None" = None,
 ) -> None:
     """Steps an open device until `step` says that the run is over; whatever ends it, the device comes to rest."""
     realtime = loop.begin()
@@ -124,7 +170,7 @@ def _drive(
     try:
         while True:
             if notes.acknowledged_s is not None:
-                _acknowledge(device, loop, notes, notes.acknowledged_s)
+                _acknowledge(device, loop, notes, notes.acknowledged_s, gripper)
             if not step():
                 break
             if wait is not None:
@@ -143,7 +189,7 @@ def _drive(
 
 
 def _comes_to_rest(come_to_rest: Callable[[], None]) -> bool:
-    """Brings a device to rest whose driver has failed: once more if that fails, too. Whether it took it."""
+    """Brings a device to rest whose driver has failed, again where that fails, too; returns whether it took it."""
     for _ in range(REST_ATTEMPTS):
         try:
             come_to_rest()
@@ -155,14 +201,19 @@ def _comes_to_rest(come_to_rest: Callable[[], None]) -> bool:
 
 
 def _acknowledge(
-    device: "MasterDevice | SlaveDevice", loop: MasterLoop | SlaveLoop, notes: DeviceNotes, acknowledged_s: float
+    device: "MasterDevice | SlaveDevice",
+    loop: MasterLoop | SlaveLoop,
+    notes: DeviceNotes,
+    acknowledged_s: float,
+    gripper: "Gripper | None",
 ) -> None:
     notes.acknowledged_s = None
     if time.monotonic() - acknowledged_s > PROMPT_S:
         return
     notes.fault = None
-    if (mend := getattr(device, "acknowledge", None)) is not None:
-        mend()
+    for mended in (device, gripper):
+        if (mend := getattr(mended, "acknowledge", None)) is not None:
+            mend()
     # A loop that has ended meanwhile has nothing to acknowledge.
     with contextlib.suppress(RuntimeError):
         loop.acknowledge()
@@ -301,10 +352,19 @@ class MasterRun(DeviceRun):
 
 
 class SlaveRun(DeviceRun):
-    """A slave with its arm on a thread of its own; `period_s` as with `drive_slave`."""
+    """A slave with its arm on a thread of its own; `period_s` and `gripper` as with `drive_slave`."""
 
-    def __init__(self, device: "SlaveDevice", loop: SlaveLoop, *, period_s: float | None = None) -> None:
-        super().__init__(device, loop, lambda notes: drive_slave(device, loop, notes, period_s=period_s))
+    def __init__(
+        self,
+        device: "SlaveDevice",
+        loop: SlaveLoop,
+        *,
+        period_s: float | None = None,
+        gripper: "Gripper | None" = None,
+    ) -> None:
+        super().__init__(
+            device, loop, lambda notes: drive_slave(device, loop, notes, period_s=period_s, gripper=gripper)
+        )
         self._slave = loop
 
     def allow_takeover(self) -> None:

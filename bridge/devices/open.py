@@ -14,7 +14,7 @@ from haptether.bridge.interpreter import QUIET
 
 if TYPE_CHECKING:
     from haptether.master import MasterDevice
-    from haptether.slave import SlaveDevice
+    from haptether.slave import Gripper, SlaveDevice
 
 PERIOD_SHARE = 0.01
 """How far the period of a device may be from that of its loop; no clock of one is off by as much."""
@@ -80,6 +80,27 @@ def opened(
         close_once(device, notes)
 
 
+@contextlib.contextmanager
+def opened_gripper(gripper: "Gripper | None") -> Iterator[None]:
+    """Within it the gripper is open, if there is one; whatever ends it, the gripper keeps its grip.
+
+    Raises:
+        DeviceError: It could not be opened.
+    """
+    if gripper is None:
+        yield
+        return
+    try:
+        gripper.open()
+    except Exception as error:
+        raise failure(gripper, error) from error
+    try:
+        yield
+    finally:
+        with contextlib.suppress(Exception):
+            gripper.close()
+
+
 def _check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
     """Refuses a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
 
@@ -104,7 +125,7 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
             device.close()
 
 
-def failure(device: "MasterDevice | SlaveDevice", error: BaseException, *, rests: bool = True) -> DeviceError:
+def failure(device: "MasterDevice | SlaveDevice | Gripper", error: BaseException, *, rests: bool = True) -> DeviceError:
     """An exception of a driver, with the driver's name and the line of it that led there.
 
     Args:
@@ -127,7 +148,7 @@ def encodable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _place(device: "MasterDevice | SlaveDevice", error: BaseException) -> str:
+def _place(device: "MasterDevice | SlaveDevice | Gripper", error: BaseException) -> str:
     """File, line and function of an exception: the innermost of the driver's own file, else of whatever it called."""
     own = getattr(sys.modules.get(type(device).__module__), "__file__", None)
     steps = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]

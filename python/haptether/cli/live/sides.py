@@ -125,7 +125,7 @@ def start_slave(
     command: "Slave", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
 ) -> "LiveSlave | SlaveRun":
     """The slave of a scene, or of the command's options without one, begun; see `start_master`."""
-    from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_slave, scene_json
+    from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, load_gripper, load_slave, scene_json
 
     if scene is None:
         scene = baseline_scene(
@@ -139,13 +139,20 @@ def start_slave(
                 message = f"{flag} = {getattr(command, flag):g}: nothing pushes: give --push-at-s, or leave it out"
                 raise ValueError(message)
     assert scene.slave is not None
+    jaws = scene.slave.gripper
+    is_driven = jaws is not None and jaws.device != "simulated"
     if scene.slave.device == "simulated":
+        if jaws is not None and is_driven:
+            message = f"[slave.gripper] device = {jaws.device}: [slave] device must name the driver of its arm, too"
+            raise ValueError(message)
         return stopped.attached(LiveSlave(scene_json(scene), **arguments))
     device = load_slave(scene.slave.device, scene.slave.options)
+    gripper = load_gripper(jaws.device, jaws.options) if jaws is not None and is_driven else None
     spec = scene_json(_within(scene, device))
     period_s = scene.run.period_s if scene.slave.period_s is None else scene.slave.period_s
     loop = stopped.attached(SlaveLoop(spec, **arguments))
-    return _opened(SlaveRun(device, loop, period_s=period_s), f"[slave] device = {scene.slave.device}", stopped)
+    run = SlaveRun(device, loop, period_s=period_s, gripper=gripper)
+    return _opened(run, f"[slave] device = {scene.slave.device}", stopped)
 
 
 def started_s() -> float | None:

@@ -1,0 +1,239 @@
+"""A gripper beside a driven arm: led through both loops over sockets, by the trigger of a scene or of a device."""
+
+import math
+import secrets
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from tests.gripper.serving import served
+from tests.gripper.virtual import gripper as emulated
+from tests.ur.stalls import anew_after_stalls
+
+from haptether.bridge import (
+    DeviceError,
+    LiveMaster,
+    MasterLoop,
+    MasterRun,
+    SlaveLoop,
+    SlaveRun,
+    load_scene,
+    override_scene,
+    scene_json,
+)
+from haptether.master import MasterSample
+from haptether.slave import Gripper, GripperCommand, GripperSample, RobotiqGripper, SlaveSample
+
+pytestmark = pytest.mark.alone
+
+GRIPPING = override_scene(
+    load_scene("remote_push", ["environment.pushers=[]"]),
+    ["slave.gripper={speed = 2.0, force_n = 30.0}", "operator.trigger=[[0.1, 0.0], [0.5, 1.0]]"],
+)
+SPEC = scene_json(GRIPPING)
+
+
+def how(**others: object) -> dict[str, Any]:
+    return {"run_id": secrets.randbits(64), "insecure": True, **others}
+
+
+def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
+    end_s = time.monotonic() + seconds
+    while not done() and time.monotonic() < end_s:
+        time.sleep(0.002)
+    assert done()
+
+
+class Arm:
+    """Where it was commanded to be."""
+
+    paces = False
+
+    def __init__(self) -> None:
+        self.position: tuple[float, ...] = (0.02,)
+        self.stops = 0
+
+    def open(self) -> None:
+        pass
+
+    def read(self) -> SlaveSample:
+        return SlaveSample(self.position, 0.0, 0.0)
+
+    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        assert len(velocity) == 1
+        self.position = position
+
+    def stop(self) -> None:
+        self.stops += 1
+
+    def close(self) -> None:
+        pass
+
+
+class Hand:
+    """A device that rests, with a trigger."""
+
+    paces = False
+
+    def __init__(self, trigger: float | None) -> None:
+        self.trigger = trigger
+
+    def open(self) -> None:
+        pass
+
+    def read(self) -> MasterSample:
+        return MasterSample(0.02, trigger=self.trigger)
+
+    def write(self, force: tuple[float, ...]) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class Jaws:
+    """A gripper that is at once where it is led, up to something at 0.7, and writes down what it is to do."""
+
+    def __init__(self) -> None:
+        self.orders: list[GripperCommand | str] = []
+        self.position = 0.0
+        self.fault: str | None = None
+
+    def open(self) -> None:
+        self.orders.append("open")
+
+    def read(self) -> GripperSample:
+        holds = self.position >= 0.7
+        force_n = 30.0 if holds else 0.0
+        return GripperSample(
+            position=self.position, velocity=0.0, force_n=force_n, holds_object=holds, fault=self.fault
+        )
+
+    def write(self, command: GripperCommand) -> None:
+        self.orders.append(command)
+        self.position = min(command.position, 0.7)
+
+    def hold(self) -> None:
+        self.orders.append("hold")
+
+    def acknowledge(self) -> None:
+        self.orders.append("acknowledge")
+        self.fault = None
+
+    def close(self) -> None:
+        self.orders.append("close")
+
+
+def slave_of(jaws: Gripper, spec: bytes = SPEC) -> tuple[SlaveRun, Arm]:
+    arm = Arm()
+    loop = SlaveLoop(spec, listen="127.0.0.1:0", **how())
+    return SlaveRun(arm, loop, gripper=jaws), arm
+
+
+@anew_after_stalls
+def test_it_is_led_by_the_trigger_and_keeps_its_grip_when_the_master_ends() -> None:
+    jaws = Jaws()
+    slave, _ = slave_of(jaws)
+    master = LiveMaster(SPEC, peer=slave.address, duration_s=1.2, patience_s=10.0, **how())
+    until(lambda: master.finished, 20.0)
+    led, _ = master.finish()
+    until(lambda: "hold" in jaws.orders)
+    done, _ = slave.finish()
+    assert slave.error is None
+    assert jaws.orders[0] == "open"
+    assert jaws.orders[-2:] == ["hold", "close"], "its end is a hold, too"
+    moves = [order for order in jaws.orders if isinstance(order, GripperCommand)]
+    # Nothing moves it after the first hold.
+    assert jaws.orders.index("hold") == 1 + len(moves)
+    positions = [move.position for move in moves]
+    assert positions == sorted(positions)
+    assert positions[-1] == 1.0
+    assert {(move.speed, move.force_n) for move in moves} == {(2.0, 30.0)}
+    assert jaws.position == 0.7
+    assert led.trigger[-1] == 1.0
+    assert (done.gripper[-1], done.holds_object[-1], done.gripper_force[-1]) == (0.7, 1, 30.0)
+
+
+@anew_after_stalls
+def test_a_fault_of_the_gripper_stops_the_arm_and_is_named_and_acknowledged() -> None:
+    jaws = Jaws()
+    slave, arm = slave_of(jaws)
+    master = LiveMaster(SPEC, peer=slave.address, patience_s=10.0, **how())
+    until(lambda: jaws.position > 0.1)
+    jaws.fault = "silence: the server does not answer"
+    until(lambda: slave.state == "fault")
+    until(lambda: arm.stops > 0)
+    until(lambda: "gripper: silence: the server does not answer" in (slave.cause() or ""))
+    count = len(jaws.orders)
+    assert jaws.orders[-1] == "hold"
+    slave.acknowledge()
+    until(lambda: slave.state != "fault")
+    assert jaws.orders[count:] == ["acknowledge"], "the gripper moves no more: nobody has engaged anew"
+    master.stop()
+    master.finish()
+    slave.finish()
+
+
+@anew_after_stalls
+@pytest.mark.parametrize("trigger", [None, math.nan, -0.5, 1.5, math.inf])
+def test_a_trigger_that_is_not_there_or_cannot_be_leads_nothing(trigger: float | None) -> None:
+    jaws = Jaws()
+    slave, _ = slave_of(jaws)
+    spec = scene_json(override_scene(GRIPPING, ["operator.trigger=[]"]))
+    loop = MasterLoop(spec, peer=slave.address, duration_s=0.4, patience_s=10.0, **how())
+    master = MasterRun(Hand(trigger), loop)
+    until(lambda: master.finished, 20.0)
+    ticks, report = master.finish()
+    slave.finish()
+    assert (master.error, slave.error) == (None, None)
+    assert report.engaged_s > 0.0
+    assert set(map(str, ticks.trigger)) == {"nan"}
+    assert not [order for order in jaws.orders if isinstance(order, GripperCommand)]
+
+
+def test_a_side_without_a_gripper_and_one_with_it_do_not_engage() -> None:
+    jaws = Jaws()
+    slave, _ = slave_of(jaws)
+    spec = scene_json(load_scene("remote_push", ["environment.pushers=[]"]))
+    master = LiveMaster(spec, peer=slave.address, patience_s=1.0, **how())
+    until(lambda: master.finished, 20.0)
+    _, report = master.finish()
+    _, of_slave = slave.finish()
+    assert math.isnan(report.engaged_s) or math.isinf(report.engaged_s)
+    assert of_slave.link.refused > 100
+    assert not [order for order in jaws.orders if isinstance(order, GripperCommand)]
+
+
+def test_a_gripper_that_does_not_open_ends_the_run_and_is_named() -> None:
+    class Broken(Jaws):
+        def open(self) -> None:
+            message = "nobody there"
+            raise ConnectionError(message)
+
+    slave, arm = slave_of(Broken())
+    until(lambda: slave.finished)
+    assert isinstance(slave.error, DeviceError)
+    assert "Broken: ConnectionError: nobody there" in str(slave.error)
+    slave.give_up()
+    assert arm.stops == 0
+
+
+@anew_after_stalls
+def test_robotiq_picks_something_up_through_both_loops() -> None:
+    """The driver, its thread and the server of an emulated URCap, led by the trigger at the far end."""
+    with served(emulated(40.0)) as server:
+        jaws = RobotiqGripper(host="127.0.0.1", port=server.port)
+        slave, _ = slave_of(jaws)
+        until(slave.ready)
+        assert slave.error is None
+        master = LiveMaster(SPEC, peer=slave.address, duration_s=3.0, patience_s=10.0, **how())
+        until(lambda: master.finished, 20.0)
+        master.finish()
+        done, _ = slave.finish()
+        assert slave.error is None
+        assert done.holds_object[-1] == 1
+        assert 0.3 < done.gripper[-1] < 0.8, "40 mm of 85 are left open"
+        assert done.gripper_force[-1] > 0.0
+        commands = [line for line in server.requests if line.startswith("SET POS")]
+        assert commands
