@@ -200,7 +200,7 @@ def test_a_controller_that_takes_no_connection_stays_a_fault(arm: Emulated, led:
 
 
 def test_the_arm_goes_on_beside_it(arm: Emulated, led: RobotiqGripper) -> None:
-    from tests.ur.plain_rtde import Client
+    from tests.ur.raw_rtde import Client
 
     with Client(arm.host) as plain:
         plain.outputs(["timestamp"], 500.0)

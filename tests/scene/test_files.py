@@ -37,6 +37,7 @@ SHIPPED = {
     "attack_replay",
     "driving_network",
     "free_motion",
+    "gripper",
     "moving_wall",
     "paper_wall",
     "playback",
