@@ -19,15 +19,18 @@ PANELS = {
     "position [m]": {"position": "hand", "slave_position": "arm"},
     "velocity [m/s]": {"velocity": "hand"},
     "force [N]": {"device_force": "on the hand", "rendered_force": "rendered", "hand_force": "of the hand"},
+    "gripper": {"trigger": "trigger", "gripper_command": "commanded", "gripper": "jaws"},
     "tripped": {"tripped": "tripped"},
 }
-"""What is drawn below one another: signals and their labels."""
+"""What is drawn below one another: signals and their labels. A panel without any of them is left out."""
+HEIGHTS = {"gripper": 2, "tripped": 1}
+"""Of panels, beside 3 of the others."""
 TRIPPED = {1: "VFC", 2: "HSC", 4: "WSC", 8: "PC", 16: "held"}
-EVENTS_NAMED = 12
+EVENTS_NAMED = 16
 MIN_GAP = 0.012
 """Share of the width that two names of events stand apart at least."""
-SLAVE_SIGNAL = "slave_"
-"""Prefix of the signals that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
+SLAVE_SIGNALS = ("slave_", "gripper")
+"""How signals begin that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
 
 
 def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
@@ -49,8 +52,9 @@ def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
     figure = Figure(figsize=(10.0, 9.0), layout="constrained")
     # Names of files and reasons are no formulas.
     figure.suptitle(printable(f"{Path(run.scene).stem}, seed {run.seed}"), parse_math=False)
-    panels = figure.subplots(len(PANELS), 1, sharex=True, height_ratios=[3, 3, 3, 1])
-    for panel, (label, signals) in zip(panels, PANELS.items(), strict=True):
+    drawn = {label: signals for label, signals in PANELS.items() if not signals.keys().isdisjoint(run.signals)}
+    panels = figure.subplots(len(drawn), 1, sharex=True, height_ratios=[HEIGHTS.get(label, 3) for label in drawn])
+    for panel, (label, signals) in zip(panels, drawn.items(), strict=True):
         for name, described in signals.items():
             if name not in run.signals:
                 continue
@@ -58,7 +62,7 @@ def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
                 _draw_trips(panel, time_s, run.signals[name])
                 continue
             values = np.asarray(run.signals[name])
-            times = slave_time_s if name.startswith(SLAVE_SIGNAL) else time_s
+            times = slave_time_s if name.startswith(SLAVE_SIGNALS) else time_s
             columns = values.reshape(len(values), -1) if values.size else values.reshape(0, 1)
             for axis, values_of_axis in enumerate(columns.T):
                 along = f", {AXIS_NAMES[axis] if axis < 3 else axis}" if values.ndim > 1 else ""
