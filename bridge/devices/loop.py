@@ -10,7 +10,16 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, ClassVar
 
 from haptether._core import LoopReport, MasterLoop, MasterTrace, SlaveLoop, SlaveTrace
-from haptether.bridge.devices.open import DeviceNotes, close_once, encodable, failure, opened, opened_gripper
+from haptether.bridge.devices.open import (
+    KEEPS,
+    DeviceError,
+    DeviceNotes,
+    close_once,
+    encodable,
+    failure,
+    opened,
+    opened_gripper,
+)
 from haptether.bridge.interpreter import QUIET
 from haptether.slave import GripperCommand
 
@@ -110,24 +119,28 @@ def drive_slave(
         order = loop.step(position, velocity, force, fault=fault, gripper=measured)
         if order is None:
             return False
-        if jaws is not None:
-            jaws.write(loop.gripper_command)
         kind, position, velocity = order
         if kind == "move":
             device.write(position, velocity)
         elif kind == "stop" and before == "move":
             device.stop()
         before = kind
+        # The arm first: whatever the gripper's driver does, it has stopped.
+        if jaws is not None:
+            jaws.write(loop.gripper_command)
         return True
 
     def come_to_rest() -> None:
         try:
             device.stop()
         finally:
+            # One that does not hold keeps its grip all the same, and is closed next.
             if gripper is not None:
-                gripper.hold()
+                with contextlib.suppress(Exception):
+                    gripper.hold()
 
-    with opened(device, notes, "[slave] period_s", period_s), opened_gripper(gripper):
+    # The arm is closed first: a gripper's driver may take its time.
+    with opened_gripper(gripper), opened(device, notes, "[slave] period_s", period_s):
         _drive(device, loop, notes, step, come_to_rest, gripper=gripper)
 
 
@@ -140,16 +153,22 @@ class LedJaws:
 
     def read(self) -> tuple[tuple[float, float, float, bool], str | None]:
         """Position, velocity in 1/s, force in N, whether it holds something; and its fault."""
-        position, velocity, force_n, holds, fault = attrgetter(*JAWS)(self._gripper.read())
+        try:
+            position, velocity, force_n, holds, fault = attrgetter(*JAWS)(self._gripper.read())
+        except Exception as error:
+            raise failure(self._gripper, error) from error
         return (position, velocity, force_n, holds), None if fault is None else f"gripper: {fault}"
 
     def write(self, command: tuple[float, float, float] | None) -> None:
         """Leads it to a position at a speed in 1/s with a force in N; once it is none, it keeps its grip."""
-        if command is not None:
-            position, speed, force_n = command
-            self._gripper.write(GripperCommand(position=position, speed=speed, force_n=force_n))
-        elif self._moves:
-            self._gripper.hold()
+        try:
+            if command is not None:
+                position, speed, force_n = command
+                self._gripper.write(GripperCommand(position=position, speed=speed, force_n=force_n))
+            elif self._moves:
+                self._gripper.hold()
+        except Exception as error:
+            raise failure(self._gripper, error) from error
         self._moves = command is not None
 
 
@@ -181,9 +200,10 @@ def _drive(
         # Also where somebody presses Ctrl-C: first the device, then the peer.
         rests = _comes_to_rest(come_to_rest)
         if not isinstance(error, Exception):
-            loop.fail(f"{type(device).__name__}: {type(error).__name__}")
+            loop.fail(f"{type(device).__name__}: {'' if rests else KEEPS}{type(error).__name__}")
             raise
-        failed = failure(device, error, rests=rests)
+        # One of the gripper is named already.
+        failed = error if isinstance(error, DeviceError) and rests else failure(device, error, rests=rests)
         loop.fail(encodable(str(failed)))
         raise failed from error
 
@@ -362,10 +382,19 @@ class SlaveRun(DeviceRun):
         period_s: float | None = None,
         gripper: "Gripper | None" = None,
     ) -> None:
+        # Before the loop begins on its thread.
+        self._gripper = gripper
         super().__init__(
             device, loop, lambda notes: drive_slave(device, loop, notes, period_s=period_s, gripper=gripper)
         )
         self._slave = loop
+
+    def give_up(self) -> None:
+        """As of any device; a gripper that opens is closed first, which ends an activation."""
+        if self._gripper is not None:
+            with contextlib.suppress(Exception):
+                self._gripper.close()
+        super().give_up()
 
     def allow_takeover(self) -> None:
         """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""

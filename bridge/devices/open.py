@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 PERIOD_SHARE = 0.01
 """How far the period of a device may be from that of its loop; no clock of one is off by as much."""
 
+KEEPS = "KEEPS ITS LAST COMMAND, switch it off: "
+"""Of a device that was not brought to rest."""
+
 BRIDGE = Path(__file__).parents[1]
 """Whose lines led to an exception of a driver, and say nothing about what is wrong with the driver."""
 
@@ -93,6 +96,9 @@ def opened_gripper(gripper: "Gripper | None") -> Iterator[None]:
     try:
         gripper.open()
     except Exception as error:
+        # What it had opened by then, nobody else closes.
+        with contextlib.suppress(Exception):
+            gripper.close()
         raise failure(gripper, error) from error
     try:
         yield
@@ -139,8 +145,9 @@ def failure(device: "MasterDevice | SlaveDevice | Gripper", error: BaseException
     except Exception:  # a driver's own class: the other side must learn of it all the same
         text = ""
     place = _place(device, error)
-    kept = "" if rests else "KEEPS ITS LAST COMMAND, switch it off: "
-    return DeviceError(f"{name}: {kept}{kind}" + (f": {text}" if text else "") + (f" ({place})" if place else ""))
+    return DeviceError(
+        f"{name}: {'' if rests else KEEPS}{kind}" + (f": {text}" if text else "") + (f" ({place})" if place else "")
+    )
 
 
 def encodable(text: str) -> str:

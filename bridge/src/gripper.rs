@@ -86,10 +86,10 @@ impl LedGripper {
         Ok(Self::new(Jaws::Simulated(SimulatedGripper::new(settings)?), &settings))
     }
 
-    /// One whose driver is elsewhere.
+    /// One whose driver is elsewhere: nothing is known of it before that has read it.
     pub fn driven(settings: GripperSettings) -> Result<Self, ModelError> {
         let settings = settings.checked()?;
-        let at = GripperSample { position: settings.position, ..GripperSample::default() };
+        let at = GripperSample { position: f64::NAN, ..GripperSample::default() };
         Ok(Self::new(Jaws::Driven(at), &settings))
     }
 

@@ -205,16 +205,50 @@ def test_a_side_without_a_gripper_and_one_with_it_do_not_engage() -> None:
     assert not [order for order in jaws.orders if isinstance(order, GripperCommand)]
 
 
+@anew_after_stalls
+def test_an_error_of_the_gripper_names_it_and_the_arm_is_stopped_first() -> None:
+    class Failing(Jaws):
+        def write(self, command: GripperCommand) -> None:
+            super().write(command)
+            if self.position > 0.1:
+                message = "the bus is busy"
+                raise OSError(message)
+
+        def hold(self) -> None:
+            raise OSError
+
+    jaws = Failing()
+    slave, arm = slave_of(jaws)
+    master = LiveMaster(SPEC, peer=slave.address, patience_s=10.0, **how())
+    until(lambda: slave.finished)
+    assert str(slave.error).startswith("Failing: OSError: the bus is busy")
+    assert arm.stops == 1
+    assert jaws.orders[-1] == "close"
+    slave.finish()
+    master.stop()
+    master.finish()
+
+
+def test_a_gripper_that_nobody_has_read_is_not_known() -> None:
+    arm = Arm()
+    slave = SlaveRun(arm, SlaveLoop(SPEC, listen="127.0.0.1:0", **how()))
+    until(lambda: slave.ticks > 50)
+    done, _ = slave.finish()
+    assert set(map(str, done.gripper)) == {"nan"}
+
+
 def test_a_gripper_that_does_not_open_ends_the_run_and_is_named() -> None:
     class Broken(Jaws):
         def open(self) -> None:
             message = "nobody there"
             raise ConnectionError(message)
 
-    slave, arm = slave_of(Broken())
+    jaws = Broken()
+    slave, arm = slave_of(jaws)
     until(lambda: slave.finished)
     assert isinstance(slave.error, DeviceError)
     assert "Broken: ConnectionError: nobody there" in str(slave.error)
+    assert jaws.orders == ["close"]
     slave.give_up()
     assert arm.stops == 0
 

@@ -92,7 +92,9 @@ impl GripperFollower {
         let position = *self.position.get_or_insert(measured.position);
         if !self.follows {
             let has_passed = before.is_some_and(|before| (before - position) * (trigger - position) < 0.0);
-            self.follows = has_passed || (trigger - position).abs() <= PICKS_UP_WITHIN;
+            // A little more open than where something stops the jaws would let it fall.
+            let opens = measured.holds_object && trigger < measured.position;
+            self.follows = has_passed || ((trigger - position).abs() <= PICKS_UP_WITHIN && !opens);
             if !self.follows {
                 return None;
             }
@@ -147,6 +149,19 @@ mod tests {
             let _ = follower.step(Some(first), &held, 1e-3);
             assert_eq!(follower.step(Some(then), &held, 1e-3).is_some(), follows, "{first} {then}");
         }
+    }
+
+    /// The last command is not known after a restart: the jaws stand on what they hold.
+    #[test]
+    fn a_grip_of_unknown_strength_is_picked_up_by_closing_only() {
+        let held = GripperSample { position: 0.6, holds_object: true, ..AT_REST };
+        for (trigger, follows) in [(0.585, false), (0.599, false), (0.6, true), (0.615, true)] {
+            let mut follower = GripperFollower::new(&SETTINGS);
+            assert_eq!(follower.step(Some(trigger), &held, 1e-3).is_some(), follows, "{trigger}");
+        }
+        let mut follower = GripperFollower::new(&SETTINGS);
+        assert_eq!(follower.step(Some(0.5), &held, 1e-3), None);
+        assert!(position(follower.step(Some(0.7), &held, 1e-3)) > 0.6, "closing takes it along");
     }
 
     #[test]

@@ -294,7 +294,7 @@ impl std::fmt::Display for SecurityEvent {
             )
             }
             Self::Handshake(HandshakeEvent::Refused { payload_length, .. }) => {
-                write!(formatter, "refused: the peer's frames have {payload_length} bytes, so another number of axes")
+                write!(formatter, "refused: the peer's frames have {payload_length} bytes, so another number of axes, or a gripper at one side alone")
             }
             Self::KeysEnd => formatter.write_str(
                 "the thread that makes keys has died: this session ends when its keys grow old, within 180 s",

@@ -146,6 +146,11 @@ def start_slave(
             message = f"[slave.gripper] device = {jaws.device}: [slave] device must name the driver of its arm, too"
             raise ValueError(message)
         return stopped.attached(LiveSlave(scene_json(scene), **arguments))
+    if jaws is not None and not is_driven:
+        message = (
+            "[slave.gripper] device = simulated: beside an arm with a driver it must name one, too, or be left out"
+        )
+        raise ValueError(message)
     device = load_slave(scene.slave.device, scene.slave.options)
     gripper = load_gripper(jaws.device, jaws.options) if jaws is not None and is_driven else None
     spec = scene_json(_within(scene, device))
