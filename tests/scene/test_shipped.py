@@ -53,6 +53,8 @@ SHOWN: list[Shown] = [
     # Nobody lets go: the hand moves at up to 1.875 L / T, 0.1016 and 0.1875 m/s.
     ("driving_network", [], (0.09, 0.11), (2.5, 2.9), None, 0),
     ("attack_replay", [], (0.17, 0.2), (2.1, 2.4), None, 0),
+    # 0.03 m in 1 s: at most 1.875 L / T = 0.05625 m/s.
+    ("gripper", [], (0.0560, 0.0565), (0.0, 0.0), None, 0),
 ]
 
 
@@ -96,6 +98,17 @@ def test_a_moving_car_leads_to_holds_and_one_at_rest_to_fewer() -> None:
     moving, resting = holds([]), holds(at_rest)
     assert 2 * (39 - 4 * 6) < moving < 2 * (39 + 4 * 6)
     assert resting < moving / 1.5
+
+
+def test_the_gripper_keeps_its_grip_while_the_way_to_it_is_dead() -> None:
+    """It drops what it holds 0.4 / 1.8 s after the trigger opens at 3.8 s; without an outage also at 1.9 s."""
+    run, bare = simulate("gripper"), simulate("gripper", overrides=["link.forward.outages=[]"])
+    assert [kind for kind in (event.kind for event in run.events) if kind in {"grip", "stop", "drop"}] == [
+        "grip", "stop", "stop", "drop",
+    ]  # fmt: skip
+    # 0.1 s until the two engage, 0.05 s of delay.
+    assert time_of(run, "drop") == pytest.approx(0.1 + 3.8 + 0.05 + 0.4 / 1.8, abs=0.01)
+    assert time_of(bare, "drop") == pytest.approx(0.1 + 1.9 + 0.05 + 0.4 / 1.8, abs=0.01)
 
 
 def test_replayed_frames_change_not_a_byte() -> None:
