@@ -24,9 +24,6 @@ import numpy as np
 import numpy.typing as npt
 
 from _report import bench_options, table_file, write_json
-from _ur_arms import CALIBRATIONS, PinocchioArm
-from _ur_quadratic import solvers
-from _ur_references import apart, extended_chain, minimum, residual
 from haptether.slave import (
     QuadraticProgram,
     SelfKeepOut,
@@ -41,6 +38,9 @@ from haptether.slave import (
     ur_model,
 )
 from haptether.slave.ur.kinematics.chain import dh_rows
+from ur.arms import CALIBRATIONS, PinocchioArm
+from ur.quadratic import solvers
+from ur.references import apart, extended_chain, minimum, residual
 
 Array = npt.NDArray[np.float64]
 Work = Callable[[int], object]

@@ -6,7 +6,6 @@ import gc
 import threading
 import time
 from collections.abc import Callable
-from operator import attrgetter
 from typing import TYPE_CHECKING, ClassVar
 
 from haptether._core import LoopReport, MasterLoop, MasterTrace, SlaveLoop, SlaveTrace
@@ -35,8 +34,6 @@ JOIN_S = 10.0
 REST_ATTEMPTS = 5
 """How often a device whose driver has failed is brought to rest, where that fails."""
 REST_EVERY_S = 2e-3
-JAWS = ("position", "velocity", "force_n", "holds_object", "fault")
-"""What the loop reads of a gripper."""
 PROMPT_S = 0.25
 """Longest age of an acknowledgement when the loop reads it."""
 GIVE_UP_S = 1.0
@@ -154,10 +151,11 @@ class LedJaws:
     def read(self) -> tuple[tuple[float, float, float, bool], str | None]:
         """Position, velocity in 1/s, force in N, whether it holds something; and its fault."""
         try:
-            position, velocity, force_n, holds, fault = attrgetter(*JAWS)(self._gripper.read())
+            sample = self._gripper.read()
         except Exception as error:
             raise failure(self._gripper, error) from error
-        return (position, velocity, force_n, holds), None if fault is None else f"gripper: {fault}"
+        fault = None if sample.fault is None else f"gripper: {sample.fault}"
+        return (sample.position, sample.velocity, sample.force_n, sample.holds_object), fault
 
     def write(self, command: tuple[float, float, float] | None) -> None:
         """Leads it to a position at a speed in 1/s with a force in N; once it is none, it keeps its grip."""
@@ -201,9 +199,14 @@ def _drive(
         rests = _comes_to_rest(come_to_rest)
         if not isinstance(error, Exception):
             loop.fail(f"{type(device).__name__}: {'' if rests else KEEPS}{type(error).__name__}")
+            if not rests:
+                error.add_note(KEEPS)
             raise
-        # One of the gripper is named already.
-        failed = error if isinstance(error, DeviceError) and rests else failure(device, error, rests=rests)
+        if isinstance(error, DeviceError) and rests:
+            # Of the gripper, which it names.
+            loop.fail(encodable(str(error)))
+            raise
+        failed = failure(device, error, rests=rests)
         loop.fail(encodable(str(failed)))
         raise failed from error
 
@@ -287,7 +290,7 @@ class DeviceRun(_LiveSide):
         except Exception as error:  # raised by whoever reads it at the end of the run
             self.error = error
         except BaseException as error:  # a driver's own KeyboardInterrupt or SystemExit, which nobody else sees
-            self.error = failure(self._device, error)
+            self.error = failure(self._device, error, rests=KEEPS not in getattr(error, "__notes__", ()))
         finally:
             self._loop.stop()
             self._unquiet()

@@ -224,14 +224,19 @@ def test_a_burst_of_samples_is_held_back_to_the_period() -> None:
     assert report.ticks == 401
 
 
+KEPT = (9.9,)
+"""N, of a device whose driver failed."""
+
+
 @pytest.mark.parametrize(("failures", "rests"), [(1, True), (3, True), (10**6, False)])
 def test_a_device_whose_driver_fails_is_brought_to_rest_again_and_again_or_named(failures: int, rests: bool) -> None:
     class Failing(Hand):
         left = 0
 
         def write(self, force: tuple[float, ...]) -> None:
-            self.left -= 1
-            if self.left >= 0:
+            if self.left > 0:
+                self.left -= 1
+                self.force = KEPT
                 message = "the bus is busy"
                 raise OSError(message)
             super().write(force)
@@ -240,15 +245,35 @@ def test_a_device_whose_driver_fails_is_brought_to_rest_again_and_again_or_named
     slave = LiveSlave(ONE, listen="127.0.0.1:0", **how())
     run = MasterRun(device, MasterLoop(ONE, peer=slave.address, **how()))
     until(lambda: run.ticks > 20)
-    device.force = (9.9,)
     device.left = failures
     until(lambda: run.finished)
     assert isinstance(run.error, DeviceError)
     assert ("KEEPS ITS LAST COMMAND, switch it off" in str(run.error)) is not rests
-    assert device.force == ((0.0,) if rests else (9.9,))
+    assert device.force == ((0.0,) if rests else KEPT)
     run.finish()
     slave.stop()
     slave.finish()
+
+
+def test_a_device_that_an_interrupted_driver_leaves_under_force_is_named() -> None:
+    class Interrupted(Hand):
+        reads = 0
+
+        def read(self) -> MasterSample:
+            self.reads += 1
+            if self.reads > 50:
+                raise KeyboardInterrupt
+            return super().read()
+
+        def write(self, force: tuple[float, ...]) -> None:
+            if self.reads > 50:
+                raise OSError
+            super().write(force)
+
+    run = MasterRun(Interrupted(1), MasterLoop(ONE, peer="127.0.0.1:9", **how()))
+    until(lambda: run.finished)
+    assert "KEEPS ITS LAST COMMAND, switch it off: KeyboardInterrupt" in str(run.error)
+    run.finish()
 
 
 def test_ctrl_c_in_a_driver_leaves_no_force_and_tells_the_peer() -> None:
@@ -547,6 +572,35 @@ def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_
     assert master.returncode == 1
     assert "the run ended in" in master.stderr
     assert json.loads((tmp_path / "slave.json").read_text())["final_state"] == "fault"
+
+
+BLOCKING = """
+import time
+from haptether.slave import SlaveSample
+
+class Arm:
+    paces = False
+    reads = 0
+    def open(self): pass
+    def read(self):
+        self.reads += 1
+        if self.reads == 100:
+            time.sleep(2.0)
+        return SlaveSample(0.02, 0.0, 0.0)
+    def write(self, position, velocity): pass
+    def stop(self): pass
+    def close(self): pass
+"""
+
+
+def test_a_driver_that_blocks_is_reported_while_it_does(tmp_path: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
+         "--set", "slave.device=bench", "--patience-s", "4"],
+        env=packaged(tmp_path, BLOCKING), capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    said = "slave: the driver has blocked for 0.5 s: its device keeps its last command, switch it off"
+    assert ended.stderr.count(said) == 1, ended.stderr
 
 
 SLOW = """

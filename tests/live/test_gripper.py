@@ -222,6 +222,8 @@ def test_an_error_of_the_gripper_names_it_and_the_arm_is_stopped_first() -> None
     master = LiveMaster(SPEC, peer=slave.address, patience_s=10.0, **how())
     until(lambda: slave.finished)
     assert str(slave.error).startswith("Failing: OSError: the bus is busy")
+    assert isinstance(slave.error, DeviceError)
+    assert isinstance(slave.error.__cause__, OSError), "`--debug` shows where it came from"
     assert arm.stops == 1
     assert jaws.orders[-1] == "close"
     slave.finish()

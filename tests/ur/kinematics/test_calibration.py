@@ -5,9 +5,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from _ur_arms import CALIBRATIONS
 from haptether.slave import UrCalibration, UrKinematics, UrModel, read_calibration, ur_model
 from haptether.slave.ur.kinematics.chain import deviation, dh_rows
+from ur.arms import CALIBRATIONS
 
 ZEROS = "0.0, 0.0, 0.0, 0.0, 0.0"
 

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from _ur_arms import CALIBRATIONS, TOOL
 from haptether.slave import UR_MODELS, UrCalibration, UrInverse, UrKinematics, UrModel, ur_model
 from haptether.slave.ur.kinematics.chain import chain_transform, dh_rows
+from ur.arms import CALIBRATIONS, TOOL
 
 Array = npt.NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from _ur_arms import CALIBRATIONS, TOOL, PinocchioArm
 from haptether.slave import UR_MODELS, UrCalibration, UrKinematics, UrModel, ur_model
 from haptether.slave.ur.kinematics.chain import chain_transform, dh_rows
 from haptether.slave.ur.kinematics.pose import pose_from_transform
+from ur.arms import CALIBRATIONS, TOOL, PinocchioArm
 
 Array = npt.NDArray[np.float64]
 

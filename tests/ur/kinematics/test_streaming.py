@@ -6,8 +6,8 @@ import pytest
 import scipy.optimize
 from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, steps
 
-from _ur_arms import TOOL
 from haptether.slave import QuadraticProgram, StreamingCost, StreamingLimits, UrKinematics, UrStreaming
+from ur.arms import TOOL
 
 Array = npt.NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, WALL, steps
 
-from _ur_arms import CALIBRATIONS, TOOL
 from haptether.slave import StreamingLimits, UrKinematics, UrStreaming
 from haptether.slave.ur.kinematics.chain import DhRows, cos_sin, dh_rows
 from haptether.slave.ur.kinematics.constraints import Ball, Capsule, arm_body
+from ur.arms import CALIBRATIONS, TOOL
 
 Array = npt.NDArray[np.float64]
 

@@ -199,11 +199,13 @@ class PinocchioArm:
         assert self.model.nq == len(zeros)
 
     def forward_and_jacobian(self, q: Array) -> tuple[Array, Array]:
+        """Pose of the tool, (4, 4), m, and its Jacobian, (6, 6), in the base frame, at joint angles in rad, (6,)."""
         frame = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         jacobian = pinocchio.computeFrameJacobian(self.model, self.data, q, self.frame, frame)
         return self.data.oMf[self.frame].homogeneous, jacobian
 
     def jacobian_dot(self, q: Array, qd: Array) -> Array:
+        """The Jacobian's rate of change, (6, 6), at joint angles in rad and velocities in rad/s, (6,) each."""
         frame = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         pinocchio.computeJointJacobiansTimeVariation(self.model, self.data, q, qd)
         pinocchio.updateFramePlacements(self.model, self.data)
