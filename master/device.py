@@ -18,6 +18,10 @@ class MasterSample(NamedTuple):
     this side acknowledges it."""
     trigger: float | None = None
     """What leads the slave's gripper, 0 (open) to 1 (closed); none without one: the gripper then stays as it is."""
+    orientation: Sequence[float] | None = None
+    """R of a device of kind "pose", as a unit quaternion w, x, y, z that leads from its own frame to the base's."""
+    angular_velocity: Sequence[float] | None = None
+    """w in rad/s in the base frame from a device that measures it, at every sample or at none."""
 
 
 @runtime_checkable
@@ -28,6 +32,9 @@ class MasterDevice(Protocol):
     more than 20 ms holds both sides. Loaded by the name of an entry point of the group `haptether.masters`, which is
     called with the options of the command line as keywords. A driver may have `acknowledge()`, called when the
     operator at this side says that a fault is mended.
+
+    A driver may have `kinds`, those of the scenes that it can be in: "linear", "joints", "pose"; without it, the first
+    two. In a scene of kind "pose" every sample has an orientation, and `write` is called with force and torque.
 
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
     whose `[run] period_s` is off by more than 1 % is refused then, before any force.
@@ -43,7 +50,10 @@ class MasterDevice(Protocol):
         """The newest sample."""
 
     def write(self, force: tuple[float, ...]) -> None:
-        """Exerts F_device in N, shape `(axes,)`, until the next call."""
+        """Exerts F_device in N, shape `(axes,)`, until the next call.
+
+        Of kind "pose" it is `write(force, torque)`: the torque in N m in the base frame about the tool point.
+        """
 
     def close(self) -> None:
         """Disconnects; called once, also after an exception, when the last force was zero.

@@ -6,7 +6,7 @@ use std::hint::black_box;
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use haptether_bridge::{
     session::{MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
-    wire::{Role, frame_length},
+    wire::{FrameLayout, Role},
 };
 
 const MS: u64 = 1_000_000;
@@ -34,7 +34,7 @@ fn shake((master, slave): &mut (SessionEnd, SessionEnd)) {
 fn datagrams(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("session");
     for axes in [1, 7] {
-        let payload = vec![7; frame_length(axes, false)];
+        let payload = vec![7; FrameLayout::default().length(axes)];
         let mut pair = ends(payload.len());
         shake(&mut pair);
         let (mut master, mut slave) = pair;

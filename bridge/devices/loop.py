@@ -13,6 +13,7 @@ from haptether.bridge.devices.open import (
     KEEPS,
     DeviceError,
     DeviceNotes,
+    check_kind,
     close_once,
     encodable,
     failure,
@@ -36,6 +37,7 @@ REST_ATTEMPTS = 5
 REST_EVERY_S = 2e-3
 PROMPT_S = 0.25
 """Longest age of an acknowledgement when the loop reads it."""
+NO_WRENCH = ((0.0,) * 3,) * 2
 GIVE_UP_S = 1.0
 """How long a driver may still take to open its device once nobody waits for it any more."""
 
@@ -59,23 +61,33 @@ def drive_master(
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
-    rest: tuple[float, ...] = ()
+    check_kind(device, loop.kind)
+    turns = loop.kind == "pose"
+    write: Callable[..., None] = device.write
+    rest: tuple[tuple[float, ...], ...] = ()
 
     def step() -> bool:
         nonlocal rest
-        position, velocity, clutch, fault, trigger = device.read()
+        position, velocity, clutch, fault, trigger, orientation, angular_velocity = device.read()
         if fault is not None:
             notes.fault = fault = encodable(fault)
-        force = loop.step(position, velocity, clutch, fault=fault, trigger=trigger)
+        force = loop.step(
+            position, velocity, clutch, fault=fault, trigger=trigger,
+            orientation=orientation, angular_velocity=angular_velocity,
+        )  # fmt: skip
         if force is None:
             return False
-        device.write(force)
-        rest = (0.0,) * len(force)
+        if turns:
+            write(*force)
+            rest = NO_WRENCH
+        else:
+            write(force)
+            rest = ((0.0,) * len(force),)
         return True
 
     def come_to_rest() -> None:
         if rest:
-            device.write(rest)
+            write(*rest)
 
     with opened(device, notes, "[run] period_s", period_s):
         _drive(device, loop, notes, step, come_to_rest)
@@ -100,12 +112,14 @@ def drive_slave(
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
+    check_kind(device, loop.kind)
+    write: Callable[..., None] = device.write
     before = "wait"
     jaws = None if gripper is None else LedJaws(gripper)
 
     def step() -> bool:
         nonlocal before
-        position, velocity, force, fault = device.read()
+        position, velocity, force, fault, orientation, angular_velocity, torque = device.read()
         if jaws is None:
             measured = None
         else:
@@ -113,12 +127,15 @@ def drive_slave(
             fault = wrong if fault is None else fault
         if fault is not None:
             notes.fault = fault = encodable(fault)
-        order = loop.step(position, velocity, force, fault=fault, gripper=measured)
+        order = loop.step(
+            position, velocity, force, fault=fault, gripper=measured,
+            orientation=orientation, angular_velocity=angular_velocity, torque=torque,
+        )  # fmt: skip
         if order is None:
             return False
-        kind, position, velocity = order
+        kind, *command = order
         if kind == "move":
-            device.write(position, velocity)
+            write(*command)
         elif kind == "stop" and before == "move":
             device.stop()
         before = kind

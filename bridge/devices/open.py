@@ -30,6 +30,25 @@ class DeviceError(RuntimeError):
     """A driver raised an exception, which is its cause, or paces its loop by another period."""
 
 
+POINT_KINDS = ("linear", "joints")
+"""Kinds of scenes that a driver can be in which does not say."""
+
+
+def check_kind(device: object, kind: str) -> None:
+    """Refuses a driver that cannot be in a scene of this kind.
+
+    Raises:
+        DeviceError: It cannot.
+    """
+    kinds: tuple[str, ...] = getattr(device, "kinds", POINT_KINDS)
+    if kind not in kinds:
+        message = (
+            f'{type(device).__name__}: a driver of {" or ".join(kinds)}: must be of "{kind}", the kind of the scene;'
+            " take a scene or a driver of the same"
+        )
+        raise DeviceError(message)
+
+
 @dataclass
 class DeviceNotes:
     """Faults of a device, and acknowledgements by the operator beside it."""

@@ -14,12 +14,13 @@ use std::{
 };
 
 use haptether_bridge::{
-    LadderSettings, LinkTime, MasterEndpoint, MasterSettings, SlaveEndpoint, SlaveSettings,
+    LadderSettings, LinkTime, MasterEndpoint, MasterReading, MasterSettings, SlaveEndpoint, SlaveReading,
+    SlaveSettings,
     coupling::CommandBounds,
     session::{
         Incoming, MAX_DATAGRAM, PreSharedKey, Received, SeededEntropy, Session, SessionEnd, SessionSettings,
     },
-    wire::{Frame, MAX_FRAME, Role},
+    wire::{FrameLayout, MAX_FRAME, Role},
 };
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings,
@@ -47,7 +48,7 @@ struct Bare;
 
 impl Side for Bare {
     fn exchange<'a>(&mut self, _: Option<&mut [u8]>, buffer: &'a mut [u8; MAX_DATAGRAM]) -> Option<&'a [u8]> {
-        Some(&buffer[..haptether_bridge::session::sealed_length(Frame::<1>::LENGTH)])
+        Some(&buffer[..haptether_bridge::session::sealed_length(FrameLayout::default().length(1))])
     }
 }
 
@@ -68,10 +69,10 @@ impl Endpoint {
         let still = Axes::<1>::zeros();
         match self {
             Self::Master(master) => {
-                std::hint::black_box(master.tick(now_ns, 0, &still, None, true));
+                std::hint::black_box(master.tick(now_ns, 0, &MasterReading::point(still, None), true));
             }
             Self::Slave(slave) => {
-                std::hint::black_box(slave.tick(now_ns, &still, &still, &still));
+                std::hint::black_box(slave.tick(now_ns, &SlaveReading::point([still; 3])));
             }
         }
     }
@@ -135,7 +136,7 @@ fn endpoints() -> [Endpoint; 2] {
 }
 
 fn sessions(secure: bool) -> [Session; 2] {
-    let settings = |role| SessionSettings::new(role, Frame::<1>::LENGTH, PERIOD_NS);
+    let settings = |role| SessionSettings::new(role, FrameLayout::default().length(1), PERIOD_NS);
     let [mut master, mut slave] = [Role::Master, Role::Slave].map(|role| {
         let mut entropy = SeededEntropy::new(1, role);
         if secure {

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
-from math import exp, hypot, log
+from math import exp, hypot, log, pi
 
 from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
-from haptether.bridge.scene.resolve import Spec, max_damping, spec_of
-from haptether.bridge.scene.tables.master import OperatorTable, SeriesTable
+from haptether.bridge.scene.resolve import Spec, max_damping, side_kind, spec_of
+from haptether.bridge.scene.tables.master import OperatorRotationTable, OperatorTable, SeriesTable
 from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S
 from haptether.bridge.scene.tables.session import (
     ClockTable,
@@ -29,6 +29,7 @@ from haptether.bridge.scene.tables.slave import (
     PusherTable,
     SlaveTable,
     Spring,
+    TorqueTable,
 )
 
 SLAVE_PERIOD_S = (1e-5, 2e-2)
@@ -62,6 +63,7 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
             yield contradiction(("operator", "clutch"), "needs an arm to let go of: add [slave] or leave it out")
         if scene.operator.trigger and (scene.slave is None or scene.slave.gripper is None):
             yield contradiction(("operator", "trigger"), "leads no gripper: add [slave.gripper] or leave it out")
+    yield from _kind(scene)
     if scene.slave is not None:
         yield from _slave(scene.slave, scene.run)
     for key in ("link", "coupling", "security"):
@@ -139,6 +141,118 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
                 ("operator", "release", "kind"),
                 'a strength without bound does not decay: give grip_strength_n, or kind = "gain"',
             )
+
+
+AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 6, 7), "pose": (3,)}
+
+
+def _kind(scene: Scene) -> Iterator[SceneError]:
+    """What a side of kind "pose" needs, and what no other has."""
+    kind, axes = side_kind(scene.master), scene.master.axes
+    if axes not in AXES_OF_KIND[kind]:
+        allowed = " or ".join(map(str, AXES_OF_KIND[kind]))
+        yield wrong(("master", "axes"), axes, f'{allowed} with kind = "{kind}"')
+    if scene.slave is not None and scene.slave.kind not in {None, kind}:
+        allowed = f'"{kind}", that of the master: there is no map from {kind} to {scene.slave.kind} yet'
+        yield wrong(("slave", "kind"), scene.slave.kind, allowed)
+    world = scene.environment
+    of_pose: dict[Path, object] = {
+        ("master", "rotation"): scene.master.rotation,
+        ("operator", "rotation"): scene.operator and scene.operator.rotation,
+        ("slave", "tool"): scene.slave and scene.slave.tool,
+        ("safety", "rotation"): scene.safety.rotation,
+        ("coupling", "rotation_axis"): scene.coupling and scene.coupling.rotation_axis,
+        ("environment", "torques"): world and world.torques,
+        ("environment", "holes"): world and world.holes,
+        ("environment", "handles"): world and world.handles,
+        ("environment", "bodies"): world and world.bodies,
+    }
+    if kind != "pose":
+        for path, given in of_pose.items():
+            if given:
+                yield contradiction(path, 'is for what turns: give [master] kind = "pose", or leave it out')
+        return
+    yield from _pose(scene)
+
+
+def _pose(scene: Scene) -> Iterator[SceneError]:
+    for path, given in {
+        ("slave",): scene.slave,
+        ("master", "rotation"): scene.master.rotation,
+        ("slave", "tool"): scene.slave and scene.slave.tool,
+    }.items():
+        if given is None:
+            yield contradiction(path, 'is missing: kind = "pose" needs it')
+    if scene.run.stop_early:
+        yield contradiction(("run", "stop_early"), "what turns is not watched for rest: leave it out")
+    if scene.slave is not None:
+        if scene.slave.control != "pd":
+            yield wrong(("slave", "control"), scene.slave.control, '"pd" with kind = "pose"')
+        if scene.slave.force_sensor is not None:
+            yield contradiction(("slave", "force_sensor"), 'is exact with kind = "pose": leave it out')
+    coupling = scene.coupling
+    if coupling is not None and coupling.rotation_axis is not None:
+        length = hypot(*coupling.rotation_axis)
+        if abs(length - 1.0) > UNIT_QUATERNION:
+            yield wrong(("coupling", "rotation_axis"), coupling.rotation_axis, f"of length 1, not {length:g}")
+        if coupling.locks_rotation:
+            yield contradiction(
+                ("coupling", "rotation_axis"), "what is locked turns about no axis: give one of the two"
+            )
+    if scene.slave is not None and scene.slave.tool is not None:
+        yield from _unit(scene.slave.tool.quat_wxyz, ("slave", "tool", "quat_wxyz"))
+    if scene.environment is not None:
+        yield from _world(scene.environment)
+    hand = scene.operator and scene.operator.rotation
+    if hand is not None:
+        yield from _turning_hand(hand)
+
+
+def _world(table: EnvironmentTable) -> Iterator[SceneError]:
+    for index, part in enumerate(table.objects):
+        if part.body is not None:
+            path: Path = ("environment", "objects", index, "body")
+            yield contradiction(path, "around a tool that turns [[environment.bodies]] has what moves: leave it out")
+    for index, hole in enumerate(table.holes):
+        path = ("environment", "holes", index)
+        yield from _direction(hole.axis, (*path, "axis"))
+        yield from _contact(hole.contact, (*path, "contact"), 3)
+    for index, handle in enumerate(table.handles):
+        path = ("environment", "handles", index)
+        yield from _direction(handle.axis, (*path, "axis"))
+        lower, upper = handle.stops_rad
+        if lower >= upper:
+            yield wrong((*path, "stops_rad"), handle.stops_rad, "the lower stop below the upper")
+    for index, body in enumerate(table.bodies):
+        yield from _unit(body.quat_wxyz, ("environment", "bodies", index, "quat_wxyz"))
+
+
+def _direction(axis: tuple[float, ...], path: Path) -> Iterator[SceneError]:
+    if not any(axis):
+        yield wrong(path, axis, "of any length but 0")
+
+
+def _turning_hand(table: OperatorRotationTable) -> Iterator[SceneError]:
+    at: Path = ("operator", "rotation")
+    yield from _unit(table.start_wxyz, (*at, "start_wxyz"))
+    for index, leg in enumerate(table.legs):
+        path: Path = (*at, "legs", index)
+        if (leg.turn is None) == (leg.end_wxyz is None):
+            yield contradiction(path, "needs turn or end_wxyz, one of the two")
+        if leg.turn is not None and hypot(*leg.turn) >= pi:
+            yield wrong((*path, "turn"), leg.turn, "shorter than pi: a longer way is several legs")
+        if leg.end_wxyz is not None:
+            yield from _unit(leg.end_wxyz, (*path, "end_wxyz"))
+    if table.release is not None and table.release.kind == "strength" and table.strength_n_m is None:
+        yield contradiction(
+            (*at, "release", "kind"), 'a strength without bound does not decay: give strength_n_m, or kind = "gain"'
+        )
+
+
+def _unit(quat_wxyz: tuple[float, ...], path: Path) -> Iterator[SceneError]:
+    norm = hypot(*quat_wxyz)
+    if abs(norm - 1.0) > UNIT_QUATERNION:
+        yield wrong(path, quat_wxyz, f"of norm 1, not {norm:g}")
 
 
 def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
@@ -234,6 +348,8 @@ def _environment(table: EnvironmentTable, has_arm: bool, axes: int) -> Iterator[
             yield from _spring(part.contact, (*path, "contact"))
     for index, pusher in enumerate(table.pushers):
         yield from _pusher(pusher, ("environment", "pushers", index))
+    for index, torque in enumerate(table.torques):
+        yield from _pusher(torque, ("environment", "torques", index))
 
 
 def _object(table: ObjectTable, path: Path) -> Iterator[SceneError]:
@@ -276,15 +392,17 @@ _PUSHER_NEEDS = {
 _PUSHER_MAY_HAVE = {"duration_s"}
 
 
-def _pusher(table: PusherTable, path: Path) -> Iterator[SceneError]:
+def _pusher(table: PusherTable | TorqueTable, path: Path) -> Iterator[SceneError]:
     needed = _PUSHER_NEEDS[table.shape]
     for key in ("force_n", "rise_s", "frequency_hz", "duration_s", "recorded"):
+        if key not in table.__struct_fields__:
+            continue
         given = getattr(table, key) is not None
         if key in needed and not given:
             yield contradiction((*path, key), f'shape = "{table.shape}" needs it')
         if given and key not in needed | _PUSHER_MAY_HAVE:
             yield contradiction((*path, key), f'shape = "{table.shape}" has none')
-    if table.recorded is not None:
+    if isinstance(table, PusherTable) and table.recorded is not None:
         yield from _series(table.recorded, (*path, "recorded"))
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import sqrt
+from math import cos, hypot, sin, sqrt
 from pathlib import Path as FilePath
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -10,8 +10,14 @@ from msgspec import Struct, inspect
 from msgspec.structs import replace
 
 from haptether.bridge.scene.errors import Path, SceneError, place, wrong
-from haptether.bridge.scene.tables.master import MasterTable, OperatorTable, SeriesTable
-from haptether.bridge.scene.tables.ranges import UNBOUNDED, Broadcast
+from haptether.bridge.scene.tables.master import (
+    MasterTable,
+    OperatorRotationTable,
+    OperatorTable,
+    RotationLegTable,
+    SeriesTable,
+)
+from haptether.bridge.scene.tables.ranges import UNBOUNDED, Broadcast, SideKind
 from haptether.bridge.scene.tables.session import (
     AdaptiveWindow,
     CouplingTable,
@@ -20,17 +26,21 @@ from haptether.bridge.scene.tables.session import (
     LadderTable,
     LimiterTable,
     LinksTable,
+    RotationSafetyTable,
     RunTable,
     SafetyTable,
     Scene,
 )
 from haptether.bridge.scene.tables.slave import (
+    ContactTable,
     EnvironmentTable,
     GripperTable,
     ObjectTable,
     Plane,
     PusherTable,
     SlaveTable,
+    ToolTable,
+    TorqueTable,
 )
 from haptether.master import DEVICE_PRESETS
 from haptether.netsim import LinkError, LinkSettings, link_spec, with_files
@@ -41,7 +51,8 @@ Spec: TypeAlias = dict[str, Any]
 PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     Scene: frozenset({"schema", "title", "shows"}),
     MasterTable: frozenset({"device", "driver", "options"}),
-    SlaveTable: frozenset({"device", "options"}),
+    RotationLegTable: frozenset({"turn"}),
+    SlaveTable: frozenset({"device", "kind", "options"}),
     GripperTable: frozenset({"device", "options"}),
     SeriesTable: frozenset({"file"}),
     LimiterTable: frozenset({"enabled"}),
@@ -56,6 +67,7 @@ DEFAULT_DAMPING = 5.0
 DEFAULT_PC_DAMPING = 10.0
 DEFAULT_EXTRAPOLATION_S = 0.015
 MIN_FADE_IN_S = 0.2
+MAX_LINEAR_AXES = 3
 STEPS_PER_PERIOD = 10
 """Steps per tick of an integrator whose step is not given."""
 
@@ -73,7 +85,8 @@ def spec_of(scene: Scene) -> Spec:
         name: resolved(table, axes, (name,))
         for name, table in {
             "run": _run(run),
-            "operator": operator and replace(operator, start=start),
+            "operator": operator
+            and replace(operator, start=start, rotation=operator.rotation and _turning(operator.rotation)),
             "slave": scene.slave and _slave(scene.slave, run, master),
             "environment": scene.environment and _environment(scene.environment, axes, run.duration_s),
         }.items()
@@ -180,8 +193,39 @@ def _master(table: MasterTable, start: tuple[float, ...] | None) -> MasterTable:
         table = replace(table, **{name: value for name, value in known.items() if getattr(table, name) is None})
     if table.mass_kg is None:
         raise SceneError(f"{place(('master', 'mass_kg'))} is missing: give it, or name a device")
-    table = _filled(table, viscous=0.0, coulomb=0.0, friction="vector", encoder_quantum=0.0)
+    table = _filled(table, viscous=0.0, coulomb=0.0, friction="vector", encoder_quantum=0.0, kind=side_kind(table))
     return _filled(table, measures_velocity=table.encoder_quantum == 0.0, position=0.0 if start is None else start)
+
+
+def side_kind(table: MasterTable) -> SideKind:
+    """What the coordinates of the scene's sides are."""
+    return table.kind or ("linear" if table.axes <= MAX_LINEAR_AXES else "joints")
+
+
+def _turning(table: OperatorRotationTable) -> OperatorRotationTable:
+    """The turns of a hand by the orientations where they end."""
+    orientation = table.start_wxyz
+    legs = []
+    for leg in table.legs:
+        orientation = leg.end_wxyz or _turned(leg.turn or (0.0, 0.0, 0.0), orientation)
+        legs.append(replace(leg, end_wxyz=orientation))
+    return replace(table, legs=tuple(legs))
+
+
+def _turned(turn: Sequence[float], quat_wxyz: Sequence[float]) -> tuple[float, ...]:
+    """`exp(turn) R`: the product of quaternions, turn as axis times angle in rad."""
+    angle = hypot(*turn)
+    share = 0.5 if angle == 0.0 else sin(0.5 * angle) / angle
+    a, (b, c, d) = cos(0.5 * angle), (share * part for part in turn)
+    w, x, y, z = quat_wxyz
+    parts = (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+    norm = hypot(*parts)
+    return tuple(part / norm for part in parts)
 
 
 _Table = TypeVar("_Table", bound=Struct)
@@ -208,7 +252,14 @@ def _clutch(table: OperatorTable) -> Spec:
 def _slave(table: SlaveTable, run: RunTable, master: Spec) -> SlaveTable:
     critical = 2.0 * sqrt((table.stiffness or 0.0) * table.mass_kg)
     position = tuple(master["position"])
-    return _filled(table, stiffness=0.0, damping=critical, period_s=run.period_s, position=position)
+    tool = table.tool and _tool(table.tool)
+    return _filled(replace(table, tool=tool), stiffness=0.0, damping=critical, period_s=run.period_s, position=position)
+
+
+def _tool(table: ToolTable) -> ToolTable:
+    inertia = table.inertia_kg_m2
+    least = min(inertia) if isinstance(inertia, tuple) else inertia
+    return _filled(table, rotational_damping=2.0 * sqrt(table.rotational_stiffness * least))
 
 
 def _environment(table: EnvironmentTable, axes: int, duration_s: float) -> EnvironmentTable:
@@ -216,25 +267,34 @@ def _environment(table: EnvironmentTable, axes: int, duration_s: float) -> Envir
         table,
         objects=tuple(_object(part, axes, duration_s) for part in table.objects),
         pushers=tuple(_pusher(part, duration_s) for part in table.pushers),
+        torques=tuple(_pusher(part, duration_s) for part in table.torques),
+        holes=tuple(replace(hole, contact=_contact(hole.contact)) for hole in table.holes),
     )
 
 
 def _object(table: ObjectTable, axes: int, duration_s: float) -> ObjectTable:
     shape, contact, motion = table.shape, table.contact, table.motion
     along_x = (1.0,) + (0.0,) * (axes - 1)
-    exponent = 1.0 if contact.law == "kelvin-voigt" else 1.5
     return replace(
         table,
         shape=_filled(shape, normal=along_x) if isinstance(shape, Plane) else shape,
-        contact=_filled(contact, exponent=exponent),
+        contact=_contact(contact),
         motion=motion and _filled(motion, until_s=max(duration_s, motion.from_s)),
     )
 
 
-def _pusher(table: PusherTable, duration_s: float) -> PusherTable:
-    recorded = table.recorded
+def _contact(table: ContactTable) -> ContactTable:
+    return _filled(table, exponent=1.0 if table.law == "kelvin-voigt" else 1.5)
+
+
+_Push = TypeVar("_Push", PusherTable, TorqueTable)
+
+
+def _pusher(table: _Push, duration_s: float) -> _Push:
+    recorded = table.recorded if isinstance(table, PusherTable) else None
     lasts_s = duration_s if recorded is None or not recorded.time_s else recorded.time_s[-1]
-    return _filled(table, duration_s=lasts_s, rise_s=0.0, frequency_hz=0.0, force_n=0.0)
+    force = {"force_n": 0.0} if isinstance(table, PusherTable) else {}
+    return _filled(table, duration_s=lasts_s, rise_s=0.0, frequency_hz=0.0, **force)
 
 
 def max_damping(mass_kg: Sequence[float], period_s: float) -> float:
@@ -251,6 +311,7 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
         estimator=_estimator(table.estimator, master["encoder_quantum"] or DEFAULT_QUANTUM_M),
         limiter=_filled(table.limiter, max_force_n=max_force_n),
         ladder=None if scene.slave is None else _ladder(table.ladder or LadderTable(), table.limiter),
+        rotation=table.rotation or RotationSafetyTable() if side_kind(scene.master) == "pose" else None,
     )
 
 

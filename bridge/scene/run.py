@@ -88,6 +88,14 @@ class Metrics(Struct, frozen=True, kw_only=True):
     """Root mean square of what the slave's position differs from the scaled master's, in m."""
     force_rmse_n: float | None = None
     """Root mean square of what the device's force differs from the scaled reading of the slave's sensor, in N."""
+    max_ejection_rate: float | None = None
+    """Largest angular speed in rad/s of the device after the release; of kind "pose" only, as the three that follow."""
+    peak_device_torque: float | None = None
+    """Largest |tau_device| in N m."""
+    orientation_rmse_rad: float | None = None
+    """Root mean square of the angle between the slave's rotation and the scaled master's, in rad."""
+    torque_rmse_n_m: float | None = None
+    """Root mean square of what the device's torque differs from the scaled reading of the slave's sensor, in N m."""
     passivity_min_j: float | None = None
     """Least energy in J that what renders the force had taken in, less what it had given out; below 0: active."""
     diverged: bool = False

@@ -1,7 +1,7 @@
 //! What an operator commands at one side while it runs.
 
 use crate::{
-    coupling::{CouplingError, FrameMap, PositionForce},
+    coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling},
     wire::MAX_AXES,
 };
 
@@ -22,6 +22,10 @@ pub enum OperatorCommand {
     PositionScale(f64),
     /// Changes `lambda_f`, at the master; how fast the force follows is the limiter's.
     ForceScale(f64),
+    /// Changes `lambda_r`, at the slave; the arm goes on from where it is.
+    RotationScale(f64),
+    /// Changes `lambda_tau`, at the master; how fast the torque follows is the limiter's.
+    TorqueScale(f64),
     /// Changes rotation and locks, at both sides alike; the arm goes on from where it is.
     Frame {
         /// Unit quaternion of the rotation from the master's frame to the slave's.
@@ -38,6 +42,8 @@ impl OperatorCommand {
             Self::Start | Self::Press | Self::Release | Self::Takeover | Self::Acknowledge => Ok(()),
             Self::PositionScale(scale) => PositionForce::<N>::new(*scale, 1.0).map(|_| ()),
             Self::ForceScale(scale) => PositionForce::<N>::new(1.0, *scale).map(|_| ()),
+            Self::RotationScale(scale) => RotationCoupling::new(*scale, 1.0).map(|_| ()),
+            Self::TorqueScale(scale) => RotationCoupling::new(1.0, *scale).map(|_| ()),
             Self::Frame { quat_wxyz, locked } => FrameMap::<N>::rotated(*quat_wxyz, locked).map(|_| ()),
         }
     }

@@ -3,9 +3,14 @@
 //! The loop of such a driver is `read -> tick -> write -> wait`: it leaves its sample here before the tick, and takes
 //! force or order from here after it.
 
+use haptether_master::RotationSample;
 use haptether_safety::Axes;
+use nalgebra::{Unit, UnitQuaternion};
 
-use crate::plant::{MasterPlant, SlavePlant};
+use crate::{
+    coupling::RotationState,
+    plant::{MasterPlant, SlavePlant},
+};
 
 /// A haptic device whose driver is elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,11 +23,16 @@ pub struct DrivenMaster<const N: usize> {
     pub clutch: Option<bool>,
     /// Force in N that the device is to exert.
     pub force: Axes<N>,
+    /// Orientation and angular velocity, as read, of a device that turns.
+    pub rotation: Option<RotationSample>,
+    /// Torque in N m that the device is to exert.
+    pub torque: Axes<3>,
 }
 
 impl<const N: usize> Default for DrivenMaster<N> {
     fn default() -> Self {
-        Self { position: Axes::zeros(), velocity: None, clutch: None, force: Axes::zeros() }
+        let (position, force, torque) = (Axes::zeros(), Axes::zeros(), Axes::zeros());
+        Self { position, velocity: None, clutch: None, force, rotation: None, torque }
     }
 }
 
@@ -38,6 +48,14 @@ impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
     fn clutch(&self) -> Option<bool> {
         self.clutch
     }
+
+    fn rotation(&self) -> Option<RotationSample> {
+        self.rotation
+    }
+
+    fn write_torque(&mut self, torque: &Axes<3>) {
+        self.torque = *torque;
+    }
 }
 
 /// What a driver is to have its arm do.
@@ -51,6 +69,8 @@ pub enum SlaveOrder<const N: usize> {
         position: Axes<N>,
         /// Velocity in m/s.
         velocity: Axes<N>,
+        /// Orientation to turn the tool to, and its angular velocity in rad/s; none where it is led as a point.
+        rotation: Option<(UnitQuaternion<f64>, Axes<3>)>,
     },
     /// Stop softly, and stay.
     Stop,
@@ -68,6 +88,28 @@ struct Braking<const N: usize> {
     velocity: Axes<N>,
     begun_ns: u64,
     rest: Axes<N>,
+    rotation: Option<TurnBraking>,
+}
+
+/// The same of its rotation: on about one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct TurnBraking {
+    from: UnitQuaternion<f64>,
+    velocity: Axes<3>,
+    rest: UnitQuaternion<f64>,
+}
+
+/// Time and share of the speed that is left of an even braking from `speed`, t in s after it began: the way is that time
+/// along the first velocity.
+fn braked(speed: f64, deceleration: f64, t: f64) -> Option<(f64, f64)> {
+    let left = speed - deceleration * t;
+    // x = v t - a t^2 / 2 along v, of constant deceleration.
+    (left > 0.0).then(|| (t - 0.5 * deceleration * t * t / speed, left / speed))
+}
+
+/// On by a rotation vector in the base frame.
+fn turned(by: Axes<3>, from: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    Unit::new_normalize((UnitQuaternion::from_scaled_axis(by) * from).into_inner())
 }
 
 /// An arm whose driver is elsewhere.
@@ -79,8 +121,14 @@ pub struct DrivenSlave<const N: usize> {
     /// Position in m, velocity in m/s and `F_e` in N, as read.
     pub sample: [Axes<N>; 3],
     order: SlaveOrder<N>,
+    /// Orientation, angular velocity and torque, as read, of an arm that is led as a pose.
+    pub rotation: Option<RotationState>,
     /// In m/s^2.
     deceleration: f64,
+    /// In rad/s^2, of an arm that is led as a pose.
+    angular_deceleration: Option<f64>,
+    /// What the next order turns the tool to.
+    turn: Option<(UnitQuaternion<f64>, Axes<3>)>,
     braking: Option<Braking<N>>,
     now_ns: u64,
 }
@@ -94,10 +142,19 @@ impl<const N: usize> DrivenSlave<N> {
         Ok(Self {
             sample: [Axes::zeros(); 3],
             order: SlaveOrder::Wait,
+            rotation: None,
             deceleration,
+            angular_deceleration: None,
+            turn: None,
             braking: None,
             now_ns: 0,
         })
+    }
+
+    /// The same arm led as a pose, which brakes its rotation with a deceleration in rad/s^2 (> 0).
+    #[must_use]
+    pub(crate) fn turning(self, angular_deceleration: f64) -> Self {
+        Self { angular_deceleration: Some(angular_deceleration), ..self }
     }
 
     /// What the driver is to do after this tick.
@@ -114,19 +171,28 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
 
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
         let (mut position, mut velocity) = (*position, *velocity);
-        if let Some(Braking { from, velocity: before, begun_ns, rest }) = self.braking {
-            let (t, speed) = ((self.now_ns - begun_ns) as f64 * 1e-9, before.norm());
-            let left = speed - self.deceleration * t;
-            if left > 0.0 {
-                // x = v t - a t^2 / 2 along v, of constant deceleration.
-                let along = from + before * (t - 0.5 * self.deceleration * t * t / speed);
-                position += along - rest;
-                velocity += before * (left / speed);
-            } else {
+        let mut rotation = self.turn;
+        if let Some(Braking { from, velocity: before, begun_ns, rest, rotation: of_turn }) = self.braking {
+            let t = (self.now_ns - begun_ns) as f64 * 1e-9;
+            let along = braked(before.norm(), self.deceleration, t);
+            if let Some((way_s, share)) = along {
+                position += from + before * way_s - rest;
+                velocity += before * share;
+            }
+            let turning = of_turn.zip(self.angular_deceleration).zip(rotation.as_mut()).and_then(
+                |((TurnBraking { from, velocity, rest }, deceleration), (orientation, w))| {
+                    let (way_s, share) = braked(velocity.norm(), deceleration, t)?;
+                    let ahead = turned(velocity * way_s, &from) * rest.inverse();
+                    *orientation = Unit::new_normalize((ahead * *orientation).into_inner());
+                    *w += velocity * share;
+                    Some(())
+                },
+            );
+            if along.is_none() && turning.is_none() {
                 self.braking = None;
             }
         }
-        self.order = SlaveOrder::Move { position, velocity };
+        self.order = SlaveOrder::Move { position, velocity, rotation };
     }
 
     /// Left to the driver, so that where it ends is not known here.
@@ -136,13 +202,31 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
     }
 
     fn hold(&mut self) -> Axes<N> {
-        let SlaveOrder::Move { position: from, velocity } = self.order else {
+        let SlaveOrder::Move { position: from, velocity, rotation } = self.order else {
             return Axes::repeat(f64::NAN);
         };
         // v^2 / 2 a along v.
         let rest = from + velocity * (0.5 * velocity.norm() / self.deceleration);
-        self.braking = Some(Braking { from, velocity, begun_ns: self.now_ns, rest });
+        let turning =
+            rotation.zip(self.angular_deceleration).map(|((from, velocity), deceleration)| TurnBraking {
+                from,
+                velocity,
+                rest: turned(velocity * (0.5 * velocity.norm() / deceleration), &from),
+            });
+        self.braking = Some(Braking { from, velocity, begun_ns: self.now_ns, rest, rotation: turning });
         rest
+    }
+
+    fn rotation(&self) -> Option<RotationState> {
+        self.rotation
+    }
+
+    fn write_rotation(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) {
+        self.turn = Some((*orientation, *angular_velocity));
+    }
+
+    fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
+        self.braking.and_then(|braking| braking.rotation).map(|turning| turning.rest)
     }
 }
 
@@ -154,7 +238,7 @@ mod tests {
 
     fn commanded(arm: &DrivenSlave<3>) -> (Axes<3>, Axes<3>) {
         match *arm.order() {
-            SlaveOrder::Move { position, velocity } => (position, velocity),
+            SlaveOrder::Move { position, velocity, .. } => (position, velocity),
             ref other => panic!("{other:?}"),
         }
     }

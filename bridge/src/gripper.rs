@@ -110,6 +110,13 @@ impl LedGripper {
         }
     }
 
+    /// Where the jaws of a model meet something rigid from now on.
+    pub(crate) fn meets(&mut self, object: Option<f64>) {
+        if let Jaws::Simulated(gripper) = &mut self.jaws {
+            gripper.set_object(object);
+        }
+    }
+
     /// What it measures at `now_ns`.
     pub(crate) fn read(&mut self, now_ns: u64) -> GripperSample {
         self.sample = match &mut self.jaws {

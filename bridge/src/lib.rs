@@ -9,6 +9,7 @@ mod driven;
 mod endpoint;
 mod fault_text;
 mod gripper;
+mod kind;
 pub mod ladder;
 mod lanes;
 mod link;
@@ -30,11 +31,12 @@ pub mod wire;
 pub use command::OperatorCommand;
 pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
-    EndpointError, Exchange, MasterEndpoint, MasterSettings, MasterTick, SideCounts, SlaveEndpoint,
-    SlaveSettings, SlaveTick,
+    EndpointError, Exchange, MasterEndpoint, MasterReading, MasterRotationSettings, MasterSettings,
+    MasterTick, SideCounts, SlaveEndpoint, SlaveReading, SlaveRotationSettings, SlaveSettings, SlaveTick,
 };
 pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
 pub use gripper::{GripperOrder, LedGripper, Trigger};
+pub use kind::SideKind;
 pub use ladder::{
     Clutch, ClutchError, ClutchOperator, Diagnosis, Explanation, FlightEntry, FlightRecorder, History,
     Ladder, LadderError, LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed,
@@ -44,7 +46,7 @@ pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Sta
 pub use local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Watch, Watched};
 pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
-pub use plant::{MasterPlant, ModelPlant, SlavePlant, Truth};
-pub use record::{MasterRecord, SlaveRecord};
+pub use plant::{MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster};
+pub use record::{MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn};
 pub use side::{MasterSide, Side, SlaveSide};
 pub use virtual_time::{Event, LoopCounts, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

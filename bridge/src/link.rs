@@ -3,11 +3,12 @@
 use haptether_safety::Axes;
 
 use crate::{
-    coupling::{GripperState, PortEnergy},
+    SideKind,
+    coupling::{GripperState, PortEnergy, RotationState},
     fault_text::TextPiece,
     path::PeerPath,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
-    wire::{Echo, Frame, MAX_FRAME, Role, WireError, frame_length},
+    wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError},
 };
 
 /// Counts of one end since it started.
@@ -78,14 +79,19 @@ pub struct PortState<const N: usize> {
     pub force: Axes<N>,
     /// What went in and out of the link.
     pub energy: PortEnergy,
+    /// Orientation, angular velocity and torque; none but of kind `pose`.
+    pub rotation: Option<RotationState>,
     /// Gripper or trigger; none in a session without a gripper.
     pub gripper: Option<GripperState>,
+    /// The buttons of the master; none in a session without.
+    pub buttons: Option<u32>,
 }
 
 impl<const N: usize> Default for PortState<N> {
     fn default() -> Self {
         let [position, velocity, force] = [Axes::zeros(); 3];
-        Self { position, velocity, force, energy: PortEnergy::default(), gripper: None }
+        let energy = PortEnergy::default();
+        Self { position, velocity, force, energy, rotation: None, gripper: None, buttons: None }
     }
 }
 
@@ -169,8 +175,8 @@ pub struct FrameLink<const N: usize> {
     arrived: u64,
     /// Missing frames of the runs before this one.
     missing_before: u64,
-    /// Whether frames have a gripper, those sent and those received.
-    has_gripper: bool,
+    /// Of frames sent and received.
+    layout: FrameLayout,
     arrivals: ReplayWindow,
     statistics: LinkStatistics,
     pub(crate) path: PeerPath,
@@ -189,7 +195,7 @@ impl<const N: usize> FrameLink<N> {
             first_sequence: 0,
             arrived: 0,
             missing_before: 0,
-            has_gripper: false,
+            layout: FrameLayout::default(),
             arrivals: ReplayWindow::new(WINDOW),
             statistics: LinkStatistics::default(),
             path: PeerPath::default(),
@@ -252,21 +258,22 @@ impl<const N: usize> FrameLink<N> {
     }
 
     fn decoded(&self, datagram: &[u8]) -> Result<Frame<N>, WireError> {
-        let allowed = self.frame_length();
-        if datagram.len() != allowed {
-            return Err(WireError::Length { seen: datagram.len(), allowed });
-        }
-        Frame::decode(datagram, self.role.peer())
+        Frame::decode(datagram, self.role.peer(), self.layout)
     }
 
-    /// From here on frames have a gripper.
-    pub fn carry_gripper(&mut self) {
-        self.has_gripper = true;
+    /// What its frames carry, those sent and those received.
+    pub fn layout(&self) -> FrameLayout {
+        self.layout
+    }
+
+    /// Changes what its frames carry; before the first.
+    pub fn set_layout(&mut self, layout: FrameLayout) {
+        self.layout = layout;
     }
 
     /// Bytes of each frame.
     pub fn frame_length(&self) -> usize {
-        frame_length(N, self.has_gripper)
+        self.layout.length(N)
     }
 
     /// Places a sequence of the living run: new, late or seen before.
@@ -302,7 +309,7 @@ impl<const N: usize> FrameLink<N> {
         &mut self,
         time: LinkTime,
         status: Status,
-        PortState { position, velocity, force, energy, gripper }: PortState<N>,
+        PortState { position, velocity, force, energy, rotation, gripper, buttons }: PortState<N>,
         buffer: &'a mut [u8; MAX_FRAME],
     ) -> &'a [u8] {
         let sent_ns = time.by_ns;
@@ -312,8 +319,10 @@ impl<const N: usize> FrameLink<N> {
             sent_ns: newest.frame.sent_ns,
             held_ns: sent_ns.saturating_sub(newest.by_ns),
         });
+        let FrameLayout { kind, has_gripper, has_buttons } = self.layout;
         let frame = Frame {
             role: self.role,
+            kind,
             state: status.state,
             hears_peer: status.hears_peer,
             clutch: status.clutch,
@@ -324,8 +333,10 @@ impl<const N: usize> FrameLink<N> {
             position,
             velocity,
             force,
+            rotation: rotation.filter(|_| kind == SideKind::Pose),
             energy,
-            gripper,
+            gripper: has_gripper.then(|| gripper.unwrap_or_default()),
+            buttons: has_buttons.then(|| buttons.unwrap_or_default()),
             ending: status.ending,
             reason: status.reason,
             fault: status.fault,

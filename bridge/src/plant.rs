@@ -1,8 +1,11 @@
 //! What a runner drives: a device on one side, an arm on the other, each along N axes.
 
-use haptether_master::{SimulatedMaster, SteppedMaster};
+use haptether_master::{RotationSample, SimulatedMaster, SimulatedRotation, SteppedMaster};
 use haptether_safety::{Axes, Real};
-use haptether_slave::SimulatedSlave;
+use haptether_slave::{GripperSample, SimulatedSlave, SimulatedTool};
+use nalgebra::UnitQuaternion;
+
+use crate::coupling::RotationState;
 
 /// A master device as a runner sees it; time is an argument. With a lane type each lane is a device of its own.
 pub trait MasterPlant<const N: usize, S: Real = f64> {
@@ -27,6 +30,30 @@ pub trait MasterPlant<const N: usize, S: Real = f64> {
     fn truth(&self) -> Option<Truth<N, S>> {
         None
     }
+
+    /// Orientation and, if the device measures it, angular velocity at the last read; none of a device of points.
+    fn rotation(&self) -> Option<RotationSample> {
+        None
+    }
+
+    /// Exerts `torque` in N m from now on.
+    fn write_torque(&mut self, _torque: &Axes<3>) {}
+
+    /// What no sensor measures of its rotation, where the plant is a model that turns.
+    fn rotation_truth(&self) -> Option<RotationTruth> {
+        None
+    }
+}
+
+/// What no sensor of a device measures of its rotation, in the base frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RotationTruth {
+    /// True orientation.
+    pub orientation: UnitQuaternion<f64>,
+    /// True angular velocity in rad/s.
+    pub angular_velocity: Axes<3>,
+    /// True torque of the hand in N m.
+    pub hand_torque: Axes<3>,
 }
 
 /// What no sensor of a device measures.
@@ -72,6 +99,26 @@ pub trait SlavePlant<const N: usize> {
 
     /// The two sides have engaged.
     fn engaged(&mut self, _now_ns: u64) {}
+
+    /// Orientation, angular velocity and torque at the last read; none of an arm that is led as a point.
+    fn rotation(&self) -> Option<RotationState> {
+        None
+    }
+
+    /// Turns the tool to `orientation`, which turns with `angular_velocity` in rad/s; before each
+    /// [`write`](Self::write) to an arm that turns.
+    fn write_rotation(&mut self, _orientation: &UnitQuaternion<f64>, _angular_velocity: &Axes<3>) {}
+
+    /// How the tool is turned where [`stop`](Self::stop) or [`hold`](Self::hold) brings it to rest.
+    fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
+        None
+    }
+
+    /// Its gripper measures this; returns where the jaws meet what the arm has between them, 0 open to 1 closed, of an
+    /// arm that knows what is there.
+    fn grip(&mut self, _jaws: &GripperSample) -> Option<Option<f64>> {
+        None
+    }
 }
 
 impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
@@ -97,6 +144,68 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
 
     fn truth(&self) -> Option<Truth<N>> {
         (**self).truth()
+    }
+
+    fn rotation(&self) -> Option<RotationSample> {
+        (**self).rotation()
+    }
+
+    fn write_torque(&mut self, torque: &Axes<3>) {
+        (**self).write_torque(torque);
+    }
+
+    fn rotation_truth(&self) -> Option<RotationTruth> {
+        (**self).rotation_truth()
+    }
+}
+
+/// A device that moves as one model and turns as another: a handle whose tool point is its centre of mass.
+#[derive(Clone, Debug)]
+pub struct TurningMaster<P> {
+    /// The device as a point.
+    pub point: P,
+    /// The device about that point.
+    pub body: SimulatedRotation,
+}
+
+impl<P: MasterPlant<N>, const N: usize> MasterPlant<N> for TurningMaster<P> {
+    fn begin(&mut self, now_ns: u64) {
+        self.point.begin(now_ns);
+        self.body.begin(now_ns);
+    }
+
+    fn read(&mut self, now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
+        self.body.read(now_ns);
+        self.point.read(now_ns)
+    }
+
+    fn write(&mut self, force: &Axes<N>) {
+        self.point.write(force);
+    }
+
+    fn engaged(&mut self) {
+        self.point.engaged();
+        self.body.set_waiting(false);
+    }
+
+    fn truth(&self) -> Option<Truth<N>> {
+        self.point.truth()
+    }
+
+    fn rotation(&self) -> Option<RotationSample> {
+        Some(self.body.measured())
+    }
+
+    fn write_torque(&mut self, torque: &Axes<3>) {
+        self.body.write(torque);
+    }
+
+    fn rotation_truth(&self) -> Option<RotationTruth> {
+        Some(RotationTruth {
+            orientation: *self.body.orientation(),
+            angular_velocity: self.body.angular_velocity(),
+            hand_torque: self.body.hand_torque(),
+        })
     }
 }
 
@@ -167,6 +276,85 @@ impl<const N: usize, S: Real + haptether_master::Real> ModelPlant<N, S> for Step
     #[inline(always)]
     fn wall_force(&self) -> Axes<N, S> {
         SteppedMaster::wall_force(self)
+    }
+}
+
+/// What a model of an arm knows beyond its sensors.
+pub trait ModelArm {
+    /// Whether it touches something.
+    fn touches(&self) -> bool;
+
+    /// Steps of its environment that were too stiff to be followed to full accuracy.
+    fn coarse_steps(&self) -> u64 {
+        0
+    }
+
+    /// Hands over what is there besides the arm: name of a signal, and its numbers at the last read.
+    fn world(&self, _take: &mut dyn FnMut(&'static str, &[f64])) {}
+}
+
+impl<const N: usize> ModelArm for SimulatedSlave<N> {
+    fn touches(&self) -> bool {
+        SimulatedSlave::touches(self)
+    }
+
+    fn coarse_steps(&self) -> u64 {
+        SimulatedSlave::coarse_steps(self)
+    }
+}
+
+impl ModelArm for SimulatedTool {
+    fn touches(&self) -> bool {
+        SimulatedTool::touches(self)
+    }
+
+    fn world(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
+        SimulatedTool::world(self, take);
+    }
+}
+
+impl SlavePlant<3> for SimulatedTool {
+    fn begin(&mut self, now_ns: u64) {
+        SimulatedTool::begin(self, now_ns);
+    }
+
+    fn read(&mut self, now_ns: u64) -> [Axes<3>; 3] {
+        let sample = SimulatedTool::read(self, now_ns);
+        [sample.position, sample.velocity, sample.force]
+    }
+
+    fn write(&mut self, position: &Axes<3>, velocity: &Axes<3>) {
+        SimulatedTool::write(self, position, velocity);
+    }
+
+    fn stop(&mut self) -> Axes<3> {
+        SimulatedTool::stop(self).0
+    }
+
+    fn engaged(&mut self, now_ns: u64) {
+        self.start(now_ns);
+    }
+
+    fn rotation(&self) -> Option<RotationState> {
+        let sample = self.sample();
+        Some(RotationState {
+            orientation: sample.orientation,
+            angular_velocity: sample.angular_velocity,
+            torque: sample.torque,
+        })
+    }
+
+    fn write_rotation(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) {
+        SimulatedTool::write_rotation(self, orientation, angular_velocity);
+    }
+
+    fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
+        Some(self.set_orientation())
+    }
+
+    fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
+        SimulatedTool::grip(self, jaws.position, jaws.force_n);
+        Some(self.between_jaws())
     }
 }
 

@@ -1,15 +1,19 @@
 //! One side of the bridge, plant and endpoint together: what both runners step at each tick.
 
+use std::marker::PhantomData;
+
 use crate::{
     command::OperatorCommand,
     coupling::{CouplingError, GripperState},
-    endpoint::{Exchange, MasterEndpoint, SlaveEndpoint},
+    endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
     gripper::{LedGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
     pace::TickTime,
     plant::{MasterPlant, SlavePlant},
-    record::{LadderSnapshot, MasterRecord, SlaveRecord},
+    record::{
+        LadderSnapshot, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
+    },
     session::{MAX_DATAGRAM, Session},
     wire::MAX_FRAME,
 };
@@ -55,9 +59,9 @@ pub trait Side<const N: usize> {
     fn exchange_mut(&mut self) -> &mut Exchange<N>;
 }
 
-/// The side of the hand.
+/// The side of the hand; R is what its records have of a rotation.
 #[derive(Clone, Debug)]
-pub struct MasterSide<P, const N: usize> {
+pub struct MasterSide<P, const N: usize, R = ()> {
     /// The device.
     pub plant: P,
     /// What decides.
@@ -67,13 +71,22 @@ pub struct MasterSide<P, const N: usize> {
     button: Button,
     /// What leads the gripper; none where the slave has none.
     pub trigger: Option<Trigger>,
+    records: PhantomData<R>,
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// A side whose clutch is worked as `clutch` says, unless the device has a button.
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
         let operator = ClutchOperator::new(clutch)?;
-        Ok(Self { plant, endpoint, operator, button: Button::default(), trigger: None })
+        let button = Button::default();
+        Ok(Self { plant, endpoint, operator, button, trigger: None, records: PhantomData })
+    }
+
+    /// The same side with records of a hand that turns.
+    #[must_use]
+    pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
+        let Self { plant, endpoint, operator, button, trigger, .. } = self;
+        MasterSide { plant, endpoint, operator, button, trigger, records: PhantomData }
     }
 
     /// The same side with a trigger that leads the slave's gripper.
@@ -86,20 +99,21 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     }
 }
 
-impl<P: MasterPlant<N>, const N: usize> Side<N> for MasterSide<P, N> {
-    type Record = MasterRecord<N>;
+impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P, N, R> {
+    type Record = MasterRecord<N, R>;
 
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);
         self.operator.begin(now_ns);
     }
 
-    fn tick(&mut self, time: TickTime) -> MasterRecord<N> {
+    fn tick(&mut self, time: TickTime) -> MasterRecord<N, R> {
         if self.exchange().has_stalled() {
             self.operator.reset();
             self.button.stalled();
         }
         let (position, velocity) = self.plant.read(time.now_ns);
+        let reading = MasterReading { position, velocity, rotation: self.plant.rotation() };
         let ladder = self.endpoint.exchange.ladder();
         let clutch = match self.button.at(time.now_ns, self.plant.clutch()) {
             Some(button) => {
@@ -114,8 +128,12 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for MasterSide<P, N> {
             led_to = state.position;
             self.endpoint.exchange.report_gripper(state);
         }
-        let tick = self.endpoint.tick(time.clock_ns, time.missed, &position, velocity.as_ref(), clutch);
+        let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
         let truth = self.plant.truth();
+        let turn = R::of(reading.rotation.as_ref(), self.plant.rotation_truth(), tick.rotation.as_ref());
+        if let Some(of_torque) = &tick.rotation {
+            self.plant.write_torque(&of_torque.device_force);
+        }
         self.plant.write(&tick.safety.device_force);
         if tick.state.is_coupled() {
             self.plant.engaged();
@@ -123,7 +141,8 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for MasterSide<P, N> {
                 trigger.engaged(time.now_ns);
             }
         }
-        MasterRecord::new(time, &position, truth, led_to, &tick, LadderSnapshot::of(self.exchange()))
+        let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
+        MasterRecord::new(time, &position, truth, led_to, &tick, turn, snapshot)
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
@@ -147,6 +166,7 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for MasterSide<P, N> {
     }
 
     fn rest(&mut self) {
+        self.plant.write_torque(&haptether_safety::Axes::zeros());
         self.plant.write(&haptether_safety::Axes::zeros());
     }
 
@@ -159,9 +179,9 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for MasterSide<P, N> {
     }
 }
 
-/// The side of the robot.
+/// The side of the robot; R is what its records have of a rotation.
 #[derive(Clone, Debug)]
-pub struct SlaveSide<P, const N: usize> {
+pub struct SlaveSide<P, const N: usize, R = ()> {
     /// The arm.
     pub plant: P,
     /// What decides.
@@ -170,12 +190,20 @@ pub struct SlaveSide<P, const N: usize> {
     stood: LadderState,
     /// Its gripper, if it has one.
     pub gripper: Option<LedGripper>,
+    records: PhantomData<R>,
 }
 
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     /// A side whose arm has not been commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
-        Self { plant, endpoint, stood: LadderState::Disengaged, gripper: None }
+        Self { plant, endpoint, stood: LadderState::Disengaged, gripper: None, records: PhantomData }
+    }
+
+    /// The same side with records of an arm that turns.
+    #[must_use]
+    pub fn turning(self) -> SlaveSide<P, N, SlaveRotation> {
+        let Self { plant, endpoint, stood, gripper, .. } = self;
+        SlaveSide { plant, endpoint, stood, gripper, records: PhantomData }
     }
 
     /// The same side with a gripper.
@@ -188,20 +216,24 @@ impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     }
 }
 
-impl<P: SlavePlant<N>, const N: usize> Side<N> for SlaveSide<P, N> {
-    type Record = SlaveRecord<N>;
+impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N, R> {
+    type Record = SlaveRecord<N, R>;
 
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);
     }
 
-    fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
-        let sample = self.plant.read(time.now_ns);
+    fn tick(&mut self, time: TickTime) -> SlaveRecord<N, R> {
+        let [position, velocity, environment_force] = self.plant.read(time.now_ns);
+        let reading = SlaveReading { position, velocity, environment_force, rotation: self.plant.rotation() };
         if let Some(gripper) = &mut self.gripper {
             let measured = gripper.read(time.now_ns);
+            if let Some(between) = self.plant.grip(&measured) {
+                gripper.meets(between);
+            }
             self.endpoint.exchange.report_gripper(GripperState::of_gripper(&measured));
         }
-        let mut tick = self.endpoint.tick(time.clock_ns, &sample[0], &sample[1], &sample[2]);
+        let mut tick = self.endpoint.tick(time.clock_ns, &reading);
         let stood = std::mem::replace(&mut self.stood, tick.state);
         let is_stopped = |state| matches!(state, LadderState::Stop | LadderState::Fault);
         // Once each: whoever brakes again and again would let go of what the arm leans on, bit by bit.
@@ -213,10 +245,14 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for SlaveSide<P, N> {
             None
         };
         if let Some(rest) = rest {
-            self.endpoint.rests(&rest);
+            self.endpoint.rests(&rest, self.plant.rest_orientation().as_ref());
             tick.command = self.endpoint.last_command();
+            tick.orientation = self.endpoint.last_orientation();
         }
         if let Some(command) = tick.command.filter(|_| !is_stopped(tick.state)) {
+            if let Some(orientation) = &tick.orientation {
+                self.plant.write_rotation(orientation, &tick.angular_velocity);
+            }
             self.plant.write(&command, &tick.command_velocity);
         }
         if tick.state.is_coupled() {
@@ -226,7 +262,8 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for SlaveSide<P, N> {
             let trigger = self.endpoint.exchange.peer_gripper().and_then(|state| state.position);
             gripper.lead(time.now_ns, trigger.filter(|_| tick.state.is_coupled()));
         }
-        SlaveRecord::new(time, &sample, self.gripper.as_ref(), &tick, LadderSnapshot::of(self.exchange()))
+        let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
+        SlaveRecord::new(time, &reading, self.gripper.as_ref(), &tick, snapshot)
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {

@@ -130,7 +130,7 @@ impl<'a, S: Side<N>, const N: usize> Loop<'a, S, N> {
         seed: Option<u64>,
         pace: Pace,
     ) -> Result<Self, EndError> {
-        let settings = SessionSettings::new(role, side.exchange().link().frame_length(), peer_period_ns);
+        let settings = SessionSettings::of_frames(role, side.exchange().link().layout(), N, peer_period_ns);
         let mut entropy = SeededEntropy::new(seed.unwrap_or_default(), role);
         let end = if seed.is_some() {
             // Nobody listens in a simulation: any key will do.

@@ -4,12 +4,12 @@
 use std::{collections::VecDeque, ops::ControlFlow};
 
 use haptether_bridge::{
-    Clutch, FrameLink, LadderSettings, LadderState, LinkTime, MasterEndpoint, MasterSettings, MasterSide,
-    OperatorCommand, PortState, Side, SlaveEndpoint, SlavePlant, SlaveSettings, SlaveSide, Status, TickTime,
-    VirtualSettings,
+    Clutch, FrameLink, LadderSettings, LadderState, LinkTime, MasterEndpoint, MasterReading, MasterSettings,
+    MasterSide, OperatorCommand, PortState, Side, SlaveEndpoint, SlavePlant, SlaveReading, SlaveSettings,
+    SlaveSide, Status, TickTime, VirtualSettings,
     coupling::CommandBounds,
     run_virtual,
-    wire::{Frame, MAX_FRAME, Role},
+    wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::{ClockSettings, EndpointClock, LinkSettings};
@@ -309,7 +309,7 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
                 ),
             )
             .unwrap();
-        let output = slave.tick(now_ns, &still, &still, &still);
+        let output = slave.tick(now_ns, &SlaveReading::point([still; 3]));
         let answer = slave.exchange.send(LinkTime::at(now_ns), &mut buffer).to_vec();
         link.receive(LinkTime::at(now_ns), &answer).unwrap();
         let command = output.command.map_or(0.0, |command| command[0]);
@@ -421,7 +421,7 @@ fn nothing_is_exerted_without_a_peer_however_the_hand_moves() {
         let mut endpoint = MasterEndpoint::<1>::new(&MasterSettings { safety, ..master_settings() }).unwrap();
         for tick in 0..500_u32 {
             let position = Axes::<1>::new(0.8 * f64::from(tick) * 1e-3);
-            let output = endpoint.tick(u64::from(tick) * MS, 0, &position, None, true);
+            let output = endpoint.tick(u64::from(tick) * MS, 0, &MasterReading::point(position, None), true);
             assert_eq!(output.safety.device_force[0], 0.0);
         }
     }
@@ -435,7 +435,8 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
     for tick in 0..1500 {
         let now_ns = tick * MS;
         if tick == 1000 {
-            let output = master.endpoint.tick(now_ns, 0, &Axes::<1>::new(f64::NAN), None, true);
+            let output =
+                master.endpoint.tick(now_ns, 0, &MasterReading::point(Axes::<1>::new(f64::NAN), None), true);
             assert_eq!(output.safety.device_force[0], 0.0, "in the same tick");
         }
         let record = master.tick(TickTime::at(now_ns));
@@ -465,26 +466,36 @@ fn frames_tell_the_energy_that_went_through_each_port() {
     for tick in 0..3000 {
         let now_ns = tick * MS;
         let near = master.tick(TickTime::at(now_ns));
-        let frame = Frame::<1>::decode(master.send(LinkTime::at(now_ns), &mut buffer), Role::Master).unwrap();
+        let frame = Frame::<1>::decode(
+            master.send(LinkTime::at(now_ns), &mut buffer),
+            Role::Master,
+            FrameLayout::default(),
+        )
+        .unwrap();
         let expected = add(0, -near.rendered_force[0] * frame.velocity[0]);
         for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((sent - expected).abs() <= 1e-12, "master, {tick}: {sent} J, must be {expected} J");
         }
         // Every third frame is lost, and what it said is in the next.
         if tick % 3 != 0 {
-            let _ = slave.receive(LinkTime::at(now_ns), &buffer[..Frame::<1>::LENGTH]);
+            let _ = slave.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::default().length(1)]);
         }
         let sample = SlavePlant::read(&mut slave.plant, now_ns);
-        let output = slave.endpoint.tick(now_ns, &sample[0], &sample[1], &sample[2]);
+        let output = slave.endpoint.tick(now_ns, &SlaveReading::point(sample));
         if let Some(command) = &output.command {
             SlavePlant::write(&mut slave.plant, command, &output.command_velocity);
         }
-        let frame = Frame::<1>::decode(slave.send(LinkTime::at(now_ns), &mut buffer), Role::Slave).unwrap();
+        let frame = Frame::<1>::decode(
+            slave.send(LinkTime::at(now_ns), &mut buffer),
+            Role::Slave,
+            FrameLayout::default(),
+        )
+        .unwrap();
         let expected = add(1, sample[2][0] * output.command_velocity[0]);
         for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((sent - expected).abs() <= 1e-12, "slave, {tick}: {sent} J, must be {expected} J");
         }
-        let _ = master.receive(LinkTime::at(now_ns), &buffer[..Frame::<1>::LENGTH]);
+        let _ = master.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::default().length(1)]);
     }
     // Into the wall and pressing: energy goes into it at the slave, and comes out of the hand at the master.
     let [[master_in, _], [_, slave_out]] = sums;

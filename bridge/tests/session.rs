@@ -8,7 +8,7 @@ use haptether_bridge::{
         Arrival, HANDSHAKE_LENGTH, HandshakeDecision, HandshakeEvent, MAX_DATAGRAM, Received, Rejection,
         SealError, SessionEnd, SessionEvent, SessionSettings, sealed_length,
     },
-    wire::Role,
+    wire::{FrameForm, Role},
 };
 use pair::{MS, Numbers, PAYLOAD, Pair, end, key, number, payload, peer, settings};
 use proptest::prelude::*;
@@ -438,7 +438,7 @@ fn a_second_master_is_refused() {
     assert_eq!(second.receive(10, &mut answer, &mut entropy), Ok(Received::Nothing));
     assert_eq!(
         second.poll_event(),
-        Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, payload_length: 92 })
+        Some(HandshakeEvent::Refused { decision: HandshakeDecision::Leased, form: FrameForm(92) })
     );
     assert!(!second.session.is_open(10));
     // A second later it asks again, with what the refusal gave it: it lives.
@@ -477,11 +477,12 @@ fn of_two_masters_at_once_one_wins() {
 
 #[test]
 fn sides_of_different_payloads_are_notified() {
-    let longer = SessionSettings { payload_length: PAYLOAD + 24, ..settings(Role::Slave) };
+    let longer =
+        SessionSettings { payload_length: PAYLOAD + 24, form: FrameForm(116), ..settings(Role::Slave) };
     let mut pair = Pair::with(settings(Role::Master), longer);
     pair.run(50);
-    let decision = HandshakeDecision::PayloadLength;
-    let refused = |payload_length| Some(HandshakeEvent::Refused { decision, payload_length });
+    let decision = HandshakeDecision::PayloadForm;
+    let refused = |form| Some(HandshakeEvent::Refused { decision, form: FrameForm(form) });
     assert_eq!(pair.master.poll_event(), refused(116));
     assert_eq!(pair.slave.poll_event(), refused(92));
     assert_eq!(pair.taken, []);

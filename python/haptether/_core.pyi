@@ -1735,6 +1735,34 @@ class MasterTrace(_SideTicks, _ObservedTicks):
         """F_device in N, after the limiter."""
 
     @property
+    def orientation(self) -> _Array | None:
+        """R as the device measures it, unit quaternions w, x, y, z of shape `(n_ticks, 4)`; none but of kind "pose"."""
+
+    @property
+    def angular_velocity(self) -> _Array | None:
+        """True w in rad/s where the device is a model, else as estimated."""
+
+    @property
+    def hand_torque(self) -> _Array | None:
+        """True torque of the hand in N m where the device is a model, else 0."""
+
+    @property
+    def rendered_torque(self) -> _Array | None:
+        """Requested torque in N m, faded by the ladder and bounded to what the device can render."""
+
+    @property
+    def grasp_torque(self) -> _Array | None:
+        """Torque of the hand in N m, as estimated."""
+
+    @property
+    def safety_torque(self) -> _Array | None:
+        """Of the controllers in N m."""
+
+    @property
+    def device_torque(self) -> _Array | None:
+        """Of the device in N m, after the limiter."""
+
+    @property
     def acted(self) -> _Bits:
         """Which bounds of the limiter acted: sum of |F| 1, slew 2, power 4, ramp-in 8."""
 
@@ -1759,8 +1787,20 @@ class SlaveTrace(_SideTicks):
         """F_e in N, of wall and pusher on the tool."""
 
     @property
+    def orientation(self) -> _Array | None:
+        """R of the tool, unit quaternions w, x, y, z of shape `(n_ticks, 4)`; none but of kind "pose"."""
+
+    @property
+    def command_orientation(self) -> _Array | None:
+        """Commanded R; the tool's own before the first command."""
+
+    @property
+    def environment_torque(self) -> _Array | None:
+        """Torque of the environment on the tool in N m."""
+
+    @property
     def limited(self) -> _Bits:
-        """Which bounds acted on the remote command: speed 1, reach 2."""
+        """Which bounds acted on the remote command: speed 1, reach 2, angular speed 4, turn 8."""
 
     @property
     def gripper(self) -> _Array:
@@ -2036,6 +2076,10 @@ class _LiveSide:
         """Where the ladder stands: a name of `ladder_state_name`."""
 
     @property
+    def kind(self) -> Literal["linear", "joints", "pose"]:
+        """What the coordinates of the scene's sides are."""
+
+    @property
     def ticks(self) -> int:
         """Ticks done so far."""
 
@@ -2292,7 +2336,9 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         *,
         fault: str | None = None,
         trigger: float | None = None,
-    ) -> tuple[float, ...] | None:
+        orientation: Sequence[float] | None = None,
+        angular_velocity: Sequence[float] | None = None,
+    ) -> tuple[Any, ...] | None:
         """One tick, at a sample of the device.
 
         A number that is not finite or absurd leads to zero force and a fault, and no exception.
@@ -2303,12 +2349,16 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             clutch: Whether it is pressed, from a device with a button; none without one.
             fault: What the device says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
             trigger: What leads the slave's gripper, 0 (open) to 1 (closed); none, or another number, leaves it as it is.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; of other kinds nothing is taken of it.
+            angular_velocity: w in rad/s in the base frame from a device that measures it, at every sample or at none.
 
         Returns:
-            F_device in N, shape `(axes,)`; none where the run is over.
+            F_device in N, shape `(axes,)`, and of kind "pose" that and the torque in N m, shape `(3,)` each; none where
+            the run is over.
 
         Raises:
-            TypeError: A sample that is no number, or of another number of axes; nothing was done.
+            TypeError: A sample that is no number, of another number of axes, or without an orientation of kind "pose";
+                nothing was done.
             RuntimeError: Another thread steps it.
         """
 
@@ -2353,7 +2403,10 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         *,
         fault: str | None = None,
         gripper: tuple[float, float, float, bool] | None = None,
-    ) -> tuple[Literal["wait", "move", "stop"], tuple[float, ...], tuple[float, ...]] | None:
+        orientation: Sequence[float] | None = None,
+        angular_velocity: Sequence[float] | None = None,
+        torque: Sequence[float] | None = None,
+    ) -> tuple[Any, ...] | None:
         """One tick, at a sample of the arm.
 
         A number that is not finite or absurd leads to a stop and a fault, and no exception.
@@ -2365,14 +2418,19 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
             fault: What the arm says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
             gripper: Of a scene with `[slave.gripper]`: position, 0 (open) to 1 (closed), velocity in 1/s, force in N, and
                 whether it holds something; numbers that no gripper has are sent as not known.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; of other kinds nothing is taken of it.
+            angular_velocity: w in rad/s in the base frame, of kind "pose".
+            torque: Of the environment on the tool in N m, in the base frame about the tool point, of kind "pose".
 
         Returns:
-            What the arm is to do, and where it is to move in m and with which velocity in m/s, shape `(axes,)` each,
-            both empty unless it is to move; none where the run is over. An arm that is no longer led is moved to rest
-            with constant deceleration, `slave.max_acceleration` of the scene or 5 m/s².
+            "wait", "move" or "stop", and where the arm is to move in m and with which velocity in m/s, shape `(axes,)`
+            each, both empty unless it is to move; of kind "pose" a move has the orientation and the angular velocity as
+            well. None where the run is over. An arm that is no longer led is moved to rest with constant deceleration,
+            `slave.max_acceleration` of the scene or 5 m/s², and 25 rad/s².
 
         Raises:
-            TypeError: A sample that is no number, or of another number of axes; nothing was done.
+            TypeError: A sample that is no number, of another number of axes, or of kind "pose" without one of the last
+                three; nothing was done.
             RuntimeError: Another thread steps it.
         """
 

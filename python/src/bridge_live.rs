@@ -3,9 +3,9 @@
 use std::{path::PathBuf, sync::Mutex, time::Duration};
 
 use haptether_bridge::{
-    OperatorCommand, Side,
+    OperatorCommand, Side, SideKind,
     live::{Ineffective, LiveRun, run_live},
-    scene::{simulated_master, simulated_slave},
+    scene::{as_pose, simulated_master, simulated_pose_master, simulated_pose_slave, simulated_slave},
 };
 use pyo3::{exceptions::PyRuntimeError, prelude::*};
 
@@ -93,26 +93,32 @@ macro_rules! live_methods {
 pub(crate) struct LiveMaster {
     run: Mutex<LiveRun>,
     pub(crate) watched: Watched<MasterRows>,
+    kind: SideKind,
 }
 
 constructor!(LiveMaster, peer, [listen: Option<&str> = None, started_s: Option<f64> = None], |py, scene, run_id, how| {
     let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
-    let side = simulated_master::<N>(&scene, run_id).map_err(refuse)?;
-    let (run, watched) = start(py, side, place)?;
-    Ok(Self { run, watched })
+    let (run, watched) = match as_pose(&scene).map_err(refuse)? {
+        Some(scene) => start(py, simulated_pose_master(scene, run_id).map_err(refuse)?, place)?,
+        None => start(py, simulated_master::<N>(&scene, run_id).map_err(refuse)?, place)?,
+    };
+    Ok(Self { run, watched, kind: scene.master.kind })
 });
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveSlave {
     run: Mutex<LiveRun>,
     pub(crate) watched: Watched<SlaveRows>,
+    kind: SideKind,
 }
 
 constructor!(LiveSlave, listen, [], |py, scene, run_id, how| {
     let place = Place::of_slave(listen, live_periods(&scene)?[1], how)?;
-    let side = simulated_slave::<N>(&scene, run_id).map_err(refuse)?;
-    let (run, watched) = start(py, side, place)?;
-    Ok(Self { run, watched })
+    let (run, watched) = match as_pose(&scene).map_err(refuse)? {
+        Some(scene) => start(py, simulated_pose_slave(scene, run_id).map_err(refuse)?, place)?,
+        None => start(py, simulated_slave::<N>(&scene, run_id).map_err(refuse)?, place)?,
+    };
+    Ok(Self { run, watched, kind: scene.master.kind })
 });
 
 live_methods!(LiveMaster, MasterRows);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use haptether_bridge::{
-    LinkStatistics, MasterRecord, PathReport, SlaveRecord,
+    LinkStatistics, MasterRecord, MasterRotation, PathReport, SlaveRecord, SlaveRotation,
     live::{Granted, LoopReport},
     recorder::{Recorded, RecordingReport},
 };
@@ -35,14 +35,26 @@ type SlaveRecords<const N: usize> = Vec<SlaveRecord<N>>;
 
 per_axes!(
     /// Ticks of a master.
-    MasterRows,
+    MasterTicks,
     MasterRecords
 );
 per_axes!(
     /// Ticks of a slave.
-    SlaveRows,
+    SlaveTicks,
     SlaveRecords
 );
+
+/// Ticks of a side, and of its rotation where it has one.
+#[derive(Clone)]
+pub(crate) struct Rows<T, R> {
+    ticks: T,
+    rotation: Option<Vec<R>>,
+}
+
+/// Ticks of a master.
+pub(crate) type MasterRows = Rows<MasterTicks, MasterRotation>;
+/// Ticks of a slave.
+pub(crate) type SlaveRows = Rows<SlaveTicks, SlaveRotation>;
 
 /// A record of which there are many, of a known number of axes.
 pub(crate) trait Rowed: Recorded {
@@ -59,7 +71,7 @@ macro_rules! rowed {
             type Rows = MasterRows;
 
             fn rows(records: Vec<Self>) -> MasterRows {
-                MasterRows::$variant(records)
+                Rows { ticks: MasterTicks::$variant(records), rotation: None }
             }
         }
 
@@ -67,13 +79,31 @@ macro_rules! rowed {
             type Rows = SlaveRows;
 
             fn rows(records: Vec<Self>) -> SlaveRows {
-                SlaveRows::$variant(records)
+                Rows { ticks: SlaveTicks::$variant(records), rotation: None }
             }
         })*
     };
 }
 
 rowed!(One 1, Two 2, Three 3, Six 6, Seven 7);
+
+impl Rowed for MasterRecord<3, MasterRotation> {
+    type Rows = MasterRows;
+
+    fn rows(records: Vec<Self>) -> MasterRows {
+        let (ticks, rotation) = records.into_iter().map(Self::parted).unzip();
+        Rows { ticks: MasterTicks::Three(ticks), rotation: Some(rotation) }
+    }
+}
+
+impl Rowed for SlaveRecord<3, SlaveRotation> {
+    type Rows = SlaveRows;
+
+    fn rows(records: Vec<Self>) -> SlaveRows {
+        let (ticks, rotation) = records.into_iter().map(Self::parted).unzip();
+        Rows { ticks: SlaveTicks::Three(ticks), rotation: Some(rotation) }
+    }
+}
 
 /// Ticks of the master.
 #[pyclass(module = "haptether.bridge", frozen)]
@@ -105,26 +135,26 @@ macro_rules! columns {
         impl $class {
             $(#[getter]
             fn $name(&self, py: Python<'_>) -> Py<PyAny> {
-                with_axes!(&self.rows, $rows, records => {
+                with_axes!(&self.rows.ticks, $rows, records => {
                     column(py, records.iter().map(|$record| $value).collect())
                 })
             })*
 
             $(#[getter]
             fn $vector(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-                with_axes!(&self.rows, $rows, records => {
+                with_axes!(&self.rows.ticks, $rows, records => {
                     vectors(py, records.iter().map(|record| record.$vector))
                 })
             })*
 
             fn __len__(&self) -> usize {
-                with_axes!(&self.rows, $rows, records => records.len())
+                with_axes!(&self.rows.ticks, $rows, records => records.len())
             }
         }
     };
 }
 
-columns!(MasterTrace, MasterRows, record, {
+columns!(MasterTrace, MasterTicks, record, {
     time_s => seconds(record.time_ns),
     trigger => record.trigger,
     velocity_force => record.observers[ControllerKind::Vfc],
@@ -141,7 +171,7 @@ columns!(MasterTrace, MasterRows, record, {
     fault => record.fault,
 }, { position, velocity, hand_force, rendered_force, grasp_force, safety_force, device_force });
 
-columns!(SlaveTrace, SlaveRows, record, {
+columns!(SlaveTrace, SlaveTicks, record, {
     time_s => seconds(record.time_ns),
     gripper => record.gripper,
     gripper_command => record.gripper_command,
@@ -156,6 +186,31 @@ columns!(SlaveTrace, SlaveRows, record, {
     overshoot_s => seconds(record.overshoot_ns),
     fault => record.fault,
 }, { position, command, environment_force });
+
+/// Getters that return one array per signal of a rotation, none of a point.
+macro_rules! rotation_columns {
+    ($class:ident, { $($quaternion:ident),* }, { $($vector:ident),* }) => {
+        #[pymethods]
+        impl $class {
+            $(#[getter]
+            fn $quaternion(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
+                let Some(rotation) = &self.rows.rotation else { return Ok(None) };
+                vectors(py, rotation.iter().map(|turn| Axes::<4>::from(turn.$quaternion))).map(Some)
+            })*
+
+            $(#[getter]
+            fn $vector(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
+                let Some(rotation) = &self.rows.rotation else { return Ok(None) };
+                vectors(py, rotation.iter().map(|turn| turn.$vector)).map(Some)
+            })*
+        }
+    };
+}
+
+rotation_columns!(MasterTrace, { orientation }, {
+    angular_velocity, hand_torque, rendered_torque, grasp_torque, safety_torque, device_torque
+});
+rotation_columns!(SlaveTrace, { orientation, command_orientation }, { environment_torque });
 
 #[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]
 #[derive(Clone, Copy)]

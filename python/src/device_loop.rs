@@ -6,11 +6,13 @@ use std::{
 };
 
 use haptether_bridge::{
-    DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterSide, OperatorCommand, Side, SlaveOrder,
-    SlaveSide, Trigger,
+    DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterSide, MasterTurn, OperatorCommand, Side,
+    SideKind, SlaveOrder, SlaveSide, SlaveTurn, Trigger,
+    coupling::{RotationState, measured, quat_wxyz},
     live::{DriverLoop, Ineffective, PacedLoop, paced_by_device},
-    scene::{Timed, driven_master, driven_slave},
+    scene::{Timed, as_pose, driven_master, driven_slave},
 };
+use haptether_master::RotationSample;
 use haptether_safety::Axes;
 use haptether_slave::{GripperCommand, GripperSample};
 use pyo3::{
@@ -41,6 +43,8 @@ struct MasterRead<'a, 'py> {
     clutch: Option<bool>,
     fault: Option<&'a str>,
     trigger: Option<f64>,
+    orientation: Option<[f64; 4]>,
+    angular_velocity: Option<[f64; 3]>,
 }
 
 /// What a slave's driver has read.
@@ -50,6 +54,9 @@ struct SlaveRead<'a, 'py> {
     force: &'a Bound<'py, PyAny>,
     fault: Option<&'a str>,
     gripper: Option<GripperSample>,
+    orientation: Option<[f64; 4]>,
+    angular_velocity: Option<[f64; 3]>,
+    torque: Option<[f64; 3]>,
 }
 
 trait MasterSteps: DriverLoop + Send {
@@ -90,11 +97,21 @@ fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<A
     Err(PyTypeError::new_err(format!("{name} = {value}: must be {of}")))
 }
 
+/// What a driver of poses must read at each tick.
+fn read_part<T>(name: &str, value: Option<T>) -> PyResult<T> {
+    let missing = || {
+        PyTypeError::new_err(format!(
+            "{name} is missing: a driver in a scene of kind \"pose\" reads it at each tick"
+        ))
+    };
+    value.ok_or_else(missing)
+}
+
 fn written<'py, const N: usize>(py: Python<'py>, value: &Axes<N>) -> PyResult<Bound<'py, PyTuple>> {
     PyTuple::new(py, value.iter())
 }
 
-impl<const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N>>, N> {
+impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>, N, R>>, N> {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -102,23 +119,34 @@ impl<const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<DrivenMaster<N>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let position = read_axes("position", read.position)?;
         let velocity = read.velocity.map(|velocity| read_axes("velocity", velocity)).transpose()?;
+        let rotation = if R::TURNS {
+            let orientation = measured(read_part("orientation", read.orientation)?);
+            Some(RotationSample { orientation, angular_velocity: read.angular_velocity.map(Axes::from) })
+        } else {
+            None
+        };
         let force = PacedLoop::step(
             self,
             |side| {
                 report_fault(side, read.fault);
                 let plant = &mut side.side.plant;
                 (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
+                plant.rotation = rotation;
                 if let Some(trigger) = &mut side.side.trigger {
                     *trigger = Trigger::Driven(read.trigger);
                 }
             },
-            |side| side.side.plant.force,
+            |side| (side.side.plant.force, side.side.plant.torque),
         );
-        force.map(|force| written(py, &force)).transpose()
+        let Some((force, torque)) = force else { return Ok(None) };
+        if R::TURNS {
+            return PyTuple::new(py, [written(py, &force)?, written(py, &torque)?]).map(Some);
+        }
+        written(py, &force).map(Some)
     }
 }
 
-impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>>, N> {
+impl<R: SlaveTurn, const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N, R>>, N> {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
@@ -130,11 +158,20 @@ impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>
             read_axes("velocity", read.velocity)?,
             read_axes("force", read.force)?,
         ];
+        let rotation = if R::TURNS {
+            Some(RotationState {
+                orientation: measured(read_part("orientation", read.orientation)?),
+                angular_velocity: Axes::from(read_part("angular_velocity", read.angular_velocity)?),
+                torque: Axes::from(read_part("torque", read.torque)?),
+            })
+        } else {
+            None
+        };
         let order = PacedLoop::step(
             self,
             |side| {
                 report_fault(side, read.fault);
-                side.side.plant.sample = sample;
+                (side.side.plant.sample, side.side.plant.rotation) = (sample, rotation);
                 if let (Some(jaws), Some(read)) = (&mut side.side.gripper, read.gripper) {
                     jaws.take(read);
                 }
@@ -149,8 +186,13 @@ impl<const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N>
         let named = match order {
             SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
-            SlaveOrder::Move { position, velocity } => {
+            SlaveOrder::Move { position, velocity, rotation: None } => {
                 (pyo3::intern!(py, "move"), written(py, &position)?, written(py, &velocity)?)
+            }
+            SlaveOrder::Move { position, velocity, rotation: Some((orientation, angular_velocity)) } => {
+                let turn = (PyTuple::new(py, quat_wxyz(&orientation))?, written(py, &angular_velocity)?);
+                let named = (pyo3::intern!(py, "move"), written(py, &position)?, written(py, &velocity)?);
+                return (named.0, named.1, named.2, turn.0, turn.1).into_pyobject(py).map(Some);
             }
         };
         let named: (&Bound<'py, PyString>, _, _) = named;
@@ -220,6 +262,7 @@ macro_rules! loop_methods {
 pub(crate) struct MasterLoop {
     paced: Mutex<Box<dyn MasterSteps>>,
     pub(crate) watched: Watched<MasterRows>,
+    kind: SideKind,
 }
 
 constructor!(MasterLoop, peer,
@@ -233,16 +276,28 @@ constructor!(MasterLoop, peer,
                 return Err(PyValueError::new_err(text));
             }
         };
-        let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
         let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
-        let (paced, watched) = prepare(py, side, place)?;
-        Ok(Self { paced: Mutex::new(Box::new(paced)), watched })
+        let (paced, watched): (Box<dyn MasterSteps>, _) = match as_pose(&scene).map_err(refuse)? {
+            Some(scene) => {
+                let side = driven_master(scene, run_id, simulated_clutch).map_err(refuse)?.turning();
+                let (paced, watched) = prepare(py, side, place)?;
+                (Box::new(paced), watched)
+            }
+            None => {
+                let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
+                let (paced, watched) = prepare(py, side, place)?;
+                (Box::new(paced), watched)
+            }
+        };
+        Ok(Self { paced: Mutex::new(paced), watched, kind: scene.master.kind })
     }
 );
 
 #[pymethods]
 impl MasterLoop {
-    #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None, trigger=None))]
+    #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None, trigger=None, orientation=None,
+        angular_velocity=None))]
+    #[allow(clippy::too_many_arguments)] // those of a sample, by name
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -251,8 +306,11 @@ impl MasterLoop {
         clutch: Option<bool>,
         fault: Option<&str>,
         trigger: Option<f64>,
+        orientation: Option<[f64; 4]>,
+        angular_velocity: Option<[f64; 3]>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        own(&self.paced)?.step(py, MasterRead { position, velocity, clutch, fault, trigger })
+        let read = MasterRead { position, velocity, clutch, fault, trigger, orientation, angular_velocity };
+        own(&self.paced)?.step(py, read)
     }
 }
 
@@ -262,18 +320,32 @@ pub(crate) struct SlaveLoop {
     /// What the gripper is to do after the last tick.
     gripper: Mutex<GripperOrder>,
     pub(crate) watched: Watched<SlaveRows>,
+    kind: SideKind,
 }
 
 constructor!(SlaveLoop, listen, [], |py, scene, run_id, how| {
-    let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
     let place = Place::of_slave(listen, live_periods(&scene)?[1], how)?;
-    let (paced, watched) = prepare(py, side, place)?;
-    Ok(Self { paced: Mutex::new(Box::new(paced)), gripper: Mutex::new(GripperOrder::Hold), watched })
+    let (paced, watched): (Box<dyn SlaveSteps>, _) = match as_pose(&scene).map_err(refuse)? {
+        Some(scene) => {
+            let side = driven_slave(scene, run_id).map_err(refuse)?.turning();
+            let (paced, watched) = prepare(py, side, place)?;
+            (Box::new(paced), watched)
+        }
+        None => {
+            let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
+            let (paced, watched) = prepare(py, side, place)?;
+            (Box::new(paced), watched)
+        }
+    };
+    let gripper = Mutex::new(GripperOrder::Hold);
+    Ok(Self { paced: Mutex::new(paced), gripper, watched, kind: scene.master.kind })
 });
 
 #[pymethods]
 impl SlaveLoop {
-    #[pyo3(signature = (position, velocity, force, *, fault=None, gripper=None))]
+    #[pyo3(signature = (position, velocity, force, *, fault=None, gripper=None, orientation=None,
+        angular_velocity=None, torque=None))]
+    #[allow(clippy::too_many_arguments)] // those of a sample, by name
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -282,6 +354,9 @@ impl SlaveLoop {
         force: &Bound<'py, PyAny>,
         fault: Option<&str>,
         gripper: Option<(f64, f64, f64, bool)>,
+        orientation: Option<[f64; 4]>,
+        angular_velocity: Option<[f64; 3]>,
+        torque: Option<[f64; 3]>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let gripper = gripper.map(|(position, velocity, force_n, holds_object)| GripperSample {
             position,
@@ -290,8 +365,9 @@ impl SlaveLoop {
             holds_object,
         });
         let mut led = GripperOrder::Hold;
-        let order =
-            own(&self.paced)?.step(py, SlaveRead { position, velocity, force, fault, gripper }, &mut led);
+        let read =
+            SlaveRead { position, velocity, force, fault, gripper, orientation, angular_velocity, torque };
+        let order = own(&self.paced)?.step(py, read, &mut led);
         *locked(&self.gripper) = led;
         order
     }

@@ -400,6 +400,11 @@ macro_rules! watch_methods {
             }
 
             #[getter]
+            fn kind(&self) -> &'static str {
+                self.kind.name()
+            }
+
+            #[getter]
             fn ticks(&self) -> u64 {
                 self.watched.handle.ticks()
             }

@@ -65,7 +65,7 @@ impl PySceneRun {
 }
 
 /// Signals that count or name: whole numbers.
-const CODES: [&str; 3] = ["tripped", "state", "slave_state"];
+const CODES: [&str; 4] = ["tripped", "rotation_tripped", "state", "slave_state"];
 
 fn signal_out(py: Python<'_>, signal: &Signal) -> PyResult<Py<PyAny>> {
     if CODES.contains(&signal.name) {
@@ -90,6 +90,10 @@ fn metrics_out(py: Python<'_>, outcome: &Outcome, period_s: f64) -> PyResult<Py<
     metrics.set_item("intervention_s", outcome.intervention_ticks.map(|ticks| ticks as f64 * period_s))?;
     metrics.set_item("position_rmse_m", outcome.position_rmse_m)?;
     metrics.set_item("force_rmse_n", outcome.force_rmse_n)?;
+    metrics.set_item("max_ejection_rate", outcome.max_ejection_rate)?;
+    metrics.set_item("peak_device_torque", outcome.peak_device_torque)?;
+    metrics.set_item("orientation_rmse_rad", outcome.orientation_rmse_rad)?;
+    metrics.set_item("torque_rmse_n_m", outcome.torque_rmse_n_m)?;
     metrics.set_item("passivity_min_j", outcome.passivity_min_j)?;
     metrics.set_item("diverged", outcome.diverged.is_some())?;
     metrics.set_item("ticks", outcome.ticks)?;

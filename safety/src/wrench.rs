@@ -12,9 +12,9 @@ mod tests;
 
 /// How the safety layer of a pose is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WrenchSettings {
+pub struct WrenchSettings<const N: usize = 3> {
     /// The layer of forces.
-    pub translation: LayerSettings<3>,
+    pub translation: LayerSettings<N>,
     /// The layer of torques, with thresholds of its own.
     pub rotation: RotationSettings,
     /// Whether a trip of one acts on both.
@@ -23,42 +23,42 @@ pub struct WrenchSettings {
 
 /// What a device measures of its pose at one tick, in the base frame about the tool point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseSample {
+pub struct PoseSample<const N: usize = 3> {
     /// x in m.
-    pub position: Axes<3>,
+    pub position: Axes<N>,
     /// R, `base_from_body`.
     pub orientation: UnitQuaternion<f64>,
     /// V in m/s, if the device measures it (at every tick or at none).
-    pub velocity: Option<Axes<3>>,
+    pub velocity: Option<Axes<N>>,
     /// w in rad/s, if the device measures it (at every tick or at none).
     pub angular_velocity: Option<Axes<3>>,
 }
 
 /// What the safety layer saw and decided of force and torque at one tick, in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WrenchTick {
+pub struct WrenchTick<const N: usize = 3> {
     /// Of the force, in N, m/s and m/s².
-    pub translation: SafetyTick<3>,
+    pub translation: SafetyTick<N>,
     /// Of the torque, in N m, rad/s and rad/s².
     pub rotation: SafetyTick<3>,
 }
 
-/// A layer of forces and a layer of torques on one hand.
+/// A layer of forces and a layer of torques on one hand; a hand that turns moves along N = 3 axes.
 ///
 /// Each watches, answers and bounds in its own unit. While trips are shared, a tick that one calls unsafe is unsafe for
 /// both, so that both cancel, hold off and fade together, by times that must be the same; the one that did not trip
 /// says [`Tripped::HELD`](crate::controller::Tripped::HELD). The force of PC is no intervention and stays with its layer.
 /// A fault of one stops both, whatever is shared.
 #[derive(Clone, Debug)]
-pub struct WrenchLayer {
-    translation: SafetyLayer<3>,
+pub struct WrenchLayer<const N: usize = 3> {
+    translation: SafetyLayer<N>,
     rotation: RotationLayer,
     shares_trips: bool,
 }
 
-impl WrenchLayer {
+impl<const N: usize> WrenchLayer<N> {
     /// A layer for a device at rest, without force.
-    pub fn new(settings: &WrenchSettings) -> Result<Self, ParameterError> {
+    pub fn new(settings: &WrenchSettings<N>) -> Result<Self, ParameterError> {
         let WrenchSettings { translation, rotation, shares_trips } = settings;
         same("period_s", "dT", [translation.period_s, rotation.period_s])?;
         if *shares_trips {
@@ -77,18 +77,18 @@ impl WrenchLayer {
     ///
     /// Numbers that either layer refuses return no force and no torque at this tick and a fault in both that stays until
     /// [`reset`](Self::reset).
-    pub fn tick(&mut self, sample: &PoseSample, force: &Axes<3>, torque: &Axes<3>) -> WrenchTick {
+    pub fn tick(&mut self, sample: &PoseSample<N>, force: &Axes<N>, torque: &Axes<3>) -> WrenchTick<N> {
         self.tick_with_authority(sample, force, torque, 1.0)
     }
 
     /// As [`tick`](Self::tick), with the controllers' damping in the share `authority` (0 to 1) only.
     pub fn tick_with_authority(
         &mut self,
-        sample: &PoseSample,
-        force: &Axes<3>,
+        sample: &PoseSample<N>,
+        force: &Axes<N>,
         torque: &Axes<3>,
         authority: f64,
-    ) -> WrenchTick {
+    ) -> WrenchTick<N> {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;
         let moves =
             self.translation.checked(position, velocity.as_ref(), force, &mut crate::layer::PointMass);
@@ -113,7 +113,7 @@ impl WrenchLayer {
     }
 
     /// A tick that was missed, as [`SafetyLayer::missed`].
-    pub fn missed(&mut self, sample: &PoseSample) {
+    pub fn missed(&mut self, sample: &PoseSample<N>) {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;
         let mut point = crate::layer::PointMass;
         let moves = self.translation.missed_observation(position, velocity.as_ref(), &mut point);
@@ -138,19 +138,19 @@ impl WrenchLayer {
         self.rotation.fail(fault);
     }
 
-    fn stop(&mut self, fault: Fault) -> WrenchTick {
+    fn stop(&mut self, fault: Fault) -> WrenchTick<N> {
         WrenchTick { translation: self.translation.stop(fault), rotation: self.rotation.stop(fault) }
     }
 
     /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
-    pub fn restart(&mut self, position: &Axes<3>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
+    pub fn restart(&mut self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.translation.restart(position)?;
         self.rotation.restart(orientation)
     }
 
     /// Clears a fault and the past: the device rests at this pose, and force and torque rise from zero again.
-    pub fn reset(&mut self, position: &Axes<3>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
+    pub fn reset(&mut self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Result<(), Fault> {
         check(orientation)?;
         self.translation.reset(position)?;
         self.rotation.reset(orientation)

@@ -112,6 +112,11 @@ impl SimulatedGripper {
         self.command = Some(command);
     }
 
+    /// From now on the jaws meet something rigid there, 0 open to 1 closed, or nothing.
+    pub fn set_object(&mut self, object: Option<f64>) {
+        self.settings.object = object.filter(|position| (0.0..=1.0).contains(position));
+    }
+
     /// Stops the jaws and keeps the force on what they hold.
     pub fn hold(&mut self) {
         if self.sample.holds_object {

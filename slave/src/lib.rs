@@ -11,6 +11,7 @@ mod one_axis;
 mod settings;
 mod simulated;
 mod solver;
+mod tool;
 mod ur;
 
 pub use arm::force_sensor::ForceSensor;
@@ -27,6 +28,10 @@ pub use settings::{
     ObjectMotionSettings, ObjectSettings, PushKind, PusherSettings, SeriesSettings, ShapeSettings,
 };
 pub use simulated::{SimulatedSlave, SlaveSample};
+pub use tool::{
+    HandleSettings, HoleSettings, RigidBodySettings, SimulatedTool, ToolSample, ToolSettings,
+    ToolWorldSettings,
+};
 pub use ur::chain::{UrPose, UrRows};
 pub use ur::inverse::{UrBranches, UrUnreached};
 pub use ur::nearest::UrInverse;

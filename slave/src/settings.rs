@@ -5,7 +5,7 @@
 
 use crate::{
     ArmControl, ArmModel, Axes, Contact, ContactLaw, ForceSensor, FreeBody, GripperSettings, ModelError,
-    Object, ObjectMotion, PushShape, Pusher, Series, Shape,
+    Object, ObjectMotion, PushShape, Pusher, Series, Shape, ToolSettings,
 };
 
 /// `[slave]`: a simulated arm.
@@ -35,6 +35,8 @@ pub struct ArmSettings<const N: usize> {
     pub force_sensor: Option<ForceSensorSettings<N>>,
     /// Its gripper; none by default.
     pub gripper: Option<GripperSettings>,
+    /// Its tool, of an arm that turns.
+    pub tool: Option<ToolSettings>,
 }
 
 impl<const N: usize> ArmSettings<N> {

@@ -16,18 +16,41 @@ from haptether.bridge.scene.tables.ranges import (
     PositionPerAxis,
     Positive,
     PositivePerAxis,
+    Quaternion,
     Reaction,
     Seconds,
+    SideKind,
     SpeedPerAxis,
     StopsPerAxis,
     TremorFrequency,
     TriggerCourse,
     Unbounded,
+    Vector3,
 )
 
 DeviceName = Literal[
     "phantom-desktop", "phantom-omni", "touch", "phantom-premium-1.5", "inverse3", "dynamixel-leader"
 ]  # fmt: skip
+
+
+class RotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[master.rotation]`: the device as a rigid body. `I dw/dt + w x I w + b w + c w / |w| = tau_device + tau_h`.
+
+    No preset has these numbers: no source that was at hand gives them.
+
+    Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; friction as paper Eq. 3.
+    """
+
+    inertia_kg_m2: PositivePerAxis
+    """I in kg m² about the axes of the body, above 0."""
+    viscous: NonNegative = 0.0
+    """b in N m s/rad."""
+    coulomb: NonNegative = 0.0
+    """c in N m."""
+    measures_angular_velocity: bool = True
+    """Whether the device measures w itself; else it is estimated from orientations."""
+    max_torque_n_m: Positive | Unbounded | None = None
+    """Largest |tau| in N m that its motors exert; by default no bound."""
 
 
 class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -41,6 +64,9 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     device: DeviceName | None = None
     """Preset of `haptether.master.DEVICE_PRESETS` that fills in what this table leaves out."""
+    kind: SideKind | None = None
+    """What the coordinates are: "linear" (1 to 3 axes), "joints" (1 to 7) or "pose" (3 axes and an orientation); by
+    default "linear" up to 3 axes, else "joints"."""
     axes: Axis = 1
     """Number of axes: 1, 2, 3, 6 or 7."""
     mass_kg: PositivePerAxis | None = None
@@ -67,6 +93,8 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Where it starts, in m; by default where the hand's path begins, without a hand 0."""
     velocity: SpeedPerAxis = 0.0
     """V at the start, in m/s."""
+    rotation: RotationTable | None = None
+    """Its rotation; kind = "pose" needs it."""
     driver: str | None = None
     """Live only: drives a real device, by the name of an entry point of `haptether.masters`; this table then says what
     the safety layer takes the device for. By default a model of this table is held by the operator."""
@@ -120,6 +148,36 @@ class RegraspTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """From there to the full grip, in s."""
 
 
+class RotationLegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[operator.rotation.legs]]`: one turn of the hand, about a fixed axis, the shorter way."""
+
+    duration_s: Duration
+    """Time in s that it takes, at least 1e-9."""
+    turn: Vector3 | None = None
+    """By how much it turns: axis times angle in rad, in the base frame, shorter than pi."""
+    end_wxyz: Quaternion | None = None
+    """The orientation where it ends, instead of `turn`."""
+    shape: Literal["linear", "smooth", "minimum-jerk"] = "minimum-jerk"
+    """As of `[[operator.legs]]`."""
+
+
+class OperatorRotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[operator.rotation]`: the hand turns the device. `tau_h = K_h log(R_target R^T) - B_h w`, up to its strength."""
+
+    stiffness: NonNegative = 2.0
+    """K_h in N m/rad."""
+    damping: NonNegative = 0.02
+    """B_h in N m s/rad."""
+    strength_n_m: NonNegative | None = None
+    """Grip strength in N m; no bound by default."""
+    start_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """The orientation where it begins."""
+    legs: tuple[RotationLegTable, ...] = ()
+    """How it turns, leg by leg; by default it keeps its orientation."""
+    release: ReleaseTable | None = None
+    """When it lets go; never by default."""
+
+
 class TremorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[operator.tremor]`: `a sin(2 pi f t)` on the path, on every axis."""
 
@@ -158,6 +216,8 @@ class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     only at the start; or pairs of press and release times in s since the start."""
     clutch_reaction_s: Reaction = 0.5
     """From when both sides are ready after a hold to the new press of "auto", in s, 0.05 to 60."""
+    rotation: OperatorRotationTable | None = None
+    """How the hand turns a device of kind "pose"; by default nobody does."""
     trigger: TriggerCourse = ()
     """What leads the gripper of `[slave.gripper]`: pairs of time in s since engagement and position, 0 (open) to 1
     (closed), with straight lines between; by default it stays open."""

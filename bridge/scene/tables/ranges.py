@@ -63,6 +63,11 @@ StopsPerAxis: TypeAlias = Annotated[
 ]
 """Lower and upper stop for every axis, or one such pair per axis."""
 _times = Annotated[tuple[Seconds, ...], Meta(min_length=2, max_length=2)]
+Vector3: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=3, max_length=3)]
+"""x, y, z."""
+PositiveVector3: TypeAlias = Annotated[tuple[Positive, ...], Meta(min_length=3, max_length=3)]
+SideKind: TypeAlias = Literal["linear", "joints", "pose"]
+"""What the coordinates of a side are: a point along 1 to 3 axes, 1 to 7 joints, or a point with an orientation."""
 Quaternion: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=4, max_length=4)]
 """w, x, y, z of a rotation."""
 AxisIndices: TypeAlias = Annotated[tuple[Annotated[int, Meta(ge=0, le=MAX_AXES - 1)], ...], Meta(max_length=MAX_AXES)]

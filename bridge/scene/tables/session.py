@@ -26,6 +26,7 @@ from haptether.bridge.scene.tables.ranges import (
     StaleAfter,
     StopAfter,
     Unbounded,
+    Vector3,
 )
 from haptether.bridge.scene.tables.slave import EnvironmentTable, SlaveTable
 from haptether.netsim import LinkSettings
@@ -92,6 +93,10 @@ class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """The new lambda_p."""
     force_scale: Positive | None = None
     """The new lambda_f; the limiter says how fast the force follows."""
+    rotation_scale: Positive | None = None
+    """The new lambda_r."""
+    torque_scale: Positive | None = None
+    """The new lambda_tau; the limiter says how fast the torque follows."""
     quat_wxyz: Quaternion | None = None
     """The new rotation."""
     locked_axes: AxisIndices | None = None
@@ -118,6 +123,18 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Fastest that the commanded position moves, in m/s, or "unbounded"; what is faster is clamped and counted."""
     command_reach: Positive | Unbounded = "unbounded"
     """Largest distance in m of the commanded position from where the arm began, or "unbounded"."""
+    rotation_scale: Positive = 1.0
+    """lambda_r of kind "pose": `R_s = (C R_m R_m0^T C^T)^lambda_r R_s0`."""
+    torque_scale: Positive = 1.0
+    """lambda_tau: rendered torque over measured torque."""
+    locks_rotation: bool = False
+    """Whether the slave keeps its orientation, and its torque is not felt."""
+    rotation_axis: Vector3 | None = None
+    """The axis of the slave's base frame, of length 1, about which alone it turns and is felt; by default about all."""
+    command_angular_speed: Positive | Unbounded = 2.5
+    """Fastest that the commanded orientation turns, in rad/s, or "unbounded"."""
+    command_turn: Positive | Unbounded = "unbounded"
+    """Largest angle in rad of the commanded orientation from how the arm began, or "unbounded"."""
     changes: tuple[ChangeTable, ...] = ()
     """What is changed while it runs."""
 
@@ -217,6 +234,45 @@ class LadderTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     limiter, or 0.2 if that is less."""
 
 
+class RotationSafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[safety.rotation]`: who watches the torque of kind "pose".
+
+    What is not given is that of the force at a lever r: torques are r F, angular velocities V / r, damping r² mu;
+    energies, times and ratios are the same.
+    """
+
+    lever_m: Annotated[float, Meta(ge=1e-3, le=10.0)] = 0.05
+    """r in m: how far from its middle the hand holds the handle."""
+    shares_trips: bool = True
+    """Whether a trip of force or torque acts on both."""
+    controllers: tuple[ControllerName, ...] | None = None
+    """Who watches; by default those of the force."""
+    damping: NonNegative | None = None
+    """mu in N m s/rad, at most I / (5 dT)."""
+    velocity_threshold: Positive | None = None
+    """In rad/s, of VFC."""
+    vfc_torque_threshold_n_m: Positive | None = None
+    """In N m, of VFC."""
+    grasp_threshold: Annotated[float, Meta(gt=1.0, le=LARGEST)] | None = None
+    """zeta, above 1, of HSC."""
+    grasp_floor_n_m: Positive | None = None
+    """alpha in N m, of HSC."""
+    hsc_torque_threshold_n_m: NonNegative | None = None
+    """In N m, of HSC."""
+    energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] | None = None
+    """delta in J, below 0, of WSC."""
+    pc_max_damping: NonNegative | None = None
+    """Bound in N m s/rad on the damping of PC, at most I / (5 dT)."""
+    max_torque_n_m: Positive | None = None
+    """Largest |tau| in N m; by default what the device exerts, without such a bound that of the force at the lever."""
+    max_slew_n_m_per_s: Positive | None = None
+    """Largest growth of the torque in N m/s."""
+    max_power_w: Positive | None = None
+    """Largest power in W that the torque may put into the hand."""
+    quantum_rad: Positive | None = None
+    """Resolution of an angle in rad that the estimator takes the device to have."""
+
+
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[safety]`: who watches the hand. The defaults are the paper's.
 
@@ -259,6 +315,8 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Bounds on the device force."""
     ladder: LadderTable | None = None
     """Times of the ladder, with a [slave]; by default the ladder's own."""
+    rotation: RotationSafetyTable | None = None
+    """What differs for the torque of kind "pose"."""
 
 
 class RecordTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -10,16 +10,21 @@ from haptether.bridge.scene.tables.ranges import (
     Duration,
     ForcePerAxis,
     NonNegative,
+    Number,
     Opening,
     Options,
     PerAxis,
+    Position,
     PositionPerAxis,
     Positive,
     PositivePerAxis,
+    Quaternion,
     SampleRate,
     Seconds,
+    SideKind,
     SpeedPerAxis,
     Unbounded,
+    Vector3,
 )
 
 SIMULATED = "simulated"
@@ -61,6 +66,40 @@ class GripperTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return hash(json.encode(self))
 
 
+Metres = Annotated[float, Meta(gt=0.0, le=1000.0)]
+_point = Annotated[tuple[Position, ...], Meta(min_length=3, max_length=3)]
+
+
+class ToolTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[slave.tool]`: the arm's tool as a rigid body, whose point has the mass, stiffness and damping of the arm.
+
+    `I w' + w x I w = k_r log(R_set R^T) + b_r (w_set - w) + tau_e`
+
+    Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; Hogan 1985 (impedance).
+    """
+
+    inertia_kg_m2: PositivePerAxis
+    """I in kg m² about the axes of the tool, through the tool point."""
+    rotational_stiffness: NonNegative
+    """k_r in N m/rad."""
+    rotational_damping: NonNegative | None = None
+    """b_r in N m s/rad; by default critical for the least inertia, `2 sqrt(k_r I)`."""
+    max_angular_speed: Positive | Unbounded = 2.5
+    """Fastest that the set orientation turns, in rad/s, or "unbounded"."""
+    quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """How it is turned at the start."""
+    points: tuple[_point, ...] = ((0.0, 0.0, 0.0),)
+    """Points of it that touch, in m in its own frame; by default the tool point."""
+    jaw_width_m: Metres = 0.085
+    """Between the open jaws of its gripper, along its x axis, in m."""
+    jaw_friction: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.5
+    """Coefficient of friction at the jaws."""
+    jaw_stiffness: Positive = 1e4
+    """How the jaws hold, in N/m."""
+    jaw_radius_m: Metres = 0.01
+    """Radius in m of a jaw's pad, at which friction withstands moments."""
+
+
 class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[slave]`: the arm. Without this table the environment is rendered on the device itself."""
 
@@ -85,8 +124,12 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Where it starts, in m; by default where the master does."""
     force_sensor: ForceSensorTable | None = None
     """Its force sensor; by default the force is exact."""
+    kind: SideKind | None = None
+    """What its coordinates are; that of the master, since no map leads from one kind to another yet."""
     gripper: GripperTable | None = None
     """Its gripper; none by default."""
+    tool: ToolTable | None = None
+    """The tool that it turns; kind = "pose" needs it."""
     device: str = SIMULATED
     """Live only: drives a real arm, by the name of an entry point of `haptether.slaves`, such as "ur"; by default, and
     in virtual time, the arm is the model that the rest of this table describes."""
@@ -213,6 +256,88 @@ class PusherTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """The recording in N; "recorded" needs it."""
 
 
+class HoleTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[environment.holes]]`: a round hole in a half space, which touches the points of a tool of kind "pose"."""
+
+    entrance: _point
+    """Middle of its entrance, in m."""
+    axis: Vector3 = (0.0, 0.0, 1.0)
+    """Its axis, out of the material, of any length but 0."""
+    radius: Metres
+    """In m."""
+    depth: Metres
+    """In m."""
+    chamfer_m: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
+    """Height in m of a chamfer of 45 degrees."""
+    contact: ContactTable
+    """How it resists."""
+
+
+class HandleTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[environment.handles]]`: a valve, a crank or a door, which turns about one axis while the tool holds it.
+
+    `J theta'' = -b theta' - c sign(theta') - k theta + tau`. A tool without a gripper holds it from the engagement on,
+    if it is in reach; one with a gripper while the jaws press.
+    """
+
+    point: _point
+    """A point on its axis, in m."""
+    axis: Vector3
+    """Its axis, of any length but 0."""
+    grip: _point
+    """Where it is gripped while its angle is 0, in m."""
+    reach_m: Metres = 0.03
+    """How near in m the tool point must be to hold it."""
+    width_m: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.02
+    """Its width in m between the jaws."""
+    inertia_kg_m2: Positive
+    """J in kg m² about its axis."""
+    viscous: NonNegative = 0.0
+    """b in N m s/rad."""
+    coulomb: NonNegative = 0.0
+    """c in N m, in full above 0.01 rad/s."""
+    stiffness: NonNegative = 0.0
+    """k in N m/rad of a spring that turns it back to 0."""
+    stops_rad: Annotated[tuple[Number, ...], Meta(min_length=2, max_length=2)] = (-1e9, 1e9)
+    """Lower and upper stop in rad; by default none that is reached."""
+    hold_stiffness: Positive = 1e4
+    """How it is held, in N/m."""
+    hold_rotational_stiffness: NonNegative = 50.0
+    """And in N m/rad."""
+
+
+class RigidBodyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[environment.bodies]]`: a box of even density that lies on what is touched, and that jaws can hold."""
+
+    mass_kg: Positive
+    """In kg."""
+    half_extents: Annotated[tuple[Metres, ...], Meta(min_length=3, max_length=3)]
+    """Half of its size in m."""
+    position: _point
+    """Where its middle begins, in m."""
+    quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """How it is turned at the start."""
+    gravity: Annotated[float, Meta(ge=0.0, le=100.0)] = 9.81
+    """Gravity along -z, in m/s²."""
+
+
+class TorqueTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[environment.torques]]`: a torque of its own on the tool of kind "pose"."""
+
+    shape: Literal["step", "ramp", "half-sine", "sine"] = "step"
+    """At once; rising linearly and staying; `tau sin(pi t / duration)`; `tau sin(2 pi f t)`."""
+    at_s: Seconds = 0.0
+    """When it begins, in s since engagement."""
+    duration_s: Duration | None = None
+    """How long it lasts, in s; "half-sine" needs it. By default to the end of the run."""
+    rise_s: Seconds | None = None
+    """Time in s in which a ramp rises; "ramp" needs it."""
+    frequency_hz: Positive | None = None
+    """f in Hz; "sine" needs it."""
+    torque_n_m: ForcePerAxis
+    """tau in N m, in the base frame."""
+
+
 class EnvironmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[environment]`: what is touched and what pushes."""
 
@@ -224,3 +349,11 @@ class EnvironmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """What is touched."""
     pushers: tuple[PusherTable, ...] = ()
     """What pushes by itself."""
+    torques: tuple[TorqueTable, ...] = ()
+    """What turns a tool of kind "pose" by itself."""
+    holes: tuple[HoleTable, ...] = ()
+    """Holes in what is touched, for a tool of kind "pose"."""
+    handles: tuple[HandleTable, ...] = ()
+    """Handles of doors and valves, for a tool of kind "pose"."""
+    bodies: tuple[RigidBodyTable, ...] = ()
+    """Bodies that the gripper of a tool of kind "pose" can hold."""

@@ -2,6 +2,7 @@
 //! late.
 
 use haptether_safety::Axes;
+use nalgebra::{Unit, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 
@@ -47,25 +48,93 @@ impl CommandBounds {
     }
 }
 
+/// Bounds on the commanded orientation of a slave, as [`CommandBounds`] on its position.
+///
+/// In `[coupling]` of a scene they are `command_angular_speed` and `command_turn`, null without a bound.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+pub struct RotationBounds {
+    /// Largest angular speed in rad/s of the commanded orientation.
+    #[serde(rename = "command_angular_speed", deserialize_with = "infinite_or")]
+    #[schemars(with = "Option<f64>")]
+    pub speed: f64,
+    /// Largest angle in rad from how the slave stood at its first tick.
+    #[serde(rename = "command_turn", deserialize_with = "infinite_or")]
+    #[schemars(with = "Option<f64>")]
+    pub turn: f64,
+}
+
+impl Default for RotationBounds {
+    /// 2.5 rad/s is the Cartesian bound of libfranka; the angle is not bounded, for it is the arm's own.
+    fn default() -> Self {
+        Self { speed: 2.5, turn: f64::INFINITY }
+    }
+}
+
+impl RotationBounds {
+    /// Refuses bounds that are no numbers above 0.
+    pub fn check(&self) -> Result<(), CouplingError> {
+        for (name, symbol, seen) in
+            [("command_angular_speed", "w_max", self.speed), ("command_turn", "phi_max", self.turn)]
+        {
+            if seen.is_nan() || seen <= 0.0 {
+                return Err(CouplingError::scale(name, symbol, seen));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Which bounds acted on a command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[allow(clippy::struct_excessive_bools)] // any of them, in any combination
 pub struct Limited {
     /// The commanded position would have moved faster than it may.
     pub speed: bool,
     /// It would have left its reach.
     pub reach: bool,
+    /// The commanded orientation would have turned faster than it may.
+    pub angular_speed: bool,
+    /// It would have turned too far.
+    pub turn: bool,
 }
 
 impl Limited {
-    /// As bits: 1 speed, 2 reach.
+    /// As bits: 1 speed, 2 reach, 4 angular speed, 8 turn.
     pub const fn bits(self) -> u8 {
-        self.speed as u8 | (self.reach as u8) << 1
+        let Self { speed, reach, angular_speed, turn } = self;
+        speed as u8 | (reach as u8) << 1 | (angular_speed as u8) << 2 | (turn as u8) << 3
     }
 
     /// Whether any acted.
     pub const fn any(self) -> bool {
-        self.speed || self.reach
+        self.bits() != 0
     }
+}
+
+/// `wanted` as far as it may be commanded `elapsed_s` after `last`, for a slave that began at `home`: the shorter way
+/// round, each.
+pub(crate) fn turned_within(
+    bounds: &RotationBounds,
+    elapsed_s: f64,
+    [home, last, wanted]: [&UnitQuaternion<f64>; 3],
+    limited: &mut Limited,
+) -> UnitQuaternion<f64> {
+    let mut command = *wanted;
+    let at_most = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>, angle: f64| {
+        let way = (to * from.inverse()).scaled_axis();
+        let turn = UnitQuaternion::from_scaled_axis(way * (angle / way.norm()));
+        Unit::new_normalize((turn * from).into_inner())
+    };
+    if command.angle_to(home) > bounds.turn {
+        limited.turn = true;
+        command = at_most(home, &command, bounds.turn);
+    }
+    let max_step = bounds.speed * elapsed_s;
+    if command.angle_to(last) > max_step {
+        limited.angular_speed = true;
+        command = at_most(last, &command, max_step);
+    }
+    command
 }
 
 /// `wanted` as far as it may be commanded `elapsed_s` after `last`, for a slave that began at `home`.
@@ -110,6 +179,7 @@ pub(crate) fn decayed(late_ns: u64, decay_ns: u64) -> (f64, f64) {
 #[cfg(test)]
 mod bounds_tests {
     use super::*;
+    use crate::coupling::drawn::orientation;
     use proptest::prelude::*;
 
     proptest! {
@@ -128,8 +198,31 @@ mod bounds_tests {
         }
     }
 
+    proptest! {
+        #[test]
+        fn an_orientation_is_within_both_bounds(
+            (wanted, from) in (orientation(), prop::array::uniform3(-0.5..0.5f64)),
+            (speed, turn) in (0.1..5.0f64, 1.0..3.0f64),
+        ) {
+            let bounds = RotationBounds { speed, turn };
+            let home = UnitQuaternion::identity();
+            let last = UnitQuaternion::from_scaled_axis(Axes::<3>::from(from));
+            let mut limited = Limited::default();
+            let command = turned_within(&bounds, 1e-3, [&home, &last, &wanted], &mut limited);
+            // Rounding of a quaternion whose angle is taken by its inverse cosine or sine: 1e-8 at 0.
+            prop_assert!(command.angle_to(&last) <= speed * 1e-3 + 3e-8);
+            prop_assert!(command.angle_to(&home) <= turn + speed * 1e-3 + 3e-8);
+            prop_assert_eq!(limited.any(), command != wanted);
+            prop_assert!((command.norm() - 1.0).abs() < 1e-15);
+        }
+    }
+
     #[test]
     fn bounds_that_are_none_are_refused() {
+        for (speed, turn) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, -1.0), (1.0, f64::NAN)] {
+            assert!(RotationBounds { speed, turn }.check().is_err());
+        }
+        RotationBounds::default().check().unwrap();
         for (speed, reach) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, -1.0), (1.0, f64::NAN)] {
             assert!(CommandBounds { speed, reach }.check().is_err());
         }

@@ -4,7 +4,7 @@ use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 /// Any orientation, of either sign of its quaternion.
-pub(super) fn orientation() -> impl Strategy<Value = UnitQuaternion<f64>> {
+pub(crate) fn orientation() -> impl Strategy<Value = UnitQuaternion<f64>> {
     prop::array::uniform4(-1.0..1.0f64)
         .prop_map(|[w, x, y, z]| Quaternion::new(w, x, y, z))
         .prop_filter("no direction", |quaternion| quaternion.norm() > 0.1)

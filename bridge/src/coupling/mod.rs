@@ -3,7 +3,7 @@
 mod alignment;
 mod command;
 #[cfg(test)]
-mod drawn;
+pub(crate) mod drawn;
 mod gripper;
 mod orientation;
 mod position_force;
@@ -15,10 +15,10 @@ use haptether_safety::Axes;
 use nalgebra::SMatrix;
 
 pub use alignment::{Alignment, AlignmentStep};
-pub use command::{CommandBounds, Limited};
-pub(crate) use command::{bounded, decayed};
+pub use command::{CommandBounds, Limited, RotationBounds};
+pub(crate) use command::{bounded, decayed, turned_within};
 pub use gripper::{GripperFollower, GripperState};
-pub use orientation::{MAX_NORM_ERROR, canonical, checked, is_canonical};
+pub use orientation::{MAX_NORM_ERROR, RotationState, canonical, checked, is_canonical, measured, quat_wxyz};
 pub use position_force::PositionForce;
 pub use rotation::{ANCHOR_REACH_RAD, RotationCoupling, RotationLock};
 pub use rotational_spring::{FULL_SPRING_RAD, RotationalSpring};

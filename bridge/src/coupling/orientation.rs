@@ -1,19 +1,58 @@
 //! Orientations as they are measured and sent: unit quaternions, w first, one encoding each.
 
+use haptether_safety::Axes;
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
 use super::CouplingError;
 
+/// What a side measures of its rotation at one tick, and what stands on the wire of it: in its base frame, about the tool
+/// point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RotationState {
+    /// R, `base_from_tool`.
+    pub orientation: UnitQuaternion<f64>,
+    /// w in rad/s.
+    pub angular_velocity: Axes<3>,
+    /// Torque in N m: master, that of the device; slave, that of the environment on the tool.
+    pub torque: Axes<3>,
+}
+
+impl Default for RotationState {
+    fn default() -> Self {
+        let [angular_velocity, torque] = [Axes::zeros(); 2];
+        Self { orientation: UnitQuaternion::identity(), angular_velocity, torque }
+    }
+}
+
 /// How far the norm of a measured or received quaternion may be from 1.
 pub const MAX_NORM_ERROR: f64 = 1e-9;
+
+/// How far the norm of a quaternion may be from 1 and still be one that was rounded, as to 32 bits.
+const ROUNDED: f64 = 1e-6;
+
+/// The orientation that a sensor says, with norm 1 where it was only rounded; what is no unit quaternion stays none, and
+/// is a fault where it is met.
+pub fn measured([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    let quaternion = Quaternion::new(w, x, y, z);
+    if (quaternion.norm() - 1.0).abs() <= ROUNDED {
+        Unit::new_normalize(quaternion)
+    } else {
+        Unit::new_unchecked(quaternion)
+    }
+}
+
+/// An orientation as it is written, w first.
+pub fn quat_wxyz(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
+    let [x, y, z, w] = orientation.coords.into();
+    [w, x, y, z]
+}
 
 /// `quat_wxyz` of an orientation in the one encoding that is sent.
 ///
 /// Of q and -q, which are the same orientation, it is the one whose first part that is not 0, in the order w, x, y, z,
 /// is positive: w > 0, or w = 0 and x > 0, and so on. Every zero is +0.
 pub fn canonical(orientation: &UnitQuaternion<f64>) -> [f64; 4] {
-    let [x, y, z, w] = orientation.coords.into();
-    let quat_wxyz = [w, x, y, z];
+    let quat_wxyz = quat_wxyz(orientation);
     let first = quat_wxyz.into_iter().find(|part| *part != 0.0).unwrap_or(1.0);
     // Adding +0 turns -0 into +0, and changes nothing else.
     quat_wxyz.map(|part| if first < 0.0 { 0.0 - part } else { part + 0.0 })

@@ -3,14 +3,15 @@
 use haptether_safety::{Axes, Fault};
 
 use crate::{
-    coupling::GripperState,
+    SideKind,
+    coupling::{GripperState, RotationState},
     fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
         Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInputs,
         LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
     },
     link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
-    wire::{Frame, MAX_FRAME, Role},
+    wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 
 /// What a side has counted.
@@ -110,8 +111,17 @@ impl<const N: usize> Exchange<N> {
 
     /// This side has a gripper or a trigger, and its peer the other: every frame says of it what is known.
     pub fn carry_gripper(&mut self) {
-        self.link.carry_gripper();
-        self.outgoing.gripper = Some(GripperState::default());
+        self.link.set_layout(FrameLayout { has_gripper: true, ..self.link.layout() });
+    }
+
+    /// What the coordinates of this side and of its peer are; of a pose every frame has a rotation.
+    pub fn set_kind(&mut self, kind: SideKind) {
+        self.link.set_layout(FrameLayout { kind, ..self.link.layout() });
+    }
+
+    /// What the peer's newest frame says of its rotation.
+    pub fn peer_rotation(&self) -> Option<&RotationState> {
+        self.link.newest().and_then(|frame| frame.rotation.as_ref())
     }
 
     /// What the next frame says of gripper or trigger.

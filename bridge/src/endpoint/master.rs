@@ -1,14 +1,17 @@
 //! The master's endpoint: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyLayer, SafetyTick,
-    controller::SafetySettings, estimator::EstimatorKind,
+    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, controller::SafetySettings,
+    estimator::EstimatorKind,
 };
 
-use super::{EndpointError, Exchange, check_period, period_s};
+use super::{
+    EndpointError, Exchange, MasterReading, MasterRotationSettings, check_period, layer::Layer, period_s,
+};
 use crate::{
+    SideKind,
     command::OperatorCommand,
-    coupling::{CouplingError, FrameMap, PositionForce},
+    coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, RotationLock, RotationState},
     ladder::{LadderSettings, LadderState, Observed, thresholds},
     link::PortState,
     wire::Role,
@@ -40,6 +43,8 @@ pub struct MasterSettings<const N: usize> {
 pub struct MasterTick<const N: usize> {
     /// All that the safety layer saw and decided; `device_force` in it goes to the device.
     pub safety: SafetyTick<N>,
+    /// The same of the torque, of a hand that turns.
+    pub rotation: Option<SafetyTick<3>>,
     /// Where the ladder stands.
     pub state: LadderState,
     /// Silence of the peer in ns.
@@ -49,33 +54,58 @@ pub struct MasterTick<const N: usize> {
 /// The master's side as a state machine: `(sample, frames, time) -> (device force, frame)`.
 #[derive(Clone, Debug)]
 pub struct MasterEndpoint<const N: usize> {
-    layer: SafetyLayer<N>,
+    layer: Layer<N>,
     coupling: PositionForce<N>,
+    /// Of a hand that turns.
+    rotation: Option<RotationCoupling>,
     /// What talks to the peer.
     pub exchange: Exchange<N>,
-    /// Position and velocity of the last tick.
-    last: Option<(Axes<N>, Option<Axes<N>>)>,
+    /// Of the last tick.
+    last: Option<MasterReading<N>>,
     period_s: f64,
     /// The fault of the safety layer is mended, as the operator says.
     acknowledged: bool,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
-    /// An endpoint that waits for its peer.
+    /// An endpoint of a point that waits for its peer.
     pub fn new(settings: &MasterSettings<N>) -> Result<Self, EndpointError> {
+        Self::with_rotation(settings, None)
+    }
+
+    /// The same of a pose, with `rotation` and three axes; `lock` is as at the slave.
+    pub fn of_pose(
+        settings: &MasterSettings<N>,
+        rotation: &MasterRotationSettings,
+        lock: RotationLock,
+    ) -> Result<Self, EndpointError> {
+        let mut endpoint = Self::with_rotation(settings, Some(rotation))?;
+        let mut coupling = RotationCoupling::new(1.0, rotation.torque_scale)?;
+        coupling.set_lock(lock);
+        endpoint.rotation = Some(coupling);
+        endpoint.exchange.set_kind(SideKind::Pose);
+        Ok(endpoint)
+    }
+
+    fn with_rotation(
+        settings: &MasterSettings<N>,
+        rotation: Option<&MasterRotationSettings>,
+    ) -> Result<Self, EndpointError> {
         check_period(settings.period_ns)?;
-        let layer = SafetyLayer::new(&LayerSettings {
+        let translation = LayerSettings {
             device: settings.device,
             period_s: period_s(settings.period_ns),
             estimator: settings.estimator,
             safety: settings.safety,
             limiter: LimiterSettings { ramp_in_s: 0.0, ..settings.limiter },
-        })?;
+        };
+        let layer = Layer::new(translation, rotation)?;
         let mut exchange = Exchange::new(Role::Master, settings.run_id, settings.period_ns, settings.ladder)?;
         exchange.flight.hold_against(thresholds(&settings.safety));
         Ok(Self {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
+            rotation: None,
             exchange,
             last: None,
             period_s: period_s(settings.period_ns),
@@ -83,14 +113,13 @@ impl<const N: usize> MasterEndpoint<N> {
         })
     }
 
-    /// One tick: x in m and, from a device that measures it, V in m/s; `missed` ticks were left out since the last.
-    /// `clutch` is whether the clutch is pressed.
+    /// One tick of what the device measures; `missed` ticks were left out since the last. `clutch` is whether the clutch
+    /// is pressed.
     pub fn tick(
         &mut self,
         now_ns: u64,
         missed: u64,
-        position: &Axes<N>,
-        velocity: Option<&Axes<N>>,
+        reading: &MasterReading<N>,
         clutch: bool,
     ) -> MasterTick<N> {
         let device_failed = self.exchange.events.device_failed;
@@ -98,53 +127,71 @@ impl<const N: usize> MasterEndpoint<N> {
             self.exchange.fault(now_ns, Fault::Device);
         }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
-        let requested_force = self
-            .exchange
-            .link()
-            .newest()
-            .map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
+        let newest = self.exchange.link().newest();
+        let requested_force =
+            newest.map_or(Axes::zeros(), |frame| self.coupling.rendered_force(&frame.force));
+        let requested_torque = match (&self.rotation, newest.and_then(|frame| frame.rotation.as_ref())) {
+            (Some(coupling), Some(slave)) => coupling.rendered_torque(&slave.torque),
+            _ => Axes::zeros(),
+        };
         let gain = self.exchange.ladder.gain();
         if std::mem::take(&mut self.acknowledged) {
             // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
-            let _ = self.layer.reset(position);
+            let _ = self.layer.reset(reading);
         } else if self.exchange.has_stalled() {
             // What lies before the gap says nothing of what follows it. A position that cannot be is met below.
-            let _ = self.layer.restart(position);
+            let _ = self.layer.restart(reading);
         } else {
-            self.carry_over(missed, position, velocity);
+            self.carry_over(missed, reading);
         }
         if device_failed {
             // After the reset above: nobody can have acknowledged what shows at this tick only.
             self.layer.fail(Fault::Device);
         }
-        self.last = Some((*position, velocity.copied()));
-        let safety = self.layer.tick_with_authority(position, velocity, &(requested_force * gain), gain);
+        self.last = Some(*reading);
+        let (safety, rotation) =
+            self.layer.tick(reading, &(requested_force * gain), &(requested_torque * gain), gain);
         if let Some(fault) = safety.fault {
             self.exchange.fault(now_ns, fault);
         } else {
-            let velocity = safety.motion.velocity;
-            let energy = &mut self.exchange.outgoing.energy;
-            energy.add(-safety.rendered_force.dot(&velocity), self.period_s * (missed + 1) as f64);
-            let energy = *energy;
-            let gripper = self.exchange.outgoing.gripper;
-            self.exchange.outgoing =
-                PortState { position: *position, velocity, force: safety.device_force, energy, gripper };
+            self.report(reading, &safety, rotation.as_ref(), missed);
         }
         let observed = Observed::of(&safety.intervention);
-        self.exchange.end_tick(now_ns, [position, &safety.device_force, &safety.rendered_force], observed);
-        MasterTick { safety, state: self.exchange.ladder.state(), age_ns }
+        let values = [&reading.position, &safety.device_force, &safety.rendered_force];
+        self.exchange.end_tick(now_ns, values, observed);
+        MasterTick { safety, rotation, state: self.exchange.ladder.state(), age_ns }
+    }
+
+    /// Leaves what the next frame says of the device; the energy is that of the whole wrench, `f·v + tau·w`.
+    fn report(
+        &mut self,
+        reading: &MasterReading<N>,
+        safety: &SafetyTick<N>,
+        rotation: Option<&SafetyTick<3>>,
+        missed: u64,
+    ) {
+        let velocity = safety.motion.velocity;
+        let turning = rotation.map_or(0.0, |tick| tick.rendered_force.dot(&tick.motion.velocity));
+        let power_w = safety.rendered_force.dot(&velocity) + turning;
+        let rotation = reading.rotation.zip(rotation).map(|(read, tick)| RotationState {
+            orientation: read.orientation,
+            angular_velocity: tick.motion.velocity,
+            torque: tick.device_force,
+        });
+        let outgoing = &mut self.exchange.outgoing;
+        outgoing.energy.add(-power_w, self.period_s * (missed + 1) as f64);
+        let (position, force) = (reading.position, safety.device_force);
+        *outgoing = PortState { position, velocity, force, rotation, ..*outgoing };
     }
 
     /// Carries estimator and observers over missed ticks, along a straight line.
-    fn carry_over(&mut self, missed: u64, position: &Axes<N>, velocity: Option<&Axes<N>>) {
+    fn carry_over(&mut self, missed: u64, reading: &MasterReading<N>) {
         if missed == 0 {
             return;
         }
-        if let Some((before, moving)) = self.last {
+        if let Some(before) = self.last {
             for tick in 1..=missed {
-                let share = tick as f64 / (missed + 1) as f64;
-                let between = moving.zip(velocity).map(|(then, now)| then + (now - then) * share);
-                self.layer.missed(&(before + (position - before) * share), between.as_ref());
+                self.layer.missed(&before.towards(reading, tick as f64 / (missed + 1) as f64));
             }
         }
     }
@@ -159,6 +206,13 @@ impl<const N: usize> MasterEndpoint<N> {
             OperatorCommand::ForceScale(scale) => self.coupling.set_force_scale(scale)?,
             OperatorCommand::Frame { quat_wxyz, locked } => {
                 self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+                self.rotation.as_mut().map_or(Ok(()), |coupling| coupling.set_frame(quat_wxyz))?;
+            }
+            OperatorCommand::TorqueScale(scale) => {
+                return self
+                    .rotation
+                    .as_mut()
+                    .map_or(Ok(false), |coupling| coupling.set_torque_scale(scale).map(|()| true));
             }
             _ => return Ok(false),
         }

@@ -1,12 +1,16 @@
 //! Endpoints: all that one side does at a tick, without socket, thread or clock.
 
 mod exchange;
+mod layer;
 mod master;
+mod rotation;
 mod slave;
 
 pub use exchange::{Exchange, SideCounts};
+pub use layer::{MasterReading, MasterRotationSettings};
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};
-pub use slave::{SlaveEndpoint, SlaveSettings, SlaveTick};
+pub use rotation::SlaveRotationSettings;
+pub use slave::{SlaveEndpoint, SlaveReading, SlaveSettings, SlaveTick};
 
 /// dT in s.
 pub(crate) fn period_s(period_ns: u64) -> f64 {

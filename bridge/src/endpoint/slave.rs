@@ -2,10 +2,18 @@
 
 use haptether_safety::{Axes, Fault, Signal};
 
-use super::{EndpointError, Exchange, check_period};
+use nalgebra::UnitQuaternion;
+
+use super::{
+    EndpointError, Exchange, check_period,
+    rotation::{SlaveRotation, SlaveRotationSettings, check_orientation},
+};
 use crate::{
+    SideKind,
     command::OperatorCommand,
-    coupling::{CommandBounds, CouplingError, FrameMap, Limited, PositionForce, bounded, decayed},
+    coupling::{
+        CommandBounds, CouplingError, FrameMap, Limited, PositionForce, RotationState, bounded, decayed,
+    },
     ladder::{LadderSettings, LadderState, Observed},
     link::PortState,
     wire::Role,
@@ -26,6 +34,26 @@ pub struct SlaveSettings {
     pub ladder: LadderSettings,
 }
 
+/// What an arm measures at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlaveReading<const N: usize> {
+    /// Of the tool, in m.
+    pub position: Axes<N>,
+    /// In m/s.
+    pub velocity: Axes<N>,
+    /// `F_e` in N.
+    pub environment_force: Axes<N>,
+    /// Of an arm that turns; about the tool point, in its base frame.
+    pub rotation: Option<RotationState>,
+}
+
+impl<const N: usize> SlaveReading<N> {
+    /// Of a point: position in m, velocity in m/s, `F_e` in N.
+    pub fn point([position, velocity, environment_force]: [Axes<N>; 3]) -> Self {
+        Self { position, velocity, environment_force, rotation: None }
+    }
+}
+
 /// What one tick of the slave did.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveTick<const N: usize> {
@@ -33,6 +61,10 @@ pub struct SlaveTick<const N: usize> {
     pub command: Option<Axes<N>>,
     /// Velocity in m/s of that position; zero unless engaged.
     pub command_velocity: Axes<N>,
+    /// Orientation that the tool is to take; none of a point, and before the first engagement.
+    pub orientation: Option<UnitQuaternion<f64>>,
+    /// Angular velocity in rad/s of that orientation; zero unless engaged.
+    pub angular_velocity: Axes<3>,
     /// Where the ladder stands.
     pub state: LadderState,
     /// Silence of the peer in ns.
@@ -47,6 +79,8 @@ pub struct SlaveTick<const N: usize> {
 #[derive(Clone, Debug)]
 pub struct SlaveEndpoint<const N: usize> {
     coupling: PositionForce<N>,
+    /// Of an arm that turns.
+    rotation: Option<Box<SlaveRotation>>,
     /// What talks to the peer.
     pub exchange: Exchange<N>,
     bounds: CommandBounds,
@@ -65,6 +99,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         settings.bounds.check()?;
         Ok(Self {
             coupling: PositionForce::new(settings.position_scale, 1.0)?,
+            rotation: None,
             exchange: Exchange::new(Role::Slave, settings.run_id, settings.period_ns, settings.ladder)?,
             bounds: settings.bounds,
             home: None,
@@ -74,30 +109,43 @@ impl<const N: usize> SlaveEndpoint<N> {
         })
     }
 
-    /// One tick: tool position in m and velocity in m/s, `F_e` in N.
-    pub fn tick(
-        &mut self,
-        now_ns: u64,
-        position: &Axes<N>,
-        velocity: &Axes<N>,
-        environment_force: &Axes<N>,
-    ) -> SlaveTick<N> {
+    /// The same of a pose, with `rotation` and three axes.
+    pub fn of_pose(
+        settings: &SlaveSettings,
+        rotation: &SlaveRotationSettings,
+    ) -> Result<Self, EndpointError> {
+        let mut endpoint = Self::new(settings)?;
+        endpoint.rotation = Some(Box::new(SlaveRotation::new(rotation)?));
+        endpoint.exchange.set_kind(SideKind::Pose);
+        Ok(endpoint)
+    }
+
+    /// One tick of what the arm measures.
+    pub fn tick(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> SlaveTick<N> {
+        let SlaveReading { position, velocity, environment_force, .. } = reading;
         if self.exchange.events.peer_began {
-            self.coupling.disengage();
+            self.disengage();
         }
         let checked = if self.exchange.events.device_failed { Err(Fault::Device) } else { Ok(()) }
             .and_then(|()| Signal::Position.check(position))
             .and_then(|()| Signal::Velocity.check(velocity))
-            .and_then(|()| Signal::EnvironmentForce.check(environment_force));
+            .and_then(|()| Signal::EnvironmentForce.check(environment_force))
+            .and_then(|()| match &self.rotation {
+                None => Ok(()),
+                Some(_) => SlaveRotation::check(reading.rotation.as_ref()),
+            });
         if let Err(fault) = checked {
             self.fault.get_or_insert(fault);
             self.exchange.fault(now_ns, fault);
         }
         let (state, age_ns) = self.exchange.advance(now_ns, false);
         let home = *self.home.get_or_insert(*position);
-        let mut command_velocity = Axes::zeros();
+        let (mut command_velocity, mut angular_velocity) = (Axes::zeros(), Axes::zeros());
         let mut limited = Limited::default();
         let elapsed_s = now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9;
+        if let (Some(rotation), Some(measured)) = (&mut self.rotation, &reading.rotation) {
+            rotation.begin(measured);
+        }
         match (state, self.exchange.link().newest()) {
             (LadderState::Engaged | LadderState::Stale, Some(frame)) => {
                 // From the last command, not from where contact has bent the arm to.
@@ -117,31 +165,71 @@ impl<const N: usize> SlaveEndpoint<N> {
                     limited.speed = true;
                 }
                 self.command = Some(command);
+                if let (Some(rotation), Some(master), Some(measured)) =
+                    (&mut self.rotation, &frame.rotation, &reading.rotation)
+                {
+                    angular_velocity =
+                        rotation.follow(master, measured, elapsed_s, (ahead_s, share), &mut limited);
+                }
             }
             // Holds the last command; when it engages again it does so from where both are then.
-            _ => self.coupling.disengage(),
+            _ => self.disengage(),
         }
         self.commanded_ns = now_ns;
         self.exchange.limited_ticks += u64::from(limited.any());
-        if self.fault.is_none() {
-            let energy = &mut self.exchange.outgoing.energy;
-            energy.add(environment_force.dot(&command_velocity), elapsed_s);
-            let energy = *energy;
-            let [position, velocity, force] = [*position, *velocity, *environment_force];
-            let gripper = self.exchange.outgoing.gripper;
-            self.exchange.outgoing = PortState { position, velocity, force, energy, gripper };
-        } else {
-            self.exchange.outgoing.force = Axes::zeros();
-        }
+        self.report(reading, environment_force.dot(&command_velocity), &angular_velocity, elapsed_s);
         let command = self.command.unwrap_or(*position);
         self.exchange.end_tick(now_ns, [position, &command, environment_force], Observed::NOTHING);
-        SlaveTick { command: self.command, command_velocity, state, age_ns, limited, fault: self.fault }
+        SlaveTick {
+            command: self.command,
+            command_velocity,
+            orientation: self.last_orientation(),
+            angular_velocity,
+            state,
+            age_ns,
+            limited,
+            fault: self.fault,
+        }
     }
 
-    /// The arm no longer follows and comes to rest at `rest` in m: when the two engage again, it goes on from there.
-    pub fn rests(&mut self, rest: &Axes<N>) {
+    /// Leaves what the next frame says of the arm; the energy is that of the whole wrench, `f·v + tau·w`.
+    fn report(
+        &mut self,
+        reading: &SlaveReading<N>,
+        power_w: f64,
+        angular_velocity: &Axes<3>,
+        elapsed_s: f64,
+    ) {
+        let outgoing = &mut self.exchange.outgoing;
+        if self.fault.is_some() {
+            outgoing.force = Axes::zeros();
+            if let Some(rotation) = &mut outgoing.rotation {
+                rotation.torque = Axes::zeros();
+            }
+            return;
+        }
+        let SlaveReading { position, velocity, environment_force: force, rotation } = *reading;
+        let turning = rotation.map_or(0.0, |measured| measured.torque.dot(angular_velocity));
+        outgoing.energy.add(power_w + turning, elapsed_s);
+        *outgoing = PortState { position, velocity, force, rotation, ..*outgoing };
+    }
+
+    fn disengage(&mut self) {
+        self.coupling.disengage();
+        if let Some(rotation) = &mut self.rotation {
+            rotation.coupling.disengage();
+        }
+    }
+
+    /// The arm no longer follows and comes to rest at `rest` in m, and of a pose so turned: when the two engage again, it
+    /// goes on from there.
+    pub fn rests(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
         // Where it does not know where it is, nothing is commanded until the two engage anew.
         self.command = self.command.and(Signal::Position.check(rest).is_ok().then_some(*rest));
+        if let Some(rotation) = &mut self.rotation {
+            let known = orientation.filter(|orientation| check_orientation(orientation).is_ok());
+            rotation.command = rotation.command.and(known.copied());
+        }
     }
 
     /// Carries out a command of the operator; returns whether it changed anything. The slave goes on from where it is.
@@ -154,6 +242,12 @@ impl<const N: usize> SlaveEndpoint<N> {
             OperatorCommand::PositionScale(scale) => self.coupling.set_position_scale(scale)?,
             OperatorCommand::Frame { quat_wxyz, locked } => {
                 self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
+                self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.coupling.set_frame(quat_wxyz))?;
+            }
+            OperatorCommand::RotationScale(scale) => {
+                return self.rotation.as_mut().map_or(Ok(false), |rotation| {
+                    rotation.coupling.set_rotation_scale(scale).map(|()| true)
+                });
             }
             _ => return Ok(false),
         }
@@ -163,5 +257,10 @@ impl<const N: usize> SlaveEndpoint<N> {
     /// The last commanded position in m; none before the first engagement.
     pub fn last_command(&self) -> Option<Axes<N>> {
         self.command
+    }
+
+    /// The last commanded orientation; none of a point, and before the first engagement.
+    pub fn last_orientation(&self) -> Option<UnitQuaternion<f64>> {
+        self.rotation.as_ref().and_then(|rotation| rotation.command)
     }
 }

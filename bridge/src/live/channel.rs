@@ -14,7 +14,7 @@ use crate::{
     link::{LinkTime, RejectReason},
     session::{EndError, Incoming, PreSharedKey, Rejection, Rejections, Session, SessionSettings},
     side::Side,
-    wire::{Role, hears_peer},
+    wire::{FrameLayout, Role, hears_peer},
 };
 
 /// How the frames of a live run travel.
@@ -53,14 +53,14 @@ pub(super) struct LiveChannel {
 }
 
 impl LiveChannel {
-    /// A session whose frames have so many bytes; without keys yet, if it is secure.
+    /// A session of frames of this layout and number of axes; without keys yet, if it is secure.
     pub(super) fn start(
         role: Role,
-        frame_length: usize,
+        (layout, axes): (FrameLayout, usize),
         period_ns: u64,
         security: Security,
     ) -> Result<Self, StartError> {
-        let settings = SessionSettings::new(role, frame_length, period_ns.min(PEER_PERIOD_NS));
+        let settings = SessionSettings::of_frames(role, layout, axes, period_ns.min(PEER_PERIOD_NS));
         let cannot = EndError::from;
         Ok(match security {
             Security::Secure(key) => {

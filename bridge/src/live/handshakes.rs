@@ -293,8 +293,8 @@ impl std::fmt::Display for SecurityEvent {
                  SIGUSR1 of the slave frees it after 2 s of silence",
             )
             }
-            Self::Handshake(HandshakeEvent::Refused { payload_length, .. }) => {
-                write!(formatter, "refused: the peer's frames have {payload_length} bytes, so another number of axes, or a gripper at one side alone")
+            Self::Handshake(HandshakeEvent::Refused { form, .. }) => {
+                write!(formatter, "refused: the peer's frames are {form}: must be as on this side; take the same scene on both")
             }
             Self::KeysEnd => formatter.write_str(
                 "the thread that makes keys has died: this session ends when its keys grow old, within 180 s",

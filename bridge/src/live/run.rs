@@ -46,7 +46,7 @@ pub fn run_live<S: Side<N> + Send + 'static, const N: usize>(
 ) -> Result<(LiveRun, LiveWatch, RecordReader<S::Record>), StartError> {
     let channel = LiveChannel::start(
         settings.role,
-        side.exchange().link().frame_length(),
+        (side.exchange().link().layout(), N),
         settings.period_ns,
         security,
     )?;
@@ -141,7 +141,7 @@ pub fn paced_by_device<S: Side<N>, const N: usize>(
 ) -> Result<Paced<S, N>, StartError> {
     let channel = LiveChannel::start(
         settings.role,
-        side.exchange().link().frame_length(),
+        (side.exchange().link().layout(), N),
         settings.period_ns,
         security,
     )?;

@@ -6,7 +6,7 @@ use serde_json::json;
 use super::SecurityMark;
 use crate::{
     ladder::{LadderState, Reason},
-    record::{MasterRecord, SlaveRecord},
+    record::{MasterRecord, MasterTurn, SlaveRecord, SlaveTurn},
 };
 
 /// A value of a field.
@@ -123,7 +123,7 @@ const ROUND_TRIP: &str =
 const OVERSHOOT: &str = "how late the loop woke, in s";
 const FAULT: &str = "code of the fault, 0 without";
 
-impl<const N: usize> Recorded for MasterRecord<N> {
+impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
     const SIDE: &'static str = "master";
 
     fn any() -> Self {
@@ -168,10 +168,11 @@ impl<const N: usize> Recorded for MasterRecord<N> {
         for field in signals.into_iter().chain(observed).chain(state) {
             take(field);
         }
+        self.rotation.fields(take);
     }
 }
 
-impl<const N: usize> Recorded for SlaveRecord<N> {
+impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
     const SIDE: &'static str = "slave";
 
     fn any() -> Self {
@@ -210,5 +211,6 @@ impl<const N: usize> Recorded for SlaveRecord<N> {
         ] {
             take(field);
         }
+        self.rotation.fields(take);
     }
 }

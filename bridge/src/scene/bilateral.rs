@@ -5,28 +5,28 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
 };
 
-use haptether_netsim::{ClockSettings, EndpointClock};
-use haptether_safety::{
-    Axes, Fault,
-    controller::{ControllerKind, Tripped},
-};
-use haptether_slave::SimulatedSlave;
-
 use super::{
     assemble::{
         SceneError, clutch, contradiction, exact_master, is_continuous, period_ns, stepped_master, ticks,
     },
     coupling::{Present, commands},
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures},
+    pose::{self, RotationMeasures},
     record::{EventLog, Recorder, Sample, SceneRun},
     sides::{coupled, master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger},
-    spec::{CouplingSpec, Integrator, SceneSpec, SignalsSpec},
+    spec::{Integrator, SceneSpec, SignalsSpec},
     timed::Timed,
 };
 use crate::{
-    EndpointError, Event, Exchange, LadderState, LoopCounts, MasterEndpoint, MasterPlant, MasterRecord,
-    MasterSide, OperatorCommand, Reason, Side, SlaveRecord, SlaveSide, VirtualSettings, live::LoopReport,
-    run_virtual,
+    EndpointError, Event, Exchange, LadderState, LoopCounts, MasterPlant, MasterRecord, MasterSide,
+    MasterTurn, ModelArm, Reason, Side, SideKind, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn,
+    VirtualSettings, coupling::CouplingError, live::LoopReport, run_virtual,
+};
+use haptether_master::SimulatedMaster;
+use haptether_netsim::{ClockSettings, EndpointClock};
+use haptether_safety::{
+    Axes, Fault,
+    controller::{ControllerKind, Tripped},
 };
 
 /// Sessions of the two sides: constants, for nobody listens in.
@@ -36,24 +36,67 @@ pub(crate) fn simulate<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
 ) -> Result<SceneRun, SceneError> {
+    check(scene)?;
+    let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
+        .with_gripper(simulated_gripper(scene)?);
+    match scene.run.integrator {
+        Integrator::Exact => run(scene, master(scene, waiting(exact_master(scene)?))?, slave, stop),
+        Integrator::Stepped(stepping) => {
+            let mut plant = stepped_master::<N>(scene, stepping)?;
+            plant.set_waiting(true);
+            run(scene, master(scene, plant)?, slave, stop)
+        }
+    }
+}
+
+/// The same of a hand and an arm that turn.
+pub(crate) fn simulate_pose(scene: &SceneSpec<3>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+    check(scene)?;
+    if scene.slave.is_none() {
+        return contradiction("slave: is missing, kind = \"pose\" needs an arm");
+    }
+    if scene.run.stop_early {
+        return contradiction("run.stop_early: what turns is not watched for rest, leave it out");
+    }
+    let slave = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, SESSIONS.1)?)
+        .with_gripper(simulated_gripper(scene)?)
+        .turning();
+    match scene.run.integrator {
+        Integrator::Exact => {
+            let plant = pose::turning_master(scene, waiting(exact_master(scene)?))?;
+            run(scene, master(scene, plant)?.turning(), slave, stop)
+        }
+        Integrator::Stepped(stepping) => {
+            let mut plant = stepped_master::<3>(scene, stepping)?;
+            plant.set_waiting(true);
+            let plant = pose::turning_master(scene, plant)?;
+            run(scene, master(scene, plant)?.turning(), slave, stop)
+        }
+    }
+}
+
+/// What no scene with an arm has.
+fn check<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     if scene.safety.signals == SignalsSpec::True {
         return contradiction("safety.signals = \"true\": an endpoint knows only what is measured");
     }
     if is_continuous(scene) || scene.environment.as_ref().is_some_and(|one| one.delay_ticks > 0) {
         return contradiction("environment: rendering and delay_ticks are for scenes without a [slave]");
     }
-    match scene.run.integrator {
-        Integrator::Exact => {
-            let mut plant = exact_master::<N>(scene)?;
-            plant.set_waiting(true);
-            Bilateral::new(scene)?.run(plant, stop)
-        }
-        Integrator::Stepped(stepping) => {
-            let mut plant = stepped_master::<N>(scene, stepping)?;
-            plant.set_waiting(true);
-            Bilateral::new(scene)?.run(plant, stop)
-        }
-    }
+    Ok(())
+}
+
+fn waiting<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
+    plant.set_waiting(true);
+    plant
+}
+
+fn master<P: MasterPlant<N>, const N: usize>(
+    scene: &SceneSpec<N>,
+    plant: P,
+) -> Result<MasterSide<P, N>, SceneError> {
+    let endpoint = master_endpoint(scene, SESSIONS.0)?;
+    Ok(MasterSide::new(plant, endpoint, clutch(scene))?.with_trigger(trigger(scene, false)?))
 }
 
 /// The clock of an endpoint. Endpoints live by monotonic clocks, which are never set back.
@@ -67,110 +110,117 @@ fn clock(name: &str, settings: Option<ClockSettings>) -> Result<Option<EndpointC
     EndpointClock::new(&settings).map(Some).or_else(|error| refuse(error.to_string()))
 }
 
-struct Bilateral<'a, const N: usize> {
-    scene: &'a SceneSpec<N>,
-    settings: VirtualSettings,
-    endpoint: MasterEndpoint<N>,
-    slave: SlaveSide<SimulatedSlave<N>, N>,
-    coupling: CouplingSpec,
-    commands: Vec<(u64, OperatorCommand)>,
+fn settings<const N: usize>(scene: &SceneSpec<N>) -> Result<VirtualSettings, SceneError> {
+    let (slave, _) = coupled(scene)?;
+    let links = scene.link.as_ref();
+    Ok(VirtualSettings {
+        period_ns: period_ns("run.period_s", scene.run.period_s)?,
+        slave_period_ns: period_ns("slave.period_s", slave.period_s)?,
+        ticks: ticks(scene)?,
+        forward: links.and_then(|links| links.forward.clone()).unwrap_or_default(),
+        backward: links.and_then(|links| links.backward.clone()).unwrap_or_default(),
+        seed: scene.run.seed,
+        secure: scene.security.is_some_and(|security| security.secure),
+        master_clock: clock("master_clock", links.and_then(|links| links.master_clock))?,
+        slave_clock: clock("slave_clock", links.and_then(|links| links.slave_clock))?,
+    })
 }
 
-impl<'a, const N: usize> Bilateral<'a, N> {
-    fn new(scene: &'a SceneSpec<N>) -> Result<Self, SceneError> {
-        let (slave, coupling) = coupled(scene)?;
-        let links = scene.link.as_ref();
-        let settings = VirtualSettings {
-            period_ns: period_ns("run.period_s", scene.run.period_s)?,
-            slave_period_ns: period_ns("slave.period_s", slave.period_s)?,
-            ticks: ticks(scene)?,
-            forward: links.and_then(|links| links.forward.clone()).unwrap_or_default(),
-            backward: links.and_then(|links| links.backward.clone()).unwrap_or_default(),
-            seed: scene.run.seed,
-            secure: scene.security.is_some_and(|security| security.secure),
-            master_clock: clock("master_clock", links.and_then(|links| links.master_clock))?,
-            slave_clock: clock("slave_clock", links.and_then(|links| links.slave_clock))?,
-        };
-        Ok(Self {
-            scene,
-            settings,
-            endpoint: master_endpoint(scene, SESSIONS.0)?,
-            slave: SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
-                .with_gripper(simulated_gripper(scene)?),
-            coupling: coupling.clone(),
-            commands: commands::<N>(coupling)?,
-        })
-    }
-
-    fn run(self, plant: impl MasterPlant<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-        let Self { scene, settings, endpoint, slave, coupling, commands } = self;
-        let start = plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-        let side = MasterSide::new(plant, endpoint, clutch(scene))?.with_trigger(trigger(scene, false)?);
-        let mut master = Timed::new(side, commands.clone());
-        let mut slave = Timed::new(slave, commands.clone());
-        let coupling = Present::new(&coupling, commands);
-        let every = scene.record.as_ref().map_or(0, |record| record.every);
-        // The recording keeps about the same rate on both sides.
-        let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
-        let judged = MeasureSettings::of(scene);
-        // Until the two engage, a release that is scheduled lies ahead.
-        let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
-        let mut watched = Watched {
-            has_gripper: slave.side.gripper.is_some(),
-            judged,
-            measures: Measures::new(&ahead, &start),
-            max_distance: scene.run.diverged_position * coupling.max_position_scale().max(1.0),
-            log: EventLog::default(),
-            near: Recorder::new(every, settings.ticks),
-            far: Recorder::new(
-                far_every,
-                (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
-            ),
-            coupling,
-            states: [LadderState::Disengaged; 2],
-            engaged_s: None,
-            engaged_ns: [u64::MAX; 2],
-            newest: None,
-            far_force: Axes::zeros(),
-            far_position: Axes::zeros(),
-            anchor: None,
-            squares: [0.0; 2],
-            samples: [0; 2],
-            ticks: 0,
-            diverged: None,
-            settled: false,
-            overflowed: 0,
-        };
-        let mut refused = Ok(());
-        let counts = run_virtual(&settings, &mut master, &mut slave, |event, slave| {
-            if stop.load(Ordering::Relaxed) {
-                return ControlFlow::Break(());
-            }
-            let (Event::Master(MasterRecord { time_ns, .. }) | Event::Slave(SlaveRecord { time_ns, .. })) =
-                event;
-            match watched.coupling.advance(time_ns) {
-                // The slave goes on from where it is, so it is measured from there.
-                Ok(changed) => watched.anchor = watched.anchor.filter(|_| !changed),
-                Err(error) => refused = Err(error),
-            }
-            match event {
-                Event::Master(record) => watched.near(&record),
-                Event::Slave(record) => watched.far(&record, slave.side.plant.touches()),
-            }
-        })?;
-        refused.map_err(EndpointError::from)?;
-        if stop.load(Ordering::Relaxed) {
-            return Err(SceneError::Stopped);
+fn run<P, A, R, Q, const N: usize>(
+    scene: &SceneSpec<N>,
+    master: MasterSide<P, N, R>,
+    slave: SlaveSide<A, N, Q>,
+    stop: &AtomicBool,
+) -> Result<SceneRun, SceneError>
+where
+    P: MasterPlant<N>,
+    A: SlavePlant<N> + ModelArm,
+    R: MasterTurn,
+    Q: SlaveTurn,
+{
+    let settings = settings(scene)?;
+    let (_, coupling) = coupled(scene)?;
+    let commands = commands::<N>(coupling)?;
+    let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
+    let mut master = Timed::new(master, commands.clone());
+    let mut slave = Timed::new(slave, commands.clone());
+    let rotation = match scene.master.kind {
+        SideKind::Pose => {
+            let lock = pose::rotation_lock(coupling).map_err(EndpointError::from)?;
+            Some(RotationMeasures::new(coupling, lock).map_err(EndpointError::from)?)
         }
-        let coarse = slave.side.plant.coarse_steps();
-        watched.overflowed = counts.overflowed;
-        let ([master_counts, slave_counts], engaged_ns) = (counts.loops, watched.engaged_ns);
-        let reports = [
-            report(master.exchange(), &master_counts, engaged_ns[0], settings.secure),
-            report(slave.exchange(), &slave_counts, engaged_ns[1], settings.secure),
-        ];
-        Ok(watched.finish(scene, coarse, &reports))
+        SideKind::Linear | SideKind::Joints => None,
+    };
+    let coupling = Present::new(coupling, commands);
+    let every = scene.record.as_ref().map_or(0, |record| record.every);
+    // The recording keeps about the same rate on both sides.
+    let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
+    let judged = MeasureSettings::of(scene);
+    // Until the two engage, a release that is scheduled lies ahead.
+    let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
+    let mut watched = Watched {
+        has_gripper: slave.side.gripper.is_some(),
+        judged,
+        measures: Measures::new(&ahead, &start),
+        max_distance: scene.run.diverged_position * coupling.max_position_scale().max(1.0),
+        log: EventLog::default(),
+        near: Recorder::new(every, settings.ticks),
+        far: Recorder::new(
+            far_every,
+            (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
+        ),
+        coupling,
+        states: [LadderState::Disengaged; 2],
+        engaged_s: None,
+        engaged_ns: [u64::MAX; 2],
+        newest: None,
+        far_force: Axes::zeros(),
+        far_position: Axes::zeros(),
+        anchor: None,
+        squares: [0.0; 2],
+        samples: [0; 2],
+        ticks: 0,
+        diverged: None,
+        settled: false,
+        overflowed: 0,
+        rotation,
+        turn_release_s: turn_release_s(scene),
+    };
+    let mut refused = Ok(());
+    let counts = run_virtual(&settings, &mut master, &mut slave, |event, slave| {
+        if stop.load(Ordering::Relaxed) {
+            return ControlFlow::Break(());
+        }
+        let (Event::Master(MasterRecord { time_ns, .. }) | Event::Slave(SlaveRecord { time_ns, .. })) = event;
+        match watched.change(time_ns) {
+            // The slave goes on from where it is, so it is measured from there.
+            Ok(changed) => watched.anchor = watched.anchor.filter(|_| !changed),
+            Err(error) => refused = Err(error),
+        }
+        match event {
+            Event::Master(record) => watched.near(&record),
+            Event::Slave(record) => watched.far(&record, &slave.side.plant),
+        }
+    })?;
+    refused.map_err(EndpointError::from)?;
+    if stop.load(Ordering::Relaxed) {
+        return Err(SceneError::Stopped);
     }
+    let coarse = slave.side.plant.coarse_steps();
+    watched.overflowed = counts.overflowed;
+    let ([master_counts, slave_counts], engaged_ns) = (counts.loops, watched.engaged_ns);
+    let reports = [
+        report(master.exchange(), &master_counts, engaged_ns[0], settings.secure),
+        report(slave.exchange(), &slave_counts, engaged_ns[1], settings.secure),
+    ];
+    Ok(watched.finish(scene, coarse, &reports))
+}
+
+/// When the hand lets go of the rotation, in s since engagement; without that, when it lets go of the device.
+fn turn_release_s<const N: usize>(scene: &SceneSpec<N>) -> Option<f64> {
+    let operator = scene.operator.as_ref()?;
+    let of_turn = operator.rotation.as_ref().and_then(|rotation| rotation.release);
+    of_turn.or(operator.release).map(|release| release.at_s)
 }
 
 /// How a loop went, as it is reported live.
@@ -197,7 +247,7 @@ fn report<const N: usize>(
 }
 
 /// What is seen of both sides as they run.
-struct Watched<const N: usize> {
+struct Watched<R, const N: usize> {
     has_gripper: bool,
     judged: MeasureSettings,
     measures: Measures<N>,
@@ -212,7 +262,7 @@ struct Watched<const N: usize> {
     engaged_s: Option<f64>,
     /// When each side first was coupled, in ns since the start; `u64::MAX` if never.
     engaged_ns: [u64; 2],
-    newest: Option<MasterRecord<N>>,
+    newest: Option<MasterRecord<N, R>>,
     far_force: Axes<N>,
     far_position: Axes<N>,
     /// Where master and slave were when both had engaged.
@@ -225,9 +275,25 @@ struct Watched<const N: usize> {
     settled: bool,
     /// Frames that were dropped because too many were in flight.
     overflowed: u64,
+    /// Of a hand that turns.
+    rotation: Option<RotationMeasures>,
+    /// When that lets go of it, in s since engagement.
+    turn_release_s: Option<f64>,
 }
 
-impl<const N: usize> Watched<N> {
+impl<R: MasterTurn, const N: usize> Watched<R, N> {
+    /// Takes what the operator has changed by then; says whether anything was.
+    fn change(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
+        let before = self.coupling.done();
+        let changed = self.coupling.advance(now_ns)?;
+        if let Some(rotation) = &mut self.rotation {
+            for command in self.coupling.since(before) {
+                rotation.change(command)?;
+            }
+        }
+        Ok(changed)
+    }
+
     /// The hand's schedule begins when the two engage, and so do the measures that hang on it.
     fn engage(&mut self, time_s: f64, start: &Axes<N>) {
         self.engaged_s = Some(time_s);
@@ -236,6 +302,9 @@ impl<const N: usize> Watched<N> {
         self.judged.release_s = self.judged.release_s.map(since);
         self.judged.quiet_after_s = self.judged.quiet_after_s.map(|quiet| quiet + time_s);
         self.measures = Measures::new(&self.judged, start);
+        if let Some(rotation) = &mut self.rotation {
+            rotation.engage(time_s + self.turn_release_s.unwrap_or(0.0));
+        }
     }
 
     fn ladder(&mut self, side: usize, time_ns: u64, state: LadderState, reason: u8) {
@@ -268,7 +337,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    fn near(&mut self, record: &MasterRecord<N>) -> ControlFlow<()> {
+    fn near(&mut self, record: &MasterRecord<N, R>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
         self.ladder(0, record.time_ns, record.state, record.reason);
         self.faults("master", time_s, record.fault)?;
@@ -290,7 +359,13 @@ impl<const N: usize> Watched<N> {
         );
         self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
-        self.log.tripped(time_s, Tripped::from_bits(record.tripped));
+        let turn = record.rotation.rotation();
+        let tripped = record.tripped | turn.map_or(0, |turn| turn.tripped);
+        self.log.tripped(time_s, Tripped::from_bits(tripped));
+        let coupled = self.states.iter().all(|state| state.is_coupled());
+        if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn) {
+            rotation.near(time_s, turn, coupled);
+        }
         if self.states.iter().all(|state| state.is_coupled()) {
             let difference = force - self.coupling.to_master(&self.far_force);
             self.squares[1] += difference.norm_squared();
@@ -317,11 +392,14 @@ impl<const N: usize> Watched<N> {
             ("age_s", Sample::Scalar(age_s)),
         ];
         self.near.take(signals.into_iter().chain(observed).chain(state).chain(trigger));
+        if let Some(turn) = turn {
+            self.near.also(|add| turn.signals(add));
+        }
         self.newest = Some(*record);
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    fn far(&mut self, record: &SlaveRecord<N>, touches: bool) -> ControlFlow<()> {
+    fn far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
         self.ladder(1, record.time_ns, record.state, record.reason);
         self.faults("slave", time_s, record.fault)?;
@@ -330,7 +408,7 @@ impl<const N: usize> Watched<N> {
             return self.diverge(time_s, DivergenceCause::Arm(distance));
         }
         (self.far_force, self.far_position) = (record.environment_force, record.position);
-        self.log.touches(time_s, touches);
+        self.log.touches(time_s, arm.touches());
         self.log.grips(time_s, record.holds_object);
         if !self.states.iter().all(|state| state.is_coupled()) {
             // They engage anew from where both are then.
@@ -358,6 +436,15 @@ impl<const N: usize> Watched<N> {
             .into_iter()
             .chain(gripper.into_iter().flatten()),
         );
+        if let Some(turn) = record.rotation.rotation() {
+            if let Some(rotation) = &mut self.rotation {
+                rotation.far(turn);
+            }
+            self.far.also(|add| {
+                turn.signals(add);
+                arm.world(add);
+            });
+        }
         ControlFlow::Continue(())
     }
 
@@ -382,6 +469,9 @@ impl<const N: usize> Watched<N> {
         // What overflows says nothing beyond that it did.
         outcome.position_rmse_m = mean(0).filter(|rmse| rmse.is_finite());
         outcome.force_rmse_n = mean(1).filter(|rmse| rmse.is_finite());
+        if let Some(rotation) = &self.rotation {
+            outcome = rotation.complete(outcome);
+        }
         if self.engaged_s.is_none() {
             outcome = outcome.never_engaged();
         }

@@ -33,7 +33,7 @@ pub(crate) fn commands<const N: usize>(
     let mut commands = vec![(0, frame::<N>(quat_wxyz, locked_axes)?)];
     let mut before_s = 0.0;
     for (index, change) in spec.changes.iter().enumerate() {
-        let ChangeSpec { at_s, position_scale, force_scale, .. } = change;
+        let ChangeSpec { at_s, position_scale, force_scale, rotation_scale, torque_scale, .. } = change;
         if at_s.is_nan() || *at_s < before_s {
             return contradiction(format!(
                 "coupling.changes.{index}.at_s = {at_s}: must be at least {before_s}"
@@ -46,6 +46,12 @@ pub(crate) fn commands<const N: usize>(
         }
         if let Some(scale) = force_scale {
             add(OperatorCommand::ForceScale(*scale));
+        }
+        if let Some(scale) = rotation_scale {
+            add(OperatorCommand::RotationScale(*scale));
+        }
+        if let Some(scale) = torque_scale {
+            add(OperatorCommand::TorqueScale(*scale));
         }
         if change.quat_wxyz.is_some() || change.locked_axes.is_some() {
             quat_wxyz = change.quat_wxyz.unwrap_or(quat_wxyz);
@@ -73,6 +79,16 @@ impl<const N: usize> Present<N> {
     pub(crate) fn new(spec: &CouplingSpec, commands: Vec<(u64, OperatorCommand)>) -> Self {
         let CouplingSpec { position_scale, force_scale, .. } = *spec;
         Self { map: FrameMap::default(), position_scale, force_scale, commands, done: 0 }
+    }
+
+    /// How many commands were taken so far.
+    pub(crate) fn done(&self) -> usize {
+        self.done
+    }
+
+    /// The commands that were taken since so many had been.
+    pub(crate) fn since(&self, before: usize) -> impl Iterator<Item = &OperatorCommand> {
+        self.commands[before..self.done].iter().map(|(_, command)| command)
     }
 
     /// Takes the commands that are due by `now_ns`; says whether anything was.

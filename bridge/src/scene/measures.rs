@@ -103,6 +103,15 @@ pub struct Outcome {
     pub position_rmse_m: Option<f64>,
     /// The same of the device's force and the environment's, scaled; only with an arm.
     pub force_rmse_n: Option<f64>,
+    /// Largest angular speed in rad/s of the device after the release began; over the whole run without one. Of a hand
+    /// that turns only, as the three that follow.
+    pub max_ejection_rate: Option<f64>,
+    /// Largest `|tau_device|` in N m.
+    pub peak_device_torque: Option<f64>,
+    /// Root of the mean squared angle in rad between the slave's rotation and the master's, scaled.
+    pub orientation_rmse_rad: Option<f64>,
+    /// The same of the device's torque and the environment's, scaled.
+    pub torque_rmse_n_m: Option<f64>,
     /// When and why the loop diverged, if it did.
     pub diverged: Option<Divergence>,
     /// Ticks of the master that were run.
@@ -438,6 +447,10 @@ impl<const N: usize, S: Real> Measures<N, S> {
             passivity_min_j: measured(self.min_energy),
             position_rmse_m: None,
             force_rmse_n: None,
+            max_ejection_rate: None,
+            peak_device_torque: None,
+            orientation_rmse_rad: None,
+            torque_rmse_n_m: None,
             diverged,
             ticks,
         }
@@ -457,6 +470,10 @@ impl Outcome {
             passivity_min_j: None,
             position_rmse_m: None,
             force_rmse_n: None,
+            max_ejection_rate: None,
+            peak_device_torque: None,
+            orientation_rmse_rad: None,
+            torque_rmse_n_m: None,
             ..self
         }
     }

@@ -5,6 +5,7 @@ mod bilateral;
 mod coupling;
 mod local;
 mod measures;
+mod pose;
 mod record;
 mod sides;
 mod spec;
@@ -15,8 +16,12 @@ use std::sync::atomic::AtomicBool;
 
 pub use assemble::{SceneError, scene_environment};
 pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
+pub use pose::as_pose;
 pub use record::{SceneEvent, SceneRun, Signal};
-pub use sides::{driven_master, driven_slave, simulated_master, simulated_slave};
+pub use sides::{
+    driven_master, driven_slave, simulated_master, simulated_pose_master, simulated_pose_slave,
+    simulated_slave,
+};
 pub use spec::{SceneSpec, scene_axes, scene_schema};
 pub use sweep::{Progress, Refused, SweepError, SweepSettings, Variation, sweep};
 pub use timed::Timed;
@@ -41,5 +46,9 @@ pub fn simulate(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError>
 /// A number or a combination that no part can have, or [`SceneError::Stopped`]; a diverging loop is no error but an
 /// outcome.
 pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
+    pose::check_kind(scene)?;
+    if let Some(scene) = pose::as_pose(scene)? {
+        return bilateral::simulate_pose(scene, stop);
+    }
     if scene.slave.is_some() { bilateral::simulate(scene, stop) } else { local::simulate(scene, stop) }
 }

@@ -79,6 +79,26 @@ impl Recorder {
         self.ticks += 1;
     }
 
+    /// Takes further signals of the tick that was taken last, the same in the same order each time.
+    pub(crate) fn also(&mut self, add: impl FnOnce(&mut dyn FnMut(&'static str, &[f64]))) {
+        if self.every == 0 || !(self.ticks - 1).is_multiple_of(self.every) {
+            return;
+        }
+        let room = usize::try_from(self.max_ticks.div_ceil(self.every)).unwrap_or(0);
+        // Behind those that this tick has already: they are longer by it.
+        let ticks = self.signals.first().map_or(0, |first| first.values.len() / first.width);
+        let has_tick = |signal: &Signal| signal.values.len() == ticks * signal.width;
+        let mut place = self.signals.iter().take_while(|signal| has_tick(signal)).count();
+        add(&mut |name, values| {
+            if place == self.signals.len() {
+                let width = values.len();
+                self.signals.push(Signal { name, width, values: Vec::with_capacity(room * width) });
+            }
+            self.signals[place].values.extend_from_slice(values);
+            place += 1;
+        });
+    }
+
     pub(crate) fn into_signals(self) -> Vec<Signal> {
         self.signals
     }

@@ -1,6 +1,6 @@
 //! The two sides of a scene, each by itself: what a run in virtual time couples, and what runs live.
 
-use haptether_slave::{ArmSettings, SimulatedSlave};
+use haptether_slave::{ArmSettings, SimulatedSlave, SimulatedTool};
 
 use super::{
     assemble::{
@@ -8,16 +8,19 @@ use super::{
         stepped_master,
     },
     coupling::commands,
+    pose,
     spec::{CouplingSpec, Integrator, SceneSpec},
     timed::Timed,
 };
 use crate::{
-    DrivenMaster, DrivenSlave, LedGripper, MasterEndpoint, MasterPlant, MasterSettings, MasterSide,
-    SlaveEndpoint, SlaveSettings, SlaveSide, Trigger,
+    DrivenMaster, DrivenSlave, EndpointError, LedGripper, MasterEndpoint, MasterPlant, MasterRotation,
+    MasterSettings, MasterSide, SideKind, SlaveEndpoint, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
 };
 
 /// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
 const DECELERATION: f64 = 5.0;
+/// The same of its rotation, in rad/s^2.
+const ANGULAR_DECELERATION: f64 = 25.0;
 
 /// The arm and the coupling that a scene with two sides has.
 pub(super) fn coupled<const N: usize>(
@@ -35,7 +38,8 @@ pub(super) fn master_endpoint<const N: usize>(
     run_id: u64,
 ) -> Result<MasterEndpoint<N>, SceneError> {
     let (_, coupling) = coupled(scene)?;
-    Ok(MasterEndpoint::new(&MasterSettings {
+    pose::check_kind(scene)?;
+    let settings = MasterSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
         run_id,
         device: device_model(scene)?,
@@ -44,7 +48,17 @@ pub(super) fn master_endpoint<const N: usize>(
         limiter: limiter(&scene.safety),
         force_scale: coupling.force_scale,
         ladder: scene.safety.ladder.unwrap_or_default(),
-    })?)
+    };
+    let mut endpoint = match scene.master.kind {
+        SideKind::Pose => {
+            let rotation = pose::master_rotation(scene, coupling)?;
+            let lock = pose::rotation_lock(coupling).map_err(EndpointError::from)?;
+            MasterEndpoint::of_pose(&settings, &rotation, lock)?
+        }
+        SideKind::Linear | SideKind::Joints => MasterEndpoint::new(&settings)?,
+    };
+    endpoint.exchange.set_kind(scene.master.kind);
+    Ok(endpoint)
 }
 
 /// What decides at the side of the robot.
@@ -53,13 +67,23 @@ pub(super) fn slave_endpoint<const N: usize>(
     run_id: u64,
 ) -> Result<SlaveEndpoint<N>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
-    Ok(SlaveEndpoint::new(&SlaveSettings {
+    pose::check_kind(scene)?;
+    let settings = SlaveSettings {
         period_ns: period_ns("slave.period_s", slave.period_s)?,
         run_id,
         position_scale: coupling.position_scale,
         bounds: coupling.bounds,
         ladder: scene.safety.ladder.unwrap_or_default(),
-    })?)
+    };
+    let mut endpoint = match scene.master.kind {
+        SideKind::Pose => {
+            let rotation = pose::slave_rotation(coupling).map_err(EndpointError::from)?;
+            SlaveEndpoint::of_pose(&settings, &rotation)?
+        }
+        SideKind::Linear | SideKind::Joints => SlaveEndpoint::new(&settings)?,
+    };
+    endpoint.exchange.set_kind(scene.master.kind);
+    Ok(endpoint)
 }
 
 /// What leads the gripper of the scene's arm, where that has one: the operator's trigger, or that of a driver.
@@ -97,17 +121,11 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
     )?)
 }
 
-/// The side of the hand with the scene's device in the scene's hand; `run_id` is drawn anew at every start.
-///
-/// # Errors
-///
-/// A number or a combination that no part can have, as for all of these.
-#[allow(clippy::type_complexity)]
-pub fn simulated_master<const N: usize>(
+/// The scene's device in the scene's hand, which waits for the engagement.
+fn simulated_device<const N: usize>(
     scene: &SceneSpec<N>,
-    run_id: u64,
-) -> Result<Timed<MasterSide<Box<dyn MasterPlant<N> + Send>, N>>, SceneError> {
-    let plant: Box<dyn MasterPlant<N> + Send> = match scene.run.integrator {
+) -> Result<Box<dyn MasterPlant<N> + Send>, SceneError> {
+    Ok(match scene.run.integrator {
         Integrator::Exact => {
             let mut plant = exact_master::<N>(scene)?;
             plant.set_waiting(true);
@@ -118,10 +136,41 @@ pub fn simulated_master<const N: usize>(
             plant.set_waiting(true);
             Box::new(plant)
         }
-    };
+    })
+}
+
+/// The side of the hand with the scene's device in the scene's hand; `run_id` is drawn anew at every start.
+///
+/// # Errors
+///
+/// A number or a combination that no part can have, as for all of these.
+#[allow(clippy::type_complexity)]
+pub fn simulated_master<const N: usize>(
+    scene: &SceneSpec<N>,
+    run_id: u64,
+) -> Result<Timed<MasterSide<Box<dyn MasterPlant<N> + Send>, N>>, SceneError> {
+    let plant = simulated_device(scene)?;
     let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?);
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
+}
+
+/// The same with a device that turns.
+///
+/// # Errors
+///
+/// As [`simulated_master`].
+#[allow(clippy::type_complexity)]
+pub fn simulated_pose_master(
+    scene: &SceneSpec<3>,
+    run_id: u64,
+) -> Result<Timed<MasterSide<Box<dyn MasterPlant<3> + Send>, 3, MasterRotation>>, SceneError> {
+    let plant: Box<dyn MasterPlant<3> + Send> =
+        Box::new(pose::turning_master(scene, simulated_device(scene)?)?);
+    let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
+        .with_trigger(trigger(scene, false)?)
+        .turning();
+    Ok(Timed::new(side, commands::<3>(coupled(scene)?.1)?))
 }
 
 /// The side of the robot with the scene's arm in the scene's environment.
@@ -136,6 +185,21 @@ pub fn simulated_slave<const N: usize>(
     let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?);
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
+}
+
+/// The same with an arm that turns.
+///
+/// # Errors
+///
+/// As [`simulated_master`].
+pub fn simulated_pose_slave(
+    scene: &SceneSpec<3>,
+    run_id: u64,
+) -> Result<Timed<SlaveSide<SimulatedTool, 3, SlaveRotation>>, SceneError> {
+    let side = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, run_id)?)
+        .with_gripper(simulated_gripper(scene)?)
+        .turning();
+    Ok(Timed::new(side, commands::<3>(coupled(scene)?.1)?))
 }
 
 /// The side of the hand with a device whose driver is elsewhere; `simulated_clutch` has a simulated operator press anew
@@ -168,8 +232,11 @@ pub fn driven_slave<const N: usize>(
     run_id: u64,
 ) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
-    let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
+    let mut plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
+    if scene.master.kind == SideKind::Pose {
+        plant = plant.turning(ANGULAR_DECELERATION);
+    }
     let gripper = slave.gripper.map(LedGripper::driven).transpose()?;
     let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?).with_gripper(gripper);
     Ok(Timed::new(side, commands::<N>(coupling)?))

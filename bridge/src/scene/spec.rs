@@ -4,14 +4,26 @@
 //! describes one part (device, leg, arm, estimator, ladder, link) is the type that the part itself is built from. A
 //! test holds the schema of these types against that of the tables.
 
-use haptether_master::{DeviceParameters, Leg, Regrasp, Release, Stepping, Tremor};
+use haptether_master::{
+    DeviceParameters, Leg, Regrasp, Release, RotationHandParameters, RotationParameters, Stepping, Tremor,
+};
 use haptether_netsim::{ClockSettings, LinkSettings};
-use haptether_safety::{Axes, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind};
-use haptether_slave::{ArmSettings, ObjectSettings, PusherSettings, SeriesSettings};
+use haptether_safety::{
+    Axes, LimiterSettings,
+    controller::{Controllers, SafetySettings},
+    estimator::EstimatorKind,
+};
+use haptether_slave::{
+    ArmSettings, HandleSettings, HoleSettings, ObjectSettings, PusherSettings, RigidBodySettings,
+    SeriesSettings,
+};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::{LadderSettings, coupling::CommandBounds};
+use crate::{
+    LadderSettings, SideKind,
+    coupling::{CommandBounds, RotationBounds},
+};
 
 /// Runs an expression for the number of axes of a device; `$n` is that number as a constant, `$other` what any other
 /// number leads to.
@@ -128,6 +140,8 @@ pub enum Integrator {
 /// `[master]`, after its preset has been filled in.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct MasterSpec<const N: usize> {
+    /// What its coordinates are, and those of the slave.
+    pub kind: SideKind,
     /// Number of axes: 1, 2, 3, 6 or 7.
     pub axes: usize,
     /// Mechanics, encoder and motors.
@@ -141,6 +155,8 @@ pub struct MasterSpec<const N: usize> {
     /// V at the start, in m/s per axis.
     #[schemars(with = "Vec<f64>")]
     pub velocity: Axes<N>,
+    /// Mechanics of its rotation; of kind `pose` only.
+    pub rotation: Option<RotationParameters>,
 }
 
 /// `[operator]`.
@@ -174,6 +190,8 @@ pub struct OperatorSpec<const N: usize> {
     pub clutch_reaction_s: f64,
     /// Times in s since engagement and positions of the trigger that leads the gripper.
     pub trigger: Vec<[f64; 2]>,
+    /// How it turns a device of kind `pose`; without it, nobody does.
+    pub rotation: Option<RotationHandParameters>,
 }
 
 /// What a simulated operator does with the clutch.
@@ -198,6 +216,47 @@ pub struct EnvironmentSpec<const N: usize> {
     pub objects: Vec<ObjectSettings<N>>,
     /// What pushes by itself.
     pub pushers: Vec<PusherSettings<N>>,
+    /// What turns by itself; of kind `pose` only, as all that follows.
+    pub torques: Vec<TorqueSpec<N>>,
+    /// Holes.
+    pub holes: Vec<HoleSettings>,
+    /// Handles.
+    pub handles: Vec<HandleSettings>,
+    /// Bodies that a gripper can hold.
+    pub bodies: Vec<RigidBodySettings>,
+}
+
+/// How a torque goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum TorqueKind {
+    /// At once.
+    Step,
+    /// Rising linearly and staying.
+    Ramp,
+    /// `tau sin(pi t / duration)`.
+    HalfSine,
+    /// `tau sin(2 pi f t)`.
+    Sine,
+}
+
+/// `[[environment.torques]]`: a torque of its own on the tool.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TorqueSpec<const N: usize> {
+    /// Its course.
+    pub shape: TorqueKind,
+    /// When it begins, in s since engagement.
+    pub at_s: f64,
+    /// How long it lasts, in s.
+    pub duration_s: f64,
+    /// Time in s in which a ramp rises.
+    pub rise_s: f64,
+    /// Of a sine, in Hz.
+    pub frequency_hz: f64,
+    /// In N m.
+    #[schemars(with = "Vec<f64>")]
+    pub torque_n_m: Axes<N>,
 }
 
 /// How an environment acts on a device without an arm between.
@@ -248,6 +307,17 @@ pub struct CouplingSpec {
     /// What the slave takes of a remote command.
     #[serde(flatten)]
     pub bounds: CommandBounds,
+    /// `lambda_r`.
+    pub rotation_scale: f64,
+    /// `lambda_tau`.
+    pub torque_scale: f64,
+    /// Whether the slave keeps its orientation.
+    pub locks_rotation: bool,
+    /// The axis of the slave's base frame about which alone it turns.
+    pub rotation_axis: Option<[f64; 3]>,
+    /// What the slave takes of a remote command of its orientation.
+    #[serde(flatten)]
+    pub rotation_bounds: RotationBounds,
     /// What is changed while it runs.
     pub changes: Vec<ChangeSpec>,
 }
@@ -262,6 +332,10 @@ pub struct ChangeSpec {
     pub position_scale: Option<f64>,
     /// The new `lambda_f`.
     pub force_scale: Option<f64>,
+    /// The new `lambda_r`.
+    pub rotation_scale: Option<f64>,
+    /// The new `lambda_tau`.
+    pub torque_scale: Option<f64>,
     /// The new rotation.
     pub quat_wxyz: Option<[f64; 4]>,
     /// The new locks.
@@ -290,6 +364,44 @@ pub struct SafetySpec {
     pub limiter: Option<LimiterSettings>,
     /// Times of the ladder; only with an arm.
     pub ladder: Option<LadderSettings>,
+    /// What differs for torques, of kind `pose` only.
+    pub rotation: Option<RotationSafetySpec>,
+}
+
+/// `[safety.rotation]`: who watches torques; what is not given is that of forces at a lever.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RotationSafetySpec {
+    /// Lever in m at which the hand holds the handle.
+    pub lever_m: f64,
+    /// Whether a trip of force or torque acts on both.
+    pub shares_trips: bool,
+    /// Who watches.
+    pub controllers: Option<Controllers>,
+    /// mu in N m s/rad.
+    pub damping: Option<f64>,
+    /// In rad/s, of VFC.
+    pub velocity_threshold: Option<f64>,
+    /// In N m, of VFC.
+    pub vfc_torque_threshold_n_m: Option<f64>,
+    /// zeta, of HSC.
+    pub grasp_threshold: Option<f64>,
+    /// alpha in N m, of HSC.
+    pub grasp_floor_n_m: Option<f64>,
+    /// In N m, of HSC.
+    pub hsc_torque_threshold_n_m: Option<f64>,
+    /// delta in J, of WSC.
+    pub energy_threshold_j: Option<f64>,
+    /// Bound in N m s/rad on the damping of PC.
+    pub pc_max_damping: Option<f64>,
+    /// Largest torque in N m.
+    pub max_torque_n_m: Option<f64>,
+    /// Largest growth of the torque in N m/s.
+    pub max_slew_n_m_per_s: Option<f64>,
+    /// Largest power in W that the torque may put into the hand.
+    pub max_power_w: Option<f64>,
+    /// Resolution of an angle in rad that the estimator takes the device to have.
+    pub quantum_rad: Option<f64>,
 }
 
 /// What the observers see.

@@ -1,6 +1,9 @@
 //! A side whose operator commands at given times.
 
-use crate::{Exchange, OperatorCommand, Side, TickTime, coupling::CouplingError};
+use crate::{
+    Exchange, MasterPlant, MasterRotation, MasterSide, OperatorCommand, Side, SlavePlant, SlaveRotation,
+    SlaveSide, TickTime, coupling::CouplingError,
+};
 
 /// A side, and the commands of its operator with their times in ns since the start, in order.
 #[derive(Clone, Debug)]
@@ -15,6 +18,30 @@ impl<S> Timed<S> {
     /// `commands` in the order of their times.
     pub(crate) fn new(side: S, commands: Vec<(u64, OperatorCommand)>) -> Self {
         Self { side, commands, done: 0 }
+    }
+}
+
+impl<P, const N: usize> Timed<MasterSide<P, N>> {
+    /// The same side with records of a hand that turns.
+    #[must_use]
+    pub fn turning(self) -> Timed<MasterSide<P, N, MasterRotation>>
+    where
+        P: MasterPlant<N>,
+    {
+        let Self { side, commands, done } = self;
+        Timed { side: side.turning(), commands, done }
+    }
+}
+
+impl<P, const N: usize> Timed<SlaveSide<P, N>> {
+    /// The same side with records of an arm that turns.
+    #[must_use]
+    pub fn turning(self) -> Timed<SlaveSide<P, N, SlaveRotation>>
+    where
+        P: SlavePlant<N>,
+    {
+        let Self { side, commands, done } = self;
+        Timed { side: side.turning(), commands, done }
     }
 }
 

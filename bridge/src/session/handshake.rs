@@ -16,7 +16,7 @@ use super::{
         Rejections, SESSION_HEADER, Ticket, write_mac,
     },
 };
-use crate::wire::Role;
+use crate::wire::{FrameForm, Role};
 
 /// A handshake message with its header.
 pub type HandshakeDatagram = [u8; HANDSHAKE_LENGTH];
@@ -42,8 +42,8 @@ pub enum HandshakeEvent {
     Refused {
         /// Why.
         decision: HandshakeDecision,
-        /// Bytes of the peer's payloads.
-        payload_length: u16,
+        /// What stands in the peer's payloads.
+        form: FrameForm,
     },
     /// Reported at the slave: another master with the key was refused, because one holds the lease. It lives: it has
     /// sent back what the first refusal had for it, which no recorded message does.
@@ -279,9 +279,8 @@ impl Initiator {
             _ => (EpochId { session: entropy.number()?, epoch: 0 }, None),
         };
         let mut noise = Noise::new(self.settings.role, id, key.as_ref().unwrap_or(&self.key), entropy)?;
-        let payload =
-            HandshakePayload::new(self.run, self.settings.payload_length, HandshakeDecision::Accepted)
-                .with(self.ticket);
+        let payload = HandshakePayload::new(self.run, self.settings.form, HandshakeDecision::Accepted)
+            .with(self.ticket);
         let datagram = message(Kind::Hello, id, &noise.write(&payload.to_bytes())?, &self.mac);
         self.newest = Some(id);
         self.pending = Some(Pending {
@@ -317,10 +316,7 @@ impl Initiator {
             if self.renews && !self.has_failed {
                 return Ok(Outcome::default());
             }
-            let event = HandshakeEvent::Refused {
-                decision: payload.decision,
-                payload_length: payload.payload_length,
-            };
+            let event = HandshakeEvent::Refused { decision: payload.decision, form: payload.form };
             return Ok(Outcome { event: Some(event), ..Outcome::default() });
         }
         let keys = pending.noise.keys(now_ns, payload.run).map_err(|_| Rejection::Forged)?;
@@ -448,7 +444,7 @@ impl Responder {
         self.seen[self.next_seen].copy_from_slice(ephemeral);
         self.next_seen = (self.next_seen + 1) % SEEN;
         let decision = self.admit(is_renewal, &payload, standing);
-        let mut word = HandshakePayload::new(self.run, self.settings.payload_length, decision);
+        let mut word = HandshakePayload::new(self.run, self.settings.form, decision);
         // The holder itself, which has lost touch, is no second master.
         let is_other = decision == HandshakeDecision::Leased && standing.holder != Some(payload.run);
         let mut lives = false;
@@ -467,9 +463,7 @@ impl Responder {
         };
         let event = match decision {
             HandshakeDecision::Leased if lives => Some(HandshakeEvent::SecondMaster { run: payload.run }),
-            HandshakeDecision::PayloadLength => {
-                Some(HandshakeEvent::Refused { decision, payload_length: payload.payload_length })
-            }
+            HandshakeDecision::PayloadForm => Some(HandshakeEvent::Refused { decision, form: payload.form }),
             HandshakeDecision::Accepted | HandshakeDecision::Leased => None,
         };
         Ok(Outcome { reply: Some(answer), to_peer, keys, event })
@@ -478,8 +472,8 @@ impl Responder {
     fn admit(&self, is_renewal: bool, payload: &HandshakePayload, standing: &Standing) -> HandshakeDecision {
         if !is_renewal && standing.holder.is_some() {
             HandshakeDecision::Leased
-        } else if usize::from(payload.payload_length) != self.settings.payload_length {
-            HandshakeDecision::PayloadLength
+        } else if payload.form != self.settings.form {
+            HandshakeDecision::PayloadForm
         } else {
             HandshakeDecision::Accepted
         }

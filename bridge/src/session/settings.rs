@@ -1,7 +1,7 @@
 //! The settings of a session, and what they must be.
 
 use super::wire::{HANDSHAKE_LENGTH, sealed_length};
-use crate::wire::{MAX_FRAME, Role};
+use crate::wire::{FrameForm, FrameLayout, MAX_FRAME, Role};
 
 const MS: u64 = 1_000_000;
 const SECOND: u64 = 1000 * MS;
@@ -13,6 +13,8 @@ pub struct SessionSettings {
     pub role: Role,
     /// Bytes of every payload, in both directions.
     pub payload_length: usize,
+    /// What stands in the payloads: a slave refuses a master that says otherwise.
+    pub form: FrameForm,
     /// Time between two datagrams of the peer in ns.
     pub peer_period_ns: u64,
     /// How far behind the newest a datagram may be and still be distinguished from a replay, in ns of the peer's rate.
@@ -82,6 +84,8 @@ impl SessionSettings {
         Self {
             role,
             payload_length,
+            #[allow(clippy::cast_possible_truncation)] // longer ones are refused
+            form: FrameForm(payload_length as u16),
             peer_period_ns,
             window_ns: 2 * SECOND,
             rekey_ns: 120 * SECOND,
@@ -91,6 +95,12 @@ impl SessionSettings {
             max_sealed: 1 << 32,
             max_forged: 1 << 36,
         }
+    }
+
+    /// The same for frames of `axes` axes.
+    pub const fn of_frames(role: Role, layout: FrameLayout, axes: usize, peer_period_ns: u64) -> Self {
+        let settings = Self::new(role, layout.length(axes), peer_period_ns);
+        Self { form: layout.form(axes), ..settings }
     }
 
     pub(super) fn check(&self) -> Result<(), SettingsError> {

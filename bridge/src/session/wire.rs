@@ -8,7 +8,7 @@ use zerocopy::{
 };
 
 use super::keys::{MAC, MacKey, TAG};
-use crate::wire::{MAX_FRAME, Role};
+use crate::wire::{FrameForm, MAX_FRAME, Role};
 
 /// Magic bytes at the start of a datagram of a secure session.
 pub const SESSION_MAGIC: [u8; 2] = *b"HS";
@@ -165,8 +165,8 @@ pub enum HandshakeDecision {
     Accepted,
     /// Another master holds the lease.
     Leased,
-    /// The payloads of the two sides differ in length: other axes, or another version of the frame.
-    PayloadLength,
+    /// The frames of the two sides differ: in kind, axes or parts, or in their version.
+    PayloadForm,
 }
 
 /// The encrypted part of a handshake message.
@@ -174,13 +174,13 @@ pub enum HandshakeDecision {
 /// | offset | type | field |
 /// |---|---|---|
 /// | 0 | `u64` | run: drawn by the sender when it started |
-/// | 8 | `u16` | bytes of its payloads |
-/// | 10 | `u8` | decision: 0 accepted, 1 leased, 2 payload length; 0 in a first message |
+/// | 8 | `u16` | what stands in its payloads, [`FrameForm`] |
+/// | 10 | `u8` | decision: 0 accepted, 1 leased, 2 payload form; 0 in a first message |
 /// | 11 | `[u8; 5]` | ticket: in a refusal drawn by the slave; in a first message that of the last refusal, or zero |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct HandshakePayload {
     pub(super) run: u64,
-    pub(super) payload_length: u16,
+    pub(super) form: FrameForm,
     pub(super) decision: HandshakeDecision,
     pub(super) ticket: Ticket,
 }
@@ -191,14 +191,8 @@ pub(super) type Ticket = [u8; 5];
 pub(super) const NO_TICKET: Ticket = [0; 5];
 
 impl HandshakePayload {
-    pub(super) fn new(run: u64, payload_length: usize, decision: HandshakeDecision) -> Self {
-        // At most the length of a frame, as the settings were checked for.
-        Self {
-            run,
-            payload_length: u16::try_from(payload_length).unwrap_or(u16::MAX),
-            decision,
-            ticket: NO_TICKET,
-        }
+    pub(super) fn new(run: u64, form: FrameForm, decision: HandshakeDecision) -> Self {
+        Self { run, form, decision, ticket: NO_TICKET }
     }
 
     pub(super) fn with(self, ticket: Ticket) -> Self {
@@ -208,11 +202,11 @@ impl HandshakePayload {
     pub(super) fn to_bytes(self) -> [u8; HANDSHAKE_PAYLOAD] {
         let mut bytes = [0; HANDSHAKE_PAYLOAD];
         bytes[..8].copy_from_slice(&self.run.to_le_bytes());
-        bytes[8..10].copy_from_slice(&self.payload_length.to_le_bytes());
+        bytes[8..10].copy_from_slice(&self.form.0.to_le_bytes());
         bytes[10] = match self.decision {
             HandshakeDecision::Accepted => 0,
             HandshakeDecision::Leased => 1,
-            HandshakeDecision::PayloadLength => 2,
+            HandshakeDecision::PayloadForm => 2,
         };
         bytes[11..].copy_from_slice(&self.ticket);
         bytes
@@ -223,12 +217,12 @@ impl HandshakePayload {
         let decision = match decision {
             0 => HandshakeDecision::Accepted,
             1 => HandshakeDecision::Leased,
-            2 => HandshakeDecision::PayloadLength,
+            2 => HandshakeDecision::PayloadForm,
             _ => return None,
         };
         Some(Self {
             run: u64::from_le_bytes([r0, r1, r2, r3, r4, r5, r6, r7]),
-            payload_length: u16::from_le_bytes([l0, l1]),
+            form: FrameForm(u16::from_le_bytes([l0, l1])),
             decision,
             ticket,
         })
@@ -351,7 +345,7 @@ impl std::ops::Add for Rejections {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::frame_length;
+    use crate::{SideKind, wire::FrameLayout};
 
     /// The known answer, written down by hand from the table in `docs/protocol.md`.
     #[test]
@@ -375,8 +369,11 @@ mod tests {
     fn no_frame_is_as_long_as_a_handshake() {
         assert_eq!(HANDSHAKE_LENGTH, 120);
         for axes in 1..=7 {
-            for has_gripper in [false, true] {
-                assert_ne!(sealed_length(frame_length(axes, has_gripper)), HANDSHAKE_LENGTH);
+            for (kind, parts) in
+                [SideKind::Joints, SideKind::Pose].into_iter().flat_map(|k| (0..4).map(move |p| (k, p)))
+            {
+                let layout = FrameLayout { kind, has_gripper: parts & 1 != 0, has_buttons: parts & 2 != 0 };
+                assert_ne!(sealed_length(layout.length(axes)), HANDSHAKE_LENGTH);
             }
         }
     }
@@ -419,10 +416,10 @@ mod tests {
         for (byte, decision) in [
             (0, HandshakeDecision::Accepted),
             (1, HandshakeDecision::Leased),
-            (2, HandshakeDecision::PayloadLength),
+            (2, HandshakeDecision::PayloadForm),
         ] {
-            let payload =
-                HandshakePayload::new(0x0807_0605_0403_0201, 92, decision).with([9, 10, 11, 12, 13]);
+            let payload = HandshakePayload::new(0x0807_0605_0403_0201, FrameForm(92), decision)
+                .with([9, 10, 11, 12, 13]);
             let bytes = [1, 2, 3, 4, 5, 6, 7, 8, 92, 0, byte, 9, 10, 11, 12, 13];
             assert_eq!(payload.to_bytes(), bytes);
             assert_eq!(HandshakePayload::from_bytes(bytes), Some(payload));

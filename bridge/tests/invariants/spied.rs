@@ -6,7 +6,7 @@ use haptether_bridge::{
     Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, OperatorCommand, RejectReason,
     Side, SlavePlant, SlaveRecord, SlaveSide, TickTime,
     coupling::{CommandBounds, CouplingError},
-    wire::{Frame, MAX_FRAME, Role},
+    wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 use haptether_safety::{Acted, Axes, LimiterSettings};
 
@@ -103,7 +103,7 @@ impl Watch {
     }
 
     /// The frame that a side took must be newer than what it had and, in a session, one that the peer sent.
-    fn accepted<const N: usize>(&mut self, now_ns: u64, datagram: &[u8], taken: bool) {
+    fn accepted<const N: usize>(&mut self, now_ns: u64, datagram: &[u8], taken: bool, layout: FrameLayout) {
         if !taken {
             self.seen.refused += 1;
             return;
@@ -111,7 +111,7 @@ impl Watch {
         self.seen.accepted += 1;
         let time = TickTime::at(now_ns);
         let from = [Role::Slave, Role::Master][self.side];
-        let Ok(frame) = Frame::<N>::decode(datagram, from) else {
+        let Ok(frame) = Frame::<N>::decode(datagram, from, layout) else {
             return self.hold(false, time, || "acted on what is no frame".into());
         };
         if let Some(sent) = &self.sent {
@@ -289,7 +289,8 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for Near<P, N> {
 
     fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         let taken = self.side.receive(time, datagram);
-        self.watch.accepted::<N>(time.tick_ns, datagram, taken.is_ok());
+        let layout = self.side.exchange().link().layout();
+        self.watch.accepted::<N>(time.tick_ns, datagram, taken.is_ok(), layout);
         taken
     }
 
@@ -335,7 +336,8 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for Far<P, N> {
 
     fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         let taken = self.side.receive(time, datagram);
-        self.watch.accepted::<N>(time.tick_ns, datagram, taken.is_ok());
+        let layout = self.side.exchange().link().layout();
+        self.watch.accepted::<N>(time.tick_ns, datagram, taken.is_ok(), layout);
         taken
     }
 

@@ -132,6 +132,24 @@ estimators! {
     } as Kalman<N, S>;
 }
 
+impl EstimatorKind {
+    /// The estimator of a rotation whose handle is held at this lever r in m: angles are x / r, so that what it takes for
+    /// noise and for jerk is smaller by r and r².
+    #[must_use]
+    pub fn at_lever(self, lever_m: f64) -> Self {
+        match self {
+            Self::Kalman { jerk_density, quantum_m } => Self::Kalman {
+                jerk_density: jerk_density / (lever_m * lever_m),
+                quantum_m: quantum_m / lever_m,
+            },
+            Self::AdaptiveWindow { noise_bound_m, max_window, fit } => {
+                Self::AdaptiveWindow { noise_bound_m: noise_bound_m / lever_m, max_window, fit }
+            }
+            other => other,
+        }
+    }
+}
+
 impl Default for EstimatorKind {
     /// A Kalman filter for a stylus with a quantum of 23 µm; at 1 kHz its bandwidth is 39 Hz.
     fn default() -> Self {

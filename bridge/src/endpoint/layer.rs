@@ -1,0 +1,151 @@
+//! The safety layer of a hand that moves, or that moves and turns.
+
+use haptether_master::RotationSample;
+use haptether_safety::{
+    Axes, Fault, LayerSettings, LimiterSettings, ParameterError, PoseSample, RotationModel, RotationSettings,
+    SafetyLayer, SafetyTick, WrenchLayer, WrenchSettings, WrenchTick, controller::SafetySettings,
+    estimator::EstimatorKind,
+};
+use nalgebra::{Quaternion, Unit, UnitQuaternion};
+
+/// How the rotation of a master's endpoint is built.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MasterRotationSettings {
+    /// Dynamics of the device.
+    pub device: RotationModel,
+    /// How w and its derivative are had from orientations.
+    pub estimator: EstimatorKind,
+    /// Observers and controllers, in rad/s and N m.
+    pub safety: SafetySettings,
+    /// Bounds on the device torque; as of the force, its ramp-in is not used.
+    pub limiter: LimiterSettings,
+    /// `lambda_tau`.
+    pub torque_scale: f64,
+    /// Whether a trip of force or torque acts on both.
+    pub shares_trips: bool,
+}
+
+/// What a device measures at one tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MasterReading<const N: usize> {
+    /// x in m.
+    pub position: Axes<N>,
+    /// V in m/s, from a device that measures it.
+    pub velocity: Option<Axes<N>>,
+    /// R and w, of a device that turns.
+    pub rotation: Option<RotationSample>,
+}
+
+impl<const N: usize> MasterReading<N> {
+    /// Of a point.
+    pub fn point(position: Axes<N>, velocity: Option<Axes<N>>) -> Self {
+        Self { position, velocity, rotation: None }
+    }
+
+    fn pose(&self) -> PoseSample<N> {
+        // Where an endpoint of poses is told no orientation, it has none: a fault.
+        let none = Unit::new_unchecked(Quaternion::from([f64::NAN; 4]));
+        let rotation = self.rotation.unwrap_or(RotationSample { orientation: none, angular_velocity: None });
+        PoseSample {
+            position: self.position,
+            velocity: self.velocity,
+            orientation: rotation.orientation,
+            angular_velocity: rotation.angular_velocity,
+        }
+    }
+
+    /// Between this and a later one, at a share of the way: along a straight line, and evenly about one axis.
+    pub(super) fn towards(&self, later: &Self, share: f64) -> Self {
+        let turned = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>| {
+            let turn = UnitQuaternion::from_scaled_axis((to * from.inverse()).scaled_axis() * share);
+            Unit::new_normalize((turn * from).into_inner())
+        };
+        let rotation = self.rotation.zip(later.rotation).map(|(from, to)| RotationSample {
+            orientation: turned(&from.orientation, &to.orientation),
+            angular_velocity: between(from.angular_velocity, to.angular_velocity, share),
+        });
+        Self {
+            position: self.position + (later.position - self.position) * share,
+            velocity: between(self.velocity, later.velocity, share),
+            rotation,
+        }
+    }
+}
+
+fn between<const N: usize>(from: Option<Axes<N>>, to: Option<Axes<N>>, share: f64) -> Option<Axes<N>> {
+    from.zip(to).map(|(from, to)| from + (to - from) * share)
+}
+
+/// What stands between the remote side and a hand.
+#[derive(Clone, Debug)]
+pub(super) enum Layer<const N: usize> {
+    /// Of one that moves.
+    Force(Box<SafetyLayer<N>>),
+    /// Of one that turns as well.
+    Wrench(Box<WrenchLayer<N>>),
+}
+
+impl<const N: usize> Layer<N> {
+    pub(super) fn new(
+        translation: LayerSettings<N>,
+        rotation: Option<&MasterRotationSettings>,
+    ) -> Result<Self, ParameterError> {
+        let Some(&MasterRotationSettings { device, estimator, safety, limiter, shares_trips, .. }) = rotation
+        else {
+            return Ok(Self::Force(Box::new(SafetyLayer::new(&translation)?)));
+        };
+        let period_s = translation.period_s;
+        let limiter = LimiterSettings { ramp_in_s: 0.0, ..limiter };
+        let rotation = RotationSettings { device, period_s, estimator, safety, limiter };
+        Ok(Self::Wrench(Box::new(WrenchLayer::new(&WrenchSettings { translation, rotation, shares_trips })?)))
+    }
+
+    /// One tick: the force in N, the torque in N m that the remote side requests.
+    pub(super) fn tick(
+        &mut self,
+        reading: &MasterReading<N>,
+        force: &Axes<N>,
+        torque: &Axes<3>,
+        gain: f64,
+    ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
+        match self {
+            Self::Force(layer) => {
+                let MasterReading { position, velocity, .. } = reading;
+                (layer.tick_with_authority(position, velocity.as_ref(), force, gain), None)
+            }
+            Self::Wrench(layer) => {
+                let WrenchTick { translation, rotation } =
+                    layer.tick_with_authority(&reading.pose(), force, torque, gain);
+                (translation, Some(rotation))
+            }
+        }
+    }
+
+    pub(super) fn missed(&mut self, reading: &MasterReading<N>) {
+        match self {
+            Self::Force(layer) => layer.missed(&reading.position, reading.velocity.as_ref()),
+            Self::Wrench(layer) => layer.missed(&reading.pose()),
+        }
+    }
+
+    pub(super) fn fail(&mut self, fault: Fault) {
+        match self {
+            Self::Force(layer) => layer.fail(fault),
+            Self::Wrench(layer) => layer.fail(fault),
+        }
+    }
+
+    pub(super) fn restart(&mut self, reading: &MasterReading<N>) -> Result<(), Fault> {
+        match self {
+            Self::Force(layer) => layer.restart(&reading.position),
+            Self::Wrench(layer) => layer.restart(&reading.position, &reading.pose().orientation),
+        }
+    }
+
+    pub(super) fn reset(&mut self, reading: &MasterReading<N>) -> Result<(), Fault> {
+        match self {
+            Self::Force(layer) => layer.reset(&reading.position),
+            Self::Wrench(layer) => layer.reset(&reading.position, &reading.pose().orientation),
+        }
+    }
+}

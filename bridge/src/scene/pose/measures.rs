@@ -1,0 +1,108 @@
+//! What a run is judged by where hand and arm turn.
+
+use haptether_safety::Axes;
+use nalgebra::{Quaternion, Unit, UnitQuaternion};
+
+use crate::{
+    MasterRotation, SlaveRotation,
+    command::OperatorCommand,
+    coupling::{CouplingError, RotationCoupling, RotationLock},
+    scene::{measures::Outcome, spec::CouplingSpec},
+};
+
+/// Peaks, and how far the slave's rotation lies from the master's, scaled.
+#[derive(Clone, Debug)]
+pub(crate) struct RotationMeasures {
+    coupling: RotationCoupling,
+    /// When the hand lets go, in s; infinite until the two have engaged.
+    release_s: f64,
+    /// The newest of the slave.
+    far: Option<SlaveRotation>,
+    peak_rate: f64,
+    peak_torque: f64,
+    /// Sums of the squared differences of orientation and torque, and how many.
+    squares: [f64; 2],
+    samples: [u64; 2],
+    newest_s: f64,
+}
+
+fn unit([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    Unit::new_unchecked(Quaternion::new(w, x, y, z))
+}
+
+impl RotationMeasures {
+    pub(crate) fn new(spec: &CouplingSpec, lock: RotationLock) -> Result<Self, CouplingError> {
+        let mut coupling = RotationCoupling::new(spec.rotation_scale, spec.torque_scale)?;
+        coupling.set_lock(lock);
+        coupling.set_frame(spec.quat_wxyz)?;
+        Ok(Self {
+            coupling,
+            release_s: f64::INFINITY,
+            far: None,
+            peak_rate: 0.0,
+            peak_torque: 0.0,
+            squares: [0.0; 2],
+            samples: [0; 2],
+            newest_s: f64::NEG_INFINITY,
+        })
+    }
+
+    /// The two have engaged; the hand lets go at `release_s`, in s since the start.
+    pub(crate) fn engage(&mut self, release_s: f64) {
+        self.release_s = release_s;
+        (self.peak_rate, self.peak_torque) = (0.0, 0.0);
+    }
+
+    /// What an operator has changed, on both sides.
+    pub(crate) fn change(&mut self, command: &OperatorCommand) -> Result<(), CouplingError> {
+        match command {
+            OperatorCommand::RotationScale(scale) => self.coupling.set_rotation_scale(*scale),
+            OperatorCommand::TorqueScale(scale) => self.coupling.set_torque_scale(*scale),
+            OperatorCommand::Frame { quat_wxyz, .. } => self.coupling.set_frame(*quat_wxyz),
+            _ => Ok(()),
+        }
+    }
+
+    /// A tick of the master, while both are coupled or not.
+    pub(crate) fn near(&mut self, time_s: f64, record: &MasterRotation, coupled: bool) {
+        self.newest_s = time_s;
+        self.peak_torque = self.peak_torque.max(record.device_torque.norm());
+        if time_s >= self.release_s {
+            self.peak_rate = self.peak_rate.max(record.angular_velocity.norm());
+        }
+        let (Some(far), true) = (&self.far, coupled) else {
+            self.coupling.disengage();
+            return;
+        };
+        let slave = unit(far.orientation);
+        let wanted = self.coupling.commanded_orientation(&unit(record.true_orientation), &slave);
+        self.squares[0] += wanted.angle_to(&slave).powi(2);
+        self.samples[0] += 1;
+        let difference: Axes<3> =
+            record.device_torque - self.coupling.rendered_torque(&far.environment_torque);
+        self.squares[1] += difference.norm_squared();
+        self.samples[1] += 1;
+    }
+
+    /// A tick of the slave.
+    pub(crate) fn far(&mut self, record: &SlaveRotation) {
+        self.far = Some(*record);
+    }
+
+    /// Adds what was measured.
+    pub(crate) fn complete(&self, outcome: Outcome) -> Outcome {
+        let mean = |which: usize| {
+            let samples = self.samples[which];
+            (samples > 0)
+                .then(|| (self.squares[which] / samples as f64).sqrt())
+                .filter(|mean| mean.is_finite())
+        };
+        Outcome {
+            max_ejection_rate: (self.newest_s >= self.release_s).then_some(self.peak_rate),
+            peak_device_torque: (self.newest_s >= 0.0).then_some(self.peak_torque),
+            orientation_rmse_rad: mean(0),
+            torque_rmse_n_m: mean(1),
+            ..outcome
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! Scenes of kind `pose`: how a hand, an arm and a world that turn are built from a scene.
+
+mod measures;
+
+use std::any::Any;
+
+use haptether_master::{RotationHand, RotationParameters, SimulatedRotation};
+use haptether_safety::{
+    LimiterSettings, RotationModel, controller::SafetySettings, estimator::EstimatorKind,
+};
+use haptether_slave::{PushKind, PusherSettings, SeriesSettings, SimulatedTool, ToolWorldSettings};
+
+pub(super) use measures::RotationMeasures;
+
+use super::{
+    assemble::{SceneError, contradiction, limiter},
+    sides::coupled,
+    spec::{CouplingSpec, EnvironmentSpec, SceneSpec, TorqueKind, TorqueSpec},
+};
+use crate::{
+    MasterRotationSettings, SideKind, SlaveRotationSettings, TurningMaster,
+    coupling::{CouplingError, RotationLock},
+};
+
+/// The scene as one of poses, if it is one.
+///
+/// # Errors
+///
+/// A scene of poses that has not three axes.
+pub fn as_pose<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<&SceneSpec<3>>, SceneError> {
+    let SideKind::Pose = scene.master.kind else { return Ok(None) };
+    match (scene as &dyn Any).downcast_ref() {
+        Some(scene) => Ok(Some(scene)),
+        None => contradiction(format!("master.axes = {N}: kind = \"pose\" must have 3")),
+    }
+}
+
+/// A number of axes that the kind of the scene has.
+pub(super) fn check_kind<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
+    let kind = scene.master.kind;
+    if kind.has_axes(N) {
+        return Ok(());
+    }
+    let allowed = match kind {
+        SideKind::Linear => "1 to 3",
+        SideKind::Joints => "1 to 7",
+        SideKind::Pose => "3",
+    };
+    contradiction(format!("master.axes = {N}: kind = \"{}\" must have {allowed}", kind.name()))
+}
+
+/// Without a turn.
+const STRAIGHT: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
+
+/// The scene's device as one that turns, in the scene's hand, which waits for the engagement.
+pub(super) fn turning_master<P, const N: usize>(
+    scene: &SceneSpec<N>,
+    point: P,
+) -> Result<TurningMaster<P>, SceneError> {
+    let hand = match scene.operator.as_ref().and_then(|operator| operator.rotation.as_ref()) {
+        Some(hand) => RotationHand::new(hand)?,
+        None => RotationHand::absent(STRAIGHT)?,
+    };
+    let mut body = SimulatedRotation::new(rotation_of(scene)?, hand, 0)?;
+    body.set_waiting(true);
+    Ok(TurningMaster { point, body })
+}
+
+fn rotation_of<const N: usize>(scene: &SceneSpec<N>) -> Result<RotationParameters, SceneError> {
+    match scene.master.rotation {
+        Some(rotation) => Ok(rotation),
+        None => contradiction("master.rotation: is missing, kind = \"pose\" needs it"),
+    }
+}
+
+/// What watches torques: what the scene says of them, else what it says of forces, at a lever.
+pub(super) fn master_rotation<const N: usize>(
+    scene: &SceneSpec<N>,
+    coupling: &CouplingSpec,
+) -> Result<MasterRotationSettings, SceneError> {
+    let parameters = rotation_of(scene)?;
+    parameters.check()?;
+    let device = RotationModel::new(parameters.inertia_kg_m2, parameters.viscous, parameters.coulomb)?;
+    let Some(own) = &scene.safety.rotation else {
+        return contradiction("safety.rotation: is missing, kind = \"pose\" needs it");
+    };
+    if !(own.lever_m > 0.0 && own.lever_m.is_finite()) {
+        return contradiction(format!("safety.rotation.lever_m = {}: must be above 0", own.lever_m));
+    }
+    let at_lever = scene.safety.settings.at_lever(own.lever_m);
+    // What a sampled device stands, by its lightest axis.
+    let most = parameters.inertia_kg_m2.min() / (5.0 * scene.run.period_s);
+    let safety = SafetySettings {
+        controllers: own.controllers.unwrap_or(at_lever.controllers),
+        damping: own.damping.unwrap_or(at_lever.damping.min(most)),
+        velocity_threshold: own.velocity_threshold.unwrap_or(at_lever.velocity_threshold),
+        vfc_force_threshold_n: own.vfc_torque_threshold_n_m.unwrap_or(at_lever.vfc_force_threshold_n),
+        grasp_threshold: own.grasp_threshold.unwrap_or(at_lever.grasp_threshold),
+        grasp_floor_n: own.grasp_floor_n_m.unwrap_or(at_lever.grasp_floor_n),
+        hsc_force_threshold_n: own.hsc_torque_threshold_n_m.unwrap_or(at_lever.hsc_force_threshold_n),
+        energy_threshold_j: own.energy_threshold_j.unwrap_or(at_lever.energy_threshold_j),
+        pc_max_damping: own.pc_max_damping.unwrap_or(at_lever.pc_max_damping.min(most)),
+        ..at_lever
+    };
+    let bounds = limiter(&scene.safety).at_lever(own.lever_m);
+    let max_torque_n_m = own.max_torque_n_m.or(parameters.max_torque_n_m).unwrap_or(bounds.max_force_n);
+    let limiter = LimiterSettings {
+        max_force_n: max_torque_n_m,
+        max_slew_n_per_s: own.max_slew_n_m_per_s.unwrap_or(bounds.max_slew_n_per_s),
+        max_power_w: own.max_power_w.unwrap_or(bounds.max_power_w),
+        ..bounds
+    };
+    let estimator = match (scene.safety.estimator.at_lever(own.lever_m), own.quantum_rad) {
+        (EstimatorKind::Kalman { jerk_density, .. }, Some(quantum_m)) => {
+            EstimatorKind::Kalman { jerk_density, quantum_m }
+        }
+        (EstimatorKind::AdaptiveWindow { max_window, fit, .. }, Some(noise_bound_m)) => {
+            EstimatorKind::AdaptiveWindow { noise_bound_m, max_window, fit }
+        }
+        (other, _) => other,
+    };
+    Ok(MasterRotationSettings {
+        device,
+        estimator,
+        safety,
+        limiter,
+        torque_scale: coupling.torque_scale,
+        shares_trips: own.shares_trips,
+    })
+}
+
+/// What of the rotation follows.
+pub(super) fn rotation_lock(coupling: &CouplingSpec) -> Result<RotationLock, CouplingError> {
+    match (coupling.locks_rotation, coupling.rotation_axis) {
+        (true, _) => Ok(RotationLock::Locked),
+        (false, Some(axis)) => RotationLock::only_about(axis),
+        (false, None) => Ok(RotationLock::Free),
+    }
+}
+
+/// How the rotation of the arm is led.
+pub(super) fn slave_rotation(coupling: &CouplingSpec) -> Result<SlaveRotationSettings, CouplingError> {
+    Ok(SlaveRotationSettings {
+        rotation_scale: coupling.rotation_scale,
+        lock: rotation_lock(coupling)?,
+        bounds: coupling.rotation_bounds,
+    })
+}
+
+/// The scene's tool in its world.
+pub(super) fn simulated_tool(scene: &SceneSpec<3>) -> Result<SimulatedTool, SceneError> {
+    let (slave, _) = coupled(scene)?;
+    let Some(tool) = &slave.tool else {
+        return contradiction("slave.tool: is missing, kind = \"pose\" needs it");
+    };
+    let world = scene.environment.as_ref().map(world).unwrap_or_default();
+    Ok(SimulatedTool::new(slave, tool, &world, 0)?)
+}
+
+fn world(environment: &EnvironmentSpec<3>) -> ToolWorldSettings {
+    let EnvironmentSpec { objects, pushers, torques, holes, handles, bodies, .. } = environment;
+    let torques = torques.iter().map(|torque| {
+        let TorqueSpec { shape, at_s, duration_s, rise_s, frequency_hz, torque_n_m } = *torque;
+        let shape = match shape {
+            TorqueKind::Step => PushKind::Step,
+            TorqueKind::Ramp => PushKind::Ramp,
+            TorqueKind::HalfSine => PushKind::HalfSine,
+            TorqueKind::Sine => PushKind::Sine,
+        };
+        let recorded: Option<SeriesSettings<3>> = None;
+        PusherSettings { shape, at_s, duration_s, rise_s, frequency_hz, force_n: torque_n_m, recorded }
+    });
+    ToolWorldSettings {
+        objects: objects.clone(),
+        pushers: pushers.clone(),
+        torques: torques.collect(),
+        holes: holes.clone(),
+        handles: handles.clone(),
+        bodies: bodies.clone(),
+    }
+}

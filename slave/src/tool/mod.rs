@@ -1,0 +1,836 @@
+//! A simulated tool that turns, in a world of surfaces, holes, handles and bodies that it can hold.
+
+mod hold;
+mod rigid;
+mod settings;
+mod surroundings;
+#[cfg(test)]
+mod tests;
+
+pub use settings::{HandleSettings, HoleSettings, RigidBodySettings, ToolSettings, ToolWorldSettings};
+
+use nalgebra::{Unit, UnitQuaternion};
+
+use crate::{
+    ArmSettings, Axes, ControlKind, FULL_SLIP, ModelError, Pusher, PusherSettings, all_finite, require,
+};
+use hold::{Frame, Grip, Hold, Stiffness};
+use rigid::{Inertia, Load, Rate, Rigid, mean};
+use settings::{direction, finite, non_negative, orientation, positive};
+use surroundings::{Hole, Surroundings};
+
+/// Angle in rad by which the stiffest part swings in a sub-step.
+const STEP_PHASE: f64 = 0.25;
+/// Largest rate in rad/s of the stiffest part: 400 sub-steps a ms.
+const MAX_RATE: f64 = 1e5;
+/// Speed in rad/s below which the dry friction of a handle grows linearly with it, as [`FULL_SLIP`] of a surface.
+const FULL_TURN: f64 = 1e-2;
+/// Of the stops of a handle, in N m/rad.
+const STOP_STIFFNESS: f64 = 500.0;
+/// How far in m outside of a body the tool point may be for the jaws to take it.
+const JAW_REACH: f64 = 5e-3;
+/// How far the jaws may be from what they hold and still hold it, of their way.
+const JAW_PLAY: f64 = 0.02;
+
+/// What a tool measures, in the base frame about the tool point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolSample {
+    /// In m.
+    pub position: Axes<3>,
+    /// In m/s.
+    pub velocity: Axes<3>,
+    /// `F_e` of the environment on the tool, in N.
+    pub force: Axes<3>,
+    /// R, `base_from_tool`.
+    pub orientation: UnitQuaternion<f64>,
+    /// w in rad/s.
+    pub angular_velocity: Axes<3>,
+    /// Of the environment on the tool, in N m.
+    pub torque: Axes<3>,
+}
+
+/// What the servo leads the tool to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SetPose {
+    position: Axes<3>,
+    velocity: Axes<3>,
+    orientation: UnitQuaternion<f64>,
+    angular_velocity: Axes<3>,
+    /// When it was set, in s.
+    at_s: f64,
+}
+
+impl SetPose {
+    fn at(&self, t: f64) -> (Axes<3>, UnitQuaternion<f64>) {
+        let since = t - self.at_s;
+        let turn = UnitQuaternion::from_scaled_axis(self.angular_velocity * since);
+        (self.position + self.velocity * since, turn * self.orientation)
+    }
+}
+
+/// Springs and dampers between the set pose and the tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Servo {
+    stiffness: f64,
+    damping: f64,
+    rotational_stiffness: f64,
+    rotational_damping: f64,
+    max_speed: f64,
+    max_angular_speed: f64,
+}
+
+/// What turns about one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Handle {
+    point: Axes<3>,
+    axis: Unit<Axes<3>>,
+    lever: Axes<3>,
+    reach: f64,
+    width: f64,
+    inertia: f64,
+    viscous: f64,
+    coulomb: f64,
+    stiffness: f64,
+    stops: [f64; 2],
+    hold: Stiffness,
+}
+
+impl Handle {
+    fn new(settings: &HandleSettings, mass_kg: f64, moment: f64) -> Result<Self, ModelError> {
+        let (point, grip) = (finite("handle point", settings.point)?, finite("handle grip", settings.grip)?);
+        let [lower, upper] = settings.stops_rad;
+        require("handle stops_rad", lower, upper > lower, "finite and below the upper stop")?;
+        require("handle stops_rad", upper, true, "finite")?;
+        let linear = positive("handle hold_stiffness", settings.hold_stiffness)?;
+        let angular = non_negative("handle hold_rotational_stiffness", settings.hold_rotational_stiffness)?;
+        Ok(Self {
+            point,
+            axis: direction("handle axis", settings.axis)?,
+            lever: grip - point,
+            reach: positive("handle reach_m", settings.reach_m)?,
+            width: non_negative("handle width_m", settings.width_m)?,
+            inertia: positive("handle inertia_kg_m2", settings.inertia_kg_m2)?,
+            viscous: non_negative("handle viscous", settings.viscous)?,
+            coulomb: non_negative("handle coulomb", settings.coulomb)?,
+            stiffness: non_negative("handle stiffness", settings.stiffness)?,
+            stops: [lower, upper],
+            // Critically damped with the tool's own mass and inertia.
+            hold: Stiffness {
+                linear: (linear, 2.0 * (linear * mass_kg).sqrt()),
+                angular: (angular, 2.0 * (angular * moment).sqrt()),
+            },
+        })
+    }
+
+    /// Where it is gripped.
+    fn frame(&self, [angle, rate]: [f64; 2]) -> Frame {
+        let orientation = UnitQuaternion::from_axis_angle(&self.axis, angle);
+        let lever = orientation * self.lever;
+        let angular_velocity = self.axis.into_inner() * rate;
+        Frame {
+            position: self.point + lever,
+            velocity: angular_velocity.cross(&lever),
+            orientation,
+            angular_velocity,
+        }
+    }
+
+    /// Its own torque in N m about its axis: friction, spring, stops.
+    fn own_torque(&self, [angle, rate]: [f64; 2]) -> f64 {
+        let beyond = angle - angle.clamp(self.stops[0], self.stops[1]);
+        let stop = if beyond == 0.0 {
+            0.0
+        } else {
+            let pressed = STOP_STIFFNESS * beyond + 2.0 * (STOP_STIFFNESS * self.inertia).sqrt() * rate;
+            // It pushes, and never pulls.
+            if pressed * beyond > 0.0 { pressed } else { 0.0 }
+        };
+        -self.viscous * rate - self.coulomb * rate / rate.abs().max(FULL_TURN) - self.stiffness * angle - stop
+    }
+}
+
+/// A box that jaws can hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Body {
+    inertia: Inertia,
+    half_extents: Axes<3>,
+    gravity: f64,
+}
+
+/// All that moves.
+#[derive(Clone, Debug, PartialEq)]
+struct Motion {
+    tool: Rigid,
+    bodies: Vec<Rigid>,
+    /// Angle in rad and rate in rad/s of each handle.
+    handles: Vec<[f64; 2]>,
+}
+
+/// What acts on all that moves.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Loads {
+    tool: Load,
+    /// What of it is not the servo's.
+    environment: Load,
+    bodies: Vec<Load>,
+    handles: Vec<f64>,
+    touches: bool,
+}
+
+/// Memory of a step of Runge and Kutta.
+#[derive(Clone, Debug, PartialEq)]
+struct Scratch {
+    motion: Motion,
+    loads: Loads,
+    tool: [Rate; 4],
+    bodies: Vec<[Rate; 4]>,
+    handles: Vec<[[f64; 2]; 4]>,
+}
+
+/// What the tool holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Held {
+    Handle(usize, Hold),
+    Body(usize, Hold),
+}
+
+/// What does not move by itself, and how all is bound.
+#[derive(Clone, Debug, PartialEq)]
+struct World {
+    servo: Servo,
+    inertia: Inertia,
+    points: Vec<Axes<3>>,
+    surroundings: Surroundings,
+    pushers: Vec<Pusher<3>>,
+    torques: Vec<Pusher<3>>,
+    handles: Vec<Handle>,
+    bodies: Vec<Body>,
+    jaw_stiffness: Stiffness,
+    held: Option<Held>,
+    /// Of the jaws, where there are any.
+    grip: Option<Grip>,
+}
+
+/// A rigid tool under an impedance servo, touched at points of it, in a world that it can take hold of.
+///
+/// ```text
+/// m x'' = K (x_set - x) + B (v_set - v) + F_e
+/// I w' + w x I w = k_r log(R_set R') + b_r (w_set - w) + tau_e
+/// F_e = sum f_i,  tau_e = sum R p_i x f_i
+/// ```
+///
+/// with the force `f_i` of what is touched at each point `p_i` of the tool, pushers and torques, and the reaction of what it
+/// holds. Torques are about the tool point, which is its centre of mass; gravity does not act on it.
+///
+/// **Handles** turn about one axis: `J theta'' = -b theta' - c sign(theta') - k theta + (p x f + tau)·a`. **Bodies** are
+/// boxes that lie with their corners on what is touched, under gravity; the tool touches them with its jaws alone. What it
+/// holds is bound by a stiff spring and damper in translation and rotation; between jaws it slips where the force
+/// across their closing direction, the tool's x axis, exceeds `2 mu F`, or the moment `2 mu F r`.
+///
+/// **Integrator.** Runge, Kutta and Munthe-Kaas of order 4 in sub-steps of which the stiffest part needs at least 25 for
+/// a swing; R stays a rotation. Friction at a surface is regularised as in [`Contact`](crate::Contact), so that the equations are
+/// continuous; what slips between jaws does so after each sub-step.
+///
+/// Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; Munthe-Kaas 1998; Hogan 1985 (impedance).
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedTool {
+    world: World,
+    motion: Motion,
+    scratch: Scratch,
+    set: SetPose,
+    sample: ToolSample,
+    touches: bool,
+    jaw_width: f64,
+    jaw_friction: f64,
+    jaw_radius: f64,
+    jaws: Option<f64>,
+    /// In rad/s, of the stiffest part.
+    rate: f64,
+    begun_ns: u64,
+    now_ns: u64,
+    started_ns: Option<u64>,
+}
+
+fn pushers(of: &[PusherSettings<3>]) -> Result<Vec<Pusher<3>>, ModelError> {
+    of.iter().map(PusherSettings::pusher).collect()
+}
+
+impl SimulatedTool {
+    /// A tool at rest at `now_ns`, on an arm whose point is led by `pd` control, in its world.
+    pub fn new(
+        arm: &ArmSettings<3>,
+        tool: &ToolSettings,
+        world: &ToolWorldSettings,
+        now_ns: u64,
+    ) -> Result<Self, ModelError> {
+        if arm.control != ControlKind::Pd {
+            let allowed = "\"pd\" for an arm that turns: it alone yields to what it touches";
+            return Err(ModelError { name: "slave control", seen: f64::NAN, allowed });
+        }
+        tool.check()?;
+        let inertia = Inertia { mass_kg: positive("mass_kg", arm.mass_kg)?, moments: tool.inertia_kg_m2 };
+        let servo = Servo {
+            stiffness: non_negative("stiffness", arm.stiffness)?,
+            damping: non_negative("damping", arm.damping)?,
+            rotational_stiffness: tool.rotational_stiffness,
+            rotational_damping: tool.rotational_damping,
+            max_speed: arm.max_speed.unwrap_or(f64::INFINITY),
+            max_angular_speed: tool.max_angular_speed.unwrap_or(f64::INFINITY),
+        };
+        let least = tool.inertia_kg_m2.min();
+        let handles = world
+            .handles
+            .iter()
+            .map(|handle| Handle::new(handle, inertia.mass_kg, least))
+            .collect::<Result<Vec<_>, _>>()?;
+        let (mut bodies, mut lying) = (Vec::new(), Vec::new());
+        for settings in &world.bodies {
+            let (body, rigid) = body(settings)?;
+            bodies.push(body);
+            lying.push(rigid);
+        }
+        let lightest = bodies.iter().map(|body| body.inertia.mass_kg).fold(inertia.mass_kg, f64::min);
+        let smallest = bodies.iter().map(|body| body.inertia.moments.min()).fold(least, f64::min);
+        let linear = tool.jaw_stiffness;
+        let angular = linear * tool.jaw_radius_m * tool.jaw_radius_m;
+        let world = World {
+            servo,
+            inertia,
+            points: tool.points.iter().copied().map(Axes::from).collect(),
+            surroundings: Surroundings::new(world)?,
+            pushers: pushers(&world.pushers)?,
+            torques: pushers(&world.torques)?,
+            jaw_stiffness: Stiffness {
+                linear: (linear, (linear * lightest).sqrt()),
+                angular: (angular, (angular * smallest).sqrt()),
+            },
+            handles,
+            bodies,
+            held: None,
+            grip: None,
+        };
+        let rate = world.rate();
+        let allowed = "at most 1e5 rad/s of the stiffest part: make contacts softer, or bodies heavier";
+        require("rate of tool and world", rate, rate <= MAX_RATE, allowed)?;
+        let tool_at = Rigid {
+            position: finite("position", arm.position.into())?,
+            velocity: Axes::zeros(),
+            orientation: orientation("tool quat_wxyz", tool.quat_wxyz)?,
+            momentum: Axes::zeros(),
+        };
+        let motion = Motion { tool: tool_at, bodies: lying, handles: vec![[0.0; 2]; world.handles.len()] };
+        let loads = Loads {
+            bodies: vec![Load::default(); motion.bodies.len()],
+            handles: vec![0.0; motion.handles.len()],
+            ..Loads::default()
+        };
+        let scratch = Scratch {
+            motion: motion.clone(),
+            loads,
+            tool: [Rate::default(); 4],
+            bodies: vec![[Rate::default(); 4]; motion.bodies.len()],
+            handles: vec![[[0.0; 2]; 4]; motion.handles.len()],
+        };
+        let zeros = Axes::zeros();
+        let set = SetPose {
+            position: tool_at.position,
+            velocity: zeros,
+            orientation: tool_at.orientation,
+            angular_velocity: zeros,
+            at_s: 0.0,
+        };
+        let sample = ToolSample {
+            position: tool_at.position,
+            velocity: zeros,
+            force: zeros,
+            orientation: tool_at.orientation,
+            angular_velocity: zeros,
+            torque: zeros,
+        };
+        Ok(Self {
+            world,
+            motion,
+            scratch,
+            set,
+            sample,
+            touches: false,
+            jaw_width: tool.jaw_width_m,
+            jaw_friction: tool.jaw_friction,
+            jaw_radius: tool.jaw_radius_m,
+            jaws: None,
+            rate,
+            begun_ns: now_ns,
+            now_ns,
+            started_ns: None,
+        })
+    }
+
+    /// Sets the clock to `now_ns` without advancing: all rests until then.
+    pub fn begin(&mut self, now_ns: u64) {
+        (self.begun_ns, self.now_ns) = (now_ns, now_ns);
+        self.set.at_s = 0.0;
+    }
+
+    /// Starts the time of pushers and torques, once. Without jaws the tool holds the nearest handle in reach from here on.
+    pub fn start(&mut self, now_ns: u64) {
+        if self.started_ns.is_some() {
+            return;
+        }
+        self.started_ns = Some(now_ns);
+        if self.jaws.is_none() {
+            self.world.held = self.handle_in_reach().map(|index| self.taken_handle(index));
+        }
+    }
+
+    fn time_s(&self, now_ns: u64) -> f64 {
+        now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9
+    }
+
+    /// Commands a position in m and the velocity there in m/s. What is not finite is ignored.
+    pub fn write(&mut self, position: &Axes<3>, velocity: &Axes<3>) {
+        if !all_finite(position) {
+            return;
+        }
+        let t = self.time_s(self.now_ns);
+        let (_, turned) = self.set.at(t);
+        let most = self.world.servo.max_speed * (t - self.set.at_s);
+        let way = position - self.set.position;
+        let over = way.norm() > most && t > self.set.at_s;
+        self.set.position = if over { self.set.position + way * (most / way.norm()) } else { *position };
+        let bound = self.world.servo.max_speed;
+        self.set.velocity = if all_finite(velocity) { velocity.cap_magnitude(bound) } else { Axes::zeros() };
+        // The orientation goes on from where it was set to be by now.
+        self.set.orientation = Unit::new_normalize(turned.into_inner());
+        self.set.at_s = t;
+    }
+
+    /// Commands an orientation and its angular velocity in rad/s, before each [`write`](Self::write). What is not finite is
+    /// ignored.
+    pub fn write_rotation(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) {
+        if !orientation.coords.iter().all(|part| part.is_finite()) {
+            return;
+        }
+        let t = self.time_s(self.now_ns);
+        let bound = self.world.servo.max_angular_speed;
+        let before = self.set.orientation;
+        let way = (orientation * before.inverse()).scaled_axis();
+        let most = bound * (t - self.set.at_s);
+        let wanted = if way.norm() > most && t > self.set.at_s {
+            UnitQuaternion::from_scaled_axis(way * (most / way.norm())) * before
+        } else {
+            *orientation
+        };
+        let velocity =
+            if all_finite(angular_velocity) { angular_velocity.cap_magnitude(bound) } else { Axes::zeros() };
+        // Written back by this time, so that the `write` that follows leaves it where it is.
+        let since = t - self.set.at_s;
+        self.set.angular_velocity = velocity;
+        self.set.orientation = UnitQuaternion::from_scaled_axis(velocity * -since) * wanted;
+    }
+
+    /// Stays where it is set to be: returns where that is.
+    pub fn stop(&mut self) -> (Axes<3>, UnitQuaternion<f64>) {
+        let t = self.time_s(self.now_ns);
+        let (position, orientation) = self.set.at(t);
+        let orientation = Unit::new_normalize(orientation.into_inner());
+        let zeros = Axes::zeros();
+        self.set = SetPose { position, velocity: zeros, orientation, angular_velocity: zeros, at_s: t };
+        (position, orientation)
+    }
+
+    /// How the tool is set to be turned now.
+    pub fn set_orientation(&self) -> UnitQuaternion<f64> {
+        self.set.at(self.time_s(self.now_ns)).1
+    }
+
+    /// The jaws are there, 0 open to 1 closed, and press with a force in N; called at each tick of a tool with a gripper.
+    pub fn grip(&mut self, jaws: f64, force_n: f64) {
+        if !(jaws.is_finite() && force_n.is_finite()) {
+            return;
+        }
+        self.jaws = Some(jaws);
+        if force_n <= 0.0 {
+            (self.world.held, self.world.grip) = (None, None);
+            return;
+        }
+        let force = 2.0 * self.jaw_friction * force_n;
+        self.world.grip = Some(Grip { force, moment: force * self.jaw_radius });
+        if self.world.held.is_some() {
+            return;
+        }
+        let Some((held, at)) = self.between() else { return };
+        if (jaws - at).abs() <= JAW_PLAY {
+            self.world.held = Some(held);
+        }
+    }
+
+    /// Where the jaws meet what is between them, 0 open to 1 closed; none where nothing is.
+    pub fn between_jaws(&self) -> Option<f64> {
+        self.between().map(|(_, at)| at)
+    }
+
+    /// What is between the jaws, as if it was taken now, and where they meet it.
+    fn between(&self) -> Option<(Held, f64)> {
+        let at = |width: f64| (width <= self.jaw_width).then_some(1.0 - width / self.jaw_width);
+        match self.world.held {
+            Some(held @ Held::Handle(index, _)) => return Some((held, at(self.world.handles[index].width)?)),
+            Some(held @ Held::Body(index, _)) => return Some((held, at(self.body_width(index))?)),
+            None => {}
+        }
+        if let Some(index) = self.handle_in_reach() {
+            return Some((self.taken_handle(index), at(self.world.handles[index].width)?));
+        }
+        let inside = |index: &usize| {
+            let (body, rigid) = (&self.world.bodies[*index], &self.motion.bodies[*index]);
+            let from = rigid.orientation.inverse() * (self.motion.tool.position - rigid.position);
+            (from.abs() - body.half_extents).max() <= JAW_REACH
+        };
+        let index = (0..self.world.bodies.len()).find(inside)?;
+        let hold = Hold::at(&self.tool_frame(), &self.world.body_frame(&self.motion, index));
+        Some((Held::Body(index, hold), at(self.body_width(index))?))
+    }
+
+    /// Of a box in m along the closing direction of the jaws.
+    fn body_width(&self, index: usize) -> f64 {
+        let (body, rigid) = (&self.world.bodies[index], &self.motion.bodies[index]);
+        let closing = rigid.orientation.inverse() * (self.motion.tool.orientation * Axes::<3>::x());
+        2.0 * closing.abs().dot(&body.half_extents)
+    }
+
+    fn tool_frame(&self) -> Frame {
+        self.world.tool_frame(&self.motion)
+    }
+
+    fn handle_in_reach(&self) -> Option<usize> {
+        let away = |index: usize| {
+            let grip = self.world.handles[index].frame(self.motion.handles[index]).position;
+            (grip - self.motion.tool.position).norm()
+        };
+        (0..self.world.handles.len())
+            .filter(|index| away(*index) <= self.world.handles[*index].reach)
+            .min_by(|a, b| away(*a).total_cmp(&away(*b)))
+    }
+
+    fn taken_handle(&self, index: usize) -> Held {
+        let frame = self.world.handles[index].frame(self.motion.handles[index]);
+        Held::Handle(index, Hold::at(&self.tool_frame(), &frame))
+    }
+
+    /// Whether the tool holds something.
+    pub fn holds(&self) -> bool {
+        self.world.held.is_some()
+    }
+
+    /// Whether it touches or holds something.
+    pub fn touches(&self) -> bool {
+        self.touches || self.holds()
+    }
+
+    /// What was measured at the last read.
+    pub fn sample(&self) -> &ToolSample {
+        &self.sample
+    }
+
+    /// Angle in rad and rate in rad/s of a handle.
+    pub fn handle(&self, index: usize) -> Option<[f64; 2]> {
+        self.motion.handles.get(index).copied()
+    }
+
+    /// Middle in m and orientation of a body.
+    pub fn body(&self, index: usize) -> Option<(Axes<3>, UnitQuaternion<f64>)> {
+        self.motion.bodies.get(index).map(|body| (body.position, body.orientation))
+    }
+
+    /// Hands over what is there besides the tool: `hole_depth` in m of its deepest point, `handle_angle` in rad,
+    /// `body_position` in m and `body_orientation`, w first, each for all there are.
+    pub fn world(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
+        let tool = &self.motion.tool;
+        let deepest = |hole: &Hole| {
+            let depth = |point: &Axes<3>| hole.depth_of(&(tool.position + tool.orientation * point));
+            self.world.points.iter().map(depth).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let mut all = |name, values: Vec<f64>| {
+            if !values.is_empty() {
+                take(name, &values);
+            }
+        };
+        let bodies = &self.motion.bodies;
+        all("hole_depth", self.world.surroundings.holes.iter().map(deepest).collect());
+        all("handle_angle", self.motion.handles.iter().map(|[angle, _]| *angle).collect());
+        all("body_position", bodies.iter().flat_map(|body| body.position.data.0[0]).collect());
+        let turned = |body: &Rigid| {
+            let [x, y, z, w] = body.orientation.coords.into();
+            [w, x, y, z]
+        };
+        all("body_orientation", bodies.iter().flat_map(turned).collect());
+    }
+
+    /// Advances to `now_ns` (monotonic) and returns what the tool measures there.
+    pub fn read(&mut self, now_ns: u64) -> ToolSample {
+        let from = self.time_s(self.now_ns);
+        let span = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
+        self.now_ns = self.now_ns.max(now_ns);
+        let steps = (span * self.rate / STEP_PHASE).ceil().max(1.0);
+        let step = span / steps;
+        let mut done = 0.0;
+        while span > 0.0 && done < steps {
+            self.step(from + done * step, step);
+            done += 1.0;
+        }
+        let t = from + span;
+        self.world.loads(&self.motion, &self.set, t, self.pushed_s(t), &mut self.scratch.loads);
+        let (tool, load) = (&self.motion.tool, &self.scratch.loads.environment);
+        self.touches = self.scratch.loads.touches;
+        self.sample = ToolSample {
+            position: tool.position,
+            velocity: tool.velocity,
+            force: load.force,
+            orientation: tool.orientation,
+            angular_velocity: tool.angular_velocity(&self.world.inertia),
+            torque: load.torque,
+        };
+        self.sample
+    }
+
+    /// Time of the pushers in s at t.
+    fn pushed_s(&self, t: f64) -> f64 {
+        self.started_ns.map_or(f64::NEG_INFINITY, |started_ns| t - self.time_s(started_ns))
+    }
+
+    fn step(&mut self, t: f64, step: f64) {
+        for stage in 0..4 {
+            let share = [0.0, 0.5, 0.5, 1.0][stage] * step;
+            let pushed_s = self.pushed_s(t + share);
+            let Scratch { motion, loads, tool, bodies, handles } = &mut self.scratch;
+            let mut turn = Axes::zeros();
+            if stage == 0 {
+                motion.clone_from(&self.motion);
+            } else {
+                (motion.tool, turn) = self.motion.tool.after(&tool[stage - 1], share);
+            }
+            for (index, rates) in handles.iter_mut().enumerate() {
+                let [angle, rate] = self.motion.handles[index];
+                if stage > 0 {
+                    let [of_angle, of_rate] = rates[stage - 1];
+                    motion.handles[index] = [angle + of_angle * share, rate + of_rate * share];
+                }
+            }
+            // Each body's turn since the step began is needed again below, so that it is taken before the loads.
+            for (index, rates) in bodies.iter().enumerate() {
+                if stage > 0 {
+                    motion.bodies[index] = self.motion.bodies[index].after(&rates[stage - 1], share).0;
+                }
+            }
+            self.world.loads(motion, &self.set, t + share, pushed_s, loads);
+            tool[stage] = motion.tool.rate(&self.world.inertia, &loads.tool, &turn);
+            for (index, rates) in bodies.iter_mut().enumerate() {
+                let turn = if stage == 0 {
+                    Axes::zeros()
+                } else {
+                    self.motion.bodies[index].after(&rates[stage - 1], share).1
+                };
+                let inertia = &self.world.bodies[index].inertia;
+                rates[stage] = motion.bodies[index].rate(inertia, &loads.bodies[index], &turn);
+            }
+            for (index, rates) in handles.iter_mut().enumerate() {
+                let acceleration = loads.handles[index] / self.world.handles[index].inertia;
+                rates[stage] = [motion.handles[index][1], acceleration];
+            }
+        }
+        let Scratch { tool, bodies, handles, .. } = &self.scratch;
+        self.motion.tool = self.motion.tool.after(&mean(tool), step).0;
+        for (body, rates) in self.motion.bodies.iter_mut().zip(bodies) {
+            *body = body.after(&mean(rates), step).0;
+        }
+        for (handle, [a, b, c, d]) in self.motion.handles.iter_mut().zip(handles) {
+            for (value, part) in handle.iter_mut().zip([0, 1]) {
+                *value += step * (a[part] + 2.0 * (b[part] + c[part]) + d[part]) / 6.0;
+            }
+        }
+        self.world.slip(&self.motion);
+    }
+
+    /// Kinetic energy of all that moves, in J.
+    pub fn kinetic_energy_j(&self) -> f64 {
+        let tool = self.motion.tool.kinetic_energy_j(&self.world.inertia);
+        let bodies = self.motion.bodies.iter().zip(&self.world.bodies);
+        let bodies: f64 = bodies.map(|(rigid, body)| rigid.kinetic_energy_j(&body.inertia)).sum();
+        let handles = self.motion.handles.iter().zip(&self.world.handles);
+        tool + bodies + handles.map(|([_, rate], handle)| 0.5 * handle.inertia * rate * rate).sum::<f64>()
+    }
+}
+
+fn body(settings: &RigidBodySettings) -> Result<(Body, Rigid), ModelError> {
+    let mass_kg = positive("body mass_kg", settings.mass_kg)?;
+    let half_extents = finite("body half_extents", settings.half_extents)?;
+    for half in &half_extents {
+        positive("body half_extents", *half)?;
+    }
+    // Of a box of even density: m (b² + c²) / 3 of its half extents.
+    let squares = half_extents.component_mul(&half_extents);
+    let moments = Axes::<3>::repeat(squares.sum()) - squares;
+    let inertia = Inertia { mass_kg, moments: moments * (mass_kg / 3.0) };
+    let rigid = Rigid {
+        position: finite("body position", settings.position)?,
+        velocity: Axes::zeros(),
+        orientation: orientation("body quat_wxyz", settings.quat_wxyz)?,
+        momentum: Axes::zeros(),
+    };
+    let gravity = non_negative("body gravity", settings.gravity)?;
+    Ok((Body { inertia, half_extents, gravity }, rigid))
+}
+
+impl World {
+    /// In rad/s, at which the stiffest part swings or is damped, all points and corners in contact at once.
+    fn rate(&self) -> f64 {
+        let (contact, damping) = self.surroundings.stiffest();
+        let swings =
+            |stiffness: f64, damping: f64, inertia: f64| (stiffness / inertia).sqrt().max(damping / inertia);
+        let count = self.points.len() as f64;
+        let held = self.handles.iter().map(|handle| handle.hold).chain([self.jaw_stiffness]);
+        let (mut most, mut turning) = ((0.0_f64, 0.0_f64), (0.0_f64, 0.0_f64));
+        for Stiffness { linear, angular } in held {
+            most = (most.0.max(linear.0), most.1.max(linear.1));
+            turning = (turning.0.max(angular.0), turning.1.max(angular.1));
+        }
+        if self.handles.is_empty() && self.bodies.is_empty() {
+            (most, turning) = ((0.0, 0.0), (0.0, 0.0));
+        }
+        let reach: f64 = self.points.iter().map(Axes::norm_squared).sum();
+        let Servo { stiffness, damping: of_servo, rotational_stiffness, rotational_damping, .. } = self.servo;
+        let least = self.inertia.moments.min();
+        let mut rate = swings(
+            stiffness + count * contact + most.0,
+            of_servo + count * damping + most.1,
+            self.inertia.mass_kg,
+        )
+        .max(swings(
+            rotational_stiffness + reach * contact + turning.0,
+            rotational_damping + reach * damping + turning.1,
+            least,
+        ));
+        for body in &self.bodies {
+            let Inertia { mass_kg, moments } = body.inertia;
+            let lever = 8.0 * body.half_extents.norm_squared();
+            // Friction of its own weight below full slip.
+            let sliding = body.gravity / FULL_SLIP;
+            rate = rate
+                .max(swings(8.0 * contact + most.0, 8.0 * damping + most.1, mass_kg))
+                .max(swings(lever * contact + turning.0, lever * damping + turning.1, moments.min()))
+                .max(sliding);
+        }
+        for handle in &self.handles {
+            let lever = handle.lever.norm_squared();
+            let stiffness =
+                handle.stiffness + STOP_STIFFNESS + handle.hold.linear.0 * lever + handle.hold.angular.0;
+            let damping = handle.viscous
+                + handle.coulomb / FULL_TURN
+                + handle.hold.linear.1 * lever
+                + handle.hold.angular.1;
+            rate = rate.max(swings(stiffness, damping, handle.inertia));
+        }
+        rate
+    }
+
+    fn tool_frame(&self, motion: &Motion) -> Frame {
+        let Rigid { position, velocity, orientation, .. } = motion.tool;
+        let angular_velocity = motion.tool.angular_velocity(&self.inertia);
+        Frame { position, velocity, orientation, angular_velocity }
+    }
+
+    fn body_frame(&self, motion: &Motion, index: usize) -> Frame {
+        let rigid = &motion.bodies[index];
+        let Rigid { position, velocity, orientation, .. } = *rigid;
+        let angular_velocity = rigid.angular_velocity(&self.bodies[index].inertia);
+        Frame { position, velocity, orientation, angular_velocity }
+    }
+
+    /// All that acts at t in s; pushers `pushed_s` after they began.
+    fn loads(&self, motion: &Motion, set: &SetPose, t: f64, pushed_s: f64, loads: &mut Loads) {
+        let tool = self.tool_frame(motion);
+        let Loads { environment, bodies, handles, touches, .. } = loads;
+        (*environment, *touches) = (Load::default(), false);
+        for point in &self.points {
+            let lever = tool.orientation * point;
+            let velocity = tool.velocity + tool.angular_velocity.cross(&lever);
+            let (force, inside) = self.surroundings.force(&(tool.position + lever), &velocity, t);
+            environment.add(&force, &lever);
+            *touches |= inside;
+        }
+        for pusher in &self.pushers {
+            environment.force += pusher.force(pushed_s);
+        }
+        for torque in &self.torques {
+            environment.torque += torque.force(pushed_s);
+        }
+        for (index, (body, load)) in self.bodies.iter().zip(bodies.iter_mut()).enumerate() {
+            *load = self.lying(body, &self.body_frame(motion, index), t);
+        }
+        for ((handle, state), torque) in self.handles.iter().zip(&motion.handles).zip(handles.iter_mut()) {
+            *torque = handle.own_torque(*state);
+        }
+        match &self.held {
+            None => {}
+            Some(Held::Handle(index, hold)) => {
+                let handle = &self.handles[*index];
+                let frame = handle.frame(motion.handles[*index]);
+                let load = hold.load(&tool, &frame, &handle.hold, self.grip.as_ref());
+                environment.add(&-load.force, &(frame.position - tool.position));
+                environment.torque -= load.torque;
+                let lever = frame.position - handle.point;
+                handles[*index] += handle.axis.dot(&(lever.cross(&load.force) + load.torque));
+            }
+            Some(Held::Body(index, hold)) => {
+                let frame = self.body_frame(motion, *index);
+                let load = hold.load(&tool, &frame, &self.jaw_stiffness, self.grip.as_ref());
+                environment.add(&-load.force, &(frame.position - tool.position));
+                environment.torque -= load.torque;
+                bodies[*index].force += load.force;
+                bodies[*index].torque += load.torque;
+            }
+        }
+        let (position, orientation) = set.at(t);
+        let way = (orientation * tool.orientation.inverse()).scaled_axis();
+        let Servo { stiffness, damping, rotational_stiffness, rotational_damping, .. } = self.servo;
+        loads.tool = Load {
+            force: (position - tool.position) * stiffness
+                + (set.velocity - tool.velocity) * damping
+                + loads.environment.force,
+            torque: way * rotational_stiffness
+                + (set.angular_velocity - tool.angular_velocity) * rotational_damping
+                + loads.environment.torque,
+        };
+    }
+
+    /// Gravity, and what a box lies on with its corners.
+    fn lying(&self, body: &Body, frame: &Frame, t: f64) -> Load {
+        let mut load = Load::default();
+        load.force[2] = -body.inertia.mass_kg * body.gravity;
+        for corner in 0..8_u8 {
+            let sign = |axis: u8| if corner >> axis & 1 == 0 { 1.0 } else { -1.0 };
+            let signs = Axes::<3>::new(sign(0), sign(1), sign(2));
+            let lever = frame.orientation * signs.component_mul(&body.half_extents);
+            let velocity = frame.velocity + frame.angular_velocity.cross(&lever);
+            let (force, _) = self.surroundings.force(&(frame.position + lever), &velocity, t);
+            load.add(&force, &lever);
+        }
+        load
+    }
+
+    /// Lets what the jaws cannot keep slip.
+    fn slip(&mut self, motion: &Motion) {
+        let (Some(grip), Some(held)) = (self.grip, self.held) else { return };
+        let tool = self.tool_frame(motion);
+        self.held = Some(match held {
+            Held::Handle(index, mut hold) => {
+                let handle = &self.handles[index];
+                hold.slip(&tool, &handle.frame(motion.handles[index]), &handle.hold, &grip);
+                Held::Handle(index, hold)
+            }
+            Held::Body(index, mut hold) => {
+                hold.slip(&tool, &self.body_frame(motion, index), &self.jaw_stiffness, &grip);
+                Held::Body(index, hold)
+            }
+        });
+    }
+}
