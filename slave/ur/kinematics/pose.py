@@ -25,7 +25,12 @@ NOT_UNIT = 1e-6
 SMALL = 1e-4
 
 
-def _finite(name: str, values: Numbers, count: int) -> list[float]:
+def finite(name: str, values: Numbers, count: int) -> list[float]:
+    """So many numbers.
+
+    Raises:
+        ValueError: Another count, or one that is not finite.
+    """
     numbers = [float(value) for value in values]
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         message = f"{name} = {numbers}: must be {count} finite numbers"
@@ -39,7 +44,7 @@ def quat_wxyz_from_rotvec(rotvec: Numbers) -> Quaternion:
     Raises:
         ValueError: Not three finite numbers.
     """
-    x, y, z = _finite("rotvec", rotvec, 3)
+    x, y, z = finite("rotvec", rotvec, 3)
     angle = math.hypot(x, y, z)
     # sin(t/2)/t = 1/2 - t^2/48 + t^4/3840 - ...
     scale = 0.5 - angle * angle / 48 if angle < SMALL else math.sin(angle / 2) / angle
@@ -55,7 +60,7 @@ def rotvec_from_quat_wxyz(quat_wxyz: Numbers) -> Vector:
     Raises:
         ValueError: Not four finite numbers, or not of length 1 within 1e-6.
     """
-    w, x, y, z = _unit("quat_wxyz", quat_wxyz)
+    w, x, y, z = unit_quaternion("quat_wxyz", quat_wxyz)
     if w < 0:
         w, x, y, z = -w, -x, -y, -z
     length = math.hypot(x, y, z)
@@ -66,8 +71,50 @@ def rotvec_from_quat_wxyz(quat_wxyz: Numbers) -> Vector:
     return x * scale, y * scale, z * scale
 
 
-def _unit(name: str, quaternion: Numbers) -> Quaternion:
-    w, x, y, z = _finite(name, quaternion, 4)
+def rotvec_near(quat_wxyz: Numbers, near: Numbers) -> Vector:
+    """Of the rotation vectors of a quaternion, `r + 2 pi k r/|r|`, the nearest to another: goes on past an angle of pi.
+
+    Raises:
+        ValueError: Not four finite numbers, or not of length 1 within 1e-6.
+    """
+    x, y, z = rotvec_from_quat_wxyz(quat_wxyz)
+    angle = math.hypot(x, y, z)
+    if angle == 0:
+        return x, y, z
+    along = (x * near[0] + y * near[1] + z * near[2]) / angle
+    scale = 1 + math.tau * round((along - angle) / math.tau) / angle
+    return x * scale, y * scale, z * scale
+
+
+def quat_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Hamilton's product of two quaternions, `quat_wxyz`."""
+    pw, px, py, pz = p
+    qw, qx, qy, qz = q
+    return (
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+    )
+
+
+def turn_between(quat_wxyz: Quaternion, other: Quaternion) -> Vector:
+    """`log(R_other R')`: the rotation vector in the base frame that leads from one orientation to another, rad.
+
+    Raises:
+        ValueError: Not four finite numbers, or not of length 1 within 1e-6.
+    """
+    w, x, y, z = quat_wxyz
+    return rotvec_from_quat_wxyz(quat_product(other, (w, -x, -y, -z)))
+
+
+def unit_quaternion(name: str, quaternion: Numbers) -> Quaternion:
+    """The quaternion, of length 1 to rounding.
+
+    Raises:
+        ValueError: Not four finite numbers, or not of length 1 within 1e-6.
+    """
+    w, x, y, z = finite(name, quaternion, 4)
     length = math.hypot(w, x, y, z)
     if abs(length - 1) > NOT_UNIT:
         message = f"{name} = {[w, x, y, z]}: must have length 1, has {length:.9g}"
@@ -81,7 +128,7 @@ def matrix_from_quat_wxyz(quat_wxyz: Numbers) -> Array:
     Raises:
         ValueError: Not four finite numbers, or not of length 1 within 1e-6.
     """
-    w, x, y, z = _unit("quat_wxyz", quat_wxyz)
+    w, x, y, z = unit_quaternion("quat_wxyz", quat_wxyz)
     return np.array(
         (
             (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -143,7 +190,7 @@ def transform_from_pose(pose: Numbers) -> Array:
     Raises:
         ValueError: Not six finite numbers.
     """
-    numbers = _finite("pose", pose, 6)
+    numbers = finite("pose", pose, 6)
     transform = np.eye(4)
     transform[:3, 3] = numbers[:3]
     transform[:3, :3] = matrix_from_rotvec(numbers[3:])
@@ -156,7 +203,7 @@ def pose_from_transform(transform: Array) -> Array:
     Raises:
         ValueError: Not a rotation, or not finite.
     """
-    x, y, z = _finite("position", transform[:3, 3], 3)
+    x, y, z = finite("position", transform[:3, 3], 3)
     return np.array((x, y, z, *rotvec_from_matrix(transform[:3, :3])))
 
 

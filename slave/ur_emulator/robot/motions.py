@@ -6,7 +6,12 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Protocol
 
-from haptether.slave.ur.kinematics.pose import Quaternion, quat_wxyz_from_rotvec, rotvec_from_quat_wxyz
+from haptether.slave.ur.kinematics.pose import (
+    Quaternion,
+    quat_product,
+    quat_wxyz_from_rotvec,
+    rotvec_from_quat_wxyz,
+)
 from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Joints, Six
 from haptether.slave.ur_emulator.script.program import ScriptError
 
@@ -329,18 +334,6 @@ class PosePath:
         position = tuple(a + share * (b - a) for a, b in zip(self.start[:3], self.end[:3], strict=True))
         rotated = quat_product(self._first, quat_wxyz_from_rotvec([share * angle for angle in self._rotation]))
         return (*position, *rotvec_from_quat_wxyz(rotated))
-
-
-def quat_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Hamilton's product of two quaternions, `quat_wxyz`."""
-    pw, px, py, pz = p
-    qw, qx, qy, qz = q
-    return (
-        pw * qw - px * qx - py * qy - pz * qz,
-        pw * qx + px * qw + py * qz - pz * qy,
-        pw * qy - px * qz + py * qw + pz * qx,
-        pw * qz + px * qy - py * qx + pz * qw,
-    )
 
 
 @dataclass(slots=True)

@@ -16,11 +16,14 @@ from haptether.slave.ur.kinematics.pose import (
     matrix_from_rotvec,
     pose_from_transform,
     pose_trans,
+    quat_product,
     quat_wxyz_from_matrix,
     quat_wxyz_from_rotvec,
     rotvec_from_matrix,
     rotvec_from_quat_wxyz,
+    rotvec_near,
     transform_from_pose,
+    turn_between,
 )
 
 Array = npt.NDArray[np.float64]
@@ -122,3 +125,29 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
 def test_what_is_no_rotation_is_refused(call: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@given(axes, angles, axes, angles)
+def test_products_and_the_turn_between_two_are_scipys(
+    axis: tuple[float, ...], angle: float, other: tuple[float, ...], by: float
+) -> None:
+    one, two = along(axis, angle), along(other, by)
+    p, q = quat_wxyz_from_rotvec(one), quat_wxyz_from_rotvec(two)
+    product = Rotation.from_rotvec(one) * Rotation.from_rotvec(two)
+    np.testing.assert_allclose(matrix_from_quat_wxyz(quat_product(p, q)), product.as_matrix(), rtol=0, atol=ROUNDING)
+    between = Rotation.from_rotvec(two) * Rotation.from_rotvec(one).inv()
+    # As rotations: near pi a rounding turns the vector round.
+    np.testing.assert_allclose(matrix_from_rotvec(turn_between(p, q)), between.as_matrix(), rtol=0, atol=2 * ROUNDING)
+
+
+@given(axes)
+def test_a_rotation_vector_goes_on_past_half_a_turn(axis: tuple[float, ...]) -> None:
+    before = along(axis, 0.0)
+    for angle in np.linspace(0.0, 3.0 * math.pi, 200)[1:]:
+        at = along(axis, angle)
+        before = np.array(rotvec_near(quat_wxyz_from_rotvec(at), before))
+        np.testing.assert_allclose(before, at, rtol=0, atol=1e-7)
+    for angle in np.linspace(3.0 * math.pi, -3.0 * math.pi, 200):
+        at = along(axis, angle)
+        before = np.array(rotvec_near(quat_wxyz_from_rotvec(at), before))
+        np.testing.assert_allclose(before, at, rtol=0, atol=1e-7)
