@@ -16,6 +16,12 @@ class SlaveSample(NamedTuple):
     fault: str | None = None
     """What the arm says is wrong with it; it is not moved while there is something, and until the operator at this side
     acknowledges it."""
+    orientation: Sequence[float] | None = None
+    """Of the tool, `quat_wxyz`: base_from_tool, of length 1."""
+    angular_velocity: Sequence[float] | None = None
+    """Of the tool in the frame of the base, in rad/s."""
+    torque: Sequence[float] | None = None
+    """Moment of the environment on the tool about the tool point, in the frame of the base, in N m."""
 
 
 @runtime_checkable
@@ -31,6 +37,11 @@ class SlaveDevice(Protocol):
     that lags behind a faster one would go on after it was let go. One that paces the loop may have `period_s`, the
     seconds between two samples, known once it is open: a scene whose `[slave] period_s` is off by more than 1 % is
     refused then, before anything moves.
+
+    `kinds` names the kinds of sides that a driver can be: "linear", "joints", "pose"; without it the first two. One of
+    poses has `write(position, velocity, orientation=None, angular_velocity=None)`, tuples of four and three as in a
+    sample: without an orientation, in a scene of points, the tool keeps that of the begin. Its samples have
+    orientation, angular velocity and torque.
     """
 
     paces: bool

@@ -183,14 +183,20 @@ def check_model(distance_m: float, options: UrOptions, checklist: Checklist) -> 
     checklist.finish()
 
 
-def check_workspace(beyond_m: float, options: UrOptions, checklist: Checklist) -> None:
-    """Whether the tool is inside the planes that the options name.
+def check_workspace(beyond_m: float, beyond_rad: float, options: UrOptions, checklist: Checklist) -> None:
+    """Whether the tool is inside the planes, and its axis in the cone, that the options name.
 
     Raises:
         UrRefusedError: It is outside by more than a first command may be away.
     """
+    if options.tool_cone is not None:
+        checklist.check(
+            "tool cone", "the tool's axis " + (f"{beyond_rad:.3f} rad outside" if beyond_rad > 0.0 else "inside"),
+            good=beyond_rad <= options.max_turn, remedy="turn the tool back, or mend tool_cone",
+        )  # fmt: skip
     if not options.workspace:
         checklist.ok("workspace", "no planes in the options: the controller's own safety planes alone")
+        checklist.finish()
         return
     planes = f"{len(options.workspace)} plane{'s' if len(options.workspace) > 1 else ''}"
     checklist.check(

@@ -20,9 +20,11 @@ from haptether.slave.ur.checks import (
     recover,
 )
 from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError, vendor_module
+from haptether.slave.ur.kinematics.pose import quat_wxyz_from_rotvec
 from haptether.slave.ur.modes import check_mode, model_distance, ur_mode
 from haptether.slave.ur.motion import Motion, MotionError, along
 from haptether.slave.ur.options import UrOptions, ur_options
+from haptether.slave.ur.set_point import ORIGIN
 from haptether.slave.ur.state import UrState, safety_stop
 from haptether.slave.ur.stop import SoftStop, Watchdog
 from haptether.slave.ur.worker import Call, TimedWorker
@@ -51,6 +53,11 @@ class UrSlave:
     paces = True
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """Of the sides that it can be."""
+        return ("linear", "pose") if self.options.axes == 3 else ("linear",)
+
+    @property
     def axes(self) -> int:
         """Number of axes of a sample."""
         return self.options.axes
@@ -64,6 +71,11 @@ class UrSlave:
     def max_speed(self) -> float:
         """Largest speed of the tool in m/s; behind a faster command the arm would go on after it was let go."""
         return self.options.max_speed
+
+    @property
+    def max_angular_speed(self) -> float:
+        """Largest angular speed of the tool in rad/s, for the same reason."""
+        return self.options.max_angular_speed
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)
@@ -111,15 +123,19 @@ class UrSlave:
         offset = (x, y, z, rx, ry, rz)
         # With CasADi, which takes its time: before the watchdog listens.
         mode = ur_mode(options, self._period_s, offset)
-        self._motion = motion = Motion(options, self._connection, self._soft_stop, mode, self._period_s)
+        self._motion = motion = Motion(
+            options, self._connection, self._soft_stop, mode, self._period_s, report=self._report
+        )
         self._wrench = UrWrench(
             raw=options.force_source == "raw", tool=offset, filter_hz=options.force_filter_hz,
             deadband_n=options.force_deadband_n, payload_kg=options.payload_kg or 0.0,
+            payload_cog=options.payload_cog or ORIGIN,
         )  # fmt: skip
         self._state = check_after(options, self._connection, checklist)
-        check_workspace(motion.outside(self._state), options, checklist)
-        distance_m = model_distance(mode, self._state)
-        if distance_m is not None:
+        check_workspace(motion.outside(self._state), motion.tilted(self._state), options, checklist)
+        mode.begin(self._state)
+        distance_m = model_distance(mode)
+        if distance_m is not None and mode.finds_joints:
             check_model(distance_m, options, checklist)
         # What is imported and compiled at the first order takes longer than the watchdog waits.
         motion.rehearse(self._state)
@@ -151,14 +167,20 @@ class UrSlave:
             self._soft_stop.cut()
         return self._sample()
 
-    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+    def write(
+        self,
+        position: tuple[float, ...],
+        velocity: tuple[float, ...],
+        orientation: tuple[float, ...] | None = None,
+        angular_velocity: tuple[float, ...] | None = None,
+    ) -> None:
         """Sends the tool on, within its bounds; nothing where there is a fault or the watchdog is not armed."""
         if self._recovery is not None:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         if self._fault is not None or not self._watchdog.armed or self._motion is None:
             return
         try:
-            self._motion.send(self._state, position, velocity)
+            self._motion.send(self._state, position, velocity, orientation, angular_velocity)
         except MotionError as error:
             self._latch(str(error))
 
@@ -278,12 +300,13 @@ class UrSlave:
 
     def _sample(self) -> SlaveSample:
         state, now_s, self._shown = self._state, time.monotonic(), self._fault
-        force = self._wrench.force(state.wrench, state.pose, now_s - self._read_s)
+        force, torque = self._wrench.felt(state.wrench, state.pose, now_s - self._read_s)
         self._read_s = now_s
+        rotation = quat_wxyz_from_rotvec(state.pose[3:]), state.speed[3:], torque
         if self.options.axes == 1:
             position, velocity, felt = (along(self.options, of) for of in (state.pose, state.speed, force))
-            return SlaveSample(position, velocity, felt, self._fault)
-        return SlaveSample(state.pose[:3], state.speed[:3], force, self._fault)
+            return SlaveSample(position, velocity, felt, self._fault, *rotation)
+        return SlaveSample(state.pose[:3], state.speed[:3], force, self._fault, *rotation)
 
     # -------------------------------------------------------------------------------------------------- faults
 

@@ -3,15 +3,17 @@
 import math
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
+from haptether.slave.ur.checks import MODEL_M
 from haptether.slave.ur.connection import RtdeConnection
-from haptether.slave.ur.kinematics.constraints import WorkspacePlane
-from haptether.slave.ur.modes import Mode, UnreachableError
+from haptether.slave.ur.kinematics.pose import finite, quat_wxyz_from_rotvec, turn_between, unit_quaternion
+from haptether.slave.ur.modes import Mode, UnreachableError, model_distance
 from haptether.slave.ur.options import Three, UrOptions
+from haptether.slave.ur.set_point import ORIGIN, Attitude, OrientationSetPoint, SetPoint
 from haptether.slave.ur.state import UrState
 from haptether.slave.ur.stop import Phase, SoftStop
 
@@ -21,9 +23,10 @@ LAG_S: Final = 0.3
 """How late an arm may be beside its lookahead before it counts as one that does not follow."""
 LAG_M: Final = 0.02
 """What contact and the controller's own errors may add."""
-SETTLE_PERIODS: Final = 3.0
-"""Samples within which the set point closes in on its target: smooths the jitter of the line; one would be a jump."""
-ORIGIN: Final[Three] = (0.0, 0.0, 0.0)
+LAG_RAD: Final = 0.3
+"""The same of a turn, which gives way near a singularity."""
+TURNED_OVER: Final = 0.02
+"""Sine of joint 5 from which on a wrist that has passed its singularity is said to have turned over."""
 
 
 class MotionError(ValueError):
@@ -39,29 +42,56 @@ class Motion:
         soft_stop: Stops the arm, and says whether it may be moved.
         mode: The command that moves it.
         period_s: Between two commands, in s.
+        report: Takes lines for the operator.
     """
 
     def __init__(
-        self, options: UrOptions, connection: RtdeConnection, soft_stop: SoftStop, mode: Mode, period_s: float
+        self,
+        options: UrOptions,
+        connection: RtdeConnection,
+        soft_stop: SoftStop,
+        mode: Mode,
+        period_s: float,
+        *,
+        report: Callable[[str], None],
     ) -> None:
         self._options = options
         self._connection = connection
         self._soft_stop = soft_stop
         self.mode = mode
         self._period_s = period_s
+        self._report = report
         self.point = SetPoint(options.max_speed, options.max_acceleration, period_s, options.planes)
+        self.turning = OrientationSetPoint(
+            options.max_angular_speed, options.max_angular_acceleration, period_s, options.cone
+        )
+        self._turns = False
+        """Whether an orientation was commanded since motion began; else that of the begin is kept."""
+        self._goal = self.turning.attitude
+        self._wrist = 0.0
+        """Sine of joint 5 on the side of its singularity on which it was last."""
         self.latency = Latency(period_s)
         self._written_s = 0.0
         self._max_behind_m = LAG_M + options.max_speed * (LAG_S + options.lookahead_time)
+        self._max_behind_rad = LAG_RAD + options.max_angular_speed * (LAG_S + options.lookahead_time)
 
-    def send(self, state: UrState, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+    def send(
+        self,
+        state: UrState,
+        position: tuple[float, ...],
+        velocity: tuple[float, ...],
+        orientation: tuple[float, ...] | None = None,
+        angular_velocity: tuple[float, ...] | None = None,
+    ) -> None:
         """Sends the tool on towards a position in m with a velocity in m/s, along the axes of the scene.
 
-        Nothing while it still comes to rest from what it did before.
+        Nothing while it still comes to rest from what it did before. An orientation, base_from_tool as `quat_wxyz`,
+        turns in rad/s; without one the tool keeps that of the begin, or the last that was commanded since.
 
         Raises:
-            MotionError: It is not allowed, or not possible, from where the arm is.
+            MotionError: It is not allowed, or not possible, from where the arm is, or the orientation is none.
         """
+        commanded = None if orientation is None else _attitude(orientation, angular_velocity)
         now_s = time.monotonic()
         stop = self._soft_stop
         stop.update()
@@ -69,7 +99,7 @@ class Motion:
             return
         target = placed(self._options, position, self.point.position if stop.commanded else _three(state.pose))
         if not stop.commanded:
-            self._begin(state, target)
+            self._begin(state, target, commanded)
         elif stop.phase is Phase.PAUSED:
             # On from where it is at rest, as fast as it may.
             self._at_rest(state)
@@ -79,9 +109,10 @@ class Motion:
         self._written_s = now_s
         point, mode = self.point, self.mode
         point.step(target, placed(self._options, velocity, ORIGIN), elapsed_s)
+        attitude = self._turn(commanded, elapsed_s)
         self._check_follows(state)
         try:
-            order = mode.order(point.position, point.velocity, state, elapsed_s)
+            order = mode.order(point.position, point.velocity, state, elapsed_s, attitude)
         except UnreachableError as error:
             message = f"{error}: lead it elsewhere, then acknowledge"
             raise MotionError(message) from None
@@ -93,12 +124,28 @@ class Motion:
         """How far the tool is beyond the workspace, in m; 0 within."""
         return self.point.outside(_three(state.pose))
 
-    def rehearse(self, state: UrState) -> None:
-        """Makes an order and throws it away."""
-        self._at_rest(state)
-        self.mode.order(self.point.position, self.point.velocity, state, self._period_s)
+    def tilted(self, state: UrState) -> float:
+        """How far the tool's axis is beyond its cone, in rad; 0 within."""
+        return self.turning.outside(quat_wxyz_from_rotvec(state.pose[3:]))
 
-    def _begin(self, state: UrState, target: Three) -> None:
+    def rehearse(self, state: UrState) -> None:
+        """Makes an order of each kind and throws it away."""
+        self._at_rest(state)
+        for attitude in (None, self.turning.attitude)[: 2 if self._options.axes == 3 else 1]:
+            self.mode.order(self.point.position, self.point.velocity, state, self._period_s, attitude)
+
+    def _turn(self, commanded: Attitude | None, elapsed_s: float) -> Attitude | None:
+        """The orientation that is set; none where the one of the begin is kept."""
+        if not self._turns:
+            if commanded is not None:
+                message = "commanded to turn in the middle of a motion that keeps its orientation: engage anew"
+                raise MotionError(message)
+            return None
+        self._goal = commanded or Attitude(self._goal.orientation, ORIGIN)
+        self.turning.step(self._goal, elapsed_s)
+        return self.turning.attitude
+
+    def _begin(self, state: UrState, target: Three, commanded: Attitude | None) -> None:
         tool, max_m = _three(state.pose), self._options.max_jump
         away_m = math.dist(target, tool)
         if away_m > max_m:
@@ -110,14 +157,44 @@ class Motion:
         if (beyond_m := self.outside(state)) > max_m:
             message = f"the tool is {1e3 * beyond_m:.1f} mm outside its workspace: move it inside, then acknowledge"
             raise MotionError(message)
+        if (beyond_rad := self.tilted(state)) > self._options.max_turn:
+            message = f"the tool is tilted {beyond_rad:.3f} rad beyond tool_cone: turn it back, then acknowledge"
+            raise MotionError(message)
+        self._turns = commanded is not None
         self._at_rest(state)
+        if commanded is not None:
+            self._check_turn(commanded)
         self._soft_stop.begin()
         self.latency.clear()
         self._written_s = time.monotonic() - self._period_s
 
+    def _check_turn(self, commanded: Attitude) -> None:
+        """Whether a motion with poses may begin where the arm is at rest."""
+        options = self._options
+        if options.axes != 3:
+            message = "commanded an orientation along one axis: axes = 3 in the options takes poses, acknowledge then"
+            raise MotionError(message)
+        away_rad = math.hypot(*turn_between(self.turning.attitude.orientation, commanded.orientation))
+        if away_rad > options.max_turn:
+            message = (
+                f"commanded to begin {away_rad:.3f} rad away from the tool's orientation (max_turn"
+                f" {options.max_turn:g} rad): acknowledge and engage anew"
+            )
+            raise MotionError(message)
+        distance_m = model_distance(self.mode)
+        if distance_m is not None and distance_m > MODEL_M:
+            message = (
+                f"the tool of a {options.model} would be {1e3 * distance_m:.0f} mm from where the controller has it:"
+                " mend model or tool in the options"
+            )
+            raise MotionError(message)
+
     def _at_rest(self, state: UrState) -> None:
         """Motion begins where the arm is."""
         self.point.begin(_three(state.pose))
+        self.turning.begin(quat_wxyz_from_rotvec(state.pose[3:]))
+        self._goal = self.turning.attitude
+        self._wrist = math.sin(state.q[4])
         self.mode.begin(state)
 
     def _check_follows(self, state: UrState) -> None:
@@ -129,6 +206,24 @@ class Motion:
                 f" (allowed {1e3 * self._max_behind_m:.0f} mm): see what holds it, then acknowledge"
             )
             raise MotionError(message)
+        if self._turns:
+            self._check_turns(state)
+
+    def _check_turns(self, state: UrState) -> None:
+        """The same of its orientation; and whether its wrist has turned over."""
+        tool = quat_wxyz_from_rotvec(state.pose[3:])
+        behind_rad = math.hypot(*turn_between(tool, self.turning.attitude.orientation))
+        if behind_rad > self._max_behind_rad:
+            message = (
+                f"the arm does not follow: {behind_rad:.2f} rad behind its command"
+                f" (allowed {self._max_behind_rad:.2f} rad): see what holds it, then acknowledge"
+            )
+            raise MotionError(message)
+        wrist = math.sin(state.q[4])
+        if abs(wrist) > TURNED_OVER:
+            if wrist * self._wrist < 0.0:
+                self._report(f"the wrist has turned over: joint 5 is at {state.q[4]:.2f} rad, past its singularity")
+            self._wrist = wrist
 
 
 def placed(options: UrOptions, vector: tuple[float, ...], at: Three) -> Three:
@@ -146,72 +241,15 @@ def along(options: UrOptions, vector: tuple[float, ...]) -> float:
     return unit[0] * vector[0] + unit[1] * vector[1] + unit[2] * vector[2]
 
 
-class SetPoint:
-    """A point that follows a target, never faster or more suddenly than it may: what every mode follows.
-
-    Its velocity goes to `v_target + e/|e| g(|e|)` for the distance e to the target, at most `max_acceleration` fast and
-    never above `max_speed`. Braking with a takes `|e| = v²/2a`, so `g = sqrt(2 a (|e| - a T²/2))` where that is above
-    `a T²`, and `|e|/T` below, which joins it smoothly and needs no more than a.
-
-    The workspace takes targets to the nearest point of each plane in turn, and the point itself as well.
-
-    Args:
-        max_speed: In m/s.
-        max_acceleration: In m/s².
-        period_s: Between two steps, in s; T is three of these.
-        planes: Of the workspace.
-    """
-
-    def __init__(
-        self, max_speed: float, max_acceleration: float, period_s: float, planes: Sequence[WorkspacePlane] = ()
-    ) -> None:
-        self._settle = SETTLE_PERIODS * period_s
-        self._max_speed = max_speed
-        self._max_acceleration = max_acceleration
-        self._planes = planes
-        self.position: Three = ORIGIN
-        """m."""
-        self.velocity: Three = ORIGIN
-        """m/s."""
-
-    def begin(self, position: Three) -> None:
-        """It rests there."""
-        self.position, self.velocity = position, ORIGIN
-
-    def outside(self, position: Three) -> float:
-        """How far a point is beyond the workspace, in m; 0 within."""
-        return max((max(0.0, plane.offset_m - _dot(plane.normal, position)) for plane in self._planes), default=0.0)
-
-    def step(self, target: Three, target_velocity: Three, elapsed_s: float) -> None:
-        """Goes on for a time in s towards a target in m that moves with a velocity in m/s."""
-        target, target_velocity = self._inside(target, target_velocity)
-        limit, settle = self._max_acceleration, self._settle
-        # From where the target was when this point was last moved: else it would run ahead by v times a period.
-        error = _minus(_minus(target, _scaled(target_velocity, elapsed_s)), self.position)
-        distance = math.hypot(*error)
-        near = limit * settle * settle
-        braking = math.sqrt(2.0 * limit * max(0.0, distance - 0.5 * near))
-        closing = distance / settle if distance <= near else braking
-        towards = _scaled(error, closing / distance) if distance > 0.0 else ORIGIN
-        wanted = _shortened(_plus(target_velocity, towards), self._max_speed)
-        change = _shortened(_minus(wanted, self.velocity), limit * elapsed_s)
-        velocity = _plus(self.velocity, change)
-        # The mean of the old and the new velocity: exact for an even acceleration.
-        moved = _plus(self.position, _scaled(_plus(self.velocity, velocity), 0.5 * elapsed_s))
-        self.position, self.velocity = self._inside(moved, velocity, self.position)
-
-    def _inside(self, position: Three, velocity: Three, before: Three | None = None) -> tuple[Three, Three]:
-        """What lies beyond a plane is put onto it; a point that was beyond `before` goes no further, without a jump."""
-        for plane in self._planes:
-            normal, d = plane.normal, plane.offset_m
-            already = 0.0 if before is None else max(0.0, d - _dot(normal, before))
-            beyond = d - _dot(normal, position) - already
-            if beyond > 0.0:
-                position = _plus(position, _scaled(normal, beyond))
-                inward = _dot(normal, velocity)
-                if inward < 0.0:
-                    velocity = _minus(velocity, _scaled(normal, inward))
-        return position, velocity
+def _attitude(orientation: tuple[float, ...], angular_velocity: tuple[float, ...] | None) -> Attitude:
+    """What was commanded, held to what it must be."""
+    try:
+        unit = unit_quaternion("orientation", orientation)
+        x, y, z = finite("angular_velocity", ORIGIN if angular_velocity is None else angular_velocity, 3)
+    except ValueError as error:
+        message = f"commanded {error}: see the master, then acknowledge"
+        raise MotionError(message) from None
+    return Attitude(unit, (x, y, z))
 
 
 class Latency:
@@ -268,24 +306,3 @@ class Latency:
 
 def _three(pose: tuple[float, ...]) -> Three:
     return pose[0], pose[1], pose[2]
-
-
-def _dot(a: Three, b: Three) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _plus(a: Three, b: Three) -> Three:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def _minus(a: Three, b: Three) -> Three:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _scaled(a: Three, by: float) -> Three:
-    return a[0] * by, a[1] * by, a[2] * by
-
-
-def _shortened(a: Three, limit: float) -> Three:
-    length = math.hypot(*a)
-    return _scaled(a, limit / length) if length > limit else a

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from haptether.slave.options import converted, refused
-from haptether.slave.ur.kinematics.constraints import WorkspacePlane
+from haptether.slave.ur.kinematics.constraints import ToolCone, WorkspacePlane
 from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS, Six, ur_model
 
 Three: TypeAlias = tuple[float, float, float]
@@ -18,6 +18,8 @@ Mode: TypeAlias = Literal["servoj", "servol", "speedl", "direct-torque"]
 FARTHEST_M: Final = 10.0
 """No number of metres in these options is larger: it was meant in millimetres."""
 MIN_NORM: Final = 1e-6
+MIN_CONE: Final = 0.1
+"""rad; a narrower cone leaves nothing to brake in."""
 
 
 class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,12 +69,20 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """Fastest that the tool is sent, in m/s."""
     max_acceleration: Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "m/s²"})] = 5.0
     """Largest acceleration that it is sent with, in m/s²."""
+    max_angular_speed: Annotated[float, Meta(gt=0.0, le=6.0, extra={"unit": "rad/s"})] = 1.0
+    """Fastest that the tool is turned, in rad/s."""
+    max_angular_acceleration: Annotated[float, Meta(gt=0.0, le=50.0, extra={"unit": "rad/s²"})] = 10.0
+    """Largest angular acceleration that it is turned with, in rad/s²."""
     stop_deceleration: Annotated[float, Meta(ge=0.1, le=20.0, extra={"unit": "m/s² or rad/s²"})] = 5.0
     """Of a soft stop: m/s² of the tool (speedl), rad/s² of the joints (the others)."""
     max_jump: Annotated[float, Meta(gt=0.0, le=0.1, extra={"unit": "m"})] = 0.005
     """How far from the tool a first command may be, in m."""
+    max_turn: Annotated[float, Meta(gt=0.0, le=0.5, extra={"unit": "rad"})] = 0.05
+    """How far from the tool's orientation a first one may be, in rad."""
     workspace: tuple[Four, ...] = ()
     """Planes nx, ny, nz, d: the tool's point is sent to where n . p >= d, n of any length."""
+    tool_cone: Four | None = None
+    """x, y, z, angle: the tool's z axis is sent no further than the angle in rad from that axis, of any length."""
     watchdog_hz: Annotated[float, Meta(ge=5.0, le=100.0, extra={"unit": "Hz"})] = 10.0
     """The controller ends the program where it hears less often than this."""
     verify_watchdog: bool = True
@@ -89,6 +99,11 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def planes(self) -> tuple[WorkspacePlane, ...]:
         """Those of `workspace`, their normals of length 1."""
         return tuple(WorkspacePlane.through(*numbers) for numbers in self.workspace)
+
+    @property
+    def cone(self) -> ToolCone | None:
+        """That of `tool_cone`, its axis of length 1."""
+        return None if self.tool_cone is None else ToolCone.around(*self.tool_cone)
 
 
 def ur_options(given: Mapping[str, Any]) -> UrOptions:
@@ -123,6 +138,12 @@ def _check(options: UrOptions) -> None:
     for plane in options.workspace:
         if math.hypot(*plane[:3]) < MIN_NORM:
             raise _wrong("workspace", plane, "must have a normal of some length")
+    if options.tool_cone is not None:
+        *axis, half_angle = options.tool_cone
+        if math.hypot(*axis) < MIN_NORM or not MIN_CONE <= half_angle < math.pi:
+            raise _wrong(
+                "tool_cone", options.tool_cone, f"must be an axis of some length and {MIN_CONE:g} to below pi rad"
+            )
     if options.force_source == "raw" and not model.wrench.measured:
         raise _wrong("force_source", "raw", f"a {model.name} has no sensor in its flange: must be tcp")
 

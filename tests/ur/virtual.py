@@ -47,6 +47,7 @@ class World:
         limits: SafetyLimits | None = None,
         noise_n: float = 0.0,
         tcp: Sequence[float] = (0.0,) * 6,
+        start: tuple[float, ...] = START,
         upload: bool = True,
     ) -> None:
         touch = None if scene is None else SceneTouch(scene_json(load_scene(scene, overrides)))
@@ -55,7 +56,7 @@ class World:
             ControllerSettings(
                 model=ur_model("ur5e"),
                 version=ControllerVersion.parsed(version),
-                start=START,
+                start=start,
                 tcp=tuple(tcp),
                 limits=limits or SafetyLimits(),
             ),

@@ -16,7 +16,7 @@ import msgspec
 
 from haptether.slave.ur.kinematics.chain import Chain
 from haptether.slave.ur.kinematics.models import SAME_ARM, Six, UrModel
-from haptether.slave.ur.kinematics.pose import Vector
+from haptether.slave.ur.kinematics.pose import Quaternion, Vector
 from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 UNIT: Final = 1e-9
@@ -47,6 +47,48 @@ class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             raise _out_of_range("offset_m", self.offset_m, "finite")
         if not abs(math.hypot(*self.normal) - 1) <= UNIT:
             raise _out_of_range("normal", list(self.normal), "of length 1")
+
+
+class ToolCone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A cone in the base frame in which the tool's z axis stays: its tilt is the angle to the cone's axis.
+
+    Raises:
+        ValueError: A number is not finite, the axis is not of length 1, or the angle is not above 0 and below pi.
+    """
+
+    axis: Vector
+    """Of length 1."""
+    half_angle: float
+    """rad."""
+
+    @classmethod
+    def around(cls, x: float, y: float, z: float, half_angle: float) -> "ToolCone":
+        """The cone around an axis of any length above 0."""
+        length = math.hypot(x, y, z)
+        return cls(axis=(x / length, y / length, z / length), half_angle=half_angle)
+
+    def __post_init__(self) -> None:
+        if not abs(math.hypot(*self.axis) - 1) <= UNIT:
+            raise _out_of_range("axis", list(self.axis), "of length 1")
+        if not 0 < self.half_angle < math.pi:
+            raise _out_of_range("half_angle", self.half_angle, "above 0 and below pi")
+
+    def tilt(self, quat_wxyz: Quaternion) -> tuple[float, Vector]:
+        """Tilt of a tool of that orientation, rad, and the axis of length 1 about which a turn increases it."""
+        (cx, cy, cz), (ax, ay, az) = self.axis, tool_axis(quat_wxyz)
+        nx, ny, nz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+        length = math.hypot(nx, ny, nz)
+        if length < UNIT:
+            # Along the axis, or against it: any turn across increases it, or decreases it, as much.
+            nx, ny, nz = (0.0, -cz, cy) if abs(cx) < abs(cy) else (cz, 0.0, -cx)
+        scale = 1.0 / math.hypot(nx, ny, nz)
+        return math.atan2(length, cx * ax + cy * ay + cz * az), (nx * scale, ny * scale, nz * scale)
+
+
+def tool_axis(quat_wxyz: Quaternion) -> Vector:
+    """The tool's z axis in the base frame: `R e_z`."""
+    w, x, y, z = quat_wxyz
+    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 
 
 class SelfKeepOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -14,8 +14,8 @@ from haptether.slave.ur.kinematics import streaming
 from haptether.slave.ur.kinematics.constraints import arm_body
 from haptether.slave.ur.kinematics.pose import pose_from_transform
 from haptether.slave.ur.modes import JointTracking, UnreachableError
-from haptether.slave.ur.motion import SetPoint
 from haptether.slave.ur.options import ur_options
+from haptether.slave.ur.set_point import SetPoint
 from haptether.slave.ur.state import UrState
 
 Array = npt.NDArray[np.float64]

@@ -10,8 +10,8 @@ from tests.ur.fake_rtde import START_Q
 from haptether.slave import UrKinematics, ur_model
 from haptether.slave.ur.kinematics.pose import matrix_from_rotvec, pose_from_transform
 from haptether.slave.ur.modes import JOINT_SPEED_SHARE, JointTracking, UnreachableError, check_mode, ur_mode
-from haptether.slave.ur.motion import SetPoint
 from haptether.slave.ur.options import UrOptions, ur_options
+from haptether.slave.ur.set_point import SetPoint
 from haptether.slave.ur.state import UrState
 
 PERIOD_S = 0.002

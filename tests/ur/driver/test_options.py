@@ -6,6 +6,7 @@ import pytest
 
 from haptether.bridge import load_slave
 from haptether.slave import WorkspacePlane
+from haptether.slave.ur.kinematics.constraints import ToolCone
 from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS
 from haptether.slave.ur.options import UrOptions, ur_options
 
@@ -43,6 +44,13 @@ def test_every_arm_has_a_most_payload() -> None:
         (HOST | {"payload_cog": [0, 0, 0.05]}, "payload_cog = (0.0, 0.0, 0.05): needs payload_kg"),
         (HOST | {"workspace": [[0, 0, 1]]}, "workspace = [[0, 0, 1]]: must be a list of 4 numbers each"),
         (HOST | {"workspace": [[0, 0, 0, 1]]}, "workspace = (0.0, 0.0, 0.0, 1.0): must have a normal"),
+        (HOST | {"max_turn": 0}, "max_turn = 0: must be above 0 and at most 0.5 rad"),
+        (HOST | {"max_angular_speed": 7}, "max_angular_speed = 7: must be above 0 and at most 6 rad/s"),
+        (HOST | {"max_angular_acceleration": -1}, "must be above 0 and at most 50 rad/s²"),
+        (HOST | {"tool_cone": [0, 0, -1]}, "tool_cone = [0, 0, -1]: must be 4 numbers"),
+        (HOST | {"tool_cone": [0, 0, 0, 1]}, "tool_cone = (0.0, 0.0, 0.0, 1.0): must be an axis of some length and"),
+        (HOST | {"tool_cone": [0, 0, -1, 3.2]}, "must be an axis of some length and 0.1 to below pi rad"),
+        (HOST | {"tool_cone": [0, 0, -1, math.nan]}, "must be finite"),
         (HOST | {"model": "ur5", "force_source": "raw"}, "a ur5 has no sensor in its flange: must be tcp"),
         ({"host": "192.168.1.10:30004"}, "host = '192.168.1.10:30004': must be an IPv4 address or a name"),
         ({"host": ""}, "host = '': must be"),
@@ -85,3 +93,9 @@ def test_defaults_are_cautious() -> None:
 def test_the_planes_of_the_workspace_have_normals_of_length_1() -> None:
     (plane,) = ur_options(HOST | {"workspace": [[0, 0, 2, 0.2]]}).planes
     assert plane == WorkspacePlane(normal=(0.0, 0.0, 1.0), offset_m=0.1)
+
+
+def test_the_cone_of_the_tool_has_an_axis_of_length_1() -> None:
+    assert ur_options(HOST).cone is None
+    cone = ur_options(HOST | {"tool_cone": [0, 0, -2, 0.8]}).cone
+    assert cone == ToolCone(axis=(0.0, 0.0, -1.0), half_angle=0.8)

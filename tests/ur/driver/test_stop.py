@@ -146,7 +146,7 @@ def test_what_is_read_of_a_pause_does_not_change_it(stopped: Stopped) -> None:
 
 def test_nothing_is_commanded_while_the_arm_pauses(stopped: Stopped) -> None:
     options = ur_options({"host": "fake", "axes": 3, "mode": "servol"})
-    motion = Motion(options, stopped.connection, stopped.soft_stop, ServoL(options, 0.002), 0.002)  # type: ignore[arg-type]
+    motion = Motion(options, stopped.connection, stopped.soft_stop, ServoL(options, 0.002), 0.002, report=print)  # type: ignore[arg-type]
 
     def send() -> list[str]:
         motion.send(stopped.state(), START_POSE[:3], (0.0, 0.0, 0.0))
