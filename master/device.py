@@ -52,7 +52,8 @@ class MasterDevice(Protocol):
     def write(self, force: tuple[float, ...]) -> None:
         """Exerts F_device in N, shape `(axes,)`, until the next call.
 
-        Of kind "pose" it is `write(force, torque)`: the torque in N m in the base frame about the tool point.
+        A driver of kind "pose" has `write(force, torque=None)`: the torque in N m, in the base frame about the tool
+        point.
         """
 
     def close(self) -> None:

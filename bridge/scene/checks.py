@@ -203,9 +203,8 @@ def _pose(scene: Scene) -> Iterator[SceneError]:
         yield from _unit(scene.slave.tool.quat_wxyz, ("slave", "tool", "quat_wxyz"))
     if scene.environment is not None:
         yield from _world(scene.environment)
-    hand = scene.operator and scene.operator.rotation
-    if hand is not None:
-        yield from _turning_hand(hand)
+    if scene.operator is not None and scene.operator.rotation is not None:
+        yield from _turning_hand(scene.operator.rotation)
 
 
 def _world(table: EnvironmentTable) -> Iterator[SceneError]:

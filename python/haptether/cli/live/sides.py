@@ -178,17 +178,19 @@ def started_s() -> float | None:
 
 def _within(scene: "Scene", device: "SlaveDevice") -> "Scene":
     """The scene, whose commands are no faster than the arm may follow: else it would go on after it was let go."""
-    from haptether.bridge import override_scene
+    from haptether.bridge import CouplingTable, override_scene
 
     axes = getattr(device, "axes", None)
     if axes is not None and axes != scene.master.axes:
         message = f"slave.options: the arm has {axes} axes, the scene {scene.master.axes}: must be as many"
         raise ValueError(message)
-    max_speed = getattr(device, "max_speed", None)
-    bound = None if scene.coupling is None else scene.coupling.command_speed
-    if max_speed is None or (bound if isinstance(bound, int | float) else float("inf")) <= max_speed:
-        return scene
-    return override_scene(scene, [f"coupling.command_speed={max_speed}"])
+    coupling = scene.coupling or CouplingTable()
+    slower = []
+    for key, bound in (("command_speed", "max_speed"), ("command_angular_speed", "max_angular_speed")):
+        most, now = getattr(device, bound, None), getattr(coupling, key)
+        if most is not None and (now if isinstance(now, int | float) else float("inf")) > most:
+            slower.append(f"coupling.{key}={most}")
+    return override_scene(scene, slower) if slower else scene
 
 
 Run = TypeVar("Run", bound="DeviceRun")
