@@ -92,11 +92,11 @@ def run_demo(
         key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "demo.key"
         write_key(key)
         arm = _ur_arm(scene, limit, stack, stopped) if scene.slave == "ur" else _simulated_arm(scene)
-        slave = stack.enter_context(_process(
+        slave = stack.enter_context(child_process(
             "slave", "--listen", local, "--key", str(key), "--duration-s", limit, "--patience-s", limit, *arm,
         ))  # fmt: skip
         slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
-        netsim = stack.enter_context(_process(
+        netsim = stack.enter_context(child_process(
             "netsim", "proxy", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
             "--jitter-s", str(scene.jitter_s), "--loss", str(scene.loss), "--seed", str(scene.seed),
             "--duration-s", limit,
@@ -104,7 +104,7 @@ def run_demo(
         netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
         result, trace = folder / f"{controller}.json", folder / f"{controller}.npz"
         result.unlink(missing_ok=True)
-        master = stack.enter_context(_process(
+        master = stack.enter_context(child_process(
             "master", "--peer", netsim_address, "--listen", local, "--key", str(key), "--controller", controller,
             "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s),
             "--clutch", "auto", "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
@@ -140,7 +140,7 @@ def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: 
         "--set", f"environment.pushers.0.duration_s={scene.push_duration_s}",
     )  # fmt: skip
     emulator = stack.enter_context(
-        _process("ur-emulator", "--host", host, "--duration-s", limit, *far, says="listening on")
+        child_process("ur-emulator", "--host", host, "--duration-s", limit, *far, says="listening on")
     )
     emulator.headline(stopped)
     return (
@@ -242,7 +242,7 @@ class _Process:
 
 
 @contextlib.contextmanager
-def _process(name: str, *arguments: str, says: str | None = None) -> Iterator[_Process]:
+def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[_Process]:
     process = subprocess.Popen(
         [sys.executable, "-m", "haptether", name, *arguments],
         stdin=subprocess.DEVNULL,

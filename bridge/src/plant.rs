@@ -354,7 +354,8 @@ impl SlavePlant<3> for SimulatedTool {
 
     fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
         SimulatedTool::grip(self, jaws.position, jaws.force_n);
-        Some(self.between_jaws())
+        // Where there is nothing that could be taken, the gripper's own settings say what is between the jaws.
+        self.has_things_to_hold().then(|| self.between_jaws())
     }
 }
 

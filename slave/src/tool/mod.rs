@@ -464,6 +464,11 @@ impl SimulatedTool {
         }
     }
 
+    /// Whether there is anything in its world that the tool could hold.
+    pub fn has_things_to_hold(&self) -> bool {
+        !(self.world.handles.is_empty() && self.world.bodies.is_empty())
+    }
+
     /// Where the jaws meet what is between them, 0 open to 1 closed; none where nothing is.
     pub fn between_jaws(&self) -> Option<f64> {
         self.between().map(|(_, at)| at)

@@ -1,0 +1,205 @@
+"""The demonstration of a whole hand: something is picked up, turned and put down, as processes on one machine."""
+
+import contextlib
+import secrets
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from haptether.bridge import load_scene, read_recording, write_key
+from haptether.private_file import private_file
+from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, StopRequest, child_process
+
+SCENE = "ur_pick"
+CARRIED_M = 0.1
+"""How far the hand of the scene carries it, aside."""
+TURNED_RAD = 1.0471975511965976
+WITHIN_M = 2e-3
+"""How near to that the arm must come: what it trails behind a hand that moves, where it has come to rest."""
+WITHIN_RAD = 0.02
+
+
+class PickScene(msgspec.Struct, frozen=True, kw_only=True):
+    """How the demonstration goes."""
+
+    delay_s: float = 0.02
+    jitter_s: float = 0.001
+    loss: float = 0.01
+    seed: int = 1
+    slave: Literal["simulated", "ur"] = "ur"
+    """A model, or an emulated UR controller with a Robotiq gripper, led by the vendor's client library."""
+
+
+class PickResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What the arm and its gripper did, by the slave's own recording."""
+
+    grips: int
+    """How often the gripper took hold of something."""
+    carried_m: float
+    """How far the tool moved across while it held it."""
+    turned_rad: float
+    """By how much it was turned meanwhile."""
+    lifted_m: float
+    """How high it was lifted meanwhile."""
+    open_at_end: bool
+    """Whether the gripper had let go of it in the end."""
+    holds: int
+    """How often the two sides fell apart."""
+    final_state: str
+    """Of the slave's ladder."""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it was picked up once, carried and turned as far as the hand did, and put down."""
+        near = abs(self.carried_m - CARRIED_M) < WITHIN_M and abs(self.turned_rad - TURNED_RAD) < WITHIN_RAD
+        return self.grips == 1 and self.open_at_end and near and self.holds == 0
+
+
+def run_pick(
+    scene: PickScene, folder: Path, show: Callable[[str, float], None], stopped: StopRequest
+) -> PickResult:
+    """Runs slave, network and master once, and returns what the arm did; arguments as of `run_demo`.
+
+    Raises:
+        Interrupted: A stop was requested; all processes have ended.
+        RuntimeError: A process failed; the message holds what it said.
+    """
+    local, duration_s = "127.0.0.1:0", load_scene(SCENE).run.duration_s
+    limit = str(duration_s + START_TIMEOUT_S + END_TIMEOUT_S)
+    recording, trace = folder / "pick.mcap", folder / "pick.npz"
+    with contextlib.ExitStack() as stack:
+        show("starting", 0.0)
+        key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "pick.key"
+        write_key(key)
+        arm = _ur_arm(limit, stack, stopped) if scene.slave == "ur" else SIMULATED
+        slave = stack.enter_context(child_process(
+            "slave", "--scene", SCENE, "--listen", local, "--key", str(key), "--duration-s", limit,
+            "--patience-s", limit, "--record", str(recording), "--min-free-bytes", "0", *arm,
+        ))  # fmt: skip
+        slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
+        netsim = stack.enter_context(child_process(
+            "netsim", "proxy", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
+            "--jitter-s", str(scene.jitter_s), "--loss", str(scene.loss), "--seed", str(scene.seed),
+            "--duration-s", limit,
+        ))  # fmt: skip
+        netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
+        master = stack.enter_context(child_process(
+            "master", "--scene", SCENE, "--peer", netsim_address, "--listen", local, "--key", str(key),
+            "--duration-s", str(duration_s), "--trace", str(trace), *SIMULATED,
+        ))  # fmt: skip
+        master.headline(stopped)
+        begun_s = time.monotonic()
+        while master.process.poll() is None:
+            at_s = time.monotonic() - begun_s
+            show("the hand leads arm and gripper", min(at_s, duration_s))
+            if stopped:
+                raise Interrupted
+            if at_s > duration_s + START_TIMEOUT_S:
+                message = f"the master did not end within {duration_s + START_TIMEOUT_S:g} s"
+                raise RuntimeError(message)
+            stopped.sleep(0.05)
+        if stopped:
+            raise Interrupted
+        if master.process.returncode != 0:
+            message = f"the master ended with status {master.process.returncode}: {master.last()}; {slave.last()}"
+            raise RuntimeError(message)
+        # Its recording is whole once it has ended.
+        slave.end()
+        signals = read_recording(recording).signals
+    return picked(signals)
+
+
+SIMULATED = ("--set", "slave.device=simulated", "--set", "slave.options={}", "--set", "slave.gripper.device=simulated",
+             "--set", "slave.gripper.options={}")  # fmt: skip
+
+
+def _ur_arm(limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
+    """Starts an emulated controller with a gripper for `limit` s; the options of the slave for both."""
+    # The ports of a controller are fixed: an address of its own, so that several demos get on.
+    host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+    emulator = stack.enter_context(child_process(
+        "ur-emulator", "--host", host, "--duration-s", limit, "--gripper", "2f-85", "--gripper-object-mm", "40",
+        "--gripper-active", says="listening on",
+    ))  # fmt: skip
+    emulator.headline(stopped)
+    return ("--set", f"slave.options.host={host}", "--set", f"slave.gripper.options.host={host}")
+
+
+def angles(quat_wxyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """By how much each orientation, shape `(n, 4)`, is turned from the first, in rad."""
+    return 2.0 * np.arccos(np.minimum(np.abs(quat_wxyz @ quat_wxyz[0]), 1.0))
+
+
+def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
+    """What the recording of the slave says of it."""
+    held = signals["holds_object"].astype(bool)
+    position = signals["position"]
+    begins = int(np.count_nonzero(held[1:] & ~held[:-1])) + int(held[0])
+    states = signals["state"].tolist()
+    carried, turned, lifted = 0.0, 0.0, 0.0
+    if held.any():
+        from_there = position[held] - position[held][0]
+        carried = float(np.hypot(from_there[-1, 0], from_there[-1, 1]))
+        lifted = float(from_there[:, 2].max())
+        turned = float(angles(signals["orientation"][held])[-1])
+    holds = sum(now == "hold" and before in {"engaged", "stale"} for before, now in zip(states, states[1:], strict=False))
+    # The master's end is no fall.
+    ended = sum("ended" in reason for reason in set(signals["reason"].tolist()))
+    return PickResult(
+        grips=begins,
+        carried_m=carried,
+        turned_rad=turned,
+        lifted_m=lifted,
+        open_at_end=not held[-1],
+        holds=max(0, holds - ended),
+        final_state=states[-1],
+    )
+
+
+def draw_pick(scene: PickScene, folder: Path, path: Path) -> None:
+    """Draws height, way aside, turn and gripper of hand and arm over time, from the files of the run in `folder`.
+
+    Raises:
+        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+    """
+    from matplotlib.figure import Figure
+
+    far = read_recording(folder / "pick.mcap").signals
+    with np.load(folder / "pick.npz") as arrays:
+        near = {name: arrays[name] for name in ("time_s", "position", "orientation", "trigger", "state")}
+    far_s = far["time_ns"] * 1e-9
+    # Each side has a clock of its own: from its engagement on.
+    far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
+    near_s = near["time_s"] - near["time_s"][np.flatnonzero(near["state"] == 2)[0]]
+    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
+    arm = "an emulated UR5e with a 2F-85" if scene.slave == "ur" else "a model"
+    figure.suptitle(
+        f"Something is picked up, turned and put down by {arm}, {scene.delay_s * 1e3:g} ms and {scene.loss:.1%} loss each way"
+    )
+    panels = figure.subplots(4, 1, sharex=True)
+    at = int(np.flatnonzero(far_s >= 0.0)[0])
+    rows = (
+        ("height [m]", near["position"][:, 2], far["position"][:, 2] - far["position"][at, 2]),
+        ("aside [m]", near["position"][:, 1], far["position"][:, 1] - far["position"][at, 1]),
+        ("turned [deg]", np.degrees(angles(near["orientation"])), np.degrees(angles(far["orientation"]))),
+        ("gripper", near["trigger"], far["gripper"]),
+    )
+    for panel, (label, hand, tool) in zip(panels, rows, strict=True):
+        panel.plot(near_s, hand, label="trigger" if label == "gripper" else "hand", lw=1.3)
+        panel.plot(far_s, tool, label="jaws" if label == "gripper" else "arm", lw=1.3)
+        held = far["holds_object"].astype(bool)
+        panel.fill_between(far_s, *panel.get_ylim(), where=held.tolist(), color="0.9", label="it holds something")
+        panel.set_ylabel(label)
+        panel.grid(alpha=0.3)
+    panels[0].legend(fontsize=9, loc="upper right")
+    panels[3].legend(fontsize=9, loc="upper right")
+    panels[3].set_xlabel("time since engagement [s]")
+    panels[3].set_xlim(0.0, float(near_s[-1]))
+    with private_file(path) as file:
+        figure.savefig(file, dpi=120)
