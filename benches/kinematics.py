@@ -7,7 +7,8 @@ and held to its conditions; a program that a solver gives up is counted.
 
 All that stands in one table is timed in turns, one round after the other. Required: forward kinematics and Jacobian in
 one call in 3 us, inverse kinematics in 20 us, both within 1e-12 of the chain, the round trip of postures within 1e-10,
-and every streamed step within 1e-9 of its conditions.
+every streamed step within 1e-9 of its conditions, and a period of `UrStreaming` that turns the tool of a UR arm, within
+the limits of its driver, in 10 us.
 """
 
 import importlib
@@ -27,6 +28,7 @@ from _report import bench_options, table_file, write_json
 from haptether.slave import (
     QuadraticProgram,
     SelfKeepOut,
+    StreamingCost,
     StreamingLimits,
     UrCalibration,
     UrInverse,
@@ -38,7 +40,13 @@ from haptether.slave import (
     ur_model,
 )
 from haptether.slave.ur.kinematics.chain import dh_rows
+from haptether.slave.ur.kinematics.pose import pose_from_transform
+from haptether.slave.ur.modes import POSE_COST, JointTracking
+from haptether.slave.ur.options import ur_options
+from haptether.slave.ur.set_point import Attitude
+from haptether.slave.ur.state import UrState
 from ur.arms import CALIBRATIONS, PinocchioArm
+from ur.figures import figure
 from ur.quadratic import solvers
 from ur.references import apart, extended_chain, minimum, residual
 
@@ -49,7 +57,9 @@ Work = Callable[[int], object]
 EXAMPLE = "example: python benches/kinematics.py --json -"
 MODEL = "ur5e"
 UNIT = "ur10 far"
-FORWARD_US, INVERSE_US = 3.0, 20.0
+FORWARD_US, INVERSE_US, STEP_US = 3.0, 20.0, 10.0
+TURNED = "joints, self, tool turned"
+"""What the driver of a UR arm keeps to by itself."""
 TIGHT, ROUND_TRIP, CONDITIONS = 1e-12, 1e-10, 1e-9
 PERIOD_S = 0.002
 CALLS = 200
@@ -260,15 +270,25 @@ def whole_steps(rounds: int) -> list[Row]:
         "joints, planes, self": msgspec.structs.replace(joints, planes=planes, self_keep_out=keep_out),
         "all": msgspec.structs.replace(joints, max_tool_speed=0.2, planes=planes, self_keep_out=keep_out),
     }
+    turned = {
+        "joints, tool turned": joints,
+        TURNED: msgspec.structs.replace(joints, self_keep_out=keep_out),
+        "joints, planes, self, tool turned": msgspec.structs.replace(joints, planes=planes, self_keep_out=keep_out),
+    }
     works: dict[str, Work] = {}
     errors: dict[str, dict[str, float]] = {}
-    for name, limits in named.items():
-        streaming = UrStreaming(UrKinematics(ur_model(MODEL)), limits, period_s=PERIOD_S)
+    for name, limits in (named | turned).items():
+        cost = StreamingCost(**POSE_COST) if name in turned else None
+        streaming = UrStreaming(UrKinematics(ur_model(MODEL)), limits, period_s=PERIOD_S, cost=cost)
         q, qd, twist = np.zeros((CALLS, 6)), np.zeros((CALLS, 6)), np.zeros((CALLS, 6))
         q[0] = (-0.6, -1.6, 1.7, -1.5, -1.4, 0.3)
         # To and fro across, with a turn, at twice the limit: after its acceleration the tool is at its limit of speed.
         twist[:, 1] = 0.4 * np.sign(np.sin(np.arange(CALLS) * 2 * np.pi / CALLS))
         twist[:, 5] = 0.3
+        if name in turned:
+            # As fast as 60 degrees to and fro within 4 s, about two axes.
+            twist[:, 3] = 1.6 * np.sin(np.arange(CALLS) * 2 * np.pi / CALLS)
+            twist[:, 5] = 1.6 * np.cos(np.arange(CALLS) * 2 * np.pi / CALLS)
         slow = braked = 0
         for index in range(CALLS - 1):
             qd[index + 1] = streaming.velocity(q[index], qd[index], twist[index])
@@ -289,6 +309,33 @@ def whole_steps(rounds: int) -> list[Row]:
     ]
 
 
+def tracked(rounds: int) -> list[Row]:
+    """A period of the driver's `JointTracking`, which has a streamed step in it, with and without an orientation."""
+    options = ur_options({"host": "127.0.0.1", "axes": 3, "max_angular_speed": 3.0})
+    kinematics = UrKinematics(ur_model(MODEL))
+    begin = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
+    pose = tuple(pose_from_transform(kinematics.forward(begin)).tolist())
+    home = UrState(1.0, begin, begin, (0.0,) * 6, pose, (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2, 1.0)
+    path = figure(pose, amplitude_m=0.05, angle=np.radians(60.0), period_s=8.0)
+    poses = [path(PERIOD_S * index) for index in range(CALLS)]
+    works: dict[str, Work] = {}
+    for name in ("point", "pose"):
+        joints = JointTracking(kinematics, options, PERIOD_S)
+
+        def work(index: int, joints: JointTracking = joints, turns: bool = name == "pose") -> None:
+            if index == 0:
+                joints.begin(home)
+            at = poses[index]
+            attitude = Attitude(at.orientation, at.angular_velocity) if turns else None
+            joints.follow(at.position, at.velocity, PERIOD_S, attitude)
+
+        works[name] = work
+    return [
+        Row(table="a period of the driver's JointTracking, led by a", name=name, us=us, us_median=median, errors={})
+        for name, (us, median) in timed(works, rounds).items()
+    ]
+
+
 # What is said
 
 
@@ -297,6 +344,8 @@ def missed(rows: list[Row]) -> list[str]:
     found = []
     for row in rows:
         where = f"{row.table}: {row.name}"
+        if row.name == TURNED and row.us > STEP_US:
+            found.append(f"{where}: {row.us:.2f} us")
         if not row.name.startswith("ours"):
             continue
         if row.table.startswith("forward") and (row.us > FORWARD_US or row.errors["error"] > TIGHT):
@@ -322,12 +371,12 @@ def show(rows: list[Row]) -> str:
     before = ""
     for row in rows:
         if row.table != before:
-            lines += ["", row.table, f"{'':<28}{'us':>8}{'median':>8}"]
+            lines += ["", row.table, f"{'':<36}{'us':>8}{'median':>8}"]
             before = row.table
         errors = "  ".join(
             f"{key} {value:.1e}" if value % 1 else f"{key} {value:g}" for key, value in row.errors.items()
         )
-        lines.append(f"{row.name:<28}{row.us:>8.2f}{row.us_median:>8.2f}  {errors}")
+        lines.append(f"{row.name:<36}{row.us:>8.2f}{row.us_median:>8.2f}  {errors}")
     return "\n".join(lines[1:])
 
 
@@ -342,6 +391,7 @@ def main() -> int:
 
     rounds = arguments.rounds
     rows = forward_rows(rounds) + inverse_rows(rounds, arguments.poses) + streaming_rows(rounds) + whole_steps(rounds)
+    rows += tracked(rounds)
     out = table_file(arguments.json)
     print(show(rows), file=out)
     wrong = missed(rows)

@@ -1,0 +1,192 @@
+"""How well a UR arm follows poses under each command: errors of position and orientation, and the fastest joint.
+
+The driver leads the emulated controller over the real ur_rtde. First along a figure in space in which the tool turns
+by 60 degrees to and fro; then through a turn of 1 rad that takes joint 5 from 0.5 rad through zero, where the wrist is
+singular: about the axis of joint 5, and beside it, where joint 4 must go round.
+
+Errors are those of the measured tool from what was commanded in the same moment, so that what is late counts: lookahead
+and transport times the speed. Joints are held to the largest speed of the model.
+"""
+
+import math
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from _report import bench_options, table_file, write_json
+from haptether.slave import UrKinematics, UrSlave, ur_model
+from ur.figures import Path, apart, figure, turn
+
+EXAMPLE = "example: cd benches && python -m ur.pose_tracking --mode servoj --json -"
+HOST = "127.0.3.95"
+VERSION = "5.26"
+MODEL = ur_model("ur5e")
+START = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
+BENT = 0.5
+"""rad of joint 5 before its singularity."""
+MODES = ("servoj", "servol", "speedl", "direct-torque")
+PATHS = ("figure", "singularity", "beside it")
+OPTIONS = {"max_angular_speed": 2.0, "watchdog_hz": 5.0}
+"""A shared machine may stall for longer than the 100 ms of the default watchdog."""
+START_S, SETTLE_S = 30.0, 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What was measured of a mode along a path."""
+
+    mode: str
+    path: str
+    seconds: float
+    """Of motion, until the end or the fault."""
+    worst_m: float
+    worst_rad: float
+    end_rad: float
+    speed: float
+    """Largest that was commanded, in m/s, and in rad/s."""
+    angular_speed: float
+    latency_s: float | None
+    fastest_joint: float
+    """Share of its largest speed."""
+    joint_5: tuple[float, float]
+    """At the begin and at the end, in rad."""
+    worst_gap_s: float
+    """Between two samples."""
+    fault: str
+
+
+@contextmanager
+def emulated(host: str, start: tuple[float, ...]) -> Iterator[None]:
+    """A controller as a process of its own."""
+    command = [
+        sys.executable, "-m", "haptether", "ur-emulator", "--host", host, "--version", VERSION,
+        "--control", "-", "--start", *map(str, start),
+    ]  # fmt: skip
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        if not select.select([process.stdout], [], [], START_S)[0]:
+            message = f"the emulator has said nothing for {START_S:g} s"
+            raise RuntimeError(message)
+        process.stdout.readline()
+        # Until its first cycles are behind it.
+        time.sleep(SETTLE_S)
+        yield
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def begin_of(name: str) -> tuple[float, ...]:
+    """Joint angles at the begin of a path."""
+    return START if name == "figure" else (*START[:4], BENT, START[5])
+
+
+def path_of(name: str, home: tuple[float, ...]) -> tuple[Path, float]:
+    """A path from a pose of the controller, and its seconds."""
+    if name == "figure":
+        return figure(home, amplitude_m=0.05, angle=math.radians(60.0), period_s=8.0), 9.0
+    _, jacobian = UrKinematics(MODEL).forward_and_jacobian(begin_of(name))
+    axis = -(jacobian[3:, 4] + (0.3 if name == "beside it" else 0.0) * jacobian[3:, 3])
+    return turn(home, axis=(axis / np.linalg.norm(axis)).tolist(), angle=2.0 * BENT, speed=0.8), 2.6
+
+
+def measure(mode: str, name: str, host: str) -> Row:
+    """Leads an emulated arm along a path."""
+    with emulated(host, begin_of(name)):
+        arm = UrSlave(host=host, mode=mode, axes=3, **OPTIONS)
+        arm.open()
+        try:
+            return _led(arm, mode, name)
+        finally:
+            arm.close()
+
+
+def _led(arm: UrSlave, mode: str, name: str) -> Row:
+    for _ in range(50):
+        arm.read()
+    home = arm._state.pose
+    path, seconds = path_of(name, home)
+    rows, q5, fault = [], [], ""
+    begun_s = before_s = time.monotonic()
+    while (now_s := time.monotonic()) - begun_s < seconds:
+        sample = arm.read()
+        now_s = time.monotonic()
+        wanted = path(now_s - begun_s)
+        state = arm._state
+        rows.append((
+            *apart(state.pose, wanted),
+            math.hypot(*wanted.velocity),
+            math.hypot(*wanted.angular_velocity),
+            max(abs(rate) / most for rate, most in zip(state.qd, MODEL.max_speed, strict=True)),
+            now_s - before_s,
+        ))  # fmt: skip
+        q5.append(state.q[4])
+        before_s = now_s
+        if sample.fault is not None:
+            fault = sample.fault
+            break
+        arm.write(wanted.position, wanted.velocity, wanted.orientation, wanted.angular_velocity)
+    latency_s = arm.latency_s
+    arm.stop()
+    for _ in range(50):
+        arm.read()
+    metres, radians, speed, angular_speed, joints, gaps = np.array(rows).T
+    return Row(
+        mode=mode,
+        path=name,
+        seconds=now_s - begun_s,
+        worst_m=float(metres.max()),
+        worst_rad=float(radians.max()),
+        end_rad=float(radians[-1]),
+        speed=float(speed.max()),
+        angular_speed=float(angular_speed.max()),
+        latency_s=latency_s,
+        fastest_joint=float(joints.max()),
+        joint_5=(q5[0], q5[-1]),
+        worst_gap_s=float(gaps[1:].max()),
+        fault=fault,
+    )
+
+
+def show(rows: list[Row], json: str | None) -> None:
+    """The table."""
+    table = Table("mode", "path", "m", "rad", "at the end", "fastest joint", "joint 5", "worst gap", "fault")
+    for row in rows:
+        table.add_row(
+            row.mode,
+            row.path,
+            f"{1e3 * row.worst_m:.1f} mm",
+            f"{row.worst_rad:.3f}",
+            f"{row.end_rad:.3f} rad",
+            f"{100 * row.fastest_joint:.0f} %",
+            f"{row.joint_5[0]:.2f} to {row.joint_5[1]:.2f}",
+            f"{1e3 * row.worst_gap_s:.1f} ms",
+            row.fault,
+        )
+    Console(file=table_file(json), width=160).print(table)
+
+
+def main() -> int:
+    """Measures all rows."""
+    line = bench_options(__doc__, EXAMPLE)
+    line.add_argument("--mode", choices=MODES, action="append", help="this one alone; may be given again")
+    line.add_argument("--path", choices=PATHS, action="append", help="this one alone; may be given again")
+    line.add_argument("--host", default=HOST, help=f"address of the emulated controller (default {HOST})")
+    arguments = line.parse_args()
+    rows = [measure(mode, path, arguments.host) for mode in arguments.mode or MODES for path in arguments.path or PATHS]
+    show(rows, arguments.json)
+    write_json(arguments.json, [asdict(row) for row in rows])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
