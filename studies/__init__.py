@@ -12,6 +12,7 @@ from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link,
 from haptether.studies.operator import Operator
 from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
 from haptether.studies.paper_figures import draw_paper
+from haptether.studies.pick import PickResult, PickScene, draw_pick, run_pick
 from haptether.studies.raven import RavenReport, RavenRow, measure_attack, raven_suite
 from haptether.studies.raven_attacks import RAVEN_ATTACKS, RavenAttack
 from haptether.studies.remote_push import PushResult, measure_push, save_master_trace
@@ -28,12 +29,15 @@ __all__ = [
     "Operator",
     "PaperReport",
     "PaperRow",
+    "PickResult",
+    "PickScene",
     "PushResult",
     "RavenAttack",
     "RavenReport",
     "RavenRow",
     "draw_demo",
     "draw_paper",
+    "draw_pick",
     "judge_link",
     "largest_delay_s",
     "measure_attack",
@@ -41,6 +45,7 @@ __all__ = [
     "raven_suite",
     "reproduce_paper",
     "run_demo",
+    "run_pick",
     "save_master_trace",
     "summarise_link",
 ]

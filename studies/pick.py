@@ -5,6 +5,7 @@ import secrets
 import tempfile
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -61,9 +62,7 @@ class PickResult(msgspec.Struct, frozen=True, kw_only=True):
         return self.grips == 1 and self.open_at_end and near and self.holds == 0
 
 
-def run_pick(
-    scene: PickScene, folder: Path, show: Callable[[str, float], None], stopped: StopRequest
-) -> PickResult:
+def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None], stopped: StopRequest) -> PickResult:
     """Runs slave, network and master once, and returns what the arm did; arguments as of `run_demo`.
 
     Raises:
@@ -133,7 +132,8 @@ def _ur_arm(limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tu
 
 def angles(quat_wxyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """By how much each orientation, shape `(n, 4)`, is turned from the first, in rad."""
-    return 2.0 * np.arccos(np.minimum(np.abs(quat_wxyz @ quat_wxyz[0]), 1.0))
+    between: npt.NDArray[np.float64] = np.abs(quat_wxyz @ quat_wxyz[0])
+    return np.asarray(2.0 * np.arccos(np.minimum(between, 1.0)))
 
 
 def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
@@ -148,7 +148,7 @@ def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
         carried = float(np.hypot(from_there[-1, 0], from_there[-1, 1]))
         lifted = float(from_there[:, 2].max())
         turned = float(angles(signals["orientation"][held])[-1])
-    holds = sum(now == "hold" and before in {"engaged", "stale"} for before, now in zip(states, states[1:], strict=False))
+    holds = sum(now == "hold" and before in {"engaged", "stale"} for before, now in pairwise(states))
     # The master's end is no fall.
     ended = sum("ended" in reason for reason in set(signals["reason"].tolist()))
     return PickResult(
@@ -180,7 +180,8 @@ def draw_pick(scene: PickScene, folder: Path, path: Path) -> None:
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     arm = "an emulated UR5e with a 2F-85" if scene.slave == "ur" else "a model"
     figure.suptitle(
-        f"Something is picked up, turned and put down by {arm}, {scene.delay_s * 1e3:g} ms and {scene.loss:.1%} loss each way"
+        f"Something is picked up, turned and put down by {arm},\n"
+        f"{scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) and {scene.loss:.1%} loss each way"
     )
     panels = figure.subplots(4, 1, sharex=True)
     at = int(np.flatnonzero(far_s >= 0.0)[0])
@@ -197,8 +198,8 @@ def draw_pick(scene: PickScene, folder: Path, path: Path) -> None:
         panel.fill_between(far_s, *panel.get_ylim(), where=held.tolist(), color="0.9", label="it holds something")
         panel.set_ylabel(label)
         panel.grid(alpha=0.3)
-    panels[0].legend(fontsize=9, loc="upper right")
-    panels[3].legend(fontsize=9, loc="upper right")
+    panels[1].legend(fontsize=9, loc="upper left")
+    panels[3].legend(fontsize=9, loc="upper left")
     panels[3].set_xlabel("time since engagement [s]")
     panels[3].set_xlim(0.0, float(near_s[-1]))
     with private_file(path) as file:

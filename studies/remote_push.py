@@ -30,6 +30,11 @@ TRACE_SIGNALS = (
     "overshoot_s",
     "fault",
 )
+ROTATION_SIGNALS = (
+    "orientation", "angular_velocity", "hand_torque", "rendered_torque", "grasp_torque", "safety_torque",
+    "device_torque",
+)  # fmt: skip
+"""What a trace of kind "pose" has besides."""
 
 
 class PushResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -136,5 +141,9 @@ def save_master_trace(trace: MasterTrace, path: Path) -> None:
     """
     refuse_link(path)
     signals = {name: getattr(trace, name) for name in TRACE_SIGNALS}
+    if np.isfinite(trace.trigger).any():
+        signals["trigger"] = trace.trigger
+    if trace.orientation is not None:
+        signals |= {name: getattr(trace, name) for name in ROTATION_SIGNALS}
     with private_file(path) as file:
         np.savez_compressed(file, **signals)

@@ -8,18 +8,22 @@ import tyro
 
 if TYPE_CHECKING:
     from haptether.cli.shared.screen import Screen
-    from haptether.studies import DemoScene, PushResult
+    from haptether.studies import DemoScene, PickScene, PushResult
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Watch a remote push reach a hand, with and without protection, over real UDP sockets.
+    """Watch a remote push reach a hand, with and without protection, or a hand pick something up, over real sockets.
 
     Starts slave, network and master as three processes on this machine: 50 ms each way with a standard
     deviation of 5 ms, and 1 % loss. A
     simulated hand presses a remote wall; something shoves the remote arm; the hand lets go. Once without
     a controller and once with each. Takes about 25 s. Exit status 0 says that the hand was slower with HSC and
     with WSC than without a controller.
+
+    --task pick: 20 ms each way with a standard deviation of 1 ms, and 1 % loss. A simulated hand leads position,
+    orientation and gripper of the arm, picks something up, turns it by 60 degrees and puts it down beside. Takes about
+    15 s. Exit status 0 says that it did.
 
     Examples:
 
@@ -28,18 +32,22 @@ class Demo:
     haptether demo --delay-s 0.02 --jitter-s 0.001 --loss 0 --out out/fast-link --json -
 
     haptether demo --slave ur
+
+    haptether demo --slave ur --task pick
     """
 
-    delay_s: float = 0.05
-    """One-way delay in s."""
-    jitter_s: float = 0.005
-    """Standard deviation of the delay in s."""
+    delay_s: float | None = None
+    """One-way delay in s; by default 0.05, of --task pick 0.02."""
+    jitter_s: float | None = None
+    """Standard deviation of the delay in s; by default 0.005, of --task pick 0.001."""
     loss: float = 0.01
     """Share of packets lost."""
     seed: int = 1
     """Seed of jitter and loss, 0 to 2^64 - 1."""
     slave: Literal["simulated", "ur"] = "simulated"
     """The model of an arm; or an emulated UR controller, driven by the vendor's own client library (extra "ur")."""
+    task: Literal["push", "pick"] = "push"
+    """A push that reaches the hand; or something that a gripper picks up."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
     """Folder of the picture and of every tick (.npz)."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -54,21 +62,24 @@ class Demo:
         from haptether.cli.shared.screen import screen
         from haptether.cli.shared.stop import Stopped
         from haptether.netsim import LinkSettings, link_spec
-        from haptether.studies import DEMO_CONTROLLERS, DemoScene, Interrupted, run_demo
+        from haptether.studies import DEMO_CONTROLLERS, DemoScene, Interrupted, PickScene, run_demo
 
         check_seed(self.seed)
         check_target(self.json)
         require_matplotlib()  # before the runs, not after them
+        kind = PickScene if self.task == "pick" else DemoScene
+        times = {"delay_s": self.delay_s, "jitter_s": self.jitter_s}
+        given = {name: value for name, value in times.items() if value is not None}
+        scene = kind(**given, loss=self.loss, seed=self.seed, slave=self.slave)
         # Refuses early.
-        link_spec(LinkSettings(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss), "forward")
-        scene = DemoScene(
-            delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss, seed=self.seed, slave=self.slave
-        )
+        link_spec(LinkSettings(delay_s=scene.delay_s, jitter_s=scene.jitter_s, loss=scene.loss), "forward")
         self.out.mkdir(parents=True, exist_ok=True)
+        if isinstance(scene, PickScene):
+            return self._pick(scene)
         console = screen(self.json)
         arm = "an emulated UR controller - ur-rtde - " if self.slave == "ur" else ""
         console.print(
-            f"{arm}slave - network ({self.delay_s * 1e3:g} ms, sigma {self.jitter_s * 1e3:g} ms, each way, "
+            f"{arm}slave - network ({scene.delay_s * 1e3:g} ms, sigma {scene.jitter_s * 1e3:g} ms, each way, "
             f"{self.loss:.1%} loss) - master,\n  as processes on this machine; "
             f"the hand presses; at {scene.push_at_s:g} s {scene.push_force_n:g} N shove the arm,\n  "
             f"at {scene.release_at_s:g} s the hand lets go",
@@ -91,6 +102,48 @@ class Demo:
                     return 130
             progress.update(bar, completed=len(DEMO_CONTROLLERS) * scene.duration_s)
         return self._report(console, scene, results)
+
+    def _pick(self, scene: "PickScene") -> int:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        from haptether.bridge import load_scene
+        from haptether.cli.shared.output import write_report
+        from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.stop import Stopped
+        from haptether.studies import Interrupted, draw_pick, run_pick
+
+        console = screen(self.json)
+        arm = "an emulated UR controller with a Robotiq gripper - ur-rtde - " if self.slave == "ur" else ""
+        console.print(
+            f"{arm}slave - network ({scene.delay_s * 1e3:g} ms, sigma {scene.jitter_s * 1e3:g} ms, each way, "
+            f"{self.loss:.1%} loss) - master,\n  as processes on this machine; "
+            "the hand goes down, takes something, turns it by 60 degrees and puts it down beside",
+            highlight=False,
+        )
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+        with Stopped() as stopped, Progress(*columns, console=console) as progress:
+            bar = progress.add_task("", total=load_scene("ur_pick").run.duration_s)
+
+            def show(stage: str, at_s: float) -> None:
+                progress.update(bar, completed=at_s, description=f"{stage:<34}")
+
+            try:
+                result = run_pick(scene, self.out, show, stopped)
+            except Interrupted:
+                console.print("interrupted: all processes have ended")
+                return 130
+        picture = self.out / "pick.png"
+        draw_pick(scene, self.out, picture)
+        write_report(self.json, {"scene": scene, "done": result.is_done, "picture": str(picture), "result": result})
+        done = "done" if result.is_done else "NOT done as the hand did it"
+        console.print(
+            f"{done}: it was gripped {result.grips} time(s), lifted by {result.lifted_m * 1e3:.0f} mm, carried "
+            f"{result.carried_m * 1e3:.0f} mm, turned by {result.turned_rad * 57.29577951308232:.1f} degrees"
+            f"{', and let go' if result.open_at_end else ', and is still held'}; {result.holds} holds",
+            highlight=False,
+        )
+        console.print(f"picture: {picture}", highlight=False)
+        return 0 if result.is_done else 1
 
     def _report(self, console: "Screen", scene: "DemoScene", results: "list[PushResult]") -> int:
         from haptether.cli.live.master import print_push

@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ import pytest
 from tests.ur.stalls import STALL_S, Stalls
 
 from haptether.bridge import load_scene
-from haptether.studies import DemoScene, run_demo
+from haptether.studies import DemoScene, PickScene, run_demo, run_pick
 
 pytestmark = pytest.mark.live
 
@@ -40,6 +40,23 @@ class Never:
 
     def sleep(self, seconds: float) -> None:
         time.sleep(seconds)
+
+
+@pytest.mark.timeout(200)
+@pytest.mark.parametrize("slave", ["simulated", "ur"])
+def test_something_is_picked_up_turned_and_put_down(slave: Literal["simulated", "ur"], tmp_path: Path) -> None:
+    """The hand carries it 100 mm aside and turns it by 60 degrees; the arm, its wrist and its gripper do so, too."""
+    scene = PickScene(slave=slave)
+    for _ in range(ATTEMPTS):
+        with Stalls() as stalls, contextlib.suppress(RuntimeError):
+            result = run_pick(scene, tmp_path, lambda *_: None, Never())
+            if result.holds == 0:
+                break
+        assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
+    else:
+        pytest.skip(STALLED)
+    assert result.is_done, result
+    assert result.lifted_m == pytest.approx(0.06, abs=2e-3)
 
 
 @pytest.mark.timeout(200)
