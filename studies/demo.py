@@ -243,6 +243,7 @@ class _Process:
 
 @contextlib.contextmanager
 def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[_Process]:
+    """One of our own commands as a child process, which is ended with the block; `says` begins its first line."""
     process = subprocess.Popen(
         [sys.executable, "-m", "haptether", name, *arguments],
         stdin=subprocess.DEVNULL,
