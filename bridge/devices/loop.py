@@ -68,12 +68,12 @@ def drive_master(
 
     def step() -> bool:
         nonlocal rest
-        position, velocity, clutch, fault, trigger, orientation, angular_velocity = device.read()
+        position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons = device.read()
         if fault is not None:
             notes.fault = fault = encodable(fault)
         force = loop.step(
             position, velocity, clutch, fault=fault, trigger=trigger,
-            orientation=orientation, angular_velocity=angular_velocity,
+            orientation=orientation, angular_velocity=angular_velocity, buttons=buttons,
         )  # fmt: skip
         if force is None:
             return False

@@ -64,6 +64,7 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
         if scene.operator.trigger and (scene.slave is None or scene.slave.gripper is None):
             yield contradiction(("operator", "trigger"), "leads no gripper: add [slave.gripper] or leave it out")
     yield from _kind(scene)
+    yield from _buttons(scene)
     if scene.slave is not None:
         yield from _slave(scene.slave, scene.run)
     for key in ("link", "coupling", "security"):
@@ -141,6 +142,23 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
                 ("operator", "release", "kind"),
                 'a strength without bound does not decay: give grip_strength_n, or kind = "gain"',
             )
+
+
+def _buttons(scene: Scene) -> Iterator[SceneError]:
+    """Each button does one thing, and there is a gripper for the one that works it."""
+    table = scene.master.buttons
+    if table is None:
+        return
+    path: Path = ("master", "buttons")
+    given = [bit for bit in (table.clutch, table.engage, table.gripper) if bit is not None]
+    if scene.slave is None:
+        yield contradiction(path, "needs an arm to lead: add [slave] or leave it out")
+    if len(set(given)) < len(given):
+        yield contradiction(path, "a button of its own for each of clutch, engage and gripper")
+    if table.clutch is not None and table.engage is not None:
+        yield contradiction((*path, "engage"), "works the clutch as clutch does: give one of the two")
+    if table.gripper is not None and (scene.slave is None or scene.slave.gripper is None):
+        yield contradiction((*path, "gripper"), "works no gripper: add [slave.gripper] or leave it out")
 
 
 AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 6, 7), "pose": (3,)}

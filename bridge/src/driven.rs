@@ -21,6 +21,8 @@ pub struct DrivenMaster<const N: usize> {
     pub velocity: Option<Axes<N>>,
     /// Whether the clutch is pressed, of a device that has a button.
     pub clutch: Option<bool>,
+    /// Its buttons: bit n, button n is pressed.
+    pub buttons: u32,
     /// Force in N that the device is to exert.
     pub force: Axes<N>,
     /// Orientation and angular velocity, as read, of a device that turns.
@@ -32,7 +34,7 @@ pub struct DrivenMaster<const N: usize> {
 impl<const N: usize> Default for DrivenMaster<N> {
     fn default() -> Self {
         let (position, force, torque) = (Axes::zeros(), Axes::zeros(), Axes::zeros());
-        Self { position, velocity: None, clutch: None, force, rotation: None, torque }
+        Self { position, velocity: None, clutch: None, buttons: 0, force, rotation: None, torque }
     }
 }
 
@@ -47,6 +49,10 @@ impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
 
     fn clutch(&self) -> Option<bool> {
         self.clutch
+    }
+
+    fn buttons(&self) -> Option<u32> {
+        Some(self.buttons)
     }
 
     fn rotation(&self) -> Option<RotationSample> {

@@ -3,6 +3,7 @@
 //! [`MasterEndpoint`] and [`SlaveEndpoint`] own no socket, no thread and no clock. [`run_virtual`] drives them in
 //! virtual time, [`live`] over UDP; both through [`Side`], so that what is simulated is what runs.
 
+mod buttons;
 mod command;
 pub mod coupling;
 mod driven;
@@ -28,6 +29,7 @@ mod side;
 mod virtual_time;
 pub mod wire;
 
+pub use buttons::{ButtonError, ButtonSettings};
 pub use command::OperatorCommand;
 pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{

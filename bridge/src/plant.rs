@@ -23,6 +23,11 @@ pub trait MasterPlant<const N: usize, S: Real = f64> {
         None
     }
 
+    /// The buttons of the device: bit n, button n is pressed; none of a model, whose operator works the clutch.
+    fn buttons(&self) -> Option<u32> {
+        None
+    }
+
     /// The two sides have engaged.
     fn engaged(&mut self) {}
 
@@ -136,6 +141,10 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
 
     fn clutch(&self) -> Option<bool> {
         (**self).clutch()
+    }
+
+    fn buttons(&self) -> Option<u32> {
+        (**self).buttons()
     }
 
     fn engaged(&mut self) {

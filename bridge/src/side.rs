@@ -3,6 +3,7 @@
 use std::marker::PhantomData;
 
 use crate::{
+    buttons::{ButtonError, ButtonSettings, Buttons},
     command::OperatorCommand,
     coupling::{CouplingError, GripperState},
     endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
@@ -71,6 +72,8 @@ pub struct MasterSide<P, const N: usize, R = ()> {
     button: Button,
     /// What leads the gripper; none where the slave has none.
     pub trigger: Option<Trigger>,
+    /// What the buttons of the device do; none where the scene maps none.
+    buttons: Option<Buttons>,
     records: PhantomData<R>,
 }
 
@@ -79,14 +82,23 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
         let operator = ClutchOperator::new(clutch)?;
         let button = Button::default();
-        Ok(Self { plant, endpoint, operator, button, trigger: None, records: PhantomData })
+        Ok(Self { plant, endpoint, operator, button, trigger: None, buttons: None, records: PhantomData })
+    }
+
+    /// The same side with buttons that do what `settings` say.
+    pub fn with_buttons(mut self, settings: Option<ButtonSettings>) -> Result<Self, ButtonError> {
+        let buttons = settings.map(Buttons::new).transpose()?;
+        if buttons.is_some() {
+            self.endpoint.exchange.carry_buttons();
+        }
+        Ok(Self { buttons, ..self })
     }
 
     /// The same side with records of a hand that turns.
     #[must_use]
     pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
-        let Self { plant, endpoint, operator, button, trigger, .. } = self;
-        MasterSide { plant, endpoint, operator, button, trigger, records: PhantomData }
+        let Self { plant, endpoint, operator, button, trigger, buttons, .. } = self;
+        MasterSide { plant, endpoint, operator, button, trigger, buttons, records: PhantomData }
     }
 
     /// The same side with a trigger that leads the slave's gripper.
@@ -96,6 +108,19 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
             self.endpoint.exchange.carry_gripper();
         }
         Self { trigger, ..self }
+    }
+}
+
+impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
+    /// What the buttons of the device say of clutch and trigger, where the scene maps them.
+    fn pressed(&mut self, now_ns: u64) -> (Option<bool>, Option<f64>) {
+        let (Some(buttons), Some(word)) = (&mut self.buttons, self.plant.buttons()) else {
+            return (None, None);
+        };
+        let exchange = &mut self.endpoint.exchange;
+        buttons.follow(exchange.state());
+        exchange.report_buttons(word);
+        buttons.at(now_ns, word)
     }
 }
 
@@ -111,11 +136,15 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
         if self.exchange().has_stalled() {
             self.operator.reset();
             self.button.stalled();
+            if let Some(buttons) = &mut self.buttons {
+                buttons.open();
+            }
         }
         let (position, velocity) = self.plant.read(time.now_ns);
         let reading = MasterReading { position, velocity, rotation: self.plant.rotation() };
+        let pressed = self.pressed(time.now_ns);
         let ladder = self.endpoint.exchange.ladder();
-        let clutch = match self.button.at(time.now_ns, self.plant.clutch()) {
+        let clutch = match self.button.at(time.now_ns, pressed.0.or(self.plant.clutch())) {
             Some(button) => {
                 self.operator.reset();
                 button
@@ -124,7 +153,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
         };
         let mut led_to = None;
         if let Some(trigger) = &self.trigger {
-            let state = GripperState::of_trigger(trigger.position(time.now_ns));
+            let state = GripperState::of_trigger(pressed.1.or(trigger.position(time.now_ns)));
             led_to = state.position;
             self.endpoint.exchange.report_gripper(state);
         }
@@ -162,7 +191,8 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
 
     fn has_button(&self) -> bool {
         // Before the first tick the plant alone knows.
-        self.button.is_there() || self.plant.clutch().is_some()
+        let mapped = self.plant.buttons().is_some() && self.buttons.as_ref().is_some_and(Buttons::has_clutch);
+        mapped || self.button.is_there() || self.plant.clutch().is_some()
     }
 
     fn rest(&mut self) {

@@ -45,6 +45,7 @@ struct MasterRead<'a, 'py> {
     trigger: Option<f64>,
     orientation: Option<[f64; 4]>,
     angular_velocity: Option<[f64; 3]>,
+    buttons: u32,
 }
 
 /// What a slave's driver has read.
@@ -57,6 +58,17 @@ struct SlaveRead<'a, 'py> {
     orientation: Option<[f64; 4]>,
     angular_velocity: Option<[f64; 3]>,
     torque: Option<[f64; 3]>,
+}
+
+/// What else a tick of a slave says: what the gripper is to do, and the buttons of the master.
+#[derive(Clone, Copy)]
+struct Beside {
+    gripper: GripperOrder,
+    buttons: Option<u32>,
+}
+
+impl Beside {
+    const NOTHING: Self = Self { gripper: GripperOrder::Hold, buttons: None };
 }
 
 trait MasterSteps: DriverLoop + Send {
@@ -72,7 +84,7 @@ trait SlaveSteps: DriverLoop + Send {
         &mut self,
         py: Python<'py>,
         read: SlaveRead<'_, 'py>,
-        gripper: &mut GripperOrder,
+        beside: &mut Beside,
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
 }
 
@@ -131,7 +143,7 @@ impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<D
                 report_fault(side, read.fault);
                 let plant = &mut side.side.plant;
                 (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
-                plant.rotation = rotation;
+                (plant.rotation, plant.buttons) = (rotation, read.buttons);
                 if let Some(trigger) = &mut side.side.trigger {
                     *trigger = Trigger::Driven(read.trigger);
                 }
@@ -151,7 +163,7 @@ impl<R: SlaveTurn, const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<Driv
         &mut self,
         py: Python<'py>,
         read: SlaveRead<'_, 'py>,
-        gripper: &mut GripperOrder,
+        beside: &mut Beside,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let sample = [
             read_axes("position", read.position)?,
@@ -178,11 +190,11 @@ impl<R: SlaveTurn, const N: usize> SlaveSteps for PacedLoop<Timed<SlaveSide<Driv
             },
             |side| {
                 let led = side.side.gripper.as_ref().map_or(GripperOrder::Hold, |jaws| *jaws.order());
-                (*side.side.plant.order(), led)
+                (*side.side.plant.order(), Beside { gripper: led, buttons: side.exchange().peer_buttons() })
             },
         );
-        let Some((order, led)) = order else { return Ok(None) };
-        *gripper = led;
+        let Some((order, said)) = order else { return Ok(None) };
+        *beside = said;
         let named = match order {
             SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
@@ -296,7 +308,7 @@ constructor!(MasterLoop, peer,
 #[pymethods]
 impl MasterLoop {
     #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None, trigger=None, orientation=None,
-        angular_velocity=None))]
+        angular_velocity=None, buttons=0))]
     #[allow(clippy::too_many_arguments)] // those of a sample, by name
     fn step<'py>(
         &self,
@@ -308,8 +320,10 @@ impl MasterLoop {
         trigger: Option<f64>,
         orientation: Option<[f64; 4]>,
         angular_velocity: Option<[f64; 3]>,
+        buttons: u32,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        let read = MasterRead { position, velocity, clutch, fault, trigger, orientation, angular_velocity };
+        let read =
+            MasterRead { position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons };
         own(&self.paced)?.step(py, read)
     }
 }
@@ -317,8 +331,8 @@ impl MasterLoop {
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SlaveLoop {
     paced: Mutex<Box<dyn SlaveSteps>>,
-    /// What the gripper is to do after the last tick.
-    gripper: Mutex<GripperOrder>,
+    /// After the last tick.
+    beside: Mutex<Beside>,
     pub(crate) watched: Watched<SlaveRows>,
     kind: SideKind,
 }
@@ -337,8 +351,8 @@ constructor!(SlaveLoop, listen, [], |py, scene, run_id, how| {
             (Box::new(paced), watched)
         }
     };
-    let gripper = Mutex::new(GripperOrder::Hold);
-    Ok(Self { paced: Mutex::new(paced), gripper, watched, kind: scene.master.kind })
+    let beside = Mutex::new(Beside::NOTHING);
+    Ok(Self { paced: Mutex::new(paced), beside, watched, kind: scene.master.kind })
 });
 
 #[pymethods]
@@ -364,17 +378,22 @@ impl SlaveLoop {
             force_n,
             holds_object,
         });
-        let mut led = GripperOrder::Hold;
+        let mut beside = Beside::NOTHING;
         let read =
             SlaveRead { position, velocity, force, fault, gripper, orientation, angular_velocity, torque };
-        let order = own(&self.paced)?.step(py, read, &mut led);
-        *locked(&self.gripper) = led;
+        let order = own(&self.paced)?.step(py, read, &mut beside);
+        *locked(&self.beside) = beside;
         order
     }
 
     #[getter]
+    fn buttons(&self) -> Option<u32> {
+        locked(&self.beside).buttons
+    }
+
+    #[getter]
     fn gripper_command(&self) -> Option<(f64, f64, f64)> {
-        match *locked(&self.gripper) {
+        match locked(&self.beside).gripper {
             GripperOrder::Hold => None,
             GripperOrder::Move(GripperCommand { position, speed, force_n }) => {
                 Some((position, speed, force_n))

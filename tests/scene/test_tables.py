@@ -180,6 +180,11 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     # the clutch
     ({"operator.clutch": [[0.0, 1.0], [1.0, 2.0]]}, "[operator] clutch: presses and releases must follow one"),
     ({"operator.clutch_reaction_s": 0.01}, "[operator] clutch_reaction_s = 0.01: must be 0.05 to 60"),
+    # buttons
+    ({"master.buttons": {"clutch": 32}}, "[master.buttons] clutch = 32: must be 0 to 31"),
+    ({"master.buttons": {"clutch": 1, "engage": 2}}, "[master.buttons] engage: works the clutch as clutch does"),
+    ({"master.buttons": {"gripper": 1}}, "[master.buttons] gripper: works no gripper: add [slave.gripper]"),
+    ({"master.buttons": {"clutch": 1, "gripper": 1}, "slave.gripper": {}}, "[master] buttons: a button of its own for each"),
     # the ladder
     ({"safety.ladder": {"hold_after_s": 0.005}}, "[safety.ladder] hold_after_s = 0.005: must be above stale_after_s = 0.005"),
     ({"safety.ladder": {"stop_after_s": 0.02}}, "[safety.ladder] stop_after_s = 0.02: must be above hold_after_s = 0.02"),

@@ -1,8 +1,8 @@
 """The tables of a scene on the side of the hand: `[master]` and `[operator]`."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import Struct, json
+from msgspec import Meta, Struct, json
 
 from haptether.bridge.scene.tables.ranges import (
     Axis,
@@ -53,6 +53,23 @@ class RotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Largest |tau| in N m that its motors exert; by default no bound."""
 
 
+_bit = Annotated[int, Meta(ge=0, le=31)]
+
+
+class ButtonsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[master.buttons]`: what the buttons of a driven device do, each by its bit of `MasterSample.buttons`, 0 to 31.
+
+    With this table nothing but a press engages: neither the start nor a signal closes a clutch that a button works.
+    """
+
+    clutch: _bit | None = None
+    """The clutch: closed while it is held."""
+    engage: _bit | None = None
+    """The clutch as a switch: a press closes it, the next opens it; it opens by itself where the two sides part."""
+    gripper: _bit | None = None
+    """The gripper: a press closes it, the next opens it."""
+
+
 class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[master]`: the haptic device. `m A + b V + c sign(V) = F_device + F_h`.
 
@@ -95,6 +112,8 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """V at the start, in m/s."""
     rotation: RotationTable | None = None
     """Its rotation; kind = "pose" needs it."""
+    buttons: ButtonsTable | None = None
+    """What the buttons of a driver's device do; by default nothing."""
     driver: str | None = None
     """Live only: drives a real device, by the name of an entry point of `haptether.masters`; this table then says what
     the safety layer takes the device for. By default a model of this table is held by the operator."""

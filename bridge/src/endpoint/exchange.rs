@@ -114,6 +114,21 @@ impl<const N: usize> Exchange<N> {
         self.link.set_layout(FrameLayout { has_gripper: true, ..self.link.layout() });
     }
 
+    /// The frames of both sides have the buttons of the master.
+    pub fn carry_buttons(&mut self) {
+        self.link.set_layout(FrameLayout { has_buttons: true, ..self.link.layout() });
+    }
+
+    /// What the next frame says of the buttons: bit n, button n is pressed.
+    pub(crate) fn report_buttons(&mut self, pressed: u32) {
+        self.outgoing.buttons = Some(pressed);
+    }
+
+    /// What the peer's newest frame says of the buttons of the master.
+    pub fn peer_buttons(&self) -> Option<u32> {
+        self.link.newest().and_then(|frame| frame.buttons)
+    }
+
     /// What the coordinates of this side and of its peer are; of a pose every frame has a rotation.
     pub fn set_kind(&mut self, kind: SideKind) {
         self.link.set_layout(FrameLayout { kind, ..self.link.layout() });

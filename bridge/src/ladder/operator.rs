@@ -201,6 +201,11 @@ impl Button {
         Some(self.closed)
     }
 
+    /// When it was last pressed so that it counted, in ns.
+    pub(crate) fn last_press_ns(&self) -> Option<u64> {
+        self.pressed_ns
+    }
+
     /// Whether the device has ever shown it.
     pub(crate) fn is_there(&self) -> bool {
         self.level.is_some()

@@ -96,7 +96,8 @@ fn master<P: MasterPlant<N>, const N: usize>(
     plant: P,
 ) -> Result<MasterSide<P, N>, SceneError> {
     let endpoint = master_endpoint(scene, SESSIONS.0)?;
-    Ok(MasterSide::new(plant, endpoint, clutch(scene))?.with_trigger(trigger(scene, false)?))
+    let side = MasterSide::new(plant, endpoint, clutch(scene))?.with_trigger(trigger(scene, false)?);
+    Ok(side.with_buttons(scene.master.buttons)?)
 }
 
 /// The clock of an endpoint. Endpoints live by monotonic clocks, which are never set back.

@@ -83,6 +83,9 @@ pub(super) fn slave_endpoint<const N: usize>(
         SideKind::Linear | SideKind::Joints => SlaveEndpoint::new(&settings)?,
     };
     endpoint.exchange.set_kind(scene.master.kind);
+    if scene.master.buttons.is_some() {
+        endpoint.exchange.carry_buttons();
+    }
     Ok(endpoint)
 }
 
@@ -151,7 +154,8 @@ pub fn simulated_master<const N: usize>(
 ) -> Result<Timed<MasterSide<Box<dyn MasterPlant<N> + Send>, N>>, SceneError> {
     let plant = simulated_device(scene)?;
     let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
-        .with_trigger(trigger(scene, false)?);
+        .with_trigger(trigger(scene, false)?)
+        .with_buttons(scene.master.buttons)?;
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 
@@ -169,6 +173,7 @@ pub fn simulated_pose_master(
         Box::new(pose::turning_master(scene, simulated_device(scene)?)?);
     let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
+        .with_buttons(scene.master.buttons)?
         .turning();
     Ok(Timed::new(side, commands::<3>(coupled(scene)?.1)?))
 }
@@ -218,7 +223,8 @@ pub fn driven_master<const N: usize>(
         master_endpoint(scene, run_id)?,
         driven_clutch(scene, simulated_clutch)?,
     )?
-    .with_trigger(trigger(scene, true)?);
+    .with_trigger(trigger(scene, true)?)
+    .with_buttons(scene.master.buttons)?;
     Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
 }
 

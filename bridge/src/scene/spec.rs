@@ -21,7 +21,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    LadderSettings, SideKind,
+    ButtonSettings, LadderSettings, SideKind,
     coupling::{CommandBounds, RotationBounds},
 };
 
@@ -157,6 +157,8 @@ pub struct MasterSpec<const N: usize> {
     pub velocity: Axes<N>,
     /// Mechanics of its rotation; of kind `pose` only.
     pub rotation: Option<RotationParameters>,
+    /// What its buttons do.
+    pub buttons: Option<ButtonSettings>,
 }
 
 /// `[operator]`.

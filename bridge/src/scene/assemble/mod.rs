@@ -40,6 +40,9 @@ pub enum SceneError {
     /// The clutch.
     #[error("operator.clutch: {0}")]
     Clutch(#[from] crate::ClutchError),
+    /// The buttons.
+    #[error(transparent)]
+    Buttons(#[from] crate::ButtonError),
     /// The session.
     #[error("security: {0}")]
     Session(#[from] crate::session::EndError),

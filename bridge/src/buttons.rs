@@ -1,0 +1,192 @@
+//! What the buttons of a device do: clutch, engage and gripper, as a scene maps them.
+
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+use crate::ladder::{Button, LadderState};
+
+/// Which button does what, by its bit from 0 to 31; what is none is done by no button.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ButtonSettings {
+    /// The clutch: closed while it is held.
+    pub clutch: Option<u8>,
+    /// The clutch as a switch: a press closes it, the next one opens it.
+    pub engage: Option<u8>,
+    /// The gripper: a press closes it, the next one opens it.
+    pub gripper: Option<u8>,
+}
+
+/// A mapping that no device can have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ButtonError {
+    /// A bit that no word has.
+    #[error("master.buttons.{name} = {seen}: must be 0 to 31")]
+    Bit {
+        /// Which.
+        name: &'static str,
+        /// What was given.
+        seen: u8,
+    },
+    /// Two things on one button, or the clutch on two.
+    #[error("master.buttons: must be a button of its own for each, and one of clutch and engage")]
+    Shared,
+}
+
+impl ButtonSettings {
+    /// Refuses what no device can have.
+    pub fn check(&self) -> Result<(), ButtonError> {
+        let Self { clutch, engage, gripper } = *self;
+        for (name, bit) in [("clutch", clutch), ("engage", engage), ("gripper", gripper)] {
+            if let Some(seen) = bit.filter(|bit| *bit > 31) {
+                return Err(ButtonError::Bit { name, seen });
+            }
+        }
+        let shared = gripper.is_some() && (gripper == clutch || gripper == engage);
+        if shared || clutch.is_some() && engage.is_some() { Err(ButtonError::Shared) } else { Ok(()) }
+    }
+}
+
+/// What the buttons of a device say, tick by tick.
+///
+/// A contact that bounces presses once. A button that is closed at the first sample has not been pressed: it must be seen
+/// open before, as after a gap in which nobody knows what it did. The switch of the clutch opens by itself where the two
+/// sides have parted, so that nothing but a press closes it again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Buttons {
+    settings: ButtonSettings,
+    engage: Switch,
+    gripper: Switch,
+    /// Whether the last press of the clutch was taken up, at the last tick.
+    was_aligned: bool,
+}
+
+/// A button that switches something on and off.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Switch {
+    button: Button,
+    is_known: bool,
+    on: bool,
+}
+
+impl Switch {
+    fn at(&mut self, now_ns: u64, level: bool) -> bool {
+        let before = self.button.last_press_ns();
+        let _ = self.button.at(now_ns, Some(level));
+        // Closed at the first sample, it was pressed by nobody.
+        let counts = std::mem::replace(&mut self.is_known, true) && self.button.last_press_ns() != before;
+        self.on ^= counts;
+        self.on
+    }
+}
+
+impl Buttons {
+    pub(crate) fn new(settings: ButtonSettings) -> Result<Self, ButtonError> {
+        settings.check()?;
+        let (engage, gripper) = (Switch::default(), Switch::default());
+        Ok(Self { settings, engage, gripper, was_aligned: false })
+    }
+
+    /// Whether a button works the clutch.
+    pub(crate) fn has_clutch(&self) -> bool {
+        self.settings.clutch.is_some() || self.settings.engage.is_some()
+    }
+
+    /// Takes the word of a tick: bit n, button n is pressed.
+    ///
+    /// Returns whether the clutch is closed, where a button works it, and the trigger, 0 open or 1 closed, where one does.
+    pub(crate) fn at(&mut self, now_ns: u64, word: u32) -> (Option<bool>, Option<f64>) {
+        let level = |bit: u8| word >> bit & 1 == 1;
+        let ButtonSettings { clutch, engage, gripper } = self.settings;
+        let engaged = engage.map(|bit| self.engage.at(now_ns, level(bit)));
+        let closed = gripper.map(|bit| f64::from(u8::from(self.gripper.at(now_ns, level(bit)))));
+        (clutch.map(level).or(engaged), closed)
+    }
+
+    /// The loop was late: the switch of the clutch is open.
+    pub(crate) fn open(&mut self) {
+        self.engage.on = false;
+    }
+
+    /// The ladder stands there: where a press is no longer taken up, the switch of the clutch is open.
+    pub(crate) fn follow(&mut self, state: LadderState) {
+        if std::mem::replace(&mut self.was_aligned, state.is_aligned()) && !state.is_aligned() {
+            self.open();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn buttons(clutch: Option<u8>, engage: Option<u8>, gripper: Option<u8>) -> Buttons {
+        Buttons::new(ButtonSettings { clutch, engage, gripper }).unwrap()
+    }
+
+    #[test]
+    fn a_press_switches_and_the_clutch_is_held() {
+        let mut held = buttons(Some(3), None, None);
+        for (n, word) in [(0, 0), (1, 8), (2, 8), (3, 0xFFFF_FFF7), (4, u32::MAX)] {
+            assert_eq!(held.at(n * MS, word), (Some(word & 8 != 0), None));
+        }
+        let mut switched = buttons(None, Some(0), Some(31));
+        let mut now = 0;
+        let mut press = |switched: &mut Buttons, word: u32| {
+            let mut last = (None, None);
+            for (level, ticks) in [(0, 30), (word, 50), (0, 30)] {
+                for _ in 0..ticks {
+                    last = switched.at(now * MS, level);
+                    now += 1;
+                }
+            }
+            last
+        };
+        assert_eq!(press(&mut switched, 0), (Some(false), Some(0.0)));
+        assert_eq!(press(&mut switched, 1), (Some(true), Some(0.0)));
+        assert_eq!(press(&mut switched, 1 << 31), (Some(true), Some(1.0)));
+        assert_eq!(press(&mut switched, 1), (Some(false), Some(1.0)));
+        assert_eq!(press(&mut switched, 0x8000_0001), (Some(true), Some(0.0)));
+        for (state, on) in [
+            (LadderState::Disengaged, true),
+            (LadderState::Aligning, true),
+            (LadderState::Engaged, true),
+            (LadderState::Stale, true),
+            (LadderState::Disengaged, false),
+        ] {
+            switched.follow(state);
+            assert_eq!(press(&mut switched, 0), (Some(on), Some(0.0)), "{state:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_closed_at_the_start_and_what_bounces_is_no_press() {
+        let mut engage = buttons(None, Some(0), None);
+        for n in 0..100 {
+            assert_eq!(engage.at(n * MS, 1).0, Some(false), "{n}");
+        }
+        for n in 100..200 {
+            assert_eq!(engage.at(n * MS, 0).0, Some(false));
+        }
+        // A contact that bounces for 6 ms: one press.
+        for (n, level) in [1, 0, 1, 0, 1, 0].into_iter().chain([1; 60]).enumerate() {
+            let on = engage.at((200 + n as u64) * MS, level).0;
+            assert!(n < 6 || on == Some(true), "{n}: {on:?}");
+        }
+    }
+
+    #[test]
+    fn a_mapping_that_cannot_be_is_refused() {
+        for (clutch, engage, gripper) in [
+            (Some(32), None, None),
+            (None, Some(32), None),
+            (Some(0), Some(1), None),
+            (Some(1), None, Some(1)),
+            (None, Some(2), Some(2)),
+        ] {
+            assert!(ButtonSettings { clutch, engage, gripper }.check().is_err());
+        }
+    }
+}

@@ -1,0 +1,168 @@
+"""The buttons of a device: what a scene maps them to, over sockets."""
+
+import secrets
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from tests.ur.stalls import anew_after_stalls
+
+from haptether.bridge import (
+    LiveMaster,
+    LiveSlave,
+    MasterLoop,
+    MasterRun,
+    SlaveLoop,
+    SlaveRun,
+    load_scene,
+    override_scene,
+    scene_json,
+)
+from haptether.master import MasterSample
+from haptether.slave import SlaveSample
+
+pytestmark = pytest.mark.alone
+
+ENGAGE, GRIPPER = 1 << 4, 1 << 0
+SPEC = scene_json(
+    override_scene(
+        load_scene("remote_push", ["environment.pushers=[]"]),
+        ["master.buttons={engage = 4, gripper = 0}", "slave.gripper={speed = 10.0}"],
+    )
+)
+
+
+def how(**others: object) -> dict[str, Any]:
+    return {"run_id": secrets.randbits(64), "insecure": True, **others}
+
+
+def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
+    end_s = time.monotonic() + seconds
+    while not done() and time.monotonic() < end_s:
+        time.sleep(0.002)
+    assert done()
+
+
+class Hand:
+    """A device that rests, with buttons."""
+
+    paces = False
+
+    def __init__(self) -> None:
+        self.buttons = 0
+
+    def open(self) -> None:
+        pass
+
+    def read(self) -> MasterSample:
+        return MasterSample(0.02, buttons=self.buttons)
+
+    def write(self, force: tuple[float, ...]) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def press(self, button: int, seconds: float = 0.06) -> None:
+        # A contact that was open for less than 20 ms bounces.
+        time.sleep(seconds)
+        self.buttons |= button
+        time.sleep(seconds)
+        self.buttons &= ~button
+        time.sleep(seconds)
+
+
+class Arm:
+    """One that stays where it is."""
+
+    paces = False
+
+    def open(self) -> None:
+        pass
+
+    def read(self) -> SlaveSample:
+        return SlaveSample(0.02, 0.0, 0.0)
+
+    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@anew_after_stalls
+def test_a_button_engages_and_another_works_the_gripper() -> None:
+    hand = Hand()
+    slave = LiveSlave(SPEC, listen="127.0.0.1:0", **how())
+    master = MasterRun(hand, MasterLoop(SPEC, peer=slave.address, duration_s=30.0, patience_s=10.0, **how()))
+    until(lambda: master.is_answered)
+    time.sleep(0.3)
+    assert master.state == "disengaged", "a mapped clutch is not pressed by the start"
+    master.press_clutch()
+    time.sleep(0.2)
+    assert master.state == "disengaged", "nor by a signal"
+    hand.press(GRIPPER)
+    hand.press(ENGAGE)
+    until(lambda: master.state == "engaged" and slave.state == "engaged")
+    # The other side falls silent: nothing but a press couples again.
+    hand.press(GRIPPER)
+    hand.press(GRIPPER)
+    time.sleep(0.3)
+    hand.press(ENGAGE)
+    until(lambda: master.state == "disengaged")
+    assert slave.state == "disengaged"
+    master.stop()
+    near, _ = master.finish()
+    slave.stop()
+    far, _ = slave.finish()
+    assert set(near.trigger.tolist()) == {0.0, 1.0}
+    # It was open when they came together and the trigger closed: it follows once the trigger has come to it.
+    assert far.gripper_command[-1] == pytest.approx(1.0, abs=0.05)
+
+
+@anew_after_stalls
+def test_a_switch_of_the_clutch_is_open_after_the_sides_have_parted() -> None:
+    hand = Hand()
+    slave = LiveSlave(SPEC, listen="127.0.0.1:0", **how())
+    address = slave.address
+    master = MasterRun(hand, MasterLoop(SPEC, peer=address, duration_s=30.0, patience_s=10.0, **how()))
+    until(lambda: master.is_answered)
+    hand.press(ENGAGE)
+    until(lambda: master.state == "engaged")
+    slave.stop()
+    slave.finish()
+    until(lambda: master.state != "engaged")
+    again = LiveSlave(SPEC, listen=address, **how())
+    until(lambda: master.is_answered)
+    time.sleep(0.5)
+    assert master.state not in {"engaged", "stale", "aligning"}
+    assert again.state not in {"engaged", "stale"}
+    hand.press(ENGAGE)
+    until(lambda: master.state == "engaged")
+    for side in (master, again):
+        side.stop()
+        side.finish()
+
+
+def test_a_driver_of_the_slave_sees_the_buttons() -> None:
+    hand = Hand()
+    hand.buttons = 1 << 31 | 1 << 7
+    loop = SlaveLoop(SPEC, listen="127.0.0.1:0", **how())
+    slave = SlaveRun(Arm(), loop)
+    master = LiveMaster(SPEC, peer=slave.address, duration_s=3.0, patience_s=5.0, **how())
+    until(lambda: loop.buttons == 0)
+    master.stop()
+    master.finish()
+    slave.stop()
+    slave.finish()
+    loop = SlaveLoop(SPEC, listen="127.0.0.1:0", **how())
+    slave = SlaveRun(Arm(), loop)
+    led = MasterRun(hand, MasterLoop(SPEC, peer=slave.address, duration_s=3.0, patience_s=5.0, **how()))
+    until(lambda: loop.buttons == 1 << 31 | 1 << 7)
+    for side in (led, slave):
+        side.stop()
+        side.finish()
