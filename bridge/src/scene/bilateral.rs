@@ -349,19 +349,12 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         if self.measures.diverged(x, v, force) {
             return self.diverge(time_s, self.measures.cause(0, x, v));
         }
-        let settled = self.measures.take(
-            time_s,
-            x,
-            v,
-            &record.rendered_force,
-            force,
-            &record.hand_force,
-            record.tripped != 0,
-        );
-        self.settled = settled == Some(true) && self.engaged_s.is_some();
-        self.ticks += 1;
         let turn = record.rotation.rotation();
         let tripped = record.tripped | turn.map_or(0, |turn| turn.tripped);
+        let settled =
+            self.measures.take(time_s, x, v, &record.rendered_force, force, &record.hand_force, tripped != 0);
+        self.settled = settled == Some(true) && self.engaged_s.is_some();
+        self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(tripped));
         let coupled = self.states.iter().all(|state| state.is_coupled());
         if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn) {

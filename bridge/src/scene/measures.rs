@@ -176,8 +176,10 @@ impl MeasureSettings {
         quiet_after = links.map(LinkSettings::last_change_s).fold(quiet_after, f64::max);
         let ramp = scene.safety.limiter.as_ref().map_or(0.0, |limiter| limiter.ramp_in_s);
         quiet_after += late as f64 * scene.run.period_s + 2.0 * round_trip + ramp;
+        // A hand that only lets the handle turn lets go as well.
+        let of_turn = operator.and_then(|operator| operator.rotation.as_ref()?.release);
         Self {
-            release_s: release.map(|release| release.at_s),
+            release_s: release.copied().or(of_turn).map(|release| release.at_s),
             diverged_position: scene.run.diverged_position,
             diverged_speed: scene.run.diverged_speed,
             quiet_after_s: scene.run.stop_early.then_some(quiet_after),
