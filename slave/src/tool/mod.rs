@@ -157,6 +157,14 @@ struct Body {
     gravity: f64,
 }
 
+impl Body {
+    /// Whether it is between the jaws of a tool.
+    fn in_reach(&self, tool: &Frame, at: &Frame) -> bool {
+        let from = at.orientation.inverse() * (tool.position - at.position);
+        (from.abs() - self.half_extents).max() <= JAW_REACH
+    }
+}
+
 /// All that moves.
 #[derive(Clone, Debug, PartialEq)]
 struct Motion {
@@ -225,7 +233,7 @@ struct World {
 /// **Handles** turn about one axis: `J theta'' = -b theta' - c sign(theta') - k theta + (p x f + tau)·a`. **Bodies** are
 /// boxes that lie with their corners on what is touched, under gravity; the tool touches them with its jaws alone. What it
 /// holds is bound by a stiff spring and damper in translation and rotation; between jaws it slips where the force
-/// across their closing direction, the tool's x axis, exceeds `2 mu F`, or the moment `2 mu F r`.
+/// across their closing direction, the tool's x axis, exceeds `2 mu F`, or the moment `2 mu F r`, until it is out of them.
 ///
 /// **Integrator.** Runge, Kutta and Munthe-Kaas of order 4 in sub-steps of which the stiffest part needs at least 25 for
 /// a swing; R stays a rotation. Friction at a surface is regularised as in [`Contact`](crate::Contact), so that the equations are
@@ -485,13 +493,12 @@ impl SimulatedTool {
         if let Some(index) = self.handle_in_reach() {
             return Some((self.taken_handle(index), at(self.world.handles[index].width)?));
         }
-        let inside = |index: &usize| {
-            let (body, rigid) = (&self.world.bodies[*index], &self.motion.bodies[*index]);
-            let from = rigid.orientation.inverse() * (self.motion.tool.position - rigid.position);
-            (from.abs() - body.half_extents).max() <= JAW_REACH
+        let tool = self.tool_frame();
+        let reached = |index: &usize| {
+            self.world.bodies[*index].in_reach(&tool, &self.world.body_frame(&self.motion, *index))
         };
-        let index = (0..self.world.bodies.len()).find(inside)?;
-        let hold = Hold::at(&self.tool_frame(), &self.world.body_frame(&self.motion, index));
+        let index = (0..self.world.bodies.len()).find(reached)?;
+        let hold = Hold::at(&tool, &self.world.body_frame(&self.motion, index));
         Some((Held::Body(index, hold), at(self.body_width(index))?))
     }
 
@@ -822,20 +829,23 @@ impl World {
         load
     }
 
-    /// Lets what the jaws cannot keep slip.
+    /// Lets what the jaws cannot keep slip, and go where it has slipped out of them.
     fn slip(&mut self, motion: &Motion) {
         let (Some(grip), Some(held)) = (self.grip, self.held) else { return };
         let tool = self.tool_frame(motion);
-        self.held = Some(match held {
+        self.held = match held {
             Held::Handle(index, mut hold) => {
-                let handle = &self.handles[index];
-                hold.slip(&tool, &handle.frame(motion.handles[index]), &handle.hold, &grip);
-                Held::Handle(index, hold)
+                let (handle, frame) =
+                    (&self.handles[index], self.handles[index].frame(motion.handles[index]));
+                hold.slip(&tool, &frame, &handle.hold, &grip);
+                let is_near = (frame.position - tool.position).norm() <= handle.reach;
+                is_near.then_some(Held::Handle(index, hold))
             }
             Held::Body(index, mut hold) => {
-                hold.slip(&tool, &self.body_frame(motion, index), &self.jaw_stiffness, &grip);
-                Held::Body(index, hold)
+                let frame = self.body_frame(motion, index);
+                hold.slip(&tool, &frame, &self.jaw_stiffness, &grip);
+                self.bodies[index].in_reach(&tool, &frame).then_some(Held::Body(index, hold))
             }
-        });
+        };
     }
 }
