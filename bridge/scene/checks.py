@@ -485,6 +485,8 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
         yield wrong(("safety", "damping"), safety["damping"], allowed)
     if "pc" in safety["controllers"] and safety["pc_max_damping"] > limit:
         yield wrong(("safety", "pc_max_damping"), safety["pc_max_damping"], allowed)
+    if safety["rotation"] is not None and master["rotation"] is not None:
+        yield from _damping_of_rotation(safety, master["rotation"], run["period_s"])
     estimator = safety["estimator"]
     if estimator["kind"] == "kalman":
         # (12 q / (quantum² dT))^(1/6) dT, by logarithms: no power of what is allowed then overflows or vanishes.
@@ -497,3 +499,13 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
                 f"{estimator['quantum_m']:g}"
             )
             yield wrong(("safety", "estimator", "jerk_density"), estimator["jerk_density"], allowed)
+
+
+def _damping_of_rotation(safety: Spec, device: Spec, period_s: float) -> Iterator[SceneError]:
+    limit = max_damping(device["inertia_kg_m2"], period_s)
+    allowed = f"at most I / (5 dT) = {limit:g}"
+    own = safety["rotation"]
+    controllers = set(safety["controllers"] if own["controllers"] is None else own["controllers"])
+    for key, acts in {"damping": controllers - {"pc"}, "pc_max_damping": controllers & {"pc"}}.items():
+        if acts and own[key] is not None and own[key] > limit:
+            yield wrong(("safety", "rotation", key), own[key], allowed)

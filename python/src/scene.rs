@@ -9,6 +9,7 @@ use std::{
     time::Duration,
 };
 
+use haptether_bridge::SideKind;
 use haptether_bridge::scene::{
     self, Outcome, Progress, Refused, SceneError, SceneRun, SceneSpec, Signal, SweepSettings, Variation,
     simulate, sweep,
@@ -207,7 +208,10 @@ fn sweep_scenes(
     let columns: Vec<(String, Vec<f64>)> =
         columns.into_iter().map(|(path, values)| (path, values.as_array().to_vec())).collect();
     let settings = SweepSettings { threads, lanes };
-    let period_s = of_axes!(scene_axes(scene_json)?, N => scene_spec::<N>(scene_json)?.run.period_s);
+    let (period_s, kind) = of_axes!(scene_axes(scene_json)?, N => {
+        let scene = scene_spec::<N>(scene_json)?;
+        (scene.run.period_s, scene.master.kind)
+    });
     let variations: Vec<_> = columns
         .iter()
         .map(|(path, values)| Variation { path: path.clone(), values: values.clone() })
@@ -238,6 +242,12 @@ fn sweep_scenes(
     table.set_item("intervention_ticks", column(py, rows.iter().map(ticks).collect::<Vec<f64>>()))?;
     table.set_item("position_rmse_m", numbers(&|one| one.position_rmse_m))?;
     table.set_item("force_rmse_n", numbers(&|one| one.force_rmse_n))?;
+    if kind == SideKind::Pose {
+        table.set_item("max_ejection_rate", numbers(&|one| one.max_ejection_rate))?;
+        table.set_item("peak_device_torque", numbers(&|one| one.peak_device_torque))?;
+        table.set_item("orientation_rmse_rad", numbers(&|one| one.orientation_rmse_rad))?;
+        table.set_item("torque_rmse_n_m", numbers(&|one| one.torque_rmse_n_m))?;
+    }
     table.set_item("passivity_min_j", numbers(&|one| one.passivity_min_j))?;
     let diverged = |row: &Result<Outcome, Refused>| row.as_ref().is_ok_and(|one| one.diverged.is_some());
     table.set_item("diverged", column(py, rows.iter().map(diverged).collect::<Vec<bool>>()))?;
