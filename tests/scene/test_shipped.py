@@ -55,6 +55,14 @@ SHOWN: list[Shown] = [
     ("attack_replay", [], (0.17, 0.2), (2.1, 2.4), None, 0),
     # 0.03 m in 1 s: at most 1.875 L / T = 0.05625 m/s.
     ("gripper", [], (0.0560, 0.0565), (0.0, 0.0), None, 0),
+    # What turns in these is held in test_pose.py. The middle of the handle stays where it is.
+    ("torque_release", [], (0.0, 0.0), (0.0, 0.0), None, 0),
+    ("torque_release", ["safety.controllers=[hsc]"], (0.0, 0.0), (0.0, 0.0), (0.005, 0.02), 0),
+    ("valve", [], (0.0, 0.0), (0.0, 0.0), None, 0),
+    # Along the force: 40 mm in 3 s and 80 mm in 1.5 s, 1.875 L / T = 0.025 and 0.1 m/s.
+    ("peg_in_hole", [], (0.024, 0.030), (1.6, 3.0), None, 0),
+    # A fifth of 4.9 N, and of what lifts it.
+    ("pick_and_place", [], (0.095, 0.105), (0.98, 1.1), None, 0),
 ]
 
 

@@ -1,0 +1,301 @@
+"""Scenes of kind "pose": each held to what it shows, with other networks, seeds and frames; and what is refused."""
+
+from math import asin, cos, hypot, pi, sin
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from haptether.bridge import Run, SceneError, load_scene, override_scene, simulate, sweep
+
+Array = npt.NDArray[np.float64]
+
+INERTIA_KG_M2, COULOMB_N_M, TORQUE_N_M = 4e-4, 2e-3, 0.1
+"""Of torque_release."""
+GROWTH = (TORQUE_N_M - COULOMB_N_M) / INERTIA_KG_M2
+"""In rad/s² of a handle that nobody holds."""
+
+
+def angle(quat_wxyz: Array) -> Array:
+    """Of rotations from none, in rad."""
+    return 2.0 * np.arctan2(np.linalg.norm(quat_wxyz[..., 1:], axis=-1), np.abs(quat_wxyz[..., 0]))
+
+
+def both_ways(delay_s: float, loss: float = 0.0) -> list[str]:
+    return [f"link.{way}={{delay_s = {delay_s}, loss = {loss}}}" for way in ("forward", "backward")]
+
+
+def kinds(run: Run) -> list[str]:
+    return [event.kind for event in run.events]
+
+
+# ------------------------------------------------------------------------------------------------- torque release
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.005, 0.02])
+def test_at_once_without_a_grip_the_handle_is_as_fast_as_the_closed_form(delay_s: float) -> None:
+    run = simulate("torque_release", overrides=[*both_ways(delay_s), "operator.rotation.release.decay_s=0.0"])
+    # The torque ends 0.1 s after the release, and is felt to end later by the way back; a tick either way.
+    expected = GROWTH * (0.1 + delay_s)
+    assert run.metrics.max_ejection_rate == pytest.approx(expected, abs=2.0 * GROWTH * 1e-3)
+
+
+def test_a_grip_that_opens_takes_what_its_own_equation_says() -> None:
+    """I w' = tau - c - s (k phi + b w), s from 1 to 0 within 20 ms, from where friction held the handle."""
+    run = simulate("torque_release")
+    release_s = next(event.time_s for event in run.events if event.kind == "engaged") + 1.2
+    before = run.signals["hand_torque"][np.searchsorted(run.signals["time_s"], release_s) - 1, 2]
+    phi, rate, step = -before / 3.0, 0.0, 1e-6
+    for share in np.arange(1.0, 0.0, -step / 0.02):
+        push = TORQUE_N_M - share * (3.0 * phi + 0.03 * rate) - COULOMB_N_M
+        # At rest friction holds the handle; it only turns the way that it is pushed.
+        rate = max(rate + push / INERTIA_KG_M2 * step, 0.0)
+        phi += rate * step
+    assert rate < 0.5 * GROWTH * 0.02
+    expected = rate + GROWTH * (0.1 + 0.005 - 0.02)
+    assert run.metrics.max_ejection_rate == pytest.approx(expected, abs=GROWTH * 1e-3)
+
+
+@pytest.mark.parametrize(("controller", "most"), [("vfc", 7.0), ("hsc", 2.5), ("wsc", 9.5), ("pc", 4.5)])
+def test_with_each_controller_it_is_slower(controller: str, most: float) -> None:
+    run = simulate("torque_release", overrides=[f"safety.controllers=[{controller}]"])
+    assert run.metrics.max_ejection_rate is not None
+    assert 0.0 < run.metrics.max_ejection_rate < most
+    assert run.metrics.time_to_trip_s is not None
+    assert 0.0 < run.metrics.time_to_trip_s < 0.1
+    assert not run.signals["angular_velocity"][-1].any(), "comes to rest"
+
+
+def test_a_release_of_the_handle_is_a_release_of_the_scene() -> None:
+    assert simulate("torque_release", overrides=["run.duration_s=1.0"]).metrics.outcome == "not-released"
+
+
+def test_a_sweep_of_poses_is_its_runs() -> None:
+    torques = [0.05, 0.1, 0.2]
+    rows = sweep(
+        "torque_release", {"environment.torques.0.torque_n_m.2": torques}, overrides=["safety.controllers=[hsc]"]
+    )
+    for torque, peak in zip(torques, rows["max_ejection_rate"], strict=True):
+        changed = [f"environment.torques.0.torque_n_m=[0.0, 0.0, {torque}]", "safety.controllers=[hsc]"]
+        assert simulate("torque_release", overrides=changed).metrics.max_ejection_rate == peak
+
+
+# --------------------------------------------------------------------------------------------------- peg in hole
+
+RADIUS, CLEARANCE, LENGTH, STIFFNESS = 0.01, 2e-4, 0.018, 1e5
+"""Of the peg in m, on the diameter, of what guides it; of the walls in N/m."""
+
+
+def tilted(azimuth: float) -> str:
+    half = pi / 72.0
+    return f"slave.tool.quat_wxyz=[{cos(half)!r}, {sin(half) * cos(azimuth)!r}, {sin(half) * sin(azimuth)!r}, 0.0]"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        [tilted(0.0)],
+        [tilted(pi / 8.0)],
+        [tilted(4.0)],
+        both_ways(0.0),
+        both_ways(0.015),
+        [*both_ways(0.005, loss=0.02), "run.seed=7"],
+        ["environment.holes.0.entrance=[0.0015, 0.0, 0.0]"],
+    ],
+    ids=["shipped", "about x", "between points", "the other way", "no delay", "30 ms", "loss", "beside the hole"],
+)
+def test_a_tilted_peg_goes_to_the_bottom_of_the_hole(overrides: list[str]) -> None:
+    run = simulate("peg_in_hole", overrides=overrides)
+    tilt = angle(run.signals["slave_orientation"])
+    assert tilt[0] == pytest.approx(np.radians(5.0), abs=1e-12)
+    # It lies on the bottom, which yields by what presses it: up to 10 N on one of its points.
+    assert 0.02 <= run.signals["hole_depth"][-1] <= 0.02 + 10.0 / STIFFNESS
+    assert tilt[-1] < asin(CLEARANCE / LENGTH)
+    assert np.linalg.norm(run.signals["environment_force"], axis=1).max() < 10.0
+    assert run.metrics.false_trips == 0
+    # It is the hand that has turned, most of the way.
+    assert angle(run.signals["orientation"])[-1] > np.radians(5.0) / 2.0
+
+
+@pytest.mark.slow
+def test_without_torque_on_the_hand_the_peg_stays_as_tilted_as_the_walls_let_it() -> None:
+    run = simulate("peg_in_hole", overrides=["coupling.torque_scale=0.01"])
+    tilt = angle(run.signals["slave_orientation"])[-1]
+    # The servo's torque, at most 1 N m/rad times 5 degrees, presses into both walls.
+    yields = 2.0 * np.radians(5.0) / LENGTH / STIFFNESS
+    chord = 2.0 * RADIUS * (1.0 - cos(tilt))
+    assert asin(CLEARANCE / LENGTH) < tilt < asin((CLEARANCE + chord + yields) / LENGTH)
+    assert angle(run.signals["orientation"])[-1] < np.radians(0.5)
+
+
+# --------------------------------------------------------------------------------------------------------- valve
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.06])
+@pytest.mark.parametrize("coulomb", [0.02, 0.05])
+def test_a_valve_is_turned_by_90_degrees_and_its_friction_is_felt(delay_s: float, coulomb: float) -> None:
+    run = simulate("valve", overrides=[*both_ways(delay_s), f"environment.handles.0.coulomb={coulomb}"])
+    signals = run.signals
+    turned = signals["handle_angle"]
+    # What friction keeps of the springs of hand, servo and hold in series.
+    assert turned[-1] == pytest.approx(pi / 2.0, abs=coulomb * (0.5 / 3.0 + 1.0 / 5.0 + 1.0 / 50.0))
+    rate = np.gradient(turned, signals["slave_time_s"])
+    acceleration = np.gradient(rate, signals["slave_time_s"])
+    # The tool itself is 2.5 times as hard to turn as the valve, but its own servo does that.
+    needed = coulomb + 0.02 * rate + 0.002 * acceleration
+    turning = rate > 0.1
+    assert turning.sum() > 1500
+    assert np.abs(signals["environment_torque"][:, 2] + needed)[turning].max() < 0.05 * coulomb
+    late = round(delay_s / 1e-3) + 1
+    felt = signals["device_torque"][late:, 2][turning[:-late]]
+    assert felt == pytest.approx(-0.5 * needed[:-late][turning[:-late]], abs=0.05 * coulomb)
+    assert run.metrics.false_trips == 0
+
+
+# ------------------------------------------------------------------------------------------------ pick and place
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("overrides", [[], ["run.seed=1"], [*both_ways(0.02, 0.05), "run.seed=2"]])
+def test_a_box_is_carried_and_turned(overrides: list[str]) -> None:
+    run = simulate("pick_and_place", overrides=overrides)
+    place, turn = run.signals["body_position"], run.signals["body_orientation"]
+    # Lifted by 80 mm, less what its weight of 4.9 N takes of the servo, 1 kN/m, and a fifth of it of the hand, 300 N/m.
+    assert place[:, 2].max() == pytest.approx(0.1 - 4.905 / 1000.0 - 0.2 * 4.905 / 300.0, abs=1e-3)
+    assert place[-1] == pytest.approx([0.2, 0.0, 0.02], abs=2e-3)
+    assert turn[-1] == pytest.approx([cos(pi / 4.0), 0.0, 0.0, sin(pi / 4.0)], abs=np.radians(1.0) / 2.0)
+    assert [kind for kind in kinds(run) if kind in {"grip", "drop"}] == ["grip", "drop"]
+    assert run.metrics.false_trips == 0
+    lifted = place[:, 2] > 0.08
+    assert np.median(run.signals["environment_force"][lifted, 2]) == pytest.approx(-4.905, rel=0.01)
+
+
+@pytest.mark.slow
+def test_what_the_jaws_cannot_hold_slips_out_and_stays() -> None:
+    """2 * 0.5 * 4 N is less than its weight of 4.9 N."""
+    run = simulate("pick_and_place", overrides=["slave.gripper.force_n=4.0"])
+    assert run.signals["body_position"][-1] == pytest.approx([0.0, 0.0, 0.02], abs=1e-3)
+    dropped_s = next(event.time_s for event in run.events if event.kind == "drop")
+    # The jaws leave it on the way up, not when the trigger opens them at 8.8 s.
+    assert 2.5 < dropped_s < 4.2
+    assert run.signals["holds_object"][-4000:].max() == 0.0
+
+
+# -------------------------------------------------------------------------------------------------------- frames
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.6, 0.0, 0.8)])
+def test_a_frame_between_the_two_sides_turns_what_is_commanded_and_what_is_felt(axis: tuple[float, ...]) -> None:
+    """C by 90 degrees about an axis: what the remote end does about z the hand feels about C' z, and turns about it."""
+    half = sqrt_half = cos(pi / 4.0)
+    quat = [half, *(sqrt_half * part for part in axis)]
+    run = simulate(
+        "torque_release", overrides=[f"coupling.quat_wxyz={quat!r}", "operator.rotation.release.decay_s=0.0"]
+    )
+    e, z = np.array(axis), np.array([0.0, 0.0, 1.0])
+    # C' by -90 degrees (Rodrigues).
+    felt = e * (e @ z) - np.cross(e, z)
+    torque, rate = run.signals["device_torque"], run.signals["angular_velocity"]
+    assert torque[1000] == pytest.approx(TORQUE_N_M * felt, abs=1e-9)
+    fastest = rate[np.argmax(np.linalg.norm(rate, axis=1))]
+    assert fastest / np.linalg.norm(fastest) == pytest.approx(felt, abs=1e-3)
+    # Its command has turned about z, the same angle.
+    command, hand = run.signals["slave_command_orientation"][1150], run.signals["orientation"][1150]
+    assert angle(command) == pytest.approx(angle(hand), abs=1e-6)
+    assert command[1:3] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert abs(command[3]) > 1e-3
+
+
+@pytest.mark.parametrize("scene", ["remote_push", "gripper"])
+def test_a_scene_of_points_has_nothing_that_turns(scene: str) -> None:
+    run = simulate(scene)
+    metrics = run.metrics
+    assert metrics.max_ejection_rate is metrics.peak_device_torque is metrics.orientation_rmse_rad is None
+    assert metrics.torque_rmse_n_m is None
+    assert not {"orientation", "slave_orientation", "device_torque", "rotation_tripped"} & set(run.signals)
+
+
+# ------------------------------------------------------------------------------------------------------ refusals
+
+REFUSED = [
+    # Kinds.
+    ("torque_release", "master.axes=2", "[master] axes = 2: must be 3 with kind"),
+    ("torque_release", "slave.kind=joints", 'must be "pose", that of the master: there is no map from pose to joints'),
+    ("torque_release", "master.kind=linear", "is for what turns"),
+    ("peg_in_hole", "master.kind=linear", "is for what turns"),
+    # What poses need and cannot have.
+    ("torque_release", "run.stop_early=true", "[run] stop_early"),
+    ("torque_release", "slave.control=position", 'must be "pd" with kind = "pose"'),
+    ("torque_release", "slave.force_sensor={noise_n = 0.1}", "[slave] force_sensor: is exact"),
+    ("torque_release", "coupling.rotation_axis=[0.0, 0.0, 2.0]", "of length 1, not 2"),
+    ("torque_release", "coupling={rotation_axis = [0.0, 0.0, 1.0], locks_rotation = true}", "turns about no axis"),
+    ("torque_release", "slave.tool.quat_wxyz=[1.0, 1.0, 0.0, 0.0]", "[slave.tool] quat_wxyz"),
+    ("torque_release", "coupling.quat_wxyz=[2.0, 0.0, 0.0, 0.0]", "[coupling] quat_wxyz"),
+    # Its world.
+    (
+        "torque_release",
+        "environment.objects=[{contact = {stiffness = 100.0}, body = {mass_kg = 1.0}}]",
+        "[[environment.bodies]] has what moves",
+    ),
+    ("peg_in_hole", "environment.holes.0.axis=[0.0, 0.0, 0.0]", "of any length but 0"),
+    ("peg_in_hole", "environment.holes.0.radius=0.0", "radius = 0"),
+    ("peg_in_hole", "environment.holes.0.contact.exponent=2.0", "exponent"),
+    ("valve", "environment.handles.0.axis=[0.0, 0.0, 0.0]", "of any length but 0"),
+    ("valve", "environment.handles.0.stops_rad=[1.0, 1.0]", "the lower stop below the upper"),
+    ("pick_and_place", "environment.bodies.0.quat_wxyz=[0.5, 0.0, 0.0, 0.0]", "of norm 1, not 0.5"),
+    ("pick_and_place", "environment.bodies.0.half_extents=[0.02, 0.0, 0.02]", "half_extents"),
+    # Its hand.
+    ("torque_release", "operator.rotation.start_wxyz=[0.0, 0.0, 0.0, 0.0]", "of norm 1, not 0"),
+    ("valve", "operator.rotation.legs=[{duration_s = 1.0}]", "needs turn or end_wxyz, one of the two"),
+    (
+        "valve",
+        "operator.rotation.legs=[{duration_s = 1.0, turn = [0.0, 0.0, 1.0], end_wxyz = [1.0, 0.0, 0.0, 0.0]}]",
+        "needs turn or end_wxyz, one of the two",
+    ),
+    ("valve", "operator.rotation.legs=[{duration_s = 1.0, turn = [0.0, 0.0, 3.2]}]", "shorter than pi"),
+    ("valve", "operator.rotation.legs=[{duration_s = 1.0, end_wxyz = [1.0, 1.0, 0.0, 0.0]}]", "of norm 1"),
+    ("torque_release", "operator.rotation.release.kind=strength", "give strength_n_m"),
+    # Its safety.
+    ("torque_release", "safety.rotation.lever_m=0.0", "lever_m = 0"),
+    ("torque_release", "safety.rotation.grasp_threshold=1.0", "grasp_threshold = 1"),
+    ("torque_release", "safety.rotation.energy_threshold_j=0.0", "energy_threshold_j = 0"),
+    (
+        "torque_release",
+        'safety.rotation={controllers = ["hsc"], damping = 1.0}',
+        "[safety.rotation] damping = 1: must be at most I / (5 dT) = 0.08",
+    ),
+    (
+        "torque_release",
+        'safety.rotation={controllers = ["pc"], pc_max_damping = 1.0}',
+        "[safety.rotation] pc_max_damping = 1: must be at most I / (5 dT) = 0.08",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("scene", "change", "said"), REFUSED, ids=[f"{scene} {change}" for scene, change, _ in REFUSED]
+)
+def test_what_cannot_be_is_refused_with_its_key(scene: str, change: str, said: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        simulate(scene, overrides=[change])
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("table", ["master.rotation", "slave.tool", "slave"])
+def test_a_table_that_poses_need_is_missed(table: str) -> None:
+    scene = load_scene("torque_release", [])
+    with pytest.raises(SceneError) as refused:
+        override_scene(scene, [f"{table}=none"])
+    assert table.split(".", maxsplit=1)[0] in str(refused.value)
+
+
+def test_quaternions_of_the_signals_are_rotations() -> None:
+    signals = simulate("valve").signals
+    for name in ("orientation", "slave_orientation", "slave_command_orientation"):
+        norms = np.linalg.norm(signals[name], axis=1)
+        known = ~np.isnan(norms)
+        assert known.any()
+        assert norms[known] == pytest.approx(1.0, abs=1e-9), name
+    assert hypot(*signals["orientation"][-1]) == pytest.approx(1.0, abs=1e-9)
