@@ -12,13 +12,23 @@ from haptether.private_file import private_file
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from haptether.bridge import Run
+    from haptether.bridge import Run, Signals
 
 AXIS_NAMES = "xyz"
 PANELS = {
     "position [m]": {"position": "hand", "slave_position": "arm"},
     "velocity [m/s]": {"velocity": "hand"},
     "force [N]": {"device_force": "on the hand", "rendered_force": "rendered", "hand_force": "of the hand"},
+    "turned [rad]": {
+        "orientation": "hand",
+        "slave_command_orientation": "commanded",
+        "slave_orientation": "arm",
+    },
+    "turning [rad/s]": {"angular_velocity": "hand"},
+    "torque [N m]": {"device_torque": "on the hand", "rendered_torque": "rendered", "hand_torque": "of the hand"},
+    "handle [rad]": {"handle_angle": "handle"},
+    "hole [m]": {"hole_depth": "depth"},
+    "body [m]": {"body_position": "body"},
     "gripper": {"trigger": "trigger", "gripper_command": "commanded", "gripper": "jaws"},
     "tripped": {"tripped": "tripped"},
 }
@@ -29,12 +39,16 @@ TRIPPED = {1: "VFC", 2: "HSC", 4: "WSC", 8: "PC", 16: "held"}
 EVENTS_NAMED = 16
 MIN_GAP = 0.012
 """Share of the width that two names of events stand apart at least."""
-SLAVE_SIGNALS = ("slave_", "gripper")
+MAX_LINES = 6
+"""Of a panel whose legend is as large as that of the others."""
+NOTHING = 2e-3
+"""Share of the largest axis that is not seen beside it."""
+SLAVE_SIGNALS = ("slave_", "gripper", "handle_", "hole_", "body_")
 """How signals begin that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
 
 
 def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
-    """Draws positions, velocity, forces and interventions over time, with the events marked.
+    """Draws positions, velocity, forces, what turns and interventions over time, with the events marked.
 
     Args:
         run: With its signals.
@@ -46,28 +60,25 @@ def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
     """
     from matplotlib.figure import Figure
 
-    time_s = run.signals["time_s"]
+    signals = run.signals
+    time_s = signals["time_s"]
     # What a scene of one loop renders ticks with its master.
-    slave_time_s = run.signals.get("slave_time_s", time_s)
-    figure = Figure(figsize=(10.0, 9.0), layout="constrained")
+    slave_time_s = signals.get("slave_time_s", time_s)
+    drawn = {label: lines for label, signals_of in PANELS.items() if (lines := _lines(signals, signals_of))}
+    figure = Figure(figsize=(10.0, max(9.0, 1.9 * len(drawn))), layout="constrained")
     # Names of files and reasons are no formulas.
     figure.suptitle(printable(f"{Path(run.scene).stem}, seed {run.seed}"), parse_math=False)
-    drawn = {label: signals for label, signals in PANELS.items() if not signals.keys().isdisjoint(run.signals)}
-    panels = figure.subplots(len(drawn), 1, sharex=True, height_ratios=[HEIGHTS.get(label, 3) for label in drawn])
-    for panel, (label, signals) in zip(panels, drawn.items(), strict=True):
-        for name, described in signals.items():
-            if name not in run.signals:
-                continue
+    panels = figure.subplots(
+        len(drawn), 1, sharex=True, squeeze=False, height_ratios=[HEIGHTS.get(label, 3) for label in drawn]
+    )[:, 0]
+    for panel, (label, lines) in zip(panels, drawn.items(), strict=True):
+        for name, described, values in lines:
             if name == "tripped":
-                _draw_trips(panel, time_s, run.signals[name])
+                of_turn = signals.get("rotation_tripped", np.zeros_like(signals[name]))
+                _draw_trips(panel, time_s, signals[name] | of_turn)
                 continue
-            values = np.asarray(run.signals[name])
-            times = slave_time_s if name.startswith(SLAVE_SIGNALS) else time_s
-            columns = values.reshape(len(values), -1) if values.size else values.reshape(0, 1)
-            for axis, values_of_axis in enumerate(columns.T):
-                along = f", {AXIS_NAMES[axis] if axis < 3 else axis}" if values.ndim > 1 else ""
-                panel.plot(times, values_of_axis, lw=1.2, label=f"{described}{along}")
-            panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+            panel.plot(slave_time_s if name.startswith(SLAVE_SIGNALS) else time_s, values, lw=1.2, label=described)
+            panel.legend(fontsize=8 if len(lines) <= MAX_LINES else 6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         for time_of_event, _ in events:
             panel.axvline(time_of_event, color="k", lw=0.6, ls=":")
         panel.set_ylabel(label)
@@ -76,6 +87,50 @@ def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
     panels[-1].set_xlabel("time [s]")
     with private_file(path) as file:
         figure.savefig(file, dpi=120)
+
+
+def _lines(signals: "Signals", of_panel: dict[str, str]) -> list[tuple[str, str, npt.NDArray[np.float64]]]:
+    """The lines of a panel: their signals, labels and values.
+
+    Of sides that turn, orientations are drawn as the angle from the first, `|log(R R_0^T)|`, angular velocities as
+    their norm, and axes along which there is nothing beside the others are left out.
+    """
+    lines = []
+    turns = "orientation" in signals
+    for name, described in of_panel.items():
+        if name not in signals:
+            continue
+        values = np.asarray(signals[name])
+        if name.endswith("orientation"):
+            lines.append((name, described, angle_from_first(values)))
+            continue
+        if name == "angular_velocity":
+            lines.append((name, described, np.linalg.norm(values, axis=1)))
+            continue
+        columns = values.reshape(len(values), -1) if values.size else values.reshape(0, 1)
+        for axis, of_axis in enumerate(columns.T):
+            if turns and values.ndim > 1 and not np.any(np.abs(of_axis) > NOTHING * np.nanmax(np.abs(columns))):
+                continue
+            along = f", {AXIS_NAMES[axis] if axis < 3 else axis}" if values.ndim > 1 else ""
+            lines.append((name, f"{described}{along}", of_axis))
+    return lines
+
+
+def angle_from_first(quat_wxyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """`|log(R R_0^T)|` in rad, 0 to pi, of the first R that is known.
+
+    Args:
+        quat_wxyz: Of R, (n, 4); NaN where it is not known.
+    """
+    known = np.flatnonzero(np.isfinite(quat_wxyz).all(axis=1))
+    if not len(known):
+        return np.full(len(quat_wxyz), np.nan)
+    w, x, y, z = quat_wxyz[known[0]]
+    # Of R R_0^T: the real part, and the others.
+    conjugate = np.array([[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
+    parts = quat_wxyz @ conjugate.T
+    angle: npt.NDArray[np.float64] = 2.0 * np.arctan2(np.linalg.norm(parts[:, 1:], axis=1), np.abs(parts[:, 0]))
+    return angle
 
 
 def _name_events(panel: "Axes", events: list[tuple[float, str]], width_s: float) -> None:

@@ -46,7 +46,7 @@ class Simulate:
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write scene, seed, version, events and metrics as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw positions, forces and trips as a PNG into this folder."""
+    """Draw positions, forces, what turns and trips as a PNG into this folder."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """Write every signal as a NumPy array."""
     list: bool = False
@@ -126,6 +126,8 @@ class Simulate:
         table.add_column(run.scene, overflow="fold")
         table.add_column(f"seed {run.seed}", justify="right")
         for name, value in msgspec.to_builtins(run.metrics).items():
+            if name in OF_ROTATION and value is None:
+                continue
             table.add_row(METRICS.get(name, name), shown(value))
         console.print(table)
         events = merged_events(run.events)
@@ -179,12 +181,18 @@ METRICS = {
     "intervention_s": "time under intervention [s]",
     "position_rmse_m": "position error, RMS [m]",
     "force_rmse_n": "force error, RMS [N]",
+    "max_ejection_rate": "largest angular ejection velocity [rad/s]",
+    "peak_device_torque": "largest device torque [N m]",
+    "orientation_rmse_rad": "orientation error, RMS [rad]",
+    "torque_rmse_n_m": "torque error, RMS [N m]",
     "passivity_min_j": "least energy taken in [J]",
     "diverged": "diverged",
     "ticks": "ticks",
     "wall_time_s": "computed in [s]",
 }
 """What each metric is called in the table."""
+OF_ROTATION = {"max_ejection_rate", "peak_device_torque", "orientation_rmse_rad", "torque_rmse_n_m"}
+"""Metrics that only what turns has, and that no other's table shows."""
 
 
 def shown(value: object) -> str:
