@@ -74,8 +74,21 @@ const STEP_PHASE: f64 = 1.0 / 64.0;
 /// Angle in rad by which a push turns the direction of motion, and of friction, in a sub-step.
 const STEP_SWERVE: f64 = 1.0 / 16.0;
 
+/// Angle in rad between a slow motion and what pushes it, below which the two have one direction.
+const ALIGNED: f64 = 1e-3;
+
 /// Sub-steps of one advance; beyond them each is longer, so that a tick always ends.
 const MAX_SUB_STEPS: f64 = 4096.0;
+
+/// Against what Coulomb friction is during a sub-step, in the frame of the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Friction {
+    None,
+    /// The motion, or this where the motion no longer has it.
+    Along(Axes<3>),
+    /// This.
+    Fixed(Axes<3>),
+}
 
 /// Share of a sub-step that is taken at least up to a halt, so that it always ends.
 const MIN_SHARE: f64 = 1e-6;
@@ -303,6 +316,9 @@ impl SimulatedRotation {
             let push = self.smooth_torque(self.time, &self.state);
             let across = (push - direction * push.dot(&direction)).norm();
             rate = rate.max(across / (lightest * turning * STEP_SWERVE));
+            if push.dot(&direction) > 0.0 && across > ALIGNED * push.norm() {
+                rate = rate.max(push.norm() / (lightest * turning));
+            }
         }
         (duration * rate).ceil().max(1.0)
     }
@@ -311,7 +327,7 @@ impl SimulatedRotation {
     fn sub_step(&mut self, duration: f64) -> f64 {
         let coulomb = self.device.coulomb;
         if coulomb == 0.0 {
-            self.state = self.stepped(duration, None);
+            self.state = self.stepped(duration, Friction::None);
             return duration;
         }
         let w = self.body_angular_velocity();
@@ -321,9 +337,25 @@ impl SimulatedRotation {
             self.state.momentum = Axes::zeros();
             return duration;
         }
-        let direction = if speed > 0.0 { w / speed } else { push / push.norm() };
-        let along = |state: &State| self.body_velocity(state).dot(&direction);
-        let full = self.stepped(duration, Some(direction));
+        // A push in the direction of a slow motion soon has it in its own: sooner than a sub-step can follow.
+        let stiffness = push.norm() * duration / (self.device.inertia_kg_m2.min() * speed);
+        let is_aligned = push.cross(&w).norm() <= ALIGNED * push.norm() * speed;
+        let follows = push.dot(&w) > 0.0 && (stiffness > 2.0 || (stiffness > 1.0 && is_aligned));
+        let direction = if speed == 0.0 || follows { push / push.norm() } else { w / speed };
+        if follows {
+            let turned = direction * speed;
+            self.state.momentum = self.state.orientation * self.device.inertia_kg_m2.component_mul(&turned);
+        }
+        let inertia = self.device.inertia_kg_m2;
+        let along = |state: &State| {
+            state
+                .orientation
+                .inverse_transform_vector(&state.momentum)
+                .component_div(&inertia)
+                .dot(&direction)
+        };
+        let friction = if follows { Friction::Fixed(direction) } else { Friction::Along(direction) };
+        let full = self.stepped(duration, friction);
         if speed == 0.0 || along(&full) > 0.0 {
             self.state = full;
             return duration;
@@ -333,7 +365,7 @@ impl SimulatedRotation {
         let mut at = (duration, full);
         for _ in 0..16 {
             let t = (low.0 * high.1 - high.0 * low.1) / (high.1 - low.1);
-            let state = self.stepped(t, Some(direction));
+            let state = self.stepped(t, friction);
             let v = along(&state);
             at = (t, state);
             if v.abs() <= 1e-15 * speed {
@@ -363,18 +395,22 @@ impl SimulatedRotation {
         orientation.inverse_transform_vector(&self.held_torque) + hand + springs - w * self.device.viscous
     }
 
-    /// The state after `duration` in s; Coulomb friction is against the motion, or against `direction` where the motion
-    /// no longer has it.
-    fn stepped(&self, duration: f64, direction: Option<Axes<3>>) -> State {
+    /// The state after `duration` in s.
+    fn stepped(&self, duration: f64, friction: Friction) -> State {
         let State { orientation, momentum } = self.state;
         let slope = |share: f64, turn: &Axes<3>, momentum: Axes<3>| {
             let turned = orientation * UnitQuaternion::from_scaled_axis(*turn);
             let state = State { orientation: turned, momentum };
             let w = self.body_velocity(&state);
             let mut torque = self.smooth_torque(self.time + share * duration, &state);
-            if let Some(direction) = direction {
-                let along = if w.dot(&direction) > 0.0 { w / w.norm() } else { direction };
-                torque -= along * self.device.coulomb;
+            match friction {
+                Friction::None => {}
+                Friction::Along(direction) if w.dot(&direction) > 0.0 => {
+                    torque -= w * (self.device.coulomb / w.norm());
+                }
+                Friction::Along(direction) | Friction::Fixed(direction) => {
+                    torque -= direction * self.device.coulomb;
+                }
             }
             let twist = turn.cross(&w);
             (w + twist / 2.0 + turn.cross(&twist) / 12.0, turned * torque)

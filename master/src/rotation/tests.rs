@@ -84,7 +84,7 @@ fn the_order_is_four() {
         let mut body = free([1e-4, 2e-4, 4e-4], [6.0, -9.0, 7.0]).among(vec![spring]).unwrap();
         body.write(&Axes::<3>::new(1e-3, 2e-3, -1e-3));
         for _ in 0..steps {
-            body.state = body.stepped(0.4 / f64::from(steps), None);
+            body.state = body.stepped(0.4 / f64::from(steps), Friction::None);
         }
         body.state
     };
@@ -217,6 +217,33 @@ fn friction_follows_a_motion_that_swerves() {
     };
     let (coarse, fine) = (after(TICK_NS), after(100));
     assert!((coarse - fine).norm() < 1e-5 * fine.norm(), "{coarse} {fine}");
+}
+
+/// A hand that has turned it comes to rest, and friction with it: nothing creeps on.
+#[test]
+fn friction_ends_a_turn_of_the_hand() {
+    let end_wxyz = about_z(1.5);
+    let leg = RotationLeg { duration_s: 0.5, end_wxyz, shape: LegShape::MinimumJerk };
+    let hand = RotationHandParameters {
+        stiffness: 3.0,
+        damping: 0.1,
+        strength_n_m: None,
+        start_wxyz: UPRIGHT,
+        legs: vec![leg],
+        release: None,
+    };
+    let device = RotationParameters::ideal(4e-4, 0.0, 2e-3);
+    let mut body = SimulatedRotation::new(device, RotationHand::new(&hand).unwrap(), 0).unwrap();
+    for tick in 1..=1500_u32 {
+        body.write(&Axes::<3>::new(
+            1e-8 * (f64::from(tick) * 0.3).sin(),
+            5e-6 * (f64::from(tick) * 0.7).cos(),
+            0.0,
+        ));
+        body.read(u64::from(tick) * TICK_NS);
+    }
+    assert!(body.hand_torque().norm() < 2e-3);
+    assert_eq!(body.angular_velocity().norm(), 0.0);
 }
 
 #[test]
