@@ -18,7 +18,8 @@ GROWTH = (TORQUE_N_M - COULOMB_N_M) / INERTIA_KG_M2
 
 def angle(quat_wxyz: Array) -> Array:
     """Of rotations from none, in rad."""
-    return 2.0 * np.arctan2(np.linalg.norm(quat_wxyz[..., 1:], axis=-1), np.abs(quat_wxyz[..., 0]))
+    turned: Array = 2.0 * np.arctan2(np.linalg.norm(quat_wxyz[..., 1:], axis=-1), np.abs(quat_wxyz[..., 0]))
+    return turned
 
 
 def both_ways(delay_s: float, loss: float = 0.0) -> list[str]:
