@@ -343,6 +343,28 @@ struct Header {
     echo_run_id: U64,
 }
 
+impl Header {
+    /// Refuses what is no frame of this side's peer.
+    fn check(&self, from: Role, kind: SideKind, axes: usize) -> Result<(), WireError> {
+        if self.magic != MAGIC {
+            return Err(WireError::Magic(self.magic));
+        }
+        if self.version != VERSION {
+            return Err(WireError::Version(self.version));
+        }
+        if self.role != from.byte() {
+            return Err(WireError::Role(self.role));
+        }
+        if usize::from(self.axes & 0x0F) != axes {
+            return Err(WireError::Axes { seen: self.axes & 0x0F, allowed: axes });
+        }
+        if self.axes >> 4 != kind.code() {
+            return Err(WireError::Kind { seen: self.axes >> 4, allowed: kind });
+        }
+        Ok(())
+    }
+}
+
 const ECHO_VALID: u16 = 1;
 const HEARS_PEER: u16 = 2;
 const CLUTCH: u16 = 4;
@@ -435,21 +457,7 @@ impl<const N: usize> Frame<N> {
             return Err(length());
         }
         let (header, _) = Header::read_from_prefix(bytes).map_err(|_| length())?;
-        if header.magic != MAGIC {
-            return Err(WireError::Magic(header.magic));
-        }
-        if header.version != VERSION {
-            return Err(WireError::Version(header.version));
-        }
-        if header.role != from.byte() {
-            return Err(WireError::Role(header.role));
-        }
-        if usize::from(header.axes & 0x0F) != N {
-            return Err(WireError::Axes { seen: header.axes & 0x0F, allowed: N });
-        }
-        if header.axes >> 4 != kind.code() {
-            return Err(WireError::Kind { seen: header.axes >> 4, allowed: kind });
-        }
+        header.check(from, kind, N)?;
         let (body, tail) = bytes.split_at(bytes.len() - CHECKSUM);
         let computed = crc32fast::hash(body);
         let seen = tail.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
@@ -486,42 +494,14 @@ impl<const N: usize> Frame<N> {
         if !energy.is_possible() {
             return Err(WireError::Energy { sequence, energy });
         }
-        let gripper = has_gripper.then(|| {
-            let [position, velocity, force_n] = std::array::from_fn(|_| rest.next().unwrap_or(f64::NAN));
-            // Zero in no other way than one, so that there is one encoding.
-            let is_unknown = [position, velocity, force_n].iter().all(|value| value.to_bits() == 0);
-            let position = (flags & GRIPPER_KNOWN != 0 || !is_unknown).then_some(position);
-            GripperState { position, velocity, force_n, holds_object: flags & HOLDS_OBJECT != 0 }
-        });
-        if let Some(state) = gripper
-            .filter(|state| !state.is_possible() || state.position.is_some() != (flags & GRIPPER_KNOWN != 0))
-        {
-            return Err(WireError::Gripper { sequence, state });
+        let gripper = has_gripper.then(|| std::array::from_fn(|_| rest.next().unwrap_or(f64::NAN)));
+        let gripper = gripper.map(|numbers| decoded_gripper(sequence, flags, numbers)).transpose()?;
+        let rotation = is_pose.then(|| decoded_rotation(sequence, from, numbers(3 * N))).transpose()?;
+        let word = body[..body.len() - CAUSE].last_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
+        let buttons = has_buttons.then_some(word);
+        if let (Role::Slave, Some(buttons @ 1..)) = (from, buttons) {
+            return Err(WireError::Buttons { sequence, buttons });
         }
-        let rotation = if is_pose {
-            let mut of_pose = numbers(3 * N);
-            let quat_wxyz = std::array::from_fn(|_| of_pose.next().unwrap_or(f64::NAN));
-            let orientation = checked(quat_wxyz).ok().filter(|_| is_canonical(quat_wxyz));
-            let orientation = orientation.ok_or(WireError::Orientation { sequence, quat_wxyz })?;
-            let torque = match from {
-                Role::Master => Signal::RenderedTorque,
-                Role::Slave => Signal::EnvironmentTorque,
-            };
-            let angular_velocity = checked_axes(sequence, Signal::AngularVelocity, of_pose)?;
-            let torque = checked_axes(sequence, torque, numbers(3 * N + 7))?;
-            Some(RotationState { orientation, angular_velocity, torque })
-        } else {
-            None
-        };
-        let buttons = if has_buttons {
-            let word = body[..body.len() - CAUSE].last_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
-            if from == Role::Slave && word != 0 {
-                return Err(WireError::Buttons { sequence, buttons: word });
-            }
-            Some(word)
-        } else {
-            None
-        };
         let mut text = TextPiece { number: cause[2], index: cause[3], bytes: [0; PIECE] };
         text.bytes.copy_from_slice(&cause[4..]);
         if !text.is_canonical() {
@@ -556,6 +536,39 @@ impl<const N: usize> Frame<N> {
             text,
         })
     }
+}
+
+/// A gripper or a trigger, or what stands for one that is not known.
+fn decoded_gripper(sequence: u64, flags: u16, numbers: [f64; 3]) -> Result<GripperState, WireError> {
+    // Zero in no other way than one, so that there is one encoding.
+    let is_unknown = numbers.iter().all(|value| value.to_bits() == 0);
+    let is_known = flags & GRIPPER_KNOWN != 0;
+    let [position, velocity, force_n] = numbers;
+    let position = (is_known || !is_unknown).then_some(position);
+    let state = GripperState { position, velocity, force_n, holds_object: flags & HOLDS_OBJECT != 0 };
+    if state.is_possible() && state.position.is_some() == is_known {
+        Ok(state)
+    } else {
+        Err(WireError::Gripper { sequence, state })
+    }
+}
+
+/// Quaternion, angular velocity and torque.
+fn decoded_rotation(
+    sequence: u64,
+    from: Role,
+    mut numbers: impl Iterator<Item = f64>,
+) -> Result<RotationState, WireError> {
+    let quat_wxyz = std::array::from_fn(|_| numbers.next().unwrap_or(f64::NAN));
+    let orientation = checked(quat_wxyz).ok().filter(|_| is_canonical(quat_wxyz));
+    let orientation = orientation.ok_or(WireError::Orientation { sequence, quat_wxyz })?;
+    let torque = match from {
+        Role::Master => Signal::RenderedTorque,
+        Role::Slave => Signal::EnvironmentTorque,
+    };
+    let angular_velocity = checked_axes(sequence, Signal::AngularVelocity, numbers.by_ref().take(3))?;
+    let torque = checked_axes(sequence, torque, numbers)?;
+    Ok(RotationState { orientation, angular_velocity, torque })
 }
 
 /// The next numbers, within the bound of their signal.
