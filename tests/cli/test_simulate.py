@@ -85,9 +85,13 @@ def test_json_alone_is_on_standard_output(given: list[dict[str, Any]], capsys: p
     assert set(report["metrics"]) == {
         "max_ejection_velocity", "peak_device_force", "time_to_trip_s", "false_trips", "intervention_s",
         "position_rmse_m", "force_rmse_n", "passivity_min_j", "diverged", "ticks", "wall_time_s", "outcome",
+        "max_ejection_rate", "peak_device_torque", "orientation_rmse_rad", "torque_rmse_n_m",
     }  # fmt: skip
     assert report["metrics"]["time_to_trip_s"] is None
     assert "largest device force" in captured.err
+    # Nothing turns in it: that is null there, and no row here.
+    assert report["metrics"]["peak_device_torque"] is None
+    assert "torque" not in captured.err
 
 
 def test_signals_and_a_picture_are_kept(given: list[dict[str, Any]], tmp_path: Path) -> None:

@@ -43,8 +43,12 @@ SHIPPED = {
     "playback",
     *(attack.scene for attack in RAVEN_ATTACKS),
     "remote_push",
+    "peg_in_hole",
+    "pick_and_place",
     "sliding_mass",
     "three_axis_box",
+    "torque_release",
+    "valve",
     "ur_peg",
 }
 MINIMAL = 'schema = 1\nmaster = { device = "touch" }\n'
