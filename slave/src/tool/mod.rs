@@ -616,7 +616,10 @@ impl SimulatedTool {
             let Scratch { motion, loads, tool, bodies, handles } = &mut self.scratch;
             let mut turn = Axes::zeros();
             if stage == 0 {
-                motion.clone_from(&self.motion);
+                // In place: a derived `clone_from` allocates.
+                motion.tool = self.motion.tool;
+                motion.bodies.copy_from_slice(&self.motion.bodies);
+                motion.handles.copy_from_slice(&self.motion.handles);
             } else {
                 (motion.tool, turn) = self.motion.tool.after(&tool[stage - 1], share);
             }
