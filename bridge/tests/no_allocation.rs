@@ -7,9 +7,10 @@ use std::{
 };
 
 use haptether_bridge::{
-    Clutch, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint, MasterSettings, MasterSide,
-    Side, SlaveEndpoint, SlaveSettings, SlaveSide, TickTime, Trigger,
-    coupling::CommandBounds,
+    Clutch, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint, MasterRotationSettings,
+    MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings, SlaveSettings, SlaveSide,
+    TickTime, Trigger, TurningMaster,
+    coupling::{CommandBounds, RotationBounds, RotationLock},
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     wire::{MAX_FRAME, Role},
 };
@@ -17,13 +18,19 @@ use haptether_bridge::{
     path::{MAX_DRIFT_PPB, PacketAge, PathMeter, PeerClock, TimestampExchange},
     playout::{Playout, PlayoutSettings},
 };
-use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, SimulatedMaster};
+use haptether_master::{
+    DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, RotationHand, RotationHandParameters,
+    RotationLeg, RotationParameters, SimulatedMaster, SimulatedRotation,
+};
 use haptether_safety::{
-    Axes, DeviceModel, LimiterSettings,
+    Axes, DeviceModel, LimiterSettings, RotationModel,
     controller::{ControllerKind, SafetySettings},
     estimator::{EstimatorKind, Fit},
 };
-use haptether_slave::{ArmParameters, GripperSettings, Pusher, SimulatedSlave, Wall};
+use haptether_slave::{
+    ArmParameters, ArmSettings, ControlKind, GripperSettings, HandleSettings, Pusher, RigidBodySettings,
+    SimulatedSlave, SimulatedTool, ToolSettings, ToolWorldSettings, Wall,
+};
 
 thread_local! {
     /// Of this thread alone: the harness allocates in another.
@@ -121,6 +128,149 @@ fn a_tick_of_both_sides_allocates_nothing() {
             "the run must have done something"
         );
     }
+}
+
+/// A hand that moves and turns, and lets go.
+fn turning_master() -> TurningMaster<SimulatedMaster<3>> {
+    let release = Some(Release { at_s: 1.2, decay_s: 0.05, kind: ReleaseKind::Strength });
+    let legs =
+        vec![Leg { duration_s: 0.5, end: Axes::<3>::new(0.0, 0.02, 0.0), shape: LegShape::MinimumJerk }];
+    let path = Path::new(Axes::<3>::zeros(), legs).unwrap();
+    let hand = Hand::new(300.0, 8.0, 12.0, path, release).unwrap();
+    let mut point = SimulatedMaster::new(DeviceParameters::<3>::phantom_desktop(), hand, 0).unwrap();
+    point.set_waiting(true);
+    let end_wxyz = [0.5_f64.cos(), 0.0, 0.0, 0.5_f64.sin()];
+    let hand = RotationHandParameters {
+        stiffness: 3.0,
+        damping: 0.03,
+        strength_n_m: Some(1.0),
+        start_wxyz: [1.0, 0.0, 0.0, 0.0],
+        legs: vec![RotationLeg { duration_s: 0.5, end_wxyz, shape: LegShape::MinimumJerk }],
+        release,
+    };
+    let device = RotationParameters::ideal(1e-4, 1e-4, 0.0);
+    let mut body = SimulatedRotation::new(device, RotationHand::new(&hand).unwrap(), 0).unwrap();
+    body.set_waiting(true);
+    TurningMaster { point, body }
+}
+
+/// A tool with a body between its jaws, and a handle beside it.
+fn holding_tool() -> SimulatedTool {
+    let arm = ArmSettings {
+        control: ControlKind::Pd,
+        mass_kg: 0.5,
+        bandwidth_hz: 10.0,
+        stiffness: 1250.0,
+        damping: 50.0,
+        max_speed: None,
+        max_acceleration: None,
+        period_s: 1e-3,
+        position: Axes::<3>::zeros(),
+        force_sensor: None,
+        gripper: None,
+        tool: None,
+    };
+    let tool = ToolSettings {
+        inertia_kg_m2: Axes::<3>::repeat(1e-3),
+        rotational_stiffness: 3.6,
+        rotational_damping: 0.12,
+        max_angular_speed: None,
+        quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+        points: vec![[0.0; 3]],
+        jaw_width_m: 0.08,
+        jaw_friction: 0.5,
+        jaw_stiffness: 2e4,
+        jaw_radius_m: 0.01,
+    };
+    let body = RigidBodySettings {
+        mass_kg: 0.5,
+        half_extents: [0.016, 0.02, 0.03],
+        position: [0.0; 3],
+        quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+        gravity: 0.0,
+    };
+    let handle = HandleSettings {
+        point: [1.0, 0.0, 0.0],
+        axis: [0.0, 0.0, 1.0],
+        grip: [1.1, 0.0, 0.0],
+        reach_m: 0.02,
+        width_m: 0.02,
+        inertia_kg_m2: 0.01,
+        viscous: 0.01,
+        coulomb: 0.01,
+        stiffness: 0.1,
+        stops_rad: [-2.0, 2.0],
+        hold_stiffness: 5e3,
+        hold_rotational_stiffness: 20.0,
+    };
+    let world =
+        ToolWorldSettings { bodies: vec![body], handles: vec![handle], ..ToolWorldSettings::default() };
+    SimulatedTool::new(&arm, &tool, &world, 0).unwrap()
+}
+
+#[test]
+fn a_tick_of_two_poses_with_a_gripper_allocates_nothing() {
+    let safety = SafetySettings { controllers: ControllerKind::ALL.into(), ..SafetySettings::default() };
+    let settings = MasterSettings {
+        period_ns: MS,
+        run_id: 1,
+        device: DeviceModel::phantom_desktop(),
+        estimator: EstimatorKind::default(),
+        safety,
+        limiter: LimiterSettings::default(),
+        force_scale: 1.0,
+        ladder: LadderSettings::default(),
+    };
+    let rotation = MasterRotationSettings {
+        device: RotationModel::new(Axes::<3>::repeat(1e-4), 1e-4, 0.0).unwrap(),
+        estimator: EstimatorKind::default(),
+        safety: SafetySettings { damping: 0.01, pc_max_damping: 0.01, ..safety.at_lever(0.05) },
+        limiter: LimiterSettings::default().at_lever(0.05),
+        torque_scale: 1.0,
+        shares_trips: true,
+    };
+    let endpoint = MasterEndpoint::of_pose(&settings, &rotation, RotationLock::Free).unwrap();
+    let trigger = Trigger::simulated(&[[0.1, 0.0], [0.5, 1.0]]).unwrap();
+    let mut master = MasterSide::new(turning_master(), endpoint, Clutch::Once)
+        .unwrap()
+        .with_trigger(Some(trigger))
+        .turning();
+    let settings = SlaveSettings {
+        period_ns: MS,
+        run_id: 2,
+        position_scale: 1.0,
+        bounds: CommandBounds::default(),
+        ladder: LadderSettings::default(),
+    };
+    let rotation = SlaveRotationSettings {
+        rotation_scale: 1.5,
+        lock: RotationLock::Free,
+        bounds: RotationBounds::default(),
+    };
+    let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
+    let endpoint = SlaveEndpoint::of_pose(&settings, &rotation).unwrap();
+    let mut slave = SlaveSide::new(holding_tool(), endpoint)
+        .with_gripper(Some(LedGripper::simulated(jaws).unwrap()))
+        .turning();
+    let mut buffer = [0; MAX_FRAME];
+    let (mut tripped, mut holds, mut turned) = (false, false, 0.0_f64);
+
+    let before = allocations();
+    for tick in 0..2000 {
+        let now_ns = tick * MS;
+        let record = master.tick(TickTime::at(now_ns));
+        tripped |= record.tripped != 0 || record.rotation.tripped != 0;
+        let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
+        let record = slave.tick(TickTime::at(now_ns));
+        holds |= record.holds_object;
+        turned = turned.max(record.rotation.orientation[3].abs());
+        let _ = master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer));
+    }
+    let allocated = allocations() - before;
+
+    assert_eq!(allocated, 0);
+    assert!(master.exchange().state() == LadderState::Engaged, "{:?}", master.exchange().state());
+    assert!(tripped && holds && turned > 0.1, "{tripped} {holds} {turned}");
 }
 
 #[test]
