@@ -289,17 +289,14 @@ constructor!(MasterLoop, peer,
             }
         };
         let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
-        let (paced, watched): (Box<dyn MasterSteps>, _) = match as_pose(&scene).map_err(refuse)? {
-            Some(scene) => {
-                let side = driven_master(scene, run_id, simulated_clutch).map_err(refuse)?.turning();
-                let (paced, watched) = prepare(py, side, place)?;
-                (Box::new(paced), watched)
-            }
-            None => {
-                let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
-                let (paced, watched) = prepare(py, side, place)?;
-                (Box::new(paced), watched)
-            }
+        let (paced, watched): (Box<dyn MasterSteps>, _) = if let Some(scene) = as_pose(&scene).map_err(refuse)? {
+            let side = driven_master(scene, run_id, simulated_clutch).map_err(refuse)?.turning();
+            let (paced, watched) = prepare(py, side, place)?;
+            (Box::new(paced), watched)
+        } else {
+            let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
+            let (paced, watched) = prepare(py, side, place)?;
+            (Box::new(paced), watched)
         };
         Ok(Self { paced: Mutex::new(paced), watched, kind: scene.master.kind })
     }
@@ -339,17 +336,14 @@ pub(crate) struct SlaveLoop {
 
 constructor!(SlaveLoop, listen, [], |py, scene, run_id, how| {
     let place = Place::of_slave(listen, live_periods(&scene)?[1], how)?;
-    let (paced, watched): (Box<dyn SlaveSteps>, _) = match as_pose(&scene).map_err(refuse)? {
-        Some(scene) => {
-            let side = driven_slave(scene, run_id).map_err(refuse)?.turning();
-            let (paced, watched) = prepare(py, side, place)?;
-            (Box::new(paced), watched)
-        }
-        None => {
-            let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
-            let (paced, watched) = prepare(py, side, place)?;
-            (Box::new(paced), watched)
-        }
+    let (paced, watched): (Box<dyn SlaveSteps>, _) = if let Some(scene) = as_pose(&scene).map_err(refuse)? {
+        let side = driven_slave(scene, run_id).map_err(refuse)?.turning();
+        let (paced, watched) = prepare(py, side, place)?;
+        (Box::new(paced), watched)
+    } else {
+        let side = driven_slave::<N>(&scene, run_id).map_err(refuse)?;
+        let (paced, watched) = prepare(py, side, place)?;
+        (Box::new(paced), watched)
     };
     let beside = Mutex::new(Beside::NOTHING);
     Ok(Self { paced: Mutex::new(paced), beside, watched, kind: scene.master.kind })

@@ -27,6 +27,8 @@ const MAX_RATE: f64 = 1e5;
 const FULL_TURN: f64 = 1e-2;
 /// Of the stops of a handle, in N m/rad.
 const STOP_STIFFNESS: f64 = 500.0;
+/// Longest time in s between two writes that is made up for at once: that of the slowest loop.
+const MAX_UNWRITTEN_S: f64 = 0.02;
 /// How far in m outside of a body the tool point may be for the jaws to take it.
 const JAW_REACH: f64 = 5e-3;
 /// How far the jaws may be from what they hold and still hold it, of their way.
@@ -401,15 +403,20 @@ impl SimulatedTool {
         }
         let t = self.time_s(self.now_ns);
         let (_, turned) = self.set.at(t);
-        let most = self.world.servo.max_speed * (t - self.set.at_s);
+        let most = self.world.servo.max_speed * self.unwritten_s(t);
         let way = position - self.set.position;
-        let over = way.norm() > most && t > self.set.at_s;
+        let over = way.norm() > most;
         self.set.position = if over { self.set.position + way * (most / way.norm()) } else { *position };
         let bound = self.world.servo.max_speed;
         self.set.velocity = if all_finite(velocity) { velocity.cap_magnitude(bound) } else { Axes::zeros() };
         // The orientation goes on from where it was set to be by now.
         self.set.orientation = Unit::new_normalize(turned.into_inner());
         self.set.at_s = t;
+    }
+
+    /// Time in s since the last write, as far as a set pose may make up for it at once.
+    fn unwritten_s(&self, t: f64) -> f64 {
+        (t - self.set.at_s).min(MAX_UNWRITTEN_S)
     }
 
     /// Commands an orientation and its angular velocity in rad/s, before each [`write`](Self::write). What is not finite is
@@ -422,8 +429,8 @@ impl SimulatedTool {
         let bound = self.world.servo.max_angular_speed;
         let before = self.set.orientation;
         let way = (orientation * before.inverse()).scaled_axis();
-        let most = bound * (t - self.set.at_s);
-        let wanted = if way.norm() > most && t > self.set.at_s {
+        let most = bound * self.unwritten_s(t);
+        let wanted = if way.norm() > most {
             UnitQuaternion::from_scaled_axis(way * (most / way.norm())) * before
         } else {
             *orientation
@@ -739,6 +746,7 @@ impl World {
             let stiffness =
                 handle.stiffness + STOP_STIFFNESS + handle.hold.linear.0 * lever + handle.hold.angular.0;
             let damping = handle.viscous
+                + 2.0 * (STOP_STIFFNESS * handle.inertia).sqrt()
                 + handle.coulomb / FULL_TURN
                 + handle.hold.linear.1 * lever
                 + handle.hold.angular.1;
