@@ -108,12 +108,14 @@ fn ticks(criterion: &mut Criterion) {
                 let begun = if turns {
                     let (mut near, mut far) = (near.clone().turning(), far.clone().turning());
                     run(&mut near, &mut far, 0, 1000);
+                    assert!(near.exchange().state().is_coupled() && far.exchange().state().is_coupled());
                     let begun = Instant::now();
                     run(&mut near, &mut far, 1000, count);
                     begun
                 } else {
                     let (mut near, mut far) = (near.clone(), far.clone());
                     run(&mut near, &mut far, 0, 1000);
+                    assert!(near.exchange().state().is_coupled() && far.exchange().state().is_coupled());
                     let begun = Instant::now();
                     run(&mut near, &mut far, 1000, count);
                     begun
