@@ -50,6 +50,7 @@ SHIPPED = {
     "torque_release",
     "valve",
     "ur_peg",
+    "ur_pick",
 }
 MINIMAL = 'schema = 1\nmaster = { device = "touch" }\n'
 
