@@ -22,8 +22,9 @@ class MasterSample(NamedTuple):
     """R of a device of kind "pose", as a unit quaternion w, x, y, z that leads from its own frame to the base's."""
     angular_velocity: Sequence[float] | None = None
     """w in rad/s in the base frame from a device that measures it, at every sample or at none."""
-    buttons: int = 0
-    """Bit n: button n is pressed. What they do is said by `[master.buttons]` of the scene."""
+    buttons: int | None = None
+    """Bit n: button n is pressed; none where they are not known, which is no release. What they do is said by
+    `[master.buttons]` of the scene."""
 
 
 @runtime_checkable

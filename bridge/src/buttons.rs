@@ -47,11 +47,24 @@ impl ButtonSettings {
     }
 }
 
+/// The buttons of a device as they are read: bit n, button n is pressed; none where they are not known, which is no
+/// release.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ButtonWord(pub Option<u32>);
+
+impl ButtonWord {
+    /// A sample that does not say.
+    pub const UNKNOWN: Self = Self(None);
+}
+
+/// How long a press of the switch waits to be taken up, in ns: as long as any press of the clutch counts.
+const PRESS_NS: u64 = 5_000_000_000;
+
 /// What the buttons of a device say, tick by tick.
 ///
 /// A contact that bounces presses once. A button that is closed at the first sample has not been pressed: it must be seen
 /// open before, as after a gap in which nobody knows what it did. The switch of the clutch opens by itself where the two
-/// sides have parted, so that nothing but a press closes it again.
+/// sides have parted or its press was not taken up, so that nothing but a press closes it again.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Buttons {
     settings: ButtonSettings,
@@ -92,10 +105,15 @@ impl Buttons {
         self.settings.clutch.is_some() || self.settings.engage.is_some()
     }
 
-    /// Takes the word of a tick: bit n, button n is pressed.
+    /// Takes the word of a tick.
     ///
-    /// Returns whether the clutch is closed, where a button works it, and the trigger, 0 open or 1 closed, where one does.
-    pub(crate) fn at(&mut self, now_ns: u64, word: u32) -> (Option<bool>, Option<f64>) {
+    /// Returns whether the clutch is closed, where a button works it and it is known, and the trigger, 0 open or 1 closed,
+    /// where one does.
+    pub(crate) fn at(&mut self, now_ns: u64, word: ButtonWord) -> (Option<bool>, Option<f64>) {
+        let Some(word) = word.0 else {
+            self.stalled();
+            return (None, self.settings.gripper.map(|_| f64::from(u8::from(self.gripper.on))));
+        };
         let level = |bit: u8| word >> bit & 1 == 1;
         let ButtonSettings { clutch, engage, gripper } = self.settings;
         let engaged = engage.map(|bit| self.engage.at(now_ns, level(bit)));
@@ -103,14 +121,26 @@ impl Buttons {
         (clutch.map(level).or(engaged), closed)
     }
 
-    /// The loop was late: the switch of the clutch is open.
+    /// The switch of the clutch is open.
     pub(crate) fn open(&mut self) {
         self.engage.on = false;
     }
 
+    /// Nobody knows what the buttons did meanwhile: the switch of the clutch is open, and each must be seen open before it
+    /// can be pressed.
+    pub(crate) fn stalled(&mut self) {
+        self.open();
+        for switch in [&mut self.engage, &mut self.gripper] {
+            switch.button.must_be_released();
+        }
+    }
+
     /// The ladder stands there: where a press is no longer taken up, the switch of the clutch is open.
-    pub(crate) fn follow(&mut self, state: LadderState) {
-        if std::mem::replace(&mut self.was_aligned, state.is_aligned()) && !state.is_aligned() {
+    pub(crate) fn follow(&mut self, now_ns: u64, state: LadderState) {
+        let was_aligned = std::mem::replace(&mut self.was_aligned, state.is_aligned());
+        let pressed_ns = self.engage.button.last_press_ns().unwrap_or(0);
+        let is_old = now_ns.saturating_sub(pressed_ns) > PRESS_NS;
+        if !state.is_aligned() && (was_aligned || is_old) {
             self.open();
         }
     }
@@ -122,6 +152,41 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
+    fn known(word: u32) -> ButtonWord {
+        ButtonWord(Some(word))
+    }
+
+    #[test]
+    fn what_is_not_known_is_no_release_and_no_press() {
+        let mut engage = buttons(None, Some(0), Some(1));
+        let mut now = 0;
+        let mut at = |engage: &mut Buttons, word: ButtonWord, ticks: u64| {
+            let mut last = (None, None);
+            for _ in 0..ticks {
+                last = engage.at(now * MS, word);
+                now += 1;
+            }
+            last
+        };
+        at(&mut engage, known(0), 30);
+        assert_eq!(at(&mut engage, known(3), 30), (Some(true), Some(1.0)));
+        assert_eq!(at(&mut engage, ButtonWord::UNKNOWN, 30), (None, Some(1.0)), "it keeps its grip");
+        // Still held, or pressed meanwhile: nobody knows.
+        assert_eq!(at(&mut engage, known(3), 30), (Some(false), Some(1.0)));
+        at(&mut engage, known(0), 30);
+        assert_eq!(at(&mut engage, known(3), 30), (Some(true), Some(0.0)));
+    }
+
+    #[test]
+    fn a_press_that_nobody_takes_up_does_not_wait_for_ever() {
+        let mut engage = buttons(None, Some(0), None);
+        for now in 0..6000 {
+            engage.follow(now * MS, LadderState::Disengaged);
+            let on = engage.at(now * MS, known(u32::from((30..60).contains(&now)))).0;
+            assert_eq!(on, Some((30..5031).contains(&now)), "{now}");
+        }
+    }
+
     fn buttons(clutch: Option<u8>, engage: Option<u8>, gripper: Option<u8>) -> Buttons {
         Buttons::new(ButtonSettings { clutch, engage, gripper }).unwrap()
     }
@@ -130,7 +195,7 @@ mod tests {
     fn a_press_switches_and_the_clutch_is_held() {
         let mut held = buttons(Some(3), None, None);
         for (n, word) in [(0, 0), (1, 8), (2, 8), (3, 0xFFFF_FFF7), (4, u32::MAX)] {
-            assert_eq!(held.at(n * MS, word), (Some(word & 8 != 0), None));
+            assert_eq!(held.at(n * MS, known(word)), (Some(word & 8 != 0), None));
         }
         let mut switched = buttons(None, Some(0), Some(31));
         let mut now = 0;
@@ -138,7 +203,7 @@ mod tests {
             let mut last = (None, None);
             for (level, ticks) in [(0, 30), (word, 50), (0, 30)] {
                 for _ in 0..ticks {
-                    last = switched.at(now * MS, level);
+                    last = switched.at(now * MS, known(level));
                     now += 1;
                 }
             }
@@ -156,7 +221,7 @@ mod tests {
             (LadderState::Stale, true),
             (LadderState::Disengaged, false),
         ] {
-            switched.follow(state);
+            switched.follow(400 * MS, state);
             assert_eq!(press(&mut switched, 0), (Some(on), Some(0.0)), "{state:?}");
         }
     }
@@ -165,14 +230,14 @@ mod tests {
     fn what_is_closed_at_the_start_and_what_bounces_is_no_press() {
         let mut engage = buttons(None, Some(0), None);
         for n in 0..100 {
-            assert_eq!(engage.at(n * MS, 1).0, Some(false), "{n}");
+            assert_eq!(engage.at(n * MS, known(1)).0, Some(false), "{n}");
         }
         for n in 100..200 {
-            assert_eq!(engage.at(n * MS, 0).0, Some(false));
+            assert_eq!(engage.at(n * MS, known(0)).0, Some(false));
         }
         // A contact that bounces for 6 ms: one press.
         for (n, level) in [1, 0, 1, 0, 1, 0].into_iter().chain([1; 60]).enumerate() {
-            let on = engage.at((200 + n as u64) * MS, level).0;
+            let on = engage.at((200 + n as u64) * MS, known(level)).0;
             assert!(n < 6 || on == Some(true), "{n}: {on:?}");
         }
     }

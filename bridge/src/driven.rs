@@ -8,6 +8,7 @@ use haptether_safety::Axes;
 use nalgebra::{Unit, UnitQuaternion};
 
 use crate::{
+    buttons::ButtonWord,
     coupling::RotationState,
     plant::{MasterPlant, SlavePlant},
 };
@@ -21,8 +22,8 @@ pub struct DrivenMaster<const N: usize> {
     pub velocity: Option<Axes<N>>,
     /// Whether the clutch is pressed, of a device that has a button.
     pub clutch: Option<bool>,
-    /// Its buttons: bit n, button n is pressed.
-    pub buttons: u32,
+    /// Its buttons.
+    pub buttons: ButtonWord,
     /// Force in N that the device is to exert.
     pub force: Axes<N>,
     /// Orientation and angular velocity, as read, of a device that turns.
@@ -34,7 +35,15 @@ pub struct DrivenMaster<const N: usize> {
 impl<const N: usize> Default for DrivenMaster<N> {
     fn default() -> Self {
         let (position, force, torque) = (Axes::zeros(), Axes::zeros(), Axes::zeros());
-        Self { position, velocity: None, clutch: None, buttons: 0, force, rotation: None, torque }
+        Self {
+            position,
+            velocity: None,
+            clutch: None,
+            buttons: ButtonWord::UNKNOWN,
+            force,
+            rotation: None,
+            torque,
+        }
     }
 }
 
@@ -51,7 +60,7 @@ impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
         self.clutch
     }
 
-    fn buttons(&self) -> Option<u32> {
+    fn buttons(&self) -> Option<ButtonWord> {
         Some(self.buttons)
     }
 

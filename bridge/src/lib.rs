@@ -29,7 +29,7 @@ mod side;
 mod virtual_time;
 pub mod wire;
 
-pub use buttons::{ButtonError, ButtonSettings};
+pub use buttons::{ButtonError, ButtonSettings, ButtonWord};
 pub use command::OperatorCommand;
 pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{

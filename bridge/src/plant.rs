@@ -5,7 +5,7 @@ use haptether_safety::{Axes, Real};
 use haptether_slave::{GripperSample, SimulatedSlave, SimulatedTool};
 use nalgebra::UnitQuaternion;
 
-use crate::coupling::RotationState;
+use crate::{buttons::ButtonWord, coupling::RotationState};
 
 /// A master device as a runner sees it; time is an argument. With a lane type each lane is a device of its own.
 pub trait MasterPlant<const N: usize, S: Real = f64> {
@@ -23,8 +23,8 @@ pub trait MasterPlant<const N: usize, S: Real = f64> {
         None
     }
 
-    /// The buttons of the device: bit n, button n is pressed; none of a model, whose operator works the clutch.
-    fn buttons(&self) -> Option<u32> {
+    /// The buttons of the device; none of a model, whose operator works the clutch.
+    fn buttons(&self) -> Option<ButtonWord> {
         None
     }
 
@@ -143,7 +143,7 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
         (**self).clutch()
     }
 
-    fn buttons(&self) -> Option<u32> {
+    fn buttons(&self) -> Option<ButtonWord> {
         (**self).buttons()
     }
 

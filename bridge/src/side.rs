@@ -88,8 +88,12 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// The same side with buttons that do what `settings` say.
     pub fn with_buttons(mut self, settings: Option<ButtonSettings>) -> Result<Self, ButtonError> {
         let buttons = settings.map(Buttons::new).transpose()?;
-        if buttons.is_some() {
+        if let Some(buttons) = &buttons {
             self.endpoint.exchange.carry_buttons();
+            if buttons.has_clutch() && self.plant.buttons().is_some() {
+                // A bit that somebody chose is less sure than a device's own clutch: the start does not press it.
+                self.button.must_be_released();
+            }
         }
         Ok(Self { buttons, ..self })
     }
@@ -112,15 +116,27 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
 }
 
 impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
-    /// What the buttons of the device say of clutch and trigger, where the scene maps them.
+    /// What the buttons of the device say of clutch and trigger, where the scene maps them; a clutch that a button works
+    /// is open where that is not known.
     fn pressed(&mut self, now_ns: u64) -> (Option<bool>, Option<f64>) {
         let (Some(buttons), Some(word)) = (&mut self.buttons, self.plant.buttons()) else {
-            return (None, None);
+            return (self.button.at(now_ns, self.plant.clutch()), None);
         };
         let exchange = &mut self.endpoint.exchange;
-        buttons.follow(exchange.state());
-        exchange.report_buttons(word);
-        buttons.at(now_ns, word)
+        buttons.follow(now_ns, exchange.state());
+        exchange.report_buttons(word.0.unwrap_or(0));
+        let (clutch, trigger) = buttons.at(now_ns, word);
+        let clutch = if buttons.has_clutch() {
+            Some(self.button.at(now_ns, clutch).unwrap_or(false))
+        } else {
+            self.button.at(now_ns, self.plant.clutch())
+        };
+        (clutch, trigger)
+    }
+
+    /// Whether a button of the device works the clutch, as the scene maps them.
+    fn has_mapped_clutch(&self) -> bool {
+        self.plant.buttons().is_some() && self.buttons.as_ref().is_some_and(Buttons::has_clutch)
     }
 }
 
@@ -137,14 +153,14 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             self.operator.reset();
             self.button.stalled();
             if let Some(buttons) = &mut self.buttons {
-                buttons.open();
+                buttons.stalled();
             }
         }
         let (position, velocity) = self.plant.read(time.now_ns);
         let reading = MasterReading { position, velocity, rotation: self.plant.rotation() };
         let pressed = self.pressed(time.now_ns);
         let ladder = self.endpoint.exchange.ladder();
-        let clutch = match self.button.at(time.now_ns, pressed.0.or(self.plant.clutch())) {
+        let clutch = match pressed.0 {
             Some(button) => {
                 self.operator.reset();
                 button
@@ -182,6 +198,12 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             }
             OperatorCommand::Release => {
                 self.button.must_be_released();
+                if self.has_mapped_clutch() {
+                    if let Some(buttons) = &mut self.buttons {
+                        buttons.open();
+                    }
+                    return Ok(self.exchange().clutch());
+                }
                 let was_pressed = self.operator.release_clutch();
                 Ok(self.plant.clutch().unwrap_or(was_pressed))
             }
@@ -191,8 +213,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
 
     fn has_button(&self) -> bool {
         // Before the first tick the plant alone knows.
-        let mapped = self.plant.buttons().is_some() && self.buttons.as_ref().is_some_and(Buttons::has_clutch);
-        mapped || self.button.is_there() || self.plant.clutch().is_some()
+        self.has_mapped_clutch() || self.button.is_there() || self.plant.clutch().is_some()
     }
 
     fn rest(&mut self) {

@@ -101,15 +101,17 @@ impl FrameLayout {
     }
 
     /// What both sides say of their frames in the handshake.
-    #[allow(clippy::cast_possible_truncation)] // at most `MAX_FRAME`, below 512
+    #[allow(clippy::cast_possible_truncation)] // at most 7 axes
     pub const fn form(self, axes: usize) -> FrameForm {
-        FrameForm((VERSION as u16) << 12 | (self.kind.code() as u16) << 9 | self.length(axes) as u16)
+        let parts = (self.has_gripper as u16) << 6 | (self.has_buttons as u16) << 7;
+        FrameForm((VERSION as u16) << 12 | parts | (self.kind.code() as u16) << 3 | axes as u16)
     }
 }
 
-/// What a side says of its frames in the handshake: bits 0 to 8 their bytes, 9 to 11 their kind, 12 to 15 their version.
+/// What a side says of its frames in the handshake: bits 0 to 2 their axes, 3 to 5 their kind, 6 whether they have a
+/// gripper, 7 buttons, 12 to 15 their version.
 ///
-/// Before version 5 it was the bytes alone, so that a side of such a version is known by the version 0.
+/// Before version 5 it was their length in bytes, so that a side of such a version is known by the version 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameForm(pub u16);
 
@@ -125,8 +127,15 @@ impl std::fmt::Display for FrameForm {
             );
         }
         let kinds = [SideKind::Linear, SideKind::Joints, SideKind::Pose];
-        let kind = kinds.into_iter().find(|kind| u16::from(kind.code()) == form >> 9 & 7);
-        write!(f, "of kind {} and {} bytes", kind.map_or("unknown", SideKind::name), form & 0x1FF)
+        let kind = kinds.into_iter().find(|kind| u16::from(kind.code()) == form >> 3 & 7);
+        let with = |bit: u16, what: &'static str| if form >> bit & 1 == 1 { what } else { "" };
+        let (gripper, buttons) = (with(6, ", with a gripper"), with(7, ", with buttons"));
+        write!(
+            f,
+            "of kind {} and {} axes{gripper}{buttons}",
+            kind.map_or("unknown", SideKind::name),
+            form & 7
+        )
     }
 }
 

@@ -2338,7 +2338,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         trigger: float | None = None,
         orientation: Sequence[float] | None = None,
         angular_velocity: Sequence[float] | None = None,
-        buttons: int = 0,
+        buttons: int | None = None,
     ) -> tuple[Any, ...] | None:
         """One tick, at a sample of the device.
 
@@ -2352,7 +2352,8 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             trigger: What leads the slave's gripper, 0 (open) to 1 (closed); none, or another number, leaves it as it is.
             orientation: R of kind "pose", as a unit quaternion w, x, y, z; of other kinds nothing is taken of it.
             angular_velocity: w in rad/s in the base frame from a device that measures it, at every sample or at none.
-            buttons: Bit n, button n is pressed; what they do is said by `[master.buttons]` of the scene.
+            buttons: Bit n, button n is pressed; none where they are not known, which is no release. What they do is said
+                by `[master.buttons]` of the scene.
 
         Returns:
             F_device in N, shape `(axes,)`, and of kind "pose" that and the torque in N m, shape `(3,)` each; none where

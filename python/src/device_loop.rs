@@ -6,8 +6,8 @@ use std::{
 };
 
 use haptether_bridge::{
-    DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterSide, MasterTurn, OperatorCommand, Side,
-    SideKind, SlaveOrder, SlaveSide, SlaveTurn, Trigger,
+    ButtonWord, DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterSide, MasterTurn, OperatorCommand,
+    Side, SideKind, SlaveOrder, SlaveSide, SlaveTurn, Trigger,
     coupling::{RotationState, measured, quat_wxyz},
     live::{DriverLoop, Ineffective, PacedLoop, paced_by_device},
     scene::{Timed, as_pose, driven_master, driven_slave},
@@ -45,7 +45,7 @@ struct MasterRead<'a, 'py> {
     trigger: Option<f64>,
     orientation: Option<[f64; 4]>,
     angular_velocity: Option<[f64; 3]>,
-    buttons: u32,
+    buttons: Option<u32>,
 }
 
 /// What a slave's driver has read.
@@ -143,7 +143,9 @@ impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<D
                 report_fault(side, read.fault);
                 let plant = &mut side.side.plant;
                 (plant.position, plant.velocity, plant.clutch) = (position, velocity, read.clutch);
-                (plant.rotation, plant.buttons) = (rotation, read.buttons);
+                // What a device says beside a fault is not known.
+                let buttons = ButtonWord(read.buttons.filter(|_| read.fault.is_none()));
+                (plant.rotation, plant.buttons) = (rotation, buttons);
                 if let Some(trigger) = &mut side.side.trigger {
                     *trigger = Trigger::Driven(read.trigger);
                 }
@@ -305,7 +307,7 @@ constructor!(MasterLoop, peer,
 #[pymethods]
 impl MasterLoop {
     #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None, trigger=None, orientation=None,
-        angular_velocity=None, buttons=0))]
+        angular_velocity=None, buttons=None))]
     #[allow(clippy::too_many_arguments)] // those of a sample, by name
     fn step<'py>(
         &self,
@@ -317,7 +319,7 @@ impl MasterLoop {
         trigger: Option<f64>,
         orientation: Option<[f64; 4]>,
         angular_velocity: Option<[f64; 3]>,
-        buttons: u32,
+        buttons: Option<u32>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let read =
             MasterRead { position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons };

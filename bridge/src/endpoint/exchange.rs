@@ -130,7 +130,7 @@ impl<const N: usize> Exchange<N> {
     }
 
     /// What the coordinates of this side and of its peer are; of a pose every frame has a rotation.
-    pub fn set_kind(&mut self, kind: SideKind) {
+    pub(crate) fn set_kind(&mut self, kind: SideKind) {
         self.link.set_layout(FrameLayout { kind, ..self.link.layout() });
     }
 

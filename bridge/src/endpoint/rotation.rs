@@ -7,6 +7,9 @@ use crate::coupling::{
     CouplingError, Limited, RotationBounds, RotationCoupling, RotationLock, RotationState, turned_within,
 };
 
+/// How far in rad a command may stay behind the master: beyond pi the shorter way is the other one.
+const MAX_LAG_RAD: f64 = std::f64::consts::FRAC_PI_2;
+
 /// How the rotation of a slave's endpoint is built.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveRotationSettings {
@@ -65,19 +68,37 @@ impl SlaveRotation {
     ) -> Axes<3> {
         let home = self.home.unwrap_or(measured.orientation);
         let from = self.command.unwrap_or(measured.orientation);
-        // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
         let ahead = |velocity: Axes<3>| UnitQuaternion::from_scaled_axis(velocity * ahead_s);
-        let before = ahead(self.coupling.commanded_velocity(&master.angular_velocity));
-        let followed = self.coupling.commanded_orientation(&master.orientation, &(before.inverse() * from));
-        let velocity = self.coupling.commanded_velocity(&master.angular_velocity);
-        let wanted = ahead(velocity) * followed;
-        self.command = Some(turned_within(&self.bounds, elapsed_s, [&home, &from, &wanted], limited));
-        let speed = velocity.norm() * share;
-        if speed > self.bounds.speed {
+        let mut velocity = self.velocity(master, limited);
+        // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
+        let followed = self.coupling.commanded_orientation(&master.orientation, &(ahead(-velocity) * from));
+        velocity = self.velocity(master, limited);
+        let mut wanted = ahead(velocity) * followed;
+        if wanted.angle_to(&from) > MAX_LAG_RAD {
+            // Further on the shorter way would turn back: it goes on from where it is.
             limited.angular_speed = true;
-            return velocity * (share * self.bounds.speed / speed);
+            self.coupling.disengage();
+            self.coupling.commanded_orientation(&master.orientation, &from);
+            (wanted, velocity) = (from, Axes::zeros());
+        }
+        let mut acted = Limited::default();
+        let command = turned_within(&self.bounds, elapsed_s, [&home, &from, &wanted], &mut acted);
+        self.command = Some(command);
+        if acted.any() {
+            (limited.turn, limited.angular_speed) =
+                (limited.turn | acted.turn, limited.angular_speed | acted.angular_speed);
+            // What a bound holds back does not go on turning.
+            let way = (command * from.inverse()).scaled_axis();
+            velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
         }
         velocity * share
+    }
+
+    /// With which the command turns, within the bound on its speed.
+    fn velocity(&self, master: &RotationState, limited: &mut Limited) -> Axes<3> {
+        let velocity = self.coupling.commanded_velocity(&master.angular_velocity);
+        limited.angular_speed |= velocity.norm() > self.bounds.speed;
+        velocity.cap_magnitude(self.bounds.speed)
     }
 }
 

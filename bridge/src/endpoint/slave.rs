@@ -139,11 +139,12 @@ impl<const N: usize> SlaveEndpoint<N> {
             self.exchange.fault(now_ns, fault);
         }
         let (state, age_ns) = self.exchange.advance(now_ns, false);
-        let home = *self.home.get_or_insert(*position);
+        // From the first sample that can be: bounds hang on it.
+        let home = if checked.is_ok() { *self.home.get_or_insert(*position) } else { *position };
         let (mut command_velocity, mut angular_velocity) = (Axes::zeros(), Axes::zeros());
         let mut limited = Limited::default();
         let elapsed_s = now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9;
-        if let (Some(rotation), Some(measured)) = (&mut self.rotation, &reading.rotation) {
+        if let (Some(rotation), Some(measured), Ok(())) = (&mut self.rotation, &reading.rotation, checked) {
             rotation.begin(measured);
         }
         match (state, self.exchange.link().newest()) {

@@ -470,13 +470,9 @@ impl SimulatedTool {
         }
         let force = 2.0 * self.jaw_friction * force_n;
         self.world.grip = Some(Grip { force, moment: force * self.jaw_radius });
-        if self.world.held.is_some() {
-            return;
-        }
         let Some((held, at)) = self.between() else { return };
-        if (jaws - at).abs() <= JAW_PLAY {
-            self.world.held = Some(held);
-        }
+        let is_near = (jaws - at).abs() <= JAW_PLAY;
+        self.world.held = is_near.then_some(held).or(self.world.held.filter(|_| jaws >= at - JAW_PLAY));
     }
 
     /// Whether there is anything in its world that the tool could hold.
