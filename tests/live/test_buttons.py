@@ -50,7 +50,7 @@ class Hand:
     paces = False
 
     def __init__(self) -> None:
-        self.buttons = 0
+        self.buttons: int | None = 0
 
     def open(self) -> None:
         pass
@@ -67,7 +67,7 @@ class Hand:
     def press(self, button: int, seconds: float = 0.06) -> None:
         # A contact that was open for less than 20 ms bounces.
         time.sleep(seconds)
-        self.buttons |= button
+        self.buttons = (self.buttons or 0) | button
         time.sleep(seconds)
         self.buttons &= ~button
         time.sleep(seconds)
@@ -144,6 +144,38 @@ def test_a_switch_of_the_clutch_is_open_after_the_sides_have_parted() -> None:
     hand.press(ENGAGE)
     until(lambda: master.state == "engaged")
     for side in (master, again):
+        side.stop()
+        side.finish()
+
+
+@anew_after_stalls
+def test_a_clutch_that_is_closed_or_not_known_must_be_seen_open_first() -> None:
+    """Neither a bit that is always there nor a driver that loses the buttons for a while presses it."""
+    spec = scene_json(
+        override_scene(load_scene("remote_push", ["environment.pushers=[]"]), ["master.buttons={clutch = 4}"])
+    )
+    hand = Hand()
+    hand.buttons = ENGAGE
+    slave = LiveSlave(spec, listen="127.0.0.1:0", **how())
+    master = MasterRun(hand, MasterLoop(spec, peer=slave.address, duration_s=30.0, patience_s=10.0, **how()))
+    until(lambda: master.is_answered)
+    time.sleep(0.5)
+    assert master.state == "disengaged"
+    hand.buttons = 0
+    time.sleep(0.1)
+    hand.buttons = ENGAGE
+    until(lambda: master.state == "engaged")
+    hand.buttons = None
+    until(lambda: master.state == "disengaged")
+    time.sleep(0.1)
+    hand.buttons = ENGAGE
+    time.sleep(0.5)
+    assert master.state == "disengaged"
+    hand.buttons = 0
+    time.sleep(0.1)
+    hand.buttons = ENGAGE
+    until(lambda: master.state == "engaged")
+    for side in (master, slave):
         side.stop()
         side.finish()
 
