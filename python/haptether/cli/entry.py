@@ -145,13 +145,22 @@ def _status(command: Command) -> int:
             # What Ctrl-C has cut short may say so in its own way.
             return INTERRUPTED
         status = BAD_REQUEST if isinstance(error, ValueError) else FAILED
+        try:
+            sys.stdout.flush()
+        except OSError:
+            # What it still holds would be tried again at exit.
+            _discard_output()
         return complain(error, status, debug=getattr(command, "debug", False))
 
 
 def _unwritten(error: OSError) -> int:
     """The status where standard output takes no more: nothing is left to say there, and Python must not try at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    _discard_output()
     return FAILED if isinstance(error, BrokenPipeError) else complain(error, FAILED)
+
+
+def _discard_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _use_width() -> None:
