@@ -168,7 +168,7 @@ impl<const N: usize> DrivenSlave<N> {
 
     /// The same arm led as a pose, which brakes its rotation with a deceleration in rad/s^2 (> 0).
     #[must_use]
-    pub(crate) fn turning(self, angular_deceleration: f64) -> Self {
+    pub(crate) fn with_angular_deceleration(self, angular_deceleration: f64) -> Self {
         Self { angular_deceleration: Some(angular_deceleration), ..self }
     }
 
@@ -301,6 +301,40 @@ mod tests {
             before = position;
         }
         assert!((before - (rest - velocity * 0.09)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_pose_that_is_not_led_brakes_its_rotation_evenly_to_where_it_said() {
+        let (deceleration, w) = (5.0, Axes::<3>::new(0.0, 1.2, -0.9));
+        let mut arm = DrivenSlave::<3>::new(2.0).unwrap().with_angular_deceleration(deceleration);
+        let turned = |by: Axes<3>| UnitQuaternion::from_scaled_axis(by);
+        let from = turned(Axes::<3>::new(0.4, 0.1, 0.2));
+        let rotation = |arm: &DrivenSlave<3>| match *arm.order() {
+            SlaveOrder::Move { rotation: Some(rotation), .. } => rotation,
+            ref other => panic!("{other:?}"),
+        };
+        assert_eq!(arm.rest_orientation(), None);
+        arm.read(0);
+        arm.write_rotation(&from, &w);
+        arm.write(&Axes::zeros(), &Axes::<3>::new(0.1, 0.0, 0.0));
+        let rest = arm.hold();
+        let rest_orientation = arm.rest_orientation().unwrap();
+        // w² / 2 a about w.
+        let expected = turned(w * (0.5 * w.norm() / deceleration)) * from;
+        assert!(rest_orientation.angle_to(&expected) < 1e-7);
+        let mut before = (from, w);
+        for n in 1..=600 {
+            arm.read(n * MS);
+            arm.write_rotation(&rest_orientation, &Axes::zeros());
+            arm.write(&rest, &Axes::zeros());
+            let now = rotation(&arm);
+            // Trapezoid of two velocities about one axis: exact for constant deceleration, but in the step it ends in.
+            let step = (now.0 * before.0.inverse()).scaled_axis() - (now.1 + before.1) * 0.5e-3;
+            assert!(step.norm() < 1e-9 || (now.1.norm() == 0.0 && step.norm() < deceleration * 1e-6), "{n}");
+            assert!((now.1 - before.1).norm() <= deceleration * 1e-3 + 1e-12);
+            before = now;
+        }
+        assert!(before.0.angle_to(&rest_orientation) < 1e-7 && before.1.norm() == 0.0);
     }
 
     #[test]

@@ -4,15 +4,17 @@
 use std::collections::VecDeque;
 
 use haptether_bridge::{
-    Clutch, DrivenMaster, DrivenSlave, LadderSettings, LadderState, LinkTime, MasterEndpoint, MasterRotation,
-    MasterRotationSettings, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveOrder,
-    SlaveRotation, SlaveRotationSettings, SlaveSettings, SlaveSide, TickTime,
+    Clutch, DrivenMaster, DrivenSlave, LadderSettings, LadderState, LinkTime, MasterEndpoint, MasterRecord,
+    MasterRotation, MasterRotationSettings, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint,
+    SlaveOrder, SlaveRotation, SlaveRotationSettings, SlaveSettings, SlaveSide, TickTime,
     coupling::{CommandBounds, RotationBounds, RotationLock, RotationState},
-    wire::MAX_FRAME,
+    wire::{Frame, MAX_FRAME, Role},
 };
 use haptether_master::RotationSample;
 use haptether_safety::{
-    Axes, DeviceModel, LimiterSettings, RotationModel, controller::SafetySettings, estimator::EstimatorKind,
+    Axes, DeviceModel, LimiterSettings, RotationModel,
+    controller::{ControllerKind, Controllers, SafetySettings},
+    estimator::EstimatorKind,
 };
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
@@ -27,6 +29,8 @@ struct Pair {
     under_way: [VecDeque<Vec<u8>>; 2],
     is_silent: bool,
     tick: u64,
+    /// The last record of the master.
+    last: Option<MasterRecord<3, MasterRotation>>,
 }
 
 fn turned(x: f64, y: f64, z: f64) -> UnitQuaternion<f64> {
@@ -35,7 +39,15 @@ fn turned(x: f64, y: f64, z: f64) -> UnitQuaternion<f64> {
 
 impl Pair {
     fn new(bounds: RotationBounds) -> Self {
-        let safety = SafetySettings::default();
+        Self::with(bounds, Controllers::NONE, true)
+    }
+
+    fn watched(controllers: Controllers, shares_trips: bool) -> Self {
+        Self::with(RotationBounds::default(), controllers, shares_trips)
+    }
+
+    fn with(bounds: RotationBounds, controllers: Controllers, shares_trips: bool) -> Self {
+        let safety = SafetySettings { controllers, damping: 0.0, ..SafetySettings::default() };
         let settings = MasterSettings {
             period_ns: MS,
             run_id: 1,
@@ -49,10 +61,10 @@ impl Pair {
         let rotation = MasterRotationSettings {
             device: RotationModel::new(Axes::<3>::repeat(1e-4), 1e-4, 0.0).unwrap(),
             estimator: EstimatorKind::default(),
-            safety: SafetySettings { damping: 0.01, pc_max_damping: 0.01, ..safety.at_lever(0.05) },
+            safety: SafetySettings { damping: 0.0, pc_max_damping: 0.01, ..safety.at_lever(0.05) },
             limiter: LimiterSettings::default().at_lever(0.05),
             torque_scale: 1.0,
-            shares_trips: true,
+            shares_trips,
         };
         let endpoint = MasterEndpoint::of_pose(&settings, &rotation, RotationLock::Free).unwrap();
         let master = MasterSide::new(DrivenMaster::default(), endpoint, Clutch::Once).unwrap().turning();
@@ -66,7 +78,8 @@ impl Pair {
         let rotation = SlaveRotationSettings { rotation_scale: SCALE, lock: RotationLock::Free, bounds };
         let endpoint = SlaveEndpoint::of_pose(&settings, &rotation).unwrap();
         let slave = SlaveSide::new(DrivenSlave::new(5.0).unwrap(), endpoint).turning();
-        let mut pair = Self { master, slave, under_way: Default::default(), is_silent: false, tick: 0 };
+        let mut pair =
+            Self { master, slave, under_way: Default::default(), is_silent: false, tick: 0, last: None };
         pair.hand(turned(0.2, -0.1, 0.3));
         let orientation = turned(-0.4, 0.2, 0.1);
         let torque = Axes::<3>::new(0.0, 0.0, 0.02);
@@ -79,11 +92,19 @@ impl Pair {
         self.master.plant.rotation = Some(RotationSample { orientation, angular_velocity: None });
     }
 
+    /// A tick of both sides, and the record of the master.
+    fn record(&mut self) -> MasterRecord<3, MasterRotation> {
+        self.tick();
+        self.last.unwrap()
+    }
+
     fn tick(&mut self) -> [LadderState; 2] {
         let (now, time) = (LinkTime::at(self.tick * MS), TickTime::at(self.tick * MS));
         let mut buffer = [0; MAX_FRAME];
         let [to_slave, to_master] = &mut self.under_way;
-        let states = [self.master.tick(time).state, {
+        let record = self.master.tick(time);
+        self.last = Some(record);
+        let states = [record.state, {
             to_slave.push_back(self.master.send(now, &mut buffer).to_vec());
             if to_slave.len() > DELAY {
                 let frame = to_slave.pop_front().unwrap();
@@ -199,4 +220,173 @@ fn silence_brings_the_rotation_to_rest_and_then_to_a_stop() {
     }
     assert!(held > 10, "{held}");
     assert_eq!(*pair.slave.plant.order(), SlaveOrder::Stop);
+}
+
+/// Of a hand that is much faster than the bound: what lags is given up, never led back the shorter way.
+#[test]
+fn a_command_that_lags_goes_on_the_same_way() {
+    let mut pair = Pair::new(RotationBounds::default());
+    pair.engage();
+    let start = pair.order().0;
+    let (mut before, mut whole) = (start, 0.0_f64);
+    for n in 0..1200 {
+        // 8 rad at 16 rad/s, 1.5 times that for the arm, which turns at 2.5 rad/s at most.
+        let angle = 16e-3 * f64::from(n.min(500));
+        pair.hand(turned(0.0, 0.0, angle) * turned(0.2, -0.1, 0.3));
+        pair.tick();
+        let (now, w) = pair.order();
+        let step = (now * before.inverse()).scaled_axis();
+        assert!(step.z >= -1e-9 && w.z >= -1e-9, "{n}: turned back by {step}, {w}");
+        assert!(step.norm() <= 2.5e-3 + 3e-8 && w.norm() <= 2.5 + 1e-9, "{n}");
+        whole += step.z;
+        before = now;
+    }
+    // 2.5 rad/s for the 0.5 s of the hand, and what is left of a quarter turn after that.
+    assert!(whole > 1.2 && whole < 1.25 + std::f64::consts::FRAC_PI_2 + 0.05, "{whole}");
+    assert!(pair.slave.exchange().counts().limited > 400);
+}
+
+/// An angle that holds the orientation holds its velocity as well: whoever follows that would go beyond.
+#[test]
+fn what_a_bound_holds_does_not_go_on_turning() {
+    let mut pair = Pair::new(RotationBounds { speed: 2.5, turn: 0.4 });
+    pair.engage();
+    for n in 0..1000 {
+        pair.hand(turned(0.0, 0.0, 1e-3 * f64::from(n)) * turned(0.2, -0.1, 0.3));
+        pair.tick();
+        let (now, w) = pair.order();
+        // 0.4 rad are reached after 0.27 s of 1.5 rad/s.
+        if n > 320 {
+            assert!((now.angle_to(&turned(-0.4, 0.2, 0.1)) - 0.4).abs() < 1e-7, "{n}");
+            assert!(w.norm() < 1e-4, "{n}: {w}");
+        }
+    }
+}
+
+/// Bounds hang on where the arm stood: at its first sample that can be, not at one that is none.
+#[test]
+fn a_first_sample_that_is_none_leaves_the_bounds_in_force() {
+    let bounds = RotationBounds { speed: 2.5, turn: 0.2 };
+    for bad in [Quaternion::from([f64::NAN; 4]), Quaternion::from([0.0; 4])] {
+        let mut pair = Pair::new(bounds);
+        let sound = pair.slave.plant.rotation.unwrap();
+        let none = Unit::new_unchecked(bad);
+        pair.slave.plant.rotation = Some(RotationState { orientation: none, ..sound });
+        for _ in 0..20 {
+            pair.tick();
+        }
+        assert_eq!(pair.slave.exchange().state(), LadderState::Fault);
+        pair.slave.plant.rotation = Some(sound);
+        assert!(pair.slave.command(pair.tick * MS, OperatorCommand::Acknowledge).unwrap());
+        for _ in 0..100 {
+            pair.tick();
+        }
+        assert!(pair.master.command(pair.tick * MS, OperatorCommand::Press).unwrap());
+        pair.engage();
+        let start = pair.order().0;
+        for n in 0..800 {
+            pair.hand(turned(0.0, 0.0, 1e-3 * f64::from(n)) * turned(0.2, -0.1, 0.3));
+            pair.tick();
+            assert!(pair.order().0.angle_to(&start) < 0.2 + 1e-7, "{n}");
+        }
+        assert!((pair.order().0.angle_to(&start) - 0.2).abs() < 1e-7);
+    }
+}
+
+/// A release of the clutch and a new press: the arm goes on from where it is, the torque from zero.
+#[test]
+fn a_new_press_anchors_anew_without_a_jump() {
+    let mut pair = Pair::new(RotationBounds::default());
+    pair.engage();
+    for n in 0..300 {
+        pair.hand(turned(0.0, 0.0, 1e-3 * f64::from(n)) * turned(0.2, -0.1, 0.3));
+        pair.tick();
+    }
+    for _ in 0..100 {
+        pair.tick();
+    }
+    let held = pair.order().0;
+    assert!(pair.master.command(pair.tick * MS, OperatorCommand::Press).unwrap());
+    let mut before = held;
+    for n in 0..1200 {
+        // The hand turns elsewhere while the clutch is open, for 0.1 s, and comes to rest.
+        pair.hand(turned(1e-3 * f64::from(n.min(60)), 0.0, 0.3) * turned(0.2, -0.1, 0.3));
+        pair.tick();
+        let now = pair.order().0;
+        assert!(now.angle_to(&before) < 2e-3, "{n}");
+        // Fades within 75 ms, and the clutch is open for 100 ms.
+        assert!(n != 80 || pair.master.plant.torque == Axes::<3>::zeros(), "{n}");
+        before = now;
+    }
+    assert_eq!(pair.slave.exchange().state(), LadderState::Engaged);
+    assert!(before.angle_to(&held) < 1e-6, "what it turned while the two were apart is not made up for");
+}
+
+/// What frames say of the energy is the sum of `f·v + tau·w` of all ticks, each way by itself.
+#[test]
+fn the_energy_of_the_frames_is_that_of_the_whole_wrench() {
+    let mut pair = Pair::new(RotationBounds::default());
+    pair.engage();
+    let mut sums = [0.0_f64; 2];
+    let mut said = [0.0_f64; 2];
+    let read = |pair: &mut Pair| {
+        let mut buffer = [0; MAX_FRAME];
+        let now = LinkTime::at(pair.tick * MS);
+        let layout = pair.master.exchange().link().layout();
+        let bytes = pair.master.send(now, &mut buffer).to_vec();
+        let energy = Frame::<3>::decode(&bytes, Role::Master, layout).unwrap().energy;
+        [energy.in_j, energy.out_j]
+    };
+    let begun = read(&mut pair);
+    for n in 0..500 {
+        let swing = (0.01 * f64::from(n)).sin() * 0.3;
+        pair.hand(turned(0.0, 0.1 * swing, swing) * turned(0.2, -0.1, 0.3));
+        pair.master.plant.position = Axes::<3>::new(0.02 * swing, 0.0, 0.0);
+        let time = TickTime::at(pair.tick * MS);
+        let record = pair.master.tick(time);
+        let turn = record.rotation;
+        let power =
+            record.rendered_force.dot(&record.velocity) + turn.rendered_torque.dot(&turn.angular_velocity);
+        sums[usize::from(power > 0.0)] += power.abs() * 1e-3;
+        // The slave, as in `Pair::tick`, so that the two stay coupled.
+        let now = LinkTime::at(pair.tick * MS);
+        let mut buffer = [0; MAX_FRAME];
+        let frame = pair.master.send(now, &mut buffer).to_vec();
+        let _ = pair.slave.receive(now, &frame);
+        pair.slave.tick(time);
+        let back = pair.slave.send(now, &mut buffer).to_vec();
+        let _ = pair.master.receive(now, &back);
+        pair.tick += 1;
+        said = read(&mut pair);
+    }
+    for (way, name) in [(0, "in"), (1, "out")] {
+        let grown = said[way] - begun[way];
+        assert!(sums[way] > 1e-6 && (grown / sums[way] - 1.0).abs() < 1e-9, "{name}: {grown} {}", sums[way]);
+    }
+}
+
+/// HSC sees a torque that the hand does not hold: while trips are shared, the force is cancelled as well.
+#[test]
+fn a_trip_of_the_torque_acts_on_the_force_where_trips_are_shared() {
+    for shares_trips in [true, false] {
+        let mut pair = Pair::watched([ControllerKind::Hsc].into(), shares_trips);
+        pair.engage();
+        // Nobody holds a device that stands still under a torque: the estimate has a hand hold all of it. So it is let
+        // go: it turns as the torque alone would have it, I = 1e-4 kg m².
+        let (mut angle, mut rate) = (0.0, 0.0);
+        let mut seen = false;
+        for _ in 0..120 {
+            let torque = pair.master.plant.torque.z;
+            rate += torque / 1e-4 * 1e-3;
+            angle += rate * 1e-3;
+            pair.hand(turned(0.2, -0.1, 0.3) * turned(0.0, 0.0, angle));
+            let record = pair.record();
+            if record.rotation.tripped != 0 && record.rotation.device_torque.norm() < 1e-9 {
+                seen = true;
+                let force = record.device_force.norm();
+                assert!(if shares_trips { force < 1e-9 } else { force > 0.1 }, "{force}");
+            }
+        }
+        assert!(seen, "the torque must have tripped");
+    }
 }

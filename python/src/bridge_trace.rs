@@ -44,17 +44,17 @@ per_axes!(
     SlaveRecords
 );
 
-/// Ticks of a side, and of its rotation where it has one.
+/// Ticks of a side: of points along any number of axes, or of poses.
 #[derive(Clone)]
-pub(crate) struct Rows<T, R> {
-    ticks: T,
-    rotation: Option<Vec<R>>,
+pub(crate) enum Rows<T, R> {
+    Points(T),
+    Poses(Vec<R>),
 }
 
 /// Ticks of a master.
-pub(crate) type MasterRows = Rows<MasterTicks, MasterRotation>;
+pub(crate) type MasterRows = Rows<MasterTicks, MasterRecord<3, MasterRotation>>;
 /// Ticks of a slave.
-pub(crate) type SlaveRows = Rows<SlaveTicks, SlaveRotation>;
+pub(crate) type SlaveRows = Rows<SlaveTicks, SlaveRecord<3, SlaveRotation>>;
 
 /// A record of which there are many, of a known number of axes.
 pub(crate) trait Rowed: Recorded {
@@ -71,7 +71,7 @@ macro_rules! rowed {
             type Rows = MasterRows;
 
             fn rows(records: Vec<Self>) -> MasterRows {
-                Rows { ticks: MasterTicks::$variant(records), rotation: None }
+                Rows::Points(MasterTicks::$variant(records))
             }
         }
 
@@ -79,7 +79,7 @@ macro_rules! rowed {
             type Rows = SlaveRows;
 
             fn rows(records: Vec<Self>) -> SlaveRows {
-                Rows { ticks: SlaveTicks::$variant(records), rotation: None }
+                Rows::Points(SlaveTicks::$variant(records))
             }
         })*
     };
@@ -91,8 +91,7 @@ impl Rowed for MasterRecord<3, MasterRotation> {
     type Rows = MasterRows;
 
     fn rows(records: Vec<Self>) -> MasterRows {
-        let (ticks, rotation) = records.into_iter().map(Self::parted).unzip();
-        Rows { ticks: MasterTicks::Three(ticks), rotation: Some(rotation) }
+        Rows::Poses(records)
     }
 }
 
@@ -100,8 +99,7 @@ impl Rowed for SlaveRecord<3, SlaveRotation> {
     type Rows = SlaveRows;
 
     fn rows(records: Vec<Self>) -> SlaveRows {
-        let (ticks, rotation) = records.into_iter().map(Self::parted).unzip();
-        Rows { ticks: SlaveTicks::Three(ticks), rotation: Some(rotation) }
+        Rows::Poses(records)
     }
 }
 
@@ -127,6 +125,16 @@ fn vectors<const N: usize>(py: Python<'_>, values: impl Iterator<Item = Axes<N>>
     Ok(flat.into_pyarray(py).reshape([ticks, N])?.into_any().unbind())
 }
 
+/// Runs an expression on the records of all kinds of rows.
+macro_rules! of_rows {
+    ($rows:expr, $ticks:ident, $records:ident => $body:expr) => {
+        match $rows {
+            Rows::Points(ticks) => with_axes!(ticks, $ticks, $records => $body),
+            Rows::Poses($records) => $body,
+        }
+    };
+}
+
 /// Getters that return one array per signal.
 macro_rules! columns {
     ($class:ident, $rows:ident, $record:ident,
@@ -135,20 +143,20 @@ macro_rules! columns {
         impl $class {
             $(#[getter]
             fn $name(&self, py: Python<'_>) -> Py<PyAny> {
-                with_axes!(&self.rows.ticks, $rows, records => {
+                of_rows!(&self.rows, $rows, records => {
                     column(py, records.iter().map(|$record| $value).collect())
                 })
             })*
 
             $(#[getter]
             fn $vector(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-                with_axes!(&self.rows.ticks, $rows, records => {
+                of_rows!(&self.rows, $rows, records => {
                     vectors(py, records.iter().map(|record| record.$vector))
                 })
             })*
 
             fn __len__(&self) -> usize {
-                with_axes!(&self.rows.ticks, $rows, records => records.len())
+                of_rows!(&self.rows, $rows, records => records.len())
             }
         }
     };
@@ -194,14 +202,14 @@ macro_rules! rotation_columns {
         impl $class {
             $(#[getter]
             fn $quaternion(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
-                let Some(rotation) = &self.rows.rotation else { return Ok(None) };
-                vectors(py, rotation.iter().map(|turn| Axes::<4>::from(turn.$quaternion))).map(Some)
+                let Rows::Poses(records) = &self.rows else { return Ok(None) };
+                vectors(py, records.iter().map(|record| Axes::<4>::from(record.rotation.$quaternion))).map(Some)
             })*
 
             $(#[getter]
             fn $vector(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
-                let Some(rotation) = &self.rows.rotation else { return Ok(None) };
-                vectors(py, rotation.iter().map(|turn| turn.$vector)).map(Some)
+                let Rows::Poses(records) = &self.rows else { return Ok(None) };
+                vectors(py, records.iter().map(|record| record.rotation.$vector)).map(Some)
             })*
         }
     };

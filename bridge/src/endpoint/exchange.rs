@@ -4,7 +4,7 @@ use haptether_safety::{Axes, Fault};
 
 use crate::{
     SideKind,
-    coupling::{GripperState, RotationState},
+    coupling::GripperState,
     fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
         Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInputs,
@@ -132,11 +132,6 @@ impl<const N: usize> Exchange<N> {
     /// What the coordinates of this side and of its peer are; of a pose every frame has a rotation.
     pub(crate) fn set_kind(&mut self, kind: SideKind) {
         self.link.set_layout(FrameLayout { kind, ..self.link.layout() });
-    }
-
-    /// What the peer's newest frame says of its rotation.
-    pub fn peer_rotation(&self) -> Option<&RotationState> {
-        self.link.newest().and_then(|frame| frame.rotation.as_ref())
     }
 
     /// What the next frame says of gripper or trigger.

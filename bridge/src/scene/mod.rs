@@ -19,8 +19,8 @@ pub use measures::{Divergence, DivergenceCause, Ending, Outcome};
 pub use pose::as_pose;
 pub use record::{SceneEvent, SceneRun, Signal};
 pub use sides::{
-    driven_master, driven_slave, simulated_master, simulated_pose_master, simulated_pose_slave,
-    simulated_slave,
+    SimulatedDevice, driven_master, driven_slave, simulated_master, simulated_pose_master,
+    simulated_pose_slave, simulated_slave,
 };
 pub use spec::{SceneSpec, scene_axes, scene_schema};
 pub use sweep::{Progress, Refused, SweepError, SweepSettings, Variation, sweep};

@@ -124,10 +124,11 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
     )?)
 }
 
+/// A model of a device and its hand, however it is advanced.
+pub type SimulatedDevice<const N: usize> = Box<dyn MasterPlant<N> + Send>;
+
 /// The scene's device in the scene's hand, which waits for the engagement.
-fn simulated_device<const N: usize>(
-    scene: &SceneSpec<N>,
-) -> Result<Box<dyn MasterPlant<N> + Send>, SceneError> {
+fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedDevice<N>, SceneError> {
     Ok(match scene.run.integrator {
         Integrator::Exact => {
             let mut plant = exact_master::<N>(scene)?;
@@ -147,11 +148,10 @@ fn simulated_device<const N: usize>(
 /// # Errors
 ///
 /// A number or a combination that no part can have, as for all of these.
-#[allow(clippy::type_complexity)]
 pub fn simulated_master<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
-) -> Result<Timed<MasterSide<Box<dyn MasterPlant<N> + Send>, N>>, SceneError> {
+) -> Result<Timed<MasterSide<SimulatedDevice<N>, N>>, SceneError> {
     let plant = simulated_device(scene)?;
     let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
@@ -164,13 +164,11 @@ pub fn simulated_master<const N: usize>(
 /// # Errors
 ///
 /// As [`simulated_master`].
-#[allow(clippy::type_complexity)]
 pub fn simulated_pose_master(
     scene: &SceneSpec<3>,
     run_id: u64,
-) -> Result<Timed<MasterSide<Box<dyn MasterPlant<3> + Send>, 3, MasterRotation>>, SceneError> {
-    let plant: Box<dyn MasterPlant<3> + Send> =
-        Box::new(pose::turning_master(scene, simulated_device(scene)?)?);
+) -> Result<Timed<MasterSide<SimulatedDevice<3>, 3, MasterRotation>>, SceneError> {
+    let plant: SimulatedDevice<3> = Box::new(pose::turning_master(scene, simulated_device(scene)?)?);
     let side = MasterSide::new(plant, master_endpoint(scene, run_id)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?
@@ -241,7 +239,7 @@ pub fn driven_slave<const N: usize>(
     let mut plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
     if scene.master.kind == SideKind::Pose {
-        plant = plant.turning(ANGULAR_DECELERATION);
+        plant = plant.with_angular_deceleration(ANGULAR_DECELERATION);
     }
     let gripper = slave.gripper.map(LedGripper::driven).transpose()?;
     let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?).with_gripper(gripper);

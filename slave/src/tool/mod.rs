@@ -1,36 +1,34 @@
 //! A simulated tool that turns, in a world of surfaces, holes, handles and bodies that it can hold.
 
+mod body;
+mod handle;
 mod hold;
 mod rigid;
 mod settings;
 mod surroundings;
 #[cfg(test)]
 mod tests;
+mod world;
 
 pub use settings::{HandleSettings, HoleSettings, RigidBodySettings, ToolSettings, ToolWorldSettings};
 
 use nalgebra::{Unit, UnitQuaternion};
 
-use crate::{
-    ArmSettings, Axes, ControlKind, FULL_SLIP, ModelError, Pusher, PusherSettings, all_finite, require,
-};
+use crate::{ArmSettings, Axes, ControlKind, ModelError, Pusher, PusherSettings, all_finite, require};
+use body::Body;
+use handle::Handle;
 use hold::{Frame, Grip, Hold, Stiffness};
 use rigid::{Inertia, Load, Rate, Rigid, mean};
-use settings::{direction, finite, non_negative, orientation, positive};
+use settings::{finite, non_negative, orientation, positive};
 use surroundings::{Hole, Surroundings};
+use world::{Held, Loads, Motion, Servo, SetPose, World};
 
 /// Angle in rad by which the stiffest part swings in a sub-step.
 const STEP_PHASE: f64 = 0.25;
 /// Largest rate in rad/s of the stiffest part: 400 sub-steps a ms.
 const MAX_RATE: f64 = 1e5;
-/// Speed in rad/s below which the dry friction of a handle grows linearly with it, as [`FULL_SLIP`] of a surface.
-const FULL_TURN: f64 = 1e-2;
-/// Of the stops of a handle, in N m/rad.
-const STOP_STIFFNESS: f64 = 500.0;
 /// Longest time in s between two writes that is made up for at once: that of the slowest loop.
 const MAX_UNWRITTEN_S: f64 = 0.02;
-/// How far in m outside of a body the tool point may be for the jaws to take it.
-const JAW_REACH: f64 = 5e-3;
 /// How far the jaws may be from what they hold and still hold it, of their way.
 const JAW_PLAY: f64 = 0.02;
 
@@ -51,142 +49,6 @@ pub struct ToolSample {
     pub torque: Axes<3>,
 }
 
-/// What the servo leads the tool to.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct SetPose {
-    position: Axes<3>,
-    velocity: Axes<3>,
-    orientation: UnitQuaternion<f64>,
-    angular_velocity: Axes<3>,
-    /// When it was set, in s.
-    at_s: f64,
-}
-
-impl SetPose {
-    fn at(&self, t: f64) -> (Axes<3>, UnitQuaternion<f64>) {
-        let since = t - self.at_s;
-        let turn = UnitQuaternion::from_scaled_axis(self.angular_velocity * since);
-        (self.position + self.velocity * since, turn * self.orientation)
-    }
-}
-
-/// Springs and dampers between the set pose and the tool.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Servo {
-    stiffness: f64,
-    damping: f64,
-    rotational_stiffness: f64,
-    rotational_damping: f64,
-    max_speed: f64,
-    max_angular_speed: f64,
-}
-
-/// What turns about one axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Handle {
-    point: Axes<3>,
-    axis: Unit<Axes<3>>,
-    lever: Axes<3>,
-    reach: f64,
-    width: f64,
-    inertia: f64,
-    viscous: f64,
-    coulomb: f64,
-    stiffness: f64,
-    stops: [f64; 2],
-    hold: Stiffness,
-}
-
-impl Handle {
-    fn new(settings: &HandleSettings, mass_kg: f64, moment: f64) -> Result<Self, ModelError> {
-        let (point, grip) = (finite("handle point", settings.point)?, finite("handle grip", settings.grip)?);
-        let [lower, upper] = settings.stops_rad;
-        require("handle stops_rad", lower, upper > lower, "finite and below the upper stop")?;
-        require("handle stops_rad", upper, true, "finite")?;
-        let linear = positive("handle hold_stiffness", settings.hold_stiffness)?;
-        let angular = non_negative("handle hold_rotational_stiffness", settings.hold_rotational_stiffness)?;
-        Ok(Self {
-            point,
-            axis: direction("handle axis", settings.axis)?,
-            lever: grip - point,
-            reach: positive("handle reach_m", settings.reach_m)?,
-            width: non_negative("handle width_m", settings.width_m)?,
-            inertia: positive("handle inertia_kg_m2", settings.inertia_kg_m2)?,
-            viscous: non_negative("handle viscous", settings.viscous)?,
-            coulomb: non_negative("handle coulomb", settings.coulomb)?,
-            stiffness: non_negative("handle stiffness", settings.stiffness)?,
-            stops: [lower, upper],
-            // Critically damped with the tool's own mass and inertia.
-            hold: Stiffness {
-                linear: (linear, 2.0 * (linear * mass_kg).sqrt()),
-                angular: (angular, 2.0 * (angular * moment).sqrt()),
-            },
-        })
-    }
-
-    /// Where it is gripped.
-    fn frame(&self, [angle, rate]: [f64; 2]) -> Frame {
-        let orientation = UnitQuaternion::from_axis_angle(&self.axis, angle);
-        let lever = orientation * self.lever;
-        let angular_velocity = self.axis.into_inner() * rate;
-        Frame {
-            position: self.point + lever,
-            velocity: angular_velocity.cross(&lever),
-            orientation,
-            angular_velocity,
-        }
-    }
-
-    /// Its own torque in N m about its axis: friction, spring, stops.
-    fn own_torque(&self, [angle, rate]: [f64; 2]) -> f64 {
-        let beyond = angle - angle.clamp(self.stops[0], self.stops[1]);
-        let stop = if beyond == 0.0 {
-            0.0
-        } else {
-            let pressed = STOP_STIFFNESS * beyond + 2.0 * (STOP_STIFFNESS * self.inertia).sqrt() * rate;
-            // It pushes, and never pulls.
-            if pressed * beyond > 0.0 { pressed } else { 0.0 }
-        };
-        -self.viscous * rate - self.coulomb * rate / rate.abs().max(FULL_TURN) - self.stiffness * angle - stop
-    }
-}
-
-/// A box that jaws can hold.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Body {
-    inertia: Inertia,
-    half_extents: Axes<3>,
-    gravity: f64,
-}
-
-impl Body {
-    /// Whether it is between the jaws of a tool.
-    fn in_reach(&self, tool: &Frame, at: &Frame) -> bool {
-        let from = at.orientation.inverse() * (tool.position - at.position);
-        (from.abs() - self.half_extents).max() <= JAW_REACH
-    }
-}
-
-/// All that moves.
-#[derive(Clone, Debug, PartialEq)]
-struct Motion {
-    tool: Rigid,
-    bodies: Vec<Rigid>,
-    /// Angle in rad and rate in rad/s of each handle.
-    handles: Vec<[f64; 2]>,
-}
-
-/// What acts on all that moves.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Loads {
-    tool: Load,
-    /// What of it is not the servo's.
-    environment: Load,
-    bodies: Vec<Load>,
-    handles: Vec<f64>,
-    touches: bool,
-}
-
 /// Memory of a step of Runge and Kutta.
 #[derive(Clone, Debug, PartialEq)]
 struct Scratch {
@@ -195,30 +57,6 @@ struct Scratch {
     tool: [Rate; 4],
     bodies: Vec<[Rate; 4]>,
     handles: Vec<[[f64; 2]; 4]>,
-}
-
-/// What the tool holds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Held {
-    Handle(usize, Hold),
-    Body(usize, Hold),
-}
-
-/// What does not move by itself, and how all is bound.
-#[derive(Clone, Debug, PartialEq)]
-struct World {
-    servo: Servo,
-    inertia: Inertia,
-    points: Vec<Axes<3>>,
-    surroundings: Surroundings,
-    pushers: Vec<Pusher<3>>,
-    torques: Vec<Pusher<3>>,
-    handles: Vec<Handle>,
-    bodies: Vec<Body>,
-    jaw_stiffness: Stiffness,
-    held: Option<Held>,
-    /// Of the jaws, where there are any.
-    grip: Option<Grip>,
 }
 
 /// A rigid tool under an impedance servo, touched at points of it, in a world that it can take hold of.
@@ -295,7 +133,7 @@ impl SimulatedTool {
             .collect::<Result<Vec<_>, _>>()?;
         let (mut bodies, mut lying) = (Vec::new(), Vec::new());
         for settings in &world.bodies {
-            let (body, rigid) = body(settings)?;
+            let (body, rigid) = Body::new(settings)?;
             bodies.push(body);
             lying.push(rigid);
         }
@@ -675,184 +513,5 @@ impl SimulatedTool {
         let bodies: f64 = bodies.map(|(rigid, body)| rigid.kinetic_energy_j(&body.inertia)).sum();
         let handles = self.motion.handles.iter().zip(&self.world.handles);
         tool + bodies + handles.map(|([_, rate], handle)| 0.5 * handle.inertia * rate * rate).sum::<f64>()
-    }
-}
-
-fn body(settings: &RigidBodySettings) -> Result<(Body, Rigid), ModelError> {
-    let mass_kg = positive("body mass_kg", settings.mass_kg)?;
-    let half_extents = finite("body half_extents", settings.half_extents)?;
-    for half in &half_extents {
-        positive("body half_extents", *half)?;
-    }
-    // Of a box of even density: m (b² + c²) / 3 of its half extents.
-    let squares = half_extents.component_mul(&half_extents);
-    let moments = Axes::<3>::repeat(squares.sum()) - squares;
-    let inertia = Inertia { mass_kg, moments: moments * (mass_kg / 3.0) };
-    let rigid = Rigid {
-        position: finite("body position", settings.position)?,
-        velocity: Axes::zeros(),
-        orientation: orientation("body quat_wxyz", settings.quat_wxyz)?,
-        momentum: Axes::zeros(),
-    };
-    let gravity = non_negative("body gravity", settings.gravity)?;
-    Ok((Body { inertia, half_extents, gravity }, rigid))
-}
-
-impl World {
-    /// In rad/s, at which the stiffest part swings or is damped, all points and corners in contact at once.
-    fn rate(&self) -> f64 {
-        let (contact, damping) = self.surroundings.stiffest();
-        let swings =
-            |stiffness: f64, damping: f64, inertia: f64| (stiffness / inertia).sqrt().max(damping / inertia);
-        let count = self.points.len() as f64;
-        let held = self.handles.iter().map(|handle| handle.hold).chain([self.jaw_stiffness]);
-        let (mut most, mut turning) = ((0.0_f64, 0.0_f64), (0.0_f64, 0.0_f64));
-        for Stiffness { linear, angular } in held {
-            most = (most.0.max(linear.0), most.1.max(linear.1));
-            turning = (turning.0.max(angular.0), turning.1.max(angular.1));
-        }
-        if self.handles.is_empty() && self.bodies.is_empty() {
-            (most, turning) = ((0.0, 0.0), (0.0, 0.0));
-        }
-        let reach: f64 = self.points.iter().map(Axes::norm_squared).sum();
-        let Servo { stiffness, damping: of_servo, rotational_stiffness, rotational_damping, .. } = self.servo;
-        let least = self.inertia.moments.min();
-        let mut rate = swings(
-            stiffness + count * contact + most.0,
-            of_servo + count * damping + most.1,
-            self.inertia.mass_kg,
-        )
-        .max(swings(
-            rotational_stiffness + reach * contact + turning.0,
-            rotational_damping + reach * damping + turning.1,
-            least,
-        ));
-        for body in &self.bodies {
-            let Inertia { mass_kg, moments } = body.inertia;
-            let lever = 8.0 * body.half_extents.norm_squared();
-            // Friction of its own weight below full slip.
-            let sliding = body.gravity / FULL_SLIP;
-            rate = rate
-                .max(swings(8.0 * contact + most.0, 8.0 * damping + most.1, mass_kg))
-                .max(swings(lever * contact + turning.0, lever * damping + turning.1, moments.min()))
-                .max(sliding);
-        }
-        for handle in &self.handles {
-            let lever = handle.lever.norm_squared();
-            let stiffness =
-                handle.stiffness + STOP_STIFFNESS + handle.hold.linear.0 * lever + handle.hold.angular.0;
-            let damping = handle.viscous
-                + 2.0 * (STOP_STIFFNESS * handle.inertia).sqrt()
-                + handle.coulomb / FULL_TURN
-                + handle.hold.linear.1 * lever
-                + handle.hold.angular.1;
-            rate = rate.max(swings(stiffness, damping, handle.inertia));
-        }
-        rate
-    }
-
-    fn tool_frame(&self, motion: &Motion) -> Frame {
-        let Rigid { position, velocity, orientation, .. } = motion.tool;
-        let angular_velocity = motion.tool.angular_velocity(&self.inertia);
-        Frame { position, velocity, orientation, angular_velocity }
-    }
-
-    fn body_frame(&self, motion: &Motion, index: usize) -> Frame {
-        let rigid = &motion.bodies[index];
-        let Rigid { position, velocity, orientation, .. } = *rigid;
-        let angular_velocity = rigid.angular_velocity(&self.bodies[index].inertia);
-        Frame { position, velocity, orientation, angular_velocity }
-    }
-
-    /// All that acts at t in s; pushers `pushed_s` after they began.
-    fn loads(&self, motion: &Motion, set: &SetPose, t: f64, pushed_s: f64, loads: &mut Loads) {
-        let tool = self.tool_frame(motion);
-        let Loads { environment, bodies, handles, touches, .. } = loads;
-        (*environment, *touches) = (Load::default(), false);
-        for point in &self.points {
-            let lever = tool.orientation * point;
-            let velocity = tool.velocity + tool.angular_velocity.cross(&lever);
-            let (force, inside) = self.surroundings.force(&(tool.position + lever), &velocity, t);
-            environment.add(&force, &lever);
-            *touches |= inside;
-        }
-        for pusher in &self.pushers {
-            environment.force += pusher.force(pushed_s);
-        }
-        for torque in &self.torques {
-            environment.torque += torque.force(pushed_s);
-        }
-        for (index, (body, load)) in self.bodies.iter().zip(bodies.iter_mut()).enumerate() {
-            *load = self.lying(body, &self.body_frame(motion, index), t);
-        }
-        for ((handle, state), torque) in self.handles.iter().zip(&motion.handles).zip(handles.iter_mut()) {
-            *torque = handle.own_torque(*state);
-        }
-        match &self.held {
-            None => {}
-            Some(Held::Handle(index, hold)) => {
-                let handle = &self.handles[*index];
-                let frame = handle.frame(motion.handles[*index]);
-                let load = hold.load(&tool, &frame, &handle.hold, self.grip.as_ref());
-                environment.add(&-load.force, &(frame.position - tool.position));
-                environment.torque -= load.torque;
-                let lever = frame.position - handle.point;
-                handles[*index] += handle.axis.dot(&(lever.cross(&load.force) + load.torque));
-            }
-            Some(Held::Body(index, hold)) => {
-                let frame = self.body_frame(motion, *index);
-                let load = hold.load(&tool, &frame, &self.jaw_stiffness, self.grip.as_ref());
-                environment.add(&-load.force, &(frame.position - tool.position));
-                environment.torque -= load.torque;
-                bodies[*index].force += load.force;
-                bodies[*index].torque += load.torque;
-            }
-        }
-        let (position, orientation) = set.at(t);
-        let way = (orientation * tool.orientation.inverse()).scaled_axis();
-        let Servo { stiffness, damping, rotational_stiffness, rotational_damping, .. } = self.servo;
-        loads.tool = Load {
-            force: (position - tool.position) * stiffness
-                + (set.velocity - tool.velocity) * damping
-                + loads.environment.force,
-            torque: way * rotational_stiffness
-                + (set.angular_velocity - tool.angular_velocity) * rotational_damping
-                + loads.environment.torque,
-        };
-    }
-
-    /// Gravity, and what a box lies on with its corners.
-    fn lying(&self, body: &Body, frame: &Frame, t: f64) -> Load {
-        let mut load = Load::default();
-        load.force[2] = -body.inertia.mass_kg * body.gravity;
-        for corner in 0..8_u8 {
-            let sign = |axis: u8| if corner >> axis & 1 == 0 { 1.0 } else { -1.0 };
-            let signs = Axes::<3>::new(sign(0), sign(1), sign(2));
-            let lever = frame.orientation * signs.component_mul(&body.half_extents);
-            let velocity = frame.velocity + frame.angular_velocity.cross(&lever);
-            let (force, _) = self.surroundings.force(&(frame.position + lever), &velocity, t);
-            load.add(&force, &lever);
-        }
-        load
-    }
-
-    /// Lets what the jaws cannot keep slip, and go where it has slipped out of them.
-    fn slip(&mut self, motion: &Motion) {
-        let (Some(grip), Some(held)) = (self.grip, self.held) else { return };
-        let tool = self.tool_frame(motion);
-        self.held = match held {
-            Held::Handle(index, mut hold) => {
-                let (handle, frame) =
-                    (&self.handles[index], self.handles[index].frame(motion.handles[index]));
-                hold.slip(&tool, &frame, &handle.hold, &grip);
-                let is_near = (frame.position - tool.position).norm() <= handle.reach;
-                is_near.then_some(Held::Handle(index, hold))
-            }
-            Held::Body(index, mut hold) => {
-                let frame = self.body_frame(motion, index);
-                hold.slip(&tool, &frame, &self.jaw_stiffness, &grip);
-                self.bodies[index].in_reach(&tool, &frame).then_some(Held::Body(index, hold))
-            }
-        };
     }
 }

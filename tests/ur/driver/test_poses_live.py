@@ -13,7 +13,7 @@ from tests.ur.stalls import anew_after_stalls
 pytest.importorskip("rtde_control")
 pytestmark = [pytest.mark.alone, pytest.mark.timeout(300)]
 
-BENCHES = Path(__file__).resolve().parents[3] / "benches"
+BENCH = Path(__file__).resolve().parents[3] / "benches" / "pose_tracking.py"
 SHARED_S = 0.05
 """What a shared machine may add to a delay."""
 LATE_S = {"servoj": 0.056, "servol": 0.057, "speedl": 0.003, "direct-torque": 0.025}
@@ -23,8 +23,8 @@ SAG_M = {"direct-torque": 0.004}
 
 def measured(mode: str) -> dict[str, dict[str, Any]]:
     """Rows of the bench by path; its process can be killed where the library hangs."""
-    command = [sys.executable, "-m", "ur.pose_tracking", "--mode", mode, "--host", free_host(), "--json", "-"]
-    ended = subprocess.run(command, cwd=BENCHES, capture_output=True, text=True, timeout=100, check=False)
+    command = [sys.executable, str(BENCH), "--mode", mode, "--host", free_host(), "--json", "-"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     assert ended.returncode == 0, ended.stderr
     # The library says things of its own.
     rows = json.loads(ended.stdout[ended.stdout.index("[\n") :])

@@ -25,7 +25,7 @@ from _report import bench_options, table_file, write_json
 from haptether.slave import UrKinematics, UrSlave, ur_model
 from ur.figures import Path, apart, figure, turn
 
-EXAMPLE = "example: cd benches && python -m ur.pose_tracking --mode servoj --json -"
+EXAMPLE = "example: python benches/pose_tracking.py --mode servoj --json -"
 HOST = "127.0.3.95"
 VERSION = "5.26"
 MODEL = ur_model("ur5e")

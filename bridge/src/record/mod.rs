@@ -1,0 +1,261 @@
+//! The records of a run: one flat record per tick and side.
+
+mod rotation;
+
+pub use rotation::{MasterRotation, MasterTurn, SlaveRotation, SlaveTurn};
+
+use haptether_safety::{Axes, Fault, controller::PerController};
+
+use crate::{
+    endpoint::{Exchange, MasterTick, SlaveReading, SlaveTick},
+    gripper::LedGripper,
+    ladder::LadderState,
+    pace::TickTime,
+    plant::Truth,
+};
+
+/// What the records of both sides say of the ladder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LadderSnapshot {
+    reason: u8,
+    peer: [u8; 3],
+    clutch: bool,
+    round_trip_ns: u64,
+}
+
+/// What stands for the codes of a peer that has not been heard.
+const NO_PEER: [u8; 3] = [u8::MAX, 0, 0];
+
+impl LadderSnapshot {
+    pub(crate) fn of<const N: usize>(exchange: &Exchange<N>) -> Self {
+        let reason = exchange.ladder().history().last().map_or(0, |last| last.reason.code());
+        // 0 is what the link says before the first.
+        let round_trip_ns = match exchange.link().statistics().round_trip_ns {
+            0 => u64::MAX,
+            round_trip_ns => round_trip_ns,
+        };
+        let peer = exchange.peer_codes().unwrap_or(NO_PEER);
+        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns }
+    }
+}
+
+/// One tick of the master.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MasterRecord<const N: usize, R = ()> {
+    /// Time since the run began, in ns.
+    pub time_ns: u64,
+    /// x in m, as measured.
+    pub position: Axes<N>,
+    /// True position in m where the device is a model, else x as measured.
+    pub true_position: Axes<N>,
+    /// True velocity in m/s where the device is a model, else V as estimated.
+    pub velocity: Axes<N>,
+    /// True force of the hand in N where the device is a model, else zero.
+    pub hand_force: Axes<N>,
+    /// `F_v` in N.
+    pub rendered_force: Axes<N>,
+    /// `F_h` in N, as estimated.
+    pub grasp_force: Axes<N>,
+    /// `F_c` in N.
+    pub safety_force: Axes<N>,
+    /// `F_device` in N.
+    pub device_force: Axes<N>,
+    /// The trigger that leads the gripper, 0 open to 1 closed; NaN where it is not known, or without a gripper.
+    pub trigger: f64,
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J; NaN where not observed.
+    pub observers: PerController<f64>,
+    /// Who tripped, [`haptether_safety::controller::Tripped::bits`].
+    pub tripped: u8,
+    /// Which bounds acted, [`haptether_safety::Acted::bits`].
+    pub acted: u8,
+    /// State of the ladder.
+    pub state: LadderState,
+    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    pub reason: u8,
+    /// What the peer's newest frame says: state, reason and fault by their codes; 255, 0 and 0 before the first.
+    pub peer: [u8; 3],
+    /// Whether the clutch is closed, as far as this side knows.
+    pub clutch: bool,
+    /// Silence of the peer in ns, `u64::MAX` before its first frame.
+    pub age_ns: u64,
+    /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
+    pub round_trip_ns: u64,
+    /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
+    pub overshoot_ns: u64,
+    /// The fault's code, 0 without.
+    pub fault: u8,
+    /// What it has of a rotation; nothing of a point.
+    pub rotation: R,
+}
+
+impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
+    /// A record of nothing.
+    pub(crate) fn empty() -> Self {
+        let zeros = Axes::zeros();
+        Self {
+            time_ns: 0,
+            position: zeros,
+            true_position: zeros,
+            velocity: zeros,
+            hand_force: zeros,
+            rendered_force: zeros,
+            grasp_force: zeros,
+            safety_force: zeros,
+            device_force: zeros,
+            trigger: f64::NAN,
+            observers: PerController::repeat(f64::NAN),
+            tripped: 0,
+            acted: 0,
+            state: LadderState::Disengaged,
+            reason: 0,
+            peer: NO_PEER,
+            clutch: false,
+            age_ns: u64::MAX,
+            round_trip_ns: u64::MAX,
+            overshoot_ns: 0,
+            fault: 0,
+            rotation: R::empty(),
+        }
+    }
+
+    pub(crate) fn new(
+        time: TickTime,
+        position: &Axes<N>,
+        truth: Option<Truth<N>>,
+        trigger: Option<f64>,
+        tick: &MasterTick<N>,
+        rotation: R,
+        snapshot: LadderSnapshot,
+    ) -> Self {
+        let Truth { position: true_position, velocity, hand_force } = truth.unwrap_or(Truth {
+            position: *position,
+            velocity: tick.safety.motion.velocity,
+            hand_force: Axes::zeros(),
+        });
+        let intervention = &tick.safety.intervention;
+        Self {
+            time_ns: time.now_ns - time.start_ns,
+            position: *position,
+            true_position,
+            velocity,
+            hand_force,
+            rendered_force: tick.safety.rendered_force,
+            grasp_force: tick.safety.grasp_force,
+            safety_force: intervention.safety_force,
+            device_force: tick.safety.device_force,
+            trigger: trigger.unwrap_or(f64::NAN),
+            observers: intervention.observed,
+            tripped: intervention.tripped.bits(),
+            acted: tick.safety.acted.bits(),
+            state: tick.state,
+            reason: snapshot.reason,
+            peer: snapshot.peer,
+            clutch: snapshot.clutch,
+            age_ns: tick.age_ns.unwrap_or(u64::MAX),
+            round_trip_ns: snapshot.round_trip_ns,
+            overshoot_ns: time.overshoot_ns,
+            fault: tick.safety.fault.map_or(0, Fault::code),
+            rotation,
+        }
+    }
+}
+
+/// One tick of the slave.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlaveRecord<const N: usize, R = ()> {
+    /// Time since the run began, in ns.
+    pub time_ns: u64,
+    /// Tool position in m.
+    pub position: Axes<N>,
+    /// Commanded position in m; the tool's own before the first command.
+    pub command: Axes<N>,
+    /// `F_e` in N.
+    pub environment_force: Axes<N>,
+    /// The gripper, 0 open to 1 closed; NaN without one, as all of it.
+    pub gripper: f64,
+    /// Its last command, 0 open to 1 closed.
+    pub gripper_command: f64,
+    /// Between its jaws in N.
+    pub gripper_force: f64,
+    /// Whether something stops its jaws.
+    pub holds_object: bool,
+    /// State of the ladder.
+    pub state: LadderState,
+    /// Why it stands there, [`crate::Reason::code`]; 0 where it began.
+    pub reason: u8,
+    /// What the peer's newest frame says: state, reason and fault by their codes; 255, 0 and 0 before the first.
+    pub peer: [u8; 3],
+    /// Whether the clutch is closed, as far as this side knows.
+    pub clutch: bool,
+    /// Which bounds acted on the command, [`crate::coupling::Limited::bits`].
+    pub limited: u8,
+    /// Silence of the peer in ns, `u64::MAX` before its first frame.
+    pub age_ns: u64,
+    /// Round trip in ns of the newest echo, both loops' waits for their ticks included; `u64::MAX` before the first.
+    pub round_trip_ns: u64,
+    /// How late the loop woke, in ns; in virtual time only where the clock of this side is set.
+    pub overshoot_ns: u64,
+    /// The fault's code, 0 without.
+    pub fault: u8,
+    /// What it has of a rotation; nothing of a point.
+    pub rotation: R,
+}
+
+impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
+    /// A record of nothing.
+    pub(crate) fn empty() -> Self {
+        let zeros = Axes::zeros();
+        Self {
+            time_ns: 0,
+            position: zeros,
+            command: zeros,
+            environment_force: zeros,
+            gripper: f64::NAN,
+            gripper_command: f64::NAN,
+            gripper_force: f64::NAN,
+            holds_object: false,
+            state: LadderState::Disengaged,
+            reason: 0,
+            peer: NO_PEER,
+            clutch: false,
+            limited: 0,
+            age_ns: u64::MAX,
+            round_trip_ns: u64::MAX,
+            overshoot_ns: 0,
+            fault: 0,
+            rotation: R::empty(),
+        }
+    }
+
+    pub(crate) fn new(
+        time: TickTime,
+        reading: &SlaveReading<N>,
+        gripper: Option<&LedGripper>,
+        tick: &SlaveTick<N>,
+        snapshot: LadderSnapshot,
+    ) -> Self {
+        let SlaveReading { position, environment_force, .. } = reading;
+        let state = gripper.map(LedGripper::state);
+        let (jaws, gripper_command) = (state.map(|(jaws, _)| jaws), state.and_then(|(_, command)| command));
+        Self {
+            time_ns: time.now_ns - time.start_ns,
+            position: *position,
+            command: tick.command.unwrap_or(*position),
+            environment_force: *environment_force,
+            gripper: jaws.map_or(f64::NAN, |jaws| jaws.position),
+            gripper_command: gripper_command.unwrap_or(f64::NAN),
+            gripper_force: jaws.map_or(f64::NAN, |jaws| jaws.force_n),
+            holds_object: jaws.is_some_and(|jaws| jaws.holds_object),
+            state: tick.state,
+            reason: snapshot.reason,
+            peer: snapshot.peer,
+            clutch: snapshot.clutch,
+            limited: tick.limited.bits(),
+            age_ns: tick.age_ns.unwrap_or(u64::MAX),
+            round_trip_ns: snapshot.round_trip_ns,
+            overshoot_ns: time.overshoot_ns,
+            fault: tick.fault.map_or(0, Fault::code),
+            rotation: R::of(reading.rotation.as_ref(), tick),
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! What the records of a side that turns have besides.
+
+use haptether_master::RotationSample;
+use haptether_safety::{Axes, SafetyTick, controller::PerController};
+
+use crate::{
+    coupling::{RotationState, canonical},
+    endpoint::SlaveTick,
+    plant::RotationTruth,
+    recorder::{Field, Value},
+};
+
+/// What the record of a master has of a rotation: nothing of a point, so that it costs nothing there.
+pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
+    /// Whether there is one.
+    const TURNS: bool;
+
+    /// Of nothing.
+    fn empty() -> Self;
+
+    /// It, if there is one.
+    fn rotation(&self) -> Option<&MasterRotation>;
+
+    /// Of a tick: what the device measured, what no sensor measures, what the safety layer decided.
+    fn of(
+        measured: Option<&RotationSample>,
+        truth: Option<RotationTruth>,
+        tick: Option<&SafetyTick<3>>,
+    ) -> Self;
+
+    /// Hands each field to `take`.
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
+}
+
+/// What the record of a slave has of a rotation.
+pub trait SlaveTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
+    /// Whether there is one.
+    const TURNS: bool;
+
+    /// Of nothing.
+    fn empty() -> Self;
+
+    /// It, if there is one.
+    fn rotation(&self) -> Option<&SlaveRotation>;
+
+    /// Of a tick: what the arm measured, and what it was commanded.
+    fn of<const N: usize>(measured: Option<&RotationState>, tick: &SlaveTick<N>) -> Self;
+
+    /// Hands each field to `take`.
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
+}
+
+impl MasterTurn for () {
+    const TURNS: bool = false;
+
+    fn empty() -> Self {}
+
+    fn rotation(&self) -> Option<&MasterRotation> {
+        None
+    }
+
+    fn of(_: Option<&RotationSample>, _: Option<RotationTruth>, _: Option<&SafetyTick<3>>) -> Self {}
+
+    fn fields<'a>(&'a self, _: &mut dyn FnMut(Field<'a>)) {}
+}
+
+impl SlaveTurn for () {
+    const TURNS: bool = false;
+
+    fn empty() -> Self {}
+
+    fn rotation(&self) -> Option<&SlaveRotation> {
+        None
+    }
+
+    fn of<const N: usize>(_: Option<&RotationState>, _: &SlaveTick<N>) -> Self {}
+
+    fn fields<'a>(&'a self, _: &mut dyn FnMut(Field<'a>)) {}
+}
+
+/// One tick of a master's rotation, in its base frame about the tool point; orientations are unit quaternions w, x, y, z.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MasterRotation {
+    /// As measured.
+    pub orientation: [f64; 4],
+    /// True orientation where the device is a model, else as measured.
+    pub true_orientation: [f64; 4],
+    /// True angular velocity in rad/s where the device is a model, else as estimated.
+    pub angular_velocity: Axes<3>,
+    /// True torque of the hand in N m where the device is a model, else zero.
+    pub hand_torque: Axes<3>,
+    /// Torque in N m that the remote side requests, as far as the device can render it.
+    pub rendered_torque: Axes<3>,
+    /// Of the hand in N m, as estimated.
+    pub grasp_torque: Axes<3>,
+    /// Of the controllers in N m.
+    pub safety_torque: Axes<3>,
+    /// Of the device in N m.
+    pub device_torque: Axes<3>,
+    /// `S_vf`, `S_h`, `E_wso` and `E_so` in J of the rotation; NaN where not observed.
+    pub observers: PerController<f64>,
+    /// Who tripped of the rotation, [`haptether_safety::controller::Tripped::bits`].
+    pub tripped: u8,
+    /// Which bounds of the torque acted, [`haptether_safety::Acted::bits`].
+    pub acted: u8,
+}
+
+impl MasterRotation {
+    /// Hands over each signal of a run in virtual time, which has the truth: name, and its numbers.
+    pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
+        take("orientation", &self.true_orientation);
+        take("measured_orientation", &self.orientation);
+        for (name, vector) in [
+            ("angular_velocity", &self.angular_velocity),
+            ("hand_torque", &self.hand_torque),
+            ("rendered_torque", &self.rendered_torque),
+            ("grasp_torque", &self.grasp_torque),
+            ("safety_torque", &self.safety_torque),
+            ("device_torque", &self.device_torque),
+        ] {
+            take(name, vector.as_slice());
+        }
+        take("rotation_tripped", &[f64::from(self.tripped)]);
+    }
+}
+
+impl MasterTurn for MasterRotation {
+    const TURNS: bool = true;
+
+    fn rotation(&self) -> Option<&Self> {
+        Some(self)
+    }
+
+    fn empty() -> Self {
+        let zeros = Axes::zeros();
+        Self {
+            orientation: [1.0, 0.0, 0.0, 0.0],
+            true_orientation: [1.0, 0.0, 0.0, 0.0],
+            angular_velocity: zeros,
+            hand_torque: zeros,
+            rendered_torque: zeros,
+            grasp_torque: zeros,
+            safety_torque: zeros,
+            device_torque: zeros,
+            observers: PerController::repeat(f64::NAN),
+            tripped: 0,
+            acted: 0,
+        }
+    }
+
+    fn of(
+        measured: Option<&RotationSample>,
+        truth: Option<RotationTruth>,
+        tick: Option<&SafetyTick<3>>,
+    ) -> Self {
+        let (Some(measured), Some(tick)) = (measured, tick) else { return Self::empty() };
+        let RotationTruth { orientation, angular_velocity, hand_torque } = truth.unwrap_or(RotationTruth {
+            orientation: measured.orientation,
+            angular_velocity: tick.motion.velocity,
+            hand_torque: Axes::zeros(),
+        });
+        Self {
+            orientation: canonical(&measured.orientation),
+            true_orientation: canonical(&orientation),
+            angular_velocity,
+            hand_torque,
+            rendered_torque: tick.rendered_force,
+            grasp_torque: tick.grasp_force,
+            safety_torque: tick.intervention.safety_force,
+            device_torque: tick.device_force,
+            observers: tick.intervention.observed,
+            tripped: tick.intervention.tripped.bits(),
+            acted: tick.acted.bits(),
+        }
+    }
+
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
+        for field in [
+            ("orientation", "unit quaternion w, x, y, z, as measured", Value::Axes(&self.orientation)),
+            (
+                "true_orientation",
+                "unit quaternion w, x, y, z of a modelled device",
+                Value::Axes(&self.true_orientation),
+            ),
+            ("angular_velocity", "in rad/s", Value::Axes(self.angular_velocity.as_slice())),
+            ("hand_torque", "torque of a modelled hand in N m", Value::Axes(self.hand_torque.as_slice())),
+            ("rendered_torque", "requested torque in N m", Value::Axes(self.rendered_torque.as_slice())),
+            (
+                "grasp_torque",
+                "torque of the hand in N m, as estimated",
+                Value::Axes(self.grasp_torque.as_slice()),
+            ),
+            ("safety_torque", "of the controllers in N m", Value::Axes(self.safety_torque.as_slice())),
+            ("device_torque", "of the device in N m", Value::Axes(self.device_torque.as_slice())),
+            (
+                "rotation_tripped",
+                "bits of the controllers that tripped by the rotation",
+                Value::Count(self.tripped.into()),
+            ),
+            (
+                "rotation_acted",
+                "bits of the bounds that acted on the torque",
+                Value::Count(self.acted.into()),
+            ),
+        ] {
+            take(field);
+        }
+    }
+}
+
+/// One tick of a slave's rotation, in its base frame about the tool point; orientations are unit quaternions w, x, y, z.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlaveRotation {
+    /// Of the tool.
+    pub orientation: [f64; 4],
+    /// Commanded orientation; the tool's own before the first command.
+    pub command_orientation: [f64; 4],
+    /// Of the environment on the tool in N m.
+    pub environment_torque: Axes<3>,
+}
+
+impl SlaveRotation {
+    /// Hands over each signal of a run in virtual time: name, and its numbers.
+    pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
+        take("slave_orientation", &self.orientation);
+        take("slave_command_orientation", &self.command_orientation);
+        take("environment_torque", self.environment_torque.as_slice());
+    }
+}
+
+impl SlaveTurn for SlaveRotation {
+    const TURNS: bool = true;
+
+    fn rotation(&self) -> Option<&Self> {
+        Some(self)
+    }
+
+    fn empty() -> Self {
+        let none = [1.0, 0.0, 0.0, 0.0];
+        Self { orientation: none, command_orientation: none, environment_torque: Axes::zeros() }
+    }
+
+    fn of<const N: usize>(measured: Option<&RotationState>, tick: &SlaveTick<N>) -> Self {
+        let Some(measured) = measured else { return Self::empty() };
+        Self {
+            orientation: canonical(&measured.orientation),
+            command_orientation: canonical(&tick.orientation.unwrap_or(measured.orientation)),
+            environment_torque: measured.torque,
+        }
+    }
+
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
+        for field in [
+            ("orientation", "of the tool, unit quaternion w, x, y, z", Value::Axes(&self.orientation)),
+            (
+                "command_orientation",
+                "commanded orientation, unit quaternion w, x, y, z",
+                Value::Axes(&self.command_orientation),
+            ),
+            (
+                "environment_torque",
+                "torque of the environment on the tool in N m",
+                Value::Axes(self.environment_torque.as_slice()),
+            ),
+        ] {
+            take(field);
+        }
+    }
+}

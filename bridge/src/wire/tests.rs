@@ -1,0 +1,318 @@
+//! The bytes of a frame, and what is refused.
+
+use super::*;
+use crate::coupling::drawn::orientation;
+use proptest::prelude::*;
+
+const LAYOUT: FrameLayout = FrameLayout { kind: SideKind::Linear, has_gripper: false, has_buttons: false };
+
+fn frame() -> Frame<1> {
+    Frame {
+        role: Role::Slave,
+        kind: SideKind::Linear,
+        state: 2,
+        hears_peer: true,
+        clutch: true,
+        run_id: 0x1122_3344_5566_7788,
+        sequence: 5,
+        sent_ns: 1_000_000,
+        echo: Some(Echo { run_id: 11, sequence: 3, sent_ns: 7, held_ns: 9 }),
+        position: Axes::<1>::new(-0.5),
+        velocity: Axes::<1>::new(0.25),
+        force: Axes::<1>::new(2.0),
+        energy: PortEnergy { in_j: 1.5, out_j: 0.25 },
+        rotation: None,
+        gripper: None,
+        buttons: None,
+        ending: true,
+        reason: 4,
+        fault: 11,
+        text: TextPiece { number: 3, index: 1, bytes: *b"bus is down\0" },
+    }
+}
+
+/// The known answer, written down by hand from the table above.
+#[test]
+fn bytes_are_those_of_the_table() {
+    let mut buffer = [0; MAX_FRAME];
+    let bytes = frame().encode(&mut buffer);
+    let mut expected = Vec::new();
+    expected.extend_from_slice(b"HT\x05\x02\x11\x02\x0F\x00");
+    expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
+    for number in [5_u64, 3, 1_000_000, 7, 9, 11] {
+        expected.extend_from_slice(&number.to_le_bytes());
+    }
+    expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xE0, 0xBF]); // -0.5
+    expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xD0, 0x3F]); // 0.25
+    expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0x00, 0x40]); // 2.0
+    expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xF8, 0x3F]); // 1.5
+    expected.extend_from_slice(&[0, 0, 0, 0, 0, 0, 0xD0, 0x3F]); // 0.25
+    expected.extend_from_slice(b"\x04\x0B\x03\x01bus is down\x00");
+    expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
+    assert_eq!(bytes, expected);
+    assert_eq!(Frame::decode(bytes, Role::Slave, LAYOUT), Ok(frame()));
+}
+
+/// The gripper stands behind the energies, and lengthens every frame by 24 bytes.
+#[test]
+fn a_gripper_is_three_numbers_and_two_flags() {
+    let state = GripperState { position: Some(0.5), velocity: -0.25, force_n: 2.0, holds_object: true };
+    let mut buffer = [0; MAX_FRAME];
+    let without = frame().encode(&mut buffer).to_vec();
+    let framed = Frame { gripper: Some(state), ..frame() };
+    let bytes = framed.encode(&mut buffer).to_vec();
+    let mut expected = without[..104].to_vec();
+    expected[6] |= 0x30;
+    for number in [0.5_f64, -0.25, 2.0] {
+        expected.extend_from_slice(&number.to_le_bytes());
+    }
+    expected.extend_from_slice(&without[104..120]);
+    expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
+    assert_eq!(bytes, expected);
+    let layout = FrameLayout { has_gripper: true, ..LAYOUT };
+    assert_eq!(Frame::decode(&bytes, Role::Slave, layout), Ok(framed));
+    let resealed = |change: &dyn Fn(&mut [u8])| {
+        let mut bytes = bytes[..bytes.len() - CHECKSUM].to_vec();
+        change(&mut bytes);
+        bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+        Frame::<1>::decode(&bytes, Role::Slave, layout)
+    };
+    let unknown = Frame { gripper: Some(GripperState::default()), ..frame() };
+    let blank = |bytes: &mut [u8]| {
+        bytes[6] &= 0x0F;
+        bytes[104..128].fill(0);
+    };
+    assert_eq!(resealed(&blank), Ok(unknown));
+    for change in [
+        &(|b: &mut [u8]| b[6] &= !0x10) as &dyn Fn(&mut [u8]),
+        &|b| b[104..112].copy_from_slice(&1.001_f64.to_le_bytes()),
+        &|b| b[104..112].copy_from_slice(&f64::NAN.to_le_bytes()),
+        &|b| b[112..120].copy_from_slice(&101.0_f64.to_le_bytes()),
+        &|b| b[120..128].copy_from_slice(&(-1.0_f64).to_le_bytes()),
+        &|b| {
+            blank(b);
+            b[6] |= 0x20;
+        },
+        &|b| {
+            blank(b);
+            b[111] = 0x80; // -0.0
+        },
+    ] {
+        assert!(matches!(resealed(change), Err(WireError::Gripper { sequence: 5, .. })));
+    }
+}
+
+/// The rotation stands before the energies, the buttons behind gripper and before the cause.
+#[test]
+fn a_pose_is_ten_numbers_and_buttons_are_a_word() {
+    let [x, y] = [0.6, 0.8];
+    let state = RotationState {
+        // -q of (0, 0.6, 0.8, 0): what is sent begins with a part above 0.
+        orientation: nalgebra::Unit::new_unchecked(nalgebra::Quaternion::new(0.0, -x, -y, 0.0)),
+        angular_velocity: Axes::<3>::new(1.0, -2.0, 3.0),
+        torque: Axes::<3>::new(0.5, 0.25, -0.125),
+    };
+    let point = Frame {
+        role: Role::Master,
+        kind: SideKind::Linear,
+        state: 2,
+        hears_peer: true,
+        clutch: true,
+        run_id: 1,
+        sequence: 5,
+        sent_ns: 7,
+        echo: None,
+        position: Axes::<3>::new(1.0, 2.0, 3.0),
+        velocity: Axes::<3>::new(4.0, 5.0, 6.0),
+        force: Axes::<3>::new(7.0, 8.0, 9.0),
+        rotation: None,
+        energy: PortEnergy { in_j: 1.5, out_j: 0.25 },
+        gripper: None,
+        buttons: None,
+        ending: false,
+        reason: 0,
+        fault: 0,
+        text: TextPiece::default(),
+    };
+    let mut buffer = [0; MAX_FRAME];
+    let without = point.encode(&mut buffer).to_vec();
+    let framed = Frame { kind: SideKind::Pose, rotation: Some(state), buttons: Some(0x8000_0005), ..point };
+    let bytes = framed.encode(&mut buffer).to_vec();
+    let mut expected = without[..136].to_vec();
+    expected[4] = 0x33;
+    for number in [0.0, 0.6, 0.8, 0.0, 1.0, -2.0, 3.0, 0.5, 0.25, -0.125_f64] {
+        expected.extend_from_slice(&number.to_le_bytes());
+    }
+    expected.extend_from_slice(&without[136..152]);
+    expected.extend_from_slice(&[5, 0, 0, 0x80]);
+    expected.extend_from_slice(&without[152..168]);
+    expected.extend_from_slice(&crc32fast::hash(&expected).to_le_bytes());
+    assert_eq!(bytes, expected);
+    let layout = framed.layout();
+    assert_eq!((layout.length(3), without.len()), (256, 172));
+    let decoded = Frame::<3>::decode(&bytes, Role::Master, layout).unwrap();
+    assert_eq!(decoded.encode(&mut buffer), bytes);
+    assert_eq!(decoded.buttons, Some(0x8000_0005));
+    let resealed = |role: u8, change: &dyn Fn(&mut [u8])| {
+        let mut bytes = bytes[..bytes.len() - CHECKSUM].to_vec();
+        bytes[3] = role;
+        change(&mut bytes);
+        bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+        let from = if role == 1 { Role::Master } else { Role::Slave };
+        Frame::<3>::decode(&bytes, from, layout).unwrap_err()
+    };
+    let put = |at: usize, value: f64| move |b: &mut [u8]| b[at..at + 8].copy_from_slice(&value.to_le_bytes());
+    for (at, value) in [(144, 0.601), (144, -0.6), (136, -0.0), (136, f64::NAN), (152, f64::INFINITY)] {
+        let error = resealed(1, &put(at, value));
+        assert!(matches!(error, WireError::Orientation { sequence: 5, .. }), "{at} {value}: {error}");
+    }
+    assert_eq!(resealed(1, &put(168, 1001.0)).to_string(), "frame 5: angular velocity exceeds 1000 rad/s");
+    assert_eq!(
+        resealed(1, &put(192, f64::NAN)).to_string(),
+        "frame 5: rendered torque is not a finite number"
+    );
+    assert_eq!(resealed(2, &|_| {}), WireError::Buttons { sequence: 5, buttons: 0x8000_0005 });
+    let torque = |b: &mut [u8]| {
+        put(192, -1e5)(b);
+        b[232..236].fill(0);
+    };
+    assert_eq!(resealed(2, &torque).to_string(), "frame 5: environment torque exceeds 10000 N m");
+    let kind = resealed(1, &|b| b[4] = 0x13);
+    assert_eq!(kind.to_string(), "frame of kind 1: must be 3, pose");
+}
+
+#[test]
+fn the_checksum_is_the_common_one() {
+    assert_eq!(crc32fast::hash(b"123456789"), 0xCBF4_3926);
+}
+
+#[test]
+fn refusals_name_what_was_seen() {
+    let mut buffer = [0; MAX_FRAME];
+    let good = frame().encode(&mut buffer).to_vec();
+    let refuse = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = good.clone();
+        change(&mut bytes);
+        Frame::<1>::decode(&bytes, Role::Slave, LAYOUT).unwrap_err()
+    };
+    assert_eq!(refuse(&|b| b.truncate(10)), WireError::Length { seen: 10, allowed: 124 });
+    assert_eq!(refuse(&|b| b[0] = b'X'), WireError::Magic(*b"XT"));
+    assert_eq!(refuse(&|b| b[2] = 9), WireError::Version(9));
+    assert_eq!(refuse(&|b| b[3] = 1), WireError::Role(1));
+    assert_eq!(refuse(&|b| b[4] = 0x13), WireError::Axes { seen: 3, allowed: 1 });
+    assert_eq!(refuse(&|b| b[4] = 0x21), WireError::Kind { seen: 2, allowed: SideKind::Linear });
+    assert!(matches!(refuse(&|b| b[60] ^= 4), WireError::Checksum { .. }));
+    let resealed = |change: &dyn Fn(&mut [u8])| {
+        let mut bytes = good[..good.len() - CHECKSUM].to_vec();
+        change(&mut bytes);
+        bytes.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+        Frame::<1>::decode(&bytes, Role::Slave, LAYOUT)
+    };
+    assert_eq!(resealed(&|b| b[6] = 0x1F), Err(WireError::Flags(0x1F)));
+    assert_eq!(resealed(&|b| b[7] = 1), Err(WireError::Flags(0x10F)));
+    assert_eq!(resealed(&|b| b[6] = 2), Err(WireError::Flags(2)));
+    let silent = resealed(&|b| {
+        b[6] = 14;
+        b[24..32].fill(0);
+        b[40..64].fill(0);
+    });
+    assert_eq!(silent, Ok(Frame { echo: None, ..frame() }));
+    // Codes that this version does not know are passed on: they steer nothing.
+    let unknown = resealed(&|b| (b[104], b[105]) = (255, 254));
+    assert_eq!(unknown, Ok(Frame { reason: 255, fault: 254, ..frame() }));
+    let text = |number, index| Err(WireError::Text { sequence: 5, number, index });
+    assert_eq!(resealed(&|b| b[106] = 0), text(0, 1));
+    assert_eq!(resealed(&|b| b[107] = 20), text(3, 20));
+    assert_eq!(resealed(&|b| b[110] = 0), text(3, 1));
+    // The last piece has the end in it.
+    assert_eq!(resealed(&|b| (b[107], b[119]) = (19, b'!')), text(3, 19));
+    assert_eq!(resealed(&|b| b[106..120].fill(0)), Ok(Frame { text: TextPiece::default(), ..frame() }));
+    let mut bad = frame();
+    bad.force[0] = f64::NAN;
+    let error = Frame::<1>::decode(bad.encode(&mut buffer), Role::Slave, LAYOUT).unwrap_err();
+    assert_eq!(error.to_string(), "frame 5: environment force is not a finite number");
+}
+
+proptest! {
+    #[test]
+    fn round_trip(
+        numbers in prop::array::uniform9(-900.0..900.0f64),
+        (run_id, sequence, sent_ns) in any::<(u64, u64, u64)>(),
+        echo in prop::option::of(any::<(u64, u64, u64, u64)>()),
+        (state, hears_peer, clutch) in any::<(u8, bool, bool)>(),
+        (ending, reason, fault, number, index) in any::<(bool, u8, u8, u8, u8)>(),
+        gripper in prop::option::of((prop::option::of(0.0..=1.0f64), -100.0..=100.0f64, 0.0..=1e4f64, any::<bool>())),
+        (orientation, buttons) in (orientation(), prop::option::of(any::<u32>())),
+    ) {
+        let part = |i: usize| Axes::<3>::new(numbers[i], numbers[i + 1], numbers[i + 2]);
+        let frame = Frame {
+            role: Role::Master, kind: SideKind::Pose, state, hears_peer, clutch, run_id, sequence, sent_ns,
+            echo: echo.map(|(run_id, sequence, sent_ns, held_ns)| Echo { run_id, sequence, sent_ns, held_ns }),
+            position: part(0), velocity: part(3), force: part(6),
+            rotation: Some(RotationState {
+                orientation, angular_velocity: part(2), torque: part(5),
+            }),
+            buttons,
+            energy: PortEnergy { in_j: numbers[0].abs(), out_j: numbers[1].abs() },
+            gripper: gripper.map(|(position, velocity, force_n, holds_object)| match position {
+                Some(_) => GripperState { position, velocity, force_n, holds_object },
+                None => GripperState::default(),
+            }),
+            ending, reason, fault,
+            text: match number {
+                0 => TextPiece::default(),
+                _ => TextPiece { number, index: index % 19, bytes: [index | 1; PIECE] },
+            },
+        };
+        let mut buffer = [0; MAX_FRAME];
+        let decoded = Frame::decode(frame.encode(&mut buffer), Role::Master, frame.layout()).unwrap();
+        // Of q and -q the canonical one comes back, with the same bits.
+        let seen = decoded.rotation.unwrap().orientation;
+        prop_assert_eq!(canonical(&seen), canonical(&orientation));
+        let frame = Frame { rotation: decoded.rotation, ..frame };
+        prop_assert_eq!(decoded, frame);
+        prop_assert_eq!(decoded.rotation.unwrap().torque, part(5));
+        prop_assert_eq!(decoded.rotation.unwrap().angular_velocity, part(2));
+    }
+
+    #[test]
+    fn noise_is_refused_without_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        prop_assert!(Frame::<2>::decode(&bytes, Role::Master, LAYOUT).is_err());
+    }
+
+    /// Random bodies under a right header and checksum: what is decoded is in range, the rest is refused.
+    #[test]
+    fn garbage_that_is_well_sealed_is_refused_or_in_range(
+        body in prop::collection::vec(any::<u8>(), 124 - 8 - 4),
+        values in prop::array::uniform5(prop::num::f64::ANY),
+    ) {
+        let mut bytes = vec![b'H', b'T', VERSION, 2, 0x11];
+        bytes.extend_from_slice(&[1, 3, 0]);
+        bytes.extend_from_slice(&body);
+        for (slot, value) in values.iter().enumerate() {
+            bytes[64 + 8 * slot..72 + 8 * slot].copy_from_slice(&value.to_le_bytes());
+        }
+        let checksum = crc32fast::hash(&bytes);
+        bytes.extend_from_slice(&checksum.to_le_bytes());
+        match Frame::<1>::decode(&bytes, Role::Slave, LAYOUT) {
+            Ok(frame) => {
+                let bounds = [1e3, 1e3, 1e4, 1e9, 1e9];
+                let PortEnergy { in_j, out_j } = frame.energy;
+                let seen = [frame.position[0], frame.velocity[0], frame.force[0], in_j, out_j];
+                prop_assert!(seen.iter().zip(bounds).all(|(x, most)| x.abs() <= most));
+                prop_assert_eq!(seen, values);
+            }
+            Err(error) => prop_assert!(matches!(
+                error, WireError::Value(..) | WireError::Energy { .. } | WireError::Text { .. }
+            ), "{error}"),
+        }
+    }
+
+    #[test]
+    fn one_flipped_bit_is_refused(bit in 0usize..124 * 8) {
+        let mut buffer = [0; MAX_FRAME];
+        let mut bytes = frame().encode(&mut buffer).to_vec();
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        prop_assert!(Frame::<1>::decode(&bytes, Role::Slave, LAYOUT).is_err());
+    }
+}
