@@ -91,6 +91,9 @@ pub enum SlaveOrder<const N: usize> {
     Stop,
 }
 
+/// How the rotation of an arm brakes where it is no longer led, in rad/s^2.
+const ANGULAR_DECELERATION: f64 = 25.0;
+
 /// A deceleration that no arm can be stopped with.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("deceleration = {0}: must be above 0 and at most 100 m/s^2")]
@@ -140,8 +143,6 @@ pub struct DrivenSlave<const N: usize> {
     pub rotation: Option<RotationState>,
     /// In m/s^2.
     deceleration: f64,
-    /// In rad/s^2, of an arm that is led as a pose.
-    angular_deceleration: Option<f64>,
     /// What the next order turns the tool to.
     turn: Option<(UnitQuaternion<f64>, Axes<3>)>,
     braking: Option<Braking<N>>,
@@ -159,17 +160,10 @@ impl<const N: usize> DrivenSlave<N> {
             order: SlaveOrder::Wait,
             rotation: None,
             deceleration,
-            angular_deceleration: None,
             turn: None,
             braking: None,
             now_ns: 0,
         })
-    }
-
-    /// The same arm led as a pose, which brakes its rotation with a deceleration in rad/s^2 (> 0).
-    #[must_use]
-    pub(crate) fn with_angular_deceleration(self, angular_deceleration: f64) -> Self {
-        Self { angular_deceleration: Some(angular_deceleration), ..self }
     }
 
     /// What the driver is to do after this tick.
@@ -194,9 +188,9 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
                 position += from + before * way_s - rest;
                 velocity += before * share;
             }
-            let turning = of_turn.zip(self.angular_deceleration).zip(rotation.as_mut()).and_then(
-                |((TurnBraking { from, velocity, rest }, deceleration), (orientation, w))| {
-                    let (way_s, share) = braked(velocity.norm(), deceleration, t)?;
+            let turning = of_turn.zip(rotation.as_mut()).and_then(
+                |(TurnBraking { from, velocity, rest }, (orientation, w))| {
+                    let (way_s, share) = braked(velocity.norm(), ANGULAR_DECELERATION, t)?;
                     let ahead = turned(velocity * way_s, &from) * rest.inverse();
                     *orientation = Unit::new_normalize((ahead * *orientation).into_inner());
                     *w += velocity * share;
@@ -222,12 +216,11 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
         };
         // v^2 / 2 a along v.
         let rest = from + velocity * (0.5 * velocity.norm() / self.deceleration);
-        let turning =
-            rotation.zip(self.angular_deceleration).map(|((from, velocity), deceleration)| TurnBraking {
-                from,
-                velocity,
-                rest: turned(velocity * (0.5 * velocity.norm() / deceleration), &from),
-            });
+        let turning = rotation.map(|(from, velocity)| TurnBraking {
+            from,
+            velocity,
+            rest: turned(velocity * (0.5 * velocity.norm() / ANGULAR_DECELERATION), &from),
+        });
         self.braking = Some(Braking { from, velocity, begun_ns: self.now_ns, rest, rotation: turning });
         rest
     }
@@ -305,8 +298,8 @@ mod tests {
 
     #[test]
     fn a_pose_that_is_not_led_brakes_its_rotation_evenly_to_where_it_said() {
-        let (deceleration, w) = (5.0, Axes::<3>::new(0.0, 1.2, -0.9));
-        let mut arm = DrivenSlave::<3>::new(2.0).unwrap().with_angular_deceleration(deceleration);
+        let (deceleration, w) = (ANGULAR_DECELERATION, Axes::<3>::new(0.0, 1.2, -0.9));
+        let mut arm = DrivenSlave::<3>::new(2.0).unwrap();
         let turned = |by: Axes<3>| UnitQuaternion::from_scaled_axis(by);
         let from = turned(Axes::<3>::new(0.4, 0.1, 0.2));
         let rotation = |arm: &DrivenSlave<3>| match *arm.order() {

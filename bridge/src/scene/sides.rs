@@ -19,8 +19,6 @@ use crate::{
 
 /// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
 const DECELERATION: f64 = 5.0;
-/// The same of its rotation, in rad/s^2.
-const ANGULAR_DECELERATION: f64 = 25.0;
 
 /// The arm and the coupling that a scene with two sides has.
 pub(super) fn coupled<const N: usize>(
@@ -236,11 +234,8 @@ pub fn driven_slave<const N: usize>(
     run_id: u64,
 ) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
     let (slave, coupling) = coupled(scene)?;
-    let mut plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
+    let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
-    if scene.master.kind == SideKind::Pose {
-        plant = plant.with_angular_deceleration(ANGULAR_DECELERATION);
-    }
     let gripper = slave.gripper.map(LedGripper::driven).transpose()?;
     let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?).with_gripper(gripper);
     Ok(Timed::new(side, commands::<N>(coupling)?))
