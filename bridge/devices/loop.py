@@ -269,6 +269,7 @@ class DeviceRun(_LiveSide):
             "flight",
             "ineffective_presses",
             "is_answered",
+            "kind",
             "recording",
             "security_events",
             "state",

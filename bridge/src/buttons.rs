@@ -178,6 +178,20 @@ mod tests {
     }
 
     #[test]
+    fn a_press_while_the_buttons_were_not_known_switches_nothing() {
+        for gap in [1, 5, 30, 300] {
+            let mut switched = buttons(None, Some(0), Some(1));
+            let words =
+                [(known(0), 30), (ButtonWord::UNKNOWN, gap), (known(3), 60), (known(0), 30), (known(3), 1)];
+            let ticks = words.iter().flat_map(|&(word, ticks)| std::iter::repeat_n(word, ticks));
+            let said: Vec<_> = ticks.zip(0..).map(|(word, n)| switched.at(n * MS, word)).collect();
+            let (last, before) = said.split_last().unwrap();
+            assert!(before.iter().all(|said| said.0 != Some(true) && said.1 == Some(0.0)), "{gap}");
+            assert_eq!(*last, (Some(true), Some(1.0)), "{gap}: seen open, it is pressed again");
+        }
+    }
+
+    #[test]
     fn a_press_that_nobody_takes_up_does_not_wait_for_ever() {
         let mut engage = buttons(None, Some(0), None);
         for now in 0..6000 {

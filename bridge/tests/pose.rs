@@ -222,6 +222,25 @@ fn silence_brings_the_rotation_to_rest_and_then_to_a_stop() {
     assert_eq!(*pair.slave.plant.order(), SlaveOrder::Stop);
 }
 
+/// Where an arm says no orientation that can be, it has none to be held at, nor to be recorded.
+#[test]
+fn an_arm_that_does_not_know_how_it_came_to_rest_is_held_at_no_orientation() {
+    let at = turned(0.1, 0.2, -0.3);
+    let long = Unit::new_unchecked(Quaternion::new(1.1, 0.0, 0.0, 0.0));
+    for (rest, expected) in [(Some(at), Some(at)), (None, None), (Some(long), None)] {
+        let mut pair = Pair::new(RotationBounds::default());
+        pair.engage();
+        assert!(pair.slave.endpoint.last_orientation().is_some());
+        pair.slave.endpoint.rests(&Axes::zeros(), rest.as_ref());
+        assert_eq!(pair.slave.endpoint.last_orientation(), expected);
+    }
+    let mut pair = Pair::new(RotationBounds::default());
+    pair.engage();
+    pair.slave.plant.rotation.as_mut().unwrap().orientation = long;
+    assert_eq!(pair.tick()[1], LadderState::Fault);
+    assert_eq!(pair.slave.endpoint.last_orientation(), None, "whoever stops it decides how it rests");
+}
+
 /// Of a hand that is much faster than the bound: what lags is given up, never led back the shorter way.
 #[test]
 fn a_command_that_lags_goes_on_the_same_way() {
