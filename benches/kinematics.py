@@ -59,7 +59,8 @@ MODEL = "ur5e"
 UNIT = "ur10 far"
 FORWARD_US, INVERSE_US, STEP_US = 3.0, 20.0, 10.0
 TURNED = "joints, self, tool turned"
-"""What the driver of a UR arm keeps to by itself."""
+"""What the driver of a UR arm keeps to by itself, at its limits nearly always."""
+WITHIN = "all but tool speed, within limits"
 TIGHT, ROUND_TRIP, CONDITIONS = 1e-12, 1e-10, 1e-9
 PERIOD_S = 0.002
 CALLS = 200
@@ -273,6 +274,7 @@ def whole_steps(rounds: int) -> list[Row]:
     turned = {
         "joints, tool turned": joints,
         TURNED: msgspec.structs.replace(joints, self_keep_out=keep_out),
+        WITHIN: msgspec.structs.replace(joints, planes=planes, self_keep_out=keep_out),
         "joints, planes, self, tool turned": msgspec.structs.replace(joints, planes=planes, self_keep_out=keep_out),
     }
     works: dict[str, Work] = {}
@@ -289,13 +291,17 @@ def whole_steps(rounds: int) -> list[Row]:
             # As fast as 60 degrees to and fro within 4 s, about two axes.
             twist[:, 3] = 1.6 * np.sin(np.arange(CALLS) * 2 * np.pi / CALLS)
             twist[:, 5] = 1.6 * np.cos(np.arange(CALLS) * 2 * np.pi / CALLS)
-        slow = braked = 0
+        if name == WITHIN:
+            twist *= 0.1
+            qd[0] = np.linalg.pinv(streaming.kinematics.forward_and_jacobian(q[0])[1]) @ twist[0]
+        slow = braked = held = 0
         for index in range(CALLS - 1):
             qd[index + 1] = streaming.velocity(q[index], qd[index], twist[index])
             q[index + 1] = q[index] + qd[index + 1] * PERIOD_S
             slow += streaming.speed_multiplier > 0
             braked += streaming.reason != ""
-        errors[name] = {"at tool speed": slow, "braked": braked}
+            held += int(streaming.multipliers.any())
+        errors[name] = {"at limits": held, "at tool speed": slow, "braked": braked}
         works[name] = over(streaming.velocity, q, qd, twist)
     return [
         Row(

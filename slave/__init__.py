@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     )
     from haptether.slave.ur.kinematics.inverse import UrInverse
     from haptether.slave.ur.kinematics.models import UR_MODELS, UrModel, WrenchSensor, ur_model
-    from haptether.slave.ur.kinematics.streaming import QuadraticProgram, UrStreaming
+    from haptether.slave.ur.kinematics.program import QuadraticProgram
+    from haptether.slave.ur.kinematics.streaming import UrStreaming
     from haptether.slave.ur.options import UrOptions
 
 __all__ = [
@@ -74,7 +75,8 @@ WHERE: Final = {
         ),
         "ur.kinematics.inverse": ("UrInverse",),
         "ur.kinematics.models": ("UR_MODELS", "UrModel", "WrenchSensor", "ur_model"),
-        "ur.kinematics.streaming": ("QuadraticProgram", "UrStreaming"),
+        "ur.kinematics.program": ("QuadraticProgram",),
+        "ur.kinematics.streaming": ("UrStreaming",),
         "ur.options": ("UrOptions",),
     }.items()
     for name in names

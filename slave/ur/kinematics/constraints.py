@@ -10,7 +10,7 @@ far upper arm and forearm lie beside the plane through the shoulder, "measured f
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -18,6 +18,9 @@ from haptether.slave.ur.kinematics.chain import Chain
 from haptether.slave.ur.kinematics.models import SAME_ARM, Six, UrModel
 from haptether.slave.ur.kinematics.pose import Quaternion, Vector
 from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
+
+if TYPE_CHECKING:
+    from haptether.slave.ur.kinematics.arm import UrKinematics
 
 UNIT: Final = 1e-9
 """How far the length of a normal may be from 1."""
@@ -276,6 +279,23 @@ def arm_body(model: UrModel, radius_m: float | None = None) -> Body:
     return Body(balls, capsules, base_and_shoulder + tuple((ball, 2) for ball in (3, 4, 5)))
 
 
+def link_levers(kinematics: "UrKinematics") -> tuple[float, ...]:
+    """How fast a distance of the arm to itself can change by each joint, m/rad: no ball is farther from its axis.
+
+    Joints before a capsule turn ball and capsule alike, and a capsule on the axis of a joint is the same when that
+    turns the ball.
+    """
+    rows, body = kinematics.rows, arm_body(kinematics.model)
+    levers = [0.0] * 6
+    for ball, capsule in ((body.balls[ball], body.capsules[capsule]) for ball, capsule in body.pairs):
+        is_on_axis = not any((*capsule.start[:2], *capsule.end[:2]))
+        for joint in range(capsule.link + is_on_axis, ball.link):
+            # Along the axis the joint's own d is no lever.
+            between = sum(abs(rows.a[i]) + abs(rows.d[i]) for i in range(joint + 1, ball.link))
+            levers[joint] = max(levers[joint], abs(rows.a[joint]) + between + math.hypot(*ball.place))
+    return tuple(levers)
+
+
 @dataclass(frozen=True, slots=True)
 class Distance:
     """A distance in m and its gradient by the joint angles, (1, 6), as expressions."""
@@ -334,13 +354,14 @@ def _frame(chain: Chain, link: int) -> tuple[Symbol, Symbol]:
 def _gradient(chain: Chain, direction: Symbol, point: Symbol, joints: range) -> Symbol:
     """Of `direction . point` by the joints that move it.
 
-    `direction . (z x (point - o)) = z . ((point - o) x direction)`; joint i, from 0, turns about z of the frame i.
+    `direction . (z x (point - o))`; joint i, from 0, turns about z of the frame i. The product of axis and point is the
+    same for every direction, so that it is taken once for all that the point may touch.
     """
     casadi = casadi_module()
     columns = [casadi.SX(0)] * 6
     for joint in joints:
         rotation, origin = _frame(chain, joint)
-        columns[joint] = casadi.dot(rotation[:, 2], casadi.cross(point - origin, direction))
+        columns[joint] = casadi.dot(direction, casadi.cross(rotation[:, 2], point - origin))
     return casadi.horzcat(*columns)
 
 

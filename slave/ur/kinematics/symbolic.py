@@ -27,14 +27,15 @@ class Buffered:
         name: What CasADi calls it.
         arguments: Column vectors of symbols.
         results: Expressions of them.
+        kept: How many of the last arguments `keep` sets, and no call.
 
     Raises:
         ValueError: From the calls: an argument has another length, or a number that is not finite.
     """
 
-    __slots__ = ("_arguments", "_kept", "_probe", "_run", "memory", "numbers", "results")
+    __slots__ = ("_arguments", "_kept", "_probe", "_run", "_settings", "memory", "numbers", "results")
 
-    def __init__(self, name: str, arguments: Sequence[Symbol], results: Sequence[Symbol]) -> None:
+    def __init__(self, name: str, arguments: Sequence[Symbol], results: Sequence[Symbol], *, kept: int = 0) -> None:
         casadi = casadi_module()
         # Not finite as soon as one number is not, which a single result need not be.
         probe = sum(casadi.sum1(argument) for argument in arguments)
@@ -50,7 +51,9 @@ class Buffered:
             buffer.set_res(index, memoryview(array))
         # CasADi has the addresses of all these, and does not keep them alive.
         self._kept = (function, buffer, given, found)
-        self._arguments: tuple[Any, ...] = tuple(memoryview(array) for array in given)
+        views: tuple[Any, ...] = tuple(memoryview(array) for array in given)
+        self._arguments = views[: len(views) - kept]
+        self._settings = views[len(views) - kept :]
         self._probe: Any = memoryview(found[-1])
         self.memory: tuple[Array, ...] = found[:-1]
         """The results, column after column."""
@@ -58,6 +61,15 @@ class Buffered:
         """The same memory, to take single floats from."""
         self.results = tuple(_view(array, result.shape) for array, result in zip(found, dense, strict=True))[:-1]
         """The same memory as matrices that cannot be written to."""
+
+    @property
+    def given(self) -> tuple[Array, ...]:
+        """A copy of the arguments of the last call."""
+        return tuple(np.array(argument) for argument in self._arguments)
+
+    def keep(self, index: int, vector: Array) -> None:
+        """Sets one of the arguments that are kept, for all calls to come."""
+        self._settings[index][:] = vector
 
     def one(self, vector: Numbers) -> None:
         """Fills the results of a function of one vector. An array of float64 is the fast way."""
@@ -73,7 +85,7 @@ class Buffered:
             raise self._not_finite()
 
     def all(self, *vectors: Numbers) -> None:
-        """Fills the results."""
+        """Fills the results of all arguments that are not kept."""
         for target, vector in zip(self._arguments, vectors, strict=True):
             try:
                 target[:] = vector
@@ -85,7 +97,7 @@ class Buffered:
             raise self._not_finite()
 
     def _not_finite(self) -> ValueError:
-        seen = ", ".join(str(argument.tolist()) for argument in self._arguments)
+        seen = ", ".join(str(argument.tolist()) for argument in (*self._arguments, *self._settings))
         return ValueError(f"{seen}: every number must be finite")
 
 

@@ -10,7 +10,7 @@ import pytest
 from tests.ur.fake_rtde import START_Q
 
 from haptether.slave import SelfKeepOut, StreamingLimits, UrKinematics, UrModel, UrStreaming, ur_model
-from haptether.slave.ur.kinematics import streaming
+from haptether.slave.ur.kinematics import program
 from haptether.slave.ur.kinematics.constraints import arm_body
 from haptether.slave.ur.kinematics.pose import pose_from_transform
 from haptether.slave.ur.modes import JointTracking, UnreachableError
@@ -185,7 +185,7 @@ def test_an_arm_that_is_led_into_itself_stays_clear_and_says_why() -> None:
 def test_without_the_keep_out_it_would_hit_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     # The same line, with links so thin that they hardly meet: what the test above must not owe to anything else.
     with monkeypatch.context() as patch:
-        patch.setattr(streaming, "arm_body", lambda model, _: arm_body(model, 1e-3))
+        patch.setattr(program, "arm_body", lambda model, _: arm_body(model, 1e-3))
         arm = led(INWARD, 0.44)
     distances, _ = clearances(arm.q)
     assert distances.min() < -9e-5

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, WALL, steps
 
-from haptether.slave import StreamingLimits, UrKinematics, UrStreaming
+from haptether.slave import SelfKeepOut, StreamingCost, StreamingLimits, UrKinematics, UrStreaming, ur_model
 from haptether.slave.ur.kinematics.chain import DhRows, cos_sin, dh_rows
-from haptether.slave.ur.kinematics.constraints import Ball, Capsule, arm_body
+from haptether.slave.ur.kinematics.constraints import Ball, Capsule, arm_body, link_levers
+from haptether.slave.ur.kinematics.program import BoundedProgram
 from ur.arms import CALIBRATIONS, TOOL
 
 Array = npt.NDArray[np.float64]
@@ -210,3 +211,59 @@ def test_joints_stay_slow_through_the_wrists_singularity(calibration: str | None
     # Damped least squares passes on at most 1/(2 sqrt(damping)) of the weighted twist, sqrt(0.1) |twist|: full damping
     # sets in at the singularity only, so twice that.
     assert np.abs(speeds).max() < 2 * math.sqrt(0.1) * 0.36 / (2 * math.sqrt(0.01))
+
+
+KEEP_OUT = msgspec.structs.replace(JOINTS, self_keep_out=SelfKeepOut())
+
+
+@pytest.mark.parametrize("name", ["ur3e", "ur5e", "ur10e", "ur20"])
+def test_no_distance_of_the_arm_to_itself_changes_faster_than_its_levers(name: str) -> None:
+    kinematics = UrKinematics(ur_model(name))
+    near = BoundedProgram(kinematics, KEEP_OUT, StreamingCost(), PERIOD_S)
+    fastest = np.zeros(6)
+    for q in np.random.default_rng(6).uniform(-math.pi, math.pi, (3000, 6)):
+        near.function.all(q, np.zeros(6), np.zeros(6))
+        fastest = np.maximum(fastest, np.abs(near.quadratic.rows).max(axis=0))
+    levers = np.array(link_levers(kinematics))
+    assert (fastest <= levers + 1e-12).all(), (fastest, levers)
+    # What is far above what occurs would let the arm seem near itself everywhere.
+    assert (fastest[2:5] >= 0.5 * levers[2:5]).all(), (fastest, levers)
+    assert (levers[0], levers[5]) == (0.0, 0.0)
+
+
+# Where the tool is at its limit of speed, that is met to 1e-9 of it, and joints to that over a singular value of 0.05.
+@pytest.mark.parametrize(("max_tool_speed", "tolerance"), [(None, 1e-9), (0.4, 1e-8)])
+def test_what_the_arm_keeps_from_itself_is_the_same_without_a_look_at_it(
+    max_tool_speed: float | None, tolerance: float
+) -> None:
+    limits = msgspec.structs.replace(KEEP_OUT, max_tool_speed=max_tool_speed)
+    kinematics = UrKinematics(MODEL)
+    streaming = UrStreaming(kinematics, limits, period_s=PERIOD_S)
+    whole = BoundedProgram(kinematics, limits, StreamingCost(), PERIOD_S)
+    draws = np.random.default_rng(8)
+    apart = held = m = 0.0
+    for _ in range(40):
+        # Elbow folded up to a small angle or hardly at all, so that runs begin near and far.
+        q, qd = np.array((0.3, -1.5, draws.uniform(1.5, 2.9), -1.0, -1.4, 0.2)), np.zeros(6)
+        streaming.begin(q)
+        whole.begin(q, np.zeros(3))
+        twist = draws.normal(0, 0.7, 6)
+        for _ in range(150):
+            velocity = streaming.velocity(q, qd, twist)
+            whole.function.all(q, qd, twist)
+            expected, m = whole.minimum(m)
+            assert (expected is None) == (streaming.reason != "")
+            if expected is not None:
+                np.testing.assert_allclose(velocity, expected, rtol=0, atol=tolerance)
+                # Of two rows that are the same, either may hold; at the limit of the tool's speed, weights are known
+                # to a part in 1e3.
+                sums = [found.multipliers[6:].sum() for found in (streaming, whole)]
+                assert sums[0] == pytest.approx(sums[1], rel=1e-2, abs=1e-3)
+                held += (whole.multipliers[6:] < 0).any()
+            program = streaming.program
+            np.testing.assert_array_equal(program.rows, whole.quadratic.rows)
+            np.testing.assert_array_equal(program.lower, whole.quadratic.lower)
+            apart += streaming.looks_away
+            q, qd = q + velocity * PERIOD_S, velocity
+    assert apart > 1000, apart
+    assert held > 300, held
