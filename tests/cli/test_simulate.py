@@ -273,6 +273,10 @@ def test_a_folder_that_cannot_be_is_refused_before_the_run(
     blocked.write_text("")
     assert main(["simulate", "remote_push", "--plot", str(blocked / "pictures")]) == 1
     assert "cannot be made: Not a directory; give another folder" in capsys.readouterr().err
+    picture = tmp_path / "run.png"
+    assert main(["simulate", "remote_push", "--plot", str(picture)]) == 2
+    assert f"{picture}: must be a folder" in capsys.readouterr().err
+    assert not picture.exists()
     assert not given
 
 

@@ -37,7 +37,9 @@ HEIGHTS = {"gripper": 2, "tripped": 1}
 """Of panels, beside 3 of the others."""
 TRIPPED = {1: "VFC", 2: "HSC", 4: "WSC", 8: "PC", 16: "held"}
 EVENTS_NAMED = 16
-MIN_GAP = 0.012
+NAME_LENGTH = 36
+"""Characters of the name of an event, reasons included; all of it is in the list that is printed."""
+MIN_GAP = 0.025
 """Share of the width that two names of events stand apart at least."""
 MAX_LINES = 6
 """Of a panel whose legend is as large as that of the others."""
@@ -139,8 +141,10 @@ def _name_events(panel: "Axes", events: list[tuple[float, str]], width_s: float)
     for time_s, text in events:
         place = max(time_s, place + MIN_GAP * width_s)
         above = ("data", "axes fraction")
-        panel.annotate(printable(text), (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,
-                       parse_math=False, fontsize=7, ha="center", va="bottom", rotation=90)  # fmt: skip
+        name = text if len(text) <= NAME_LENGTH else f"{text[: NAME_LENGTH - 1].rstrip()}…"
+        panel.annotate(printable(name), (time_s, 1.0), (place, 1.03), xycoords=above, textcoords=above,
+                       parse_math=False, fontsize=7, ha="left", va="bottom", rotation=35,
+                       rotation_mode="anchor")  # fmt: skip
 
 
 def _draw_trips(panel: "Axes", time_s: npt.NDArray[np.float64], tripped: npt.NDArray[np.uint8]) -> None:

@@ -100,8 +100,14 @@ def make_folder(folder: Path) -> None:
     """Makes a folder for pictures, before the run rather than after it.
 
     Raises:
+        ValueError: It has the name of a picture.
         OSError: With the path and what is in the way.
     """
+    if folder.suffix.lower() in {".png", ".pdf", ".svg"}:
+        message = (
+            f"{folder}: must be a folder, whose pictures are named by what they show; try {folder.with_suffix('')}"
+        )
+        raise ValueError(message)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
