@@ -61,7 +61,8 @@ fn slave(rotation: bool) -> SlaveEndpoint<3> {
         return SlaveEndpoint::new(&settings).unwrap();
     }
     let bounds = RotationBounds::default();
-    let turning = SlaveRotationSettings { rotation_scale: 1.0, lock: RotationLock::Free, bounds };
+    let turning =
+        SlaveRotationSettings { rotation_scale: 1.0, lock: RotationLock::Free, bounds, alignment: None };
     SlaveEndpoint::of_pose(&settings, &turning).unwrap()
 }
 

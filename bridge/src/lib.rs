@@ -40,8 +40,8 @@ pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, Spoken
 pub use gripper::{GripperOrder, LedGripper, Trigger};
 pub use kind::SideKind;
 pub use ladder::{
-    Clutch, ClutchError, ClutchOperator, Diagnosis, Explanation, FlightEntry, FlightRecorder, History,
-    Ladder, LadderError, LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed,
+    AlignmentState, Clutch, ClutchError, ClutchOperator, Diagnosis, Explanation, FlightEntry, FlightRecorder,
+    History, Ladder, LadderError, LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed,
     PeerCause, PeerFrame, PeerReport, Reason, Remedy, Step, Transition,
 };
 pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status};

@@ -239,6 +239,8 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
     pub endpoint: SlaveEndpoint<N>,
     /// Where the ladder stood at the last tick.
     stood: LadderState,
+    /// Whether the arm was led then.
+    was_led: bool,
     /// Its gripper, if it has one.
     pub gripper: Option<LedGripper>,
     records: PhantomData<R>,
@@ -247,14 +249,15 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     /// A side whose arm has not been commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
-        Self { plant, endpoint, stood: LadderState::Disengaged, gripper: None, records: PhantomData }
+        let stood = LadderState::Disengaged;
+        Self { plant, endpoint, stood, was_led: false, gripper: None, records: PhantomData }
     }
 
     /// The same side with records of an arm that turns.
     #[must_use]
     pub fn turning(self) -> SlaveSide<P, N, SlaveRotation> {
-        let Self { plant, endpoint, stood, gripper, .. } = self;
-        SlaveSide { plant, endpoint, stood, gripper, records: PhantomData }
+        let Self { plant, endpoint, stood, was_led, gripper, .. } = self;
+        SlaveSide { plant, endpoint, stood, was_led, gripper, records: PhantomData }
     }
 
     /// The same side with a gripper.
@@ -286,11 +289,12 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
         }
         let mut tick = self.endpoint.tick(time.clock_ns, &reading);
         let stood = std::mem::replace(&mut self.stood, tick.state);
+        let was_led = std::mem::replace(&mut self.was_led, tick.is_led);
         let is_stopped = |state| matches!(state, LadderState::Stop | LadderState::Fault);
         // Once each: whoever brakes again and again would let go of what the arm leans on, bit by bit.
         let rest = if is_stopped(tick.state) && !is_stopped(stood) {
             Some(self.plant.stop())
-        } else if stood.is_coupled() && !tick.state.is_coupled() {
+        } else if was_led && !tick.is_led {
             Some(self.plant.hold())
         } else {
             None

@@ -246,6 +246,7 @@ fn a_tick_of_two_poses_with_a_gripper_allocates_nothing() {
         rotation_scale: 1.5,
         lock: RotationLock::Free,
         bounds: RotationBounds::default(),
+        alignment: None,
     };
     let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
     let endpoint = SlaveEndpoint::of_pose(&settings, &rotation).unwrap();

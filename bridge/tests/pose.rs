@@ -75,7 +75,12 @@ impl Pair {
             bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),
         };
-        let rotation = SlaveRotationSettings { rotation_scale: SCALE, lock: RotationLock::Free, bounds };
+        let rotation = SlaveRotationSettings {
+            rotation_scale: SCALE,
+            lock: RotationLock::Free,
+            bounds,
+            alignment: None,
+        };
         let endpoint = SlaveEndpoint::of_pose(&settings, &rotation).unwrap();
         let slave = SlaveSide::new(DrivenSlave::new(5.0).unwrap(), endpoint).turning();
         let mut pair =

@@ -1,9 +1,92 @@
 //! Turning the slave to the master before they engage.
 
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
+use serde::Deserialize;
 use std::f64::consts::PI;
 
-use super::{CouplingError, normalised, position_force::check};
+use super::{CouplingError, RotationBounds, RotationLock, normalised, position_force::check};
+
+/// `[coupling.alignment]`: how the slave turns to the master before the two engage.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AlignmentSettings {
+    /// Largest angular speed in rad/s.
+    pub speed: f64,
+    /// Angle in rad between the two beyond which it refuses, in (0, pi].
+    pub max_angle: f64,
+}
+
+/// Time in s that a press takes besides the turn: to the slave, and back that it has engaged, over 500 ms each way, the
+/// slowest link that the time of ALIGNING is made for.
+pub const ROUND_TRIP_S: f64 = 1.0;
+
+/// An alignment that this coupling cannot have.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum AlignmentError {
+    /// Engaged there, the two would part again.
+    #[error(
+        "rotation_scale = {0}: must be 1 with an alignment, which would not last; leave one of the two out"
+    )]
+    Scale(f64),
+    /// What does not follow as a whole cannot be turned to the master.
+    #[error(
+        "locks_rotation and rotation_axis: must be left out with an alignment, which turns about any axis"
+    )]
+    Lock,
+    /// Faster than any command of a master may be.
+    #[error("alignment.speed = {seen} rad/s: must be at most command_angular_speed = {allowed} rad/s")]
+    Fast {
+        /// What was given.
+        seen: f64,
+        /// The bound.
+        allowed: f64,
+    },
+    /// Not over before the press is.
+    #[error(
+        "alignment.max_angle / alignment.speed = {seen_s} s: must be at most {allowed_s} s, the {align_s} s for which a \
+         press waits less a round trip of 1 s; raise the speed or lower the angle"
+    )]
+    Long {
+        /// Longest turn.
+        seen_s: f64,
+        /// What there is for it.
+        allowed_s: f64,
+        /// For how long a press waits.
+        align_s: f64,
+    },
+}
+
+impl AlignmentSettings {
+    /// Refuses an alignment that does not go with the rest of the coupling, or takes longer than a press waits, `align_s`.
+    pub fn check(
+        &self,
+        rotation_scale: f64,
+        lock: &RotationLock,
+        bounds: &RotationBounds,
+        align_s: f64,
+    ) -> Result<(), CouplingError> {
+        let Self { speed, max_angle } = *self;
+        Alignment::new([1.0, 0.0, 0.0, 0.0], speed, max_angle)?;
+        Self::check_scale(rotation_scale)?;
+        let (seen_s, allowed_s) = (max_angle / speed, align_s - ROUND_TRIP_S);
+        let wrong = if *lock != RotationLock::Free {
+            AlignmentError::Lock
+        } else if speed > bounds.speed {
+            AlignmentError::Fast { seen: speed, allowed: bounds.speed }
+        } else if seen_s > allowed_s {
+            AlignmentError::Long { seen_s, allowed_s, align_s }
+        } else {
+            return Ok(());
+        };
+        Err(wrong.into())
+    }
+
+    /// Refuses a `lambda_r` under which the two would not stay aligned.
+    pub(crate) fn check_scale(rotation_scale: f64) -> Result<(), CouplingError> {
+        if rotation_scale == 1.0 { Ok(()) } else { Err(AlignmentError::Scale(rotation_scale).into()) }
+    }
+}
 
 /// Turns the slave's orientation to the master's at a bounded rate, or refuses beyond an angle.
 ///
@@ -47,6 +130,18 @@ impl Alignment {
         })
     }
 
+    /// Changes C, a unit quaternion of the rotation from the master's frame to the slave's.
+    pub fn set_frame(&mut self, quat_wxyz: [f64; 4]) -> Result<(), CouplingError> {
+        let [w, x, y, z] = normalised(quat_wxyz)?;
+        self.frame = Unit::new_unchecked(Quaternion::new(w, x, y, z));
+        Ok(())
+    }
+
+    /// `C R_m C'`: where it leads.
+    pub fn target(&self, master: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+        Unit::new_normalize((self.frame * master * self.frame.inverse()).into_inner())
+    }
+
     /// The next command, `dt_s` after `command`; refused, so that the slave stays, beyond the largest angle and
     /// where an orientation is no number.
     ///
@@ -57,7 +152,7 @@ impl Alignment {
         command: &UnitQuaternion<f64>,
         dt_s: f64,
     ) -> Result<AlignmentStep, CouplingError> {
-        let target = Unit::new_normalize((self.frame * master * self.frame.inverse()).into_inner());
+        let target = self.target(master);
         let way = target * command.inverse();
         let angle = way.angle();
         if angle.is_nan() || angle > self.max_angle {

@@ -14,7 +14,7 @@ mod wrench;
 use haptether_safety::Axes;
 use nalgebra::SMatrix;
 
-pub use alignment::{Alignment, AlignmentStep};
+pub use alignment::{Alignment, AlignmentError, AlignmentSettings, AlignmentStep, ROUND_TRIP_S};
 pub use command::{CommandBounds, Limited, RotationBounds};
 pub(crate) use command::{bounded, decayed, turned_within};
 pub use gripper::{GripperFollower, GripperState};
@@ -81,6 +81,9 @@ pub enum CouplingError {
         /// Largest that is allowed.
         allowed_rad: f64,
     },
+    /// An alignment that this coupling cannot have.
+    #[error(transparent)]
+    Alignment(#[from] AlignmentError),
 }
 
 impl CouplingError {

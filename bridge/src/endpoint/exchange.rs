@@ -7,8 +7,8 @@ use crate::{
     coupling::GripperState,
     fault_text::{FaultText, HeardText, SpokenText},
     ladder::{
-        Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError, LadderInputs,
-        LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
+        AlignmentState, Diagnosis, FlightEntry, FlightRecorder, FlightValues, Ladder, LadderError,
+        LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
     },
     link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
@@ -185,19 +185,7 @@ impl<const N: usize> Exchange<N> {
     pub(super) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
-        let hears = self.link.is_heard();
-        let newest = self.link.newest().map(|frame| {
-            // An echo of another run says nothing of this one.
-            let echo = frame.echo.filter(|echo| echo.run_id == self.link.run_id());
-            PeerFrame {
-                // A state that this version does not know is none to be coupled with.
-                state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
-                clutch: frame.clutch,
-                hears,
-                echo: echo.map(|echo| echo.sequence),
-                echo_age_ns: echo.map(|echo| now_ns.saturating_sub(echo.sent_ns)),
-            }
-        });
+        let newest = self.link.newest().map(|frame| self.peer_frame(now_ns, frame));
         // On arrival an age is what the link is used to; until the next frame it grows by what silence may.
         let over = self.link.path().over_baseline_ns(now_ns);
         let over_baseline_ns = over.map(|over| over.saturating_sub(expected_age_ns));
@@ -215,6 +203,26 @@ impl<const N: usize> Exchange<N> {
         (state, age_ns)
     }
 
+    /// The newest frame of the peer, as far as a ladder goes.
+    fn peer_frame(&self, now_ns: u64, frame: &Frame<N>) -> PeerFrame {
+        // An echo of another run says nothing of this one.
+        let echo = frame.echo.filter(|echo| echo.run_id == self.link.run_id());
+        PeerFrame {
+            // A state that this version does not know is none to be coupled with.
+            state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
+            clutch: frame.clutch,
+            hears: self.link.is_heard(),
+            echo: echo.map(|echo| echo.sequence),
+            echo_age_ns: echo.map(|echo| now_ns.saturating_sub(echo.sent_ns)),
+        }
+    }
+
+    /// How this slave is turned as against its master; of one that aligns before it engages, before each
+    /// [`advance`](Self::advance).
+    pub(super) fn set_alignment(&mut self, alignment: AlignmentState) {
+        self.inputs.alignment = alignment;
+    }
+
     /// Ends a tick: keeps measured position, command and force, and what controllers saw, in the flight recorder.
     pub(super) fn end_tick(&mut self, now_ns: u64, values: [&Axes<N>; 3], observed: Observed) {
         let entry = FlightEntry {
@@ -227,17 +235,18 @@ impl<const N: usize> Exchange<N> {
             observed,
             values: FlightValues::new(values),
         };
-        let diagnosis = self.diagnosis();
+        let diagnosis = self.diagnosis(now_ns);
         self.flight.take(entry, self.ladder.history(), diagnosis.as_ref());
         self.events = TickEvents::default();
     }
 
     /// Why the two sides are not coupled; none where nothing is wrong.
-    fn diagnosis(&self) -> Option<Diagnosis> {
+    fn diagnosis(&self, now_ns: u64) -> Option<Diagnosis> {
         let (state, newest) = (self.ladder.state(), self.link.newest());
+        let is_refused = newest.is_some_and(|frame| self.is_refused_by(now_ns, frame));
         let stands = |frame: &Frame<N>| LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
         let peer_failed = newest.is_some_and(|frame| stands(frame) == LadderState::Fault);
-        if !(state.is_held() || peer_failed || self.peer_ended || self.ladder.is_unanswered()) {
+        if !(state.is_held() || peer_failed || self.peer_ended || self.ladder.is_unanswered() || is_refused) {
             return None;
         }
         Some(Diagnosis {
@@ -248,7 +257,7 @@ impl<const N: usize> Exchange<N> {
             text: *self.spoken.text(),
             peer: newest.map(|frame| PeerCause {
                 state: stands(frame),
-                reason: self.peer_held,
+                reason: if is_refused { frame.reason } else { self.peer_held },
                 fault: frame.fault,
                 text: *self.heard.text(),
             }),
@@ -257,6 +266,15 @@ impl<const N: usize> Exchange<N> {
             // Its loop knows.
             ends: false,
         })
+    }
+
+    /// Whether the slave that sent `frame` has refused this master's last press, because it is turned too far from it.
+    fn is_refused_by(&self, now_ns: u64, frame: &Frame<N>) -> bool {
+        let waits = self.ladder.state() == LadderState::Aligning || self.ladder.is_unanswered();
+        waits
+            && self.role == Role::Master
+            && Reason::from_code(frame.reason) == Some(Reason::TurnRefused)
+            && self.inputs.knows_press(&self.peer_frame(now_ns, frame))
     }
 
     /// A number that cannot be was met, or the device has failed.
@@ -295,6 +313,8 @@ impl<const N: usize> Exchange<N> {
         // Who ends follows and leads no more, whatever its ladder says.
         let state = match self.ladder.state() {
             state if self.ending && !state.is_held() => LadderState::Disengaged,
+            // A master engages by a slave that aligns: to one that is to be turned it says no more than before the press.
+            LadderState::Aligning if self.inputs.alignment != AlignmentState::Any => LadderState::Disengaged,
             state => state,
         };
         let status = Status {

@@ -3,8 +3,12 @@
 use haptether_safety::{Axes, Fault, Signal};
 use nalgebra::UnitQuaternion;
 
-use crate::coupling::{
-    CouplingError, Limited, RotationBounds, RotationCoupling, RotationLock, RotationState, turned_within,
+use crate::{
+    coupling::{
+        Alignment, AlignmentSettings, AlignmentStep, CouplingError, Limited, RotationBounds,
+        RotationCoupling, RotationLock, RotationState, turned_within,
+    },
+    ladder::AlignmentState,
 };
 
 /// How far in rad a command may stay behind the master: beyond pi the shorter way is the other one.
@@ -19,12 +23,15 @@ pub struct SlaveRotationSettings {
     pub lock: RotationLock,
     /// What it takes of a remote command.
     pub bounds: RotationBounds,
+    /// How it turns to the master before the two engage; without, they engage however they are turned.
+    pub alignment: Option<AlignmentSettings>,
 }
 
 /// The rotation part of a slave's endpoint.
 #[derive(Clone, Debug)]
 pub(super) struct SlaveRotation {
     pub(super) coupling: RotationCoupling,
+    alignment: Option<Alignment>,
     bounds: RotationBounds,
     /// How the arm stood at its first tick.
     home: Option<UnitQuaternion<f64>>,
@@ -33,11 +40,68 @@ pub(super) struct SlaveRotation {
 }
 
 impl SlaveRotation {
-    pub(super) fn new(settings: &SlaveRotationSettings) -> Result<Self, CouplingError> {
-        settings.bounds.check()?;
-        let mut coupling = RotationCoupling::new(settings.rotation_scale, 1.0)?;
-        coupling.set_lock(settings.lock);
-        Ok(Self { coupling, bounds: settings.bounds, home: None, command: None })
+    /// `align_s`: how long a press waits.
+    pub(super) fn new(settings: &SlaveRotationSettings, align_s: f64) -> Result<Self, CouplingError> {
+        let SlaveRotationSettings { rotation_scale, lock, bounds, alignment } = settings;
+        bounds.check()?;
+        let mut coupling = RotationCoupling::new(*rotation_scale, 1.0)?;
+        coupling.set_lock(*lock);
+        let alignment = match alignment {
+            None => None,
+            Some(alignment) => {
+                alignment.check(*rotation_scale, lock, bounds, align_s)?;
+                Some(Alignment::new([1.0, 0.0, 0.0, 0.0], alignment.speed, alignment.max_angle)?)
+            }
+        };
+        Ok(Self { coupling, alignment, bounds: *bounds, home: None, command: None })
+    }
+
+    /// Changes `lambda_r`; with an alignment it stays 1.
+    pub(super) fn set_rotation_scale(&mut self, scale: f64) -> Result<(), CouplingError> {
+        if self.alignment.is_some() {
+            AlignmentSettings::check_scale(scale)?;
+        }
+        self.coupling.set_rotation_scale(scale)
+    }
+
+    /// Changes C, a unit quaternion.
+    pub(super) fn set_frame(&mut self, quat_wxyz: [f64; 4]) -> Result<(), CouplingError> {
+        if let Some(alignment) = &mut self.alignment {
+            alignment.set_frame(quat_wxyz)?;
+        }
+        self.coupling.set_frame(quat_wxyz)
+    }
+
+    /// How far the command is from the master's newest rotation, and its next step towards that within `elapsed_s`; none
+    /// where it engages however it is turned.
+    pub(super) fn toward(
+        &self,
+        master: Option<&RotationState>,
+        measured: &RotationState,
+        elapsed_s: f64,
+    ) -> Option<(AlignmentState, Option<AlignmentStep>)> {
+        let alignment = self.alignment.as_ref()?;
+        let Some(master) = master else { return Some((AlignmentState::Remaining, None)) };
+        let home = self.home.unwrap_or(measured.orientation);
+        let from = self.command.unwrap_or(measured.orientation);
+        let is_within = alignment.target(&master.orientation).angle_to(&home) <= self.bounds.turn;
+        let Ok(mut step) = alignment.step(&master.orientation, &from, elapsed_s) else {
+            return Some((AlignmentState::TooFar, None));
+        };
+        if !is_within {
+            return Some((AlignmentState::TooFar, None));
+        }
+        // Its speed is within that of the bounds.
+        let turn = RotationBounds { speed: f64::INFINITY, ..self.bounds };
+        let mut limited = Limited::default();
+        step.orientation = turned_within(&turn, elapsed_s, [&home, &from, &step.orientation], &mut limited);
+        if limited.any() {
+            let way = (step.orientation * from.inverse()).scaled_axis();
+            step.angular_velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
+        }
+        let is_there = step.remaining_rad == 0.0 && !limited.any();
+        let state = if is_there { AlignmentState::Reached } else { AlignmentState::Remaining };
+        Some((state, Some(step)))
     }
 
     /// Refuses what no arm can measure.

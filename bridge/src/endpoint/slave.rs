@@ -5,14 +5,15 @@ use haptether_safety::{Axes, Fault, Signal};
 use nalgebra::UnitQuaternion;
 
 use super::{
-    EndpointError, Exchange, check_period,
+    EndpointError, Exchange, check_period, period_s,
     rotation::{SlaveRotation, SlaveRotationSettings, check_orientation},
 };
 use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{
-        CommandBounds, CouplingError, FrameMap, Limited, PositionForce, RotationState, bounded, decayed,
+        AlignmentStep, CommandBounds, CouplingError, FrameMap, Limited, PositionForce, RotationState,
+        bounded, decayed,
     },
     ladder::{LadderSettings, LadderState, Observed},
     link::PortState,
@@ -63,8 +64,10 @@ pub struct SlaveTick<const N: usize> {
     pub command_velocity: Axes<N>,
     /// Orientation that the tool is to take; none of a point, and before the first engagement.
     pub orientation: Option<UnitQuaternion<f64>>,
-    /// Angular velocity in rad/s of that orientation; zero unless engaged.
+    /// Angular velocity in rad/s of that orientation; zero unless engaged or turned to the master.
     pub angular_velocity: Axes<3>,
+    /// Whether the arm is led: engaged, or before that turned to the master.
+    pub is_led: bool,
     /// Where the ladder stands.
     pub state: LadderState,
     /// Silence of the peer in ns.
@@ -90,6 +93,8 @@ pub struct SlaveEndpoint<const N: usize> {
     /// When the last command was made, in ns.
     commanded_ns: u64,
     fault: Option<Fault>,
+    /// The longest time in s that one step of an alignment makes up for: two periods.
+    max_step_s: f64,
 }
 
 impl<const N: usize> SlaveEndpoint<N> {
@@ -106,6 +111,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             command: None,
             commanded_ns: 0,
             fault: None,
+            max_step_s: 2.0 * period_s(settings.period_ns),
         })
     }
 
@@ -115,7 +121,8 @@ impl<const N: usize> SlaveEndpoint<N> {
         rotation: &SlaveRotationSettings,
     ) -> Result<Self, EndpointError> {
         let mut endpoint = Self::new(settings)?;
-        endpoint.rotation = Some(Box::new(SlaveRotation::new(rotation)?));
+        let align_s = period_s(settings.ladder.align_ns);
+        endpoint.rotation = Some(Box::new(SlaveRotation::new(rotation, align_s)?));
         endpoint.exchange.set_kind(SideKind::Pose);
         Ok(endpoint)
     }
@@ -138,14 +145,20 @@ impl<const N: usize> SlaveEndpoint<N> {
             self.fault.get_or_insert(fault);
             self.exchange.fault(now_ns, fault);
         }
+        let elapsed_s = now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9;
+        if let (Some(rotation), Some(measured), Ok(())) = (&mut self.rotation, &reading.rotation, checked) {
+            rotation.begin(measured);
+        }
+        let step = self.toward(reading.rotation.as_ref(), elapsed_s);
         let (state, age_ns) = self.exchange.advance(now_ns, false);
+        let turns = self.exchange.ladder.turns();
         // From the first sample that can be: bounds hang on it.
         let home = if checked.is_ok() { *self.home.get_or_insert(*position) } else { *position };
         let (mut command_velocity, mut angular_velocity) = (Axes::zeros(), Axes::zeros());
         let mut limited = Limited::default();
-        let elapsed_s = now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9;
-        if let (Some(rotation), Some(measured), Ok(())) = (&mut self.rotation, &reading.rotation, checked) {
-            rotation.begin(measured);
+        if let (Some(rotation), Some(step), true) = (&mut self.rotation, &step, turns || state.is_coupled()) {
+            // The two engage where it has just reached the master.
+            rotation.command = Some(step.orientation);
         }
         match (state, self.exchange.link().newest()) {
             (LadderState::Engaged | LadderState::Stale, Some(frame)) => {
@@ -176,9 +189,16 @@ impl<const N: usize> SlaveEndpoint<N> {
             // Holds the last command; when it engages again it does so from where both are then.
             _ => self.disengage(),
         }
+        let power_w = environment_force.dot(&command_velocity);
+        let mut turning = angular_velocity;
+        if let (true, Some(step)) = (turns, step) {
+            self.command.get_or_insert(*position);
+            // What it does to what it touches does not go over the link.
+            (angular_velocity, turning) = (step.angular_velocity, Axes::zeros());
+        }
         self.commanded_ns = now_ns;
         self.exchange.limited_ticks += u64::from(limited.any());
-        self.report(reading, environment_force.dot(&command_velocity), &angular_velocity, elapsed_s);
+        self.report(reading, power_w, &turning, elapsed_s);
         let command = self.command.unwrap_or(*position);
         self.exchange.end_tick(now_ns, [position, &command, environment_force], Observed::NOTHING);
         SlaveTick {
@@ -186,11 +206,23 @@ impl<const N: usize> SlaveEndpoint<N> {
             command_velocity,
             orientation: self.last_orientation(),
             angular_velocity,
+            is_led: state.is_coupled() || turns,
             state,
             age_ns,
             limited,
             fault: self.fault,
         }
+    }
+
+    /// The next step towards the master's newest orientation, of an arm that is turned there before the two engage.
+    fn toward(&mut self, measured: Option<&RotationState>, elapsed_s: f64) -> Option<AlignmentStep> {
+        let is_coupled = self.exchange.state().is_coupled();
+        let rotation = self.rotation.as_ref().filter(|_| !is_coupled)?;
+        let master = self.exchange.link().newest().and_then(|frame| frame.rotation);
+        let elapsed_s = elapsed_s.min(self.max_step_s);
+        let (state, step) = rotation.toward(master.as_ref(), measured?, elapsed_s)?;
+        self.exchange.set_alignment(state);
+        step
     }
 
     /// Leaves what the next frame says of the arm; the energy is that of the whole wrench, `f·v + tau·w`.
@@ -243,12 +275,13 @@ impl<const N: usize> SlaveEndpoint<N> {
             OperatorCommand::PositionScale(scale) => self.coupling.set_position_scale(scale)?,
             OperatorCommand::Frame { quat_wxyz, locked } => {
                 self.coupling.set_map(FrameMap::rotated(quat_wxyz, &locked)?);
-                self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.coupling.set_frame(quat_wxyz))?;
+                self.rotation.as_mut().map_or(Ok(()), |rotation| rotation.set_frame(quat_wxyz))?;
             }
             OperatorCommand::RotationScale(scale) => {
-                return self.rotation.as_mut().map_or(Ok(false), |rotation| {
-                    rotation.coupling.set_rotation_scale(scale).map(|()| true)
-                });
+                return self
+                    .rotation
+                    .as_mut()
+                    .map_or(Ok(false), |rotation| rotation.set_rotation_scale(scale).map(|()| true));
             }
             _ => return Ok(false),
         }

@@ -54,6 +54,8 @@ pub enum Remedy {
     Start,
     /// Wait until both sides hear one another.
     Wait,
+    /// Turn the device towards the arm.
+    Turn,
     /// Release the clutch and press it again.
     Press,
 }
@@ -142,6 +144,13 @@ impl Diagnosis {
             let text = format!("the {other} has ended");
             return self.explanation(other, text, vec![start(other, "start")]);
         }
+        if self.is_refused() {
+            let slave = Role::Slave.name();
+            let text = "the slave is turned further from the master than it may turn before it engages";
+            let turn = "turn the master's device until it points as the arm does".to_owned();
+            let step = Step { at: Role::Master.name(), remedy: Remedy::Turn, text: turn };
+            return self.explanation(slave, text.to_owned(), vec![step]);
+        }
         let (at, text) = self.hold(own, other);
         let steps = if at == LINK || self.silent {
             let text = format!(
@@ -152,6 +161,18 @@ impl Diagnosis {
             Vec::new()
         };
         self.explanation(at, text, steps)
+    }
+
+    /// Whether the slave has refused to turn to the master: either side says so.
+    fn is_refused(&self) -> bool {
+        let refused = Some(Reason::TurnRefused);
+        match self.role {
+            Role::Slave => self.reason == refused,
+            Role::Master => {
+                matches!(self.state, LadderState::Aligning | LadderState::Disengaged)
+                    && self.peer.and_then(|peer| Reason::from_code(peer.reason)) == refused
+            }
+        }
     }
 
     fn own_fault(&self, own: &'static str, other: &'static str) -> Explanation {
@@ -272,7 +293,7 @@ mod tests {
     #[allow(clippy::too_many_lines)] // a table
     fn each_cause_says_where_what_and_what_to_do() {
         use LadderState::{Aligning, Fault, Hold};
-        use Remedy::{Acknowledge, Press, Start, Wait};
+        use Remedy::{Acknowledge, Press, Start, Turn, Wait};
         let bus = "Arm: OSError: the bus is down (arm.py:7)";
         let cases = [
             (HELD, "link", "the slave fell silent", vec![("link", Wait), ("master", Press)]),
@@ -422,6 +443,44 @@ mod tests {
                 vec![("master", Press)],
             ),
             (
+                Diagnosis {
+                    state: Aligning,
+                    reason: Some(Reason::ClutchPressed),
+                    peer: peer(LadderState::Disengaged, Reason::TurnRefused.code(), 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "slave",
+                "the slave is turned further from the master than it may turn before it engages",
+                vec![("master", Turn), ("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    role: Role::Slave,
+                    state: LadderState::Disengaged,
+                    reason: Some(Reason::TurnRefused),
+                    peer: peer(Aligning, Reason::ClutchPressed.code(), 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "slave",
+                "the slave is turned further from the master than it may turn before it engages",
+                vec![("master", Turn), ("master", Press)],
+            ),
+            (
+                // Of a press before: what led to the hold counts.
+                Diagnosis {
+                    state: Hold,
+                    reason: Some(Reason::OwnDelay),
+                    peer: peer(Hold, Reason::TurnRefused.code(), 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "master",
+                "the master's own loop was late",
+                vec![("master", Press)],
+            ),
+            (
                 Diagnosis { reason: Some(Reason::OwnDelay), silent: false, ..HELD },
                 "master",
                 "the master's own loop was late",
@@ -494,7 +553,7 @@ mod tests {
         let reasons = Reason::ALL.into_iter().map(Some).chain([None]);
         for reason in reasons {
             for state in LadderState::ALL {
-                for code in [0, 1, 2, 4, 8, 17, 200] {
+                for code in [0, 1, 2, 4, 8, 17, 21, 200] {
                     for (role, ended, silent) in [
                         (Role::Master, false, false),
                         (Role::Slave, false, true),

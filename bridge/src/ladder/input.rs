@@ -18,6 +18,20 @@ pub struct PeerReport {
     pub is_current: bool,
 }
 
+/// How a slave is turned as against its master before the two engage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AlignmentState {
+    /// However it is: it engages there. So does every master.
+    #[default]
+    Any,
+    /// Not yet as the master is: it is to be turned.
+    Remaining,
+    /// As the master is.
+    Reached,
+    /// Further from the master than it may be turned.
+    TooFar,
+}
+
 /// The input of a ladder at one tick.
 #[allow(clippy::struct_excessive_bools)] // what is the case at a tick
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -40,6 +54,8 @@ pub struct LadderInput {
     pub is_press: bool,
     /// Whether the peer has ended in good order.
     pub ended: bool,
+    /// Of a slave that aligns before it engages.
+    pub alignment: AlignmentState,
 }
 
 /// The newest frame of the peer, as far as a ladder goes.
@@ -79,6 +95,8 @@ pub struct LinkView {
 #[derive(Clone, Debug, PartialEq)]
 pub struct LadderInputs {
     role: Role,
+    /// As of this tick, of a slave that aligns before it engages.
+    pub(crate) alignment: AlignmentState,
     /// As of the last tick.
     pub(super) clutch: bool,
     pub(super) closings: u64,
@@ -89,7 +107,14 @@ pub struct LadderInputs {
 impl LadderInputs {
     /// Of a side that has sent nothing yet.
     pub fn new(role: Role) -> Self {
-        Self { role, clutch: false, closings: 0, closed_sequence: 0, pressed_sequence: 0 }
+        Self {
+            role,
+            alignment: AlignmentState::Any,
+            clutch: false,
+            closings: 0,
+            closed_sequence: 0,
+            pressed_sequence: 0,
+        }
     }
 
     /// Steps the ladder; `button` is the master's.
@@ -140,12 +165,28 @@ impl LadderInputs {
         });
         let &LinkView { age_ns, expected_age_ns, over_baseline_ns, ended, .. } = link;
         let needs_answer = self.role == Role::Slave && self.closings > 0;
-        LadderInput { age_ns, expected_age_ns, over_baseline_ns, peer, clutch, needs_answer, is_press, ended }
+        let alignment = self.alignment;
+        LadderInput {
+            age_ns,
+            expected_age_ns,
+            over_baseline_ns,
+            peer,
+            clutch,
+            needs_answer,
+            is_press,
+            ended,
+            alignment,
+        }
     }
 
     /// The clutch as of the last tick.
     pub fn clutch(&self) -> bool {
         self.clutch
+    }
+
+    /// Whether `frame` is of a peer that knew of the last press.
+    pub(crate) fn knows_press(&self, frame: &PeerFrame) -> bool {
+        frame.hears && frame.echo.is_some_and(|echo| echo >= self.pressed_sequence)
     }
 }
 

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 
 use super::{
-    input::LadderInput,
+    input::{AlignmentState, LadderInput},
     table::{Facts, LadderState, Reason, next},
 };
 
@@ -27,6 +27,8 @@ pub struct Ladder {
     opened: bool,
     /// When ALIGNING began, in ns.
     aligning_ns: u64,
+    /// Whether the arm is to be turned to the master, as of the last tick.
+    turns: bool,
     holds: u64,
     /// How often a release became necessary.
     closings: u64,
@@ -49,6 +51,7 @@ impl Ladder {
             blind_until_ns: None,
             opened: true,
             aligning_ns: 0,
+            turns: false,
             holds: 0,
             closings: 0,
             history: History::default(),
@@ -57,14 +60,16 @@ impl Ladder {
 
     /// One tick at `now_ns`.
     pub fn step(&mut self, now_ns: u64, input: &LadderInput) -> LadderState {
-        let facts = self.facts(now_ns, input);
+        let (facts, may_engage) = self.facts(now_ns, input);
         self.follow(now_ns, facts);
+        self.turns =
+            self.state == LadderState::Aligning && may_engage && input.alignment == AlignmentState::Remaining;
         self.fade(now_ns);
         self.state
     }
 
-    /// What is the case.
-    fn facts(&mut self, now_ns: u64, input: &LadderInput) -> Facts {
+    /// What is the case, and whether the peer says all that is needed to engage.
+    fn facts(&mut self, now_ns: u64, input: &LadderInput) -> (Facts, bool) {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
         let silent = self.excess_ns.is_none_or(|excess| excess > hold_after_ns);
@@ -97,7 +102,10 @@ impl Ladder {
         self.ready = both_hear && !stands(LadderState::Fault) && (answered || !held);
         let pressed = input.is_press && self.opened && (self.ready || !held);
         let aligned = peer.is_some_and(|peer| peer.is_current && peer.state.is_aligned());
-        Facts::default()
+        let may_engage = both_hear && aligned;
+        // An arm that is being turned follows nobody who might have let go: it waits no longer than one that is coupled.
+        let is_cut = self.turns && !may_engage;
+        let facts = Facts::default()
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard)
             .with(Reason::PeerHolds, stands(LadderState::Hold))
@@ -108,12 +116,17 @@ impl Ladder {
             .with(Reason::NewsOld, self.state.is_coupled() && old)
             .with(Reason::ClutchReleased, !input.clutch)
             .with(Reason::ClutchPressed, pressed)
-            .with(Reason::BothAligned, both_hear && aligned)
+            .with(
+                Reason::BothAligned,
+                may_engage && matches!(input.alignment, AlignmentState::Any | AlignmentState::Reached),
+            )
+            .with(Reason::TurnRefused, may_engage && input.alignment == AlignmentState::TooFar)
             .with(Reason::FramesLate, self.excess_ns.is_some_and(|excess| excess > stale_after_ns))
             .with(Reason::FramesBack, self.excess_ns.is_some_and(|excess| excess <= stale_after_ns))
-            .with(Reason::SilentTooLong, silent_ns > stop_after_ns)
+            .with(Reason::SilentTooLong, silent_ns > stop_after_ns || is_cut)
             .with(Reason::AlignTimedOut, aligning && now_ns.saturating_sub(self.aligning_ns) >= align_ns)
-            .with(Reason::PeerDisengaged, stands(LadderState::Disengaged) && input.clutch)
+            .with(Reason::PeerDisengaged, stands(LadderState::Disengaged) && input.clutch);
+        (facts, may_engage)
     }
 
     /// Goes where the facts lead, as far as they do. Each leads one step only, so this ends.
@@ -192,7 +205,10 @@ impl Ladder {
     /// without force.
     pub fn stalled(&mut self, now_ns: u64) {
         (self.gain, self.blind_until_ns) = (0.0, Some(now_ns));
-        self.apply(now_ns, Reason::OwnDelay);
+        // A press that moves nothing yet goes on waiting.
+        if self.state != LadderState::Aligning || self.turns {
+            self.apply(now_ns, Reason::OwnDelay);
+        }
     }
 
     /// Whether the peer was heard recently enough, as of the last tick.
@@ -213,6 +229,11 @@ impl Ladder {
     /// Share of the force that may be rendered, 0 to 1.
     pub fn gain(&self) -> f64 {
         self.gain
+    }
+
+    /// Whether the arm is to be turned to the master: in ALIGNING, while both hear one another and say the same.
+    pub fn turns(&self) -> bool {
+        self.turns
     }
 
     /// How often it went to HOLD.

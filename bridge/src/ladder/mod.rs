@@ -13,7 +13,7 @@ pub mod table;
 
 pub use diagnosis::{Diagnosis, Explanation, PeerCause, Remedy, Step};
 pub use flight::{FlightEntry, FlightRecorder, FlightValues, Observed, thresholds};
-pub use input::{LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
+pub use input::{AlignmentState, LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
 pub use machine::{History, Ladder, LadderError, LadderSettings, Transition};
 pub(crate) use operator::{Button, START_NS};
 pub use operator::{Clutch, ClutchError, ClutchOperator};

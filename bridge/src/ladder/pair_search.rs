@@ -5,7 +5,8 @@
 //! delivers it, loses it, or delivers one that it has kept instead. Beyond that it has a number of events: it keeps a
 //! frame for as long as it likes, a side is started anew, ends in good order, falls asleep for as long as it likes, or
 //! has a fault, and somebody writes a false end of one side to the other. A side that has ended may be started anew.
-//! Nothing bounds the time: times count from now and up to where they make no difference, so that the states are
+//! Of a slave that is turned to its master before it engages, each tick finds anew that it is to be turned, that it has
+//! arrived or that it is too far off. Nothing bounds the time: times count from now and up to where they make no difference, so that the states are
 //! finite. Without events all are visited, with one of them those that few moves lead to; `HAPTETHER_SEARCH_EVENTS` and
 //! `HAPTETHER_SEARCH_STATES` request more.
 #![allow(clippy::cast_possible_truncation)] // small numbers of ticks
@@ -13,7 +14,7 @@
 use std::collections::{HashSet, VecDeque};
 
 use super::{
-    super::{Button, LadderInputs, LinkView, PeerFrame},
+    super::{AlignmentState, Button, LadderInputs, LinkView, PeerFrame},
     *,
 };
 use crate::wire::Role;
@@ -113,6 +114,9 @@ impl Side {
             sequence: now,
             state: match self.ladder.state() {
                 state if self.ended && !state.is_held() => LadderState::Disengaged,
+                LadderState::Aligning if self.inputs.alignment != AlignmentState::Any => {
+                    LadderState::Disengaged
+                }
                 state => state,
             },
             clutch: self.inputs.clutch() && !self.ended,
@@ -145,6 +149,8 @@ struct Pair {
     kept: [Option<Sent>; 2],
     events: u8,
     press: Press,
+    /// Whether the slave is turned to the master before it engages.
+    aligns: bool,
 }
 
 /// What the link does with the frames of a direction at a tick.
@@ -160,8 +166,9 @@ enum Fate {
 
 #[derive(Clone, Copy, Debug)]
 enum Move {
-    /// A tick: whether the operator moves the button, what becomes of the frames of each side, whether sleepers wake.
-    Tick(bool, [Fate; 2], bool),
+    /// A tick: whether the operator moves the button, what becomes of the frames of each side, whether sleepers wake, how
+    /// the slave is turned.
+    Tick(bool, [Fate; 2], bool, AlignmentState),
     /// Whether the clutch is pressed at the start of a master.
     Restart(usize, bool),
     Sleep(usize),
@@ -172,7 +179,7 @@ enum Move {
 }
 
 impl Pair {
-    fn start(pressed: bool, events: u8) -> Self {
+    fn start(pressed: bool, events: u8, aligns: bool) -> Self {
         let now = 1000;
         let mut pair = Self {
             now,
@@ -183,6 +190,7 @@ impl Pair {
             kept: [None; 2],
             events,
             press: Press { tick: 0, counts: [false; 2], of_this_life: false },
+            aligns,
         };
         if pressed {
             pair.presses();
@@ -212,6 +220,12 @@ impl Pair {
         };
         let wakes: &[bool] =
             if self.sides.iter().any(|side| side.asleep) { &[false, true] } else { &[false] };
+        let is_coupled = self.sides[SLAVE].ladder.state().is_coupled();
+        let turns: &[_] = match (self.aligns, is_coupled) {
+            (false, _) => &[AlignmentState::Any],
+            (true, true) => &[AlignmentState::Remaining],
+            (true, false) => &[AlignmentState::Remaining, AlignmentState::Reached, AlignmentState::TooFar],
+        };
         for forward in fates(MASTER) {
             for backward in fates(SLAVE) {
                 // Both at once cost two events.
@@ -219,9 +233,13 @@ impl Pair {
                     continue;
                 }
                 for moves_button in [false, true] {
-                    moves.extend(
-                        wakes.iter().map(|wakes| Move::Tick(moves_button, [forward, backward], *wakes)),
-                    );
+                    for wakes in wakes {
+                        moves.extend(
+                            turns
+                                .iter()
+                                .map(|turn| Move::Tick(moves_button, [forward, backward], *wakes, *turn)),
+                        );
+                    }
                 }
             }
         }
@@ -262,7 +280,10 @@ impl Pair {
             _ => false,
         };
         match what {
-            Move::Tick(moves_button, fates, wakes) => return self.tick(moves_button, fates, wakes),
+            Move::Tick(moves_button, fates, wakes, turn) => {
+                self.sides[SLAVE].inputs.alignment = turn;
+                return self.tick(moves_button, fates, wakes);
+            }
             Move::Acknowledge(side) => self.at(side, |side| side.ladder.acknowledge(now_ns)),
             Move::Fault(side) => self.at(side, |side| side.ladder.fault(now_ns)),
             Move::Sleep(side) => self.sides[side].asleep = true,
@@ -362,20 +383,30 @@ impl Pair {
             hold(self.now - self.press.tick <= most, "coupled by no press, or an old one")?;
             hold(counted, "coupled by a press of before the last hold, fault, end or restart")?;
         }
+        let moves = state.is_coupled() || ladder.turns();
+        if ladder.turns() {
+            hold(side == SLAVE && state == LadderState::Aligning, "turned elsewhere")?;
+            hold(self.now - self.press.tick <= SLAVE_PRESS, "turned by no press, or an old one")?;
+            hold(counted, "turned by a press of before the last hold, fault, end or restart")?;
+        }
+        if self.aligns && side == MASTER && state.is_coupled() && !before.is_coupled() {
+            let engaged = newest.is_some_and(|(frame, _)| frame.state.is_coupled());
+            hold(engaged, "coupled to an arm that is being turned")?;
+        }
         let aligning = self.now - ladder.aligning_ns / TICK_NS;
         hold(state != LadderState::Aligning || aligning < ALIGN, "aligns for too long")?;
         if let Some((frame, arrived)) = newest {
             let missing = (self.now - arrived) * TICK_NS > TICK_NS + SETTINGS.hold_after_ns;
-            hold(!state.is_coupled() || !missing, "coupled to a silent peer")?;
+            hold(!moves || !missing, "coupled to a silent peer")?;
             let open = side == SLAVE && !frame.clutch;
             let apart = frame.state.is_held() || frame.state == LadderState::Disengaged || open;
-            hold(!state.is_coupled() || !apart, "coupled to a peer that is not")?;
+            hold(!moves || !apart, "coupled to a peer that is not")?;
             let gone = missing && self.now - arrived > 1 + SETTINGS.stop_after_ns.div_ceil(TICK_NS);
             // A press into a dead link shows for a tick.
             let goes_on = state == LadderState::Aligning && before == state;
             hold(!goes_on || !gone, "aligns with a silent peer")?;
         } else {
-            hold(!state.is_coupled(), "coupled to nobody")?;
+            hold(!moves, "coupled to nobody")?;
         }
         Ok(())
     }
@@ -424,6 +455,7 @@ impl Pair {
                 blind_until_ns,
                 opened,
                 aligning_ns,
+                turns,
                 holds: _,
                 closings,
                 history: _,
@@ -432,7 +464,7 @@ impl Pair {
                 blind_until_ns.is_some_and(|until| newest.is_none_or(|(_, at)| at * TICK_NS <= until));
             let changed = *closings != inputs.closings;
             let flags = [*opened, inputs.clutch, blind, *asleep, changed, *closings > 0, *ended, *peer_ended];
-            key.push(state.code());
+            key.push(state.code() << 1 | u8::from(*turns));
             key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
             // It leads from HOLD to STOP only, and begins anew where the two engage.
             let sound = last_sound_ns.filter(|_| state.is_coupled() || *state == LadderState::Hold);
@@ -460,9 +492,9 @@ impl Pair {
 }
 
 /// Visits states in the order of how many moves lead to them, until there are none that are new or `most` were seen.
-fn search(events: u8, most: usize) -> [[u64; 7]; 2] {
+fn search(events: u8, most: usize, aligns: bool) -> [[u64; 7]; 2] {
     let mut left: VecDeque<(Pair, u32)> =
-        [false, true].map(|pressed| (Pair::start(pressed, events), 0)).into_iter().collect();
+        [false, true].map(|pressed| (Pair::start(pressed, events, aligns), 0)).into_iter().collect();
     let mut seen: HashSet<_> = left.iter().map(|(pair, _)| pair.key()).collect();
     let (mut steps, mut deepest, mut reached) = (0_u64, 0, [[0_u64; 7]; 2]);
     while let Some((pair, depth)) = left.pop_front() {
@@ -495,16 +527,23 @@ fn search(events: u8, most: usize) -> [[u64; 7]; 2] {
 fn no_state_of_two_ladders_couples_without_a_press_of_the_last_moment() {
     let setting = |name: &str| std::env::var(name).ok().map(|text| text.parse::<usize>().unwrap());
     if let Some(events) = setting("HAPTETHER_SEARCH_EVENTS") {
-        search(events as u8, setting("HAPTETHER_SEARCH_STATES").unwrap_or(usize::MAX));
+        for aligns in [false, true] {
+            search(events as u8, setting("HAPTETHER_SEARCH_STATES").unwrap_or(usize::MAX), aligns);
+        }
         return;
     }
     // With presses and losses alone, all states that there are.
-    let reached = search(0, usize::MAX);
-    assert!(
-        reached.iter().all(|states| [0, 1, 2, 4, 5].iter().all(|state| states[*state] > 0)),
-        "{reached:?}"
-    );
     // With restarts, stalls, faults and frames that are kept, those that few moves lead to.
-    let reached = search(1, 400_000);
-    assert!(reached.iter().all(|states| [0, 1, 2, 6].iter().all(|state| states[*state] > 0)), "{reached:?}");
+    for aligns in [false, true] {
+        let reached = search(0, usize::MAX, aligns);
+        assert!(
+            reached.iter().all(|states| [0, 1, 2, 4, 5].iter().all(|state| states[*state] > 0)),
+            "{reached:?}"
+        );
+        let reached = search(1, 400_000, aligns);
+        assert!(
+            reached.iter().all(|states| [0, 1, 2, 6].iter().all(|state| states[*state] > 0)),
+            "{reached:?}"
+        );
+    }
 }

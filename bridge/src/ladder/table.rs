@@ -6,7 +6,7 @@ use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
 use Reason::{
     Acknowledged, AlignTimedOut, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack,
     FramesLate, MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerDisengaged, PeerEnded, PeerFaulted,
-    PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong,
+    PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong, TurnRefused,
 };
 
 /// Where an endpoint stands, in increasing order of what has gone wrong.
@@ -119,11 +119,13 @@ pub enum Reason {
     AlignTimedOut,
     /// The peer is disengaged while this side is coupled and its clutch closed.
     PeerDisengaged,
+    /// The slave is turned further from the master than it may turn before it engages.
+    TurnRefused,
 }
 
 impl Reason {
     /// All reasons in the order of their codes.
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 21] = [
         BadNumber,
         OwnDelay,
         PeerRestarted,
@@ -144,6 +146,7 @@ impl Reason {
         PeerEnded,
         AlignTimedOut,
         PeerDisengaged,
+        TurnRefused,
     ];
 
     /// Its number in records, from 1; 0 stands for none.
@@ -179,6 +182,7 @@ impl Reason {
             PeerEnded => "peer has ended",
             AlignTimedOut => "press not answered in time",
             PeerDisengaged => "peer is disengaged",
+            TurnRefused => "arm is turned too far from the master",
         }
     }
 }
@@ -205,6 +209,10 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 /// ends with the press: a peer that is silent for `stop_after`, restarted, in FAULT, has ended, or has not aligned
 /// within `align` leads back to DISENGAGED, and a release and a press after that lead out again.
 ///
+/// Where the slave is turned to the master before it engages, a late loop, a peer that is not heard for as long as
+/// leads to HOLD elsewhere, and an angle that is too large end its press as well: an arm that moves is not left to a
+/// press that nobody can take back.
+///
 /// An end of the peer leads to less force only, so that nobody gains by a false one. A fault of a peer that ends says
 /// more than its end, and its end more than the silence after it.
 pub const TABLE: &[Row] = &[
@@ -212,11 +220,13 @@ pub const TABLE: &[Row] = &[
     row(Disengaged, ClutchPressed, Aligning),
     row(Aligning, BadNumber, Fault),
     row(Aligning, ClutchReleased, Disengaged),
+    row(Aligning, OwnDelay, Disengaged),
     row(Aligning, PeerRestarted, Disengaged),
     row(Aligning, PeerFaulted, Disengaged),
     row(Aligning, PeerEnded, Disengaged),
     row(Aligning, SilentTooLong, Disengaged),
     row(Aligning, AlignTimedOut, Disengaged),
+    row(Aligning, TurnRefused, Disengaged),
     row(Aligning, BothAligned, Engaged),
     row(Engaged, BadNumber, Fault),
     row(Engaged, OwnDelay, Hold),
@@ -316,10 +326,11 @@ mod tests {
     use super::*;
 
     /// What ends a press that waits.
-    const ENDS: [Reason; 5] = [PeerRestarted, PeerFaulted, PeerEnded, SilentTooLong, AlignTimedOut];
+    const ENDS: [Reason; 7] =
+        [OwnDelay, PeerRestarted, PeerFaulted, PeerEnded, SilentTooLong, AlignTimedOut, TurnRefused];
 
     fn all_facts() -> impl Iterator<Item = Facts> {
-        (0..1_u32 << 20).map(|bits| Facts(bits << 1))
+        (0..1_u32 << 21).map(|bits| Facts(bits << 1))
     }
 
     #[test]
@@ -339,7 +350,7 @@ mod tests {
         }
     }
 
-    /// Every state under every set of reasons: 7 times 1048576 cases.
+    /// Every state under every set of reasons: 7 times 2097152 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
         for state in LadderState::ALL {
@@ -411,8 +422,10 @@ mod tests {
                     (PeerRestarted, Disengaged),
                     (PeerFaulted, Disengaged),
                     (PeerEnded, Disengaged),
+                    (OwnDelay, Disengaged),
                     (SilentTooLong, Disengaged),
                     (AlignTimedOut, Disengaged),
+                    (TurnRefused, Disengaged),
                 ],
             ),
             (Engaged, engaged),
@@ -444,7 +457,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(21)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(22)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.

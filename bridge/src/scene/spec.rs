@@ -22,7 +22,7 @@ use serde::Deserialize;
 
 use crate::{
     ButtonSettings, LadderSettings, SideKind,
-    coupling::{CommandBounds, RotationBounds},
+    coupling::{AlignmentSettings, CommandBounds, RotationBounds},
 };
 
 /// Runs an expression for the number of axes of a device; `$n` is that number as a constant, `$other` what any other
@@ -320,6 +320,8 @@ pub struct CouplingSpec {
     /// What the slave takes of a remote command of its orientation.
     #[serde(flatten)]
     pub rotation_bounds: RotationBounds,
+    /// How the slave turns to the master before the two engage.
+    pub alignment: Option<AlignmentSettings>,
     /// What is changed while it runs.
     pub changes: Vec<ChangeSpec>,
 }

@@ -16,6 +16,7 @@ fn sound(age: u64) -> LadderInput {
         needs_answer: false,
         is_press: false,
         ended: false,
+        alignment: AlignmentState::Any,
     }
 }
 
@@ -197,6 +198,7 @@ const ALONE: LadderInput = LadderInput {
     needs_answer: false,
     is_press: false,
     ended: false,
+    alignment: AlignmentState::Any,
 };
 
 #[test]
@@ -381,8 +383,14 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
         prop::bool::weighted(0.7),
         prop_oneof![6 => Just(Some(0_u64)), 1 => (0..60_u64).prop_map(Some), 1 => Just(None)],
         prop::bool::weighted(0.03),
+        prop::sample::select(vec![
+            AlignmentState::Any,
+            AlignmentState::Remaining,
+            AlignmentState::Reached,
+            AlignmentState::TooFar,
+        ]),
     )
-        .prop_map(|(age, peer, clutch, over, ended)| LadderInput {
+        .prop_map(|(age, peer, clutch, over, ended, alignment)| LadderInput {
             age_ns: age.map(|age| age * MS),
             expected_age_ns: MS,
             over_baseline_ns: over.map(|over| over * MS),
@@ -391,6 +399,7 @@ fn any_input() -> impl Strategy<Value = LadderInput> {
             needs_answer: false,
             is_press: false,
             ended,
+            alignment,
         })
 }
 

@@ -144,6 +144,7 @@ pub(super) fn slave_rotation(coupling: &CouplingSpec) -> Result<SlaveRotationSet
         rotation_scale: coupling.rotation_scale,
         lock: rotation_lock(coupling)?,
         bounds: coupling.rotation_bounds,
+        alignment: coupling.alignment,
     })
 }
 

@@ -1,0 +1,633 @@
+//! An arm that is turned to its master before the two engage, through delays, in virtual time.
+#![allow(clippy::unwrap_used)] // a test may
+
+use std::{collections::VecDeque, f64::consts::PI};
+
+use haptether_bridge::{
+    Clutch, DrivenMaster, DrivenSlave, Explanation, LadderSettings, LadderState, LinkTime, MasterEndpoint,
+    MasterRotation, MasterRotationSettings, MasterSettings, MasterSide, OperatorCommand, Reason, Remedy,
+    Side, SlaveEndpoint, SlaveOrder, SlaveRotation, SlaveRotationSettings, SlaveSettings, SlaveSide,
+    TickTime,
+    coupling::{AlignmentSettings, CommandBounds, RotationBounds, RotationLock, RotationState, quat_wxyz},
+    wire::MAX_FRAME,
+};
+use haptether_master::RotationSample;
+use haptether_safety::{
+    Axes, DeviceModel, LimiterSettings, RotationModel,
+    controller::{Controllers, SafetySettings},
+    estimator::EstimatorKind,
+};
+use nalgebra::{Quaternion, Unit, UnitQuaternion};
+use proptest::prelude::*;
+
+use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold};
+
+const MS: u64 = 1_000_000;
+const SPEED: f64 = 0.5;
+const ALIGNMENT: AlignmentSettings = AlignmentSettings { speed: SPEED, max_angle: 1.5 };
+/// Rounding of an angle that is taken by an inverse tangent of products: 3e-8 at 0.
+const ROUNDING: f64 = 3e-8;
+
+type Orientation = UnitQuaternion<f64>;
+
+#[derive(Clone, Copy)]
+struct Set {
+    alignment: Option<AlignmentSettings>,
+    bounds: RotationBounds,
+    /// C.
+    frame: Orientation,
+    /// Of the hand and of the tool.
+    start: [Orientation; 2],
+    /// One way, in ticks: to the slave, and back.
+    delays: [usize; 2],
+}
+
+impl Default for Set {
+    fn default() -> Self {
+        Self {
+            alignment: Some(ALIGNMENT),
+            bounds: RotationBounds::default(),
+            frame: turned(0.5, 0.8, -0.3),
+            start: [turned(0.2, -0.1, 0.3), turned(-0.1, 0.2, 0.1)],
+            delays: [10, 15],
+        }
+    }
+}
+
+struct Pair {
+    master: MasterSide<DrivenMaster<3>, 3, MasterRotation>,
+    slave: SlaveSide<DrivenSlave<3>, 3, SlaveRotation>,
+    under_way: [VecDeque<Vec<u8>>; 2],
+    delays: [usize; 2],
+    /// Whether frames to the slave and to the master are lost.
+    is_silent: [bool; 2],
+    tick: u64,
+    frame: Orientation,
+}
+
+fn turned(x: f64, y: f64, z: f64) -> Orientation {
+    UnitQuaternion::from_scaled_axis(Axes::<3>::new(x, y, z))
+}
+
+/// A hand that is `angle` from where the slave is, as the slave's frame has it.
+fn off_by(set: Set, angle: f64) -> Set {
+    let way = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.6, 0.0, -0.8) * angle);
+    let hand = set.frame.inverse() * way * set.start[1] * set.frame;
+    Set { start: [hand, set.start[1]], ..set }
+}
+
+fn rotation_settings(set: &Set) -> SlaveRotationSettings {
+    let Set { alignment, bounds, .. } = *set;
+    SlaveRotationSettings { rotation_scale: 1.0, lock: RotationLock::Free, bounds, alignment }
+}
+
+fn slave_settings() -> SlaveSettings {
+    SlaveSettings {
+        period_ns: MS,
+        run_id: 2,
+        position_scale: 1.0,
+        bounds: CommandBounds::default(),
+        ladder: LadderSettings::default(),
+    }
+}
+
+impl Pair {
+    /// With an open clutch.
+    fn new(set: Set) -> Self {
+        let safety =
+            SafetySettings { controllers: Controllers::NONE, damping: 0.0, ..SafetySettings::default() };
+        let settings = MasterSettings {
+            period_ns: MS,
+            run_id: 1,
+            device: DeviceModel::phantom_desktop(),
+            estimator: EstimatorKind::default(),
+            safety,
+            limiter: LimiterSettings::default(),
+            force_scale: 1.0,
+            ladder: LadderSettings::default(),
+        };
+        let rotation = MasterRotationSettings {
+            device: RotationModel::new(Axes::<3>::repeat(1e-4), 1e-4, 0.0).unwrap(),
+            estimator: EstimatorKind::default(),
+            safety: SafetySettings { damping: 0.0, pc_max_damping: 0.01, ..safety.at_lever(0.05) },
+            limiter: LimiterSettings::default().at_lever(0.05),
+            torque_scale: 1.0,
+            shares_trips: true,
+        };
+        let endpoint = MasterEndpoint::of_pose(&settings, &rotation, RotationLock::Free).unwrap();
+        let master = MasterSide::new(DrivenMaster::default(), endpoint, Clutch::Once).unwrap().turning();
+        let endpoint = SlaveEndpoint::of_pose(&slave_settings(), &rotation_settings(&set)).unwrap();
+        let slave = SlaveSide::new(DrivenSlave::new(5.0).unwrap(), endpoint).turning();
+        let Set { frame, start: [hand, tool], delays, .. } = set;
+        let mut pair = Self {
+            master,
+            slave,
+            under_way: Default::default(),
+            delays,
+            is_silent: [false; 2],
+            tick: 0,
+            frame,
+        };
+        let command = OperatorCommand::Frame { quat_wxyz: quat_wxyz(&frame), locked: [false; 7] };
+        assert!(pair.master.command(0, command).unwrap() && pair.slave.command(0, command).unwrap());
+        pair.press(false);
+        pair.hand(hand);
+        let torque = Axes::<3>::new(0.0, 0.0, 0.02);
+        pair.slave.plant.rotation =
+            Some(RotationState { orientation: tool, torque, ..RotationState::default() });
+        pair.slave.plant.sample[0] = Axes::<3>::new(0.4, 0.1, 0.2);
+        pair.slave.plant.sample[2] = Axes::<3>::new(0.3, 0.0, 0.0);
+        // Until both hear one another.
+        pair.ticks(100 + delays[0] + delays[1]);
+        pair
+    }
+
+    fn hand(&mut self, orientation: Orientation) {
+        self.master.plant.rotation = Some(RotationSample { orientation, angular_velocity: None });
+    }
+
+    fn press(&mut self, is_closed: bool) {
+        self.master.plant.clutch = Some(is_closed);
+    }
+
+    fn tick(&mut self) -> [LadderState; 2] {
+        self.tick_at(true)
+    }
+
+    fn tick_at(&mut self, slave_ticks: bool) -> [LadderState; 2] {
+        let (now, time) = (LinkTime::at(self.tick * MS), TickTime::at(self.tick * MS));
+        let mut buffer = [0; MAX_FRAME];
+        let [to_slave, to_master] = &mut self.under_way;
+        let mut states = [self.master.tick(time).state, self.slave.exchange().state()];
+        to_slave.push_back(self.master.send(now, &mut buffer).to_vec());
+        if to_slave.len() > self.delays[0] {
+            let frame = to_slave.pop_front().unwrap();
+            if !self.is_silent[0] {
+                let _ = self.slave.receive(now, &frame);
+            }
+        }
+        if slave_ticks {
+            states[1] = self.slave.tick(time).state;
+            to_master.push_back(self.slave.send(now, &mut buffer).to_vec());
+        }
+        if to_master.len() > self.delays[1] {
+            let frame = to_master.pop_front().unwrap();
+            if !self.is_silent[1] {
+                let _ = self.master.receive(now, &frame);
+            }
+        }
+        self.tick += 1;
+        states
+    }
+
+    fn ticks(&mut self, count: usize) -> [LadderState; 2] {
+        let mut states = self.tick();
+        for _ in 1..count {
+            states = self.tick();
+        }
+        states
+    }
+
+    /// What is commanded, how fast it turns, and where the tool point is to be.
+    fn order(&self) -> (Orientation, Axes<3>, Axes<3>) {
+        match self.slave.plant.order() {
+            SlaveOrder::Move { position, velocity, rotation: Some((orientation, w)) } => {
+                assert_eq!(velocity, &Axes::<3>::zeros());
+                (*orientation, *w, *position)
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// `C R_m C'`, of the hand as it is now.
+    fn target(&self) -> Orientation {
+        self.frame * self.master.plant.rotation.unwrap().orientation * self.frame.inverse()
+    }
+
+    fn pushes(&self) -> bool {
+        self.master.plant.force != Axes::<3>::zeros() || self.master.plant.torque != Axes::<3>::zeros()
+    }
+
+    fn cause(&self, of_slave: bool) -> Option<Explanation> {
+        let flight = if of_slave { self.slave.exchange().flight() } else { self.master.exchange().flight() };
+        flight.diagnosis().map(|diagnosis| diagnosis.explain())
+    }
+
+    /// The hand turns from one angle off the slave's start to another, slowly enough for a hand.
+    fn sweep(&mut self, set: &Set, from: f64, to: f64) {
+        for n in 1..=500 {
+            self.hand(off_by(*set, from + (to - from) * f64::from(n) / 500.0).start[0]);
+            self.tick();
+        }
+    }
+
+    /// Presses, and waits until the arm has been turned for so many ticks.
+    fn turn_for(&mut self, ticks: usize) {
+        self.press(true);
+        self.ticks(self.delays[0] + ticks);
+        assert_eq!(self.slave.exchange().state(), Aligning);
+        assert!((self.order().1.norm() - SPEED).abs() < 1e-9, "it turns");
+    }
+
+    /// Was turned and is no longer: brakes evenly, and stands from then on, whatever else it is sent.
+    fn comes_to_rest(&mut self, ticks: usize) {
+        let (mut before, mut w_before, place) = self.order();
+        let from = before;
+        for n in 0..ticks {
+            let [master, slave] = self.tick();
+            let (now, w, position) = self.order();
+            assert!(!master.is_coupled() && !slave.is_coupled() && !self.pushes(), "{n}");
+            assert!(now.angle_to(&before) <= SPEED * 1e-3 + ROUNDING, "{n}");
+            assert!(w.norm() <= w_before.norm() + 1e-12, "{n}");
+            // 25 rad/s² from 0.5 rad/s: 20 ms.
+            assert!(n < 22 || w.norm() == 0.0 && now.angle_to(&before) < ROUNDING, "{n}");
+            assert_eq!(position, place);
+            (before, w_before) = (now, w);
+        }
+        // w² / 2 a, and one tick.
+        assert!(before.angle_to(&from) < SPEED * SPEED / 50.0 + SPEED * 1e-3 + ROUNDING);
+    }
+}
+
+/// The whole of an alignment, checked at each tick: how many ticks the slave has turned.
+fn aligns(pair: &mut Pair, speed: f64, mut hand: impl FnMut(u64) -> Option<Orientation>) -> u64 {
+    pair.press(true);
+    let (start, place) = (pair.slave.plant.rotation.unwrap().orientation, pair.slave.plant.sample[0]);
+    let (mut before, mut turning) = (start, 0);
+    for n in 0..6000 {
+        if let Some(hand) = hand(n) {
+            pair.hand(hand);
+        }
+        let [master, slave] = pair.tick();
+        if slave == Disengaged {
+            assert_eq!(*pair.slave.plant.order(), SlaveOrder::Wait);
+            continue;
+        }
+        assert!(!pair.pushes(), "{n}");
+        if turning > 0 || slave == Engaged {
+            let (now, w, position) = pair.order();
+            assert!(now.angle_to(&before) <= speed * 1e-3 + ROUNDING, "{n}: {}", now.angle_to(&before));
+            assert_eq!(position, place);
+            before = now;
+            if slave == Engaged {
+                assert_ne!(master, Engaged, "the slave first, when it is there");
+                return turning;
+            }
+            assert!(w.norm() <= speed * (1.0 + 1e-9), "{n}: {w}");
+            assert_eq!(master, Aligning);
+        } else {
+            before = pair.order().0;
+            assert!(before.angle_to(&start) <= speed * 1e-3 + ROUNDING);
+        }
+        assert_eq!(slave, Aligning);
+        turning += 1;
+    }
+    panic!("never engaged");
+}
+
+/// Both engaged, `R_s = C R_m C'` of a delay ago, however the hand goes on.
+fn stays_aligned(pair: &mut Pair, start: Orientation) {
+    pair.ticks(pair.delays[0] + 1);
+    let mut sent = VecDeque::from(vec![pair.target(); pair.delays[0] + 1]);
+    let mut before = pair.order().0;
+    for n in 0..300_u32 {
+        pair.hand(
+            UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.3, 0.0, 0.4) * (1e-3 * f64::from(n))) * start,
+        );
+        sent.push_back(pair.target());
+        sent.pop_front();
+        pair.tick();
+        let now = pair.order().0;
+        assert!(now.angle_to(&sent[0]) < 1e-7, "{n}: {}", now.angle_to(&sent[0]));
+        assert!(now.angle_to(&before) <= 0.51e-3, "{n}");
+        before = now;
+    }
+    assert_eq!(pair.tick(), [Engaged; 2]);
+    assert!(pair.pushes(), "force and torque fade in from then on");
+}
+
+/// It takes the angle over the speed, no less and no more, and nothing jumps when the two engage.
+#[test]
+fn the_arm_is_turned_to_the_hand_within_the_angle_over_the_speed() {
+    for (angle, speed, delays) in [
+        (1.4, 0.5, [10, 15]),
+        (1.4, 2.5, [0, 0]),
+        (0.3, 0.1, [100, 30]),
+        (PI - 1e-3, 1.0, [250, 250]),
+        (0.01, 0.5, [10, 15]),
+        (1e-4, 0.5, [10, 15]),
+    ] {
+        let alignment = Some(AlignmentSettings { speed, max_angle: (angle + 0.1).min(PI) });
+        let set = off_by(Set { alignment, delays, ..Set::default() }, angle);
+        let mut pair = Pair::new(set);
+        let ticks = aligns(&mut pair, speed, |_| None) as f64;
+        // The last step is that at which it engages.
+        let expected = (angle / (speed * 1e-3)).ceil() - 1.0;
+        assert!((ticks - expected).abs() <= 1.0, "{angle} at {speed}: {ticks} ticks, must be {expected}");
+        assert!(pair.order().0.angle_to(&pair.target()) < 1e-7);
+        // Nothing of what the arm touched while it was turned has gone over the link.
+        let energy = pair.master.exchange().link().newest().unwrap().energy;
+        assert_eq!([energy.in_j, energy.out_j], [0.0; 2]);
+        stays_aligned(&mut pair, set.start[0]);
+    }
+}
+
+fn orientations() -> impl Strategy<Value = Orientation> {
+    prop::array::uniform4(-1.0..1.0_f64)
+        .prop_filter("some length", |parts| parts.iter().map(|part| part * part).sum::<f64>() > 0.01)
+        .prop_map(|[w, x, y, z]| UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    /// Any frame, any two orientations, any delays, a hand at rest or one that turns slower than the arm may.
+    #[test]
+    fn from_any_two_orientations_it_arrives_and_stays(
+        (frame, hand, tool) in (orientations(), orientations(), orientations()),
+        delays in prop::array::uniform2(0..120_usize),
+        (speed, rate) in (0.8..2.4_f64, prop::array::uniform3(-0.1..0.1_f64)),
+    ) {
+        let alignment = Some(AlignmentSettings { speed, max_angle: PI });
+        let set = Set { alignment, frame, start: [hand, tool], delays, ..Set::default() };
+        let mut pair = Pair::new(set);
+        let angle = pair.target().angle_to(&tool);
+        let rate = Axes::<3>::from(rate);
+        // Beyond pi the shorter way is the other one, about another axis: a hand may lead it there and back.
+        let rate = if angle > 2.8 { Axes::<3>::zeros() } else { rate };
+        let moved = |n: u64| UnitQuaternion::from_scaled_axis(rate * (1e-3 * n as f64)) * hand;
+        let mut last = hand;
+        let ticks = aligns(&mut pair, speed, |n| {
+            last = moved(n);
+            Some(last)
+        }) as f64;
+        let (fast, slow) = (angle / (speed + rate.norm()), angle / (speed - rate.norm()));
+        // While the press was under way the hand has turned as well.
+        let lead_s = rate.norm() * 0.3 / speed;
+        prop_assert!(ticks * 1e-3 >= fast - lead_s - 3e-3 && ticks * 1e-3 <= slow + lead_s + 3e-3, "{ticks} {fast} {slow}");
+        stays_aligned(&mut pair, last);
+    }
+}
+
+/// Beyond the angle nothing moves; both sides say why at once, and what to do.
+#[test]
+fn too_far_is_refused_without_a_motion_and_both_say_why() {
+    let tight = RotationBounds { speed: 2.5, turn: 0.3 };
+    for (angle, bounds) in [(1.51, RotationBounds::default()), (3.1, RotationBounds::default()), (1.0, tight)]
+    {
+        let set = off_by(Set { bounds, ..Set::default() }, angle);
+        let mut pair = Pair::new(set);
+        pair.press(true);
+        for n in 0..5500_usize {
+            let [master, slave] = pair.tick();
+            assert_eq!(*pair.slave.plant.order(), SlaveOrder::Wait, "{n}");
+            assert_eq!(slave, Disengaged);
+            assert_eq!(master, if n < 5000 { Aligning } else { Disengaged }, "{n}");
+            assert!(!pair.pushes());
+            if n > 30 {
+                for of_slave in [false, true] {
+                    let cause = pair.cause(of_slave).unwrap();
+                    assert_eq!(cause.at, "slave");
+                    assert!(
+                        cause.text.contains("turned further from the master than it may"),
+                        "{}",
+                        cause.text
+                    );
+                    let steps: Vec<_> = cause.steps.iter().map(|step| (step.at, step.remedy)).collect();
+                    assert_eq!(steps, [("master", Remedy::Turn), ("master", Remedy::Press)]);
+                }
+            }
+        }
+        let last = pair.slave.exchange().ladder().history().last().unwrap();
+        assert_eq!(last.reason, Reason::TurnRefused);
+        // A hand that is turned back presses nothing by that.
+        pair.sweep(&set, angle, 0.2);
+        for _ in 0..300 {
+            pair.tick();
+            assert_eq!(*pair.slave.plant.order(), SlaveOrder::Wait);
+        }
+        pair.press(false);
+        pair.ticks(100);
+        aligns(&mut pair, SPEED, |_| None);
+        assert_eq!(pair.ticks(100), [Engaged; 2]);
+        assert_eq!([pair.cause(false), pair.cause(true)], [None, None]);
+    }
+}
+
+/// A hand that turns out of reach while the arm is turned: it brakes, and engages by no way back of the hand.
+#[test]
+fn a_hand_that_turns_out_of_reach_ends_it() {
+    let set = off_by(Set::default(), 1.4);
+    let mut pair = Pair::new(set);
+    pair.turn_for(200);
+    // 1.3 rad are left, and 0.1 rad every 25 ms are faster than the arm.
+    let mut angle = 1.4;
+    while pair.slave.exchange().state() == Aligning {
+        angle += 4e-3;
+        pair.hand(off_by(set, angle).start[0]);
+        pair.tick();
+    }
+    let behind = off_by(set, angle - 4e-3 * pair.delays[0] as f64).start[0];
+    let left = (set.frame * behind * set.frame.inverse()).angle_to(&pair.order().0);
+    assert!((left - ALIGNMENT.max_angle).abs() < 6e-3, "{left}");
+    pair.comes_to_rest(50);
+    assert!(pair.cause(true).unwrap().text.contains("turned further"));
+    pair.sweep(&set, angle, 1.4);
+    assert!(pair.cause(false).unwrap().text.contains("turned further"));
+    pair.comes_to_rest(300);
+}
+
+/// What ends it midway, and what that leaves the two in.
+#[test]
+fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
+    type Wrong = fn(&mut Pair);
+    let cases: [(&str, Wrong, usize, Reason); 7] = [
+        ("released", |pair| pair.press(false), 11, Reason::ClutchReleased),
+        ("silence to the slave", |pair| pair.is_silent[0] = true, 22, Reason::SilentTooLong),
+        // The master hears nothing and says so, a delay later.
+        ("silence to the master", |pair| pair.is_silent[1] = true, 32, Reason::SilentTooLong),
+        (
+            "a late loop of the slave",
+            |pair| {
+                let now_ns = pair.tick * MS;
+                pair.slave.exchange_mut().stalled(now_ns);
+            },
+            1,
+            Reason::OwnDelay,
+        ),
+        (
+            "an orientation of the hand that is none",
+            |pair| pair.hand(Unit::new_unchecked(Quaternion::from([f64::NAN; 4]))),
+            11,
+            Reason::PeerFaulted,
+        ),
+        ("no orientation of the hand", |pair| pair.master.plant.rotation = None, 11, Reason::PeerFaulted),
+        ("the end of the master", |pair| pair.master.exchange_mut().end(), 11, Reason::ClutchReleased),
+    ];
+    for (what, wrong, ticks, reason) in cases {
+        let set = off_by(Set::default(), 1.4);
+        let mut pair = Pair::new(set);
+        pair.turn_for(300);
+        wrong(&mut pair);
+        for n in 1..ticks {
+            pair.tick();
+            assert_eq!(pair.slave.exchange().state(), Aligning, "{what}: {n}");
+        }
+        pair.tick();
+        assert_eq!(pair.slave.exchange().state(), Disengaged, "{what}");
+        assert_eq!(pair.slave.exchange().ladder().history().last().unwrap().reason, reason, "{what}");
+        pair.comes_to_rest(60);
+        // All is well again, and the clutch still closed where nobody opened it: nothing moves.
+        pair.is_silent = [false; 2];
+        pair.hand(set.start[0]);
+        pair.comes_to_rest(300);
+        if what == "the end of the master" {
+            continue;
+        }
+        let now_ns = pair.tick * MS;
+        pair.master.command(now_ns, OperatorCommand::Acknowledge).unwrap();
+        pair.press(false);
+        pair.ticks(100);
+        let stood = pair.order().0;
+        pair.press(true);
+        let left = stood.angle_to(&pair.target());
+        assert!(left > 1.2 && left < 1.3, "{what}: {left}");
+        pair.ticks(10 + 2000);
+        assert_eq!(pair.slave.exchange().state(), Aligning, "{what}");
+        let ticks = (left / (SPEED * 1e-3)).ceil() as usize;
+        assert_eq!(pair.ticks(ticks - 2000 + 20), [Engaged; 2], "{what}");
+        assert!(pair.order().0.angle_to(&pair.target()) < 1e-7);
+    }
+}
+
+/// A fault of the arm itself is a stop, and its acknowledgement turns nothing.
+#[test]
+fn a_fault_of_the_arm_midway_stops_it() {
+    let mut pair = Pair::new(off_by(Set::default(), 1.4));
+    pair.turn_for(300);
+    let sound = pair.slave.plant.rotation;
+    pair.slave.plant.rotation = None;
+    pair.tick();
+    assert_eq!((pair.slave.exchange().state(), *pair.slave.plant.order()), (Fault, SlaveOrder::Stop));
+    pair.slave.plant.rotation = sound;
+    pair.ticks(100);
+    pair.slave.command(pair.tick * MS, OperatorCommand::Acknowledge).unwrap();
+    for _ in 0..500 {
+        pair.tick();
+        assert_eq!(*pair.slave.plant.order(), SlaveOrder::Stop);
+    }
+    assert_eq!(pair.slave.exchange().state(), Disengaged);
+}
+
+/// A hand that the arm never catches up with: followed within the rate, until the press is over.
+#[test]
+fn a_hand_that_keeps_away_is_given_up_when_the_press_is_over() {
+    let set = off_by(Set::default(), 1.2);
+    let mut pair = Pair::new(set);
+    let axis = Axes::<3>::new(0.6, 0.0, -0.8);
+    pair.press(true);
+    let mut before = set.start[1];
+    let mut whole = 0.0;
+    for n in 0..5400_u32 {
+        let way = UnitQuaternion::from_scaled_axis(axis * (1.2 + SPEED * 1e-3 * f64::from(n)));
+        pair.hand(set.frame.inverse() * way * set.start[1] * set.frame);
+        let [master, slave] = pair.tick();
+        assert!(!master.is_coupled() && !slave.is_coupled() && !pair.pushes(), "{n}");
+        if n >= 10 {
+            let now = pair.order().0;
+            assert!(now.angle_to(&before) <= SPEED * 1e-3 + ROUNDING, "{n}");
+            whole += now.angle_to(&before);
+            before = now;
+        }
+    }
+    assert_eq!(pair.tick(), [Disengaged; 2]);
+    let last = pair.master.exchange().ladder().history().last().unwrap();
+    assert_eq!(last.reason, Reason::AlignTimedOut);
+    assert!((whole - 5.0 * SPEED).abs() < 0.05, "{whole}");
+    pair.comes_to_rest(200);
+}
+
+/// A loop that wakes late does not make up for it at once.
+#[test]
+fn a_late_tick_turns_no_further_than_two_of_them() {
+    let mut pair = Pair::new(off_by(Set::default(), 1.4));
+    pair.turn_for(200);
+    for late in [3, 9, 15] {
+        let before = pair.order().0;
+        for _ in 1..late {
+            pair.tick_at(false);
+        }
+        pair.tick();
+        let step = pair.order().0.angle_to(&before);
+        assert!((step - 2.0 * SPEED * 1e-3).abs() < ROUNDING, "{step}");
+        pair.ticks(100);
+    }
+}
+
+/// Out of a hold as well: the new press turns the arm first, from where it stands.
+#[test]
+fn a_press_after_a_hold_turns_it_first() {
+    let set = off_by(Set::default(), 0.2);
+    let mut pair = Pair::new(set);
+    aligns(&mut pair, SPEED, |_| None);
+    pair.ticks(400);
+    pair.is_silent = [true; 2];
+    pair.ticks(60);
+    assert_eq!(pair.slave.exchange().state(), Hold);
+    let stood = pair.order().0;
+    pair.is_silent = [false; 2];
+    pair.sweep(&set, 0.2, 1.0);
+    assert_eq!(pair.tick(), [Hold; 2]);
+    pair.ticks(60);
+    pair.press(false);
+    pair.ticks(60);
+    assert!(pair.order().0.angle_to(&stood) < ROUNDING);
+    pair.press(true);
+    // 0.8 rad are left.
+    pair.ticks(1500);
+    assert_eq!(pair.slave.exchange().state(), Aligning);
+    assert!(!pair.pushes());
+    assert_eq!(pair.ticks(200), [Engaged; 2]);
+    assert!(pair.order().0.angle_to(&pair.target()) < 1e-7);
+}
+
+/// Without the setting the two engage at once, however they are turned, and the arm stays as it is.
+#[test]
+fn without_the_setting_they_engage_as_they_are() {
+    let set = off_by(Set { alignment: None, ..Set::default() }, 2.5);
+    let mut pair = Pair::new(set);
+    pair.press(true);
+    pair.ticks(pair.delays[0]);
+    assert_eq!(pair.tick(), [Aligning, Engaged]);
+    assert!(pair.order().0.angle_to(&set.start[1]) < ROUNDING);
+}
+
+#[test]
+fn an_alignment_that_cannot_be_is_refused_with_its_reason() {
+    let good = rotation_settings(&Set::default());
+    let with = |speed, max_angle| SlaveRotationSettings {
+        alignment: Some(AlignmentSettings { speed, max_angle }),
+        ..good
+    };
+    let axis = RotationLock::only_about([0.0, 0.0, 1.0]).unwrap();
+    for (settings, text) in [
+        (SlaveRotationSettings { rotation_scale: 2.0, ..good }, "rotation_scale = 2: must be 1"),
+        (SlaveRotationSettings { lock: RotationLock::Locked, ..good }, "locks_rotation and rotation_axis"),
+        (SlaveRotationSettings { lock: axis, ..good }, "locks_rotation and rotation_axis"),
+        (with(0.0, 1.0), "alignment_speed (w_max) = 0"),
+        (with(f64::NAN, 1.0), "alignment_speed (w_max) = NaN"),
+        (with(1.0, 0.0), "alignment_angle = 0 rad"),
+        (with(1.0, 3.2), "alignment_angle = 3.2 rad"),
+        (with(2.6, 1.0), "must be at most command_angular_speed = 2.5"),
+        (with(0.25, 1.001), "alignment.max_angle / alignment.speed = 4.004 s: must be at most 4 s"),
+    ] {
+        let error = SlaveEndpoint::<3>::of_pose(&slave_settings(), &settings).unwrap_err().to_string();
+        assert!(error.starts_with(text) || error.contains(text), "{error}");
+    }
+    SlaveEndpoint::<3>::of_pose(&slave_settings(), &with(0.25, 1.0)).unwrap();
+    // Nor may it be changed while it runs.
+    let mut endpoint = SlaveEndpoint::<3>::of_pose(&slave_settings(), &good).unwrap();
+    let error = endpoint.command(0, OperatorCommand::RotationScale(1.5)).unwrap_err().to_string();
+    assert!(error.contains("rotation_scale = 1.5: must be 1"), "{error}");
+    endpoint.command(0, OperatorCommand::RotationScale(1.0)).unwrap();
+}
