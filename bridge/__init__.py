@@ -41,6 +41,7 @@ from haptether.bridge.scene.tables.master import (
 )
 from haptether.bridge.scene.tables.session import (
     AdaptiveWindow,
+    AlignmentTable,
     BackwardDifference,
     ChangeTable,
     ClockTable,
@@ -85,6 +86,7 @@ __all__ = [
     "MASTERS",
     "SLAVES",
     "AdaptiveWindow",
+    "AlignmentTable",
     "BackwardDifference",
     "BodyTable",
     "Box",

@@ -31,7 +31,7 @@ class Step(msgspec.Struct, frozen=True, kw_only=True):
     at: str
     """"master", "slave" or "link"."""
     remedy: str
-    """"acknowledge", "start", "wait" or "press"."""
+    """"acknowledge", "start", "wait", "turn" or "press"."""
     text: str
 
 

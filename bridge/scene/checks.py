@@ -7,8 +7,9 @@ from math import exp, hypot, log, pi
 from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene.resolve import Spec, max_damping, side_kind, spec_of
 from haptether.bridge.scene.tables.master import OperatorRotationTable, OperatorTable, SeriesTable
-from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S
+from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S, UNBOUNDED
 from haptether.bridge.scene.tables.session import (
+    AlignmentTable,
     ClockTable,
     CouplingTable,
     LadderTable,
@@ -180,6 +181,7 @@ def _kind(scene: Scene) -> Iterator[SceneError]:
         ("slave", "tool"): scene.slave and scene.slave.tool,
         ("safety", "rotation"): scene.safety.rotation,
         ("coupling", "rotation_axis"): scene.coupling and scene.coupling.rotation_axis,
+        ("coupling", "alignment"): scene.coupling and scene.coupling.alignment,
         ("environment", "torques"): world and world.torques,
         ("environment", "holes"): world and world.holes,
         ("environment", "handles"): world and world.handles,
@@ -217,12 +219,44 @@ def _pose(scene: Scene) -> Iterator[SceneError]:
             yield contradiction(
                 ("coupling", "rotation_axis"), "what is locked turns about no axis: give one of the two"
             )
+    if coupling is not None and coupling.alignment is not None:
+        yield from _alignment(coupling, coupling.alignment)
     if scene.slave is not None and scene.slave.tool is not None:
         yield from _unit(scene.slave.tool.quat_wxyz, ("slave", "tool", "quat_wxyz"))
     if scene.environment is not None:
         yield from _world(scene.environment)
     if scene.operator is not None and scene.operator.rotation is not None:
         yield from _turning_hand(scene.operator.rotation)
+
+
+PRESS_S = 5.0
+"""For how long a press waits in ALIGNING."""
+ROUND_TRIP_S = 1.0
+"""What of that a press takes to the slave, and the news that it has engaged takes back: 500 ms each way."""
+
+
+def _alignment(coupling: CouplingTable, table: AlignmentTable) -> Iterator[SceneError]:
+    path: Path = ("coupling", "alignment")
+    if coupling.locks_rotation or coupling.rotation_axis is not None:
+        key = "locks_rotation" if coupling.locks_rotation else "rotation_axis"
+        yield contradiction(path, f"turns about any axis: leave it out, or {key}")
+    apart = "1 with [coupling.alignment], which would not last: leave one of the two out"
+    if coupling.rotation_scale != 1.0:
+        yield wrong(("coupling", "rotation_scale"), coupling.rotation_scale, apart)
+    for index, change in enumerate(coupling.changes):
+        if change.rotation_scale not in {None, 1.0}:
+            yield wrong(("coupling", "changes", index, "rotation_scale"), change.rotation_scale, apart)
+    allowed = coupling.command_angular_speed
+    if allowed != UNBOUNDED and table.speed > allowed:
+        yield wrong((*path, "speed"), table.speed, f"at most command_angular_speed, {allowed:g}")
+    if table.max_angle / table.speed > PRESS_S - ROUND_TRIP_S:
+        most = table.speed * (PRESS_S - ROUND_TRIP_S)
+        yield wrong(
+            (*path, "max_angle"),
+            table.max_angle,
+            f"at most {most:g} at that speed, for a press waits {PRESS_S:g} s, and a slow link takes "
+            f"{ROUND_TRIP_S:g} s of it: raise speed or lower max_angle",
+        )
 
 
 def _world(table: EnvironmentTable) -> Iterator[SceneError]:

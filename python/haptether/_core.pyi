@@ -2119,7 +2119,7 @@ class _LiveSide:
         """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
 
         `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
-        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait or press) and `text` of each.
+        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait, turn or press) and `text` of each.
         """
 
     def acknowledge(self) -> None:

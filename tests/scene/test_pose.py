@@ -218,6 +218,70 @@ def test_a_scene_of_points_has_nothing_that_turns(scene: str) -> None:
     assert not {"orientation", "slave_orientation", "device_torque", "rotation_tripped"} & set(run.signals)
 
 
+# ----------------------------------------------------------------------------------------------------- alignment
+
+
+def conjugate(quat: Array) -> Array:
+    return quat * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def product(left: Array, right: Array) -> Array:
+    (w, *v), (z, *u) = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)
+    v, u = np.stack(v, axis=-1), np.stack(u, axis=-1)
+    scalar = w * z - np.sum(v * u, axis=-1)
+    vector = w[..., None] * u + z[..., None] * v + np.cross(v, u)
+    return np.concatenate([scalar[..., None], vector], axis=-1)
+
+
+def aligned(start: float, most: float, *more: str) -> Run:
+    """A hand and a tool that begin `start` rad apart, at 0.5 rad/s, through 20 ms each way."""
+    half = 0.5 * start
+    return simulate(
+        "torque_release",
+        overrides=[
+            *both_ways(0.02),
+            f"coupling.alignment={{speed = 0.5, max_angle = {most}}}",
+            f"slave.tool.quat_wxyz=[{cos(half)!r}, 0.0, {sin(half)!r}, 0.0]",
+            *more,
+        ],
+    )
+
+
+def test_a_tool_is_turned_to_the_hand_before_the_two_engage() -> None:
+    run = aligned(0.8, 1.0)
+    signals, time_s = run.signals, run.signals["time_s"]
+    command = signals["slave_command_orientation"]
+    left = angle(product(signals["orientation"], conjugate(command)))
+    engaged_s = next(event.time_s for event in run.events if event.kind == "engaged")
+    # The press, the turn of 0.8 rad at 0.5 rad/s, and back.
+    assert engaged_s == pytest.approx(0.02 + 1.6 + 0.02, abs=6e-3)
+    turning = (time_s > 0.03) & (time_s < 1.6)
+    steps = angle(product(command[1:], conjugate(command[:-1])))[turning[1:]]
+    assert steps == pytest.approx(0.5e-3, abs=1e-6)
+    before = time_s < engaged_s
+    assert not signals["device_torque"][before].any()
+    assert not signals["device_force"][before].any()
+    assert np.ptp(signals["slave_command"][before], axis=0) == pytest.approx(0.0, abs=1e-12)
+    # From then on they are turned alike, but for the delay.
+    rate = np.linalg.norm(signals["angular_velocity"], axis=1).max()
+    assert left[~before].max() < 0.022 * rate + 1e-6
+    assert left[np.searchsorted(time_s, engaged_s)] < 1e-3
+    assert run.metrics.outcome == "complete"
+
+
+def test_a_tool_that_is_too_far_off_stays_and_never_engages() -> None:
+    run = aligned(0.8, 0.7)
+    command = run.signals["slave_command_orientation"]
+    assert np.ptp(command, axis=0) == pytest.approx(0.0, abs=1e-12)
+    assert run.metrics.outcome == "never-engaged"
+    assert not run.signals["device_torque"].any()
+
+
+def test_an_alignment_that_has_nothing_to_turn_changes_nothing() -> None:
+    plain, with_it = (simulate("torque_release", overrides=change) for change in ([], ["coupling.alignment={}"]))
+    assert plain.metrics == with_it.metrics
+
+
 # ------------------------------------------------------------------------------------------------------ refusals
 
 REFUSED = [
@@ -232,6 +296,23 @@ REFUSED = [
     ("torque_release", "slave.force_sensor={noise_n = 0.1}", "[slave] force_sensor: is exact"),
     ("torque_release", "coupling.rotation_axis=[0.0, 0.0, 2.0]", "of length 1, not 2"),
     ("torque_release", "coupling={rotation_axis = [0.0, 0.0, 1.0], locks_rotation = true}", "turns about no axis"),
+    # Alignment.
+    ("remote_push", "coupling.alignment={}", "[coupling] alignment: is for what turns"),
+    ("valve", "coupling.alignment.speed=0.0", "[coupling.alignment] speed = 0: must be above 0"),
+    ("valve", "coupling.alignment.max_angle=3.2", "[coupling.alignment] max_angle = 3.2: must be above 0 to 3.14159"),
+    ("valve", "coupling.alignment.max_angle=0.0", "[coupling.alignment] max_angle = 0: must be above 0"),
+    ("valve", "coupling.alignment.angle=1.0", "angle"),
+    ("valve", "coupling.alignment.speed=2.6", "[coupling.alignment] speed = 2.6: must be at most command_angular_speed"),
+    ("valve", "coupling={alignment = {}, command_angular_speed = 0.4}", "must be at most command_angular_speed, 0.4"),
+    ("valve", "coupling.alignment.max_angle=2.1", "[coupling.alignment] max_angle = 2.1: must be at most 2 at that speed"),
+    ("valve", "coupling={alignment = {}, rotation_scale = 2.0}", "[coupling] rotation_scale = 2: must be 1 with"),
+    (
+        "valve",
+        "coupling={alignment = {}, changes = [{at_s = 1.0, rotation_scale = 0.5}]}",
+        "rotation_scale = 0.5: must be 1 with [coupling.alignment]",
+    ),
+    ("valve", "coupling={alignment = {}, locks_rotation = true}", "[coupling] alignment: turns about any axis"),
+    ("valve", "coupling={alignment = {}, rotation_axis = [0.0, 0.0, 1.0]}", "or rotation_axis"),
     ("torque_release", "slave.tool.quat_wxyz=[1.0, 1.0, 0.0, 0.0]", "[slave.tool] quat_wxyz"),
     ("torque_release", "coupling.quat_wxyz=[2.0, 0.0, 0.0, 0.0]", "[coupling] quat_wxyz"),
     # Its world.

@@ -1,5 +1,6 @@
 """Numbers of a scene with their ranges, which validation, messages and tools read from the types."""
 
+from math import pi
 from typing import Annotated, Any, Literal, TypeAlias
 
 from msgspec import Meta
@@ -41,6 +42,8 @@ Speed = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 """In m/s: what the safety layer takes for possible."""
 Force = Annotated[float, Meta(ge=-10000.0, le=10000.0)]
 """In N: what the safety layer takes for possible."""
+Angle = Annotated[float, Meta(gt=0.0, le=pi)]
+"""In rad, between two orientations."""
 Axis: TypeAlias = Literal[1, 2, 3, 6, 7]
 Unbounded: TypeAlias = Literal["unbounded"]
 """What is written where a number would be a bound and there is to be none."""

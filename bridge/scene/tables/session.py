@@ -7,6 +7,7 @@ from msgspec import Meta, Struct
 from haptether.bridge.scene.tables.master import MasterTable, OperatorTable
 from haptether.bridge.scene.tables.ranges import (
     LARGEST,
+    Angle,
     AxisIndices,
     ClockDrift,
     ClockOffset,
@@ -103,6 +104,18 @@ class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """The new locks."""
 
 
+class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[coupling.alignment]`: after a press the slave turns to the master, `R_s -> C R_m C'`, before the two engage.
+
+    Its tool point stays where it is, and no force or torque acts on the hand until then.
+    """
+
+    speed: Positive = 0.5
+    """Fastest that it turns, in rad/s."""
+    max_angle: Angle = 1.0
+    """Angle in rad between the two beyond which it refuses and stays."""
+
+
 class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[coupling]`: how master and slave are coupled.
 
@@ -135,6 +148,8 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Fastest that the commanded orientation turns, in rad/s, or "unbounded"."""
     command_turn: Positive | Unbounded = "unbounded"
     """Largest angle in rad of the commanded orientation from how the arm began, or "unbounded"."""
+    alignment: AlignmentTable | None = None
+    """How the slave turns to the master before the two engage; without, they engage however they are turned."""
     changes: tuple[ChangeTable, ...] = ()
     """What is changed while it runs."""
 

@@ -31,7 +31,7 @@ pub struct SlaveRotationSettings {
 #[derive(Clone, Debug)]
 pub(super) struct SlaveRotation {
     pub(super) coupling: RotationCoupling,
-    alignment: Option<Alignment>,
+    pub(super) alignment: Option<Alignment>,
     bounds: RotationBounds,
     /// How the arm stood at its first tick.
     home: Option<UnitQuaternion<f64>>,
@@ -72,25 +72,19 @@ impl SlaveRotation {
         self.coupling.set_frame(quat_wxyz)
     }
 
-    /// How far the command is from the master's newest rotation, and its next step towards that within `elapsed_s`; none
-    /// where it engages however it is turned.
+    /// How the command is turned as against the master's newest rotation, and its next step towards that within
+    /// `elapsed_s`; none where it is refused.
     pub(super) fn toward(
         &self,
-        master: Option<&RotationState>,
-        measured: &RotationState,
+        alignment: &Alignment,
+        (master, measured): (&RotationState, &RotationState),
         elapsed_s: f64,
-    ) -> Option<(AlignmentState, Option<AlignmentStep>)> {
-        let alignment = self.alignment.as_ref()?;
-        let Some(master) = master else { return Some((AlignmentState::Remaining, None)) };
+    ) -> (AlignmentState, Option<AlignmentStep>) {
         let home = self.home.unwrap_or(measured.orientation);
         let from = self.command.unwrap_or(measured.orientation);
         let is_within = alignment.target(&master.orientation).angle_to(&home) <= self.bounds.turn;
-        let Ok(mut step) = alignment.step(&master.orientation, &from, elapsed_s) else {
-            return Some((AlignmentState::TooFar, None));
-        };
-        if !is_within {
-            return Some((AlignmentState::TooFar, None));
-        }
+        let step = alignment.step(&master.orientation, &from, elapsed_s).ok().filter(|_| is_within);
+        let Some(mut step) = step else { return (AlignmentState::TooFar, None) };
         // Its speed is within that of the bounds.
         let turn = RotationBounds { speed: f64::INFINITY, ..self.bounds };
         let mut limited = Limited::default();
@@ -101,7 +95,7 @@ impl SlaveRotation {
         }
         let is_there = step.remaining_rad == 0.0 && !limited.any();
         let state = if is_there { AlignmentState::Reached } else { AlignmentState::Remaining };
-        Some((state, Some(step)))
+        (state, Some(step))
     }
 
     /// Refuses what no arm can measure.
