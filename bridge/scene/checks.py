@@ -210,23 +210,26 @@ def _pose(scene: Scene) -> Iterator[SceneError]:
             yield wrong(("slave", "control"), scene.slave.control, '"pd" with kind = "pose"')
         if scene.slave.force_sensor is not None:
             yield contradiction(("slave", "force_sensor"), 'is exact with kind = "pose": leave it out')
-    coupling = scene.coupling
-    if coupling is not None and coupling.rotation_axis is not None:
-        length = hypot(*coupling.rotation_axis)
-        if abs(length - 1.0) > UNIT_QUATERNION:
-            yield wrong(("coupling", "rotation_axis"), coupling.rotation_axis, f"of length 1, not {length:g}")
-        if coupling.locks_rotation:
-            yield contradiction(
-                ("coupling", "rotation_axis"), "what is locked turns about no axis: give one of the two"
-            )
-    if coupling is not None and coupling.alignment is not None:
-        yield from _alignment(coupling, coupling.alignment)
+    if scene.coupling is not None:
+        yield from _turning_coupling(scene.coupling)
     if scene.slave is not None and scene.slave.tool is not None:
         yield from _unit(scene.slave.tool.quat_wxyz, ("slave", "tool", "quat_wxyz"))
     if scene.environment is not None:
         yield from _world(scene.environment)
     if scene.operator is not None and scene.operator.rotation is not None:
         yield from _turning_hand(scene.operator.rotation)
+
+
+def _turning_coupling(table: CouplingTable) -> Iterator[SceneError]:
+    if table.rotation_axis is not None:
+        path: Path = ("coupling", "rotation_axis")
+        length = hypot(*table.rotation_axis)
+        if abs(length - 1.0) > UNIT_QUATERNION:
+            yield wrong(path, table.rotation_axis, f"of length 1, not {length:g}")
+        if table.locks_rotation:
+            yield contradiction(path, "what is locked turns about no axis: give one of the two")
+    if table.alignment is not None:
+        yield from _alignment(table, table.alignment)
 
 
 PRESS_S = 5.0
