@@ -8,7 +8,9 @@ use haptether_bridge::{
     MasterRotation, MasterRotationSettings, MasterSettings, MasterSide, OperatorCommand, Reason, Remedy,
     Side, SlaveEndpoint, SlaveOrder, SlaveRotation, SlaveRotationSettings, SlaveSettings, SlaveSide,
     TickTime,
-    coupling::{AlignmentSettings, CommandBounds, RotationBounds, RotationLock, RotationState, quat_wxyz},
+    coupling::{
+        ALIGNED_RAD, AlignmentSettings, CommandBounds, RotationBounds, RotationLock, RotationState, quat_wxyz,
+    },
     wire::MAX_FRAME,
 };
 use haptether_master::RotationSample;
@@ -367,6 +369,26 @@ proptest! {
         prop_assert!(ticks * 1e-3 >= fast - lead_s - 3e-3 && ticks * 1e-3 <= slow + lead_s + 3e-3, "{ticks} {fast} {slow}");
         stays_aligned(&mut pair, last);
     }
+}
+
+/// A hand that trembles faster than the arm may turn: near for long enough is near enough, and nothing jumps.
+#[test]
+fn a_hand_that_trembles_is_met_to_within_the_tolerance() {
+    let alignment = Some(AlignmentSettings { speed: 0.1, max_angle: 0.4 });
+    let set = off_by(Set { alignment, ..Set::default() }, 0.1);
+    let mut pair = Pair::new(set);
+    // 4 mrad at 8 Hz: 0.2 rad/s.
+    let tremor = |n: u64| {
+        let (sine, cosine) = (0.05 * n as f64).sin_cos();
+        turned(4e-3 * sine, 4e-3 * cosine, 4e-3 * sine * cosine)
+    };
+    let ticks = aligns(&mut pair, 0.1, |n| Some(tremor(n) * set.start[0]));
+    // 0.1 rad at 0.1 rad/s but for the tolerance, and 0.2 s within that.
+    assert!((1050..1350).contains(&ticks), "{ticks}");
+    pair.hand(set.start[0]);
+    pair.ticks(pair.delays[0] + 1);
+    let left = pair.order().0.angle_to(&pair.target());
+    assert!(left > 1e-4 && left < ALIGNED_RAD + 0.5e-3, "{left}");
 }
 
 /// Beyond the angle nothing moves; both sides say why at once, and what to do.

@@ -21,6 +21,13 @@ pub struct AlignmentSettings {
 /// slowest link that the time of ALIGNING is made for.
 pub const ROUND_TRIP_S: f64 = 1.0;
 
+/// Angle in rad within which the slave counts as aligned with a hand that trembles faster than the slave may turn, after
+/// [`SETTLED_S`] of it; one that it catches up with it meets exactly. Half a degree is felt by nobody.
+pub const ALIGNED_RAD: f64 = 0.01;
+
+/// Time in s for which it must be as near as that.
+pub const SETTLED_S: f64 = 0.2;
+
 /// An alignment that this coupling cannot have.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum AlignmentError {

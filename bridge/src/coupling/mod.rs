@@ -14,7 +14,9 @@ mod wrench;
 use haptether_safety::Axes;
 use nalgebra::SMatrix;
 
-pub use alignment::{Alignment, AlignmentError, AlignmentSettings, AlignmentStep, ROUND_TRIP_S};
+pub use alignment::{
+    ALIGNED_RAD, Alignment, AlignmentError, AlignmentSettings, AlignmentStep, ROUND_TRIP_S, SETTLED_S,
+};
 pub use command::{CommandBounds, Limited, RotationBounds};
 pub(crate) use command::{bounded, decayed, turned_within};
 pub use gripper::{GripperFollower, GripperState};

@@ -5,8 +5,8 @@ use nalgebra::UnitQuaternion;
 
 use crate::{
     coupling::{
-        Alignment, AlignmentSettings, AlignmentStep, CouplingError, Limited, RotationBounds,
-        RotationCoupling, RotationLock, RotationState, turned_within,
+        ALIGNED_RAD, Alignment, AlignmentSettings, AlignmentStep, CouplingError, Limited, RotationBounds,
+        RotationCoupling, RotationLock, RotationState, SETTLED_S, turned_within,
     },
     ladder::AlignmentState,
 };
@@ -32,6 +32,8 @@ pub struct SlaveRotationSettings {
 pub(super) struct SlaveRotation {
     pub(super) coupling: RotationCoupling,
     pub(super) alignment: Option<Alignment>,
+    /// For how long in s the arm that is being turned has been as good as aligned.
+    near_s: f64,
     bounds: RotationBounds,
     /// How the arm stood at its first tick.
     home: Option<UnitQuaternion<f64>>,
@@ -53,7 +55,7 @@ impl SlaveRotation {
                 Some(Alignment::new([1.0, 0.0, 0.0, 0.0], alignment.speed, alignment.max_angle)?)
             }
         };
-        Ok(Self { coupling, alignment, bounds: *bounds, home: None, command: None })
+        Ok(Self { coupling, alignment, near_s: 0.0, bounds: *bounds, home: None, command: None })
     }
 
     /// Changes `lambda_r`; with an alignment it stays 1.
@@ -73,12 +75,13 @@ impl SlaveRotation {
     }
 
     /// How the command is turned as against the master's newest rotation, and its next step towards that within
-    /// `elapsed_s`; none where it is refused.
+    /// `elapsed_s`; none where it is refused. `turns` is whether it was being turned at the last tick.
     pub(super) fn toward(
-        &self,
+        &mut self,
         alignment: &Alignment,
         (master, measured): (&RotationState, &RotationState),
         elapsed_s: f64,
+        turns: bool,
     ) -> (AlignmentState, Option<AlignmentStep>) {
         let home = self.home.unwrap_or(measured.orientation);
         let from = self.command.unwrap_or(measured.orientation);
@@ -93,7 +96,9 @@ impl SlaveRotation {
             let way = (step.orientation * from.inverse()).scaled_axis();
             step.angular_velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
         }
-        let is_there = step.remaining_rad == 0.0 && !limited.any();
+        let is_near = turns && step.remaining_rad <= ALIGNED_RAD;
+        self.near_s = if is_near { self.near_s + elapsed_s } else { 0.0 };
+        let is_there = (step.remaining_rad == 0.0 || self.near_s >= SETTLED_S) && !limited.any();
         let state = if is_there { AlignmentState::Reached } else { AlignmentState::Remaining };
         (state, Some(step))
     }

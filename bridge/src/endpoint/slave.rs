@@ -216,14 +216,13 @@ impl<const N: usize> SlaveEndpoint<N> {
 
     /// The next step towards the master's newest orientation, of an arm that is turned there before the two engage.
     fn toward(&mut self, measured: Option<&RotationState>, elapsed_s: f64) -> Option<AlignmentStep> {
-        let is_coupled = self.exchange.state().is_coupled();
-        let alignment =
-            self.rotation.as_ref().and_then(|rotation| rotation.alignment.as_ref().zip(Some(rotation)));
-        let (alignment, rotation) = alignment.filter(|_| !is_coupled)?;
+        let rotation = self.rotation.as_mut()?;
+        let alignment = rotation.alignment?;
+        let (is_coupled, turns) = (self.exchange.state().is_coupled(), self.exchange.ladder.turns());
         let master = self.exchange.link().newest().and_then(|frame| frame.rotation.as_ref());
         let elapsed_s = elapsed_s.min(self.max_step_s);
-        let (state, step) = match master.zip(measured) {
-            Some(both) => rotation.toward(alignment, both, elapsed_s),
+        let (state, step) = match master.zip(measured).filter(|_| !is_coupled) {
+            Some(both) => rotation.toward(&alignment, both, elapsed_s, turns),
             None => (AlignmentState::Remaining, None),
         };
         self.exchange.set_alignment(state);
