@@ -231,6 +231,11 @@ impl Pair {
         assert!((self.order().1.norm() - SPEED).abs() < 1e-9, "it turns");
     }
 
+    /// Was turned until this tick.
+    fn begins_to_brake(&self) {
+        assert!(self.order().1.norm() > 0.9 * SPEED, "evenly, not at once");
+    }
+
     /// Was turned and is no longer: brakes evenly, and stands from then on, whatever else it is sent.
     fn comes_to_rest(&mut self, ticks: usize) {
         let (mut before, mut w_before, place) = self.order();
@@ -241,6 +246,7 @@ impl Pair {
             assert!(!master.is_coupled() && !slave.is_coupled() && !self.pushes(), "{n}");
             assert!(now.angle_to(&before) <= SPEED * 1e-3 + ROUNDING, "{n}");
             assert!(w.norm() <= w_before.norm() + 1e-12, "{n}");
+            assert!((w - w_before).norm() <= 25e-3 + 1e-9, "{n}: evenly, not at once");
             // 25 rad/s² from 0.5 rad/s: 20 ms.
             assert!(n < 22 || w.norm() == 0.0 && now.angle_to(&before) < ROUNDING, "{n}");
             assert_eq!(position, place);
@@ -452,6 +458,7 @@ fn a_hand_that_turns_out_of_reach_ends_it() {
     let behind = off_by(set, angle - 4e-3 * pair.delays[0] as f64).start[0];
     let left = (set.frame * behind * set.frame.inverse()).angle_to(&pair.order().0);
     assert!((left - ALIGNMENT.max_angle).abs() < 6e-3, "{left}");
+    pair.begins_to_brake();
     pair.comes_to_rest(50);
     assert!(pair.cause(true).unwrap().text.contains("turned further"));
     pair.sweep(&set, angle, 1.4);
@@ -498,6 +505,7 @@ fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
         pair.tick();
         assert_eq!(pair.slave.exchange().state(), Disengaged, "{what}");
         assert_eq!(pair.slave.exchange().ladder().history().last().unwrap().reason, reason, "{what}");
+        pair.begins_to_brake();
         pair.comes_to_rest(60);
         // All is well again, and the clutch still closed where nobody opened it: nothing moves.
         pair.is_silent = [false; 2];
@@ -584,6 +592,26 @@ fn a_late_tick_turns_no_further_than_two_of_them() {
         assert!((step - 2.0 * SPEED * 1e-3).abs() < ROUNDING, "{step}");
         pair.ticks(100);
     }
+}
+
+/// A master that does not hear the arm: its press turns nothing until it does.
+#[test]
+fn a_press_of_a_deaf_master_turns_nothing() {
+    let mut pair = Pair::new(off_by(Set::default(), 0.5));
+    pair.is_silent[1] = true;
+    pair.ticks(40);
+    pair.press(true);
+    pair.ticks(pair.delays[0] + 1);
+    for _ in 0..100 {
+        pair.tick();
+        assert_eq!(pair.slave.exchange().state(), Aligning);
+        assert_eq!(*pair.slave.plant.order(), SlaveOrder::Wait);
+    }
+    pair.is_silent[1] = false;
+    pair.ticks(12);
+    assert_ne!(*pair.slave.plant.order(), SlaveOrder::Wait);
+    // 0.5 rad at 0.5 rad/s, and back.
+    assert_eq!(pair.ticks(1030), [Engaged; 2]);
 }
 
 /// Out of a hold as well: the new press turns the arm first, from where it stands.
