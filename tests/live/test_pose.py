@@ -1,5 +1,6 @@
 """Sides of kind "pose" over sockets: beside virtual time, and with drivers of both ends."""
 
+import json
 import math
 import secrets
 import time
@@ -188,6 +189,65 @@ def test_drivers_of_both_ends_turn_together() -> None:
     assert near.fault[-1] == 17, "an orientation that is no unit quaternion"
     assert far.command_orientation is not None
     assert hand.wrenches[-1] == ((0.0,) * 3, (0.0,) * 3)
+
+
+def about_x(turned: float) -> tuple[float, ...]:
+    return (math.cos(turned / 2), math.sin(turned / 2), 0.0, 0.0)
+
+
+def aligning(turned: float) -> tuple[Hand, Arm, MasterRun, SlaveRun]:
+    """An arm that is turned from its hand, aligned at 1 rad/s up to 1 rad; the start of the master is the press."""
+    spec = scene_json(override_scene(turning(), ["coupling.alignment={speed = 1.0, max_angle = 1.0}"]))
+    hand, arm = Hand(), Arm((0.0, 0.0, 0.05))
+    arm.orientation = about_x(turned)
+    slave = SlaveRun(arm, SlaveLoop(spec, listen="127.0.0.1:0", **how()))
+    master = MasterRun(hand, MasterLoop(spec, peer=slave.address, duration_s=20.0, patience_s=10.0, **how()))
+    return hand, arm, master, slave
+
+
+@anew_after_stalls
+def test_a_driven_arm_is_turned_to_the_hand_before_the_two_engage() -> None:
+    hand, arm, master, slave = aligning(0.8)
+    until(lambda: master.state == "engaged" and slave.state == "engaged")
+    assert angle(np.array(arm.orientation), np.array(UPRIGHT)) < 1e-6
+    # The torque fades in over 0.2 s.
+    until(lambda: abs(hand.wrenches[-1][1][2] - 0.05) < 1e-3)
+    master.stop()
+    near, _ = master.finish()
+    slave.stop()
+    far, _ = slave.finish()
+    assert far.command_orientation is not None
+    assert near.device_torque is not None
+    turned = np.flatnonzero(far.state == 1)
+    assert far.time_s[turned[-1]] - far.time_s[turned[0]] == pytest.approx(0.8, abs=0.15)
+    sines = np.linalg.norm(far.command_orientation[turned, 1:], axis=1)
+    steps = -np.diff(2.0 * np.arcsin(sines))
+    assert steps.min() > -1e-6
+    # A late tick makes up for one that was missed at most.
+    assert steps.max() < 2.0 * 1e-3 * 1.01
+    before = near.state != 2
+    before[np.argmax(near.state == 2) :] = False
+    assert before.sum() > 700
+    assert not near.device_torque[before].any()
+    assert not near.device_force[before].any()
+
+
+def test_a_driven_arm_that_is_turned_too_far_from_the_hand_is_not_moved_and_both_sides_say_so() -> None:
+    hand, arm, master, slave = aligning(1.2)
+    until(lambda: master.cause() is not None and slave.cause() is not None)
+    for side in (master, slave):
+        cause = json.loads(side.cause() or "")
+        assert cause["at"] == "slave"
+        assert "turned further from the master than it may turn before it engages" in cause["text"]
+        assert [(step["at"], step["remedy"]) for step in cause["steps"]] == [("master", "turn"), ("master", "press")]
+    assert (master.state, slave.state) == ("aligning", "disengaged")
+    master.stop()
+    master.finish()
+    slave.stop()
+    slave.finish()
+    assert arm.orientation == about_x(1.2)
+    assert arm.position == (0.4, 0.1, 0.3)
+    assert set(hand.wrenches) == {((0.0,) * 3, (0.0,) * 3)}
 
 
 @pytest.mark.parametrize("end", ["master", "slave"])

@@ -9,6 +9,7 @@ use super::{
 };
 
 /// The ladder of one endpoint: a pure function of its inputs and their times.
+#[allow(clippy::struct_excessive_bools)] // what was the case at the last tick
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ladder {
     settings: LadderSettings,
