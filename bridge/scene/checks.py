@@ -7,7 +7,7 @@ from math import exp, hypot, log, pi
 from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene.resolve import Spec, max_damping, side_kind, spec_of
 from haptether.bridge.scene.tables.master import OperatorRotationTable, OperatorTable, SeriesTable
-from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S, UNBOUNDED
+from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S
 from haptether.bridge.scene.tables.session import (
     AlignmentTable,
     ClockTable,
@@ -250,7 +250,7 @@ def _alignment(coupling: CouplingTable, table: AlignmentTable) -> Iterator[Scene
         if change.rotation_scale not in {None, 1.0}:
             yield wrong(("coupling", "changes", index, "rotation_scale"), change.rotation_scale, apart)
     allowed = coupling.command_angular_speed
-    if allowed != UNBOUNDED and table.speed > allowed:
+    if not isinstance(allowed, str) and table.speed > allowed:
         yield wrong((*path, "speed"), table.speed, f"at most command_angular_speed, {allowed:g}")
     if table.max_angle / table.speed > PRESS_S - ROUND_TRIP_S:
         most = table.speed * (PRESS_S - ROUND_TRIP_S)

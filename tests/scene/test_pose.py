@@ -222,15 +222,14 @@ def test_a_scene_of_points_has_nothing_that_turns(scene: str) -> None:
 
 
 def conjugate(quat: Array) -> Array:
-    return quat * np.array([1.0, -1.0, -1.0, -1.0])
+    turned: Array = quat * np.array([1.0, -1.0, -1.0, -1.0])
+    return turned
 
 
 def product(left: Array, right: Array) -> Array:
-    (w, *v), (z, *u) = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)
-    v, u = np.stack(v, axis=-1), np.stack(u, axis=-1)
-    scalar = w * z - np.sum(v * u, axis=-1)
-    vector = w[..., None] * u + z[..., None] * v + np.cross(v, u)
-    return np.concatenate([scalar[..., None], vector], axis=-1)
+    w, z, v, u = left[..., :1], right[..., :1], left[..., 1:], right[..., 1:]
+    scalar = w * z - np.sum(v * u, axis=-1, keepdims=True)
+    return np.concatenate([scalar, w * u + z * v + np.cross(v, u)], axis=-1)
 
 
 def aligned(start: float, most: float, *more: str) -> Run:

@@ -17,6 +17,7 @@ pub enum LadderState {
     /// after a press that was not answered in time.
     Disengaged,
     /// The clutch is pressed; waits until the other side says the same, but no longer than `LadderSettings::align_ns`.
+    /// An arm that aligns orientations is turned to the master meanwhile.
     Aligning,
     /// Coupled.
     Engaged,
