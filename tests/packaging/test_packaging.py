@@ -25,7 +25,7 @@ pytestmark = pytest.mark.alone
 ROOT = Path(__file__).resolve().parents[2]
 LOCK = ROOT / "tools" / "requirements.txt"
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-CRATES = ("safety", "netsim", "master", "slave", "bridge", "python")
+CRATES = ("safety", "netsim", "dynamixel", "master", "slave", "bridge", "python")
 
 building = pytest.mark.timeout(400)
 

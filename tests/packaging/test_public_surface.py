@@ -13,16 +13,17 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "python" / "haptether"
 
-CRATES = ("safety", "netsim", "master", "slave", "bridge")
+CRATES = ("safety", "netsim", "dynamixel", "master", "slave", "bridge")
 
 # What a room's Python may import of the other rooms: what its crate may use. `studies` and `view`
 # have no crate; a recording is read through the bridge.
 MAY_IMPORT = {
     "safety": frozenset[str](),
     "netsim": frozenset[str](),
-    "master": frozenset[str](),
-    "slave": frozenset[str](),
-    "bridge": frozenset({"safety", "netsim", "master", "slave"}),
+    "dynamixel": frozenset[str](),
+    "master": frozenset({"dynamixel"}),
+    "slave": frozenset({"dynamixel"}),
+    "bridge": frozenset({"safety", "netsim", "dynamixel", "master", "slave"}),
     "studies": frozenset(CRATES),
     "view": frozenset({"bridge"}),
 }

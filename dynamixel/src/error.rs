@@ -1,0 +1,91 @@
+//! What a servo says of the instruction that it answers, and of itself.
+
+use core::fmt;
+
+/// Bit of the error byte: the servo has a hardware error, which address 70 names.
+const ALERT: u8 = 0x80;
+
+/// The error byte of a status packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct StatusError(u8);
+
+impl StatusError {
+    /// The error byte as it was received.
+    pub fn new(byte: u8) -> Self {
+        Self(byte)
+    }
+
+    /// The byte itself.
+    pub fn byte(self) -> u8 {
+        self.0
+    }
+
+    /// Whether the servo has a hardware error (overload, overheating, voltage, encoder, electrical shock).
+    pub fn alert(self) -> bool {
+        self.0 & ALERT != 0
+    }
+
+    /// Why the instruction was refused, where it was.
+    pub fn refusal(self) -> Option<Refusal> {
+        Some(match self.0 & !ALERT {
+            0 => return None,
+            1 => Refusal::ResultFail,
+            2 => Refusal::Instruction,
+            3 => Refusal::Crc,
+            4 => Refusal::DataRange,
+            5 => Refusal::DataLength,
+            6 => Refusal::DataLimit,
+            7 => Refusal::Access,
+            number => Refusal::Unknown(number),
+        })
+    }
+}
+
+impl fmt::Display for StatusError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.refusal(), self.alert()) {
+            (None, false) => formatter.write_str("no error"),
+            (None, true) => formatter.write_str("hardware error (see address 70)"),
+            (Some(refusal), false) => write!(formatter, "{refusal}"),
+            (Some(refusal), true) => write!(formatter, "{refusal}, and hardware error (see address 70)"),
+        }
+    }
+}
+
+/// Why a servo refused an instruction.
+///
+/// Source: ROBOTIS e-Manual, Protocol 2.0, "Error".
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// 1: it could not process the packet.
+    ResultFail,
+    /// 2: it does not know the instruction, or an action came without a registered write.
+    Instruction,
+    /// 3: the checksum of the instruction was wrong.
+    Crc,
+    /// 4: a value is out of the range of its address; also a goal while the bus watchdog has fired.
+    DataRange,
+    /// 5: fewer bytes than the address has.
+    DataLength,
+    /// 6: a value is beyond the limit that the table itself sets.
+    DataLimit,
+    /// 7: a read-only or undefined address, or an address of the EEPROM while torque is on.
+    Access,
+    /// A number that Protocol 2.0 does not name.
+    Unknown(u8),
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::ResultFail => "result fail (1)",
+            Self::Instruction => "instruction error (2)",
+            Self::Crc => "CRC error (3)",
+            Self::DataRange => "data range error (4)",
+            Self::DataLength => "data length error (5)",
+            Self::DataLimit => "data limit error (6)",
+            Self::Access => "access error (7)",
+            Self::Unknown(number) => return write!(formatter, "unknown error ({number})"),
+        })
+    }
+}

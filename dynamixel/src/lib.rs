@@ -1,0 +1,19 @@
+//! The bus of Dynamixel servos: Protocol 2.0, as pure state machines.
+//!
+//! [`Packet`] encodes an [`Instruction`], [`StatusParser`] turns bytes into checked answers, and [`SyncRead`] is one read
+//! of several servos, which gives the values of all of them or none. Nothing here owns a port or a clock, and nothing
+//! allocates.
+//!
+//! Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0.
+
+mod crc;
+mod error;
+mod instruction;
+mod parser;
+mod sync_read;
+
+pub use crc::{Crc16, crc16};
+pub use error::{Refusal, StatusError};
+pub use instruction::{BROADCAST, BulkItem, Instruction, MAX_ID, MAX_PACKET, Packet, RequestError};
+pub use parser::{FastReply, FrameError, Received, Status, StatusParser};
+pub use sync_read::{MAX_SERVOS, Progress, Reply, SyncRead, SyncReadError};
