@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.connections import Faults
-    from haptether.slave.ur_emulator.control import ControlChannel, ControlLine
+    from haptether.slave.ur_emulator.control import ControlLine
     from haptether.slave.ur_emulator.controller import Controller, ControllerSettings
     from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper, GrippedObject, GripperSettings
     from haptether.slave.ur_emulator.robot.contact import ToolEnvironment, WrenchSensing
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.server import Server, realtime
 
 _MODULES = {
-    "ControlChannel": "control",
     "ControlLine": "control",
     "Controller": "controller",
     "ControllerSettings": "controller",
@@ -30,7 +29,6 @@ _MODULES = {
 }
 
 __all__ = [
-    "ControlChannel",
     "ControlLine",
     "Controller",
     "ControllerSettings",

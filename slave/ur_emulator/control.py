@@ -1,19 +1,12 @@
-"""The control line: commands to the emulator, each a line and answered by a line, and the channel that carries them."""
+"""The control line: commands to the emulator, each a line and answered by a line."""
 
-import contextlib
 import json
 import math
-import os
 import re
-import socket
-import sys
-import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from haptether.printable import printable
 from haptether.slave.ur.state import SafetyMode
-from haptether.slave.ur_emulator.connections import KINDS, MAX_LINE
+from haptether.slave.ur_emulator.connections import KINDS
 from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper, GrippedObject
 from haptether.slave.ur_emulator.robot.safety import MOVING_MODES
 from haptether.slave.ur_emulator.rtde.variables import REGISTERS, ControllerVersion
@@ -29,9 +22,6 @@ if TYPE_CHECKING:
 MAX_FORCE_N: Final = 10_000.0
 SHOWN_LINES: Final = 20
 """Lines of the log where no number is given."""
-STDIN: Final = "-"
-SEND_TIMEOUT_S: Final = 1.0
-"""Of an answer: a client that does not read must not stop the arm for longer."""
 
 
 class ControlLine:
@@ -267,111 +257,6 @@ class ControlLine:
 
     def _gripper_silent(self, arguments: list[str], _now_s: float) -> None:
         self._gripper.silent = _switch(arguments)
-
-
-class ControlChannel:
-    """Standard input, or connections to a socket of this machine; `readers` and `serve` are for a loop over `select`.
-
-    Args:
-        place: `-` for standard input and output, `127.0.0.1:PORT`, or the path of a Unix socket.
-        line: Answers the lines. The end of standard input is `quit`: the process that started this one is gone.
-
-    Raises:
-        ValueError: Another form of address.
-        OSError: An address that cannot be used.
-    """
-
-    def __init__(self, place: str, line: ControlLine) -> None:
-        self.address = place
-        self._line = line
-        self._path: Path | None = None
-        self._waiting: dict[int, bytes] = {}
-        self._clients: list[socket.socket] = []
-        self._listening: socket.socket | None = None
-        if place != STDIN:
-            self._listening = self._listen(place)
-
-    def readers(self) -> list[int]:
-        """Descriptors to wait for."""
-        if self._listening is None:
-            return [] if sys.stdin.closed else [sys.stdin.fileno()]
-        return [self._listening.fileno(), *(client.fileno() for client in self._clients)]
-
-    def serve(self, descriptor: int) -> None:
-        """Reads lines of a descriptor and answers them."""
-        if self._listening is None:
-            self._serve_stdin()
-        elif descriptor == self._listening.fileno():
-            with contextlib.suppress(OSError):
-                client, _ = self._listening.accept()
-                client.settimeout(SEND_TIMEOUT_S)
-                self._clients.append(client)
-        else:
-            for client in [client for client in self._clients if client.fileno() == descriptor]:
-                self._serve_client(client)
-
-    def close(self) -> None:
-        """Closes all sockets, and removes the file of a Unix socket."""
-        for endpoint in (*self._clients, *((self._listening,) if self._listening else ())):
-            endpoint.close()
-        self._clients = []
-        if self._path is not None:
-            self._path.unlink(missing_ok=True)
-
-    def _serve_stdin(self) -> None:
-        received = os.read(sys.stdin.fileno(), MAX_LINE)
-        if not received:
-            sys.stdin.close()
-            self._line.quit = True
-            return
-        for answer in self._answers(-1, received):
-            print(answer, flush=True)
-
-    def _serve_client(self, client: socket.socket) -> None:
-        key = client.fileno()
-        try:
-            received = client.recv(MAX_LINE)
-            for answer in self._answers(key, received):
-                client.sendall(f"{answer}\n".encode("utf-8", "backslashreplace"))
-        except OSError:
-            received = b""
-        if not received:
-            self._waiting.pop(key, None)
-            self._clients.remove(client)
-            client.close()
-
-    def _answers(self, key: int, received: bytes) -> list[str]:
-        *lines, rest = (self._waiting.get(key, b"") + received).split(b"\n")
-        # Too long a line is dropped.
-        self._waiting[key] = rest if len(rest) <= MAX_LINE else b""
-        # Standard output may be a terminal, which would execute escapes that an answer repeats.
-        return [
-            printable(self._line.answer(line.decode("utf-8", "replace").strip(), time.monotonic())) for line in lines
-        ]
-
-    def _listen(self, place: str) -> socket.socket:
-        host, colon, port = place.rpartition(":")
-        if colon and port.isdigit():
-            if not host.startswith("127."):
-                message = f"control = {place!r}: must be -, 127.0.0.1:PORT or the path of a socket"
-                raise ValueError(message)
-            listening = socket.create_server((host, int(port)))
-            self.address = f"{host}:{listening.getsockname()[1]}"
-        else:
-            listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            # Accessible by this user only, from the first moment.
-            before = os.umask(0o177)
-            try:
-                listening.bind(place)
-            except OSError:
-                listening.close()
-                raise
-            finally:
-                os.umask(before)
-            listening.listen()
-            self._path = Path(place)
-        listening.setblocking(False)
-        return listening
 
 
 def _refuse(message: str) -> None:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from haptether.slave.ur_emulator.connections import GRIPPER_PORT, PORTS, Outbox, Peer, PeerFactory
 
 if TYPE_CHECKING:
+    from haptether.control_channel import ControlChannel
     from haptether.slave.ur_emulator.connections import Faults
-    from haptether.slave.ur_emulator.control import ControlChannel
     from haptether.slave.ur_emulator.controller import Controller
 
 MAX_CONNECTIONS: Final = 64

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
+    from haptether.control_channel import ControlChannel
     from haptether.slave import SceneTouch
-    from haptether.slave.ur_emulator import ControlChannel, Controller, GripperSettings, Server, ToolEnvironment
+    from haptether.slave.ur_emulator import Controller, GripperSettings, Server, ToolEnvironment
 
 
 MAX_UNLOCK_S = 3600.0
@@ -86,7 +87,8 @@ class UrEmulator:
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_json
         from haptether.cli.shared.stop import Stopped
-        from haptether.slave.ur_emulator import ControlChannel, ControlLine, Faults, Server, realtime
+        from haptether.control_channel import ControlChannel
+        from haptether.slave.ur_emulator import ControlLine, Faults, Server, realtime
 
         check_duration("duration_s", self.duration_s)
         if not 0 <= self.seed < 2**64:
