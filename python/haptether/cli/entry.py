@@ -21,6 +21,7 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.demo import Demo
+from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
 from haptether.cli.list import List
@@ -59,6 +60,7 @@ COMMANDS: dict[str, type[Any]] = {
     "slave": Slave,
     "netsim": Netsim,
     "ur-emulator": UrEmulator,
+    "dynamixel-emulator": DynamixelEmulator,
     "check-link": CheckLink,
     "explain": Explain,
     "keygen": Keygen,
@@ -84,7 +86,7 @@ MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
 """More digits than a number has: nobody counts the zeros of 1e300."""
 
-NEVER_WAITS = (Master, Slave, Demo, UrEmulator, CheckLink, Proxy, Echo, Record)
+NEVER_WAITS = (Master, Slave, Demo, UrEmulator, DynamixelEmulator, CheckLink, Proxy, Echo, Record)
 """Commands that go on, and end, whether anybody reads what they print or not."""
 
 

@@ -1,0 +1,179 @@
+"""The control line: commands to the emulated bus, each a line and answered by a line."""
+
+import json
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+from haptether.dynamixel.emulator.servo import HardwareError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from haptether.dynamixel.emulator.bus import Bus
+    from haptether.dynamixel.emulator.server import Server
+    from haptether.dynamixel.emulator.servo import Servo
+
+MAX_TORQUE_NM: Final = 1000.0
+MAX_COUNT: Final = 1_000_000
+MAX_DURATION_S: Final = 3600.0
+SHOWN_LINES: Final = 20
+"""Lines of the log where no number is given."""
+
+
+class ControlLine:
+    """Commands of an operator or a test to the emulator.
+
+    Args:
+        bus: The servos.
+        process: The process that the bus runs in, if any.
+    """
+
+    def __init__(self, bus: "Bus", process: "Server | None" = None) -> None:
+        self._bus = bus
+        self._process = process
+        self.quit = False
+        """Whether the process is to end."""
+        self._commands: dict[str, Callable[[list[str], float], str | None]] = {
+            "help": lambda _a, _t: " ".join(sorted(self._commands)),
+            "status": lambda _a, now_s: json.dumps(self.status(now_s)),
+            "log": self._log,
+            "quit": self._quit,
+            "drop": self._fault("drop"),
+            "corrupt": self._fault("corrupt"),
+            "mute": self._fault("mute"),
+            "silent": self._silent,
+            "unplug": self._unplug,
+            "plug": self._plug,
+            "brown-out": self._brown_out,
+            "hardware-error": self._hardware_error,
+            "voltage": self._voltage,
+            "temperature": self._temperature,
+            "push": self._push,
+            "place": self._place,
+        }
+
+    def answer(self, line: str, now_s: float) -> str:
+        """The answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
+
+        Args:
+            line: The command with its arguments.
+            now_s: Time of the process in s.
+        """
+        name, *arguments = line.split() or [""]
+        command = self._commands.get(name)
+        if command is None:
+            shown = repr(name) if name else "an empty line"
+            return f"error: {shown}: must be one of {' '.join(sorted(self._commands))}"
+        try:
+            result = command(arguments, now_s)
+        except (ValueError, OSError) as error:
+            return f"error: {name}: {error}"
+        return f"ok {result}" if result else "ok"
+
+    def status(self, now_s: float) -> dict[str, Any]:
+        """State and figures."""
+        self._bus.advance(now_s)
+        return {**self._bus.figures(), **(self._process.figures() if self._process is not None else {})}
+
+    def _log(self, arguments: list[str], _now_s: float) -> str:
+        return json.dumps(list(self._bus.log)[-_count(arguments, SHOWN_LINES) :])
+
+    def _quit(self, _arguments: list[str], _now_s: float) -> None:
+        self.quit = True
+
+    def _fault(self, name: str) -> "Callable[[list[str], float], None]":
+        def set_fault(arguments: list[str], _now_s: float) -> None:
+            setattr(self._bus.faults, name, _count(arguments, 1))
+
+        return set_fault
+
+    def _silent(self, arguments: list[str], _now_s: float) -> None:
+        servo = self._servo(arguments)
+        if arguments[1:] not in (["on"], ["off"]):
+            _refuse("must be an id, and on or off")
+        servo.silent = arguments[1] == "on"
+
+    def _unplug(self, _arguments: list[str], _now_s: float) -> None:
+        self._server.unplug()
+
+    def _plug(self, _arguments: list[str], _now_s: float) -> str:
+        return self._server.plug()
+
+    def _brown_out(self, arguments: list[str], now_s: float) -> None:
+        (duration_s,) = _numbers(arguments, 1)
+        if not 0.0 <= duration_s <= MAX_DURATION_S:
+            _refuse(f"{duration_s:g}: must be 0 to {MAX_DURATION_S:g} s")
+        self._bus.brown_out(duration_s, now_s)
+
+    def _hardware_error(self, arguments: list[str], _now_s: float) -> None:
+        servo = self._servo(arguments)
+        names = {error.name.lower().replace("_", "-"): error for error in HardwareError if error.name}
+        if len(arguments) != 2 or arguments[1] not in names:
+            _refuse(f"must be an id and one of {' '.join(names)}")
+        servo.fail(names[arguments[1]])
+
+    def _voltage(self, arguments: list[str], _now_s: float) -> None:
+        (voltage_v,) = _numbers(arguments[:1], 1)
+        if not 0.0 <= voltage_v <= 100.0:
+            _refuse(f"{voltage_v:g}: must be 0 to 100 V")
+        for servo in [self._servo(arguments[1:])] if arguments[1:] else self._bus.servos:
+            servo.voltage_v = voltage_v
+
+    def _temperature(self, arguments: list[str], _now_s: float) -> None:
+        servo = self._servo(arguments)
+        (temperature_c,) = _numbers(arguments[1:], 1)
+        if not 0.0 <= temperature_c <= 255.0:
+            _refuse(f"{temperature_c:g}: must be 0 to 255 degC")
+        servo.temperature_c = temperature_c
+
+    def _push(self, arguments: list[str], now_s: float) -> None:
+        servo = self._servo(arguments)
+        (torque_nm,) = _numbers(arguments[1:], 1)
+        if abs(torque_nm) > MAX_TORQUE_NM:
+            _refuse(f"{torque_nm:g}: must be at most {MAX_TORQUE_NM:g} N m")
+        servo.advance(now_s)
+        servo.joint.pushed_nm = torque_nm
+
+    def _place(self, arguments: list[str], now_s: float) -> None:
+        servo = self._servo(arguments)
+        (position_rad,) = _numbers(arguments[1:], 1)
+        if abs(position_rad) > 1000.0:
+            _refuse(f"{position_rad:g}: must be at most 1000 rad")
+        servo.advance(now_s)
+        servo.joint.position_rad, servo.joint.velocity_rad_s = position_rad, 0.0
+        servo.advance(now_s)
+
+    @property
+    def _server(self) -> "Server":
+        if self._process is None:
+            message = "there is no port: the bus runs without a process"
+            raise ValueError(message)
+        return self._process
+
+    def _servo(self, arguments: list[str]) -> "Servo":
+        if not arguments or not arguments[0].isdecimal():
+            _refuse("the first must be the id of a servo")
+        return self._bus.servo(int(arguments[0][:6]))
+
+
+def _refuse(message: str) -> None:
+    raise ValueError(message)
+
+
+def _numbers(arguments: list[str], count: int) -> list[float]:
+    try:
+        numbers = [float(argument) for argument in arguments]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        _refuse(f"{' '.join(arguments)!r}: must be {count} finite number{'s' if count > 1 else ''}")
+    return numbers
+
+
+def _count(arguments: list[str], default: int) -> int:
+    if not arguments:
+        return default
+    (number,) = _numbers(arguments, 1)
+    if number != int(number) or not 1 <= number <= MAX_COUNT:
+        _refuse(f"{number:g}: must be a whole number, 1 to {MAX_COUNT}")
+    return int(number)

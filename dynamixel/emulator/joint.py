@@ -1,0 +1,135 @@
+"""What turns behind an emulated servo: one inertia with friction, and the servo's loops as simple as they can be."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from haptether.dynamixel.models import OperatingMode, ServoModel
+
+STEP_S: Final = 1e-3
+"""Of the integration; semi-implicit Euler, stable for the loops below."""
+MAX_CATCH_UP_S: Final = 0.5
+"""Time that is integrated after a pause; more is lost."""
+POSITION_BANDWIDTH: Final = 25.0
+"""Of the position loop, rad/s, critically damped."""
+VELOCITY_BANDWIDTH: Final = 50.0
+"""Of the velocity loop, 1/s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointSettings:
+    """The load of a servo. The maker states none of these: the defaults scale with its stall torque.
+
+    Raises:
+        ValueError: A number that is not finite or not in its range.
+    """
+
+    inertia: float
+    """J, kg m^2 at the output."""
+    viscous: float
+    """b, N m s/rad."""
+    coulomb: float
+    """c, N m."""
+
+    def __post_init__(self) -> None:
+        for name, value, allowed in (
+            ("inertia", self.inertia, self.inertia > 0.0),
+            ("viscous", self.viscous, self.viscous >= 0.0),
+            ("coulomb", self.coulomb, self.coulomb >= 0.0),
+        ):
+            if not (math.isfinite(value) and allowed):
+                limit = "positive" if name == "inertia" else "0 or more"
+                message = f"{name} = {value:g}: must be finite and {limit}"
+                raise ValueError(message)
+
+    @classmethod
+    def of(cls, model: ServoModel) -> "JointSettings":
+        """A load that a servo of this model moves well."""
+        torque = model.recommended.torque_nm
+        return cls(inertia=2e-3 * torque, viscous=0.1 * torque / model.no_load_rad_s, coulomb=0.02 * torque)
+
+
+class Joint:
+    """Angle q and velocity w of the output: J dw/dt = K_t i - b w - c sign(w) + torque of whoever pushes.
+
+    Args:
+        model: The servo.
+        settings: The load.
+        position_rad: q at the begin, from the mechanical centre.
+    """
+
+    def __init__(self, model: ServoModel, settings: JointSettings, position_rad: float = 0.0) -> None:
+        self.settings = settings
+        self.position_rad = position_rad
+        self.velocity_rad_s = 0.0
+        self.torque_nm = 0.0
+        """Of the motor, at the output."""
+        self.pushed_nm = 0.0
+        """Of whoever pushes."""
+        self.constant_nm_per_a = model.torque_constant_nm_per_a or model.stall_ratio_nm_per_a
+        self._stall_nm = model.recommended.torque_nm
+        self._no_load_rad_s = model.no_load_rad_s
+        self._time_s: float | None = None
+
+    @property
+    def current_a(self) -> float:
+        """Of the motor: i = torque / K_t."""
+        return self.torque_nm / self.constant_nm_per_a
+
+    @property
+    def load(self) -> float:
+        """Torque over stall torque, -1 to 1."""
+        return self.torque_nm / self._stall_nm
+
+    def advance(self, now_s: float, drive: "Drive | None") -> None:
+        """Integrates up to a time; without a drive the output runs free."""
+        if self._time_s is None or now_s - self._time_s > MAX_CATCH_UP_S:
+            self._time_s = now_s if self._time_s is None else now_s - MAX_CATCH_UP_S
+        while self._time_s + STEP_S <= now_s:
+            self._time_s += STEP_S
+            self._step(drive)
+
+    def _step(self, drive: "Drive | None") -> None:
+        J, b, c = self.settings.inertia, self.settings.viscous, self.settings.coulomb
+        self.torque_nm = 0.0 if drive is None else self._motor(drive)
+        w = (self.velocity_rad_s + STEP_S / J * (self.torque_nm + self.pushed_nm)) / (1.0 + STEP_S * b / J)
+        # Dry friction takes away what it can, down to standing still.
+        slowed = STEP_S / J * c
+        self.velocity_rad_s = math.copysign(max(abs(w) - slowed, 0.0), w)
+        self.position_rad += STEP_S * self.velocity_rad_s
+
+    def _motor(self, drive: "Drive") -> float:
+        J, w = self.settings.inertia, self.velocity_rad_s
+        limit = min(drive.limit_a * self.constant_nm_per_a, self._stall_nm)
+        if drive.mode == OperatingMode.CURRENT:
+            wanted = drive.goal * self.constant_nm_per_a
+        elif drive.mode == OperatingMode.VELOCITY:
+            wanted = J * VELOCITY_BANDWIDTH * (drive.goal - w) + self._friction(drive.goal)
+        elif drive.mode == OperatingMode.PWM:
+            wanted = drive.goal * self._stall_nm - self._stall_nm * w / self._no_load_rad_s
+        else:
+            error = drive.goal - self.position_rad
+            wanted = J * (POSITION_BANDWIDTH**2 * error - 2.0 * POSITION_BANDWIDTH * w) + self._friction(error)
+        # What the supply leaves over the voltage that the motor induces.
+        ahead = max(self._stall_nm * (1.0 - max(w, 0.0) / self._no_load_rad_s), 0.0)
+        behind = max(self._stall_nm * (1.0 - max(-w, 0.0) / self._no_load_rad_s), 0.0)
+        return min(max(wanted, -limit, -behind), limit, ahead)
+
+    def _friction(self, direction: float) -> float:
+        # In place of the integral part of a real loop.
+        return math.copysign(self.settings.coulomb, direction) if abs(direction) > 1e-3 else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """What a servo with torque on does.
+
+    Args:
+        mode: Its operating mode.
+        goal: In A, rad/s, rad or a fraction of the supply, by the mode.
+        limit_a: Of the current.
+    """
+
+    mode: OperatingMode
+    goal: float
+    limit_a: float

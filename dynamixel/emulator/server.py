@@ -1,0 +1,177 @@
+"""The process of an emulated bus: its pseudo-terminal and its clock; no other module has them."""
+
+import fcntl
+import os
+import select
+import struct
+import termios
+import time
+import tty
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from haptether.control_channel import ControlChannel
+    from haptether.dynamixel.emulator.bus import Bus
+
+RECEIVE: Final = 4096
+WATCH_S: Final = 0.01
+"""At most so long until the servos are moved on, for watchdogs and limits."""
+BITS_PER_BYTE: Final = 10
+"""With start and stop bit."""
+TCGETS2: Final = 0x802C542A
+"""Asks for `struct termios2`, whose rates are numbers and not codes. Source: Linux, asm-generic/ioctls.h."""
+TERMIOS2: Final = struct.Struct("4I20B2I")
+
+
+class Server:
+    """Serves a bus behind a pseudo-terminal, as a USB adapter does.
+
+    Args:
+        bus: The servos.
+        link: Path of a symbolic link to the terminal, whose own name changes with each plug; by default none.
+        wire_time: Have answers take as long as their bytes and those of the instruction do at the client's rate, and as
+            the return delay of each servo says; without it they come at once.
+        latency_s: Of the adapter's latency timer, added to each answer.
+        any_rate: Have servos understand every rate of the client.
+
+    Raises:
+        OSError: No terminal, or a link that cannot be made.
+        ValueError: A latency that cannot be.
+    """
+
+    def __init__(
+        self,
+        bus: "Bus",
+        *,
+        link: Path | None = None,
+        wire_time: bool = False,
+        latency_s: float = 0.0,
+        any_rate: bool = False,
+    ) -> None:
+        if not 0.0 <= latency_s <= 1.0:
+            message = f"latency_s = {latency_s:g}: must be 0 to 1 s"
+            raise ValueError(message)
+        self.bus = bus
+        self.channel: ControlChannel | None = None
+        """A further source of input of its loop."""
+        self.port: str | None = None
+        """Path of the terminal; none while unplugged."""
+        self._link = link
+        self._wire_time = wire_time
+        self._latency_s = latency_s
+        self._any_rate = any_rate
+        self._descriptors: tuple[int, int] | None = None
+        self._due: list[tuple[float, bytes]] = []
+        self._lost_bytes = 0
+        self.plug()
+
+    def plug(self) -> str:
+        """Makes a terminal, if there is none; its path, or that of the link."""
+        if self._descriptors is None:
+            # The other end is kept open, or reading fails while no client is there.
+            adapter, terminal = os.openpty()
+            try:
+                tty.setraw(terminal)
+                os.set_blocking(adapter, False)
+                self.port = os.ttyname(terminal)
+                if self._link is not None:
+                    _link(self._link, self.port)
+            except OSError:
+                os.close(adapter)
+                os.close(terminal)
+                raise
+            self._descriptors = adapter, terminal
+        return str(self._link or self.port)
+
+    def unplug(self) -> None:
+        """Takes the terminal away: a client reads an error from now on."""
+        if self._descriptors is not None:
+            for descriptor in self._descriptors:
+                os.close(descriptor)
+            self._descriptors = self.port = None
+            self._due = []
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
+
+    def figures(self) -> dict[str, Any]:
+        """The terminal, for `status`."""
+        return {"port": self.port, "baud": self._client_baud(), "lost_bytes": self._lost_bytes}
+
+    def run(self, stopped: "Callable[[], bool]") -> None:
+        """Serves until `stopped`."""
+        while not stopped():
+            self._wait()
+            now_s = time.monotonic()
+            self._send(now_s)
+            self.bus.advance(now_s)
+
+    def close(self) -> None:
+        """Takes terminal and link away."""
+        self.unplug()
+
+    def _wait(self) -> None:
+        channel = self.channel.readers() if self.channel is not None else []
+        own = [] if self._descriptors is None else [self._descriptors[0]]
+        now_s = time.monotonic()
+        until_s = min([now_s + WATCH_S, *(due for due, _ in self._due)])
+        readable, _, _ = select.select([*channel, *own], [], [], max(0.0, until_s - now_s))
+        for descriptor in readable:
+            if descriptor not in own:
+                if self.channel is not None:
+                    self.channel.serve(descriptor)
+            elif self._descriptors is not None and descriptor == self._descriptors[0]:
+                # Not unplugged by a control line meanwhile.
+                self._read(descriptor)
+
+    def _read(self, descriptor: int) -> None:
+        try:
+            received = os.read(descriptor, RECEIVE)
+        except OSError:
+            return
+        now_s = time.monotonic()
+        baud = self._client_baud()
+        answers = self.bus.receive(received, now_s, None if self._any_rate else baud)
+        due_s = now_s + self._latency_s
+        if self._wire_time and baud:
+            due_s += BITS_PER_BYTE * len(received) / baud
+        for answer in answers:
+            if self._wire_time and baud:
+                due_s += answer.delay_s + BITS_PER_BYTE * len(answer.sent) / baud
+            self._due.append((due_s, answer.sent))
+        self._send(time.monotonic())
+
+    def _send(self, now_s: float) -> None:
+        if self._descriptors is None:
+            return
+        while self._due and self._due[0][0] <= now_s:
+            _, sent = self._due.pop(0)
+            try:
+                written = os.write(self._descriptors[0], sent)
+            except BlockingIOError:
+                written = 0
+            # A client that does not read loses what does not fit, as an adapter does.
+            self._lost_bytes += len(sent) - written
+
+    def _client_baud(self) -> int | None:
+        if self._descriptors is None:
+            return None
+        try:
+            answer = fcntl.ioctl(self._descriptors[0], TCGETS2, bytes(TERMIOS2.size))
+        except OSError:
+            # Not this system's: the codes then.
+            codes = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdecimal()}
+            return codes.get(termios.tcgetattr(self._descriptors[0])[5])
+        return int(TERMIOS2.unpack(answer)[-1])
+
+
+def _link(path: Path, port: str) -> None:
+    if path.is_symlink():
+        path.unlink()
+    try:
+        path.symlink_to(port)
+    except FileExistsError:
+        message = f"{path}: exists and is no symbolic link: name another, or remove it"
+        raise FileExistsError(message) from None

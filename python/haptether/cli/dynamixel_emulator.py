@@ -1,0 +1,135 @@
+"""`haptether dynamixel-emulator`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.dynamixel.emulator import Server, Servo
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamixelEmulator:
+    """Emulate a bus of Dynamixel servos behind a pseudo-terminal, for the real client libraries.
+
+    Servos of the X series speak Protocol 2.0 with the control tables of their models: EEPROM that is locked while
+    torque is on, operating modes, limits, bus watchdog, hardware errors. Behind each turns an inertia with friction.
+    docs/dynamixel.md has what is modelled, and the lines of --control that push a joint and make things go wrong.
+
+    Examples:
+
+    haptether dynamixel-emulator --servos 1=XM430-W350 2=XL330-M288
+
+    haptether dynamixel-emulator --link /tmp/leader --baud 1000000 --wire-time --control -
+    """
+
+    servos: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=MODEL")] = (
+        "1=XM430-W350", "2=XM430-W350", "3=XM430-W350", "4=XL330-M288", "5=XL330-M288", "6=XL330-M288", "7=XL330-M077",
+    )  # fmt: skip
+    """The servos, as ID=MODEL."""
+    baud: int = 4_000_000
+    """Rate that the servos are set to, in bit/s: a client of another rate gets no answer."""
+    any_rate: bool = False
+    """Let the servos understand every rate."""
+    firmware: int = 52
+    """Version that they report; fast reads are known from 45 on, by 330 models from 46 on."""
+    start: Annotated[tuple[float, ...], tyro.conf.arg(metavar="Q")] = ()
+    """Joint angles at the begin, in rad from the mechanical centre; by default 0."""
+    return_delay: int = 0
+    """Return Delay Time that they begin with, in 2 us; out of the box it is 250."""
+    wire_time: bool = False
+    """Have answers take as long as on a wire, with the return delay."""
+    latency_ms: float = 0.0
+    """Latency timer of the adapter, in ms: 16 is what many have out of the box."""
+    link: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """A symbolic link to the terminal, which stays the same when it is unplugged and plugged."""
+    seed: int = 0
+    """Seed of which bytes are lost or wrong."""
+    control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
+    """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """End after this time in s; without it, run until Ctrl-C."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write state and figures as JSON at the end; - for standard output."""
+
+    def run(self) -> int:
+        """Serves until it is stopped."""
+        import sys
+        import time
+
+        from haptether.cli.shared.numbers import check_duration
+        from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
+        from haptether.cli.shared.stop import Stopped
+        from haptether.control_channel import ControlChannel
+        from haptether.dynamixel.emulator import Bus, ControlLine, Server
+
+        check_duration("duration_s", self.duration_s)
+        check_target(self.json)
+        if not 0 <= self.seed < 2**64:
+            message = f"seed = {self.seed}: must be 0 to 2^64 - 1"
+            raise ValueError(message)
+        if not 0.0 <= self.latency_ms <= 1000.0:
+            message = f"latency_ms = {self.latency_ms:g}: must be 0 to 1000 ms"
+            raise ValueError(message)
+        bus = Bus(self._servos(), self.seed)
+        server = Server(
+            bus, link=self.link, wire_time=self.wire_time, latency_s=1e-3 * self.latency_ms, any_rate=self.any_rate
+        )
+        line = ControlLine(bus, server)
+        end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
+        with Stopped() as stopped:
+            channel = None
+            try:
+                if self.control is not None:
+                    try:
+                        channel = server.channel = ControlChannel(self.control, line)
+                    except OverflowError:
+                        message = f"control = {self.control}: the port must be 0 to 65535"
+                        raise ValueError(message) from None
+                # Whoever started this process reads the line to learn which port it is.
+                stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
+                controlled = "" if channel is None else f", controlled by {channel.address}"
+                print(f"{self._headline(server)}{controlled}", file=stream, flush=True)
+                server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
+            finally:
+                figures = line.status(time.monotonic())
+                server.close()
+                if channel is not None:
+                    channel.close()
+        if self.json is not None:
+            write_report(self.json, figures)
+        return 0
+
+    def _headline(self, server: "Server") -> str:
+        names = ", ".join(f"{servo.id} {servo.model.name}" for servo in server.bus.servos)
+        return f"servos {names} on {self.link or server.port} at {self.baud} bit/s"
+
+    def _servos(self) -> "list[Servo]":
+        from haptether.dynamixel import SERVO_MODELS
+        from haptether.dynamixel.emulator import Servo
+
+        if self.start and len(self.start) != len(self.servos):
+            message = f"start: {len(self.start)} angles: must be {len(self.servos)}, one of each servo"
+            raise ValueError(message)
+        delay = SERVO_MODELS["XM430-W350"].table["Return Delay Time"]
+        if not 0 <= self.return_delay <= (delay.maximum or 0):
+            message = f"return_delay = {self.return_delay}: must be 0 to {delay.maximum}"
+            raise ValueError(message)
+        servos = []
+        for index, text in enumerate(self.servos):
+            number, _, name = text.partition("=")
+            if not (number.isdecimal() and len(number) <= 3 and name in SERVO_MODELS):
+                message = f"servos = {text}: must be ID=MODEL with a model of {', '.join(SERVO_MODELS)}"
+                raise ValueError(message)
+            position_rad = self.start[index] if self.start else 0.0
+            if not abs(position_rad) <= 1000.0:
+                message = f"start = {position_rad:g}: must be at most 1000 rad"
+                raise ValueError(message)
+            servo = Servo(
+                SERVO_MODELS[name], int(number), baud=self.baud, firmware=self.firmware, position_rad=position_rad
+            )
+            servo.write(delay.address, delay.encoded(self.return_delay), 0.0)
+            servos.append(servo)
+        return servos
