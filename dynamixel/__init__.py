@@ -1,5 +1,6 @@
-"""The bus of Dynamixel servos, for leader arms and follower arms: control tables, models, and an emulator."""
+"""The bus of Dynamixel servos, for leader arms and follower arms: protocol, control tables, models, an emulator."""
 
+from haptether._core import DynamixelBus, SyncRead
 from haptether.dynamixel.control_table import ControlTable, Item
 from haptether.dynamixel.models import (
     BAUD_RATES,
@@ -15,8 +16,10 @@ __all__ = [
     "SERVO_MODELS",
     "SERVO_MODELS_BY_NUMBER",
     "ControlTable",
+    "DynamixelBus",
     "Item",
     "OperatingMode",
     "ServoModel",
     "Stall",
+    "SyncRead",
 ]

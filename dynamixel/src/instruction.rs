@@ -132,6 +132,12 @@ pub enum RequestError {
     /// No servo at all.
     #[error("no servo is named: must be at least one")]
     NoServo,
+    /// More servos than [`crate::MAX_SERVOS`] in one read.
+    #[error("{seen} servos in one read: must be at most {}", crate::MAX_SERVOS)]
+    TooMany {
+        /// Servos that were named.
+        seen: usize,
+    },
     /// Nothing to read or to write.
     #[error("length 0: must be at least one byte")]
     Empty,

@@ -1,19 +1,21 @@
 //! The bus of Dynamixel servos: Protocol 2.0, as pure state machines.
 //!
 //! [`Packet`] encodes an [`Instruction`], [`StatusParser`] turns bytes into checked answers, and [`SyncRead`] is one read
-//! of several servos, which gives the values of all of them or none. Nothing here owns a port or a clock, and nothing
-//! allocates.
+//! of several servos, which gives the values of all of them or none. They own no port and no clock, and allocate nothing;
+//! [`Bus`] has both and drives them.
 //!
 //! Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0.
 
 mod crc;
 mod error;
 mod instruction;
+mod live;
 mod parser;
 mod sync_read;
 
 pub use crc::{Crc16, crc16};
 pub use error::{Refusal, StatusError};
 pub use instruction::{BROADCAST, BulkItem, Instruction, MAX_ID, MAX_PACKET, Packet, RequestError};
+pub use live::{Bus, BusError};
 pub use parser::{FastReply, FrameError, Received, Status, StatusParser};
 pub use sync_read::{MAX_SERVOS, Progress, Reply, SyncRead, SyncReadError};

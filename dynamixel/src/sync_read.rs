@@ -104,7 +104,10 @@ impl SyncRead {
             Instruction::SyncRead { address, length, ids }
         })?;
         let bytes = (usize::from(length) + 4) * ids.len() + OVERHEAD;
-        if ids.len() > MAX_SERVOS || bytes > MAX_PACKET {
+        if ids.len() > MAX_SERVOS {
+            return Err(RequestError::TooMany { seen: ids.len() });
+        }
+        if bytes > MAX_PACKET {
             return Err(RequestError::TooLong { seen: bytes });
         }
         let mut kept = [0; MAX_SERVOS];
@@ -172,6 +175,12 @@ impl SyncRead {
             }
         }
         Ok(Progress::Complete)
+    }
+
+    /// Bytes of all answers together, at most.
+    pub(crate) fn answer_size(&self) -> usize {
+        // Stuffing adds a byte to three.
+        self.count * (2 * self.length + OVERHEAD)
     }
 
     /// What the servos answered, in their order, once all have.

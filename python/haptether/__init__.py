@@ -1,8 +1,8 @@
 """Haptether: a bilateral teleoperation bridge that keeps a hand safe when the remote end pushes back.
 
 `simulate` runs a scene, `sweep` runs it for many values of its numbers. Rooms: `haptether.safety`,
-`haptether.netsim`, `haptether.master`, `haptether.slave`, `haptether.bridge`, `haptether.studies`. SI units and
-radians throughout; a positive force pushes along +x.
+`haptether.netsim`, `haptether.dynamixel`, `haptether.master`, `haptether.slave`, `haptether.bridge`,
+`haptether.studies`. SI units and radians throughout; a positive force pushes along +x.
 """
 
 # Without imports: a command that is only being loaded takes Ctrl-C as soon as this is done.

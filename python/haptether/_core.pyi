@@ -28,6 +28,7 @@ __all__ = [
     "OBSERVERS",
     "DeviceModel",
     "DirectionStatistics",
+    "DynamixelBus",
     "Echo",
     "Estimator",
     "EstimatorKind",
@@ -64,6 +65,7 @@ __all__ = [
     "Sinusoid",
     "SlaveLoop",
     "SlaveTrace",
+    "SyncRead",
     "UrInverseSolver",
     "VelocityForceObserver",
     "Wall",
@@ -2460,6 +2462,76 @@ def ladder_state_name(code: int) -> str:
         ValueError: No such code.
         OverflowError: A code outside 0 to 255.
     """
+
+# ------------------------------------------------------------------------------------------- dynamixel
+
+@final
+class SyncRead:
+    """A read of the same addresses of several servos, whose values come together or not at all.
+
+    Args:
+        address: First address.
+        length: Bytes of each.
+        ids: The servos, in the order of their values, none twice.
+        fast: Whether they answer with one packet, which newer firmware can, or each with its own.
+
+    Raises:
+        ValueError: What no packet can carry.
+    """
+
+    def __new__(cls, address: int, length: int, ids: Sequence[int], *, fast: bool = True) -> SyncRead: ...
+    @property
+    def alerts(self) -> tuple[int, ...]:
+        """The servos that reported a hardware error in the last read; their values are valid."""
+
+@final
+class DynamixelBus:
+    """The servos on one serial port, with Protocol 2.0 in Rust; one thread at a time.
+
+    An answer must be there `timeout_s` after its bytes could be. Before the first instruction, and after one that
+    failed, the line must be silent for as long, so that no late answer is taken for a new one.
+
+    Args:
+        port: Path of the serial port.
+        baud: Rate in bit/s, 1200 to 10 000 000.
+        timeout_s: 0.001 to 10 s.
+
+    Raises:
+        ValueError: A rate or a timeout that cannot be.
+        OSError: A port that cannot be opened, or that another process has.
+    """
+
+    def __new__(cls, port: str, *, baud: int, timeout_s: float = 0.02) -> DynamixelBus: ...
+    def ping(self, servo_id: int) -> tuple[int, int]:
+        """Model number and firmware version.
+
+        Raises:
+            TimeoutError: No answer, and so below.
+            OSError: The port is gone, and so below.
+            RuntimeError: A wrong answer, or one that says no, and so below.
+        """
+
+    def read(self, servo_id: int, address: int, length: int) -> bytes:
+        """Bytes from an address on."""
+
+    def write(self, servo_id: int, address: int, written: bytes) -> bool:
+        """Sets bytes from an address on; whether the servo has a hardware error. Of id 254, all, nothing is answered."""
+
+    def reboot(self, servo_id: int) -> None:
+        """Starts a servo anew, which is silent for a while then."""
+
+    def sync_read(self, read: SyncRead) -> bytes:
+        """The bytes of all servos, one after the other."""
+
+    def sync_write(self, address: int, length: int, ids: bytes, written: bytes) -> None:
+        """Sets `length` bytes of each servo; none answers, and what is refused is not seen.
+
+        Raises:
+            ValueError: Bytes that do not fit the ids.
+        """
+
+    def close(self) -> None:
+        """Gives the port back; any other call raises `ValueError` then."""
 
 # ---------------------------------------------------------------------------------------------- scenes
 

@@ -11,6 +11,7 @@ mod bridge;
 mod bridge_live;
 mod bridge_trace;
 mod device_loop;
+mod dynamixel;
 mod live;
 mod local;
 mod netsim;
@@ -29,6 +30,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     local::register(module)?;
     ur::register(module)?;
     netsim::register(module)?;
+    dynamixel::register(module)?;
     scene::register(module)?;
     ur_environment::register(module)?;
     bridge_trace::register(module)?;

@@ -1,0 +1,243 @@
+//! Instructions with their answers, each within a deadline.
+
+use std::path::Path;
+
+use rustix::io::Errno;
+
+use super::port::{SerialPort, now_ns};
+use crate::{
+    error::StatusError,
+    instruction::{BROADCAST, Instruction, Packet, RequestError},
+    parser::{FrameError, Received, StatusParser},
+    sync_read::{Progress, SyncRead, SyncReadError},
+};
+
+/// Start bit, eight bits, stop bit.
+const BITS_PER_BYTE: u64 = 10;
+/// Bytes of a status packet without parameters.
+const STATUS_OVERHEAD: usize = 11;
+const SECOND_NS: u64 = 1_000_000_000;
+/// A line that does not fall silent after a failure is given up after so many timeouts.
+const MAX_SETTLING: u64 = 8;
+
+/// Why an instruction has no result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum BusError {
+    /// It cannot be sent.
+    #[error(transparent)]
+    Request(#[from] RequestError),
+    /// Another process of ours has the port.
+    #[error("another process has the port: it must end first")]
+    Busy,
+    /// The port is gone, or the system refuses it.
+    #[error(transparent)]
+    Port(#[from] Errno),
+    /// No answer, or only a part of one.
+    #[error("id {id} did not answer within {timeout_ms} ms")]
+    Silent {
+        /// The servo; of several the first.
+        id: u8,
+        /// How long was waited.
+        timeout_ms: u64,
+    },
+    /// After a failure the line went on: two controllers, or an adapter that echoes.
+    #[error("bytes arrive without an instruction: the bus must have one controller, and no echo")]
+    Noise,
+    /// A packet that is none.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// Another servo answered.
+    #[error("id {seen} answered: must be id {allowed}")]
+    Id {
+        /// The one that answered.
+        seen: u8,
+        /// The one that was asked.
+        allowed: u8,
+    },
+    /// Other than the number of bytes that belong to the answer.
+    #[error("{seen} bytes of id {id}: must be {allowed}")]
+    Length {
+        /// The servo.
+        id: u8,
+        /// Bytes that came.
+        seen: usize,
+        /// Bytes of such an answer.
+        allowed: usize,
+    },
+    /// The servo refuses.
+    #[error("id {id}: {error}")]
+    Refused {
+        /// The servo.
+        id: u8,
+        /// What it said.
+        error: StatusError,
+    },
+    /// A read of several servos failed.
+    #[error(transparent)]
+    SyncRead(#[from] SyncReadError),
+}
+
+/// The servos on one serial port, of which this is the only controller.
+///
+/// At the begin and after a failure what may still arrive is waited for, until the line has been silent for the timeout:
+/// an answer is then not taken for that to the next instruction, unless it is later than two timeouts.
+#[derive(Debug)]
+pub struct Bus {
+    port: SerialPort,
+    baud: u32,
+    timeout_ns: u64,
+    packet: Packet,
+    parser: StatusParser,
+    unsettled: bool,
+}
+
+impl Bus {
+    /// Opens a port at a rate in bit/s. An answer may take `timeout_ns` longer than its bytes take on the wire.
+    pub fn open(path: &Path, baud: u32, timeout_ns: u64) -> Result<Self, BusError> {
+        Ok(Self {
+            port: SerialPort::open(path, baud).map_err(|error| match error {
+                Errno::WOULDBLOCK => BusError::Busy,
+                other => other.into(),
+            })?,
+            baud,
+            timeout_ns,
+            packet: Packet::default(),
+            parser: StatusParser::default(),
+            // Whoever had the port before may have asked for something.
+            unsettled: true,
+        })
+    }
+
+    /// Model number and firmware version of a servo.
+    pub fn ping(&mut self, id: u8) -> Result<(u16, u8), BusError> {
+        let mut answer = [0; 3];
+        self.ask(&Instruction::Ping { id }, id, &mut answer)?;
+        Ok((u16::from_le_bytes([answer[0], answer[1]]), answer[2]))
+    }
+
+    /// Bytes from an address on; whether the servo has a hardware error.
+    pub fn read(&mut self, id: u8, address: u16, bytes: &mut [u8]) -> Result<bool, BusError> {
+        let length = u16::try_from(bytes.len()).map_err(|_| RequestError::TooLong { seen: bytes.len() })?;
+        self.ask(&Instruction::Read { id, address, length }, id, bytes)
+    }
+
+    /// Sets bytes from an address on; whether the servo has a hardware error. Of [`BROADCAST`] nothing is answered.
+    pub fn write(&mut self, id: u8, address: u16, data: &[u8]) -> Result<bool, BusError> {
+        self.ask(&Instruction::Write { id, address, data }, id, &mut [])
+    }
+
+    /// Starts a servo anew; it is silent for a while then. Of [`BROADCAST`] nothing is answered.
+    pub fn reboot(&mut self, id: u8) -> Result<bool, BusError> {
+        self.ask(&Instruction::Reboot { id }, id, &mut [])
+    }
+
+    /// Reads several servos: afterwards [`SyncRead::replies`] has the values of all, or none.
+    pub fn sync_read(&mut self, read: &mut SyncRead) -> Result<(), BusError> {
+        self.settle()?;
+        let result = self.exchange(read);
+        self.unsettled = result.is_err();
+        result
+    }
+
+    fn exchange(&mut self, read: &mut SyncRead) -> Result<(), BusError> {
+        let expected = read.answer_size();
+        self.port.discard()?;
+        let request = read.begin();
+        let deadline_ns = self.deadline_ns(request.len() + expected);
+        self.port.send(request, deadline_ns)?;
+        let mut buffer = [0; 256];
+        loop {
+            let count = self.port.receive(&mut buffer, deadline_ns)?;
+            if count == 0 {
+                let id = read.unanswered().first().copied().unwrap_or(BROADCAST);
+                return Err(self.silent(id));
+            }
+            if read.receive(&buffer[..count])? == Progress::Complete {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Sets the same bytes of several servos; none answers.
+    pub fn sync_write(&mut self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
+        self.packet.encode(&Instruction::SyncWrite { address, length, ids, data })?;
+        let bytes = self.packet.bytes();
+        Ok(self.port.send(bytes, self.deadline_ns(bytes.len()))?)
+    }
+
+    /// One instruction with the answer of one servo.
+    fn ask(&mut self, instruction: &Instruction<'_>, id: u8, answer: &mut [u8]) -> Result<bool, BusError> {
+        self.packet.encode(instruction)?;
+        if id == BROADCAST {
+            let bytes = self.packet.bytes();
+            return if answer.is_empty() {
+                self.port.send(bytes, self.deadline_ns(bytes.len()))?;
+                Ok(false)
+            } else {
+                Err(RequestError::Id { seen: id }.into())
+            };
+        }
+        self.settle()?;
+        let result = self.answered(id, answer);
+        // What a servo refuses it has answered.
+        self.unsettled = !matches!(result, Ok(_) | Err(BusError::Refused { .. }));
+        result
+    }
+
+    fn answered(&mut self, id: u8, answer: &mut [u8]) -> Result<bool, BusError> {
+        self.parser.reset();
+        self.port.discard()?;
+        let request = self.packet.bytes();
+        let deadline_ns = self.deadline_ns(request.len() + STATUS_OVERHEAD + 2 * answer.len());
+        self.port.send(request, deadline_ns)?;
+        let silent = self.silent(id);
+        let mut buffer = [0; 256];
+        loop {
+            let count = self.port.receive(&mut buffer, deadline_ns)?;
+            if count == 0 {
+                return Err(silent);
+            }
+            let mut rest = &buffer[..count];
+            let Some(received) = self.parser.next(&mut rest) else { continue };
+            let status = match received? {
+                Received::Status(status) => status,
+                Received::Fast(_) => return Err(BusError::Id { seen: BROADCAST, allowed: id }),
+            };
+            if status.id != id {
+                return Err(BusError::Id { seen: status.id, allowed: id });
+            }
+            if status.error.refusal().is_some() {
+                return Err(BusError::Refused { id, error: status.error });
+            }
+            if status.parameters.len() != answer.len() {
+                return Err(BusError::Length { id, seen: status.parameters.len(), allowed: answer.len() });
+            }
+            answer.copy_from_slice(status.parameters);
+            return Ok(status.error.alert());
+        }
+    }
+
+    /// After a failure: waits until the line is silent.
+    fn settle(&mut self) -> Result<(), BusError> {
+        if !self.unsettled {
+            return Ok(());
+        }
+        let mut buffer = [0; 256];
+        let given_up_ns = now_ns() + MAX_SETTLING * self.timeout_ns;
+        while self.port.receive(&mut buffer, now_ns() + self.timeout_ns)? > 0 {
+            if now_ns() > given_up_ns {
+                return Err(BusError::Noise);
+            }
+        }
+        self.unsettled = false;
+        Ok(())
+    }
+
+    fn deadline_ns(&self, bytes: usize) -> u64 {
+        now_ns() + self.timeout_ns + BITS_PER_BYTE * SECOND_NS * bytes as u64 / u64::from(self.baud.max(1))
+    }
+
+    fn silent(&self, id: u8) -> BusError {
+        BusError::Silent { id, timeout_ms: self.timeout_ns / 1_000_000 }
+    }
+}

@@ -1,0 +1,6 @@
+//! The bus on a serial port: the only code here that has a descriptor or a clock.
+
+mod bus;
+mod port;
+
+pub use bus::{Bus, BusError};

@@ -1,0 +1,99 @@
+//! A serial port that nobody else of ours has, and the clock of its deadlines.
+
+use std::path::Path;
+
+use rustix::{
+    event::{PollFd, PollFlags, poll},
+    fd::OwnedFd,
+    fs::{FlockOperation, Mode, OFlags, flock, open},
+    io::{Errno, read, write},
+    termios::{ControlModes, OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr},
+    thread::ClockId,
+    time::{Timespec, clock_gettime},
+};
+
+const SECOND_NS: u64 = 1_000_000_000;
+
+/// Time of the system's monotonic clock in ns.
+pub(super) fn now_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    #[allow(clippy::cast_sign_loss)] // the monotonic clock starts at boot
+    let (seconds, nanoseconds) = (now.tv_sec as u64, now.tv_nsec as u64);
+    seconds * SECOND_NS + nanoseconds
+}
+
+/// A serial port: raw, 8 bits, no parity, one stop bit.
+#[derive(Debug)]
+pub(super) struct SerialPort {
+    descriptor: OwnedFd,
+}
+
+impl SerialPort {
+    /// Opens it at a rate in bit/s; [`Errno::WOULDBLOCK`] if another process of ours has it.
+    pub(super) fn open(path: &Path, baud: u32) -> Result<Self, Errno> {
+        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let descriptor = open(path, flags, Mode::empty())?;
+        flock(&descriptor, FlockOperation::NonBlockingLockExclusive)?;
+        let mut settings = tcgetattr(&descriptor)?;
+        settings.make_raw();
+        settings.control_modes |= ControlModes::CREAD | ControlModes::CLOCAL;
+        settings.control_modes &= !(ControlModes::CSTOPB | ControlModes::CRTSCTS);
+        settings.set_speed(baud)?;
+        tcsetattr(&descriptor, OptionalActions::Flush, &settings)?;
+        Ok(Self { descriptor })
+    }
+
+    /// Forgets what has arrived.
+    pub(super) fn discard(&self) -> Result<(), Errno> {
+        tcflush(&self.descriptor, QueueSelector::IFlush)
+    }
+
+    /// Sends all bytes before a deadline; [`Errno::TIMEDOUT`] otherwise.
+    pub(super) fn send(&self, mut bytes: &[u8], deadline_ns: u64) -> Result<(), Errno> {
+        while !bytes.is_empty() {
+            match write(&self.descriptor, bytes) {
+                Ok(count) => bytes = &bytes[count..],
+                Err(Errno::AGAIN | Errno::INTR) => {
+                    if !self.wait(PollFlags::OUT, deadline_ns)? {
+                        return Err(Errno::TIMEDOUT);
+                    }
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    /// Bytes that arrive before a deadline; 0 if none do.
+    pub(super) fn receive(&self, buffer: &mut [u8], deadline_ns: u64) -> Result<usize, Errno> {
+        loop {
+            if !self.wait(PollFlags::IN, deadline_ns)? {
+                return Ok(0);
+            }
+            match read(&self.descriptor, &mut *buffer) {
+                // The end of a file: the adapter is gone.
+                Ok(0) => return Err(Errno::IO),
+                Ok(count) => return Ok(count),
+                Err(Errno::AGAIN | Errno::INTR) => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn wait(&self, flags: PollFlags, deadline_ns: u64) -> Result<bool, Errno> {
+        loop {
+            let left_ns = deadline_ns.saturating_sub(now_ns());
+            #[allow(clippy::cast_possible_wrap)] // 292 years
+            let timeout =
+                Timespec { tv_sec: (left_ns / SECOND_NS) as i64, tv_nsec: (left_ns % SECOND_NS) as i64 };
+            let mut waited = [PollFd::new(&self.descriptor, flags)];
+            match poll(&mut waited, Some(&timeout)) {
+                Ok(0) => return Ok(false),
+                // What went wrong is what the call says that comes next.
+                Ok(_) => return Ok(true),
+                Err(Errno::INTR) => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+}
