@@ -87,6 +87,8 @@ class Bus:
         self._random = random.Random(seed)
         self._hearing: list[Servo] = []
         """Those that understand what is being received."""
+        self._obeying: dict[int, list[Servo]] = {}
+        """Of those, by the ids that they obey: their own and their shadow's."""
         self._handlers: dict[int, Callable[[Instruction, float], list[Answer]]] = {
             Code.PING: self._ping,
             Code.READ: self._read,
@@ -123,6 +125,10 @@ class Bus:
         answers = []
         for instruction in self.reader.receive(received, now_s):
             self._hearing = [s for s in self.servos if s.is_listening(now_s) and baud in {None, s.baud}]
+            self._obeying = {}
+            for servo in self._hearing:
+                for servo_id in {servo.id, _shadow(servo)}:
+                    self._obeying.setdefault(servo_id, []).append(servo)
             answers += self._handle(instruction, now_s)
         return answers
 
@@ -195,7 +201,7 @@ class Bus:
         """Who obeys: all, or those of this id or shadow id."""
         if instruction.id == BROADCAST:
             return self._hearing
-        return [s for s in self._hearing if instruction.id in {s.id, _shadow(s)}]
+        return self._obeying.get(instruction.id, [])
 
     def _each(self, instruction: Instruction, do: Callable[[Servo], ErrorNumber]) -> list[Answer]:
         """Has each addressed servo do something, and answer where it is the one that is meant.
@@ -303,16 +309,15 @@ class Bus:
         return []
 
     def _set(self, servo_id: int, address: int, written: bytes, now_s: float) -> None:
-        for servo in self._hearing:
-            if servo_id in {servo.id, _shadow(servo)}:
-                error = servo.write(address, written, now_s)
-                if error != ErrorNumber.NONE:
-                    # The client does not learn of it.
-                    self.write_log(f"id {servo.id} refused a write to {address}: {error.name.lower()}")
+        for servo in self._obeying.get(servo_id, []):
+            error = servo.write(address, written, now_s)
+            if error != ErrorNumber.NONE:
+                # The client does not learn of it.
+                self.write_log(f"id {servo.id} refused a write to {address}: {error.name.lower()}")
 
     def _answering(self, servo_id: int) -> Servo | None:
         """The servo of an id, if it answers reads."""
-        for servo in self._hearing:
+        for servo in self._obeying.get(servo_id, []):
             if servo.id == servo_id and not servo.silent and servo.return_level >= 1:
                 return servo
         return None

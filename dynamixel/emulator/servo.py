@@ -22,6 +22,8 @@ REVERSE: Final = 1
 """Bit of the drive mode."""
 IN_POSITION, FOLLOWING = 0x01, 0x02
 IN_POSITION_TICKS: Final = 20
+FORMATS: Final = {(1, False): "B", (1, True): "b", (2, False): "H", (2, True): "h", (4, False): "I", (4, True): "i"}
+"""Of an entry, by its bytes and whether it is signed."""
 MEASURED: Final = struct.Struct("<HBBhhiiiiHB")
 """What stands at addresses 120 to 146 of every model."""
 
@@ -79,6 +81,10 @@ class Servo:
         """Whether it hears and does, but does not answer."""
         self.restarts = 0
         self._memory = bytearray(model.table.size)
+        self._decoded = {
+            item.name: (struct.Struct("<" + FORMATS[item.size, item.signed]).unpack_from, item.address)
+            for item in model.table.items
+        }
         self._offset_turns = 0
         self._current_unit_a = model.current_unit_a
         self._indirect = {
@@ -149,8 +155,8 @@ class Servo:
 
     def value(self, name: str) -> int:
         """An entry of its table."""
-        item = self.model.table[name]
-        return item.decoded(bytes(self._memory[item.address : item.address + item.size]))
+        unpack, address = self._decoded[name]
+        return int(unpack(self._memory, address)[0])
 
     def figures(self) -> dict[str, Any]:
         """State, for people and tests."""
