@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from dynamixel_sdk import PacketHandler, PortHandler  # type: ignore[import-untyped]
+from dynamixel_sdk import PacketHandler, PortHandler, port_handler  # type: ignore[import-untyped]
 from tests.ur.emulated import START_S, Emulated
 
 BAUD = 4_000_000
+# What the client waits for an answer beyond its bytes: 2 n + 2 ms, of which a machine that tests may take more than 34.
+port_handler.LATENCY_TIMER = 150
 
 
 class EmulatedBus(Emulated):
