@@ -28,6 +28,7 @@ from haptether.bridge.scene.run import Event, Metrics, Run, Signals, simulate
 from haptether.bridge.scene.sweep import Sweep, sweep
 from haptether.bridge.scene.tables.master import (
     ButtonsTable,
+    FingerTable,
     LegTable,
     MasterTable,
     OperatorRotationTable,
@@ -38,6 +39,7 @@ from haptether.bridge.scene.tables.master import (
     RotationTable,
     SeriesTable,
     TremorTable,
+    TriggerTable,
 )
 from haptether.bridge.scene.tables.session import (
     AdaptiveWindow,
@@ -58,6 +60,7 @@ from haptether.bridge.scene.tables.session import (
     SavitzkyGolay,
     Scene,
     SecurityTable,
+    TriggerSafetyTable,
 )
 from haptether.bridge.scene.tables.slave import (
     BodyTable,
@@ -99,6 +102,7 @@ __all__ = [
     "DeviceRun",
     "EnvironmentTable",
     "Event",
+    "FingerTable",
     "ForceSensorTable",
     "GripperTable",
     "HandleTable",
@@ -158,6 +162,8 @@ __all__ = [
     "ToolTable",
     "TorqueTable",
     "TremorTable",
+    "TriggerSafetyTable",
+    "TriggerTable",
     "device_names",
     "drive_master",
     "drive_slave",

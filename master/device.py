@@ -39,6 +39,10 @@ class MasterDevice(Protocol):
     A driver may have `kinds`, those of the scenes that it can be in: "linear", "joints", "pose"; without it, the first
     two. In a scene of kind "pose" every sample has an orientation, and `write` is called with force and torque.
 
+    A driver whose trigger has a motor has `write_trigger(force_n)`: in a scene with `[master.gripper]` it is called
+    after each `write`, with F_device in N at the finger, positive closing, to be exerted until the next call. Without
+    it such a scene is refused; in other scenes it is not called.
+
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
     whose `[run] period_s` is off by more than 1 % is refused then, before any force.
     """

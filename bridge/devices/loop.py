@@ -14,6 +14,7 @@ from haptether.bridge.devices.open import (
     DeviceError,
     DeviceNotes,
     check_kind,
+    check_trigger,
     close_once,
     encodable,
     failure,
@@ -64,6 +65,7 @@ def drive_master(
     check_kind(device, loop.kind)
     turns = loop.kind == "pose"
     write: Callable[..., None] = device.write
+    write_trigger = check_trigger(device, is_felt=loop.trigger_force is not None)
     rest: tuple[tuple[float, ...], ...] = ()
 
     def step() -> bool:
@@ -83,11 +85,17 @@ def drive_master(
         else:
             write(force)
             rest = ((0.0,) * len(force),)
+        if write_trigger is not None:
+            write_trigger(loop.trigger_force or 0.0)
         return True
 
     def come_to_rest() -> None:
-        if rest:
-            write(*rest)
+        try:
+            if rest:
+                write(*rest)
+        finally:
+            if rest and write_trigger is not None:
+                write_trigger(0.0)
 
     with opened(device, notes, "[run] period_s", period_s):
         _drive(device, loop, notes, step, come_to_rest)

@@ -5,7 +5,7 @@ import os
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -47,6 +47,24 @@ def check_kind(device: object, kind: str) -> None:
             " take a scene or a driver of the same"
         )
         raise DeviceError(message)
+
+
+def check_trigger(device: object, *, is_felt: bool) -> Callable[[float], None] | None:
+    """What exerts the force at the trigger, in a scene where the finger feels it.
+
+    Raises:
+        DeviceError: The driver has nothing that does.
+    """
+    if not is_felt:
+        return None
+    write: Callable[[float], None] | None = getattr(device, "write_trigger", None)
+    if write is None:
+        message = (
+            f"{type(device).__name__}: has no write_trigger, for a trigger that the finger feels: leave"
+            " [master.gripper] out of the scene, or take another driver"
+        )
+        raise DeviceError(message)
+    return write
 
 
 @dataclass

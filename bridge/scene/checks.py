@@ -66,6 +66,7 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
             yield contradiction(("operator", "trigger"), "leads no gripper: add [slave.gripper] or leave it out")
     yield from _kind(scene)
     yield from _buttons(scene)
+    yield from _felt_trigger(scene)
     if scene.slave is not None:
         yield from _slave(scene.slave, scene.run)
     for key in ("link", "coupling", "security"):
@@ -160,6 +161,29 @@ def _buttons(scene: Scene) -> Iterator[SceneError]:
         yield contradiction((*path, "engage"), "works the clutch as clutch does: give one of the two")
     if table.gripper is not None and (scene.slave is None or scene.slave.gripper is None):
         yield contradiction((*path, "gripper"), "works no gripper: add [slave.gripper] or leave it out")
+
+
+def _felt_trigger(scene: Scene) -> Iterator[SceneError]:
+    """What a trigger with force feedback needs, and what nothing else has."""
+    finger = scene.operator and scene.operator.finger
+    if scene.master.gripper is None:
+        of_trigger: dict[Path, object] = {("operator", "finger"): finger, ("safety", "gripper"): scene.safety.gripper}
+        for path, given in of_trigger.items():
+            if given:
+                yield contradiction(path, "is for a trigger that is felt: give [master.gripper], or leave it out")
+        return
+    at: Path = ("master", "gripper")
+    if scene.slave is None or scene.slave.gripper is None:
+        yield contradiction(at, "leads no gripper: add [slave.gripper] or leave it out")
+    if scene.master.buttons is not None and scene.master.buttons.gripper is not None:
+        yield contradiction(("master", "buttons", "gripper"), "works what [master.gripper] leads: give one of the two")
+    if scene.run.stop_early:
+        yield contradiction(("run", "stop_early"), "a trigger that is felt is not watched for rest: leave it out")
+    if finger and finger.release and finger.release.kind == "strength" and finger.strength_n is None:
+        yield contradiction(
+            ("operator", "finger", "release", "kind"),
+            'a strength without bound does not decay: give strength_n, or kind = "gain"',
+        )
 
 
 AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 6, 7), "pose": (3,)}
@@ -523,7 +547,11 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
     if "pc" in safety["controllers"] and safety["pc_max_damping"] > limit:
         yield wrong(("safety", "pc_max_damping"), safety["pc_max_damping"], allowed)
     if safety["rotation"] is not None and master["rotation"] is not None:
-        yield from _damping_of_rotation(safety, master["rotation"], run["period_s"])
+        limit = max_damping(master["rotation"]["inertia_kg_m2"], run["period_s"])
+        yield from _own_damping(safety, "rotation", f"at most I / (5 dT) = {limit:g}", limit)
+    if safety["gripper"] is not None:
+        limit = max_damping([master["gripper"]["mass_kg"]], run["period_s"])
+        yield from _own_damping(safety, "gripper", f"at most m / (5 dT) = {limit:g}", limit)
     estimator = safety["estimator"]
     if estimator["kind"] == "kalman":
         # (12 q / (quantum² dT))^(1/6) dT, by logarithms: no power of what is allowed then overflows or vanishes.
@@ -538,11 +566,9 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
             yield wrong(("safety", "estimator", "jerk_density"), estimator["jerk_density"], allowed)
 
 
-def _damping_of_rotation(safety: Spec, device: Spec, period_s: float) -> Iterator[SceneError]:
-    limit = max_damping(device["inertia_kg_m2"], period_s)
-    allowed = f"at most I / (5 dT) = {limit:g}"
-    own = safety["rotation"]
+def _own_damping(safety: Spec, table: str, allowed: str, limit: float) -> Iterator[SceneError]:
+    own = safety[table]
     controllers = set(safety["controllers"] if own["controllers"] is None else own["controllers"])
     for key, acts in {"damping": controllers - {"pc"}, "pc_max_damping": controllers & {"pc"}}.items():
         if acts and own[key] is not None and own[key] > limit:
-            yield wrong(("safety", "rotation", key), own[key], allowed)
+            yield wrong(("safety", table, key), own[key], allowed)

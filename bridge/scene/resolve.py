@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from haptether.bridge.scene.errors import Path, SceneError, place, wrong
 from haptether.bridge.scene.tables.master import (
+    FingerTable,
     MasterTable,
     OperatorRotationTable,
     OperatorTable,
@@ -30,6 +31,7 @@ from haptether.bridge.scene.tables.session import (
     RunTable,
     SafetyTable,
     Scene,
+    TriggerSafetyTable,
 )
 from haptether.bridge.scene.tables.slave import (
     ContactTable,
@@ -86,7 +88,12 @@ def spec_of(scene: Scene) -> Spec:
         for name, table in {
             "run": _run(run),
             "operator": operator
-            and replace(operator, start=start, rotation=operator.rotation and _turning(operator.rotation)),
+            and replace(
+                operator,
+                start=start,
+                rotation=operator.rotation and _turning(operator.rotation),
+                finger=operator.finger or (FingerTable() if scene.master.gripper else None),
+            ),
             "slave": scene.slave and _slave(scene.slave, run, master),
             "environment": scene.environment and _environment(scene.environment, axes, run.duration_s),
         }.items()
@@ -312,6 +319,7 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
         limiter=_filled(table.limiter, max_force_n=max_force_n),
         ladder=None if scene.slave is None else _ladder(table.ladder or LadderTable(), table.limiter),
         rotation=table.rotation or RotationSafetyTable() if side_kind(scene.master) == "pose" else None,
+        gripper=table.gripper or TriggerSafetyTable() if scene.master.gripper else None,
     )
 
 

@@ -1,5 +1,6 @@
 //! What leads a gripper at the side of the hand, and the gripper that is led at the side of the robot.
 
+use haptether_master::{DeviceParameters, Hand, ModelError as MasterError, SimulatedMaster};
 use haptether_slave::{
     Axes, GripperCommand, GripperSample, GripperSettings, ModelError, Series, SimulatedGripper,
 };
@@ -16,6 +17,8 @@ pub enum Trigger {
         /// When the two engaged, in ns.
         engaged_ns: Option<u64>,
     },
+    /// A model with a motor, in the finger of a modelled operator.
+    Held(Box<HeldTrigger>),
     /// That of a device whose driver is elsewhere, as read; none from a device without one.
     Driven(Option<f64>),
 }
@@ -34,22 +37,78 @@ impl Trigger {
         Ok(Self::Simulated { course, engaged_ns: None })
     }
 
+    /// Time begins at `now_ns`.
+    pub(crate) fn begin(&mut self, now_ns: u64) {
+        if let Self::Held(held) = self {
+            held.device.begin(now_ns);
+        }
+    }
+
     /// Where it is at `now_ns`.
-    pub(crate) fn position(&self, now_ns: u64) -> Option<f64> {
+    pub(crate) fn position(&mut self, now_ns: u64) -> Option<f64> {
         match self {
             Self::Simulated { course, engaged_ns } => {
                 let since_ns = engaged_ns.map_or(0, |engaged_ns| now_ns.saturating_sub(engaged_ns));
                 Some(course.at(since_ns as f64 * 1e-9)[0])
             }
+            Self::Held(held) => Some(held.read(now_ns)),
             Self::Driven(position) => *position,
         }
     }
 
+    /// Exerts `force_n` on the finger from now on, positive closing; that of a driver is its own.
+    pub(crate) fn write(&mut self, force_n: f64) {
+        if let Self::Held(held) = self {
+            held.device.write(&Axes::<1>::new(force_n));
+        }
+    }
+
+    /// What no sensor measures, of a model.
+    pub(crate) fn truth(&self) -> Option<FingerTruth> {
+        let Self::Held(held) = self else { return None };
+        let [velocity, finger_force_n] = [held.device.velocity()[0], held.device.hand_force()[0]];
+        Some(FingerTruth { velocity, finger_force_n })
+    }
+
     /// The two sides are engaged at `at_ns`.
     pub(crate) fn engaged(&mut self, at_ns: u64) {
-        if let Self::Simulated { engaged_ns, .. } = self {
-            engaged_ns.get_or_insert(at_ns);
+        match self {
+            Self::Simulated { engaged_ns, .. } => _ = engaged_ns.get_or_insert(at_ns),
+            Self::Held(held) => held.device.set_waiting(false),
+            Self::Driven(_) => {}
         }
+    }
+}
+
+/// What no sensor of a trigger measures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FingerTruth {
+    /// True velocity in m/s; positive closes.
+    pub(crate) velocity: f64,
+    /// True force of the finger in N.
+    pub(crate) finger_force_n: f64,
+}
+
+/// A trigger as a device of one axis between its stops, open at 0 and closed at `travel_m`, and the finger that holds it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeldTrigger {
+    device: SimulatedMaster<1>,
+    travel_m: f64,
+}
+
+impl HeldTrigger {
+    /// At rest where the way of the finger, in m, begins; it waits there until the two sides engage.
+    pub fn new(device: DeviceParameters<1>, travel_m: f64, finger: Hand<1>) -> Result<Self, MasterError> {
+        let stops = (Axes::<1>::zeros(), Axes::<1>::new(travel_m));
+        let mut device = SimulatedMaster::new(DeviceParameters { stops, ..device }, finger, 0)?;
+        device.set_waiting(true);
+        Ok(Self { device, travel_m })
+    }
+
+    /// 0 open to 1 closed.
+    fn read(&mut self, now_ns: u64) -> f64 {
+        // An encoder rounds beyond a stop.
+        (self.device.read(now_ns).position[0] / self.travel_m).clamp(0.0, 1.0)
     }
 }
 
@@ -139,6 +198,11 @@ impl LedGripper {
                 GripperOrder::Hold => gripper.hold(),
             }
         }
+    }
+
+    /// Whether the trigger leads it.
+    pub(crate) fn follows(&self) -> bool {
+        self.follower.follows()
     }
 
     /// What its driver is to do after this tick.

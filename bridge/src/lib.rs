@@ -35,9 +35,10 @@ pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
     EndpointError, Exchange, MasterEndpoint, MasterReading, MasterRotationSettings, MasterSettings,
     MasterTick, SideCounts, SlaveEndpoint, SlaveReading, SlaveRotationSettings, SlaveSettings, SlaveTick,
+    TriggerError, TriggerSettings,
 };
 pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
-pub use gripper::{GripperOrder, LedGripper, Trigger};
+pub use gripper::{GripperOrder, HeldTrigger, LedGripper, Trigger};
 pub use kind::SideKind;
 pub use ladder::{
     AlignmentState, Clutch, ClutchError, ClutchOperator, Diagnosis, Explanation, FlightEntry, FlightRecorder,

@@ -2,12 +2,14 @@
 
 use std::marker::PhantomData;
 
+use haptether_safety::SafetyTick;
+
 use crate::{
     buttons::{ButtonError, ButtonSettings, Buttons},
     command::OperatorCommand,
     coupling::{CouplingError, GripperState},
     endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
-    gripper::{LedGripper, Trigger},
+    gripper::{FingerTruth, LedGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
     pace::TickTime,
@@ -72,6 +74,8 @@ pub struct MasterSide<P, const N: usize, R = ()> {
     button: Button,
     /// What leads the gripper; none where the slave has none.
     pub trigger: Option<Trigger>,
+    /// What the finger that holds it felt at the last tick; none without force feedback.
+    felt: Option<SafetyTick<1>>,
     /// What the buttons of the device do; none where the scene maps none.
     buttons: Option<Buttons>,
     records: PhantomData<R>,
@@ -82,7 +86,16 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
         let operator = ClutchOperator::new(clutch)?;
         let button = Button::default();
-        Ok(Self { plant, endpoint, operator, button, trigger: None, buttons: None, records: PhantomData })
+        Ok(Self {
+            plant,
+            endpoint,
+            operator,
+            button,
+            trigger: None,
+            felt: None,
+            buttons: None,
+            records: PhantomData,
+        })
     }
 
     /// The same side with buttons that do what `settings` say.
@@ -101,8 +114,8 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
     /// The same side with records of a hand that turns.
     #[must_use]
     pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
-        let Self { plant, endpoint, operator, button, trigger, buttons, .. } = self;
-        MasterSide { plant, endpoint, operator, button, trigger, buttons, records: PhantomData }
+        let Self { plant, endpoint, operator, button, trigger, felt, buttons, .. } = self;
+        MasterSide { plant, endpoint, operator, button, trigger, felt, buttons, records: PhantomData }
     }
 
     /// The same side with a trigger that leads the slave's gripper.
@@ -134,6 +147,28 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         (clutch, trigger)
     }
 
+    /// What the finger at the trigger felt at the last tick, in m/s and N, positive closing; none without force feedback.
+    pub fn felt(&self) -> Option<&SafetyTick<1>> {
+        self.felt.as_ref()
+    }
+
+    /// Hands over each signal of a trigger that the finger feels, of a run in virtual time: name, and its number.
+    pub(crate) fn finger_signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
+        let (Some(felt), Some(trigger)) = (&self.felt, &self.trigger) else { return };
+        let estimated = FingerTruth { velocity: felt.motion.velocity[0], finger_force_n: 0.0 };
+        let FingerTruth { velocity, finger_force_n } = trigger.truth().unwrap_or(estimated);
+        for (name, value) in [
+            ("trigger_velocity", velocity),
+            ("finger_force", finger_force_n),
+            ("trigger_rendered_force", felt.rendered_force[0]),
+            ("trigger_safety_force", felt.intervention.safety_force[0]),
+            ("trigger_device_force", felt.device_force[0]),
+            ("trigger_tripped", f64::from(felt.intervention.tripped.bits())),
+        ] {
+            take(name, &[value]);
+        }
+    }
+
     /// Whether a button of the device works the clutch, as the scene maps them.
     fn has_mapped_clutch(&self) -> bool {
         self.plant.buttons().is_some() && self.buttons.as_ref().is_some_and(Buttons::has_clutch)
@@ -146,6 +181,9 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
     fn begin(&mut self, now_ns: u64) {
         self.plant.begin(now_ns);
         self.operator.begin(now_ns);
+        if let Some(trigger) = &mut self.trigger {
+            trigger.begin(now_ns);
+        }
     }
 
     fn tick(&mut self, time: TickTime) -> MasterRecord<N, R> {
@@ -157,7 +195,6 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             }
         }
         let (position, velocity) = self.plant.read(time.now_ns);
-        let reading = MasterReading { position, velocity, rotation: self.plant.rotation() };
         let pressed = self.pressed(time.now_ns);
         let ladder = self.endpoint.exchange.ladder();
         let clutch = match pressed.0 {
@@ -168,11 +205,15 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             None => self.operator.at(time.now_ns, ladder.state(), ladder.is_ready()),
         };
         let mut led_to = None;
-        if let Some(trigger) = &self.trigger {
-            let state = GripperState::of_trigger(pressed.1.or(trigger.position(time.now_ns)));
+        if let Some(trigger) = &mut self.trigger {
+            let at = trigger.position(time.now_ns);
+            let state = GripperState::of_trigger(pressed.1.or(at));
             led_to = state.position;
             self.endpoint.exchange.report_gripper(state);
         }
+        // Where a button leads the gripper, the finger at the trigger does not.
+        let trigger = led_to.filter(|_| pressed.1.is_none());
+        let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
         let truth = self.plant.truth();
         let turn = R::of(reading.rotation.as_ref(), self.plant.rotation_truth(), tick.rotation.as_ref());
@@ -180,6 +221,10 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
             self.plant.write_torque(&of_torque.device_force);
         }
         self.plant.write(&tick.safety.device_force);
+        self.felt = tick.trigger;
+        if let (Some(trigger), Some(felt)) = (&mut self.trigger, &tick.trigger) {
+            trigger.write(felt.device_force[0]);
+        }
         if tick.state.is_coupled() {
             self.plant.engaged();
             if let Some(trigger) = &mut self.trigger {
@@ -217,6 +262,9 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
     }
 
     fn rest(&mut self) {
+        if let Some(trigger) = &mut self.trigger {
+            trigger.write(0.0);
+        }
         self.plant.write_torque(&haptether_safety::Axes::zeros());
         self.plant.write(&haptether_safety::Axes::zeros());
     }
@@ -285,7 +333,6 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
             if let Some(between) = self.plant.grip(&measured) {
                 gripper.meets(between);
             }
-            self.endpoint.exchange.report_gripper(GripperState::of_gripper(&measured));
         }
         let mut tick = self.endpoint.tick(time.clock_ns, &reading);
         let stood = std::mem::replace(&mut self.stood, tick.state);
@@ -316,6 +363,8 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
         if let Some(gripper) = &mut self.gripper {
             let trigger = self.endpoint.exchange.peer_gripper().and_then(|state| state.position);
             gripper.lead(time.now_ns, trigger.filter(|_| tick.state.is_coupled()));
+            let state = GripperState::of_gripper(&gripper.state().0, gripper.follows());
+            self.endpoint.exchange.report_gripper(state);
         }
         let snapshot = LadderSnapshot::of(&self.endpoint.exchange);
         SlaveRecord::new(time, &reading, self.gripper.as_ref(), &tick, snapshot)

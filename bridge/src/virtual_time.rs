@@ -205,7 +205,7 @@ pub enum Event<M, S> {
     Slave(S),
 }
 
-/// Runs both sides, each at its own rate, and hands each tick's record and the slave to `observe`, until that breaks
+/// Runs both sides, each at its own rate, and hands each tick's record and both sides to `observe`, until that breaks
 /// off or the master has done its ticks.
 ///
 /// The next of the two loops to tick takes the frames that are due by then, ticks and sends; at the same instant the
@@ -217,7 +217,7 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
-    mut observe: impl FnMut(Event<M::Record, S::Record>, &S) -> ControlFlow<()>,
+    mut observe: impl FnMut(Event<M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
 ) -> Result<VirtualCounts, VirtualError> {
     let end_ns = settings.ticks * settings.period_ns;
     let mut forward = OneWay::new(Direction::Forward, settings.seed, &settings.forward)?;
@@ -236,7 +236,7 @@ pub fn run_virtual<M: Side<N>, S: Side<N>, const N: usize>(
         } else {
             Event::Slave(slave.step(&mut forward, &mut backward))
         };
-        if observe(event, slave.side).is_break() {
+        if observe(event, (master.side, slave.side)).is_break() {
             break;
         }
     }

@@ -10,7 +10,7 @@
 //! | 3 | `u8` | role of the sender: 1 master, 2 slave |
 //! | 4 | `u8` | axes N, and 16 times the kind: 1 linear, 2 joints, 3 pose |
 //! | 5 | `u8` | state of the sender's ladder |
-//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends; bit 4, the state of its gripper or trigger is known; bit 5, its gripper holds something |
+//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends; bit 4, the state of its gripper or trigger is known; bit 5, its gripper holds something; bit 6, its gripper follows the trigger, of a slave |
 //! | 8 | `u64` | run id: drawn by the sender when it starts |
 //! | 16 | `u64` | sequence, from 0, one more with each frame |
 //! | 24 | `u64` | echo: newest sequence received from the peer |
@@ -270,7 +270,7 @@ pub enum WireError {
     },
     /// With flags that have no meaning, or with an echo that its flag denies.
     #[error(
-        "flags {0:#06x}: must be a sum of 1, 2, 4, 8 and with a gripper 16 and 32, and without 1 the fields of the echo zero"
+        "flags {0:#06x}: must be a sum of 1, 2, 4, 8 and with a gripper 16, 32 and of a slave 64, and without 1 the fields of the echo zero"
     )]
     Flags(u16),
     /// Damaged in transit.
@@ -380,6 +380,7 @@ const CLUTCH: u16 = 4;
 const ENDING: u16 = 8;
 const GRIPPER_KNOWN: u16 = 16;
 const HOLDS_OBJECT: u16 = 32;
+const FOLLOWS: u16 = 64;
 
 /// Whether the sender of a frame says that it hears its peer; of bytes that were decoded.
 pub(crate) fn hears_peer(frame: &[u8]) -> bool {
@@ -414,7 +415,8 @@ impl<const N: usize> Frame<N> {
                     | if self.clutch { CLUTCH } else { 0 }
                     | if self.ending { ENDING } else { 0 }
                     | if gripper.position.is_some() { GRIPPER_KNOWN } else { 0 }
-                    | if gripper.holds_object { HOLDS_OBJECT } else { 0 },
+                    | if gripper.holds_object { HOLDS_OBJECT } else { 0 }
+                    | if gripper.follows { FOLLOWS } else { 0 },
             ),
             run_id: U64::new(self.run_id),
             sequence: U64::new(self.sequence),
@@ -481,7 +483,11 @@ impl<const N: usize> Frame<N> {
             held_ns: header.echo_held_ns.get(),
         };
         let is_valid = flags & ECHO_VALID != 0;
-        let of_gripper = if has_gripper { GRIPPER_KNOWN | HOLDS_OBJECT } else { 0 };
+        let of_gripper = match (has_gripper, from) {
+            (true, Role::Slave) => GRIPPER_KNOWN | HOLDS_OBJECT | FOLLOWS,
+            (true, Role::Master) => GRIPPER_KNOWN | HOLDS_OBJECT,
+            (false, _) => 0,
+        };
         if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING | of_gripper) != 0
             || !(is_valid || echo == NO_ECHO)
         {
@@ -554,7 +560,8 @@ fn decoded_gripper(sequence: u64, flags: u16, numbers: [f64; 3]) -> Result<Gripp
     let is_known = flags & GRIPPER_KNOWN != 0;
     let [position, velocity, force_n] = numbers;
     let position = (is_known || !is_unknown).then_some(position);
-    let state = GripperState { position, velocity, force_n, holds_object: flags & HOLDS_OBJECT != 0 };
+    let (holds_object, follows) = (flags & HOLDS_OBJECT != 0, flags & FOLLOWS != 0);
+    let state = GripperState { position, velocity, force_n, holds_object, follows };
     if state.is_possible() && state.position.is_some() == is_known {
         Ok(state)
     } else {

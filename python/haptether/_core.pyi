@@ -2367,6 +2367,10 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             RuntimeError: Another thread steps it.
         """
 
+    @property
+    def trigger_force(self) -> float | None:
+        """F_device in N at the trigger after the last tick, positive closing; none without `[master.gripper]`."""
+
 @final
 class SlaveLoop(_SlaveSide, _DrivenLoop):
     """The side of the robot, live over UDP, stepped by a driver at each sample of its arm: `begin`, `step`, `finish`.

@@ -72,10 +72,12 @@ impl Beside {
 }
 
 trait MasterSteps: DriverLoop + Send {
+    /// `trigger_force` in N becomes what the trigger is to exert, of one that the finger feels.
     fn step<'py>(
         &mut self,
         py: Python<'py>,
         read: MasterRead<'_, 'py>,
+        trigger_force: &mut Option<f64>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>>;
 }
 
@@ -128,6 +130,7 @@ impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<D
         &mut self,
         py: Python<'py>,
         read: MasterRead<'_, 'py>,
+        trigger_force: &mut Option<f64>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let position = read_axes("position", read.position)?;
         let velocity = read.velocity.map(|velocity| read_axes("velocity", velocity)).transpose()?;
@@ -150,9 +153,13 @@ impl<R: MasterTurn, const N: usize> MasterSteps for PacedLoop<Timed<MasterSide<D
                     *trigger = Trigger::Driven(read.trigger);
                 }
             },
-            |side| (side.side.plant.force, side.side.plant.torque),
+            |side| {
+                let felt = side.side.felt().map(|tick| tick.device_force[0]);
+                (side.side.plant.force, side.side.plant.torque, felt)
+            },
         );
-        let Some((force, torque)) = force else { return Ok(None) };
+        let Some((force, torque, felt)) = force else { return Ok(None) };
+        *trigger_force = felt;
         if R::TURNS {
             return PyTuple::new(py, [written(py, &force)?, written(py, &torque)?]).map(Some);
         }
@@ -275,6 +282,8 @@ macro_rules! loop_methods {
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct MasterLoop {
     paced: Mutex<Box<dyn MasterSteps>>,
+    /// In N, after the last tick; none of a trigger that is not felt.
+    trigger_force: Mutex<Option<f64>>,
     pub(crate) watched: Watched<MasterRows>,
     kind: SideKind,
 }
@@ -300,7 +309,8 @@ constructor!(MasterLoop, peer,
             let (paced, watched) = prepare(py, side, place)?;
             (Box::new(paced), watched)
         };
-        Ok(Self { paced: Mutex::new(paced), watched, kind: scene.master.kind })
+        let trigger_force = Mutex::new(scene.master.gripper.map(|_| 0.0));
+        Ok(Self { paced: Mutex::new(paced), trigger_force, watched, kind: scene.master.kind })
     }
 );
 
@@ -323,7 +333,16 @@ impl MasterLoop {
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let read =
             MasterRead { position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons };
-        own(&self.paced)?.step(py, read)
+        // What a step that fails leaves is no force.
+        let mut trigger_force = locked(&self.trigger_force).map(|_| 0.0);
+        let force = own(&self.paced)?.step(py, read, &mut trigger_force);
+        *locked(&self.trigger_force) = trigger_force;
+        force
+    }
+
+    #[getter]
+    fn trigger_force(&self) -> Option<f64> {
+        *locked(&self.trigger_force)
     }
 }
 

@@ -184,16 +184,7 @@ impl<const N: usize> SafetyLayer<N> {
         self.device_force = Axes::zeros();
         self.rendering.reset();
         self.limiter.reset();
-        SafetyTick {
-            motion: Motion { velocity: Axes::zeros(), acceleration: Axes::zeros() },
-            rendered_force: Axes::zeros(),
-            grasp_force: Axes::zeros(),
-            device_force: Axes::zeros(),
-            intervention: Intervention::none(),
-            acted: Acted::default(),
-            owed_energy_j: 0.0,
-            fault: Some(fault),
-        }
+        SafetyTick { fault: Some(fault), ..SafetyTick::still() }
     }
 
     /// Clears the past as [`reset`](Self::reset) does, but keeps a fault.
@@ -428,6 +419,22 @@ pub struct SafetyTick<const N: usize> {
     /// Why the force is zero, if it is so because of a bad number. Stays until
     /// [`SafetyLayer::reset`](SafetyLayer::reset).
     pub fault: Option<Fault>,
+}
+
+impl<const N: usize> SafetyTick<N> {
+    /// Without motion, force and fault.
+    pub fn still() -> Self {
+        Self {
+            motion: Motion { velocity: Axes::zeros(), acceleration: Axes::zeros() },
+            rendered_force: Axes::zeros(),
+            grasp_force: Axes::zeros(),
+            device_force: Axes::zeros(),
+            intervention: Intervention::none(),
+            acted: Acted::default(),
+            owed_energy_j: 0.0,
+            fault: None,
+        }
+    }
 }
 
 /// What the safety layer saw and decided at one tick, in each lane.

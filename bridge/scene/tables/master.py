@@ -70,6 +70,36 @@ class ButtonsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The gripper: a press closes it, the next opens it."""
 
 
+class TriggerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[master.gripper]`: a trigger whose finger feels what `[slave.gripper]` holds; without it the finger feels nothing.
+
+    `m A + b V + c sign(V) = F_device + F_finger` along its closing way, and `F_v = -force_scale F_jaws` while
+    something stops the jaws. No preset has `travel_m` and `mass_kg`: no source that was at hand gives them.
+
+    Source: paper Eq. 3.
+    """
+
+    travel_m: Annotated[float, Meta(gt=0.0, le=1.0)]
+    """From open to closed, in m, at the finger."""
+    mass_kg: Positive
+    """m in kg, at the finger, above 0."""
+    viscous: NonNegative = 0.0
+    """b in N s/m."""
+    coulomb: NonNegative = 0.0
+    """c in N."""
+    encoder_quantum: NonNegative = 0.0
+    """Resolution of its position in m; 0 is exact."""
+    force_scale: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.05
+    """Finger force per force between the jaws: at 40 N of a gripper the finger feels 2 N."""
+    max_force_n: Annotated[float, Meta(gt=0.0, le=50.0)] = 5.0
+    """Largest force in N, at most 50."""
+    max_slew_n_per_s: Positive = 20.0
+    """Largest growth of the force in N/s; unloading is free. Below K_f V of a finger that closes with V, contact does
+    not throw the trigger back, which would open the jaws again."""
+    max_power_w: Positive = 5.0
+    """Largest power in W that it may put into the finger."""
+
+
 class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[master]`: the haptic device. `m A + b V + c sign(V) = F_device + F_h`.
 
@@ -114,6 +144,8 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Its rotation; kind = "pose" needs it."""
     buttons: ButtonsTable | None = None
     """What the buttons of a driver's device do; by default nothing."""
+    gripper: TriggerTable | None = None
+    """Its trigger, where the finger feels what the gripper holds; by default it feels nothing."""
     driver: str | None = None
     """Live only: drives a real device, by the name of an entry point of `haptether.masters`; this table then says what
     the safety layer takes the device for. By default a model of this table is held by the operator."""
@@ -197,6 +229,24 @@ class OperatorRotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """When it lets go; never by default."""
 
 
+class FingerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[operator.finger]`: the finger at the trigger of `[master.gripper]`, which means to be where `trigger` says.
+
+    `F_finger = K_f (travel p - x) - B_f V`, at most its strength.
+
+    Source: Hogan 1989 (impedance).
+    """
+
+    stiffness: NonNegative = 300.0
+    """K_f in N/m."""
+    damping: NonNegative = 3.0
+    """B_f in N s/m."""
+    strength_n: NonNegative | None = None
+    """Its strength in N; no bound by default."""
+    release: ReleaseTable | None = None
+    """When it lets go of the trigger; never by default."""
+
+
 class TremorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[operator.tremor]`: `a sin(2 pi f t)` on the path, on every axis."""
 
@@ -237,6 +287,8 @@ class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """From when both sides are ready after a hold to the new press of "auto", in s, 0.05 to 60."""
     rotation: OperatorRotationTable | None = None
     """How the hand turns a device of kind "pose"; by default nobody does."""
+    finger: FingerTable | None = None
+    """The finger at the trigger of `[master.gripper]`."""
     trigger: TriggerCourse = ()
     """What leads the gripper of `[slave.gripper]`: pairs of time in s since engagement and position, 0 (open) to 1
     (closed), with straight lines between; by default it stays open."""

@@ -288,6 +288,35 @@ class RotationSafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Resolution of an angle in rad that the estimator takes the device to have."""
 
 
+class TriggerSafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[safety.gripper]`: who watches the force at the trigger of `[master.gripper]`.
+
+    What is not given is that of the hand, scaled by the largest forces of both and by the ways of both: velocities as
+    the way, energies as both together, damping as force by way; times and ratios are the same.
+    """
+
+    reach_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.14
+    """Way of the hand in m that its thresholds are for: the paper's stylus is thrown over 0.14 m."""
+    controllers: tuple[ControllerName, ...] | None = None
+    """Who watches; by default those of the hand."""
+    damping: NonNegative | None = None
+    """mu in N s/m, at most m / (5 dT)."""
+    velocity_threshold: Positive | None = None
+    """In m/s, of VFC."""
+    vfc_force_threshold_n: Positive | None = None
+    """In N, of VFC."""
+    grasp_threshold: Annotated[float, Meta(gt=1.0, le=LARGEST)] | None = None
+    """zeta, above 1, of HSC."""
+    grasp_floor_n: Positive | None = None
+    """alpha in N, of HSC."""
+    hsc_force_threshold_n: NonNegative | None = None
+    """In N, of HSC."""
+    energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] | None = None
+    """delta in J, below 0, of WSC."""
+    pc_max_damping: NonNegative | None = None
+    """Bound in N s/m on the damping of PC, at most m / (5 dT)."""
+
+
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[safety]`: who watches the hand. The defaults are the paper's.
 
@@ -332,6 +361,8 @@ class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Times of the ladder, with a [slave]; by default the ladder's own."""
     rotation: RotationSafetyTable | None = None
     """What differs for the torque of kind "pose"."""
+    gripper: TriggerSafetyTable | None = None
+    """What differs for the force at the trigger of `[master.gripper]`."""
 
 
 class RecordTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -13,6 +13,8 @@ pub struct GripperState {
     pub force_n: f64,
     /// Whether something stops the jaws.
     pub holds_object: bool,
+    /// Whether the gripper follows the trigger: of the slave's only.
+    pub follows: bool,
 }
 
 impl GripperState {
@@ -21,23 +23,23 @@ impl GripperState {
         Self { position: position.filter(|x| (0.0..=1.0).contains(x)), ..Self::default() }
     }
 
-    /// Of a gripper; a number that none can have makes all of it unknown.
-    pub fn of_gripper(sample: &GripperSample) -> Self {
+    /// Of a gripper that follows the trigger, or does not; a number that none can have makes all of it unknown.
+    pub fn of_gripper(sample: &GripperSample, follows: bool) -> Self {
         let GripperSample { position, velocity, force_n, holds_object } = *sample;
-        let state = Self { position: Some(position), velocity, force_n, holds_object };
+        let state = Self { position: Some(position), velocity, force_n, holds_object, follows };
         if state.is_possible() { state } else { Self::default() }
     }
 
     /// Whether a gripper can be so; what is not known has no other numbers.
     pub fn is_possible(&self) -> bool {
-        let Self { position, velocity, force_n, holds_object } = *self;
+        let Self { position, velocity, force_n, holds_object, follows } = *self;
         match position {
             Some(position) => {
                 (0.0..=1.0).contains(&position)
                     && velocity.abs() <= GripperSettings::MAX_SPEED
                     && (0.0..=GripperSettings::MAX_FORCE_N).contains(&force_n)
             }
-            None => velocity == 0.0 && force_n == 0.0 && !holds_object,
+            None => velocity == 0.0 && force_n == 0.0 && !holds_object && !follows,
         }
     }
 }
@@ -103,6 +105,11 @@ impl GripperFollower {
         let position = position + (trigger - position).clamp(-reach, reach);
         self.position = Some(position);
         Some(GripperCommand { position, speed: self.speed, force_n: self.force_n })
+    }
+
+    /// Whether the trigger leads the gripper: the two sides are coupled, and it has been picked up.
+    pub fn follows(&self) -> bool {
+        self.follows
     }
 
     /// The last command, 0 open to 1 closed; none before the first.

@@ -34,12 +34,14 @@ pub struct MasterReading<const N: usize> {
     pub velocity: Option<Axes<N>>,
     /// R and w, of a device that turns.
     pub rotation: Option<RotationSample>,
+    /// The trigger that the finger holds, 0 open to 1 closed, where it leads the gripper and is known.
+    pub trigger: Option<f64>,
 }
 
 impl<const N: usize> MasterReading<N> {
     /// Of a point.
     pub fn point(position: Axes<N>, velocity: Option<Axes<N>>) -> Self {
-        Self { position, velocity, rotation: None }
+        Self { position, velocity, rotation: None, trigger: None }
     }
 
     fn pose(&self) -> PoseSample<N> {
@@ -68,6 +70,7 @@ impl<const N: usize> MasterReading<N> {
             position: self.position + (later.position - self.position) * share,
             velocity: between(self.velocity, later.velocity, share),
             rotation,
+            trigger: None,
         }
     }
 }

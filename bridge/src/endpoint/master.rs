@@ -6,7 +6,8 @@ use haptether_safety::{
 };
 
 use super::{
-    EndpointError, Exchange, MasterReading, MasterRotationSettings, check_period, layer::Layer, period_s,
+    EndpointError, Exchange, MasterReading, MasterRotationSettings, TriggerSettings, check_period,
+    layer::Layer, period_s, trigger::TriggerFeedback,
 };
 use crate::{
     SideKind,
@@ -45,6 +46,8 @@ pub struct MasterTick<const N: usize> {
     pub safety: SafetyTick<N>,
     /// The same of the torque, of a hand that turns.
     pub rotation: Option<SafetyTick<3>>,
+    /// The same of the finger, of a trigger with force feedback; positive closes.
+    pub trigger: Option<SafetyTick<1>>,
     /// Where the ladder stands.
     pub state: LadderState,
     /// Silence of the peer in ns.
@@ -58,6 +61,8 @@ pub struct MasterEndpoint<const N: usize> {
     coupling: PositionForce<N>,
     /// Of a hand that turns.
     rotation: Option<RotationCoupling>,
+    /// Of a trigger that the finger feels.
+    trigger: Option<Box<TriggerFeedback>>,
     /// What talks to the peer.
     pub exchange: Exchange<N>,
     /// Of the last tick.
@@ -87,6 +92,13 @@ impl<const N: usize> MasterEndpoint<N> {
         Ok(endpoint)
     }
 
+    /// The same with a trigger that the finger feels.
+    pub fn with_trigger(mut self, settings: &TriggerSettings) -> Result<Self, EndpointError> {
+        let fade_in_s = period_s(self.exchange.ladder.settings().fade_in_ns);
+        self.trigger = Some(Box::new(TriggerFeedback::new(settings, self.period_s, fade_in_s)?));
+        Ok(self)
+    }
+
     fn with_rotation(
         settings: &MasterSettings<N>,
         rotation: Option<&MasterRotationSettings>,
@@ -106,6 +118,7 @@ impl<const N: usize> MasterEndpoint<N> {
             layer,
             coupling: PositionForce::new(1.0, settings.force_scale)?,
             rotation: None,
+            trigger: None,
             exchange,
             last: None,
             period_s: period_s(settings.period_ns),
@@ -134,13 +147,16 @@ impl<const N: usize> MasterEndpoint<N> {
             (Some(coupling), Some(slave)) => coupling.rendered_torque(&slave.torque),
             _ => Axes::zeros(),
         };
-        let gain = self.exchange.ladder.gain();
+        let jaws = newest.and_then(|frame| frame.gripper);
+        let (gain, state) = (self.exchange.ladder.gain(), self.exchange.ladder.state());
         if std::mem::take(&mut self.acknowledged) {
             // Where the position still is none that can be, the layer keeps its fault, and meets it again below.
             let _ = self.layer.reset(reading);
+            self.trigger.iter_mut().for_each(|trigger| trigger.reset());
         } else if self.exchange.has_stalled() {
             // What lies before the gap says nothing of what follows it. A position that cannot be is met below.
             let _ = self.layer.restart(reading);
+            self.trigger.iter_mut().for_each(|trigger| trigger.restart());
         } else {
             self.carry_over(missed, reading);
         }
@@ -149,17 +165,26 @@ impl<const N: usize> MasterEndpoint<N> {
             self.layer.fail(Fault::Device);
         }
         self.last = Some(*reading);
+        let mut trigger = self
+            .trigger
+            .as_mut()
+            .map(|trigger| trigger.tick(reading.trigger, jaws, state.is_coupled(), gain, missed));
+        // One person holds both: a fault of either stops both.
+        if let Some(fault) = trigger.and_then(|tick| tick.fault) {
+            self.layer.fail(fault);
+        }
         let (safety, rotation) =
             self.layer.tick(reading, &(requested_force * gain), &(requested_torque * gain), gain);
         if let Some(fault) = safety.fault {
             self.exchange.fault(now_ns, fault);
+            trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
         } else {
             self.report(reading, &safety, rotation.as_ref(), missed);
         }
         let observed = Observed::of(&safety.intervention);
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];
         self.exchange.end_tick(now_ns, values, observed);
-        MasterTick { safety, rotation, state: self.exchange.ladder.state(), age_ns }
+        MasterTick { safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
     }
 
     /// Leaves what the next frame says of the device; the energy is that of the whole wrench, `f·v + tau·w`.

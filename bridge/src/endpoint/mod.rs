@@ -5,12 +5,14 @@ mod layer;
 mod master;
 mod rotation;
 mod slave;
+mod trigger;
 
 pub use exchange::{Exchange, SideCounts};
 pub use layer::{MasterReading, MasterRotationSettings};
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};
 pub use rotation::SlaveRotationSettings;
 pub use slave::{SlaveEndpoint, SlaveReading, SlaveSettings, SlaveTick};
+pub use trigger::{TriggerError, TriggerSettings};
 
 /// dT in s.
 pub(crate) fn period_s(period_ns: u64) -> f64 {
@@ -26,6 +28,9 @@ pub enum EndpointError {
     /// A scale of the coupling.
     #[error(transparent)]
     Coupling(#[from] crate::coupling::CouplingError),
+    /// The force feedback of a trigger.
+    #[error(transparent)]
+    Trigger(#[from] TriggerError),
     /// A time of the ladder.
     #[error(transparent)]
     Ladder(#[from] crate::ladder::LadderError),

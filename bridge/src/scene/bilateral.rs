@@ -188,7 +188,7 @@ where
         turn_release_s: turn_release_s(scene),
     };
     let mut refused = Ok(());
-    let counts = run_virtual(&settings, &mut master, &mut slave, |event, slave| {
+    let counts = run_virtual(&settings, &mut master, &mut slave, |event, (master, slave)| {
         if stop.load(Ordering::Relaxed) {
             return ControlFlow::Break(());
         }
@@ -199,7 +199,7 @@ where
             Err(error) => refused = Err(error),
         }
         match event {
-            Event::Master(record) => watched.near(&record),
+            Event::Master(record) => watched.near(&record, &master.side),
             Event::Slave(record) => watched.far(&record, &slave.side.plant),
         }
     })?;
@@ -338,7 +338,11 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         }
     }
 
-    fn near(&mut self, record: &MasterRecord<N, R>) -> ControlFlow<()> {
+    fn near<P: MasterPlant<N>>(
+        &mut self,
+        record: &MasterRecord<N, R>,
+        side: &MasterSide<P, N, R>,
+    ) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
         self.ladder(0, record.time_ns, record.state, record.reason);
         self.faults("master", time_s, record.fault)?;
@@ -388,6 +392,9 @@ impl<R: MasterTurn, const N: usize> Watched<R, N> {
         self.near.take(signals.into_iter().chain(observed).chain(state).chain(trigger));
         if let Some(turn) = turn {
             self.near.also(|add| turn.signals(add));
+        }
+        if side.felt().is_some() {
+            self.near.also(|add| side.finger_signals(add));
         }
         self.newest = Some(*record);
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

@@ -5,7 +5,7 @@ use haptether_slave::{ArmSettings, SimulatedSlave, SimulatedTool};
 use super::{
     assemble::{
         SceneError, device_model, driven_clutch, environment, exact_master, limiter, live_clutch, period_ns,
-        stepped_master,
+        simulated_trigger, stepped_master, trigger_feedback,
     },
     coupling::commands,
     pose,
@@ -35,7 +35,7 @@ pub(super) fn master_endpoint<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
 ) -> Result<MasterEndpoint<N>, SceneError> {
-    let (_, coupling) = coupled(scene)?;
+    let (arm, coupling) = coupled(scene)?;
     pose::check_kind(scene)?;
     let settings = MasterSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
@@ -56,6 +56,9 @@ pub(super) fn master_endpoint<const N: usize>(
         SideKind::Linear | SideKind::Joints => MasterEndpoint::new(&settings)?,
     };
     endpoint.exchange.set_kind(scene.master.kind);
+    if let Some(trigger) = trigger_feedback(scene, arm)? {
+        endpoint = endpoint.with_trigger(&trigger)?;
+    }
     Ok(endpoint)
 }
 
@@ -92,15 +95,14 @@ pub(super) fn trigger<const N: usize>(
     scene: &SceneSpec<N>,
     is_driven: bool,
 ) -> Result<Option<Trigger>, SceneError> {
-    if coupled(scene)?.0.gripper.is_none() {
+    let (arm, _) = coupled(scene)?;
+    if arm.gripper.is_none() {
         return Ok(None);
     }
     if is_driven {
         return Ok(Some(Trigger::Driven(None)));
     }
-    let course = scene.operator.as_ref().map_or(&[][..], |operator| &operator.trigger);
-    let open = [[0.0, 0.0]];
-    Ok(Some(Trigger::simulated(if course.is_empty() { &open } else { course })?))
+    simulated_trigger(scene, arm).map(Some)
 }
 
 /// The model of the gripper of the scene's arm.

@@ -159,6 +159,32 @@ pub struct MasterSpec<const N: usize> {
     pub rotation: Option<RotationParameters>,
     /// What its buttons do.
     pub buttons: Option<ButtonSettings>,
+    /// Its trigger, where the finger feels what the gripper holds.
+    pub gripper: Option<TriggerSpec>,
+}
+
+/// `[master.gripper]`: a trigger with a motor. `m A + b V + c sign(V) = F_device + F_finger` along its closing way.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TriggerSpec {
+    /// From open to closed, in m.
+    pub travel_m: f64,
+    /// m in kg, at the finger.
+    pub mass_kg: f64,
+    /// b in N s/m.
+    pub viscous: f64,
+    /// c in N.
+    pub coulomb: f64,
+    /// Resolution of its position in m; 0 is exact.
+    pub encoder_quantum: f64,
+    /// Finger force per force between the jaws.
+    pub force_scale: f64,
+    /// Largest force in N.
+    pub max_force_n: f64,
+    /// Largest growth of the force in N/s.
+    pub max_slew_n_per_s: f64,
+    /// Largest power in W that it may put into the finger.
+    pub max_power_w: f64,
 }
 
 /// `[operator]`.
@@ -192,8 +218,24 @@ pub struct OperatorSpec<const N: usize> {
     pub clutch_reaction_s: f64,
     /// Times in s since engagement and positions of the trigger that leads the gripper.
     pub trigger: Vec<[f64; 2]>,
+    /// The finger at a trigger that it feels.
+    pub finger: Option<FingerSpec>,
     /// How it turns a device of kind `pose`; without it, nobody does.
     pub rotation: Option<RotationHandParameters>,
+}
+
+/// `[operator.finger]`: `F_finger = K_f (travel p_target - x) - B_f V`, up to its strength.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FingerSpec {
+    /// `K_f` in N/m.
+    pub stiffness: f64,
+    /// `B_f` in N s/m.
+    pub damping: f64,
+    /// Its strength in N; none without a bound.
+    pub strength_n: Option<f64>,
+    /// When it lets go of the trigger.
+    pub release: Option<Release>,
 }
 
 /// What a simulated operator does with the clutch.
@@ -370,6 +412,34 @@ pub struct SafetySpec {
     pub ladder: Option<LadderSettings>,
     /// What differs for torques, of kind `pose` only.
     pub rotation: Option<RotationSafetySpec>,
+    /// What differs for the force at the trigger, with `[master.gripper]` only.
+    pub gripper: Option<TriggerSafetySpec>,
+}
+
+/// `[safety.gripper]`: who watches the finger; what is not given is that of the hand, scaled.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TriggerSafetySpec {
+    /// Way of the hand in m that the thresholds of the hand are for.
+    pub reach_m: f64,
+    /// Who watches.
+    pub controllers: Option<Controllers>,
+    /// mu in N s/m.
+    pub damping: Option<f64>,
+    /// In m/s, of VFC.
+    pub velocity_threshold: Option<f64>,
+    /// In N, of VFC.
+    pub vfc_force_threshold_n: Option<f64>,
+    /// zeta, of HSC.
+    pub grasp_threshold: Option<f64>,
+    /// alpha in N, of HSC.
+    pub grasp_floor_n: Option<f64>,
+    /// In N, of HSC.
+    pub hsc_force_threshold_n: Option<f64>,
+    /// delta in J, of WSC.
+    pub energy_threshold_j: Option<f64>,
+    /// Bound in N s/m on the damping of PC.
+    pub pc_max_damping: Option<f64>,
 }
 
 /// `[safety.rotation]`: who watches torques; what is not given is that of forces at a lever.

@@ -55,14 +55,20 @@ fn bytes_are_those_of_the_table() {
 
 /// The gripper stands behind the energies, and lengthens every frame by 24 bytes.
 #[test]
-fn a_gripper_is_three_numbers_and_two_flags() {
-    let state = GripperState { position: Some(0.5), velocity: -0.25, force_n: 2.0, holds_object: true };
+fn a_gripper_is_three_numbers_and_three_flags() {
+    let state = GripperState {
+        position: Some(0.5),
+        velocity: -0.25,
+        force_n: 2.0,
+        holds_object: true,
+        follows: true,
+    };
     let mut buffer = [0; MAX_FRAME];
     let without = frame().encode(&mut buffer).to_vec();
     let framed = Frame { gripper: Some(state), ..frame() };
     let bytes = framed.encode(&mut buffer).to_vec();
     let mut expected = without[..104].to_vec();
-    expected[6] |= 0x30;
+    expected[6] |= 0x70;
     for number in [0.5_f64, -0.25, 2.0] {
         expected.extend_from_slice(&number.to_le_bytes());
     }
@@ -92,6 +98,10 @@ fn a_gripper_is_three_numbers_and_two_flags() {
         &|b| {
             blank(b);
             b[6] |= 0x20;
+        },
+        &|b| {
+            blank(b);
+            b[6] |= 0x40;
         },
         &|b| {
             blank(b);
@@ -255,7 +265,7 @@ proptest! {
             buttons,
             energy: PortEnergy { in_j: numbers[0].abs(), out_j: numbers[1].abs() },
             gripper: gripper.map(|(position, velocity, force_n, holds_object)| match position {
-                Some(_) => GripperState { position, velocity, force_n, holds_object },
+                Some(_) => GripperState { position, velocity, force_n, holds_object, follows: false },
                 None => GripperState::default(),
             }),
             ending, reason, fault,

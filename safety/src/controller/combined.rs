@@ -63,6 +63,22 @@ impl SafetySettings {
             ..self
         }
     }
+
+    /// The thresholds of a device whose forces are `force` and whose ways are `way` times those of the device that these
+    /// are meant for, in the same times: velocity by `way`, energy by `force way`, damping by `force / way`.
+    #[must_use]
+    pub fn at_scale(self, force: f64, way: f64) -> Self {
+        Self {
+            damping: self.damping * force / way,
+            velocity_threshold: self.velocity_threshold * way,
+            vfc_force_threshold_n: self.vfc_force_threshold_n * force,
+            grasp_floor_n: self.grasp_floor_n * force,
+            hsc_force_threshold_n: self.hsc_force_threshold_n * force,
+            energy_threshold_j: self.energy_threshold_j * force * way,
+            pc_max_damping: self.pc_max_damping * force / way,
+            ..self
+        }
+    }
 }
 
 impl Default for SafetySettings {

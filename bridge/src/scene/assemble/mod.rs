@@ -3,6 +3,7 @@
 mod master;
 mod safety;
 mod touched;
+mod trigger;
 
 use haptether_master::ModelError as MasterError;
 use haptether_safety::ParameterError;
@@ -15,6 +16,7 @@ pub use touched::scene_environment;
 pub(super) use master::{clutch, device_model, driven_clutch, exact_master, live_clutch, stepped_master};
 pub(super) use safety::{limiter, watch};
 pub(super) use touched::{environment, is_continuous, is_formula, rendered_walls};
+pub(super) use trigger::{simulated_trigger, trigger_feedback};
 
 /// A scene that cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -1,0 +1,231 @@
+//! What the finger feels: closed forms, who may take it away, and its bounds.
+
+use haptether_master::{DeviceParameters, Hand, Path, Release, ReleaseKind, SimulatedMaster};
+use haptether_safety::controller::{ControllerKind, Controllers};
+use proptest::prelude::*;
+
+use super::*;
+
+const PERIOD_NS: u64 = 1_000_000;
+const DT: f64 = 1e-3;
+const TRAVEL_M: f64 = 0.03;
+const MASS_KG: f64 = 0.05;
+const SCALE: f64 = 0.05;
+/// Ticks in which the force rises.
+const RISE: u64 = 200;
+
+fn settings() -> TriggerSettings {
+    TriggerSettings {
+        travel_m: TRAVEL_M,
+        device: DeviceModel::uniform(MASS_KG, 0.0, 0.0).unwrap(),
+        estimator: EstimatorKind::BackwardDifference {},
+        safety: SafetySettings::default(),
+        limiter: LimiterSettings {
+            max_force_n: 5.0,
+            max_slew_n_per_s: 250.0,
+            max_power_w: 5.0,
+            ramp_in_s: 0.0,
+        },
+        force_scale: SCALE,
+    }
+}
+
+fn feedback(settings: &TriggerSettings) -> TriggerFeedback {
+    TriggerFeedback::new(settings, DT, RISE as f64 * DT).unwrap()
+}
+
+/// Jaws that press on something and follow the trigger.
+fn jaws(force_n: f64) -> GripperState {
+    GripperState { position: Some(0.6), velocity: 0.0, force_n, holds_object: true, follows: true }
+}
+
+/// A trigger that a finger of this stiffness holds at `at_m`, until it lets go.
+fn held(stiffness: f64, at_m: f64, release_s: Option<f64>) -> SimulatedMaster<1> {
+    let device = DeviceParameters {
+        measures_velocity: false,
+        stops: (Axes::<1>::new(-1.0), Axes::<1>::new(1.0)),
+        ..DeviceParameters::ideal(MASS_KG, 0.0, 0.0)
+    };
+    let release = release_s.map(|at_s| Release { at_s, decay_s: 0.0, kind: ReleaseKind::Gain });
+    let path = Path::new(Axes::<1>::new(at_m), Vec::new()).unwrap();
+    // Critically damped.
+    let damping = 2.0 * (stiffness * MASS_KG).sqrt();
+    SimulatedMaster::new(device, Hand::new(stiffness, damping, f64::INFINITY, path, release).unwrap(), 0)
+        .unwrap()
+}
+
+fn force(tick: &SafetyTick<1>) -> f64 {
+    tick.device_force[0]
+}
+
+#[test]
+fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
+    for (jaws_n, stiffness) in [(40.0, 300.0), (80.0, 500.0), (0.0, 300.0)] {
+        let mut trigger = feedback(&settings());
+        let mut plant = held(stiffness, 0.024, None);
+        for n in 0..2000 {
+            let x = plant.read(n * PERIOD_NS).position[0];
+            let tick = trigger.tick(Some(x / TRAVEL_M), Some(jaws(jaws_n)), true, 1.0, 0);
+            plant.write(&tick.device_force);
+        }
+        // m x'' = 0: the finger balances it, and yields by that over its stiffness. The slowest pole, sqrt(K / m), has had
+        // 1.8 s and more: exp(-77 * 1.8) is nothing beside rounding.
+        let expected = SCALE * jaws_n;
+        assert!((plant.motor_force()[0] + expected).abs() < 1e-12);
+        assert!((plant.hand_force()[0] - expected).abs() < 1e-9);
+        assert!((plant.position()[0] - (0.024 - expected / stiffness)).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn nothing_is_felt_but_of_jaws_that_press_and_follow_while_coupled() {
+    let pressing = jaws(40.0);
+    let unknown = GripperState::default();
+    // What it was is no start for what follows: it rises anew. Of jaws that follow all the while and meet something again,
+    // it grows as fast as the limiter lets it.
+    let (rise, growth) = (SCALE * 40.0 / RISE as f64, settings().limiter.max_slew_n_per_s * DT);
+    let free = GripperState { holds_object: false, ..pressing };
+    let led_by_nobody = GripperState { follows: false, ..pressing };
+    for (what, position, jaws, is_coupled, gain, next) in [
+        ("they press on nothing", Some(0.6), Some(free), true, 1.0, growth),
+        ("they do not follow", Some(0.6), Some(led_by_nobody), true, 1.0, rise),
+        ("they are not known", Some(0.6), Some(unknown), true, 1.0, rise),
+        ("no frame has come", Some(0.6), None, true, 1.0, rise),
+        ("the trigger is not known", None, Some(pressing), true, 1.0, rise),
+        ("the two sides are apart", Some(0.6), Some(pressing), false, 0.0, rise),
+    ] {
+        let mut trigger = feedback(&settings());
+        for _ in 0..2 * RISE {
+            trigger.tick(Some(0.6), Some(pressing), true, 1.0, 0);
+        }
+        let tick = trigger.tick(position, jaws, is_coupled, gain, 0);
+        assert_eq!((force(&tick), tick.rendered_force[0], tick.fault), (0.0, 0.0, None), "{what}");
+        let again = force(&trigger.tick(Some(0.6), Some(pressing), true, 1.0, 0));
+        assert!((again + next).abs() < 1e-12, "{what}: {again}");
+    }
+}
+
+#[test]
+fn it_rises_once_the_jaws_follow_and_fades_as_the_ladder_does() {
+    let mut trigger = feedback(&settings());
+    let still = GripperState { follows: false, ..jaws(40.0) };
+    for _ in 0..50 {
+        assert_eq!(force(&trigger.tick(Some(0.6), Some(still), true, 1.0, 0)), 0.0);
+    }
+    for n in 1..=2 * RISE {
+        let share = (n as f64 / RISE as f64).min(1.0);
+        let felt = force(&trigger.tick(Some(0.6), Some(jaws(40.0)), true, 1.0, 0));
+        assert!((felt + SCALE * 40.0 * share).abs() < 1e-12, "{n}: {felt}");
+    }
+    // Apart, the gripper keeps its grip and follows no more; the ladder fades the force.
+    for n in 1..=75 {
+        let gain = 1.0 - f64::from(n) / 75.0;
+        let felt = force(&trigger.tick(Some(0.6), Some(still), false, gain, 0));
+        assert!((felt + SCALE * 40.0 * gain).abs() < 1e-12, "{n}: {felt}");
+    }
+    assert_eq!(force(&trigger.tick(Some(0.6), Some(jaws(40.0)), false, 0.0, 0)), 0.0);
+}
+
+#[test]
+fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_says() {
+    // Soft jaws: their force grows with the way of the trigger beyond what they hold, k = lambda K_jaws.
+    let (held_m, k, x) = (0.012, 200.0, 0.009);
+    let peak = |controllers: &[ControllerKind]| {
+        let scaled = SafetySettings { controllers: controllers.to_vec().into(), ..SafetySettings::default() }
+            .at_scale(5.0 / 7.9, TRAVEL_M / 0.14);
+        let most = MASS_KG / (5.0 * DT);
+        let safety = SafetySettings {
+            damping: scaled.damping.min(most),
+            pc_max_damping: scaled.pc_max_damping.min(most),
+            ..scaled
+        };
+        let limiter = LimiterSettings { max_slew_n_per_s: 1e6, ..settings().limiter };
+        let mut trigger = feedback(&TriggerSettings { safety, limiter, ..settings() });
+        // The finger pushes against it so that the trigger rests at `x` beyond.
+        let mut plant = held(4000.0, held_m + x + k * x / 4000.0, Some(2.0));
+        let mut fastest = 0.0_f64;
+        for n in 0..2400 {
+            let at = plant.read(n * PERIOD_NS).position[0];
+            let pressing =
+                GripperState { holds_object: at > held_m, ..jaws((at - held_m).max(0.0) * k / SCALE) };
+            let tick = trigger.tick(Some(at / TRAVEL_M), Some(pressing), true, 1.0, 0);
+            plant.write(&tick.device_force);
+            if n > 2000 {
+                fastest = fastest.max(-plant.velocity()[0]);
+            }
+        }
+        fastest
+    };
+    let omega = (k / MASS_KG).sqrt();
+    let expected = omega * x;
+    let free = peak(&[]);
+    // A force that is held over a tick is late by dT / 2, as a damping of -k dT / 2: over a quarter of a period it lets the
+    // speed grow by the share omega dT pi / 8. The release falls on a tick, and the last tick of the push is held on beyond
+    // the spring's end, by less than k (v dT) dT / m = omega² dT² v.
+    let share = omega * DT * std::f64::consts::PI / 8.0;
+    let most = expected * ((2.0 * share).exp() + (omega * DT).powi(2));
+    assert!((expected * (1.0 - share)..=most).contains(&free), "{free} m/s, closed form {expected}");
+    for kind in ControllerKind::ALL {
+        let caught = peak(&[kind]);
+        assert!(caught < 0.95 * free, "{kind:?}: {caught} m/s, without {free} m/s");
+    }
+}
+
+#[test]
+fn a_fault_is_no_force_until_it_is_mended() {
+    let mut trigger = feedback(&settings());
+    let run = |trigger: &mut TriggerFeedback, ticks| {
+        (0..ticks).map(|_| trigger.tick(Some(0.6), Some(jaws(40.0)), true, 1.0, 0)).last().unwrap()
+    };
+    assert!(force(&run(&mut trigger, 2 * RISE)) < 0.0);
+    assert_eq!(trigger.fail(Fault::Device).fault, Some(Fault::Device));
+    trigger.restart();
+    let tick = run(&mut trigger, RISE);
+    assert_eq!((force(&tick), tick.fault), (0.0, Some(Fault::Device)));
+    trigger.reset();
+    assert!((force(&run(&mut trigger, 1)) + SCALE * 40.0 / RISE as f64).abs() < 1e-12);
+}
+
+#[test]
+fn what_no_trigger_can_be_is_refused() {
+    for bad in [
+        TriggerSettings { travel_m: 0.0, ..settings() },
+        TriggerSettings { travel_m: f64::NAN, ..settings() },
+        TriggerSettings { travel_m: 1.1, ..settings() },
+        TriggerSettings { force_scale: 0.0, ..settings() },
+        TriggerSettings { force_scale: f64::INFINITY, ..settings() },
+        TriggerSettings { limiter: LimiterSettings { max_force_n: 0.0, ..settings().limiter }, ..settings() },
+    ] {
+        assert!(TriggerFeedback::new(&bad, DT, 0.2).is_err(), "{bad:?}");
+    }
+}
+
+proptest! {
+    /// Whatever the jaws say and the finger does, and whoever watches.
+    #[test]
+    fn norm_growth_and_power_hold_at_every_tick(
+        ticks in prop::collection::vec((0.0..=1.0f64, 0.0..=1e4f64, any::<(bool, bool, bool)>(), 0.0..=1.0f64), 1..200),
+        watched in any::<bool>(),
+    ) {
+        let limiter = settings().limiter;
+        let controllers = if watched { ControllerKind::ALL.into() } else { Controllers::NONE };
+        let most = MASS_KG / (5.0 * DT);
+        let safety = SafetySettings { controllers, damping: most, pc_max_damping: most, ..settings().safety };
+        let mut trigger = feedback(&TriggerSettings { safety, ..settings() });
+        let mut before = 0.0_f64;
+        for (position, force_n, (holds_object, follows, is_coupled), gain) in ticks {
+            let state = GripperState { holds_object, follows, ..jaws(force_n) };
+            let gain = if is_coupled { 1.0 } else { gain };
+            let tick = trigger.tick(Some(position), Some(state), is_coupled, gain, 0);
+            let felt = force(&tick);
+            prop_assert!(tick.fault.is_none());
+            prop_assert!(felt.abs() <= limiter.max_force_n * (1.0 + 1e-12));
+            prop_assert!(felt * tick.motion.velocity[0] <= limiter.max_power_w + 1e-9);
+            prop_assert!(tick.rendered_force[0] <= 0.0, "the jaws never close the trigger");
+            prop_assert!(tick.rendered_force[0] == 0.0 || holds_object);
+            let grown = if felt * before > 0.0 { felt.abs() - before.abs() } else { felt.abs() };
+            prop_assert!(grown <= limiter.max_slew_n_per_s * DT + 1e-9);
+            before = felt;
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! A trigger that the finger feels, through both sides and frames between them: picked up, held, apart, and read badly.
+#![allow(clippy::unwrap_used)] // a test may
+
+use haptether_bridge::{
+    Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
+    MasterRecord, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings, SlaveSide,
+    TickTime, Trigger, TriggerSettings, coupling::CommandBounds, wire::MAX_FRAME,
+};
+use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path};
+use haptether_safety::{
+    Axes, DeviceModel, Fault, LimiterSettings,
+    controller::{ControllerKind, SafetySettings},
+    estimator::EstimatorKind,
+};
+use haptether_slave::{ArmParameters, GripperSettings, SimulatedSlave, Wall};
+
+const MS: u64 = 1_000_000;
+const JAWS_N: f64 = 40.0;
+const SCALE: f64 = 0.05;
+const TRAVEL_M: f64 = 0.03;
+/// Of the ladder, in ticks.
+const FADE_IN: u64 = 200;
+const FADE_OUT: u64 = 75;
+
+fn feedback() -> TriggerSettings {
+    TriggerSettings {
+        travel_m: TRAVEL_M,
+        device: DeviceModel::uniform(0.05, 0.0, 0.0).unwrap(),
+        estimator: EstimatorKind::default(),
+        safety: SafetySettings::default(),
+        limiter: LimiterSettings {
+            max_force_n: 5.0,
+            max_slew_n_per_s: 20.0,
+            max_power_w: 5.0,
+            ramp_in_s: 0.0,
+        },
+        force_scale: SCALE,
+    }
+}
+
+fn endpoint(safety: SafetySettings, trigger: &TriggerSettings) -> MasterEndpoint<1> {
+    MasterEndpoint::new(&MasterSettings {
+        period_ns: MS,
+        run_id: 1,
+        device: DeviceModel::phantom_desktop(),
+        estimator: EstimatorKind::default(),
+        safety,
+        limiter: LimiterSettings::default(),
+        force_scale: 1.0,
+        ladder: LadderSettings::default(),
+    })
+    .unwrap()
+    .with_trigger(trigger)
+    .unwrap()
+}
+
+/// Both sides over a wire that may be cut, with jaws that begin at `jaws` and meet something at 0.6.
+struct Pair {
+    master: MasterSide<DrivenMaster<1>, 1>,
+    slave: SlaveSide<SimulatedSlave<1>, 1>,
+    tick: u64,
+    is_cut: bool,
+}
+
+impl Pair {
+    fn new(trigger: Trigger, jaws: f64) -> Self {
+        Self::watched(trigger, jaws, SafetySettings::default(), &feedback())
+    }
+
+    fn watched(trigger: Trigger, jaws: f64, safety: SafetySettings, settings: &TriggerSettings) -> Self {
+        let master = MasterSide::new(DrivenMaster::default(), endpoint(safety, settings), Clutch::Once)
+            .unwrap()
+            .with_trigger(Some(trigger));
+        let settings = SlaveSettings {
+            period_ns: MS,
+            run_id: 2,
+            position_scale: 1.0,
+            bounds: CommandBounds::default(),
+            ladder: LadderSettings::default(),
+        };
+        let wall = Wall::new(1.0, 100.0).unwrap();
+        let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 2.0, 0).unwrap();
+        let jaws = GripperSettings { position: jaws, speed: 2.0, force_n: JAWS_N, object: Some(0.6) };
+        let slave = SlaveSide::new(arm, SlaveEndpoint::new(&settings).unwrap())
+            .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));
+        Self { master, slave, tick: 0, is_cut: false }
+    }
+
+    /// One tick of both; the master's record and the force at the trigger.
+    fn step(&mut self) -> (MasterRecord<1>, f64) {
+        let (now_ns, mut buffer) = (self.tick * MS, [0; MAX_FRAME]);
+        self.tick += 1;
+        let record = self.master.tick(TickTime::at(now_ns));
+        let frame = self.master.send(LinkTime::at(now_ns), &mut buffer);
+        if !self.is_cut {
+            let _ = self.slave.receive(LinkTime::at(now_ns), frame);
+        }
+        self.slave.tick(TickTime::at(now_ns));
+        let frame = self.slave.send(LinkTime::at(now_ns), &mut buffer);
+        if !self.is_cut {
+            let _ = self.master.receive(LinkTime::at(now_ns), frame);
+        }
+        (record, self.master.felt().unwrap().device_force[0])
+    }
+
+    fn steps(&mut self, ticks: u64) -> (MasterRecord<1>, f64) {
+        (0..ticks).map(|_| self.step()).last().unwrap()
+    }
+
+    fn lead(&mut self, to: Option<f64>) {
+        self.master.trigger = Some(Trigger::Driven(to));
+    }
+
+    /// The trigger closes on what the jaws meet, and all of their force is felt.
+    fn grip(&mut self) {
+        self.lead(Some(0.0));
+        self.steps(2 * FADE_IN);
+        for n in 0..=400 {
+            self.lead(Some(0.002 * f64::from(n)));
+            self.step();
+        }
+        let (record, felt) = self.steps(600);
+        assert_eq!(record.state, LadderState::Engaged);
+        assert!((felt + SCALE * JAWS_N).abs() < 1e-12, "{felt}");
+    }
+}
+
+#[test]
+fn a_finger_closes_feels_what_is_held_and_balances_it() {
+    let legs = vec![
+        Leg { duration_s: 0.5, end: Axes::zeros(), shape: LegShape::Linear },
+        Leg { duration_s: 0.5, end: Axes::<1>::new(TRAVEL_M), shape: LegShape::Linear },
+    ];
+    let finger = Hand::new(300.0, 3.0, f64::INFINITY, Path::new(Axes::zeros(), legs).unwrap(), None).unwrap();
+    let device = DeviceParameters { measures_velocity: false, ..DeviceParameters::ideal(0.05, 0.0, 0.0) };
+    let held = HeldTrigger::new(device, TRAVEL_M, finger).unwrap();
+    let mut pair = Pair::new(Trigger::Held(Box::new(held)), 0.0);
+    let mut before = 0.0;
+    for _ in 0..2500 {
+        let (_, felt) = pair.step();
+        assert!(felt <= 0.0 && before - felt <= 20.0 * 1e-3 + 1e-12, "{felt} N after {before} N");
+        before = felt;
+    }
+    // K_f (travel - x) = lambda F.
+    let (record, felt) = pair.step();
+    let expected = 1.0 - SCALE * JAWS_N / 300.0 / TRAVEL_M;
+    assert!((felt + SCALE * JAWS_N).abs() < 1e-12 && (record.trigger - expected).abs() < 1e-9);
+}
+
+#[test]
+fn nothing_is_felt_before_the_gripper_is_picked_up() {
+    // The jaws hold something already, and the trigger is open.
+    let mut pair = Pair::new(Trigger::Driven(Some(0.3)), 0.6);
+    for _ in 0..1000 {
+        let (record, felt) = pair.step();
+        assert_eq!(felt, 0.0);
+        assert!(pair.tick < 10 || record.state == LadderState::Engaged);
+    }
+    pair.lead(Some(0.7));
+    let felt: Vec<_> = (0..2 * FADE_IN).map(|_| pair.step().1).collect();
+    assert!(felt[FADE_IN as usize / 2] > -SCALE * JAWS_N && felt[0] == 0.0);
+    assert!((felt.last().unwrap() + SCALE * JAWS_N).abs() < 1e-12);
+}
+
+#[test]
+fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are_apart() {
+    let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
+    pair.grip();
+    pair.is_cut = true;
+    let (mut states, mut faded, mut last) = (Vec::new(), 0, SCALE * JAWS_N);
+    for _ in 0..400 {
+        let (record, felt) = pair.step();
+        assert!(felt <= 0.0 && -felt <= last + 1e-12, "{:?}: {felt} after {last}", record.state);
+        match record.state {
+            // Late frames take nothing of the force away.
+            LadderState::Engaged | LadderState::Stale => assert_eq!(-felt, SCALE * JAWS_N),
+            _ => faded += u64::from(felt != 0.0),
+        }
+        last = -felt;
+        if states.last() != Some(&record.state) {
+            states.push(record.state);
+        }
+    }
+    assert_eq!(states, [LadderState::Engaged, LadderState::Stale, LadderState::Hold, LadderState::Stop]);
+    // Gone within the fade, and not at once.
+    assert!((FADE_OUT - 2..=FADE_OUT).contains(&faded), "{faded} ticks");
+    assert_eq!(last, 0.0);
+    // The wire mends and nobody presses: still nothing.
+    pair.is_cut = false;
+    for _ in 0..400 {
+        let (record, felt) = pair.step();
+        assert!(!record.state.is_coupled() && felt == 0.0, "{:?}", record.state);
+    }
+    // Pressed anew, it must be picked up anew: the trigger has been let go meanwhile.
+    pair.lead(Some(0.2));
+    pair.step();
+    pair.master.command(pair.tick * MS, OperatorCommand::Press).unwrap();
+    for _ in 0..800 {
+        assert_eq!(pair.step().1, 0.0);
+    }
+    assert_eq!(pair.master.exchange().state(), LadderState::Engaged);
+    pair.lead(Some(0.8));
+    assert!((pair.steps(600).1 + SCALE * JAWS_N).abs() < 1e-12);
+}
+
+#[test]
+fn a_trigger_that_is_not_known_is_no_force_and_no_fault() {
+    for unknown in [None, Some(f64::NAN), Some(f64::INFINITY), Some(-0.1), Some(1.1)] {
+        let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
+        pair.grip();
+        pair.lead(unknown);
+        let (record, felt) = pair.step();
+        assert_eq!((felt, record.fault, record.state), (0.0, 0, LadderState::Engaged), "{unknown:?}");
+        // Known again, it rises from zero, once the jaws follow it again.
+        pair.lead(Some(0.8));
+        let (_, felt) = pair.step();
+        assert!(felt.abs() <= SCALE * JAWS_N / FADE_IN as f64 + 1e-12, "{unknown:?}: {felt}");
+    }
+}
+
+#[test]
+fn a_fault_of_the_hand_stops_the_trigger_until_it_is_mended() {
+    let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
+    pair.grip();
+    pair.master.plant.position = Axes::<1>::new(f64::NAN);
+    let (record, felt) = pair.step();
+    assert_eq!(felt, 0.0);
+    assert_eq!(record.state, LadderState::Fault);
+    assert!(Fault::from_code(record.fault).is_some());
+    pair.master.plant.position = Axes::zeros();
+    for _ in 0..FADE_IN {
+        let (record, felt) = pair.step();
+        assert_eq!((felt, record.state), (0.0, LadderState::Fault));
+    }
+    pair.master.command(pair.tick * MS, OperatorCommand::Acknowledge).unwrap();
+    pair.step();
+    assert_ne!(pair.master.exchange().state(), LadderState::Fault);
+    assert_eq!(pair.master.felt().unwrap().fault, None);
+}
+
+#[test]
+fn a_trip_of_the_finger_takes_nothing_from_the_hand_and_the_other_way() {
+    let all = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
+    let none = SafetySettings::default();
+    let watched = SafetySettings { damping: 5.0, ..all.at_scale(5.0 / 7.9, TRAVEL_M / 0.14) };
+    // The trigger opens under the force of the jaws: the finger's own controller cancels it.
+    for (of_finger, trips) in [(watched, true), (none, false)] {
+        let settings = TriggerSettings { safety: of_finger, ..feedback() };
+        let mut pair = Pair::watched(Trigger::Driven(Some(0.0)), 0.0, all, &settings);
+        pair.grip();
+        let mut tripped = [false; 2];
+        for n in 0..20 {
+            pair.lead(Some(0.8 - 0.01 * f64::from(n)));
+            let (record, _) = pair.step();
+            let felt = pair.master.felt().unwrap();
+            tripped =
+                [tripped[0] | (record.tripped != 0), tripped[1] | (felt.intervention.tripped.bits() != 0)];
+        }
+        assert_eq!(tripped, [false, trips]);
+    }
+}
