@@ -123,3 +123,152 @@ def test_a_trigger_that_leads_nothing_is_refused(scene: Scene) -> None:
 def test_a_run_ends_early_only_when_the_trigger_has_come_to_rest(scene: Scene) -> None:
     run = simulate(override_scene(scene, ["run.duration_s=60.0", "run.stop_early=true"]))
     assert [kind for _, kind in events(run, "grip", "drop")] == ["grip", "drop"]
+
+
+# ------------------------------------------------------------------------------------------- a trigger that is felt
+
+FEELS = ["master.gripper={travel_m = 0.03, mass_kg = 0.05}"]
+FINGER_N, STIFFNESS, TRAVEL_M, MASS_KG = 0.05 * 40.0, 300.0, 0.03, 0.05
+"""What 40 N of the jaws are at the finger by default, and the finger and trigger of `FEELS`."""
+LETS_GO = "operator.finger={release = {at_s = 1.8, decay_s = 0.0, kind = 'gain'}}"
+FINGER_SIGNALS = {
+    "trigger_velocity", "finger_force", "trigger_rendered_force", "trigger_safety_force", "trigger_device_force",
+    "trigger_tripped",
+}  # fmt: skip
+
+
+@pytest.fixture
+def felt(scene: Scene) -> Scene:
+    return override_scene(scene, FEELS)
+
+
+def test_a_finger_feels_what_the_jaws_hold_and_nothing_else(felt: Scene) -> None:
+    run = simulate(felt)
+    assert [kind for _, kind in events(run, "grip", "drop")] == ["grip", "drop"]
+    force, time_s = run.signals["trigger_device_force"], run.signals["time_s"]
+    (grip_s, _), (drop_s, _) = events(run, "grip", "drop")
+    assert not force[(time_s < grip_s) | (time_s > drop_s + 0.002)].any()
+    assert force.max() == 0.0
+    assert np.diff(force).min() >= -20.0 * felt.run.period_s * (1.0 + 1e-9)
+    # At rest for 0.8 s and more: K_f (travel - x) = F_finger = lambda F_jaws. The poles of K_f, B_f = 3 and m are at
+    # -30 ± 71 j: e^-24 is left.
+    rests = np.searchsorted(time_s, engaged_s(run) + 1.99)
+    assert force[rests] == pytest.approx(-FINGER_N, rel=1e-12)
+    assert run.signals["finger_force"][rests] == pytest.approx(FINGER_N, abs=1e-9)
+    assert run.signals["trigger"][rests] == pytest.approx(1.0 - FINGER_N / STIFFNESS / TRAVEL_M, abs=1e-9)
+
+
+def test_a_trigger_that_is_not_felt_goes_where_its_course_says(scene: Scene) -> None:
+    run = simulate(scene)
+    assert not FINGER_SIGNALS & set(run.signals)
+    since_s = np.clip(run.signals["time_s"] - engaged_s(run), 0.0, None)
+    expected = np.interp(since_s, [0.5, 1.0, 2.0, 2.2], [0.0, 1.0, 1.0, 0.0])
+    assert np.abs(run.signals["trigger"] - expected).max() < 1e-12
+
+
+def test_a_trigger_that_is_let_go_is_as_fast_as_the_closed_form(felt: Scene) -> None:
+    """`v² = 2 F x / m`: the jaws, slower than that, press until the trigger has gone all its way."""
+    run = simulate(override_scene(felt, [LETS_GO]))
+    way_m = TRAVEL_M - FINGER_N / STIFFNESS
+    expected = np.sqrt(2.0 * FINGER_N * way_m / MASS_KG)
+    # Seen once a tick, and gone at the stop: one tick of F / m below it at most.
+    fastest = -run.signals["trigger_velocity"].min()
+    assert expected - FINGER_N / MASS_KG * felt.run.period_s <= fastest <= expected * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("controller", ["vfc", "hsc", "wsc", "pc"])
+def test_each_controller_bounds_how_the_trigger_is_thrown(felt: Scene, controller: str) -> None:
+    fastest = [
+        -simulate(override_scene(felt, [LETS_GO, f"safety.gripper={{controllers = {watched}}}"]))
+        .signals["trigger_velocity"].min()
+        for watched in ([], [controller])
+    ]  # fmt: skip
+    assert fastest[1] < 0.75 * fastest[0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["link.forward={outages = [{times = {kind = 'once', at_s = 1.6, duration_s = 0.5}}]}"],
+        ["link.backward={outages = [{times = {kind = 'once', at_s = 1.6, duration_s = 0.5}}]}"],
+        ["operator.clutch=[[0.0, 1.5], [2.6, 2.99]]"],
+    ],
+    ids=["the master falls silent", "the slave falls silent", "the clutch is let go"],
+)
+def test_nothing_is_felt_while_the_sides_are_apart_nor_before_the_jaws_follow_again(
+    felt: Scene, changes: list[str]
+) -> None:
+    run = simulate(override_scene(felt, changes))
+    assert [kind for _, kind in events(run, "grip", "drop")] == ["grip"]
+    force, time_s = run.signals["trigger_device_force"], run.signals["time_s"]
+    is_coupled = np.isin(run.signals["state"], [2, 3])
+    parted = 1 + int(np.flatnonzero(is_coupled[:-1] & ~is_coupled[1:])[0])
+    assert force[parted - 1] < -1.9
+    # It fades as the force of the hand does, within 75 ms; the tick of the hold is the first.
+    assert np.diff(force[parted - 1 :]).min() >= 0.0
+    assert not force[time_s > time_s[parted] + 0.075].any()
+    # They have come together again meanwhile, with the trigger open and the grip kept.
+    assert is_coupled[np.searchsorted(time_s, 2.95)]
+
+
+def test_what_the_ladder_does_to_the_hand_it_does_to_the_finger(felt: Scene) -> None:
+    """The share of its force that each keeps in a hold is the same at each tick."""
+    run = simulate(
+        override_scene(
+            felt,
+            [
+                "environment.pushers=[{at_s = 0.5, force_n = 1.0}]",
+                "link.backward={outages = [{times = {kind = 'once', at_s = 1.6, duration_s = 0.5}}]}",
+            ],
+        )
+    )
+    held = np.flatnonzero(run.signals["state"] == 4)
+    share = {
+        name: run.signals[name][held] / run.signals[name][held[0] - 1]
+        for name in ("device_force", "trigger_device_force")
+    }
+    assert 0.0 < share["device_force"][10] < 0.95
+    np.testing.assert_allclose(share["trigger_device_force"], share["device_force"], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("master.gripper={mass_kg = 0.05}", "[master.gripper] travel_m"),
+        ("master.gripper={travel_m = 0.03}", "[master.gripper] mass_kg"),
+        ("master.gripper.travel_m=0", "[master.gripper] travel_m = 0"),
+        ("master.gripper.mass_kg=0", "[master.gripper] mass_kg = 0"),
+        ("master.gripper.viscous=-0.1", "[master.gripper] viscous = -0.1"),
+        ("master.gripper.force_scale=0", "[master.gripper] force_scale = 0"),
+        ("master.gripper.max_force_n=51", "[master.gripper] max_force_n = 51"),
+        ("master.gripper.max_slew_n_per_s=inf", "[master.gripper] max_slew_n_per_s = inf"),
+        ("safety.gripper.damping=10.1", "[safety.gripper] damping = 10.1: must be at most m / (5 dT) = 10"),
+        ("safety.gripper.reach_m=0", "[safety.gripper] reach_m = 0"),
+        ("operator.finger.release={at_s = 1.0}", "[operator.finger.release] kind: a strength without bound"),
+        ("run.stop_early=true", "[run] stop_early: a trigger that is felt"),
+        ("master.buttons={gripper = 1}", "[master.buttons] gripper: works what [master.gripper] leads"),
+    ],
+)
+def test_a_felt_trigger_that_cannot_be_is_refused_with_its_key(felt: Scene, change: str, said: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        simulate(override_scene(felt, ["safety.controllers=['vfc']", change]))
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("operator.finger={}", "[operator] finger: is for a trigger that is felt"),
+        ("safety.gripper={}", "[safety] gripper: is for a trigger that is felt"),
+    ],
+)
+def test_what_belongs_to_a_felt_trigger_is_refused_without_one(scene: Scene, change: str, said: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        simulate(override_scene(scene, [change]))
+    assert said in str(refused.value)
+
+
+def test_a_trigger_that_is_felt_leads_a_gripper(felt: Scene) -> None:
+    with pytest.raises(SceneError) as refused:
+        simulate(without_gripper(override_scene(felt, ["operator.trigger=[]"])))
+    assert "[master] gripper: leads no gripper" in str(refused.value)

@@ -71,7 +71,7 @@ class ButtonsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class TriggerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[master.gripper]`: a trigger whose finger feels what `[slave.gripper]` holds; without it the finger feels nothing.
+    """`[master.gripper]`: a trigger that feels like what `[slave.gripper]` holds; without it the finger feels nothing.
 
     `m A + b V + c sign(V) = F_device + F_finger` along its closing way, and `F_v = -force_scale F_jaws` while
     something stops the jaws. No preset has `travel_m` and `mass_kg`: no source that was at hand gives them.

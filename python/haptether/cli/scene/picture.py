@@ -30,6 +30,7 @@ PANELS = {
     "hole [m]": {"hole_depth": "depth"},
     "body [m]": {"body_position": "body"},
     "gripper": {"trigger": "trigger", "gripper_command": "commanded", "gripper": "jaws"},
+    "finger [N]": {"trigger_device_force": "on the finger", "finger_force": "of the finger"},
     "tripped": {"tripped": "tripped"},
 }
 """What is drawn below one another: signals and their labels. A panel without any of them is left out."""
