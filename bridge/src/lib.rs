@@ -50,6 +50,8 @@ pub use local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, Watc
 pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
 pub use plant::{MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster};
-pub use record::{MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn};
+pub use record::{
+    Feeling, FingerTick, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
+};
 pub use side::{MasterSide, Side, SlaveSide};
 pub use virtual_time::{Event, LoopCounts, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

@@ -15,7 +15,8 @@ use crate::{
     pace::TickTime,
     plant::{MasterPlant, SlavePlant},
     record::{
-        LadderSnapshot, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
+        Feeling, LadderSnapshot, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation,
+        SlaveTurn,
     },
     session::{MAX_DATAGRAM, Session},
     wire::MAX_FRAME,
@@ -147,6 +148,13 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         (clutch, trigger)
     }
 
+    /// The same side with records of what the finger at the trigger feels.
+    #[must_use]
+    pub fn feeling(self) -> MasterSide<P, N, Feeling<R>> {
+        let Self { plant, endpoint, operator, button, trigger, felt, buttons, .. } = self;
+        MasterSide { plant, endpoint, operator, button, trigger, felt, buttons, records: PhantomData }
+    }
+
     /// What the finger at the trigger felt at the last tick, in m/s and N, positive closing; none without force feedback.
     pub fn felt(&self) -> Option<&SafetyTick<1>> {
         self.felt.as_ref()
@@ -216,7 +224,8 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for MasterSide<P,
         let reading = MasterReading { position, velocity, rotation: self.plant.rotation(), trigger };
         let tick = self.endpoint.tick(time.clock_ns, time.missed, &reading, clutch);
         let truth = self.plant.truth();
-        let turn = R::of(reading.rotation.as_ref(), self.plant.rotation_truth(), tick.rotation.as_ref());
+        let turn = R::of(reading.rotation.as_ref(), self.plant.rotation_truth(), tick.rotation.as_ref())
+            .felt(tick.trigger.as_ref());
         if let Some(of_torque) = &tick.rotation {
             self.plant.write_torque(&of_torque.device_force);
         }

@@ -7,9 +7,9 @@ use std::{
 };
 
 use haptether_bridge::{
-    Clutch, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint, MasterRotationSettings,
+    Clutch, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint, MasterRotationSettings,
     MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings, SlaveSettings, SlaveSide,
-    TickTime, Trigger, TurningMaster,
+    TickTime, Trigger, TriggerSettings, TurningMaster,
     coupling::{CommandBounds, RotationBounds, RotationLock},
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     wire::{MAX_FRAME, Role},
@@ -128,6 +128,71 @@ fn a_tick_of_both_sides_allocates_nothing() {
             "the run must have done something"
         );
     }
+}
+
+#[test]
+fn a_tick_of_a_trigger_that_is_felt_allocates_nothing() {
+    let safety = SafetySettings { controllers: ControllerKind::ALL.into(), ..SafetySettings::default() };
+    let endpoint = MasterEndpoint::new(&MasterSettings {
+        period_ns: MS,
+        run_id: 1,
+        device: DeviceModel::phantom_desktop(),
+        estimator: EstimatorKind::default(),
+        safety,
+        limiter: LimiterSettings::default(),
+        force_scale: 1.0,
+        ladder: LadderSettings::default(),
+    })
+    .unwrap()
+    .with_trigger(&TriggerSettings {
+        travel_m: 0.03,
+        device: DeviceModel::uniform(0.05, 0.0, 0.0).unwrap(),
+        estimator: EstimatorKind::default(),
+        safety: SafetySettings { damping: 10.0, pc_max_damping: 10.0, ..safety.at_scale(0.6, 0.2) },
+        limiter: LimiterSettings::default(),
+        force_scale: 0.05,
+    })
+    .unwrap();
+    let close = Leg { duration_s: 0.5, end: Axes::<1>::new(0.03), shape: LegShape::Linear };
+    let release = Some(Release { at_s: 1.2, decay_s: 0.05, kind: ReleaseKind::Gain });
+    let path = Path::new(Axes::zeros(), vec![close]).unwrap();
+    let finger = Hand::new(300.0, 3.0, f64::INFINITY, path, release).unwrap();
+    let held = HeldTrigger::new(DeviceParameters::ideal(0.05, 0.0, 0.0), 0.03, finger).unwrap();
+    let path = Path::new(Axes::<1>::zeros(), Vec::new()).unwrap();
+    let hand = Hand::new(300.0, 8.0, 12.0, path, None).unwrap();
+    let plant = SimulatedMaster::new(DeviceParameters::phantom_desktop(), hand, 0).unwrap();
+    let mut master = MasterSide::new(plant, endpoint, Clutch::Once)
+        .unwrap()
+        .with_trigger(Some(Trigger::Held(Box::new(held))))
+        .feeling();
+    let settings = SlaveSettings {
+        period_ns: MS,
+        run_id: 2,
+        position_scale: 1.0,
+        bounds: CommandBounds::default(),
+        ladder: LadderSettings::default(),
+    };
+    let wall = Wall::new(1.0, 100.0).unwrap();
+    let plant = SimulatedSlave::new(ArmParameters::default(), wall, None, 2.0, 0).unwrap();
+    let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
+    let mut slave = SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap())
+        .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));
+    let mut buffer = [0; MAX_FRAME];
+    let (mut tripped, mut felt) = (false, 0.0_f64);
+
+    let before = allocations();
+    for tick in 0..2000 {
+        let now_ns = tick * MS;
+        let finger = master.tick(TickTime::at(now_ns)).rotation.finger;
+        (tripped, felt) = (tripped | (finger.tripped != 0), felt.min(finger.device_force));
+        let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
+        slave.tick(TickTime::at(now_ns));
+        let _ = master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer));
+    }
+    let allocated = allocations() - before;
+
+    assert_eq!(allocated, 0);
+    assert!(tripped && felt < -1.0, "the run must have done something: {tripped} {felt}");
 }
 
 /// A hand that moves and turns, and lets go.

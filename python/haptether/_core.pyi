@@ -1772,6 +1772,26 @@ class MasterTrace(_SideTicks, _ObservedTicks):
     def trigger(self) -> _Array:
         """What leads the gripper, 0 (open) to 1 (closed); NaN where it is not known, or without a gripper."""
 
+    @property
+    def trigger_velocity(self) -> _Array | None:
+        """V of a trigger that the finger feels in m/s, positive closing, as estimated; none of others, as all that follows."""
+
+    @property
+    def trigger_rendered_force(self) -> _Array | None:
+        """F_v at the trigger in N, as far as it can be rendered."""
+
+    @property
+    def trigger_safety_force(self) -> _Array | None:
+        """F_c at the trigger in N."""
+
+    @property
+    def trigger_device_force(self) -> _Array | None:
+        """F_device at the trigger in N, after the limiter."""
+
+    @property
+    def trigger_tripped(self) -> _Bits | None:
+        """Who tripped by the trigger, as `tripped`."""
+
 @final
 class SlaveTrace(_SideTicks):
     """Ticks of a slave: each signal an array of shape `(n_ticks,)`, or `(n_ticks, axes)` for vectors of several axes."""

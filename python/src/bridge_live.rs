@@ -3,9 +3,12 @@
 use std::{path::PathBuf, sync::Mutex, time::Duration};
 
 use haptether_bridge::{
-    OperatorCommand, Side, SideKind,
+    Feeling, MasterRecord, MasterSide, MasterTurn, OperatorCommand, Side, SideKind,
     live::{Ineffective, LiveRun, run_live},
-    scene::{as_pose, simulated_master, simulated_pose_master, simulated_pose_slave, simulated_slave},
+    scene::{
+        SimulatedDevice, Timed, as_pose, simulated_master, simulated_pose_master, simulated_pose_slave,
+        simulated_slave,
+    },
 };
 use pyo3::{exceptions::PyRuntimeError, prelude::*};
 
@@ -98,12 +101,27 @@ pub(crate) struct LiveMaster {
 
 constructor!(LiveMaster, peer, [listen: Option<&str> = None, started_s: Option<f64> = None], |py, scene, run_id, how| {
     let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
+    let is_felt = scene.master.gripper.is_some();
     let (run, watched) = match as_pose(&scene).map_err(refuse)? {
-        Some(scene) => start(py, simulated_pose_master(scene, run_id).map_err(refuse)?, place)?,
-        None => start(py, simulated_master::<N>(&scene, run_id).map_err(refuse)?, place)?,
+        Some(scene) => start_master(py, simulated_pose_master(scene, run_id).map_err(refuse)?, place, is_felt)?,
+        None => start_master(py, simulated_master::<N>(&scene, run_id).map_err(refuse)?, place, is_felt)?,
     };
     Ok(Self { run, watched, kind: scene.master.kind })
 });
+
+/// With records of what the finger feels where it does.
+fn start_master<R: MasterTurn, const N: usize>(
+    py: Python<'_>,
+    side: Timed<MasterSide<SimulatedDevice<N>, N, R>>,
+    place: Place,
+    is_felt: bool,
+) -> PyResult<Started<MasterRows>>
+where
+    MasterRecord<N, R>: Rowed<Rows = MasterRows>,
+    MasterRecord<N, Feeling<R>>: Rowed<Rows = MasterRows>,
+{
+    if is_felt { start(py, side.feeling(), place) } else { start(py, side, place) }
+}
 
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveSlave {

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use haptether_bridge::{
-    LinkStatistics, MasterRecord, MasterRotation, PathReport, SlaveRecord, SlaveRotation,
+    Feeling, FingerTick, LinkStatistics, MasterRecord, MasterRotation, PathReport, SlaveRecord,
+    SlaveRotation,
     live::{Granted, LoopReport},
     recorder::{Recorded, RecordingReport},
 };
@@ -31,6 +32,7 @@ fn seconds(ns: u64) -> f64 {
 }
 
 type MasterRecords<const N: usize> = Vec<MasterRecord<N>>;
+type FeelingRecords<const N: usize> = Vec<MasterRecord<N, Feeling<()>>>;
 type SlaveRecords<const N: usize> = Vec<SlaveRecord<N>>;
 
 per_axes!(
@@ -39,22 +41,31 @@ per_axes!(
     MasterRecords
 );
 per_axes!(
+    /// Ticks of a master whose finger feels its trigger.
+    FeelingTicks,
+    FeelingRecords
+);
+per_axes!(
     /// Ticks of a slave.
     SlaveTicks,
     SlaveRecords
 );
 
-/// Ticks of a side: of points along any number of axes, or of poses.
+/// Ticks of a master: of points along any number of axes or of poses, and either with a trigger that the finger feels.
 #[derive(Clone)]
-pub(crate) enum Rows<T, R> {
-    Points(T),
-    Poses(Vec<R>),
+pub(crate) enum MasterRows {
+    Points(MasterTicks),
+    Poses(Vec<MasterRecord<3, MasterRotation>>),
+    FeelingPoints(FeelingTicks),
+    FeelingPoses(Vec<MasterRecord<3, Feeling<MasterRotation>>>),
 }
 
-/// Ticks of a master.
-pub(crate) type MasterRows = Rows<MasterTicks, MasterRecord<3, MasterRotation>>;
-/// Ticks of a slave.
-pub(crate) type SlaveRows = Rows<SlaveTicks, SlaveRecord<3, SlaveRotation>>;
+/// Ticks of a slave: of points along any number of axes, or of poses.
+#[derive(Clone)]
+pub(crate) enum SlaveRows {
+    Points(SlaveTicks),
+    Poses(Vec<SlaveRecord<3, SlaveRotation>>),
+}
 
 /// A record of which there are many, of a known number of axes.
 pub(crate) trait Rowed: Recorded {
@@ -71,7 +82,15 @@ macro_rules! rowed {
             type Rows = MasterRows;
 
             fn rows(records: Vec<Self>) -> MasterRows {
-                Rows::Points(MasterTicks::$variant(records))
+                MasterRows::Points(MasterTicks::$variant(records))
+            }
+        }
+
+        impl Rowed for MasterRecord<$n, Feeling<()>> {
+            type Rows = MasterRows;
+
+            fn rows(records: Vec<Self>) -> MasterRows {
+                MasterRows::FeelingPoints(FeelingTicks::$variant(records))
             }
         }
 
@@ -79,7 +98,7 @@ macro_rules! rowed {
             type Rows = SlaveRows;
 
             fn rows(records: Vec<Self>) -> SlaveRows {
-                Rows::Points(SlaveTicks::$variant(records))
+                SlaveRows::Points(SlaveTicks::$variant(records))
             }
         })*
     };
@@ -91,7 +110,15 @@ impl Rowed for MasterRecord<3, MasterRotation> {
     type Rows = MasterRows;
 
     fn rows(records: Vec<Self>) -> MasterRows {
-        Rows::Poses(records)
+        MasterRows::Poses(records)
+    }
+}
+
+impl Rowed for MasterRecord<3, Feeling<MasterRotation>> {
+    type Rows = MasterRows;
+
+    fn rows(records: Vec<Self>) -> MasterRows {
+        MasterRows::FeelingPoses(records)
     }
 }
 
@@ -99,7 +126,7 @@ impl Rowed for SlaveRecord<3, SlaveRotation> {
     type Rows = SlaveRows;
 
     fn rows(records: Vec<Self>) -> SlaveRows {
-        Rows::Poses(records)
+        SlaveRows::Poses(records)
     }
 }
 
@@ -125,44 +152,92 @@ fn vectors<const N: usize>(py: Python<'_>, values: impl Iterator<Item = Axes<N>>
     Ok(flat.into_pyarray(py).reshape([ticks, N])?.into_any().unbind())
 }
 
-/// Runs an expression on the records of all kinds of rows.
-macro_rules! of_rows {
-    ($rows:expr, $ticks:ident, $records:ident => $body:expr) => {
+/// Runs an expression on the records of all kinds of rows of a master.
+macro_rules! of_master {
+    ($rows:expr, $records:ident => $body:expr) => {
         match $rows {
-            Rows::Points(ticks) => with_axes!(ticks, $ticks, $records => $body),
-            Rows::Poses($records) => $body,
+            MasterRows::Points(ticks) => with_axes!(ticks, MasterTicks, $records => $body),
+            MasterRows::Poses($records) => $body,
+            MasterRows::FeelingPoints(ticks) => with_axes!(ticks, FeelingTicks, $records => $body),
+            MasterRows::FeelingPoses($records) => $body,
         }
     };
 }
 
+/// The same of a slave.
+macro_rules! of_slave {
+    ($rows:expr, $records:ident => $body:expr) => {
+        match $rows {
+            SlaveRows::Points(ticks) => with_axes!(ticks, SlaveTicks, $records => $body),
+            SlaveRows::Poses($records) => $body,
+        }
+    };
+}
+
+impl MasterTrace {
+    /// The rotation of each tick, of a side that turns.
+    fn turns(&self) -> Option<Vec<&MasterRotation>> {
+        match &self.rows {
+            MasterRows::Poses(records) => Some(records.iter().map(|record| &record.rotation).collect()),
+            MasterRows::FeelingPoses(records) => {
+                Some(records.iter().map(|record| &record.rotation.turn).collect())
+            }
+            MasterRows::Points(_) | MasterRows::FeelingPoints(_) => None,
+        }
+    }
+
+    /// What the finger felt at each tick, of a trigger that is felt.
+    fn fingers(&self) -> Option<Vec<&FingerTick>> {
+        match &self.rows {
+            MasterRows::FeelingPoints(ticks) => with_axes!(ticks, FeelingTicks, records => {
+                Some(records.iter().map(|record| &record.rotation.finger).collect())
+            }),
+            MasterRows::FeelingPoses(records) => {
+                Some(records.iter().map(|record| &record.rotation.finger).collect())
+            }
+            MasterRows::Points(_) | MasterRows::Poses(_) => None,
+        }
+    }
+}
+
+impl SlaveTrace {
+    /// The rotation of each tick, of a side that turns.
+    fn turns(&self) -> Option<Vec<&SlaveRotation>> {
+        match &self.rows {
+            SlaveRows::Poses(records) => Some(records.iter().map(|record| &record.rotation).collect()),
+            SlaveRows::Points(_) => None,
+        }
+    }
+}
+
 /// Getters that return one array per signal.
 macro_rules! columns {
-    ($class:ident, $rows:ident, $record:ident,
+    ($class:ident, $of_rows:ident, $record:ident,
         { $($name:ident => $value:expr),* $(,)? }, { $($vector:ident),* $(,)? }) => {
         #[pymethods]
         impl $class {
             $(#[getter]
             fn $name(&self, py: Python<'_>) -> Py<PyAny> {
-                of_rows!(&self.rows, $rows, records => {
+                $of_rows!(&self.rows, records => {
                     column(py, records.iter().map(|$record| $value).collect())
                 })
             })*
 
             $(#[getter]
             fn $vector(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-                of_rows!(&self.rows, $rows, records => {
+                $of_rows!(&self.rows, records => {
                     vectors(py, records.iter().map(|record| record.$vector))
                 })
             })*
 
             fn __len__(&self) -> usize {
-                of_rows!(&self.rows, $rows, records => records.len())
+                $of_rows!(&self.rows, records => records.len())
             }
         }
     };
 }
 
-columns!(MasterTrace, MasterTicks, record, {
+columns!(MasterTrace, of_master, record, {
     time_s => seconds(record.time_ns),
     trigger => record.trigger,
     velocity_force => record.observers[ControllerKind::Vfc],
@@ -179,7 +254,7 @@ columns!(MasterTrace, MasterTicks, record, {
     fault => record.fault,
 }, { position, velocity, hand_force, rendered_force, grasp_force, safety_force, device_force });
 
-columns!(SlaveTrace, SlaveTicks, record, {
+columns!(SlaveTrace, of_slave, record, {
     time_s => seconds(record.time_ns),
     gripper => record.gripper,
     gripper_command => record.gripper_command,
@@ -202,14 +277,14 @@ macro_rules! rotation_columns {
         impl $class {
             $(#[getter]
             fn $quaternion(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
-                let Rows::Poses(records) = &self.rows else { return Ok(None) };
-                vectors(py, records.iter().map(|record| Axes::<4>::from(record.rotation.$quaternion))).map(Some)
+                let Some(turns) = self.turns() else { return Ok(None) };
+                vectors(py, turns.iter().map(|turn| Axes::<4>::from(turn.$quaternion))).map(Some)
             })*
 
             $(#[getter]
             fn $vector(&self, py: Python<'_>) -> PyResult<Option<Py<PyAny>>> {
-                let Rows::Poses(records) = &self.rows else { return Ok(None) };
-                vectors(py, records.iter().map(|record| record.rotation.$vector)).map(Some)
+                let Some(turns) = self.turns() else { return Ok(None) };
+                vectors(py, turns.iter().map(|turn| turn.$vector)).map(Some)
             })*
         }
     };
@@ -219,6 +294,28 @@ rotation_columns!(MasterTrace, { orientation }, {
     angular_velocity, hand_torque, rendered_torque, grasp_torque, safety_torque, device_torque
 });
 rotation_columns!(SlaveTrace, { orientation, command_orientation }, { environment_torque });
+
+/// Getters that return one array per signal of a trigger that is felt, else none.
+macro_rules! finger_columns {
+    ($($name:ident => $field:ident),*) => {
+        #[pymethods]
+        impl MasterTrace {
+            $(#[getter]
+            fn $name(&self, py: Python<'_>) -> Option<Py<PyAny>> {
+                let fingers = self.fingers()?;
+                Some(column(py, fingers.iter().map(|finger| finger.$field).collect()))
+            })*
+        }
+    };
+}
+
+finger_columns!(
+    trigger_velocity => velocity,
+    trigger_rendered_force => rendered_force,
+    trigger_safety_force => safety_force,
+    trigger_device_force => device_force,
+    trigger_tripped => tripped
+);
 
 #[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]
 #[derive(Clone, Copy)]

@@ -6,8 +6,8 @@ use std::{
 };
 
 use haptether_bridge::{
-    ButtonWord, DrivenMaster, DrivenSlave, FaultText, GripperOrder, MasterSide, MasterTurn, OperatorCommand,
-    Side, SideKind, SlaveOrder, SlaveSide, SlaveTurn, Trigger,
+    ButtonWord, DrivenMaster, DrivenSlave, FaultText, Feeling, GripperOrder, MasterRecord, MasterSide,
+    MasterTurn, OperatorCommand, Side, SideKind, SlaveOrder, SlaveSide, SlaveTurn, Trigger,
     coupling::{RotationState, measured, quat_wxyz},
     live::{DriverLoop, Ineffective, PacedLoop, paced_by_device},
     scene::{Timed, as_pose, driven_master, driven_slave},
@@ -300,16 +300,15 @@ constructor!(MasterLoop, peer,
             }
         };
         let place = Place::of_master(peer, listen, started_s, live_periods(&scene)?[0], how)?;
-        let (paced, watched): (Box<dyn MasterSteps>, _) = if let Some(scene) = as_pose(&scene).map_err(refuse)? {
+        let is_felt = scene.master.gripper.is_some();
+        let (paced, watched) = if let Some(scene) = as_pose(&scene).map_err(refuse)? {
             let side = driven_master(scene, run_id, simulated_clutch).map_err(refuse)?.turning();
-            let (paced, watched) = prepare(py, side, place)?;
-            (Box::new(paced), watched)
+            prepare_master(py, side, place, is_felt)?
         } else {
             let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
-            let (paced, watched) = prepare(py, side, place)?;
-            (Box::new(paced), watched)
+            prepare_master(py, side, place, is_felt)?
         };
-        let trigger_force = Mutex::new(scene.master.gripper.map(|_| 0.0));
+        let trigger_force = Mutex::new(is_felt.then_some(0.0));
         Ok(Self { paced: Mutex::new(paced), trigger_force, watched, kind: scene.master.kind })
     }
 );
@@ -432,6 +431,25 @@ where
                 .map_err(not_begun)?;
         Ok((paced, Watched::new(watch, reader, newest)))
     })
+}
+
+/// With records of what the finger feels where it does.
+fn prepare_master<R: MasterTurn, const N: usize>(
+    py: Python<'_>,
+    side: Timed<MasterSide<DrivenMaster<N>, N, R>>,
+    place: Place,
+    is_felt: bool,
+) -> PyResult<(Box<dyn MasterSteps>, Watched<MasterRows>)>
+where
+    MasterRecord<N, R>: Rowed<Rows = MasterRows>,
+    MasterRecord<N, Feeling<R>>: Rowed<Rows = MasterRows>,
+{
+    if is_felt {
+        let (paced, watched) = prepare(py, side.feeling(), place)?;
+        return Ok((Box::new(paced), watched));
+    }
+    let (paced, watched) = prepare(py, side, place)?;
+    Ok((Box::new(paced), watched))
 }
 
 loop_methods!(MasterLoop, MasterRows);

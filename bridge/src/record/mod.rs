@@ -1,7 +1,9 @@
 //! The records of a run: one flat record per tick and side.
 
+mod finger;
 mod rotation;
 
+pub use finger::{Feeling, FingerTick};
 pub use rotation::{MasterRotation, MasterTurn, SlaveRotation, SlaveTurn};
 
 use haptether_safety::{Axes, Fault, controller::PerController};

@@ -28,6 +28,12 @@ pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
         tick: Option<&SafetyTick<3>>,
     ) -> Self;
 
+    /// The same with what the finger felt, where the record has that.
+    #[must_use]
+    fn felt(self, _tick: Option<&SafetyTick<1>>) -> Self {
+        self
+    }
+
     /// Hands each field to `take`.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }

@@ -1,8 +1,8 @@
 //! A side whose operator commands at given times.
 
 use crate::{
-    Exchange, MasterPlant, MasterRotation, MasterSide, OperatorCommand, Side, SlavePlant, SlaveRotation,
-    SlaveSide, TickTime, coupling::CouplingError,
+    Exchange, Feeling, MasterPlant, MasterRotation, MasterSide, OperatorCommand, Side, SlavePlant,
+    SlaveRotation, SlaveSide, TickTime, coupling::CouplingError,
 };
 
 /// A side, and the commands of its operator with their times in ns since the start, in order.
@@ -30,6 +30,15 @@ impl<P, const N: usize> Timed<MasterSide<P, N>> {
     {
         let Self { side, commands, done } = self;
         Timed { side: side.turning(), commands, done }
+    }
+}
+
+impl<P: MasterPlant<N>, const N: usize, R> Timed<MasterSide<P, N, R>> {
+    /// The same side with records of what the finger at the trigger feels.
+    #[must_use]
+    pub fn feeling(self) -> Timed<MasterSide<P, N, Feeling<R>>> {
+        let Self { side, commands, done } = self;
+        Timed { side: side.feeling(), commands, done }
     }
 }
 

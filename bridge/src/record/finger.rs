@@ -1,0 +1,88 @@
+//! What the records of a master have besides, where the finger feels its trigger.
+
+use haptether_master::RotationSample;
+use haptether_safety::SafetyTick;
+
+use super::{MasterRotation, MasterTurn};
+use crate::{
+    plant::RotationTruth,
+    recorder::{Field, Value},
+};
+
+/// One tick of a trigger that the finger feels; positive closes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FingerTick {
+    /// In m/s, as estimated.
+    pub velocity: f64,
+    /// `F_v` in N.
+    pub rendered_force: f64,
+    /// `F_c` in N.
+    pub safety_force: f64,
+    /// `F_device` in N.
+    pub device_force: f64,
+    /// Who tripped, [`haptether_safety::controller::Tripped::bits`].
+    pub tripped: u8,
+}
+
+impl FingerTick {
+    fn of(tick: &SafetyTick<1>) -> Self {
+        Self {
+            velocity: tick.motion.velocity[0],
+            rendered_force: tick.rendered_force[0],
+            safety_force: tick.intervention.safety_force[0],
+            device_force: tick.device_force[0],
+            tripped: tick.intervention.tripped.bits(),
+        }
+    }
+}
+
+/// What a record has of a rotation, and what the finger feels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Feeling<R> {
+    /// Of a rotation; nothing of a point.
+    pub turn: R,
+    /// Of the trigger.
+    pub finger: FingerTick,
+}
+
+impl<R: MasterTurn> MasterTurn for Feeling<R> {
+    const TURNS: bool = R::TURNS;
+
+    fn empty() -> Self {
+        Self { turn: R::empty(), finger: FingerTick::of(&SafetyTick::still()) }
+    }
+
+    fn rotation(&self) -> Option<&MasterRotation> {
+        self.turn.rotation()
+    }
+
+    fn of(
+        measured: Option<&RotationSample>,
+        truth: Option<RotationTruth>,
+        tick: Option<&SafetyTick<3>>,
+    ) -> Self {
+        Self { turn: R::of(measured, truth, tick), ..Self::empty() }
+    }
+
+    fn felt(self, tick: Option<&SafetyTick<1>>) -> Self {
+        Self { finger: tick.map_or(self.finger, FingerTick::of), ..self }
+    }
+
+    fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>)) {
+        self.turn.fields(take);
+        let FingerTick { velocity, rendered_force, safety_force, device_force, tripped } = self.finger;
+        for field in [
+            ("trigger_velocity", "of the trigger in m/s, positive closes", Value::Number(velocity)),
+            ("trigger_rendered_force", "F_v at the trigger in N", Value::Number(rendered_force)),
+            ("trigger_safety_force", "F_c at the trigger in N", Value::Number(safety_force)),
+            ("trigger_device_force", "F_device at the trigger in N", Value::Number(device_force)),
+            (
+                "trigger_tripped",
+                "bits of the controllers that tripped by the trigger",
+                Value::Count(tripped.into()),
+            ),
+        ] {
+            take(field);
+        }
+    }
+}
