@@ -7,9 +7,9 @@ use std::{
 };
 
 use haptether_bridge::{
-    Clutch, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint, MasterRotationSettings,
-    MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings, SlaveSettings, SlaveSide,
-    TickTime, Trigger, TriggerSettings, TurningMaster,
+    Clutch, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
+    MasterRotationSettings, MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings,
+    SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, TurningMaster,
     coupling::{CommandBounds, RotationBounds, RotationLock},
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     wire::{MAX_FRAME, Role},

@@ -403,6 +403,43 @@ mod tests {
         }
     }
 
+    /// A device of forces F f, ways x l and so of the mass m f / l, in the same times: the same trips, and forces F_c f. By
+    /// powers of two, so that it is exact.
+    #[test]
+    fn a_device_that_is_scaled_trips_as_the_one_that_it_is_like() {
+        let (force, way) = (0.5, 0.25);
+        let settings = SafetySettings {
+            controllers: ControllerKind::ALL.into(),
+            energy_threshold_j: -1e-3,
+            window: 20,
+            hold_off_s: 0.01,
+            release_ramp_s: 0.02,
+            ..SafetySettings::default()
+        };
+        let build = |mass_kg: f64, settings: &SafetySettings| {
+            let device = DeviceModel::<1>::uniform(mass_kg, 0.0, 0.0).unwrap();
+            SafetyController::new(&device, PERIOD_S, settings).unwrap()
+        };
+        let mut hand = build(0.157, &settings);
+        let mut scaled = build(0.157 * force / way, &settings.at_scale(force, way));
+        let mut tripped = 0;
+        for tick in 0..2000 {
+            let t = f64::from(tick) * PERIOD_S;
+            let [velocity, rendered, grasp] =
+                [(7.0 * t).sin(), 3.0 * (11.0 * t).cos(), 2.0 * (3.0 * t).sin()];
+            let of = |force: f64, way: f64| {
+                let [rendered, grasp] = [rendered, grasp].map(|n| Axes::<1>::new(n * force));
+                Observation::exact(Axes::<1>::new(velocity * way), rendered, grasp)
+            };
+            let answer = hand.step(&of(1.0, 1.0)).unwrap();
+            let like = scaled.step(&of(force, way)).unwrap();
+            assert_eq!(like.tripped, answer.tripped, "{tick}");
+            assert_eq!(like.safety_force, answer.safety_force * force, "{tick}");
+            tripped |= answer.tripped.bits();
+        }
+        assert_eq!(tripped & 0xF, 0xF, "each has tripped");
+    }
+
     #[test]
     fn whoever_trips_and_however_many_one_law_answers() {
         for places in 0..8_u8 {
