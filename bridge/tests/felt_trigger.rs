@@ -12,7 +12,7 @@ use haptether_safety::{
     controller::{ControllerKind, SafetySettings},
     estimator::EstimatorKind,
 };
-use haptether_slave::{ArmParameters, GripperSettings, SimulatedSlave, Wall};
+use haptether_slave::{ArmParameters, GripperSettings, Pusher, SimulatedSlave, Wall};
 
 const MS: u64 = 1_000_000;
 const JAWS_N: f64 = 40.0;
@@ -79,7 +79,8 @@ impl Pair {
             ladder: LadderSettings::default(),
         };
         let wall = Wall::new(1.0, 100.0).unwrap();
-        let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 2.0, 0).unwrap();
+        let pusher = Pusher::new(0.1, 0.1, 1e3, 2.0).unwrap();
+        let arm = SimulatedSlave::new(ArmParameters::default(), wall, Some(pusher), 2.0, 0).unwrap();
         let jaws = GripperSettings { position: jaws, speed: 2.0, force_n: JAWS_N, object: Some(0.6) };
         let slave = SlaveSide::new(arm, SlaveEndpoint::new(&settings).unwrap())
             .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));
@@ -157,9 +158,10 @@ fn nothing_is_felt_before_the_gripper_is_picked_up() {
         assert!(pair.tick < 10 || record.state == LadderState::Engaged);
     }
     pair.lead(Some(0.7));
-    let felt: Vec<_> = (0..2 * FADE_IN).map(|_| pair.step().1).collect();
-    assert!(felt[FADE_IN as usize / 2] > -SCALE * JAWS_N && felt[0] == 0.0);
-    assert!((felt.last().unwrap() + SCALE * JAWS_N).abs() < 1e-12);
+    assert_eq!(pair.step().1, 0.0);
+    let half = pair.steps(FADE_IN / 2).1;
+    assert!(half < 0.0 && half > -0.6 * SCALE * JAWS_N, "{half}");
+    assert!((pair.steps(FADE_IN).1 + SCALE * JAWS_N).abs() < 1e-12);
 }
 
 #[test]
@@ -239,23 +241,47 @@ fn a_fault_of_the_hand_stops_the_trigger_until_it_is_mended() {
 }
 
 #[test]
+fn a_fault_of_the_trigger_stops_the_hand() {
+    // It goes 1 m within a tick, which no finger does.
+    let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
+    let estimator = EstimatorKind::BackwardDifference {};
+    let settings = TriggerSettings { travel_m: 1.0, estimator, safety, ..feedback() };
+    let mut pair = Pair::watched(Trigger::Driven(Some(0.0)), 0.0, SafetySettings::default(), &settings);
+    let before = pair.steps(2 * FADE_IN).0;
+    assert!(before.device_force[0] > 0.5 && before.state == LadderState::Engaged);
+    pair.lead(Some(1.0));
+    let (record, felt) = pair.step();
+    assert!(Fault::from_code(record.fault).is_some());
+    assert_eq!((record.device_force[0], felt, record.state), (0.0, 0.0, LadderState::Fault));
+}
+
+#[test]
 fn a_trip_of_the_finger_takes_nothing_from_the_hand_and_the_other_way() {
-    let all = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
-    let none = SafetySettings::default();
-    let watched = SafetySettings { damping: 5.0, ..all.at_scale(5.0 / 7.9, TRAVEL_M / 0.14) };
-    // The trigger opens under the force of the jaws: the finger's own controller cancels it.
-    for (of_finger, trips) in [(watched, true), (none, false)] {
-        let settings = TriggerSettings { safety: of_finger, ..feedback() };
-        let mut pair = Pair::watched(Trigger::Driven(Some(0.0)), 0.0, all, &settings);
+    let watched = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
+    let scaled = SafetySettings { damping: 5.0, ..watched.at_scale(5.0 / 7.9, TRAVEL_M / 0.14) };
+    for is_finger in [true, false] {
+        let settings = TriggerSettings { safety: scaled, ..feedback() };
+        let mut pair = Pair::watched(Trigger::Driven(Some(0.0)), 0.0, watched, &settings);
         pair.grip();
+        let before = pair.step().0;
+        assert!(before.device_force[0] > 1.0, "the arm is pushed: {}", before.device_force[0]);
         let mut tripped = [false; 2];
-        for n in 0..20 {
-            pair.lead(Some(0.8 - 0.01 * f64::from(n)));
-            let (record, _) = pair.step();
-            let felt = pair.master.felt().unwrap();
-            tripped =
-                [tripped[0] | (record.tripped != 0), tripped[1] | (felt.intervention.tripped.bits() != 0)];
+        for n in 0..30 {
+            // One of the two gives way to its force.
+            if is_finger {
+                pair.lead(Some(0.8 - 0.01 * f64::from(n)));
+            } else {
+                pair.master.plant.position = Axes::<1>::new(2e-3 * f64::from(n));
+            }
+            let (record, felt) = pair.step();
+            let of_finger = pair.master.felt().unwrap().intervention.tripped.bits();
+            tripped = [tripped[0] || record.tripped != 0, tripped[1] || of_finger != 0];
+            if is_finger {
+                assert_eq!(record.device_force, before.device_force);
+            } else {
+                assert!((felt + SCALE * JAWS_N).abs() < 1e-12, "{felt}");
+            }
         }
-        assert_eq!(tripped, [false, trips]);
+        assert_eq!(tripped, [!is_finger, is_finger]);
     }
 }

@@ -184,7 +184,7 @@ fn a_tick_of_a_trigger_that_is_felt_allocates_nothing() {
     for tick in 0..2000 {
         let now_ns = tick * MS;
         let finger = master.tick(TickTime::at(now_ns)).rotation.finger;
-        (tripped, felt) = (tripped | (finger.tripped != 0), felt.min(finger.device_force));
+        (tripped, felt) = (tripped || finger.tripped != 0, felt.min(finger.device_force));
         let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
         slave.tick(TickTime::at(now_ns));
         let _ = master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer));

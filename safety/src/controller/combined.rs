@@ -403,7 +403,7 @@ mod tests {
         }
     }
 
-    /// A device of forces F f, ways x l and so of the mass m f / l, in the same times: the same trips, and forces F_c f. By
+    /// A device of forces F f, ways x l and so of the mass m f / l, in the same times: the same trips, and forces `F_c f`. By
     /// powers of two, so that it is exact.
     #[test]
     fn a_device_that_is_scaled_trips_as_the_one_that_it_is_like() {

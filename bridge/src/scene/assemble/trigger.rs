@@ -16,9 +16,9 @@ use crate::{HeldTrigger, Trigger, TriggerSettings};
 const HAND_FORCE_N: f64 = 7.9;
 
 /// The trigger that a finger feels, and the gripper that it leads.
-fn felt<'a, const N: usize>(
+fn felt<const N: usize>(
     scene: &SceneSpec<N>,
-    arm: &'a ArmSettings<N>,
+    arm: &ArmSettings<N>,
 ) -> Result<Option<TriggerSpec>, SceneError> {
     let Some(trigger) = scene.master.gripper else { return Ok(None) };
     if arm.gripper.is_none() {
