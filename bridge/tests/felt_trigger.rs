@@ -176,7 +176,11 @@ fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are
         match record.state {
             // Late frames take nothing of the force away.
             LadderState::Engaged | LadderState::Stale => assert_eq!(-felt, SCALE * JAWS_N),
-            _ => faded += u64::from(felt != 0.0),
+            _ => {
+                faded += u64::from(felt != 0.0);
+                let gain = pair.master.exchange().ladder().gain();
+                assert!((felt + SCALE * JAWS_N * gain).abs() < 1e-12, "{felt} N at {gain}");
+            }
         }
         last = -felt;
         if states.last() != Some(&record.state) {

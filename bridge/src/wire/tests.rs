@@ -112,6 +112,16 @@ fn a_gripper_is_three_numbers_and_three_flags() {
     }
 }
 
+#[test]
+fn a_gripper_that_follows_is_the_slaves_alone() {
+    let follows = GripperState { position: Some(0.5), follows: true, ..GripperState::default() };
+    let framed = Frame { role: Role::Master, gripper: Some(follows), ..frame() };
+    let mut buffer = [0; MAX_FRAME];
+    let layout = FrameLayout { has_gripper: true, ..LAYOUT };
+    let refused = Frame::<1>::decode(framed.encode(&mut buffer), Role::Master, layout);
+    assert_eq!(refused, Err(WireError::Flags(0x5F)));
+}
+
 /// The rotation stands before the energies, the buttons behind gripper and before the cause.
 #[test]
 fn a_pose_is_ten_numbers_and_buttons_are_a_word() {

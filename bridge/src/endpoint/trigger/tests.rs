@@ -172,6 +172,31 @@ fn a_finger_that_lets_go_of_a_spring_is_thrown_no_faster_than_the_closed_form_sa
 }
 
 #[test]
+fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
+    let safety = SafetySettings {
+        controllers: [ControllerKind::Vfc].into(),
+        damping: 5.0,
+        hold_off_s: 1.0,
+        ..SafetySettings::default()
+    };
+    let mut trigger = feedback(&TriggerSettings { safety, ..settings() });
+    for _ in 0..2 * RISE {
+        trigger.tick(Some(0.9), Some(jaws(40.0)), true, 1.0, 0);
+    }
+    // It opens with 0.9 m/s, and goes on where they part.
+    let opened = |n: u32| Some(0.9 - 0.03 * f64::from(n));
+    for n in 0..10 {
+        let tick = trigger.tick(opened(n), Some(jaws(40.0)), true, 1.0, 0);
+        assert!(n < 5 || force(&tick) > 1.0, "{n}: it is damped, {}", force(&tick));
+    }
+    for n in 10..30 {
+        let tick = trigger.tick(opened(n), Some(jaws(40.0)), false, 0.0, 0);
+        assert_ne!(tick.intervention.tripped.bits(), 0);
+        assert_eq!(force(&tick), 0.0);
+    }
+}
+
+#[test]
 fn a_fault_is_no_force_until_it_is_mended() {
     let mut trigger = feedback(&settings());
     let run = |trigger: &mut TriggerFeedback, ticks| {
