@@ -215,3 +215,60 @@ impl LedGripper {
         (self.sample, self.follower.position())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use haptether_safety::{
+        DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
+    };
+
+    use super::*;
+    use crate::{
+        Clutch, DrivenMaster, LadderSettings, MasterEndpoint, MasterSettings, MasterSide, Side as _,
+    };
+
+    const MS: u64 = 1_000_000;
+
+    /// A trigger at the middle of its way that nobody holds.
+    fn free() -> Trigger {
+        let device = DeviceParameters::ideal(0.05, 0.0, 0.0);
+        let held = HeldTrigger::new(device, 0.03, Hand::absent(Axes::<1>::new(0.015)).unwrap()).unwrap();
+        Trigger::Held(Box::new(held))
+    }
+
+    #[test]
+    fn a_held_trigger_moves_between_its_stops_as_it_is_pushed() {
+        let mut trigger = free();
+        trigger.begin(5 * MS);
+        assert_eq!(trigger.position(5 * MS), Some(0.5));
+        trigger.write(-2.0);
+        // x = F t^2 / 2 m: 0.1 of 30 mm in 12.2 ms, all of its half in 27.4 ms.
+        let way = 0.5 * 2.0 / 0.05 * 0.01 * 0.01 / 0.03;
+        assert!((trigger.position(15 * MS).unwrap() - (0.5 - way)).abs() < 1e-12);
+        assert!((trigger.truth().unwrap().velocity + 2.0 / 0.05 * 0.01).abs() < 1e-12);
+        assert_eq!(trigger.position(40 * MS), Some(0.0));
+        trigger.write(f64::NAN);
+        assert_eq!(trigger.position(100 * MS), Some(0.0));
+    }
+
+    #[test]
+    fn a_side_at_rest_leaves_its_trigger_without_force() {
+        let endpoint = MasterEndpoint::new(&MasterSettings {
+            period_ns: MS,
+            run_id: 1,
+            device: DeviceModel::phantom_desktop(),
+            estimator: EstimatorKind::default(),
+            safety: SafetySettings::default(),
+            limiter: LimiterSettings::default(),
+            force_scale: 1.0,
+            ladder: LadderSettings::default(),
+        })
+        .unwrap();
+        let plant = DrivenMaster::<1>::default();
+        let mut side = MasterSide::new(plant, endpoint, Clutch::Once).unwrap().with_trigger(Some(free()));
+        side.begin(0);
+        side.trigger.as_mut().unwrap().write(-2.0);
+        side.rest();
+        assert_eq!(side.trigger.as_mut().unwrap().position(100 * MS), Some(0.5));
+    }
+}

@@ -210,6 +210,18 @@ fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are
 }
 
 #[test]
+fn a_stall_of_the_loop_is_no_motion_of_the_finger() {
+    let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
+    pair.grip();
+    pair.tick += 500;
+    pair.master.exchange_mut().stalled(pair.tick * MS);
+    // Meanwhile it was opened, which is no speed of one tick, and what is felt ends here.
+    pair.lead(Some(0.1));
+    let (_, felt) = pair.step();
+    assert_eq!((felt, pair.master.felt().unwrap().motion.velocity[0]), (0.0, 0.0));
+}
+
+#[test]
 fn a_trigger_that_is_not_known_is_no_force_and_no_fault() {
     for unknown in [None, Some(f64::NAN), Some(f64::INFINITY), Some(-0.1), Some(1.1)] {
         let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);

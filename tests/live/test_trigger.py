@@ -107,7 +107,7 @@ def test_live_and_virtual_time_feel_alike() -> None:
         tick = int(np.searchsorted(near.time_s, begun_s + time_s - 5e-4))
         there = round((offset_s + time_s) * 1e3)
         # Loopback and the phase of two loops: a few ticks, in which the trigger closes at 2 / s and the force grows by
-        # 20 N/s.
+        # 10 N/s.
         assert near.trigger[tick] == pytest.approx(run.signals["trigger"][there], abs=0.02)
         expected = run.signals["trigger_device_force"][there]
         assert near.trigger_device_force[tick] == pytest.approx(expected, abs=0.15)

@@ -149,13 +149,20 @@ def test_a_finger_feels_what_the_jaws_hold_and_nothing_else(felt: Scene) -> None
     (grip_s, _), (drop_s, _) = events(run, "grip", "drop")
     assert not force[(time_s < grip_s) | (time_s > drop_s + 0.002)].any()
     assert force.max() == 0.0
-    assert np.diff(force).min() >= -20.0 * felt.run.period_s * (1.0 + 1e-9)
+    assert np.diff(force).min() >= -10.0 * felt.run.period_s * (1.0 + 1e-9)
     # At rest for 0.8 s and more: K_f (travel - x) = F_finger = lambda F_jaws. The poles of K_f, B_f = 3 and m are at
     # -30 ± 71 j: e^-24 is left.
     rests = np.searchsorted(time_s, engaged_s(run) + 1.99)
     assert force[rests] == pytest.approx(-FINGER_N, rel=1e-12)
     assert run.signals["finger_force"][rests] == pytest.approx(FINGER_N, abs=1e-9)
     assert run.signals["trigger"][rests] == pytest.approx(1.0 - FINGER_N / STIFFNESS / TRAVEL_M, abs=1e-9)
+
+
+@pytest.mark.parametrize(("slew", "drops"), [(10.0, 1), (250.0, 3)])
+def test_a_force_that_grows_slowly_does_not_throw_the_trigger_back(felt: Scene, slew: float, drops: int) -> None:
+    """The finger closes with 60 mm/s: up to K_f V = 18 N/s it goes on; far above, the jaws open before they hold."""
+    run = simulate(override_scene(felt, [f"master.gripper.max_slew_n_per_s={slew}"]))
+    assert len(events(run, "drop")) == drops
 
 
 def test_a_trigger_that_is_not_felt_goes_where_its_course_says(scene: Scene) -> None:

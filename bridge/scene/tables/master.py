@@ -93,7 +93,7 @@ class TriggerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Finger force per force between the jaws: at 40 N of a gripper the finger feels 2 N."""
     max_force_n: Annotated[float, Meta(gt=0.0, le=50.0)] = 5.0
     """Largest force in N, at most 50."""
-    max_slew_n_per_s: Positive = 20.0
+    max_slew_n_per_s: Positive = 10.0
     """Largest growth of the force in N/s; unloading is free. Below K_f V of a finger that closes with V, contact does
     not throw the trigger back, which would open the jaws again."""
     max_power_w: Positive = 5.0

@@ -60,7 +60,7 @@ fn force(tick: &SafetyTick<1>) -> f64 {
 
 #[test]
 fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
-    for (jaws_n, stiffness) in [(40.0, 300.0), (80.0, 500.0), (0.0, 300.0)] {
+    for (jaws_n, stiffness) in [(40.0, 300.0), (80.0, 500.0), (0.0, 300.0), (1e4, 500.0)] {
         let mut trigger = feedback(&settings());
         let mut plant = held(stiffness, 0.024, None);
         for n in 0..2000 {
@@ -70,7 +70,7 @@ fn a_finger_that_holds_feels_the_jaws_by_the_scale() {
         }
         // m x'' = 0: the finger balances it, and yields by that over its stiffness. The slowest pole, sqrt(K / m), has had
         // 1.8 s and more: exp(-77 * 1.8) is nothing beside rounding.
-        let expected = SCALE * jaws_n;
+        let expected = (SCALE * jaws_n).min(settings().limiter.max_force_n);
         assert!((plant.motor_force()[0] + expected).abs() < 1e-12);
         assert!((plant.hand_force()[0] - expected).abs() < 1e-9);
         assert!((plant.position()[0] - (0.024 - expected / stiffness)).abs() < 1e-12);
@@ -193,6 +193,17 @@ fn a_controller_that_still_acts_pushes_nobody_once_the_sides_are_apart() {
         let tick = trigger.tick(opened(n), Some(jaws(40.0)), false, 0.0, 0);
         assert_ne!(tick.intervention.tripped.bits(), 0);
         assert_eq!(force(&tick), 0.0);
+    }
+}
+
+#[test]
+fn ticks_that_were_missed_are_no_speed() {
+    // At 0.3 m/s, of which three ticks in four are left out.
+    let mut trigger = feedback(&settings());
+    for n in 0..10 {
+        let tick = trigger.tick(Some(0.04 * f64::from(n)), None, true, 1.0, 3);
+        let expected = if n == 0 { 0.0 } else { 0.3 };
+        assert!((tick.motion.velocity[0] - expected).abs() < 1e-12, "{n}: {}", tick.motion.velocity[0]);
     }
 }
 
