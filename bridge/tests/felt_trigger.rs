@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
-    Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
-    MasterRecord, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint, SlaveSettings, SlaveSide,
-    TickTime, Trigger, TriggerSettings, coupling::CommandBounds, wire::MAX_FRAME,
+    ButtonSettings, ButtonWord, Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper,
+    LinkTime, MasterEndpoint, MasterRecord, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint,
+    SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, coupling::CommandBounds, wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path};
 use haptether_safety::{
@@ -207,6 +207,22 @@ fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are
     assert_eq!(pair.master.exchange().state(), LadderState::Engaged);
     pair.lead(Some(0.8));
     assert!((pair.steps(600).1 + SCALE * JAWS_N).abs() < 1e-12);
+}
+
+#[test]
+fn a_finger_does_not_feel_what_a_button_holds() {
+    let mut pair = Pair::new(Trigger::Driven(Some(0.8)), 0.0);
+    let works = ButtonSettings { clutch: None, engage: None, gripper: Some(0) };
+    pair.master = pair.master.with_buttons(Some(works)).unwrap();
+    pair.slave.endpoint.exchange.carry_buttons();
+    pair.master.plant.buttons = ButtonWord(Some(0));
+    pair.steps(2 * FADE_IN);
+    pair.master.plant.buttons = ButtonWord(Some(1));
+    for _ in 0..1000 {
+        assert_eq!(pair.step().1, 0.0);
+    }
+    let (jaws, _) = pair.slave.gripper.as_ref().unwrap().state();
+    assert!(jaws.holds_object && pair.master.exchange().peer_gripper().unwrap().follows);
 }
 
 #[test]
