@@ -180,6 +180,23 @@ fn the_command_keeps_within_speed_and_turn() {
     assert!((furthest - 0.4).abs() < 0.5e-3 + 3e-8, "{furthest}");
 }
 
+/// Beyond pi from the first orientation the shorter way to a bound is that through what the bound forbids.
+#[test]
+fn a_hand_that_turns_on_past_pi_does_not_lead_the_arm_out_of_its_bound() {
+    for turn in [1.7, 2.4, 3.0] {
+        let mut pair = Pair::new(RotationBounds { speed: 2.5, turn });
+        pair.engage();
+        let start = turned(-0.4, 0.2, 0.1);
+        let mut furthest = 0.0_f64;
+        for n in 0..4000 {
+            pair.hand(turned(0.0, 0.0, 1.5e-3 * f64::from(n)) * turned(0.2, -0.1, 0.3));
+            pair.tick();
+            furthest = furthest.max(pair.order().0.angle_to(&start));
+        }
+        assert!((furthest - turn).abs() < 1e-7, "{furthest} {turn}");
+    }
+}
+
 #[test]
 fn an_orientation_that_is_none_is_a_fault_without_force_or_torque() {
     let long = Unit::new_unchecked(Quaternion::new(1.1, 0.0, 0.0, 0.0));

@@ -1,6 +1,8 @@
 //! What a slave takes of a remote command: bounds beyond which it is clamped and counted, and extrapolation where it is
 //! late.
 
+use std::f64::consts::PI;
+
 use haptether_safety::Axes;
 use nalgebra::{Unit, UnitQuaternion};
 use schemars::JsonSchema;
@@ -112,7 +114,7 @@ impl Limited {
 }
 
 /// `wanted` as far as it may be commanded `elapsed_s` after `last`, for a slave that began at `home`: the shorter way
-/// round, each.
+/// round, each. Where that way would lead out of the bound on the angle, past pi, it stays at `last`.
 pub(crate) fn turned_within(
     bounds: &RotationBounds,
     elapsed_s: f64,
@@ -129,12 +131,27 @@ pub(crate) fn turned_within(
         limited.turn = true;
         command = at_most(home, &command, bounds.turn);
     }
+    if bounds.turn < PI && passes_pi(home, last, &command) {
+        // Both ends are within the bound, and the way between them is not.
+        limited.turn = true;
+        return *last;
+    }
     let max_step = bounds.speed * elapsed_s;
     if command.angle_to(last) > max_step {
         limited.angular_speed = true;
         command = at_most(last, &command, max_step);
     }
     command
+}
+
+/// Whether the shorter way between two orientations leads past an angle of pi from `home`.
+fn passes_pi(home: &UnitQuaternion<f64>, from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> bool {
+    // Of q and -q the one on the side of home: what lies within a bound is the same side of a sphere, and convex there.
+    let near_home = |of: &UnitQuaternion<f64>| {
+        let turn = (of * home.inverse()).into_inner();
+        if turn.w < 0.0 { -turn } else { turn }
+    };
+    near_home(from).dot(&near_home(to)) < 0.0
 }
 
 /// `wanted` as far as it may be commanded `elapsed_s` after `last`, for a slave that began at `home`.
@@ -201,17 +218,18 @@ mod bounds_tests {
     proptest! {
         #[test]
         fn an_orientation_is_within_both_bounds(
-            (wanted, from) in (orientation(), prop::array::uniform3(-0.5..0.5f64)),
-            (speed, turn) in (0.1..5.0f64, 1.0..3.0f64),
+            (wanted, from) in (orientation(), prop::array::uniform3(-1.0..1.0f64)),
+            (speed, turn, share) in (0.1..5.0f64, 0.1..3.1f64, 0.0..=1.0f64),
         ) {
             let bounds = RotationBounds { speed, turn };
-            let home = UnitQuaternion::identity();
-            let last = UnitQuaternion::from_scaled_axis(Axes::<3>::from(from));
+            let home = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.3, -0.2, 0.7));
+            let from = Axes::<3>::from(from).try_normalize(1e-6).unwrap_or_default() * (share * turn);
+            let last = UnitQuaternion::from_scaled_axis(from) * home;
             let mut limited = Limited::default();
             let command = turned_within(&bounds, 1e-3, [&home, &last, &wanted], &mut limited);
             // Rounding of a quaternion whose angle is taken by its inverse cosine or sine: 1e-8 at 0.
             prop_assert!(command.angle_to(&last) <= speed * 1e-3 + 3e-8);
-            prop_assert!(command.angle_to(&home) <= turn + speed * 1e-3 + 3e-8);
+            prop_assert!(command.angle_to(&home) <= turn + 3e-8);
             prop_assert_eq!(limited.any(), command != wanted);
             prop_assert!((command.norm() - 1.0).abs() < 1e-15);
         }
