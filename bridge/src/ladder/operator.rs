@@ -211,9 +211,10 @@ impl Button {
         self.level.is_some()
     }
 
-    /// Closed, it must be seen open before it can be pressed: the start was too long ago to be a press.
+    /// It counts as open, and must be seen open before it can be pressed: the start was too long ago to be a press, or the
+    /// operator lets go by a command.
     pub(crate) fn must_be_released(&mut self) {
-        self.unknown = true;
+        (self.closed, self.unknown) = (false, true);
     }
 
     /// The loop was late: nobody knows when what it shows next was done.
@@ -429,6 +430,16 @@ mod button_tests {
         assert!((0..50).all(|now| button.at(now * MS, Some(true)) == Some(false)));
         assert!((50..80).all(|now| button.at(now * MS, Some(false)) == Some(false)));
         assert_eq!(button.at(80 * MS, Some(true)), Some(true));
+    }
+
+    #[test]
+    fn a_button_that_is_let_go_of_by_a_command_is_open_while_it_is_held() {
+        let mut button = Button::default();
+        assert!((0..50).all(|now| button.at(now * MS, Some(now >= 30)) == Some(now >= 30)));
+        button.must_be_released();
+        assert!((50..80).all(|now| button.at(now * MS, Some(true)) == Some(false)));
+        assert!((80..110).all(|now| button.at(now * MS, Some(false)) == Some(false)));
+        assert_eq!(button.at(110 * MS, Some(true)), Some(true));
     }
 
     #[test]
