@@ -1,5 +1,6 @@
 //! A scene drawn from a seed: all that one run has, so that a failing one can be printed and run again.
 
+use crate::{gripped::DrawnGripper, pressed::DrawnButtons, turned::DrawnPose};
 use haptether_bridge::{Clutch, LadderSettings, OperatorCommand, coupling::CommandBounds};
 use haptether_netsim::{
     Action, Attack, ByteRange, Checksum, ClockSettings, Direction, Edit, EndpointClock, Link, LinkSettings,
@@ -55,7 +56,7 @@ pub(crate) struct Broken {
 }
 
 impl Broken {
-    fn draw(numbers: &mut Numbers, end_ns: u64) -> Option<Self> {
+    pub(crate) fn draw(numbers: &mut Numbers, end_ns: u64) -> Option<Self> {
         let from_ns = numbers.whole(0, end_ns);
         let until_ns = from_ns + numbers.whole(1, 60 * MS);
         let value = numbers.one_of(&[
@@ -118,6 +119,10 @@ pub(crate) struct Drawn {
     pub(crate) commands: Vec<(u64, OperatorCommand)>,
     /// Whether frames travel in a secure session.
     pub(crate) secure: bool,
+    /// What a hand that turns has besides; none of a point.
+    pub(crate) pose: Option<DrawnPose>,
+    pub(crate) buttons: Option<DrawnButtons>,
+    pub(crate) gripper: Option<DrawnGripper>,
 }
 
 impl Drawn {
@@ -126,8 +131,11 @@ impl Drawn {
         let n = &mut numbers;
         // Two streams that begin side by side differ after one mixing only.
         n.0 = n.draw();
-        let end_ns = n.whole(120, 500) * MS;
-        let axes = if n.chance(0.15) { 3 } else { 1 };
+        // A press waits for 0.5 s at least: few runs are so long, for they take their time.
+        let is_long = n.chance(0.01);
+        let end_ns = if is_long { 1200 } else { n.whole(120, 500) } * MS;
+        let turns = n.chance(0.33);
+        let axes = if turns || n.chance(0.1) { 3 } else { 1 };
         let stale_after_ns = n.whole(MS / 2, 10 * MS);
         let hold_after_ns = stale_after_ns + n.whole(MS / 2, 30 * MS);
         Self {
@@ -154,8 +162,7 @@ impl Drawn {
                 extrapolate_ns: n.whole(0, (20 * MS).min(hold_after_ns - stale_after_ns)),
                 fade_out_ns: n.whole(50 * MS, 100 * MS),
                 fade_in_ns: n.whole(200 * MS, 400 * MS),
-                // Longer than a run: `cut_while_aligning` has a test of its own.
-                ..LadderSettings::default()
+                align_ns: if is_long { 500 * MS } else { LadderSettings::default().align_ns },
             },
             clutch: clutch(n, end_ns),
             control: n.one_of(&[Control::Position, Control::Velocity, Control::Pd]),
@@ -172,11 +179,14 @@ impl Drawn {
             broken: [Broken::draw(n, end_ns), Broken::draw(n, end_ns)],
             commands: commands(n, end_ns, axes),
             secure: n.chance(0.5),
+            pose: turns.then(|| DrawnPose::draw(n, end_ns)),
+            buttons: n.chance(0.25).then(|| DrawnButtons::draw(n, end_ns)),
+            gripper: n.chance(0.4).then(|| DrawnGripper::draw(n, end_ns)),
         }
     }
 }
 
-fn estimator(n: &mut Numbers) -> EstimatorKind {
+pub(crate) fn estimator(n: &mut Numbers) -> EstimatorKind {
     n.one_of(&[
         EstimatorKind::BackwardDifference {},
         EstimatorKind::LowPass { cutoff_hz: 30.0 },
@@ -185,7 +195,7 @@ fn estimator(n: &mut Numbers) -> EstimatorKind {
     ])
 }
 
-fn safety(n: &mut Numbers) -> SafetySettings {
+pub(crate) fn safety(n: &mut Numbers) -> SafetySettings {
     SafetySettings {
         controllers: ControllerKind::ALL
             .into_iter()
@@ -287,9 +297,13 @@ fn commands(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, OperatorComm
         .map(|_| {
             let half = n.real(-1.5, 1.5);
             let turned = if axes == 3 { [half.cos(), 0.0, half.sin(), 0.0] } else { [1.0, 0.0, 0.0, 0.0] };
-            let command = match n.whole(0, 4) {
+            let command = match n.whole(0, 8) {
                 0 => OperatorCommand::PositionScale(n.real(0.1, 5.0)),
                 1 => OperatorCommand::ForceScale(n.real(0.1, 5.0)),
+                3 => OperatorCommand::RotationScale(n.real(0.1, 5.0)),
+                4 => OperatorCommand::TorqueScale(n.real(0.1, 5.0)),
+                5 => OperatorCommand::Press,
+                6 => OperatorCommand::Release,
                 2 => OperatorCommand::Frame {
                     quat_wxyz: turned,
                     locked: std::array::from_fn(|_| n.chance(0.3)),

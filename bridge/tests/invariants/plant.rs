@@ -1,22 +1,87 @@
 //! A device or an arm whose sensor may be out of order.
 
-use haptether_bridge::{MasterPlant, SlavePlant, Truth};
+use haptether_bridge::{ButtonWord, MasterPlant, SlavePlant, Truth, coupling::RotationState};
+use haptether_master::RotationSample;
 use haptether_safety::Axes;
+use haptether_slave::GripperSample;
+use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
-use crate::drawn::Broken;
+use crate::{
+    drawn::Broken,
+    pressed::DrawnButtons,
+    turned::{BrokenTurn, Wrong},
+};
 
-/// A plant whose sensor may be out of order, and what was written to it at the last tick.
+/// A plant whose sensors may be out of order, and what was written to it at the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct Plant<P, const N: usize> {
     pub(crate) model: P,
-    pub(crate) broken: Option<Broken>,
+    broken: Option<Broken>,
+    broken_turn: Option<BrokenTurn>,
+    /// What is wrong with its rotation at this tick.
+    wrong: Option<Wrong>,
+    buttons: Option<DrawnButtons>,
+    word: Option<ButtonWord>,
     pub(crate) written: Option<[Axes<N>; 2]>,
+    pub(crate) torque: Option<Axes<3>>,
+    pub(crate) turned: Option<(UnitQuaternion<f64>, Axes<3>)>,
     pub(crate) stops: u64,
 }
 
 impl<P, const N: usize> Plant<P, N> {
     pub(crate) fn new(model: P, broken: Option<Broken>) -> Self {
-        Self { model, broken, written: None, stops: 0 }
+        Self {
+            model,
+            broken,
+            broken_turn: None,
+            wrong: None,
+            buttons: None,
+            word: None,
+            written: None,
+            torque: None,
+            turned: None,
+            stops: 0,
+        }
+    }
+
+    /// The same, whose sensor of rotation may be out of order.
+    pub(crate) fn turning(self, broken_turn: Option<BrokenTurn>) -> Self {
+        Self { broken_turn, ..self }
+    }
+
+    /// The same with buttons.
+    pub(crate) fn with_buttons(self, buttons: Option<DrawnButtons>) -> Self {
+        Self { buttons, ..self }
+    }
+
+    /// Whether something is out of order at this tick.
+    pub(crate) fn is_broken(&self, now_ns: u64) -> bool {
+        Broken::at(self.broken, now_ns).is_some() || self.wrong.is_some()
+    }
+
+    /// What is wrong with its rotation at this tick.
+    pub(crate) fn wrong(&self) -> Option<Wrong> {
+        self.wrong
+    }
+
+    fn orientation(&self, orientation: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+        match self.wrong {
+            // Scaled part by part: NaN and infinities are made as they come.
+            Some(Wrong::Norm(norm)) => {
+                Unit::new_unchecked(Quaternion::from(orientation.coords.map(|part| part * norm)))
+            }
+            Some(Wrong::Leap(angle)) => {
+                UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.0, 0.0, angle)) * orientation
+            }
+            _ => orientation,
+        }
+    }
+
+    fn angular_velocity(&self, mut velocity: Axes<3>) -> Axes<3> {
+        if let Some(Wrong::Speed(value)) = self.wrong {
+            velocity[1] = value;
+        }
+        velocity
     }
 }
 
@@ -30,6 +95,8 @@ impl<P: MasterPlant<N>, const N: usize> MasterPlant<N> for Plant<P, N> {
         if let Some(value) = Broken::at(self.broken, now_ns) {
             position[N - 1] = value;
         }
+        self.wrong = BrokenTurn::at(self.broken_turn, now_ns);
+        self.word = self.buttons.as_ref().map(|buttons| buttons.at(now_ns));
         (position, velocity)
     }
 
@@ -38,12 +105,31 @@ impl<P: MasterPlant<N>, const N: usize> MasterPlant<N> for Plant<P, N> {
         self.model.write(force);
     }
 
+    fn buttons(&self) -> Option<ButtonWord> {
+        // Before the first tick, too: whether it has any.
+        self.word.or(self.buttons.as_ref().map(|_| ButtonWord::UNKNOWN))
+    }
+
     fn engaged(&mut self) {
         self.model.engaged();
     }
 
+    /// None: its records then have what the endpoint made of the samples, as of a driver elsewhere.
     fn truth(&self) -> Option<Truth<N>> {
-        self.model.truth()
+        None
+    }
+
+    fn rotation(&self) -> Option<RotationSample> {
+        let sample = self.model.rotation().filter(|_| !matches!(self.wrong, Some(Wrong::Unknown)))?;
+        Some(RotationSample {
+            orientation: self.orientation(sample.orientation),
+            angular_velocity: sample.angular_velocity.map(|velocity| self.angular_velocity(velocity)),
+        })
+    }
+
+    fn write_torque(&mut self, torque: &Axes<3>) {
+        self.torque = Some(*torque);
+        self.model.write_torque(torque);
     }
 }
 
@@ -57,6 +143,7 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
         if let Some(value) = Broken::at(self.broken, now_ns) {
             sample[(now_ns % 3) as usize][N - 1] = value;
         }
+        self.wrong = BrokenTurn::at(self.broken_turn, now_ns);
         sample
     }
 
@@ -77,5 +164,28 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
 
     fn engaged(&mut self, now_ns: u64) {
         self.model.engaged(now_ns);
+    }
+
+    fn rotation(&self) -> Option<RotationState> {
+        let mut state = self.model.rotation().filter(|_| !matches!(self.wrong, Some(Wrong::Unknown)))?;
+        state.orientation = self.orientation(state.orientation);
+        state.angular_velocity = self.angular_velocity(state.angular_velocity);
+        if let Some(Wrong::Torque(value)) = self.wrong {
+            state.torque[2] = value;
+        }
+        Some(state)
+    }
+
+    fn write_rotation(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) {
+        self.turned = Some((*orientation, *angular_velocity));
+        self.model.write_rotation(orientation, angular_velocity);
+    }
+
+    fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
+        self.model.rest_orientation()
+    }
+
+    fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
+        self.model.grip(jaws)
     }
 }

@@ -3,17 +3,23 @@
 use std::{cell::RefCell, rc::Rc};
 
 use haptether_bridge::{
-    Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, OperatorCommand, RejectReason,
-    Side, SlavePlant, SlaveRecord, SlaveSide, TickTime,
-    coupling::{CommandBounds, CouplingError},
+    ButtonWord, Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
+    OperatorCommand, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn, TickTime,
+    coupling::{CommandBounds, CouplingError, PortEnergy},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 use haptether_safety::{Acted, Axes, LimiterSettings};
 
-use crate::plant::Plant;
+use crate::{
+    drawn::Drawn,
+    gripped::{DrawnGripper, GripperWatch, SeenGripper},
+    plant::Plant,
+    pressed::{ButtonWatch, SeenButtons},
+    turned::{OrientationWatch, SeenTurn, TorqueWatch, Wrong},
+};
 
 /// Rounding of sums of a few numbers of their size.
-const ROUNDING: f64 = 1e-9;
+pub(crate) const ROUNDING: f64 = 1e-9;
 
 /// What was seen of all runs: a test in which nothing happens proves nothing.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,6 +33,9 @@ pub(crate) struct Seen {
     pub(crate) accepted: u64,
     pub(crate) authentic: u64,
     pub(crate) refused: u64,
+    pub(crate) turn: SeenTurn,
+    pub(crate) buttons: SeenButtons,
+    pub(crate) gripper: SeenGripper,
 }
 
 impl Seen {
@@ -43,27 +52,42 @@ impl Seen {
             accepted: self.accepted + other.accepted,
             authentic: self.authentic + other.authentic,
             refused: self.refused + other.refused,
+            turn: self.turn.and(&other.turn),
+            buttons: self.buttons.and(&other.buttons),
+            gripper: self.gripper.and(&other.gripper),
         }
     }
 }
 
 /// What both sides are held to.
+#[allow(clippy::struct_excessive_bools)] // what was the case at the last tick
 #[derive(Clone, Debug)]
-struct Watch {
+pub(crate) struct Watch {
     side: usize,
-    state: LadderState,
-    gain: f64,
+    pub(crate) state: LadderState,
+    pub(crate) gain: f64,
     clock_ns: Option<u64>,
     holds: u64,
     /// Whether the clutch was seen open, and then closed, since the last hold began.
     opened: bool,
     pressed: bool,
+    /// When the clutch was closed last, on the clock of the side, and for how long in ns a press waits at most.
+    closed_ns: Option<u64>,
+    align_ns: u64,
+    was_closed: bool,
+    /// When it was last coupled, on the clock of the side, and how long in ns a force may take to fade.
+    coupled_ns: u64,
+    fade_out_ns: u64,
+    /// What the plant has put in and had out, as seen here, and as the last frame said.
+    energy: PortEnergy,
+    said: PortEnergy,
+    turns: bool,
     /// Run and sequence of the newest frame that was acted on.
     newest: Option<(u64, u64)>,
     commands: Vec<(u64, OperatorCommand)>,
     /// What either side has sent, where a session must let nothing else through.
     sent: Option<Sent>,
-    seen: Seen,
+    pub(crate) seen: Seen,
     wrong: Option<String>,
 }
 
@@ -71,8 +95,8 @@ struct Watch {
 pub(crate) type Sent = Rc<RefCell<[Vec<Vec<u8>>; 2]>>;
 
 impl Watch {
-    fn new(side: usize, commands: Vec<(u64, OperatorCommand)>, sent: Option<Sent>) -> Self {
-        let state = LadderState::Disengaged;
+    fn new(side: usize, drawn: &Drawn, sent: Option<Sent>) -> Self {
+        let (state, commands) = (LadderState::Disengaged, drawn.commands.clone());
         Self {
             side,
             state,
@@ -81,6 +105,14 @@ impl Watch {
             holds: 0,
             opened: true,
             pressed: false,
+            closed_ns: None,
+            align_ns: drawn.ladder.align_ns,
+            was_closed: false,
+            coupled_ns: 0,
+            fade_out_ns: drawn.ladder.fade_out_ns,
+            energy: PortEnergy::default(),
+            said: PortEnergy::default(),
+            turns: drawn.pose.is_some(),
             newest: None,
             commands,
             sent,
@@ -89,14 +121,28 @@ impl Watch {
         }
     }
 
-    fn hold(&mut self, holds: bool, time: TickTime, what: impl FnOnce() -> String) {
+    pub(crate) fn hold(&mut self, holds: bool, time: TickTime, what: impl FnOnce() -> String) {
         if !holds && self.wrong.is_none() {
             let side = ["master", "slave"][self.side];
             self.wrong = Some(format!("{side} at {:.3} ms: {}", time.now_ns as f64 * 1e-6, what()));
         }
     }
 
-    fn send(&mut self, frame: &[u8]) {
+    /// What a side sends is a frame, and its energies are those that were seen here.
+    fn send<const N: usize>(&mut self, time: LinkTime, frame: &[u8], layout: FrameLayout) {
+        let (tick, role) = (TickTime::at(time.tick_ns), [Role::Master, Role::Slave][self.side]);
+        match Frame::<N>::decode(frame, role, layout) {
+            Ok(Frame { energy, .. }) => {
+                let said = std::mem::replace(&mut self.said, energy);
+                let rises = energy.in_j >= said.in_j && energy.out_j >= said.out_j;
+                self.hold(rises, tick, || format!("energies {said:?}, then {energy:?}"));
+                let seen = self.energy;
+                let differs = (energy.in_j - seen.in_j).abs().max((energy.out_j - seen.out_j).abs());
+                let most = ROUNDING * (seen.in_j + seen.out_j) + 1e-15;
+                self.hold(differs <= most, tick, || format!("sent {energy:?}, seen {seen:?}"));
+            }
+            Err(error) => self.hold(false, tick, || format!("sent what is no frame: {error}")),
+        }
         if let Some(sent) = &self.sent {
             sent.borrow_mut()[self.side].push(frame.to_vec());
         }
@@ -154,6 +200,15 @@ impl Watch {
         });
         let dead = matches!(state, LadderState::Stop | LadderState::Fault);
         self.hold(!dead || gain == 0.0, time, || format!("gain {gain} in {state:?}"));
+        if state.is_coupled() {
+            self.coupled_ns = time.clock_ns;
+        }
+        let faded = time.clock_ns - self.coupled_ns > self.fade_out_ns + elapsed_ns;
+        self.hold(!faded || gain == 0.0, time, || format!("gain {gain} long after the two have parted"));
+        if clutch && !std::mem::replace(&mut self.was_closed, clutch) {
+            self.closed_ns = Some(time.clock_ns);
+        }
+        self.was_closed = clutch;
         if clutch {
             self.pressed |= self.opened;
         } else {
@@ -161,6 +216,11 @@ impl Watch {
         }
         if state.is_coupled() && !before.is_coupled() {
             self.seen.engagements[self.side] += 1;
+            self.seen.turn.engagements[self.side] += u64::from(self.turns);
+            // The slave hears of a press later than it is made.
+            let waited_ns = self.closed_ns.map_or(u64::MAX, |closed_ns| time.clock_ns - closed_ns);
+            let in_time = self.side == 1 || waited_ns <= self.align_ns;
+            self.hold(in_time, time, || format!("engaged {waited_ns} ns after the press"));
             let pressed = self.pressed && self.holds == holds;
             self.hold(pressed, time, || format!("{before:?} to {state:?} without a press after a release"));
         }
@@ -174,43 +234,81 @@ impl Watch {
 
 /// The side of the hand, watched.
 #[derive(Clone, Debug)]
-pub(crate) struct Near<P, const N: usize> {
-    side: MasterSide<Plant<P, N>, N>,
+pub(crate) struct Near<P, const N: usize, R> {
+    side: MasterSide<Plant<P, N>, N, R>,
     watch: Watch,
     limiter: LimiterSettings,
     period_s: f64,
     force: Axes<N>,
+    torque: Option<TorqueWatch>,
+    buttons: Option<ButtonWatch>,
+    gripper: Option<DrawnGripper>,
+    stalled: bool,
+    measures: bool,
 }
 
 /// The side of the robot, watched.
 #[derive(Clone, Debug)]
-pub(crate) struct Far<P, const N: usize> {
-    side: SlaveSide<Plant<P, N>, N>,
+pub(crate) struct Far<P, const N: usize, S> {
+    side: SlaveSide<Plant<P, N>, N, S>,
     watch: Watch,
     bounds: CommandBounds,
     home: Option<Axes<N>>,
     command: Option<Axes<N>>,
     clock_ns: u64,
+    orientation: Option<OrientationWatch>,
+    gripper: Option<GripperWatch>,
 }
 
-impl<P: MasterPlant<N>, const N: usize> Near<P, N> {
-    pub(crate) fn new(
-        side: MasterSide<Plant<P, N>, N>,
-        limiter: LimiterSettings,
-        period_ns: u64,
-        commands: Vec<(u64, OperatorCommand)>,
-        sent: Option<Sent>,
-    ) -> Self {
-        let period_s = period_ns as f64 * 1e-9;
-        Self { side, watch: Watch::new(0, commands, sent), limiter, period_s, force: Axes::zeros() }
+impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
+    pub(crate) fn new(side: MasterSide<Plant<P, N>, N, R>, drawn: &Drawn, sent: Option<Sent>) -> Self {
+        let pose = drawn.pose.as_ref();
+        Self {
+            side,
+            watch: Watch::new(0, drawn, sent),
+            limiter: drawn.limiter,
+            period_s: drawn.periods_ns[0] as f64 * 1e-9,
+            force: Axes::zeros(),
+            torque: pose.map(|pose| TorqueWatch::new(&pose.master)),
+            buttons: drawn.buttons.as_ref().map(|buttons| ButtonWatch::new(buttons.settings)),
+            gripper: drawn.gripper.clone(),
+            stalled: false,
+            measures: pose.is_some_and(|pose| pose.measures),
+        }
     }
 
     pub(crate) fn verdict(self) -> Result<Seen, String> {
         self.watch.wrong.map_or(Ok(self.watch.seen), Err)
     }
 
+    /// The device is given no torque but what is recorded, and none where it measures no orientation.
+    fn turn(&mut self, time: TickTime, record: &MasterRecord<N, R>) {
+        let (Some(torque), Some(rotation)) = (&mut self.torque, record.rotation.rotation()) else { return };
+        let (plant, watch) = (&mut self.side.plant, &mut self.watch);
+        let written = plant.torque.take();
+        torque.tick(watch, time, self.period_s, rotation, record.tripped, written);
+        let Some(wrong) = plant.wrong() else { return };
+        let is_told = self.measures || !matches!(wrong, Wrong::Speed(_));
+        if wrong.is_none() && is_told && !matches!(wrong, Wrong::Torque(_)) {
+            watch.seen.turn.faults[0] += 1;
+            let dead = record.state == LadderState::Fault && record.device_force == Axes::<N>::zeros();
+            watch.hold(dead, time, || format!("{:?} of {wrong:?}", record.state));
+        }
+    }
+
+    /// `-(F·V + tau·w) dT`, of what is requested as far as the device can render it.
+    fn energy(&mut self, time: TickTime, record: &MasterRecord<N, R>) {
+        if record.fault != 0 {
+            return;
+        }
+        let turning = record.rotation.rotation();
+        let turning = turning.map_or(0.0, |turn| turn.rendered_torque.dot(&turn.angular_velocity));
+        let power_w = record.rendered_force.dot(&record.velocity) + turning;
+        self.watch.energy.add(-power_w, self.period_s * (time.missed + 1) as f64);
+    }
+
     /// Norm and growth of the force. Unloading is free; the growth is exceeded only by what the power bound takes.
-    fn force(&mut self, time: TickTime, record: &MasterRecord<N>) {
+    fn force(&mut self, time: TickTime, record: &MasterRecord<N, R>) {
         let last = std::mem::replace(&mut self.force, record.device_force);
         let force = self.force;
         let LimiterSettings { max_force_n, max_slew_n_per_s, .. } = self.limiter;
@@ -233,25 +331,61 @@ impl<P: MasterPlant<N>, const N: usize> Near<P, N> {
     }
 }
 
-impl<P: SlavePlant<N>, const N: usize> Far<P, N> {
-    pub(crate) fn new(
-        side: SlaveSide<Plant<P, N>, N>,
-        bounds: CommandBounds,
-        commands: Vec<(u64, OperatorCommand)>,
-        sent: Option<Sent>,
-    ) -> Self {
-        Self { side, watch: Watch::new(1, commands, sent), bounds, home: None, command: None, clock_ns: 0 }
+impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
+    pub(crate) fn new(mut side: SlaveSide<Plant<P, N>, N, S>, drawn: &Drawn, sent: Option<Sent>) -> Self {
+        if drawn.buttons.is_some() {
+            side.exchange_mut().carry_buttons();
+        }
+        Self {
+            side,
+            watch: Watch::new(1, drawn, sent),
+            bounds: drawn.bounds,
+            home: None,
+            command: None,
+            clock_ns: 0,
+            orientation: drawn.pose.as_ref().map(|pose| OrientationWatch::new(pose.slave.bounds)),
+            gripper: drawn.gripper.as_ref().map(GripperWatch::new),
+        }
     }
 
     pub(crate) fn verdict(self) -> Result<Seen, String> {
         self.watch.wrong.map_or(Ok(self.watch.seen), Err)
     }
 
+    /// `F_e·V + tau_e·w` of what it was given, over the time since the tick before.
+    fn energy(&mut self, record: &SlaveRecord<N, S>, elapsed_s: f64) {
+        let plant = &self.side.plant;
+        let moving = plant.written.map_or(0.0, |[_, velocity]| record.environment_force.dot(&velocity));
+        let turning = record.rotation.rotation().zip(plant.turned);
+        let turning =
+            turning.map_or(0.0, |(rotation, (_, velocity))| rotation.environment_torque.dot(&velocity));
+        self.watch.energy.add(moving + turning, elapsed_s);
+    }
+
+    /// What of its rotation is commanded.
+    fn turn(&mut self, time: TickTime, record: &SlaveRecord<N, S>, elapsed_s: f64, stops: bool) {
+        let (Some(orientation), Some(_)) = (&mut self.orientation, record.rotation.rotation()) else {
+            return;
+        };
+        let (side, watch) = (&mut self.side, &mut self.watch);
+        if let Some(measured) = side.plant.rotation().filter(|_| !side.plant.is_broken(time.now_ns)) {
+            orientation.begin(measured.orientation);
+        }
+        let written = (side.plant.turned.take(), side.plant.written.is_some());
+        orientation.tick(watch, time, elapsed_s, side.endpoint.last_orientation(), written, stops);
+        watch.seen.turn.speed_limited += u64::from(record.limited & 4 != 0);
+        watch.seen.turn.turn_limited += u64::from(record.limited & 8 != 0);
+        if let Some(wrong) = side.plant.wrong().filter(|wrong| wrong.is_none()) {
+            watch.seen.turn.faults[1] += 1;
+            let dead = record.state == LadderState::Fault;
+            watch.hold(dead, time, || format!("{:?} of {wrong:?}", record.state));
+        }
+    }
+
     /// What is commanded: nothing moves but while coupled, and then no faster and no further than it may.
-    fn command(&mut self, time: TickTime, state: LadderState, stops: bool) {
+    fn command(&mut self, time: TickTime, state: LadderState, elapsed_s: f64, stops: bool) {
         let command = self.side.endpoint.last_command();
         let before = std::mem::replace(&mut self.command, command);
-        let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
         let CommandBounds { speed, reach } = self.bounds;
         let written = self.side.plant.written.take();
         let stopped = matches!(state, LadderState::Stop | LadderState::Fault);
@@ -264,6 +398,8 @@ impl<P: SlavePlant<N>, const N: usize> Far<P, N> {
             self.watch
                 .hold(velocity.norm() <= most, time, || format!("velocity {} in {state:?}", velocity.norm()));
         }
+        let has_engaged = self.watch.seen.engagements[1] > 0;
+        self.watch.hold(has_engaged || command.is_none(), time, || format!("{command:?} before it engaged"));
         let Some((before, command)) = before.zip(command) else { return };
         let step = (command - before).norm();
         if state.is_coupled() {
@@ -280,8 +416,8 @@ impl<P: SlavePlant<N>, const N: usize> Far<P, N> {
     }
 }
 
-impl<P: MasterPlant<N>, const N: usize> Side<N> for Near<P, N> {
-    type Record = MasterRecord<N>;
+impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side<N> for Near<P, N, R> {
+    type Record = MasterRecord<N, R>;
 
     fn begin(&mut self, now_ns: u64) {
         self.side.begin(now_ns);
@@ -294,19 +430,38 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for Near<P, N> {
         taken
     }
 
-    fn tick(&mut self, time: TickTime) -> MasterRecord<N> {
-        act(&mut self.side, &mut self.watch, time);
+    fn tick(&mut self, time: TickTime) -> MasterRecord<N, R> {
+        let released = act(&mut self.side, &mut self.watch, time);
+        if let Some(read) = self.gripper.as_ref().and_then(|drawn| drawn.read_trigger(time.now_ns)) {
+            self.side.trigger = Some(read);
+        }
+        let stood = self.side.exchange().state();
         let record = self.side.tick(time);
         let ladder = self.side.exchange().ladder();
         let (gain, holds) = (ladder.gain(), ladder.holds());
         self.watch.ladder(time, record.state, gain, holds, record.clutch);
         self.force(time, &record);
+        self.turn(time, &record);
+        self.energy(time, &record);
+        let stalled = std::mem::take(&mut self.stalled);
+        if let Some(buttons) = &mut self.buttons {
+            if released {
+                buttons.release();
+            }
+            if stalled {
+                buttons.stall();
+            }
+            let word = self.side.plant.buttons().unwrap_or(ButtonWord::UNKNOWN);
+            let trigger = self.side.trigger.as_ref().map(|_| record.trigger);
+            buttons.tick(&mut self.watch, time, word, stood, record.clutch, trigger);
+        }
         record
     }
 
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        let layout = self.side.exchange().link().layout();
         let frame = self.side.send(time, buffer);
-        self.watch.send(frame);
+        self.watch.send::<N>(time, frame, layout);
         frame
     }
 
@@ -323,12 +478,14 @@ impl<P: MasterPlant<N>, const N: usize> Side<N> for Near<P, N> {
     }
 
     fn exchange_mut(&mut self) -> &mut Exchange<N> {
+        // A runner in virtual time asks for it where the loop has slept, and for nothing else.
+        self.stalled = true;
         self.side.exchange_mut()
     }
 }
 
-impl<P: SlavePlant<N>, const N: usize> Side<N> for Far<P, N> {
-    type Record = SlaveRecord<N>;
+impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
+    type Record = SlaveRecord<N, S>;
 
     fn begin(&mut self, now_ns: u64) {
         self.side.begin(now_ns);
@@ -341,8 +498,11 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for Far<P, N> {
         taken
     }
 
-    fn tick(&mut self, time: TickTime) -> SlaveRecord<N> {
+    fn tick(&mut self, time: TickTime) -> SlaveRecord<N, S> {
         act(&mut self.side, &mut self.watch, time);
+        if let (Some(watch), Some(gripper)) = (&mut self.gripper, &mut self.side.gripper) {
+            watch.read(time.now_ns, gripper);
+        }
         let stops = self.side.plant.stops;
         let record = self.side.tick(time);
         let ladder = self.side.exchange().ladder();
@@ -355,13 +515,21 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for Far<P, N> {
         self.watch.hold(stopped == u64::from(due), time, || format!("stopped {stopped} times, due {due}"));
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
-        self.command(time, record.state, stopped > 0);
+        let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
+        self.energy(&record, elapsed_s);
+        self.turn(time, &record, elapsed_s, stopped > 0);
+        self.command(time, record.state, elapsed_s, stopped > 0);
+        if let (Some(watch), Some(gripper)) = (&mut self.gripper, &self.side.gripper) {
+            let trigger = self.side.exchange().peer_gripper().and_then(|state| state.position);
+            watch.tick(&mut self.watch, time, gripper, trigger);
+        }
         record
     }
 
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
+        let layout = self.side.exchange().link().layout();
         let frame = self.side.send(time, buffer);
-        self.watch.send(frame);
+        self.watch.send::<N>(time, frame, layout);
         frame
     }
 
@@ -382,13 +550,16 @@ impl<P: SlavePlant<N>, const N: usize> Side<N> for Far<P, N> {
     }
 }
 
-/// Does at a side what people do there by the time of a tick.
-fn act<const N: usize>(side: &mut impl Side<N>, watch: &mut Watch, time: TickTime) {
+/// Does at a side what people do there by the time of a tick; whether they let go of the clutch.
+fn act<const N: usize>(side: &mut impl Side<N>, watch: &mut Watch, time: TickTime) -> bool {
+    let mut released = false;
     let due = watch.commands.iter().take_while(|(at_ns, _)| *at_ns <= time.now_ns).count();
     for (_, command) in watch.commands.drain(..due) {
+        released |= command == OperatorCommand::Release;
         let done = side.command(time.clock_ns, command);
         if done.is_err() {
             watch.wrong.get_or_insert_with(|| format!("{command:?}: {done:?}"));
         }
     }
+    released
 }

@@ -1,0 +1,334 @@
+//! What a scene of kind pose has besides, and what must never be of its rotation.
+
+use haptether_bridge::{
+    MasterRotation, MasterRotationSettings, SlaveRotationSettings, TickTime,
+    coupling::{RotationBounds, RotationLock},
+};
+use haptether_safety::{
+    Acted, Axes, LimiterSettings, RotationModel,
+    controller::{ControllerKind, Tripped},
+};
+use nalgebra::UnitQuaternion;
+
+use crate::{
+    drawn::{MS, Numbers, estimator, safety},
+    spied::{ROUNDING, Watch},
+};
+
+/// Lever at which a handle is held, in m.
+const LEVER_M: f64 = 0.05;
+/// Rounding of an angle that was taken by an inverse cosine, in rad.
+const ANGLE: f64 = 3e-8;
+
+/// What a sensor of rotation says that is out of order.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Wrong {
+    /// The quaternion is so long.
+    Norm(f64),
+    /// It says nothing.
+    Unknown,
+    /// The angular velocity of one axis is this.
+    Speed(f64),
+    /// The torque about one axis is this.
+    Torque(f64),
+    /// It has turned by so much in rad at once.
+    Leap(f64),
+}
+
+impl Wrong {
+    /// Whether no device measures so; a leap is one that the hand may have made.
+    pub(crate) fn is_none(self) -> bool {
+        let is_possible = match self {
+            Self::Norm(norm) => (norm.abs() - 1.0).abs() <= 1e-9,
+            Self::Unknown => false,
+            Self::Speed(value) => value.abs() <= 1e3,
+            Self::Torque(value) => value.abs() <= 1e4,
+            Self::Leap(_) => true,
+        };
+        !is_possible
+    }
+}
+
+/// A sensor of rotation that is out of order, from when to when in ns.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct BrokenTurn {
+    from_ns: u64,
+    until_ns: u64,
+    wrong: Wrong,
+}
+
+impl BrokenTurn {
+    fn draw(n: &mut Numbers, end_ns: u64) -> Option<Self> {
+        let from_ns = n.whole(0, end_ns);
+        let until_ns = from_ns + n.whole(1, 60 * MS);
+        let number = n.one_of(&[f64::NAN, f64::INFINITY, 1e300, -1e7, f64::MIN_POSITIVE / 8.0]);
+        let wrong = match n.whole(0, 6) {
+            0 => Wrong::Unknown,
+            1 => Wrong::Speed(number),
+            2 => Wrong::Torque(number),
+            3 => Wrong::Leap(n.real(0.0, 3.1)),
+            _ => Wrong::Norm(n.one_of(&[f64::NAN, 0.0, 1e-200, 1e200, 1.1, 1.0 + 1e-8, 1.0 + 1e-10, -1.0])),
+        };
+        n.chance(0.12).then_some(Self { from_ns, until_ns, wrong })
+    }
+
+    pub(crate) fn at(broken: Option<Self>, now_ns: u64) -> Option<Wrong> {
+        broken.filter(|one| (one.from_ns..one.until_ns).contains(&now_ns)).map(|one| one.wrong)
+    }
+}
+
+/// All of a hand and an arm that turn.
+#[derive(Clone, Debug)]
+pub(crate) struct DrawnPose {
+    /// How the hand turns: until when in s, with what angular velocity in rad/s.
+    pub(crate) turns: Vec<(f64, Axes<3>)>,
+    /// Whether device and arm are rigid bodies that yield to torques.
+    pub(crate) is_modelled: [bool; 2],
+    pub(crate) measures: bool,
+    pub(crate) inertia_kg_m2: f64,
+    /// How both stand at the start.
+    pub(crate) starts: [UnitQuaternion<f64>; 2],
+    /// Stiffness in N m/rad against which the arm turns.
+    pub(crate) stiffness: f64,
+    pub(crate) broken: [Option<BrokenTurn>; 2],
+    pub(crate) lock: RotationLock,
+    pub(crate) master: MasterRotationSettings,
+    pub(crate) slave: SlaveRotationSettings,
+}
+
+fn direction(n: &mut Numbers) -> Axes<3> {
+    let axis = Axes::<3>::from_fn(|_, _| n.real(-1.0, 1.0));
+    axis.try_normalize(1e-3).unwrap_or_else(Axes::<3>::z)
+}
+
+fn orientation(n: &mut Numbers) -> UnitQuaternion<f64> {
+    let angle = n.real(-3.1, 3.1);
+    UnitQuaternion::from_scaled_axis(direction(n) * angle)
+}
+
+impl DrawnPose {
+    pub(crate) fn draw(n: &mut Numbers, end_ns: u64) -> Self {
+        let inertia_kg_m2 = n.real(1e-4, 2e-3);
+        let mut at_s = 0.0;
+        // About one axis beyond 2 pi, or about any.
+        let (axis, is_steady) = (direction(n), n.chance(0.4));
+        let turns = (0..n.whole(1, 5))
+            .map(|_| {
+                at_s += n.real(0.01, 0.3);
+                let about = if is_steady { axis } else { direction(n) };
+                let fastest = n.one_of(&[0.5, 3.0, 3.0, 20.0, 60.0, 400.0]);
+                (at_s, about * n.real(0.0, fastest))
+            })
+            .collect();
+        let lock = match n.whole(0, 9) {
+            0 => RotationLock::Locked,
+            1 | 2 => RotationLock::only_about(direction(n).into()).unwrap(),
+            _ => RotationLock::Free,
+        };
+        let rotation_scale = if n.chance(0.4) { 1.0 } else { n.real(0.2, 4.0) };
+        let master = MasterRotationSettings {
+            device: RotationModel::new(
+                Axes::<3>::repeat(inertia_kg_m2),
+                n.real(0.0, 1e-3),
+                n.one_of(&[0.0, 1e-3]),
+            )
+            .unwrap(),
+            estimator: estimator(n),
+            safety: safety(n).at_lever(LEVER_M),
+            limiter: LimiterSettings {
+                max_force_n: n.real(0.02, 0.5),
+                max_slew_n_per_s: n.one_of(&[0.3, 3.0, 100.0]),
+                max_power_w: n.one_of(&[0.05, 5.0, 1e4]),
+                ramp_in_s: 0.0,
+            },
+            torque_scale: n.real(0.1, 5.0),
+            shares_trips: n.chance(0.5),
+        };
+        let bounds = RotationBounds {
+            speed: n.one_of(&[0.3, 2.5, 2.5, 30.0, f64::INFINITY]),
+            turn: n.one_of(&[0.1, 1.0, 1.8, 2.4, 2.9, f64::INFINITY, f64::INFINITY]),
+        };
+        Self {
+            turns,
+            is_modelled: [n.chance(0.2), n.chance(0.2)],
+            measures: n.chance(0.5),
+            inertia_kg_m2,
+            starts: [orientation(n), orientation(n)],
+            stiffness: n.real(0.0, 1.0),
+            broken: [BrokenTurn::draw(n, end_ns), BrokenTurn::draw(n, end_ns)],
+            lock,
+            master,
+            slave: SlaveRotationSettings { rotation_scale, lock, bounds },
+        }
+    }
+}
+
+/// The angle between two orientations, exact near 0 as well.
+fn angle(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> f64 {
+    let turn = to * from.inverse();
+    2.0 * turn.imag().norm().atan2(turn.w.abs())
+}
+
+/// What was seen of rotations.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SeenTurn {
+    /// At both sides.
+    pub(crate) engagements: [u64; 2],
+    pub(crate) torques: u64,
+    pub(crate) growth_limited: u64,
+    pub(crate) tripped: u64,
+    /// Ticks of trips that were shared, and of trips of one alone.
+    pub(crate) shared: u64,
+    pub(crate) alone: u64,
+    /// Ticks at which either bound on the orientation acted.
+    pub(crate) speed_limited: u64,
+    pub(crate) turn_limited: u64,
+    pub(crate) faults: [u64; 2],
+}
+
+impl SeenTurn {
+    pub(crate) fn and(&self, other: &Self) -> Self {
+        Self {
+            engagements: std::array::from_fn(|side| self.engagements[side] + other.engagements[side]),
+            torques: self.torques + other.torques,
+            growth_limited: self.growth_limited + other.growth_limited,
+            tripped: self.tripped + other.tripped,
+            shared: self.shared + other.shared,
+            alone: self.alone + other.alone,
+            speed_limited: self.speed_limited + other.speed_limited,
+            turn_limited: self.turn_limited + other.turn_limited,
+            faults: std::array::from_fn(|side| self.faults[side] + other.faults[side]),
+        }
+    }
+
+    /// What a run of ten thousand scenes must have met.
+    pub(crate) fn all(&self) -> [u64; 11] {
+        let Self { engagements: [near, far], faults: [near_faults, far_faults], .. } = *self;
+        [
+            near,
+            far,
+            self.torques,
+            self.growth_limited,
+            self.tripped,
+            self.shared,
+            self.alone,
+            self.speed_limited,
+            self.turn_limited,
+            near_faults,
+            far_faults,
+        ]
+    }
+}
+
+/// What a torque on a hand is held to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TorqueWatch {
+    limiter: LimiterSettings,
+    shares_trips: bool,
+    torque: Axes<3>,
+}
+
+impl TorqueWatch {
+    pub(crate) fn new(settings: &MasterRotationSettings) -> Self {
+        let MasterRotationSettings { limiter, shares_trips, .. } = *settings;
+        Self { limiter, shares_trips, torque: Axes::zeros() }
+    }
+
+    /// As of the force, in the base frame; `tripped` is of the force, `written` what the device was given.
+    pub(crate) fn tick(
+        &mut self,
+        watch: &mut Watch,
+        time: TickTime,
+        period_s: f64,
+        record: &MasterRotation,
+        tripped: u8,
+        written: Option<Axes<3>>,
+    ) {
+        let last = std::mem::replace(&mut self.torque, record.device_torque);
+        let torque = self.torque;
+        let LimiterSettings { max_force_n: bound, max_slew_n_per_s: slew, .. } = self.limiter;
+        watch.hold(torque.norm() <= bound * (1.0 + ROUNDING), time, || format!("torque {}", torque.norm()));
+        let squared = last.norm_squared();
+        let share = if squared > 0.0 { (last.dot(&torque) / squared).clamp(0.0, 1.0) } else { 0.0 };
+        let (growth, most) = ((torque - last * share).norm(), slew * period_s);
+        let by_power = record.acted & Acted::POWER.bits() != 0;
+        watch.hold(by_power || growth <= most * (1.0 + ROUNDING) + 1e-12, time, || {
+            format!("growth of the torque {growth} > {most}")
+        });
+        let dead = watch.gain == 0.0;
+        watch.hold(!dead || torque == Axes::<3>::zeros(), time, || {
+            format!("torque {} without gain", torque.norm())
+        });
+        watch.hold(written == Some(torque), time, || format!("recorded {torque:?}, written {written:?}"));
+        let finite = record.rendered_torque.iter().chain(&record.grasp_torque).chain(&record.safety_torque);
+        watch.hold(finite.clone().all(|x| x.is_finite()), time, || format!("{record:?}"));
+        // The force of PC is no intervention.
+        let of_pc = Tripped::of(ControllerKind::Pc).bits();
+        let either = (tripped & !of_pc != 0, record.tripped & !of_pc != 0);
+        watch.hold(!self.shares_trips || either.0 == either.1, time, || {
+            format!("trips are shared, and of force and torque {tripped} and {} tripped", record.tripped)
+        });
+        let seen = &mut watch.seen.turn;
+        seen.torques += u64::from(torque != Axes::<3>::zeros());
+        seen.growth_limited += u64::from(record.acted & Acted::SLEW.bits() != 0);
+        seen.tripped += u64::from(either.1);
+        seen.shared += u64::from(self.shares_trips && either.1);
+        seen.alone += u64::from(either.0 != either.1);
+    }
+}
+
+/// What a commanded orientation is held to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OrientationWatch {
+    bounds: RotationBounds,
+    home: Option<UnitQuaternion<f64>>,
+    command: Option<UnitQuaternion<f64>>,
+}
+
+impl OrientationWatch {
+    pub(crate) fn new(bounds: RotationBounds) -> Self {
+        Self { bounds, home: None, command: None }
+    }
+
+    /// The arm stood so at its first sample that could be.
+    pub(crate) fn begin(&mut self, measured: UnitQuaternion<f64>) {
+        self.home.get_or_insert(measured);
+    }
+
+    /// `command` is the endpoint's, `written` what the arm was given and whether it was given a position; `stops` that it came
+    /// to rest elsewhere.
+    pub(crate) fn tick(
+        &mut self,
+        watch: &mut Watch,
+        time: TickTime,
+        elapsed_s: f64,
+        command: Option<UnitQuaternion<f64>>,
+        written: (Option<(UnitQuaternion<f64>, Axes<3>)>, bool),
+        stops: bool,
+    ) {
+        let before = std::mem::replace(&mut self.command, command);
+        let (state, RotationBounds { speed, turn }) = (watch.state, self.bounds);
+        let (written, moves) = written;
+        watch.hold(written.is_some() == moves, time, || format!("{written:?} beside a position"));
+        if let Some((orientation, velocity)) = written {
+            watch.hold(command == Some(orientation), time, || format!("{orientation:?}, not {command:?}"));
+            let most = if state.is_coupled() { speed * (1.0 + ROUNDING) } else { 0.0 };
+            watch.hold(velocity.norm() <= most, time, || format!("turns with {velocity:?} in {state:?}"));
+            let norm = orientation.quaternion().norm();
+            watch.hold((norm - 1.0).abs() <= 1e-9, time, || format!("commanded a norm of {norm}"));
+        }
+        let Some((before, command)) = before.zip(command) else { return };
+        let step = angle(&before, &command);
+        if state.is_coupled() {
+            let most = speed * elapsed_s * (1.0 + ROUNDING) + ANGLE;
+            watch.hold(step <= most, time, || format!("commanded turn {step} > {most} in {state:?}"));
+            let from_home = |of| self.home.map_or(0.0, |home| angle(&home, of));
+            // As of the reach: a stop may have come to rest outside.
+            let (out, was_out) = (from_home(&command), from_home(&before));
+            let most = turn.max(was_out) + ANGLE;
+            watch.hold(out <= most, time, || format!("commanded {out} rad from the first, beyond {turn}"));
+        } else if !stops {
+            watch.hold(before == command, time, || format!("turned by {step} in {state:?}"));
+        }
+    }
+}
