@@ -21,6 +21,9 @@ use crate::{
 /// Rounding of sums of a few numbers of their size.
 pub(crate) const ROUNDING: f64 = 1e-9;
 
+/// That the bound on the reach acted on a command.
+const REACH: u8 = 2;
+
 /// What was seen of all runs: a test in which nothing happens proves nothing.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Seen {
@@ -343,7 +346,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             home: None,
             command: None,
             clock_ns: 0,
-            orientation: drawn.pose.as_ref().map(|pose| OrientationWatch::new(pose.slave.bounds)),
+            orientation: drawn.pose.as_ref().map(|pose| OrientationWatch::new(&pose.slave)),
             gripper: drawn.gripper.as_ref().map(GripperWatch::new),
         }
     }
@@ -372,7 +375,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             orientation.begin(measured.orientation);
         }
         let written = (side.plant.turned.take(), side.plant.written.is_some());
-        orientation.tick(watch, time, elapsed_s, side.endpoint.last_orientation(), written, stops);
+        let command = side.endpoint.last_orientation();
+        orientation.tick(watch, time, elapsed_s, command, written, (stops, record.limited));
         watch.seen.turn.speed_limited += u64::from(record.limited & 4 != 0);
         watch.seen.turn.turn_limited += u64::from(record.limited & 8 != 0);
         if let Some(wrong) = side.plant.wrong().filter(|wrong| wrong.is_none()) {
@@ -383,7 +387,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
     }
 
     /// What is commanded: nothing moves but while coupled, and then no faster and no further than it may.
-    fn command(&mut self, time: TickTime, state: LadderState, elapsed_s: f64, stops: bool) {
+    fn command(&mut self, time: TickTime, elapsed_s: f64, stops: bool, limited: u8, was_coupled: bool) {
+        let state = self.watch.state;
         let command = self.side.endpoint.last_command();
         let before = std::mem::replace(&mut self.command, command);
         let CommandBounds { speed, reach } = self.bounds;
@@ -405,6 +410,9 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         if state.is_coupled() {
             let most = speed * elapsed_s * (1.0 + ROUNDING) + 1e-12;
             self.watch.hold(step <= most, time, || format!("commanded step {step} > {most} in {state:?}"));
+            // Anchored where both are: what the hand did while they were apart leads nothing.
+            let jumps = !was_coupled && step > 1e-9 && limited & REACH == 0;
+            self.watch.hold(!jumps, time, || format!("jumped by {step} m when it engaged"));
             let out = self.home.map_or(0.0, |home| (command - home).norm());
             // A stop may have come to rest outside: it is led back, never further out.
             let was_out = self.home.map_or(0.0, |home| (before - home).norm());
@@ -518,7 +526,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side<N> for Far<P, N, S> {
         let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
         self.energy(&record, elapsed_s);
         self.turn(time, &record, elapsed_s, stopped > 0);
-        self.command(time, record.state, elapsed_s, stopped > 0);
+        self.command(time, elapsed_s, stopped > 0, record.limited, before.is_coupled());
         if let (Some(watch), Some(gripper)) = (&mut self.gripper, &self.side.gripper) {
             let trigger = self.side.exchange().peer_gripper().and_then(|state| state.position);
             watch.tick(&mut self.watch, time, gripper, trigger);

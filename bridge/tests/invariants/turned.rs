@@ -19,6 +19,8 @@ use crate::{
 const LEVER_M: f64 = 0.05;
 /// Rounding of an angle that was taken by an inverse cosine, in rad.
 const ANGLE: f64 = 3e-8;
+/// That the bound on the angle acted on a command.
+const TURN: u8 = 8;
 
 /// What a sensor of rotation says that is out of order.
 #[derive(Clone, Copy, Debug)]
@@ -281,13 +283,16 @@ impl TorqueWatch {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OrientationWatch {
     bounds: RotationBounds,
+    lock: RotationLock,
     home: Option<UnitQuaternion<f64>>,
     command: Option<UnitQuaternion<f64>>,
+    was_coupled: bool,
 }
 
 impl OrientationWatch {
-    pub(crate) fn new(bounds: RotationBounds) -> Self {
-        Self { bounds, home: None, command: None }
+    pub(crate) fn new(settings: &SlaveRotationSettings) -> Self {
+        let SlaveRotationSettings { bounds, lock, .. } = *settings;
+        Self { bounds, lock, home: None, command: None, was_coupled: false }
     }
 
     /// The arm stood so at its first sample that could be.
@@ -296,7 +301,7 @@ impl OrientationWatch {
     }
 
     /// `command` is the endpoint's, `written` what the arm was given and whether it was given a position; `stops` that it came
-    /// to rest elsewhere.
+    /// to rest elsewhere, `limited` which bounds acted.
     pub(crate) fn tick(
         &mut self,
         watch: &mut Watch,
@@ -304,9 +309,10 @@ impl OrientationWatch {
         elapsed_s: f64,
         command: Option<UnitQuaternion<f64>>,
         written: (Option<(UnitQuaternion<f64>, Axes<3>)>, bool),
-        stops: bool,
+        (stops, limited): (bool, u8),
     ) {
         let before = std::mem::replace(&mut self.command, command);
+        let was_coupled = std::mem::replace(&mut self.was_coupled, watch.state.is_coupled());
         let (state, RotationBounds { speed, turn }) = (watch.state, self.bounds);
         let (written, moves) = written;
         watch.hold(written.is_some() == moves, time, || format!("{written:?} beside a position"));
@@ -327,6 +333,17 @@ impl OrientationWatch {
             let (out, was_out) = (from_home(&command), from_home(&before));
             let most = turn.max(was_out) + ANGLE;
             watch.hold(out <= most, time, || format!("commanded {out} rad from the first, beyond {turn}"));
+            let is_free = limited & TURN != 0;
+            // Anchored where both are: what the hand did while they were apart leads nothing.
+            let jumps = !was_coupled && step > ANGLE;
+            watch.hold(is_free || !jumps, time, || format!("jumped by {step} when it engaged"));
+            let way = (command * before.inverse()).scaled_axis();
+            let off = match self.lock {
+                RotationLock::Free => 0.0,
+                RotationLock::OnlyAbout(axis) => way.cross(&axis).norm(),
+                RotationLock::Locked => step,
+            };
+            watch.hold(is_free || off <= ANGLE, time, || format!("turned by {way:?} with {:?}", self.lock));
         } else if !stops {
             watch.hold(before == command, time, || format!("turned by {step} in {state:?}"));
         }

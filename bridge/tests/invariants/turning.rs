@@ -110,6 +110,12 @@ pub(crate) struct DrivenArm {
     stiffness: [f64; 2],
     rate: f64,
     now_ns: u64,
+    /// What it was ordered before, and how long ago in s, the tick before the last and the last.
+    ordered: Option<(Axes<3>, UnitQuaternion<f64>)>,
+    past_s: [f64; 2],
+    /// How fast it may be led in m/s and rad/s, and how fast orders were when it was last left to brake.
+    fastest: [f64; 2],
+    braking: [f64; 2],
     complaint: Complaint,
 }
 
@@ -139,16 +145,24 @@ impl DrivenArm {
     }
 
     /// Orders that no driver could follow.
-    fn check(&self) {
-        if let SlaveOrder::Move { position, velocity, rotation } = *self.arm.order() {
-            let is_sound = position.iter().chain(&velocity).all(|x| x.is_finite())
-                && rotation.is_some_and(|(orientation, velocity)| {
-                    (orientation.quaternion().norm() - 1.0).abs() <= 1e-9
-                        && velocity.iter().all(|x| x.is_finite())
-                });
-            if !is_sound {
-                self.complaint.borrow_mut().get_or_insert_with(|| format!("ordered {:?}", self.arm.order()));
-            }
+    fn check(&mut self) {
+        let order = *self.arm.order();
+        let before = self.ordered.take();
+        let SlaveOrder::Move { position, velocity, rotation } = order else { return };
+        let is_finite = position.iter().chain(&velocity).all(|x| x.is_finite());
+        let is_sound = rotation.is_some_and(|(orientation, velocity)| {
+            (orientation.quaternion().norm() - 1.0).abs() <= 1e-9 && velocity.iter().all(|x| x.is_finite())
+        });
+        self.ordered = rotation.map(|(orientation, _)| (position, orientation));
+        let over_s = self.past_s[0].max(self.past_s[1]);
+        let follows = before.zip(self.ordered).is_none_or(|((from, turned_from), (to, turned_to))| {
+            let most = |of: usize| (self.fastest[of] + self.braking[of]) * over_s * (1.0 + 1e-6) + 1e-7;
+            (to - from).norm() <= most(0) && turned_to.angle_to(&turned_from) <= most(1)
+        });
+        if !(is_finite && is_sound && follows) {
+            let at_ms = self.now_ns as f64 * 1e-6;
+            let complain = || format!("at {at_ms} ms ordered {order:?} after {before:?}");
+            self.complaint.borrow_mut().get_or_insert_with(complain);
         }
     }
 }
@@ -175,6 +189,15 @@ impl Arm {
                 stiffness: [stiffness, pose.stiffness],
                 rate: 10.0 * bandwidth_hz,
                 now_ns: 0,
+                ordered: None,
+                past_s: [0.0; 2],
+                braking: [0.0; 2],
+                // By a clock that is set what is due at once is more.
+                fastest: if drawn.clocks[1].is_some() {
+                    [f64::INFINITY; 2]
+                } else {
+                    [drawn.bounds.speed, pose.slave.bounds.speed]
+                },
                 complaint,
             }));
         }
@@ -242,9 +265,10 @@ impl SlavePlant<3> for Arm {
 
     fn read(&mut self, now_ns: u64) -> [Axes<3>; 3] {
         if let Self::Driven(driven) = self {
-            driven.check();
             let past_ns = now_ns - std::mem::replace(&mut driven.now_ns, now_ns);
-            driven.follow(past_ns.max(1) as f64 * 1e-9);
+            driven.past_s = [driven.past_s[1], past_ns.max(1) as f64 * 1e-9];
+            driven.check();
+            driven.follow(driven.past_s[1]);
         }
         self.plant().read(now_ns)
     }
@@ -258,6 +282,14 @@ impl SlavePlant<3> for Arm {
     }
 
     fn hold(&mut self) -> Axes<3> {
+        if let Self::Driven(driven) = self {
+            driven.braking = match *driven.arm.order() {
+                SlaveOrder::Move { velocity, rotation, .. } => {
+                    [velocity.norm(), rotation.map_or(0.0, |(_, velocity)| velocity.norm())]
+                }
+                _ => [0.0; 2],
+            };
+        }
         self.plant().hold()
     }
 
