@@ -394,13 +394,13 @@ impl SimulatedTool {
         self.motion.bodies.get(index).map(|body| (body.position, body.orientation))
     }
 
-    /// Hands over what is there besides the tool: `hole_depth` in m of its deepest point, `handle_angle` in rad,
-    /// `body_position` in m and `body_orientation`, w first, each for all there are.
+    /// Hands over what is there besides the tool: `hole_depth` in m of its deepest point (0 of a tool without any),
+    /// `handle_angle` in rad, `body_position` in m and `body_orientation`, w first, each for all there are.
     pub fn world(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         let tool = &self.motion.tool;
         let deepest = |hole: &Hole| {
             let depth = |point: &Axes<3>| hole.depth_of(&(tool.position + tool.orientation * point));
-            self.world.points.iter().map(depth).fold(f64::NEG_INFINITY, f64::max)
+            self.world.points.iter().map(depth).reduce(f64::max).unwrap_or(0.0)
         };
         let mut all = |name, values: Vec<f64>| {
             if !values.is_empty() {

@@ -423,6 +423,13 @@ fn a_tilted_peg_has_the_moment_of_two_points() {
     tool.world(&mut |name, depths| assert!(name == "hole_depth" && (0.03..0.05).contains(&depths[0])));
 }
 
+#[test]
+fn a_tool_without_points_is_not_in_the_hole() {
+    let world = ToolWorldSettings { holes: vec![hole(0.01, 0.0)], ..nothing() };
+    let tool = tool(&servoed(vec![]), &world);
+    tool.world(&mut |_, depths| assert_eq!(depths, [0.0]));
+}
+
 /// `F = K d (inward + axis) / sqrt 2` with `d = (rho - r - h + s) / sqrt 2`.
 #[test]
 fn a_chamfer_pushes_along_45_degrees() {
