@@ -227,6 +227,8 @@ def _pose(scene: Scene) -> Iterator[SceneError]:
     }.items():
         if given is None:
             yield contradiction(path, 'is missing: kind = "pose" needs it')
+    if scene.master.rotation is not None:
+        yield from _rigid(scene.master.rotation.inertia_kg_m2, ("master", "rotation", "inertia_kg_m2"))
     if scene.run.stop_early:
         yield contradiction(("run", "stop_early"), "what turns is not watched for rest: leave it out")
     if scene.slave is not None:
@@ -238,6 +240,7 @@ def _pose(scene: Scene) -> Iterator[SceneError]:
         yield from _turning_coupling(scene.coupling)
     if scene.slave is not None and scene.slave.tool is not None:
         yield from _unit(scene.slave.tool.quat_wxyz, ("slave", "tool", "quat_wxyz"))
+        yield from _rigid(scene.slave.tool.inertia_kg_m2, ("slave", "tool", "inertia_kg_m2"))
     if scene.environment is not None:
         yield from _world(scene.environment)
     if scene.operator is not None and scene.operator.rotation is not None:
@@ -331,6 +334,17 @@ def _unit(quat_wxyz: tuple[float, ...], path: Path) -> Iterator[SceneError]:
     norm = hypot(*quat_wxyz)
     if abs(norm - 1.0) > UNIT_QUATERNION:
         yield wrong(path, quat_wxyz, f"of norm 1, not {norm:g}")
+
+
+def _rigid(inertia_kg_m2: float | tuple[float, ...], path: Path) -> Iterator[SceneError]:
+    """Of moments about three axes none is above the sum of the other two, whatever the masses and where."""
+    if not isinstance(inertia_kg_m2, tuple) or len(inertia_kg_m2) != 3:
+        return
+    largest = max(inertia_kg_m2)
+    others = sum(inertia_kg_m2) - largest
+    if largest > others * (1.0 + 1e-6):
+        allowed = f"those of a rigid body: none above the sum of the other two, and {largest:g} is above {others:g}"
+        yield wrong(path, inertia_kg_m2, allowed)
 
 
 def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:

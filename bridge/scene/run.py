@@ -14,6 +14,7 @@ from msgspec import Struct, convert
 
 from haptether import _core
 from haptether._core import LoopReport
+from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import Checked, checked_scene, loaded
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
@@ -166,7 +167,11 @@ def simulate(scene: Scene | str | PathLike[str], *, overrides: Iterable[str] = (
     name, checked = named_scene(scene, overrides)
     specification = checked.json
     begun = time.perf_counter()
-    done = _core.simulate_scene(specification)
+    try:
+        done = _core.simulate_scene(specification)
+    except ValueError as error:
+        # What only the assembled parts show, such as how stiff they are together.
+        raise SceneError(str(error)) from None
     took = time.perf_counter() - begun
     return Run(
         scene=name,

@@ -333,6 +333,15 @@ REFUSED = [
     ("valve", "coupling={alignment = {}, rotation_axis = [0.0, 0.0, 1.0]}", "or rotation_axis"),
     ("torque_release", "slave.tool.quat_wxyz=[1.0, 1.0, 0.0, 0.0]", "[slave.tool] quat_wxyz"),
     ("torque_release", "coupling.quat_wxyz=[2.0, 0.0, 0.0, 0.0]", "[coupling] quat_wxyz"),
+    # Bodies that cannot be.
+    (
+        "torque_release",
+        "master.rotation.inertia_kg_m2=[1e-4, 3e-4, 1e-4]",
+        "[master.rotation] inertia_kg_m2 = [0.0001, 0.0003, 0.0001]: must be those of a rigid body: none above the sum",
+    ),
+    ("torque_release", "slave.tool.inertia_kg_m2=[0.021, 0.01, 0.01]", "and 0.021 is above 0.02"),
+    ("torque_release", "slave.tool.rotational_stiffness=1e9", "slave or environment: rate of tool and world"),
+    ("torque_release", "operator.rotation.stiffness=1e9", "master or operator: rate"),
     # Its world.
     (
         "torque_release",
