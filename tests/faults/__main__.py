@@ -7,7 +7,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, presses, processes, stopping, virtual
+from tests.faults import (
+    clocks,
+    drivers,
+    grippers,
+    hostile,
+    machine,
+    numbers,
+    poses,
+    presses,
+    processes,
+    stopping,
+    virtual,
+)
 from tests.faults.rows import Row
 from tests.faults.table import print_table
 
@@ -16,6 +28,7 @@ GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "numbers": numbers.rows,
     "drivers": drivers.rows,
     "grippers": grippers.rows,
+    "poses": poses.rows,
     "processes": lambda: list(processes.rows().values()),
     "presses": lambda: list(presses.rows().values()),
     "stopping": lambda: list(stopping.rows().values()),
