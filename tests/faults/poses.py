@@ -44,6 +44,7 @@ FAULTS = {"orientation is not a finite number", "orientation is no unit quaterni
 LED_S = 0.5
 """From the engagement to the fault: longer than the fade-in."""
 WATCHED_S = 0.5
+ATTEMPTS = 3
 CLUTCH, GRIPPER = 1 << 4, 1 << 0
 PRESS_S = 0.06
 """A contact that was open for less than 20 ms bounces."""
@@ -170,10 +171,19 @@ class Rig:
             time.sleep(0.0005)
         return time.monotonic() - begun_s
 
-    def engaged(self) -> None:
-        """Both sides are coupled, for a while."""
-        assert self.until(lambda: self.master.state == self.slave.state == "engaged") < math.inf
-        time.sleep(LED_S)
+    def are_engaged(self) -> bool:
+        return self.master.state == self.slave.state == "engaged"
+
+    def engaged(self, press: Callable[[], None] | None = None) -> None:
+        """Both sides are coupled, for a while; where the machine has held them meanwhile, after another press."""
+        for _ in range(ATTEMPTS):
+            self.until(self.are_engaged)
+            time.sleep(LED_S)
+            if self.are_engaged():
+                return
+            (press or self.master.press_clutch)()
+        message = f"they do not engage: {self.master.state}, {self.slave.state}"
+        raise TimeoutError(message)
 
     def side(self, name: str) -> MasterRun | SlaveRun:
         return self.master if name == "master" else self.slave
@@ -284,9 +294,14 @@ def unknown_buttons(limit_s: float) -> Row:
     with rig(WITH_BUTTONS) as both:
         hand = both.hand
         both.until(lambda: both.master.is_answered)
-        time.sleep(PRESS_S)
-        hand.buttons = CLUTCH
-        both.engaged()
+
+        def press() -> None:
+            hand.buttons = 0
+            time.sleep(PRESS_S)
+            hand.buttons = CLUTCH
+
+        press()
+        both.engaged(press)
         hand.buttons = CLUTCH | GRIPPER
         time.sleep(0.3)
         at_s = time.monotonic()
@@ -303,7 +318,7 @@ def unknown_buttons(limit_s: float) -> Row:
         time.sleep(PRESS_S)
         pressed_s = time.monotonic()
         hand.buttons = CLUTCH
-        again_s = both.until(lambda: both.master.state == both.slave.state == "engaged", 2.0)
+        again_s = both.until(both.are_engaged, 2.0)
         both.finish()
     before = [to for ordered_s, to in both.jaws.orders if ordered_s <= at_s]
     apart = [to for ordered_s, to in both.jaws.orders if at_s + limit_s < ordered_s < pressed_s]
