@@ -160,7 +160,7 @@ impl DrawnPose {
             broken: [BrokenTurn::draw(n, end_ns), BrokenTurn::draw(n, end_ns)],
             lock,
             master,
-            slave: SlaveRotationSettings { rotation_scale, lock, bounds },
+            slave: SlaveRotationSettings { rotation_scale, lock, bounds, alignment: None },
         }
     }
 }
