@@ -6,7 +6,7 @@ from math import exp, hypot, log, pi
 
 from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene.resolve import Spec, max_damping, side_kind, spec_of
-from haptether.bridge.scene.tables.master import OperatorRotationTable, OperatorTable, SeriesTable
+from haptether.bridge.scene.tables.master import OperatorRotationTable, OperatorTable, RotationTable, SeriesTable
 from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S
 from haptether.bridge.scene.tables.session import (
     AlignmentTable,
@@ -30,6 +30,7 @@ from haptether.bridge.scene.tables.slave import (
     PusherTable,
     SlaveTable,
     Spring,
+    ToolTable,
     TorqueTable,
 )
 
@@ -227,8 +228,7 @@ def _pose(scene: Scene) -> Iterator[SceneError]:
     }.items():
         if given is None:
             yield contradiction(path, 'is missing: kind = "pose" needs it')
-    if scene.master.rotation is not None:
-        yield from _rigid(scene.master.rotation.inertia_kg_m2, ("master", "rotation", "inertia_kg_m2"))
+    yield from _rigid(scene.master.rotation, ("master", "rotation", "inertia_kg_m2"))
     if scene.run.stop_early:
         yield contradiction(("run", "stop_early"), "what turns is not watched for rest: leave it out")
     if scene.slave is not None:
@@ -240,7 +240,7 @@ def _pose(scene: Scene) -> Iterator[SceneError]:
         yield from _turning_coupling(scene.coupling)
     if scene.slave is not None and scene.slave.tool is not None:
         yield from _unit(scene.slave.tool.quat_wxyz, ("slave", "tool", "quat_wxyz"))
-        yield from _rigid(scene.slave.tool.inertia_kg_m2, ("slave", "tool", "inertia_kg_m2"))
+        yield from _rigid(scene.slave.tool, ("slave", "tool", "inertia_kg_m2"))
     if scene.environment is not None:
         yield from _world(scene.environment)
     if scene.operator is not None and scene.operator.rotation is not None:
@@ -336,8 +336,9 @@ def _unit(quat_wxyz: tuple[float, ...], path: Path) -> Iterator[SceneError]:
         yield wrong(path, quat_wxyz, f"of norm 1, not {norm:g}")
 
 
-def _rigid(inertia_kg_m2: float | tuple[float, ...], path: Path) -> Iterator[SceneError]:
+def _rigid(table: RotationTable | ToolTable | None, path: Path) -> Iterator[SceneError]:
     """Of moments about three axes none is above the sum of the other two, whatever the masses and where."""
+    inertia_kg_m2 = table and table.inertia_kg_m2
     if not isinstance(inertia_kg_m2, tuple) or len(inertia_kg_m2) != 3:
         return
     largest = max(inertia_kg_m2)

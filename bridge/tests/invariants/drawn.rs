@@ -164,7 +164,8 @@ impl Drawn {
                 fade_in_ns: n.whole(200 * MS, 400 * MS),
                 align_ns: if is_long { 500 * MS } else { LadderSettings::default().align_ns },
             },
-            clutch: clutch(n, end_ns),
+            // Held from the start, over a silence that is longer than a press waits.
+            clutch: if is_long { Clutch::Schedule(vec![(0, end_ns)]) } else { clutch(n, end_ns) },
             control: n.one_of(&[Control::Position, Control::Velocity, Control::Pd]),
             arm: [n.real(0.5, 8.0), n.real(2.0, 30.0), n.real(0.05, 3.0)],
             max_acceleration: n.chance(0.3).then(|| n.real(1.0, 50.0)),
@@ -174,7 +175,7 @@ impl Drawn {
                 speed: n.one_of(&[0.05, 0.3, 3.0]),
                 reach: n.one_of(&[0.02, f64::INFINITY, f64::INFINITY]),
             },
-            links: [link(n), link(n)],
+            links: [if is_long { silent(n) } else { link(n) }, link(n)],
             clocks: [clock(n), clock(n)],
             broken: [Broken::draw(n, end_ns), Broken::draw(n, end_ns)],
             commands: commands(n, end_ns, axes),
@@ -253,6 +254,13 @@ fn link(n: &mut Numbers) -> LinkSettings {
     } else {
         LinkSettings { delay_s, ..LinkSettings::default() }
     }
+}
+
+/// A way that is cut soon after the start, for longer than a press waits.
+fn silent(n: &mut Numbers) -> LinkSettings {
+    let times = OutageTimes::Once { at_s: n.real(0.0, 0.02), duration_s: n.real(0.51, 0.7) };
+    let outages = vec![Outage { times, effect: OutageEffect::Drop }];
+    LinkSettings { delay_s: n.real(0.0, 0.015), outages, ..LinkSettings::default() }
 }
 
 fn outage(n: &mut Numbers) -> Outage {

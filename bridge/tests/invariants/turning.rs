@@ -18,6 +18,9 @@ use nalgebra::{Unit, UnitQuaternion};
 
 use crate::{drawn::Drawn, turned::DrawnPose};
 
+/// Of a driven arm that is no longer led, in rad/s².
+const ANGULAR_DECELERATION: f64 = 25.0;
+
 fn turned(by: Axes<3>, from: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     Unit::new_normalize((UnitQuaternion::from_scaled_axis(by) * from).into_inner())
 }
@@ -112,6 +115,9 @@ pub(crate) struct DrivenArm {
     now_ns: u64,
     /// What it was ordered before, and how long ago in s, the tick before the last and the last.
     ordered: Option<(Axes<3>, UnitQuaternion<f64>)>,
+    /// The angular velocity of that order, and whether the last was of a tick at which it was led.
+    ordered_turn: Axes<3>,
+    is_led: bool,
     past_s: [f64; 2],
     /// How fast it may be led in m/s and rad/s, and how fast orders were when it was last left to brake.
     fastest: [f64; 2],
@@ -155,11 +161,15 @@ impl DrivenArm {
         });
         self.ordered = rotation.map(|(orientation, _)| (position, orientation));
         let over_s = self.past_s[0].max(self.past_s[1]);
+        let turn = rotation.map_or(Axes::zeros(), |(_, velocity)| velocity);
+        let changed = (turn - std::mem::replace(&mut self.ordered_turn, turn)).norm();
+        // Left alone it brakes evenly, and never at once.
+        let brakes = self.is_led || before.is_none() || changed <= ANGULAR_DECELERATION * over_s + 1e-6;
         let follows = before.zip(self.ordered).is_none_or(|((from, turned_from), (to, turned_to))| {
             let most = |of: usize| (self.fastest[of] + self.braking[of]) * over_s * (1.0 + 1e-6) + 1e-7;
             (to - from).norm() <= most(0) && turned_to.angle_to(&turned_from) <= most(1)
         });
-        if !(is_finite && is_sound && follows) {
+        if !(is_finite && is_sound && follows && brakes) {
             let at_ms = self.now_ns as f64 * 1e-6;
             let complain = || format!("at {at_ms} ms ordered {order:?} after {before:?}");
             self.complaint.borrow_mut().get_or_insert_with(complain);
@@ -190,6 +200,8 @@ impl Arm {
                 rate: 10.0 * bandwidth_hz,
                 now_ns: 0,
                 ordered: None,
+                ordered_turn: Axes::zeros(),
+                is_led: false,
                 past_s: [0.0; 2],
                 braking: [0.0; 2],
                 // By a clock that is set what is due at once is more.
@@ -283,6 +295,7 @@ impl SlavePlant<3> for Arm {
 
     fn hold(&mut self) -> Axes<3> {
         if let Self::Driven(driven) = self {
+            driven.is_led = false;
             driven.braking = match *driven.arm.order() {
                 SlaveOrder::Move { velocity, rotation, .. } => {
                     [velocity.norm(), rotation.map_or(0.0, |(_, velocity)| velocity.norm())]
@@ -294,6 +307,9 @@ impl SlavePlant<3> for Arm {
     }
 
     fn engaged(&mut self, now_ns: u64) {
+        if let Self::Driven(driven) = self {
+            driven.is_led = true;
+        }
         self.plant().engaged(now_ns);
     }
 
