@@ -233,6 +233,14 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
         self.turn = Some((*orientation, *angular_velocity));
     }
 
+    fn braking_speeds(&self) -> [f64; 2] {
+        let Some(Braking { velocity, begun_ns, rotation, .. }) = self.braking else { return [0.0; 2] };
+        let t = (self.now_ns - begun_ns) as f64 * 1e-9;
+        let left = |speed: f64, deceleration: f64| (speed - deceleration * t).max(0.0);
+        let turning = rotation.map_or(0.0, |turning| left(turning.velocity.norm(), ANGULAR_DECELERATION));
+        [left(velocity.norm(), self.deceleration), turning]
+    }
+
     fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
         self.braking.and_then(|braking| braking.rotation).map(|turning| turning.rest)
     }
@@ -316,8 +324,15 @@ mod tests {
         let expected = turned(w * (0.5 * w.norm() / deceleration)) * from;
         assert!(rest_orientation.angle_to(&expected) < 1e-7);
         let mut before = (from, w);
+        assert_eq!(arm.braking_speeds(), [0.1, w.norm()]);
         for n in 1..=600 {
             arm.read(n * MS);
+            let t = n as f64 * 1e-3;
+            let left = [0.1 - 2.0 * t, w.norm() - deceleration * t].map(|speed| speed.max(0.0));
+            assert!(
+                arm.braking_speeds().iter().zip(left).all(|(seen, left)| (seen - left).abs() < 1e-12),
+                "{n}"
+            );
             arm.write_rotation(&rest_orientation, &Axes::zeros());
             arm.write(&rest, &Axes::zeros());
             let now = rotation(&arm);

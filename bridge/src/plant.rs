@@ -114,6 +114,11 @@ pub trait SlavePlant<const N: usize> {
     /// [`write`](Self::write) to an arm that turns.
     fn write_rotation(&mut self, _orientation: &UnitQuaternion<f64>, _angular_velocity: &Axes<3>) {}
 
+    /// Speeds in m/s and rad/s with which it still brakes, as of the last tick: what is written moves it by that much more.
+    fn braking_speeds(&self) -> [f64; 2] {
+        [0.0; 2]
+    }
+
     /// How the tool is turned where [`stop`](Self::stop) or [`hold`](Self::hold) brings it to rest.
     fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
         None

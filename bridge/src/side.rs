@@ -335,6 +335,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side<N> for SlaveSide<P, N,
     }
 
     fn tick(&mut self, time: TickTime) -> SlaveRecord<N, R> {
+        self.endpoint.set_braking(self.plant.braking_speeds());
         let [position, velocity, environment_force] = self.plant.read(time.now_ns);
         let reading = SlaveReading { position, velocity, environment_force, rotation: self.plant.rotation() };
         if let Some(gripper) = &mut self.gripper {

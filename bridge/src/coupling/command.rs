@@ -124,6 +124,9 @@ pub(crate) fn turned_within(
     let mut command = *wanted;
     let at_most = |from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>, angle: f64| {
         let way = (to * from.inverse()).scaled_axis();
+        if way.norm() == 0.0 {
+            return *to;
+        }
         let turn = UnitQuaternion::from_scaled_axis(way * (angle / way.norm()));
         Unit::new_normalize((turn * from).into_inner())
     };

@@ -35,6 +35,8 @@ pub(super) struct SlaveRotation {
     /// For how long in s the arm that is being turned has been as good as aligned.
     near_s: f64,
     bounds: RotationBounds,
+    /// The same with what the arm's braking leaves of the speed.
+    left: RotationBounds,
     /// How the arm stood at its first tick.
     home: Option<UnitQuaternion<f64>>,
     /// The last command; none before the first engagement.
@@ -55,7 +57,20 @@ impl SlaveRotation {
                 Some(Alignment::new([1.0, 0.0, 0.0, 0.0], alignment.speed, alignment.max_angle)?)
             }
         };
-        Ok(Self { coupling, alignment, near_s: 0.0, bounds: *bounds, home: None, command: None })
+        Ok(Self {
+            coupling,
+            alignment,
+            near_s: 0.0,
+            bounds: *bounds,
+            left: *bounds,
+            home: None,
+            command: None,
+        })
+    }
+
+    /// The arm still brakes with `angular_speed` in rad/s besides.
+    pub(super) fn set_braking(&mut self, angular_speed: f64) {
+        self.left.speed = (self.bounds.speed - angular_speed).max(0.0);
     }
 
     /// Changes `lambda_r`; with an alignment it stays 1.
@@ -88,8 +103,10 @@ impl SlaveRotation {
         let is_within = alignment.target(&master.orientation).angle_to(&home) <= self.bounds.turn;
         let step = alignment.step(&master.orientation, &from, elapsed_s).ok().filter(|_| is_within);
         let Some(mut step) = step else { return (AlignmentState::TooFar, None) };
-        // Its speed is within that of the bounds.
-        let turn = RotationBounds { speed: f64::INFINITY, ..self.bounds };
+        // Its speed is within that of the bounds, but for what still brakes.
+        let brakes = self.left.speed < self.bounds.speed;
+        let speed = if brakes { self.left.speed } else { f64::INFINITY };
+        let turn = RotationBounds { speed, ..self.bounds };
         let mut limited = Limited::default();
         step.orientation = turned_within(&turn, elapsed_s, [&home, &from, &step.orientation], &mut limited);
         if limited.any() {
@@ -145,7 +162,7 @@ impl SlaveRotation {
             (wanted, velocity) = (from, Axes::zeros());
         }
         let mut acted = Limited::default();
-        let command = turned_within(&self.bounds, elapsed_s, [&home, &from, &wanted], &mut acted);
+        let command = turned_within(&self.left, elapsed_s, [&home, &from, &wanted], &mut acted);
         self.command = Some(command);
         if acted.any() {
             (limited.turn, limited.angular_speed) =
@@ -160,8 +177,8 @@ impl SlaveRotation {
     /// With which the command turns, within the bound on its speed.
     fn velocity(&self, master: &RotationState, limited: &mut Limited) -> Axes<3> {
         let velocity = self.coupling.commanded_velocity(&master.angular_velocity);
-        limited.angular_speed |= velocity.norm() > self.bounds.speed;
-        velocity.cap_magnitude(self.bounds.speed)
+        limited.angular_speed |= velocity.norm() > self.left.speed;
+        velocity.cap_magnitude(self.left.speed)
     }
 }
 

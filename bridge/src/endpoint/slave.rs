@@ -87,6 +87,8 @@ pub struct SlaveEndpoint<const N: usize> {
     /// What talks to the peer.
     pub exchange: Exchange<N>,
     bounds: CommandBounds,
+    /// Speed in m/s with which the arm still brakes besides.
+    braking: f64,
     /// Where the slave stood at its first tick.
     home: Option<Axes<N>>,
     command: Option<Axes<N>>,
@@ -107,6 +109,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             rotation: None,
             exchange: Exchange::new(Role::Slave, settings.run_id, settings.period_ns, settings.ladder)?,
             bounds: settings.bounds,
+            braking: 0.0,
             home: None,
             command: None,
             commanded_ns: 0,
@@ -125,6 +128,15 @@ impl<const N: usize> SlaveEndpoint<N> {
         endpoint.rotation = Some(Box::new(SlaveRotation::new(rotation, align_s)?));
         endpoint.exchange.set_kind(SideKind::Pose);
         Ok(endpoint)
+    }
+
+    /// The arm still brakes with `speed` in m/s and `angular_speed` in rad/s: the bounds on both leave that much less for
+    /// commands, until this is said anew.
+    pub fn set_braking(&mut self, [speed, angular_speed]: [f64; 2]) {
+        self.braking = speed;
+        if let Some(rotation) = &mut self.rotation {
+            rotation.set_braking(angular_speed);
+        }
     }
 
     /// One tick of what the arm measures.
@@ -170,12 +182,14 @@ impl<const N: usize> SlaveEndpoint<N> {
                 // Where the two are taken to be coupled anew while frames are late, it has gone ahead already.
                 let ahead = velocity * ahead_s;
                 let wanted = self.coupling.commanded_position(&frame.position, &(from - ahead)) + ahead;
-                let (command, over) = bounded(&self.bounds, elapsed_s, &home, &from, &wanted);
+                let bounds =
+                    CommandBounds { speed: (self.bounds.speed - self.braking).max(0.0), ..self.bounds };
+                let (command, over) = bounded(&bounds, elapsed_s, &home, &from, &wanted);
                 limited = over;
                 command_velocity = velocity * share;
                 let speed = command_velocity.norm();
-                if speed > self.bounds.speed {
-                    command_velocity *= self.bounds.speed / speed;
+                if speed > bounds.speed {
+                    command_velocity *= bounds.speed / speed;
                     limited.speed = true;
                 }
                 self.command = Some(command);

@@ -181,6 +181,10 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
         self.model.write_rotation(orientation, angular_velocity);
     }
 
+    fn braking_speeds(&self) -> [f64; 2] {
+        self.model.braking_speeds()
+    }
+
     fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
         self.model.rest_orientation()
     }

@@ -119,9 +119,8 @@ pub(crate) struct DrivenArm {
     ordered_turn: Axes<3>,
     is_led: bool,
     past_s: [f64; 2],
-    /// How fast it may be led in m/s and rad/s, and how fast orders were when it was last left to brake.
+    /// How fast it may be ordered in m/s and rad/s, what still brakes included.
     fastest: [f64; 2],
-    braking: [f64; 2],
     complaint: Complaint,
 }
 
@@ -166,7 +165,7 @@ impl DrivenArm {
         // Left alone it brakes evenly, and never at once.
         let brakes = self.is_led || before.is_none() || changed <= ANGULAR_DECELERATION * over_s + 1e-6;
         let follows = before.zip(self.ordered).is_none_or(|((from, turned_from), (to, turned_to))| {
-            let most = |of: usize| (self.fastest[of] + self.braking[of]) * over_s * (1.0 + 1e-6) + 1e-7;
+            let most = |of: usize| self.fastest[of] * over_s * (1.0 + 1e-6) + 1e-7;
             (to - from).norm() <= most(0) && turned_to.angle_to(&turned_from) <= most(1)
         });
         if !(is_finite && is_sound && follows && brakes) {
@@ -203,7 +202,6 @@ impl Arm {
                 ordered_turn: Axes::zeros(),
                 is_led: false,
                 past_s: [0.0; 2],
-                braking: [0.0; 2],
                 // By a clock that is set what is due at once is more.
                 fastest: if drawn.clocks[1].is_some() {
                     [f64::INFINITY; 2]
@@ -296,12 +294,6 @@ impl SlavePlant<3> for Arm {
     fn hold(&mut self) -> Axes<3> {
         if let Self::Driven(driven) = self {
             driven.is_led = false;
-            driven.braking = match *driven.arm.order() {
-                SlaveOrder::Move { velocity, rotation, .. } => {
-                    [velocity.norm(), rotation.map_or(0.0, |(_, velocity)| velocity.norm())]
-                }
-                _ => [0.0; 2],
-            };
         }
         self.plant().hold()
     }
@@ -323,6 +315,10 @@ impl SlavePlant<3> for Arm {
 
     fn rest_orientation(&self) -> Option<UnitQuaternion<f64>> {
         self.as_plant().rest_orientation()
+    }
+
+    fn braking_speeds(&self) -> [f64; 2] {
+        self.as_plant().braking_speeds()
     }
 
     fn grip(&mut self, jaws: &GripperSample) -> Option<Option<f64>> {
