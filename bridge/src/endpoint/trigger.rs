@@ -40,6 +40,8 @@ pub(super) struct TriggerFeedback {
     rise: f64,
     /// x in m at the last tick; none where it was not known.
     last: Option<f64>,
+    /// It was not known while the two sides were coupled: what a trip held back must not return by that.
+    is_lost: bool,
 }
 
 impl TriggerFeedback {
@@ -58,7 +60,15 @@ impl TriggerFeedback {
         }
         let limiter = LimiterSettings { ramp_in_s: 0.0, ..limiter };
         let layer = SafetyLayer::new(&LayerSettings { device, period_s, estimator, safety, limiter })?;
-        Ok(Self { layer, travel_m, force_scale, share: 0.0, rise: period_s / fade_in_s, last: None })
+        Ok(Self {
+            layer,
+            travel_m,
+            force_scale,
+            share: 0.0,
+            rise: period_s / fade_in_s,
+            last: None,
+            is_lost: false,
+        })
     }
 
     /// One tick at `position`, 0 open to 1 closed, where that is known; `jaws` as the peer's newest frame has them, and the
@@ -71,9 +81,10 @@ impl TriggerFeedback {
         gain: f64,
         missed: u64,
     ) -> SafetyTick<1> {
+        self.is_lost &= is_coupled;
         let Some(x) = position.map(|share| share * self.travel_m) else {
-            // Nothing is known of a finger there: no force, and what lies before says nothing of what follows.
-            (self.last, self.share) = (None, 0.0);
+            // Nothing is known of a finger there: no force, before the two sides engage anew.
+            (self.last, self.share, self.is_lost) = (None, 0.0, is_coupled);
             return SafetyTick::still();
         };
         match self.last {
@@ -85,7 +96,9 @@ impl TriggerFeedback {
         self.share = match jaws {
             // Apart, the ladder fades what there is.
             _ if !is_coupled && gain > 0.0 => self.share,
-            Some(GripperState { follows: true, .. }) if is_coupled => (self.share + self.rise).min(1.0),
+            Some(GripperState { follows: true, .. }) if is_coupled && !self.is_lost => {
+                (self.share + self.rise).min(1.0)
+            }
             _ => 0.0,
         };
         let pressing_n = jaws.filter(|jaws| jaws.holds_object).map_or(0.0, |jaws| jaws.force_n);

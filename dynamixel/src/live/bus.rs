@@ -133,6 +133,8 @@ impl Bus {
 
     /// Reads several servos: afterwards [`SyncRead::replies`] has the values of all, or none.
     pub fn sync_read(&mut self, read: &mut SyncRead) -> Result<(), BusError> {
+        // Nothing of the last read is left, whatever fails.
+        read.begin();
         self.settle()?;
         let result = self.exchange(read);
         self.unsettled = result.is_err();

@@ -70,9 +70,18 @@ class BoundedProgram:
         limits: What to keep to: each row is one of their distances, and what they do not name is not there.
         cost: Weights and damping.
         period_s: Time between two calls in s.
+        keeps_itself: Whether the distances of the arm to itself are among the rows.
     """
 
-    def __init__(self, kinematics: UrKinematics, limits: StreamingLimits, cost: StreamingCost, period_s: float) -> None:
+    def __init__(
+        self,
+        kinematics: UrKinematics,
+        limits: StreamingLimits,
+        cost: StreamingCost,
+        period_s: float,
+        *,
+        keeps_itself: bool = True,
+    ) -> None:
         casadi = casadi_module()
         chain, q = kinematics.chain, kinematics.chain.q
         before, twist = casadi.SX.sym("qd", 6), casadi.SX.sym("twist", 6)
@@ -83,7 +92,7 @@ class BoundedProgram:
         hessian = casadi.mtimes(weighted, chain.jacobian) + damping * casadi.SX.eye(6)
         lows, highs = _joint_bounds(q, before, limits, period_s)
 
-        distances = _distances(kinematics, limits)
+        distances = _distances(kinematics, limits, keeps_itself=keeps_itself)
         n = len(distances)
         floors, certificate = casadi.SX.sym("floors", n), casadi.SX.sym("certificate", 7)
         # d(distance)/dt >= -rate distance: an approach that would take for ever.
@@ -145,7 +154,7 @@ class BoundedProgram:
         self.function.keep(0, np.minimum(floors, self._distances))
 
     def certify(self, near: "BoundedProgram", q: Numbers) -> bool:
-        """Takes over how far the arm is from itself; whether that is so far that it will do for a while."""
+        """Takes over how far the arm is from itself; whether that is twice what one period needs."""
         left = near._nearest[0]
         if not left > 2.0 * near._need[0]:
             return False
@@ -251,7 +260,9 @@ def _last_speed(distance: Symbol, step: float, period_s: float) -> Symbol:
     return left / ((n + 1) * period_s) + n * step / 2
 
 
-def _distances(kinematics: UrKinematics, limits: StreamingLimits) -> list[tuple[str, Vector, Distance]]:
+def _distances(
+    kinematics: UrKinematics, limits: StreamingLimits, *, keeps_itself: bool
+) -> list[tuple[str, Vector, Distance]]:
     """The distances that are kept, each with what it is of, as text, and the normal of its plane, if it is to one."""
     chain, keep_out = kinematics.chain, limits.self_keep_out
     body = arm_body(kinematics.model, None if keep_out is None else keep_out.radius_m)
@@ -261,7 +272,7 @@ def _distances(kinematics: UrKinematics, limits: StreamingLimits) -> list[tuple[
         found.append((f"{where}, tool", normal, tool_height(chain, normal, plane.offset_m)))
         if plane.whole_arm:
             found += [(f"{where}, {b.name}", normal, height(chain, normal, plane.offset_m, b)) for b in body.balls]
-    if keep_out is not None:
+    if keep_out is not None and keeps_itself:
         for ball, capsule in ((body.balls[ball], body.capsules[capsule]) for ball, capsule in body.pairs):
             distance = clearance(chain, ball, capsule, keep_out.margin_m)
             found.append((f"{ball.name} to {capsule.name}", (0.0, 0.0, 0.0), distance))

@@ -12,7 +12,6 @@ methods", 2004, for the cost; O. Kanoun, F. Lamiraux, P.-B. Wieber, "Kinematic C
 Trans. Robotics 27(4), 2011, for inequalities in it.
 """
 
-import msgspec
 import numpy as np
 
 from haptether.slave.ur.kinematics.arm import UrKinematics
@@ -63,8 +62,7 @@ class UrStreaming:
         self._near = BoundedProgram(kinematics, limits, cost, period_s)
         self._far: BoundedProgram | None = None
         if limits.self_keep_out is not None:
-            clear = msgspec.structs.replace(limits, self_keep_out=None)
-            self._far = BoundedProgram(kinematics, clear, cost, period_s)
+            self._far = BoundedProgram(kinematics, limits, cost, period_s, keeps_itself=False)
         self._is_far = False
         self._last = self._near
         self.rows = self._near.rows

@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, WALL, steps
+from tests.ur.kinematics.streaming_cases import JOINTS, LIMITS, MODEL, PERIOD_S, TABLE, WALL, steps
 
 from haptether.slave import SelfKeepOut, StreamingCost, StreamingLimits, UrKinematics, UrStreaming, ur_model
 from haptether.slave.ur.kinematics.chain import DhRows, cos_sin, dh_rows
@@ -236,7 +236,10 @@ def test_no_distance_of_the_arm_to_itself_changes_faster_than_its_levers(name: s
 def test_what_the_arm_keeps_from_itself_is_the_same_without_a_look_at_it(
     max_tool_speed: float | None, tolerance: float
 ) -> None:
-    limits = msgspec.structs.replace(KEEP_OUT, max_tool_speed=max_tool_speed)
+    # Links that are thicker than those of the model are so before planes, too.
+    limits = msgspec.structs.replace(
+        JOINTS, max_tool_speed=max_tool_speed, planes=(TABLE, WALL), self_keep_out=SelfKeepOut(radius_m=0.07)
+    )
     kinematics = UrKinematics(MODEL)
     streaming = UrStreaming(kinematics, limits, period_s=PERIOD_S)
     whole = BoundedProgram(kinematics, limits, StreamingCost(), PERIOD_S)
@@ -263,6 +266,9 @@ def test_what_the_arm_keeps_from_itself_is_the_same_without_a_look_at_it(
             program = streaming.program
             np.testing.assert_array_equal(program.rows, whole.quadratic.rows)
             np.testing.assert_array_equal(program.lower, whole.quadratic.lower)
+            if streaming.looks_away:
+                planes = streaming._last.quadratic.lower
+                np.testing.assert_array_equal(planes, whole.quadratic.lower[: len(planes)])
             apart += streaming.looks_away
             q, qd = q + velocity * PERIOD_S, velocity
     assert apart > 1000, apart

@@ -91,7 +91,7 @@ fn nothing_is_felt_but_of_jaws_that_press_and_follow_while_coupled() {
         ("they do not follow", Some(0.6), Some(led_by_nobody), true, 1.0, rise),
         ("they are not known", Some(0.6), Some(unknown), true, 1.0, rise),
         ("no frame has come", Some(0.6), None, true, 1.0, rise),
-        ("the trigger is not known", None, Some(pressing), true, 1.0, rise),
+        ("the trigger is not known", None, Some(pressing), true, 1.0, 0.0),
         ("the two sides are apart", Some(0.6), Some(pressing), false, 0.0, rise),
     ] {
         let mut trigger = feedback(&settings());
@@ -264,4 +264,24 @@ proptest! {
             before = felt;
         }
     }
+}
+
+#[test]
+fn a_trigger_that_was_not_known_is_felt_again_once_the_two_engage_anew() {
+    let mut trigger = feedback(&settings());
+    let run = |trigger: &mut TriggerFeedback, position, is_coupled, ticks| {
+        let gain = f64::from(u8::from(is_coupled));
+        (0..ticks)
+            .map(|_| force(&trigger.tick(position, Some(jaws(40.0)), is_coupled, gain, 0)))
+            .last()
+            .unwrap()
+    };
+    assert!(run(&mut trigger, Some(0.6), true, 2 * RISE) < 0.0);
+    assert_eq!(run(&mut trigger, None, true, 1), 0.0);
+    assert_eq!(run(&mut trigger, Some(0.6), true, 5 * RISE), 0.0, "a trip before it would be forgotten");
+    assert_eq!(run(&mut trigger, Some(0.6), false, 1), 0.0);
+    assert!((run(&mut trigger, Some(0.6), true, 1) + SCALE * 40.0 / RISE as f64).abs() < 1e-12);
+    // What is not known while the two are apart is no loss.
+    assert_eq!(run(&mut trigger, None, false, 1), 0.0);
+    assert!(run(&mut trigger, Some(0.6), true, 2 * RISE) < 0.0);
 }
