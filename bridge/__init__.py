@@ -18,7 +18,16 @@ from haptether._core import (
     ladder_state_name,
     run_local,
 )
-from haptether.bridge.devices.find import GRIPPERS, MASTERS, SLAVES, device_names, load_gripper, load_master, load_slave
+from haptether.bridge.devices.find import (
+    GRIPPERS,
+    MASTERS,
+    SLAVES,
+    device_names,
+    load_gripper,
+    load_master,
+    load_problems,
+    load_slave,
+)
 from haptether.bridge.devices.loop import DeviceRun, MasterRun, SlaveRun, drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
 from haptether.bridge.recording import RecordedCause, RecordedStep, Recording, read_recording
@@ -171,6 +180,7 @@ __all__ = [
     "ladder_state_name",
     "load_gripper",
     "load_master",
+    "load_problems",
     "load_scene",
     "load_slave",
     "override_scene",

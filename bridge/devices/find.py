@@ -1,10 +1,12 @@
 """Drivers of devices, found by the entry points that packages declare."""
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
+
+from haptether.bridge.devices.open import DeviceError, failure
 
 if TYPE_CHECKING:
     from haptether.master import MasterDevice
@@ -25,6 +27,20 @@ _METHODS = {
 def device_names(group: str) -> tuple[str, ...]:
     """Names of the drivers of a group that are installed."""
     return tuple(sorted(entry_points(group=group).names))
+
+
+def load_problems(group: str) -> dict[str, str]:
+    """Why drivers of a group that are installed cannot be loaded, by name; of those that can there is nothing.
+
+    Their packages are imported, and nothing is called.
+    """
+    problems = {}
+    for name in device_names(group):
+        try:
+            _maker(group, name)
+        except ValueError as error:
+            problems[name] = str(error).partition(f" = {name}: ")[2]
+    return problems
 
 
 def load_master(name: str, options: Mapping[str, Any]) -> "MasterDevice":
@@ -59,6 +75,41 @@ def load_gripper(name: str, options: Mapping[str, Any]) -> "Gripper":
 
 def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: ANN401  # of that group
     named = _KEYS[group]
+    point, make = _maker(group, name)
+    try:
+        signature = inspect.signature(make)
+    except ValueError:
+        # What C has made may say nothing of its arguments: the call itself will.
+        signature = inspect.Signature([inspect.Parameter("options", inspect.Parameter.VAR_KEYWORD)])
+    try:
+        signature.bind(**options)
+    except TypeError as error:
+        message = f"{named} = {name}: options {dict(options)}: {error}: it takes {signature}"
+        raise ValueError(message) from None
+    try:
+        device = make(**options)
+    except (ValueError, DeviceError):
+        # Of options that cannot be, in the driver's own words.
+        raise
+    except Exception as error:
+        raise failure(make, error) from error
+    missing = [method for method in _METHODS[group] if not callable(getattr(device, method, None))]
+    # A gripper has a pace of its own.
+    if group != GRIPPERS and not isinstance(getattr(device, "paces", None), bool):
+        missing.append("paces")
+    if missing:
+        message = f"{named} = {name}: {point.value} has no {', '.join(missing)}"
+        raise ValueError(message)
+    return device
+
+
+def _maker(group: str, name: str) -> tuple[EntryPoint, Callable[..., Any]]:
+    """The entry point of a driver, and what makes it.
+
+    Raises:
+        ValueError: There is none, or none that can be loaded.
+    """
+    named = _KEYS[group]
     found = entry_points(group=group, name=name)
     if not found:
         # A model of an arm has a name; that of a haptic device is what a scene without a driver has.
@@ -74,26 +125,15 @@ def _load(group: str, name: str, options: Mapping[str, Any]) -> Any:  # noqa: AN
     (point,) = tuple(found)[:1]
     try:
         make = point.load()
-    except (ImportError, AttributeError) as error:
-        message = f"{named} = {name}: {point.value} of {_origin(point)} cannot be loaded: {error}"
-        raise ValueError(message) from None
+    except (Exception, SystemExit) as error:
+        # Another package's own code runs here, and whatever it raises is why there is no such driver.
+        why = str(error) if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: {error}"
+        message = f"{named} = {name}: {point.value} of {_origin(point)} cannot be loaded: {why}"
+        raise ValueError(message) from error
     if not callable(make):
         message = f"{named} = {name}: {point.value} of {_origin(point)} is no driver: must be a class or a function"
         raise ValueError(message)
-    try:
-        inspect.signature(make).bind(**options)
-    except TypeError as error:
-        message = f"{named} = {name}: options {dict(options)}: {error}: it takes {inspect.signature(make)}"
-        raise ValueError(message) from None
-    device = make(**options)
-    missing = [method for method in _METHODS[group] if not callable(getattr(device, method, None))]
-    # A gripper has a pace of its own.
-    if group != GRIPPERS and not isinstance(getattr(device, "paces", None), bool):
-        missing.append("paces")
-    if missing:
-        message = f"{named} = {name}: {point.value} has no {', '.join(missing)}"
-        raise ValueError(message)
-    return device
+    return point, make
 
 
 def _origin(point: EntryPoint) -> str:

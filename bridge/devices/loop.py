@@ -16,6 +16,7 @@ from haptether.bridge.devices.open import (
     check_kind,
     check_trigger,
     close_once,
+    comes_to_rest,
     encodable,
     failure,
     opened,
@@ -33,9 +34,6 @@ else:
 
 JOIN_S = 10.0
 """How long the end of a run waits for a driver that blocks."""
-REST_ATTEMPTS = 5
-"""How often a device whose driver has failed is brought to rest, where that fails."""
-REST_EVERY_S = 2e-3
 PROMPT_S = 0.25
 """Longest age of an acknowledgement when the loop reads it."""
 NO_WRENCH = ((0.0,) * 3,) * 2
@@ -221,7 +219,7 @@ def _drive(
         loop.announce_end()
     except BaseException as error:
         # Also where somebody presses Ctrl-C: first the device, then the peer.
-        rests = _comes_to_rest(come_to_rest)
+        rests = comes_to_rest(come_to_rest)
         if not isinstance(error, Exception):
             loop.fail(f"{type(device).__name__}: {'' if rests else KEEPS}{type(error).__name__}")
             if not rests:
@@ -234,18 +232,6 @@ def _drive(
         failed = failure(device, error, rests=rests)
         loop.fail(encodable(str(failed)))
         raise failed from error
-
-
-def _comes_to_rest(come_to_rest: Callable[[], None]) -> bool:
-    """Brings a device to rest whose driver has failed, again where that fails, too; returns whether it took it."""
-    for _ in range(REST_ATTEMPTS):
-        try:
-            come_to_rest()
-        except Exception:
-            time.sleep(REST_EVERY_S)
-        else:
-            return True
-    return False
 
 
 def _acknowledge(

@@ -4,6 +4,7 @@ import contextlib
 import os
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -21,6 +22,10 @@ PERIOD_SHARE = 0.01
 
 KEEPS = "KEEPS ITS LAST COMMAND, switch it off: "
 """Of a device that was not brought to rest."""
+
+REST_ATTEMPTS = 5
+"""How often a device whose driver has failed is brought to rest, where that fails."""
+REST_EVERY_S = 2e-3
 
 BRIDGE = Path(__file__).parents[1]
 """Whose lines led to an exception of a driver, and say nothing about what is wrong with the driver."""
@@ -168,15 +173,27 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
             device.close()
 
 
-def failure(device: "MasterDevice | SlaveDevice | Gripper", error: BaseException, *, rests: bool = True) -> DeviceError:
+def comes_to_rest(come_to_rest: Callable[[], None]) -> bool:
+    """Brings a device to rest whose driver has failed, again where that fails, too; returns whether it took it."""
+    for _ in range(REST_ATTEMPTS):
+        try:
+            come_to_rest()
+        except Exception:
+            time.sleep(REST_EVERY_S)
+        else:
+            return True
+    return False
+
+
+def failure(device: object, error: BaseException, *, rests: bool = True) -> DeviceError:
     """An exception of a driver, with the driver's name and the line of it that led there.
 
     Args:
-        device: What is driven.
+        device: What is driven; where its making failed, what was to make it.
         error: What the driver raised.
         rests: Whether the device was brought to rest nevertheless.
     """
-    name, kind = type(device).__name__, type(error).__name__
+    name, kind = getattr(device, "__name__", type(device).__name__), type(error).__name__
     try:
         text = str(error)
     except Exception:  # a driver's own class: the other side must learn of it all the same
@@ -192,9 +209,10 @@ def encodable(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _place(device: "MasterDevice | SlaveDevice | Gripper", error: BaseException) -> str:
+def _place(device: object, error: BaseException) -> str:
     """File, line and function of an exception: the innermost of the driver's own file, else of whatever it called."""
-    own = getattr(sys.modules.get(type(device).__module__), "__file__", None)
+    module = getattr(device, "__module__", type(device).__module__)
+    own = getattr(sys.modules.get(module), "__file__", None)
     steps = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]
     steps = [(code, line) for code, line in steps if BRIDGE not in Path(code.co_filename).parents]
     if steps:

@@ -21,6 +21,7 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.demo import Demo
+from haptether.cli.device.check_device import CheckDevice
 from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
@@ -62,6 +63,7 @@ COMMANDS: dict[str, type[Any]] = {
     "ur-emulator": UrEmulator,
     "dynamixel-emulator": DynamixelEmulator,
     "check-link": CheckLink,
+    "check-device": CheckDevice,
     "explain": Explain,
     "keygen": Keygen,
     "list": List,
@@ -86,7 +88,7 @@ MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
 """More digits than a number has: nobody counts the zeros of 1e300."""
 
-NEVER_WAITS = (Master, Slave, Demo, UrEmulator, DynamixelEmulator, CheckLink, Proxy, Echo, Record)
+NEVER_WAITS = (Master, Slave, Demo, UrEmulator, DynamixelEmulator, CheckLink, CheckDevice, Proxy, Echo, Record)
 """Commands that go on, and end, whether anybody reads what they print or not."""
 
 

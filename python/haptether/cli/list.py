@@ -12,7 +12,7 @@ class List:
     """Say what there is to name: drivers of devices, presets of devices, scenes, networks, and who watches a hand.
 
     Drivers are entry points of the groups `haptether.masters`, `haptether.slaves` and `haptether.grippers`; other
-    packages that are installed may bring more.
+    packages that are installed may bring more. One whose package cannot be loaded is listed with the reason.
 
     Examples:
 
@@ -28,7 +28,7 @@ class List:
         """Prints the names of each kind."""
         from rich.padding import Padding
 
-        from haptether.bridge import GRIPPERS, MASTERS, SLAVES, device_names, scene_names
+        from haptether.bridge import GRIPPERS, MASTERS, SLAVES, device_names, load_problems, scene_names
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
         from haptether.master import DEVICE_PRESETS
@@ -52,15 +52,21 @@ class List:
             "observer": ("what the controllers act on", OBSERVERS),
             "[safety.estimator] kind": ("how velocity and acceleration are had from the position", ESTIMATORS),
         }
+        groups = {"[master] driver": MASTERS, "[slave] device": SLAVES, "[slave.gripper] device": GRIPPERS}
+        problems = {key: load_problems(group) for key, group in groups.items()}
         console = screen(self.json)
         for key, (what, names) in kinds.items():
             console.print(f"{key}: {what}", style="bold")
-            console.print(Padding(", ".join(names) or "-", (0, 0, 0, 2)))
+            broken = problems.get(key, {})
+            console.print(Padding(", ".join(name for name in names if name not in broken) or "-", (0, 0, 0, 2)))
+            for name, why in broken.items():
+                console.print(Padding(f"{name}: {why}", (0, 0, 0, 2)))
         for key, (what, registry) in registries.items():
             console.print(f"{key}: {what}", style="bold")
             for name, title, source in registry:
                 console.print(Padding(f"{name}: {title} ({source})", (0, 0, 0, 2)))
-        report = {key: list(names) for key, (_, names) in kinds.items()}
+        report: dict[str, object] = {key: list(names) for key, (_, names) in kinds.items()}
         report |= {key: [name for name, _, _ in registry] for key, (_, registry) in registries.items()}
+        report["cannot be loaded"] = {key: broken for key, broken in problems.items() if broken}
         write_report(self.json, report)
         return 0

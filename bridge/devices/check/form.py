@@ -1,0 +1,252 @@
+"""The form of samples: fields, shapes, finite numbers, and what must be there at every sample or at none."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, SupportsFloat, cast
+
+from haptether.bridge.devices.check.finding import Finding
+from haptether.bridge.devices.open import POINT_KINDS
+from haptether.master import MasterSample
+from haptether.slave import SlaveSample
+
+Side = Literal["master", "slave"]
+Kind = Literal["linear", "joints", "pose"]
+
+AXES: dict[str, tuple[int, ...]] = {"linear": (1, 2, 3), "joints": (1, 2, 3, 6, 7), "pose": (3,)}
+"""Numbers of axes that a side of each kind has."""
+NORM_ERROR = 1e-9
+"""How far the norm of a quaternion may lie from 1, as in the tick."""
+CHECKS = (
+    "fields",
+    "shapes",
+    "finite numbers",
+    "velocity at every sample or none",
+    "orientation",
+    "buttons and trigger",
+)
+"""Names of what is found about the form."""
+FIELDS, SHAPES, FINITE, ALWAYS, ORIENTATION, BUTTONS = CHECKS
+
+
+class Reading(NamedTuple):
+    """The numbers of a sample whose form is right."""
+
+    position: tuple[float, ...]
+    velocity: tuple[float, ...] | None
+    force: tuple[float, ...] | None
+    orientation: tuple[float, ...] | None
+    angular_velocity: tuple[float, ...] | None
+    fault: str | None
+
+
+@dataclass
+class Problem:
+    """What is wrong with some of the samples."""
+
+    text: str
+    """Of the first."""
+    first: int
+    """Its number, from 1 on."""
+    count: int = 1
+
+
+@dataclass
+class SampleForm:
+    """Holds sample after sample against what the bridge takes."""
+
+    side: Side
+    kind: Kind
+    axes: int | None = None
+    """Of the first sample."""
+    samples: int = 0
+    problems: dict[str, Problem] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+    """Those that the device reports."""
+    trigger: tuple[float, float] | None = None
+    """The least and the largest."""
+    has: dict[str, bool] = field(default_factory=dict)
+    """Which of the fields that may be left out the first sample has."""
+
+    def take(self, sample: object) -> Reading | None:
+        """The numbers of a sample; none where the bridge would refuse it."""
+        self.samples += 1
+        before = sum(problem.count for problem in self.problems.values())
+        kind = MasterSample if self.side == "master" else SlaveSample
+        try:
+            values = dict(zip(kind._fields, cast("Iterable[object]", sample), strict=True))
+        except (TypeError, ValueError):
+            has = f"{len(sample)} values" if isinstance(sample, Sequence) else type(sample).__name__
+            self._report(FIELDS, f"read() gives {has}: must be a {kind.__name__} ({', '.join(kind._fields)})")
+            return None
+        position = self._position(values["position"])
+        if position is None or self.axes is None:
+            return None
+        read = self._optional(values, self.axes)
+        self._check_norm(read.get("orientation"))
+        self._check_buttons(values)
+        fault = self._fault(values["fault"])
+        if sum(problem.count for problem in self.problems.values()) > before:
+            return None
+        return Reading(
+            position,
+            read.get("velocity"),
+            read.get("force"),
+            read.get("orientation"),
+            read.get("angular_velocity"),
+            fault,
+        )
+
+    def _position(self, value: object) -> tuple[float, ...] | None:
+        position = self._numbers("position", value, None)
+        if position is None:
+            return None
+        if self.axes is None:
+            if len(position) not in AXES[self.kind]:
+                allowed = ", ".join(map(str, AXES[self.kind]))
+                self._report(SHAPES, f'position has {len(position)} axes: a side of kind "{self.kind}" has {allowed}')
+                return None
+            self.axes = len(position)
+        elif len(position) != self.axes:
+            self._report(SHAPES, f"position has {len(position)} axes, that of the first sample {self.axes}")
+            return None
+        return position
+
+    def _optional(self, values: dict[str, object], axes: int) -> dict[str, tuple[float, ...] | None]:
+        """What a sample has beside the position; what must be there at every sample or at none is held against that."""
+        read: dict[str, tuple[float, ...] | None] = {}
+        required = self._required()
+        for name in ("velocity", "force", "orientation", "angular_velocity", "torque"):
+            if name not in values:
+                continue
+            value = values[name]
+            is_there = value is not None
+            count = {"orientation": 4, "angular_velocity": 3, "torque": 3}.get(name, axes)
+            read[name] = self._numbers(name, value, count) if is_there else None
+            if not is_there and name in required:
+                self._report(FIELDS, f'{name} is none: a {self.side} of kind "{self.kind}" has it at every sample')
+            if name in {"velocity", "angular_velocity"} and self.has.setdefault(name, is_there) != is_there:
+                self._report(ALWAYS, f"{name} is there at some samples and missing at others: must be at all or none")
+        return read
+
+    def _fault(self, fault: object) -> str | None:
+        if fault is None:
+            return None
+        if not isinstance(fault, str):
+            self._report(FIELDS, f"fault = {_abridged(fault)}: must be text, or none")
+            return None
+        if not self.faults or self.faults[-1] != fault:
+            self.faults.append(fault)
+        return fault
+
+    def findings(self) -> list[Finding]:
+        """One line for each of `CHECKS`."""
+        if not self.samples:
+            return [Finding(check, "unseen", "there was no sample") for check in CHECKS]
+        found = []
+        for check in CHECKS:
+            problem = self.problems.get(check)
+            if problem is None:
+                found.append(Finding(check, "pass", f"{self.samples} samples{self._aside(check)}"))
+            else:
+                of = f"{problem.count} of {self.samples} samples, first in number {problem.first}"
+                found.append(Finding(check, "mend", f"{problem.text} ({of})"))
+        return found
+
+    def _aside(self, check: str) -> str:
+        if check == SHAPES:
+            return f", {self.axes} {'axis' if self.axes == 1 else 'axes'}"
+        if check == ALWAYS and not self.has.get("velocity"):
+            return ", no velocity: it is estimated from the position"
+        if check == BUTTONS and self.trigger is not None:
+            return f", trigger from {self.trigger[0]:.2f} to {self.trigger[1]:.2f}"
+        return ""
+
+    def _required(self) -> tuple[str, ...]:
+        if self.side == "master":
+            return ("orientation",) if self.kind == "pose" else ()
+        points = ("velocity", "force")
+        return (*points, "orientation", "angular_velocity", "torque") if self.kind == "pose" else points
+
+    def _report(self, check: str, text: str) -> None:
+        problem = self.problems.get(check)
+        if problem is None:
+            self.problems[check] = Problem(text, self.samples)
+        elif problem.first == self.samples:
+            # Of one sample once.
+            return
+        else:
+            problem.count += 1
+
+    def _numbers(self, name: str, value: object, count: int | None) -> tuple[float, ...] | None:
+        """Numbers of a field, as many as there must be; one number stands for those of one axis."""
+        allowed = {None: "a number, or one for each axis", 1: "a number"}.get(count, f"a sequence of {count} numbers")
+        try:
+            numbers = tuple(_number(part) for part in (value if isinstance(value, Iterable) else [value]))
+        except TypeError:
+            self._report(SHAPES, f"{name} = {_abridged(value)}: must be {allowed}")
+            return None
+        single = isinstance(value, Iterable) or count in {None, 1}
+        if not numbers or not single or (count is not None and len(numbers) != count):
+            self._report(SHAPES, f"{name} = {_abridged(value)}: must be {allowed}")
+            return None
+        if not all(map(math.isfinite, numbers)):
+            self._report(FINITE, f"{name} = {_abridged(value)}: must be finite; leave a sample out or report a fault")
+            return None
+        return numbers
+
+    def _check_norm(self, orientation: tuple[float, ...] | None) -> None:
+        if orientation is None:
+            return
+        norm = math.hypot(*orientation)
+        if not abs(norm - 1.0) <= NORM_ERROR:
+            self._report(
+                ORIENTATION,
+                f"its norm is {norm:.12g}: must be 1 to {NORM_ERROR:g}; divide w, x, y, z by the norm",
+            )
+
+    def _check_buttons(self, values: dict[str, object]) -> None:
+        for name, kinds, allowed in (
+            ("clutch", (bool,), "True, False or none"),
+            ("buttons", (int,), "a whole number, bit n for button n, or none"),
+        ):
+            value = values.get(name)
+            if value is not None and not isinstance(value, kinds):
+                self._report(BUTTONS, f"{name} = {_abridged(value)}: must be {allowed}")
+        buttons = values.get("buttons")
+        if isinstance(buttons, int) and not 0 <= buttons < 2**32:
+            self._report(BUTTONS, f"buttons = {buttons}: must be 0 to 2^32 - 1")
+        trigger = values.get("trigger")
+        if trigger is not None:
+            try:
+                number = _number(trigger)
+            except TypeError:
+                number = math.nan
+            if not 0.0 <= number <= 1.0:
+                self._report(BUTTONS, f"trigger = {_abridged(trigger)}: must be 0 (open) to 1 (closed), or none")
+            else:
+                low, high = self.trigger or (number, number)
+                self.trigger = min(low, number), max(high, number)
+
+
+def check_kinds(device: object) -> Finding:
+    """Whether `kinds` of a driver are those that scenes have."""
+    kinds: object = getattr(device, "kinds", POINT_KINDS)
+    allowed = ", ".join(AXES)
+    if isinstance(kinds, str):
+        return Finding("kinds", "mend", f'kinds = "{kinds}": a text: must be a tuple, ("{kinds}",)')
+    if not isinstance(kinds, Iterable) or not (named := list(kinds)) or not set(named) <= set(AXES):
+        return Finding("kinds", "mend", f"kinds = {_abridged(kinds)}: must be a tuple of {allowed}")
+    said = "" if hasattr(device, "kinds") else ", by default"
+    return Finding("kinds", "pass", f"{', '.join(named)}{said}")
+
+
+def _number(value: object) -> float:
+    if isinstance(value, str | bytes | bool) or value is None:
+        raise TypeError
+    return float(cast("SupportsFloat", value))
+
+
+def _abridged(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,307 @@
+"""What the samples of a run say together: period, blocking calls, units, jumps, and whether velocity is that of x."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haptether.bridge.devices.check.finding import Finding
+from haptether.bridge.devices.check.form import Kind, Reading
+from haptether.bridge.devices.standalone import Tick
+
+Array = NDArray[np.float64]
+
+BLOCKED_S = 0.02
+"""A call that takes longer holds both sides."""
+PERIOD_SHARE = 0.01
+"""How far `period_s` may be from what is seen, as between a scene and its device."""
+WINDOW_S = 0.05
+"""Over which the velocity is summed up, to be held against the change of position."""
+FEW = 5
+"""Windows with motion, of which fewer say nothing."""
+AGREES = 0.25
+"""How far the sum of the velocity may be from the change of position."""
+DISAGREEING = 0.1
+"""Share of the windows that may be farther off than that."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a device of a kind is taken to be able to, and the unit that is taken for another beyond that."""
+
+    unit: str
+    other: str
+    farthest: float
+    """m (rad) from 0."""
+    fastest: float
+    """m/s (rad/s) between two samples."""
+    jump: float
+    """m (rad) between two samples, at that speed."""
+    motion: float
+    """m (rad) within a window, of a motion that says something of the velocity."""
+
+
+LINEAR = Bounds("m", "mm", farthest=5.0, fastest=20.0, jump=0.02, motion=1e-3)
+JOINTS = Bounds("rad", "degrees", farthest=8.0 * math.pi, fastest=60.0, jump=0.2, motion=1e-2)
+FACTORS = {
+    -1.0: "its sign is wrong", 1e3: "it is in mm/s", 1e-3: "the position is in mm", 0.0: "it is zero all the time",
+    180.0 / math.pi: "it is in degrees/s", math.pi / 180.0: "the position is in degrees",
+}  # fmt: skip
+"""What the velocity is of the change of position, where it is wrong in a usual way."""
+
+
+def bounds_of(kind: Kind) -> Bounds:
+    """Those of a kind of coordinates."""
+    return JOINTS if kind == "joints" else LINEAR
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Percentiles in s, of a loop that had the interpreter for itself but no real time."""
+
+    rate_hz: float
+    period_p50_s: float
+    period_p99_s: float
+    period_max_s: float
+    read_p50_s: float
+    read_p99_s: float
+    read_max_s: float
+    write_p50_s: float
+    write_p99_s: float
+    write_max_s: float
+
+
+def timing(ticks: Sequence[Tick]) -> Timing | None:
+    """Of two ticks or more."""
+    if len(ticks) < 2:
+        return None
+    asked, read, written = (np.array([tick[index] for tick in ticks]) for index in range(3))
+    periods = np.diff(read)
+    figures: list[float] = []
+    for times in (periods, read - asked, written - read):
+        figures += [*np.percentile(times, [50, 99]).tolist(), float(times.max())]
+    return Timing((len(ticks) - 1) / float(read[-1] - read[0]), *figures)
+
+
+def check_period(of: Timing | None, *, paces: bool, said_s: object, loop_s: float) -> Finding:
+    """The period that is seen, against what the driver says of itself."""
+    if of is None:
+        return Finding("period", "unseen", "fewer than two samples")
+    seen_s = of.period_p50_s
+    seen = f"a sample each {1e3 * seen_s:.3f} ms (p99 {1e3 * of.period_p99_s:.3f}, max {1e3 * of.period_max_s:.3f})"
+    if not paces:
+        if said_s is not None:
+            return Finding("period", "note", f"{seen}; period_s = {said_s} counts only of a driver with paces = True")
+        return Finding("period", "pass", f"{seen}: the loop keeps the time, at {1e3 * loop_s:g} ms")
+    return _paced(of, seen, said_s)
+
+
+def _paced(of: Timing, seen: str, said_s: object) -> Finding:
+    """The period of a driver that waits for its samples."""
+    if of.read_p50_s < 5e-5 and of.period_p50_s < 2e-4:
+        return Finding("period", "mend", f"{seen}: read() does not wait for a sample: wait there, or set paces = False")
+    if said_s is None:
+        text = f"{seen}; without period_s a scene of another period is not refused: let the driver have period_s"
+        return Finding("period", "note", text)
+    if isinstance(said_s, bool) or not isinstance(said_s, int | float) or not 0.0 < said_s < math.inf:
+        return Finding("period", "mend", f"period_s = {said_s!r}: must be a number of seconds, above 0")
+    mean_s = 1.0 / of.rate_hz
+    if min(abs(of.period_p50_s - said_s), abs(mean_s - said_s)) > 2.0 * PERIOD_SHARE * said_s:
+        text = f"{seen}, {1e3 * mean_s:.3f} ms on average, but period_s = {said_s:g}: must be the seconds between two"
+        return Finding("period", "mend", text)
+    return Finding("period", "pass", f"{seen}, period_s = {said_s:g}")
+
+
+def check_blocking(ticks: Sequence[Tick], *, paces: bool, said_s: object) -> Finding:
+    """Whether each call returned within 20 ms; one that waits for the next sample has its period besides."""
+    waits_s = said_s if paces and isinstance(said_s, int | float) and math.isfinite(said_s) else 0.0
+    limits = {"read": BLOCKED_S + (waits_s if waits_s > BLOCKED_S else 0.0), "write": BLOCKED_S}
+    took = {
+        "read": [tick.read_s - tick.asked_s for tick in ticks],
+        "write": [tick.written_s - tick.read_s for tick in ticks if tick.force is not None],
+    }
+    if not ticks:
+        return Finding("blocking calls", "unseen", "there was no sample")
+    late = [
+        f"{name}() took longer than {1e3 * BLOCKED_S:g} ms {sum(time_s > limits[name] for time_s in times)} times, "
+        f"at most {1e3 * max(times):.0f} ms"
+        for name, times in took.items()
+        if any(time_s > limits[name] for time_s in times)
+    ]
+    if not late:
+        worst = ", ".join(f"{name}() at most {1e3 * max(times):.2f} ms" for name, times in took.items() if times)
+        return Finding("blocking calls", "pass", worst)
+    text = f"{'; '.join(late)}: it holds both sides; wait on a thread of the driver's own, and return the newest sample"
+    return Finding("blocking calls", "mend", text)
+
+
+def check_positions(time_s: Array, position: Array, kind: Kind) -> list[Finding]:
+    """Whether positions can be of a device: their unit, and no jumps.
+
+    Args:
+        time_s: Of the samples, shape `(n,)`.
+        position: In m (rad), shape `(n, axes)`.
+        kind: Of the coordinates.
+    """
+    of = bounds_of(kind)
+    if len(time_s) < 2:
+        return [Finding(name, "unseen", "fewer than two samples") for name in ("units", "jumps")]
+    found = []
+    largest = float(np.abs(position).max())
+    steps, dt = np.abs(np.diff(position, axis=0)), np.maximum(np.diff(time_s), 1e-4)[:, None]
+    jumps = (steps > of.jump) & (steps > of.fastest * dt)
+    # The speed of 50 ms: a jump is no motion.
+    wide = max(1, round(WINDOW_S / max(1e-4, float(np.median(dt)))))
+    moved = np.abs(position[wide:] - position[:-wide]) if len(position) > wide else steps
+    spanned = (time_s[wide:] - time_s[:-wide])[:, None] if len(position) > wide else dt
+    speed = float((moved / spanned).max())
+    if largest > of.farthest:
+        text = f"a position of {largest:.4g} {of.unit}: given in {of.other}? must be in {of.unit}"
+        found.append(Finding("units", "mend", text))
+    elif speed > of.fastest and not jumps.any():
+        text = f"it moved at {speed:.3g} {of.unit}/s: given in {of.other}? must be in {of.unit}"
+        found.append(Finding("units", "mend", text))
+    else:
+        text = f"at most {largest:.4g} {of.unit} and {speed:.3g} {of.unit}/s" + (
+            "" if not jumps.any() else " and jumps"
+        )
+        found.append(Finding("units", "pass", f"{text}: can be {of.unit}"))
+    if not jumps.any():
+        found.append(Finding("jumps", "pass", f"at most {float(steps.max()):.3g} {of.unit} between two samples"))
+        return found
+    index, axis = (int(part[0]) for part in np.nonzero(jumps))
+    by = float(steps[index, axis])
+    turn = " (it wraps: must go on beyond a turn)" if kind == "joints" and abs(by - 2.0 * math.pi) < 0.2 else ""
+    text = (
+        f"axis {axis} jumps by {by:.4g} {of.unit} within {1e3 * float(dt[index, 0]):.2f} ms{turn}, "
+        f"{int(jumps.sum())} times: a jump is felt as a blow"
+    )
+    found.append(Finding("jumps", "mend", text))
+    return found
+
+
+def check_motion(position: Array, kind: Kind) -> Finding:
+    """Whether each axis was moved, without which nothing is seen of its velocity."""
+    of = bounds_of(kind)
+    spans = np.ptp(position, axis=0) if len(position) else np.zeros(0)
+    still = [str(axis) for axis, span in enumerate(spans) if span < 5.0 * of.motion]
+    text = f"{', '.join(f'{span:.3g}' for span in spans)} {of.unit} from end to end"
+    if still or not len(spans):
+        return Finding("motion", "unseen", f"{text}: axis {', '.join(still) or '-'} did not move")
+    return Finding("motion", "pass", text)
+
+
+def check_velocity(time_s: Array, position: Array, velocity: Array, kind: Kind) -> Finding:
+    """Whether the velocity summed up over 50 ms is the change of position, on each axis."""
+    of = bounds_of(kind)
+    changes, sums = _windows(time_s, position, velocity)
+    return _agreement("velocity", of, changes, sums)
+
+
+def check_angular_velocity(time_s: Array, orientation: Array, angular_velocity: Array) -> Finding:
+    """Whether the angular velocity summed up over 50 ms is the turn of the orientation, in the frame of the base."""
+    starts, ends = _edges(time_s)
+    if not len(starts):
+        return Finding("angular velocity", "unseen", "too short a run")
+    sums = _sums(time_s, angular_velocity, starts, ends)
+    turns = _rotation_vectors(orientation[ends], orientation[starts], base=True)
+    found = _agreement("angular velocity", JOINTS, turns, sums)
+    if found.verdict == "mend":
+        own = _rotation_vectors(orientation[ends], orientation[starts], base=False)
+        if _agreement("angular velocity", JOINTS, own, sums).verdict == "pass":
+            text = "it is in the device's own frame: must be in that of the base, base_from_tool w"
+            return Finding("angular velocity", "mend", text)
+    return found
+
+
+def check_force(force: Array, position: Array, kind: Kind) -> Finding:
+    """What an arm says that it feels."""
+    unit = "N m" if kind == "joints" else "N"
+    largest = float(np.abs(force).max())
+    text = f"at most {largest:.3g} {unit}, {', '.join(f'{mean:.3g}' for mean in force.mean(axis=0))} on average"
+    if largest > 1e3:
+        return Finding("force", "mend", f"{text}: in mN, or in counts of a sensor? must be in {unit}")
+    if float(np.abs(force.mean(axis=0)).max()) > 5.0 and float(np.ptp(position, axis=0).max()) < bounds_of(kind).motion:
+        return Finding("force", "note", f"{text}, at rest: does it touch nothing, and is its sensor zeroed?")
+    return Finding("force", "pass", text)
+
+
+def readings_of(ticks: Sequence[Tick], readings: Sequence[Reading | None]) -> tuple[Array, list[Reading]]:
+    """Times of the samples that the bridge would take, and their numbers."""
+    both = [(tick.read_s, reading) for tick, reading in zip(ticks, readings, strict=False) if reading is not None]
+    return np.array([time_s for time_s, _ in both]), [reading for _, reading in both]
+
+
+# ------------------------------------------------------------------------------------------------ windows
+
+
+def _edges(time_s: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    if len(time_s) < 3 or time_s[-1] - time_s[0] < 2.0 * WINDOW_S:
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+    at = np.arange(time_s[0], time_s[-1] - WINDOW_S, 0.5 * WINDOW_S)
+    return np.searchsorted(time_s, at), np.searchsorted(time_s, at + WINDOW_S)
+
+
+def _sums(time_s: Array, rate: Array, starts: NDArray[np.intp], ends: NDArray[np.intp]) -> Array:
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s)[:, None]
+    total = np.vstack([np.zeros((1, rate.shape[1])), np.cumsum(steps, axis=0)])
+    return np.asarray(total[ends] - total[starts])
+
+
+def _windows(time_s: Array, position: Array, velocity: Array) -> tuple[Array, Array]:
+    starts, ends = _edges(time_s)
+    return position[ends] - position[starts], _sums(time_s, velocity, starts, ends)
+
+
+def _agreement(check: str, of: Bounds, changes: Array, sums: Array) -> Finding:
+    unseen, worst = [], 0.0
+    for axis in range(changes.shape[1] if len(changes) else 0):
+        change, total = changes[:, axis], sums[:, axis]
+        moves = np.abs(change) > of.motion
+        off = np.abs(total - change) > np.maximum(AGREES * np.abs(change), of.motion)
+        if off.sum() > max(2.0, DISAGREEING * max(float(moves.sum()), 0.2 * len(change))):
+            return Finding(check, "mend", f"axis {axis}: {_why(change, total, moves, of)}")
+        if moves.sum() < FEW:
+            unseen.append(axis)
+        else:
+            worst = max(worst, abs(float(change @ total / (change @ change)) - 1.0))
+    if not len(changes) or len(unseen) == changes.shape[1]:
+        return Finding(check, "unseen", "it hardly moved: move it while it is checked")
+    rest = f"; axis {', '.join(map(str, unseen))} hardly moved" if unseen else ""
+    return Finding(check, "pass", f"is that of the positions within {100.0 * worst:.1f} %{rest}")
+
+
+def _why(change: Array, total: Array, moves: NDArray[np.bool_], of: Bounds) -> str:
+    if moves.sum() < FEW:
+        return f"at rest it says {np.abs(total).mean() / WINDOW_S:.3g} {of.unit}/s: must be 0 there"
+    slope = float(change @ total / (change @ change))
+    for factor, why in FACTORS.items():
+        near = abs(slope) < 0.02 if factor == 0.0 else 0.8 < slope / factor < 1.25
+        if near:
+            return f"{why}: it is {slope:.3g} times the change of position"
+    return f"it is {slope:.3g} times the change of position, or late: must be dx/dt in {of.unit}/s"
+
+
+def _rotation_vectors(after: Array, before: Array, *, base: bool) -> Array:
+    """log(R_after R_before^T), or log(R_before^T R_after) in the device's own frame, of `quat_wxyz`."""
+    inverse = before * np.array([1.0, -1.0, -1.0, -1.0])
+    w, *xyz = _product(after, inverse) if base else _product(inverse, after)
+    sign = np.where(w < 0.0, -1.0, 1.0)
+    vector = np.stack(xyz, axis=1) * sign[:, None]
+    sine = np.linalg.norm(vector, axis=1)
+    angle = 2.0 * np.arctan2(sine, w * sign)
+    return np.asarray(vector * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)[:, None])
+
+
+def _product(a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
+    """Hamilton's product of quaternions w, x, y, z, row by row."""
+    aw, ax, ay, az = a.T
+    bw, bx, by, bz = b.T
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )

@@ -1,0 +1,206 @@
+"""`haptether check-device`."""
+
+import math
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from haptether.cli.device.options import DriverOptions
+
+if TYPE_CHECKING:
+    from haptether.bridge.devices.check.finding import Finding
+    from haptether.bridge.devices.check.report import DeviceCheck
+    from haptether.cli.shared.stop import Stopped
+
+MAX_DURATION_S = 600.0
+RECENT = 200
+"""Samples whose rate is shown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckDevice(DriverOptions):
+    """Open the driver of a device by itself, and say what is right with it and what is to be mended.
+
+    A haptic device is written zero force all the time, and an arm is not moved. Nothing is coupled: there is no other
+    side. Move the device by hand while it runs, along every axis: what does not move shows no velocity. It is opened a
+    second time, to see that it is closed after an exception. Times are those of a loop without real time.
+
+    --push-n has a haptic device push once, with at most 1 N (0.1 N m of joints), up and down a ramp within 1.5 s. A
+    person is asked on the terminal first. It ends at once by Ctrl-C, a motion too far or too fast, a late sample or a
+    fault.
+
+    Exit status 0 says that nothing is to be mended, 1 that something is.
+
+    Examples:
+
+    haptether check-device ur --options host=192.168.1.10
+
+    haptether check-device my-stylus --duration-s 20 --push-n 0.5
+    """
+
+    side: Literal["master", "slave"] | None = None
+    """Which of the two, where there is a driver of each by that name."""
+    duration_s: float = 5.0
+    """For how long it is looked at, in s, at most 600."""
+    push_n: float | None = None
+    """Have a haptic device push with this force in N (joints: N m) once, after a person's yes; 0.5 is felt."""
+    push_axis: int = 0
+    """Along which axis."""
+    yes: bool = False
+    """Do not ask before the push: whoever gives this flag stands beside the device, and holds it."""
+
+    def run(self) -> int:
+        """Checks, and says what was found.
+
+        Raises:
+            ValueError: A driver that there is not, or an option out of its bounds.
+        """
+        from haptether.bridge.devices.check.report import DeviceCheck, SecondRun
+        from haptether.bridge.devices.standalone import wait_until
+        from haptether.cli.device.options import (
+            await_open,
+            check_options,
+            loaded_device,
+            show_tracebacks,
+            side_of,
+        )
+        from haptether.cli.shared.stop import Stopped, wait
+
+        check_options(self)
+        side = side_of(self.name, self.side)
+        self._check(side)
+        with Stopped() as stopped:
+            device = loaded_device(self, side)
+            check = DeviceCheck(device, side, self.kind, period_s=self.period_s, stopped=lambda: bool(stopped))
+            self._check_push(check.kind)
+            found: list[Finding] = []
+            if await_open(self, check.run, stopped):
+                headline = f"{self.name}: open, a {side} of kind {check.kind}; "
+                headline += "zero force: move it along every axis" if side == "master" else "it is not moved"
+                wait(headline, lambda: _status(check), lambda: check.run.finished, stopped, self.duration_s)
+                if self.push_n is not None and not check.run.finished:
+                    self._push(check, stopped)
+            check.end()
+            if stopped:
+                # Of a part of what was requested there is no verdict.
+                raise KeyboardInterrupt
+            found += check.findings()
+            show_tracebacks(self, check.run)
+            if check.run.is_open and check.run.error is None and check.ended:
+                second = SecondRun(loaded_device(self, side), check)
+                await_open(self, second.run, stopped)
+                wait_until(lambda: second.run.finished or bool(stopped), 5.0)
+                found.append(second.finding())
+                show_tracebacks(self, second.run)
+        self._report(check, side, found)
+        return 1 if any(finding.verdict == "mend" for finding in found) else 0
+
+    def _check(self, side: str) -> None:
+        """Refuses what cannot be, before anything is opened."""
+        from haptether.cli.device.consent import check_terminal
+
+        if not 0.1 <= self.duration_s <= MAX_DURATION_S:
+            message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MAX_DURATION_S:g} s"
+            raise ValueError(message)
+        if self.push_n is None:
+            return
+        if side == "slave":
+            message = f"push-n = {self.push_n:g}: an arm is never moved by check-device: leave it out"
+            raise ValueError(message)
+        if not (math.isfinite(self.push_n) and self.push_n > 0.0):
+            message = f"push-n = {self.push_n:g}: must be above 0"
+            raise ValueError(message)
+        if not 0 <= self.push_axis <= 6:
+            message = f"push-axis = {self.push_axis}: must be 0 to 6"
+            raise ValueError(message)
+        check_terminal(f"push-n = {self.push_n:g}", yes=self.yes)
+
+    def _check_push(self, kind: str) -> None:
+        from haptether.bridge.devices.check.push import MAX_PUSH
+
+        if self.push_n is not None and self.push_n > MAX_PUSH[kind]:
+            unit = "N m" if kind == "joints" else "N"
+            message = f"push-n = {self.push_n:g}: must be at most {MAX_PUSH[kind]:g} {unit} for kind {kind}"
+            raise ValueError(message)
+
+    def _push(self, check: "DeviceCheck", stopped: "Stopped") -> None:
+        """Asks, and has it push."""
+        from haptether.cli.device.consent import consents
+        from haptether.cli.shared.stop import wait
+
+        assert self.push_n is not None
+        unit = "N m" if check.kind == "joints" else "N"
+        question = (
+            f"{self.name} will push with {self.push_n:g} {unit} along axis {self.push_axis} for 1.5 s. Hold it loosely;"
+            " Ctrl-C ends it."
+        )
+        if not consents(question, stopped, yes=self.yes) or stopped:
+            return
+        push = check.push(self.push_n, self.push_axis)
+        wait("pushing", lambda: _status(check), lambda: push.ended is not None or check.run.finished, stopped, 5.0)
+
+    def _report(self, check: "DeviceCheck", side: str, found: "list[Finding]") -> None:
+        from rich.table import Table
+
+        from haptether.cli.shared.output import write_report
+        from haptether.cli.shared.screen import screen
+
+        console = screen(self.json)
+        table = Table(header_style="bold", pad_edge=False)
+        for column in ("", "check", f"{self.name}: what was seen"):
+            table.add_column(column, overflow="fold")
+        for finding in found:
+            table.add_row(finding.verdict.upper() if finding.verdict == "mend" else finding.verdict, finding.check,
+                          finding.text)  # fmt: skip
+        console.print(table)
+        times = check.timing()
+        if times is not None:
+            rows = {
+                "period": (times.period_p50_s, times.period_p99_s, times.period_max_s),
+                "read()": (times.read_p50_s, times.read_p99_s, times.read_max_s),
+                "write()": (times.write_p50_s, times.write_p99_s, times.write_max_s),
+            }
+            for name, values in rows.items():
+                shown = " / ".join(f"{1e3 * value:.3f}" for value in values)
+                console.print(f"{name}, p50 / p99 / max [ms]: {shown}", soft_wrap=True)
+            console.print(f"rate: {times.rate_hz:.1f} Hz")
+        wrong = sum(finding.verdict == "mend" for finding in found)
+        unseen = [finding.check for finding in found if finding.verdict == "unseen"]
+        if unseen:
+            console.print(f"not seen: {', '.join(unseen)}", soft_wrap=True)
+        console.print("pass" if not wrong else f"{wrong} to mend")
+        write_report(
+            self.json,
+            {
+                "driver": self.name,
+                "side": side,
+                "kind": check.kind,
+                "axes": check.form.axes,
+                "passed": not wrong,
+                "findings": found,
+                "timing": times,
+            },
+        )
+
+
+def _status(check: "DeviceCheck") -> str:
+    """Position, velocity, force and rate of now."""
+    ticks, readings = check.run.ticks, check.lead.readings
+    blocked = check.run.blocked_in(0.5)
+    if blocked is not None:
+        return f"{blocked}() has not returned for 0.5 s"
+    if not ticks or not readings:
+        return "no sample yet"
+    reading, tick = readings[-1], ticks[-1]
+    if reading is None:
+        return f"sample {len(readings)} is not one that the bridge takes"
+
+    def of(values: tuple[float, ...] | None) -> str:
+        return "-" if values is None else " ".join(f"{value:+.4f}" for value in values)
+
+    recent = ticks[-RECENT:]
+    age_s = recent[-1].read_s - recent[0].read_s
+    rate = f"{(len(recent) - 1) / age_s:.0f} Hz" if age_s > 0.0 else "-"
+    force = reading.force if tick.force is None else tick.force[0]
+    late = "" if time.monotonic() - tick.read_s < 0.5 else ", no new sample"
+    return f"x {of(reading.position)}  v {of(reading.velocity)}  F {of(force)}  {rate}{late}"

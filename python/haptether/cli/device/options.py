@@ -1,0 +1,137 @@
+"""Which driver a command is about, what it is called with, and how it is opened."""
+
+import os
+import sys
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+import tyro
+
+from haptether.printable import printable
+
+if TYPE_CHECKING:
+    from haptether.bridge.devices.standalone import StandaloneRun
+    from haptether.cli.shared.stop import Stopped
+
+MAX_OPEN_S = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriverOptions:
+    """A driver by its name, and what it is called with."""
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    """Of the driver, as `haptether list` has it."""
+    options: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
+    """What the driver is called with, as in [master.options] and [slave.options] of a scene; may be given often."""
+    kind: Literal["linear", "joints", "pose"] | None = None
+    """What its coordinates are, as in a scene; by default the first of the driver's own kinds."""
+    period_s: float = 1e-3
+    """Period of the loop in s, for a driver that does not pace it."""
+    open_s: float = 60.0
+    """How long it may take to open, in s."""
+    debug: bool = False
+    """Show the traceback of a driver's exception."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the result as JSON at the end; - for standard output."""
+
+
+def check_options(command: DriverOptions) -> None:
+    """Refuses numbers out of their bounds, and a file that cannot be written.
+
+    Raises:
+        ValueError: A number.
+        OSError: The file.
+    """
+    from haptether.cli.shared.output import check_target
+
+    check_target(command.json)
+    for name, value, low, high in (
+        ("period-s", command.period_s, 1e-4, 0.1),
+        ("open-s", command.open_s, 0.1, MAX_OPEN_S),
+    ):
+        if not low <= value <= high:
+            message = f"{name} = {value:g}: must be between {low:g} and {high:g} s"
+            raise ValueError(message)
+
+
+def side_of(name: str, side: Literal["master", "slave"] | None) -> Literal["master", "slave"]:
+    """Whether a driver is one of a master or of a slave.
+
+    Raises:
+        ValueError: There is none of that name, or both.
+    """
+    from difflib import get_close_matches
+
+    from haptether.bridge import MASTERS, SLAVES, device_names
+
+    names = {"master": device_names(MASTERS), "slave": device_names(SLAVES)}
+    if side is not None:
+        return side
+    has = [of for of, known in names.items() if name in known]
+    if len(has) == 1:
+        return cast("Literal['master', 'slave']", has[0])
+    if has:
+        message = f"{name}: a driver of a master and one of a slave: say which by --side master or --side slave"
+        raise ValueError(message)
+    known = sorted({*names["master"], *names["slave"]})
+    near = get_close_matches(name, known, 1)
+    hint = f"did you mean {near[0]}? " if near else ""
+    message = f"{name}: no such driver: {hint}there is {', '.join(known) or 'none'} (haptether list)"
+    raise ValueError(message)
+
+
+def loaded_device(command: DriverOptions, side: Literal["master", "slave"]) -> object:
+    """The driver, called with its options.
+
+    Raises:
+        ValueError: No such driver, options that it does not have, or a kind that it is not of.
+        DeviceError: What makes it raised an exception.
+    """
+    from haptether.bridge import load_master, load_slave
+    from haptether.bridge.devices.open import POINT_KINDS
+    from haptether.bridge.scene.load import overridden
+
+    raw: dict[str, Any] = {}
+    for option in command.options:
+        raw = overridden(raw, f"{side}.options.{option}")
+    options = raw.get(side, {}).get("options", {})
+    device = load_master(command.name, options) if side == "master" else load_slave(command.name, options)
+    kinds = getattr(device, "kinds", POINT_KINDS)
+    if command.kind is not None and isinstance(kinds, tuple | list) and command.kind not in kinds:
+        message = f"kind = {command.kind}: {command.name} is a driver of {' or '.join(map(str, kinds))}"
+        raise ValueError(message)
+    return device
+
+
+def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped") -> bool:
+    """Waits until a driver is open and returns whether it is.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C meanwhile; it is closed.
+    """
+    from haptether.cli.shared.output import deliver_output
+    from haptether.cli.shared.screen import Screen
+
+    end_s = time.monotonic() + command.open_s
+    with Screen(stderr=True).status(f"opening {command.name}   (Ctrl-C ends)"):
+        while not (run.is_open or run.finished or stopped) and time.monotonic() < end_s:
+            time.sleep(0.01)
+    if stopped:
+        if not run.end():
+            # Threads of a vendor's library that still connects would end an orderly exit with an abort.
+            deliver_output()
+            os._exit(130)
+        raise KeyboardInterrupt
+    return run.is_open
+
+
+def show_tracebacks(command: DriverOptions, run: "StandaloneRun") -> None:
+    """With `--debug`, on standard error what a driver's methods raised."""
+    if command.debug:
+        for error in run.watched.failed.values():
+            lines = "".join(traceback.format_exception(error)).splitlines()
+            print("\n".join(map(printable, lines)), file=sys.stderr)

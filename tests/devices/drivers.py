@@ -1,0 +1,375 @@
+"""Drivers for tests: one of a stylus and one of an arm that are right, and each wrong in one way."""
+
+import math
+import os
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from haptether.master import MasterSample
+from haptether.slave import SlaveSample
+
+WRITTEN = "WRITTEN"
+"""Names a file that gets a line for each call but `read`."""
+
+
+def note(text: str) -> None:
+    """Adds a line to that file, if one is named."""
+    if path := os.environ.get(WRITTEN):
+        with Path(path).open("a") as file:
+            file.write(text + "\n")
+
+
+class Stylus:
+    """A hand moves it by 3 cm on three axes, at 1 Hz and its multiples; it does not pace."""
+
+    paces = False
+    sign = 1.0
+    kinds: tuple[str, ...] = ("linear",)
+
+    def __init__(self, *, held: bool = True, writes: bool = True) -> None:
+        self.held, self.writes = held, writes
+        self.opened = self.closed = 0
+        self.forces: list[tuple[float, ...]] = []
+        self.pushed_m = 0.0
+
+    def open(self) -> None:
+        self.opened += 1
+        self.begun_s = time.monotonic()
+        note("open")
+
+    def at(self, time_s: float) -> tuple[list[float], list[float]]:
+        """Position and velocity."""
+        rates = [2.0 * math.pi * (axis + 1) for axis in range(3)]
+        x = [0.03 * math.sin(rate * time_s) for rate in rates]
+        v = [0.03 * rate * math.cos(rate * time_s) for rate in rates]
+        if not self.held:
+            x, v = [0.0] * 3, [0.0] * 3
+        x[0] += self.pushed_m
+        return x, v
+
+    def read(self) -> MasterSample:
+        x, v = self.at(time.monotonic() - self.begun_s)
+        return MasterSample(x, v)
+
+    def write(self, force: tuple[float, ...]) -> None:
+        assert isinstance(force, tuple)
+        self.forces.append(force)
+        # Something soft holds it: it gives way in the direction of the force.
+        self.pushed_m += 1e-3 * (self.sign * 0.02 * force[0] - self.pushed_m) / 0.1
+        note(f"write {' '.join(f'{value:.4f}' for value in force)}")
+
+    def close(self) -> None:
+        self.closed += 1
+        note("close")
+
+
+class Turned(Stylus):
+    """One that pushes the other way."""
+
+    sign = -1.0
+
+
+class Paced(Stylus):
+    """It waits for its samples."""
+
+    paces = True
+    period_s = 0.002
+
+    def open(self) -> None:
+        super().open()
+        self.next_s = time.monotonic()
+
+    def read(self) -> MasterSample:
+        self.next_s += 0.002
+        time.sleep(max(0.0, self.next_s - time.monotonic()))
+        return super().read()
+
+
+class WrongPeriod(Paced):
+    """Says another period than it has."""
+
+    period_s = 0.001
+
+
+class DoesNotWait(Stylus):
+    """Says that it paces, and does not."""
+
+    paces = True
+
+
+class RaisesInOpen(Stylus):
+    """Has no bus."""
+
+    def open(self) -> None:
+        super().open()
+        message = "no such bus"
+        raise OSError(message)
+
+
+class RaisesInRead(Stylus):
+    """Fails after 50 samples."""
+
+    def read(self) -> MasterSample:
+        if len(self.forces) > 50:
+            message = "encoder"
+            raise KeyError(message)
+        return super().read()
+
+
+class RaisesInWrite(Stylus):
+    """Fails once."""
+
+    def write(self, force: tuple[float, ...]) -> None:
+        if len(self.forces) == 50:
+            self.forces.append(())
+            message = "unplugged"
+            raise OSError(message)
+        super().write(force)
+
+
+class RaisesInEveryWrite(Stylus):
+    """Takes nothing."""
+
+    def write(self, force: tuple[float, ...]) -> None:
+        message = f"unplugged: {force}"
+        raise OSError(message)
+
+
+class RaisesInClose(Stylus):
+    """Fails when it is closed."""
+
+    def close(self) -> None:
+        super().close()
+        message = "busy"
+        raise OSError(message)
+
+
+class NotANumber(Stylus):
+    """One sample is not finite."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        return sample._replace(position=[math.nan, 0.0, 0.0]) if len(self.forces) == 40 else sample
+
+
+class WrongShape(Stylus):
+    """Its velocity has another shape."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        return sample._replace(velocity=[0.0, 0.0])
+
+
+class TwoFields(Stylus):
+    """Its samples are none."""
+
+    def read(self) -> MasterSample:
+        return 0.0, 0.0  # type: ignore[return-value]  # what it must not do
+
+
+class ChangingAxes(Stylus):
+    """One sample has fewer axes."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        return sample._replace(position=[0.0, 0.0], velocity=None) if len(self.forces) == 40 else sample
+
+
+class Blocking(Stylus):
+    """Each hundredth `read` takes 50 ms."""
+
+    def read(self) -> MasterSample:
+        if len(self.forces) % 100 == 99:
+            time.sleep(0.05)
+        return super().read()
+
+
+class Millimetres(Stylus):
+    """Counts in mm."""
+
+    def read(self) -> MasterSample:
+        x, v = self.at(time.monotonic() - self.begun_s)
+        return MasterSample([1e3 * value for value in x], [1e3 * value for value in v])
+
+
+class MillimetresPerSecond(Stylus):
+    """Its velocity is in mm/s."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        assert isinstance(sample.velocity, Sequence)
+        return sample._replace(velocity=[1e3 * value for value in sample.velocity])
+
+
+class WrongSign(Stylus):
+    """Its velocity has the other sign."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        assert isinstance(sample.velocity, Sequence)
+        return sample._replace(velocity=[-value for value in sample.velocity])
+
+
+class SometimesVelocity(Stylus):
+    """Every other sample has a velocity."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        return sample._replace(velocity=None) if len(self.forces) % 2 else sample
+
+
+class Jumps(Stylus):
+    """Jumps once."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        assert isinstance(sample.position, Sequence)
+        if len(self.forces) == 300:
+            return sample._replace(position=[value + 0.2 for value in sample.position])
+        return sample
+
+
+class TextKinds(Stylus):
+    """Its kinds are a text."""
+
+    kinds = "linear"  # type: ignore[assignment]  # what it must not be
+
+
+class Faulty(Stylus):
+    """Reports a fault."""
+
+    def read(self) -> MasterSample:
+        return super().read()._replace(fault="overheated")
+
+
+class HungInOpen(Stylus):
+    """Does not open."""
+
+    def open(self) -> None:
+        super().open()
+        threading.Event().wait(60.0)
+
+
+class HungInRead(Stylus):
+    """Does not return from `read` after 50 samples."""
+
+    def read(self) -> MasterSample:
+        if len(self.forces) == 50:
+            threading.Event().wait(60.0)
+        return super().read()
+
+
+class Pose(Stylus):
+    """Turns about z at 1 rad/s, and x at 0.5 rad/s about itself."""
+
+    kinds = ("pose",)
+
+    def turn(self, time_s: float) -> tuple[list[float], list[float]]:
+        """`quat_wxyz` and angular velocity in the base frame."""
+        a, b = 0.5 * time_s, 0.25 * time_s
+        # R = Rz(t) Rx(t / 2): w = z + Rz(t) x / 2.
+        ca, sa, cb, sb = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
+        quaternion = [ca * cb, ca * sb, sa * sb, sa * cb]
+        return quaternion, [0.5 * math.cos(time_s), 0.5 * math.sin(time_s), 1.0]
+
+    def read(self) -> MasterSample:
+        time_s = time.monotonic() - self.begun_s
+        x, v = self.at(time_s)
+        quaternion, angular = self.turn(time_s)
+        norm = math.hypot(*quaternion)
+        return MasterSample(x, v, orientation=[q / norm for q in quaternion], angular_velocity=angular)
+
+    def write(self, force: tuple[float, ...], torque: tuple[float, ...] | None = None) -> None:
+        assert torque is not None
+        assert len(torque) == 3
+        super().write(force)
+
+
+class NotUnit(Pose):
+    """Its quaternion is not of length 1."""
+
+    def read(self) -> MasterSample:
+        sample = super().read()
+        assert sample.orientation is not None
+        return sample._replace(orientation=[1.001 * value for value in sample.orientation])
+
+
+class OwnFrame(Pose):
+    """Its angular velocity is in its own frame: R^T w."""
+
+    def turn(self, time_s: float) -> tuple[list[float], list[float]]:
+        quaternion, _ = super().turn(time_s)
+        return quaternion, [0.5, math.sin(0.5 * time_s), math.cos(0.5 * time_s)]
+
+
+class Arm:
+    """An arm at rest that feels nothing."""
+
+    paces = False
+
+    def __init__(self, axes: int = 1) -> None:
+        self.axes, self.calls = axes, list[str]()
+
+    def open(self) -> None:
+        self.calls.append("open")
+        note("open")
+
+    def read(self) -> SlaveSample:
+        if self.axes == 1:
+            return SlaveSample(0.02, 0.0, 0.0)
+        zero = [0.0] * self.axes
+        return SlaveSample(zero, zero, zero)
+
+    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        self.calls.append(f"write {position} {velocity}")
+        note("write")
+
+    def stop(self) -> None:
+        self.calls.append("stop")
+        note("stop")
+
+    def close(self) -> None:
+        self.calls.append("close")
+        note("close")
+
+
+class Drifting(Arm):
+    """Says that it moves while it is at rest."""
+
+    def read(self) -> SlaveSample:
+        return SlaveSample(0.02, 0.5, 0.0)
+
+
+class RaisesInStop(Arm):
+    """Cannot be stopped."""
+
+    def stop(self) -> None:
+        super().stop()
+        message = "no program"
+        raise RuntimeError(message)
+
+
+class OtherAxes(Arm):
+    """Says another number of axes."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.axes = 3
+
+    def read(self) -> SlaveSample:
+        return SlaveSample(0.0, 0.0, 0.0)
+
+
+def declared(folder: Path, group: str = "haptether.masters", **drivers: str) -> dict[str, str]:
+    """The environment of a process that finds drivers of this module, or others, under names of their own."""
+    package = folder / "bench_drivers-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-drivers\nVersion: 1.0\n")
+    lines = [f"{name} = {value if ':' in value else f'{__name__}:{value}'}" for name, value in drivers.items()]
+    (package / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines, ""]))
+    root = Path(__file__).resolve().parents[2]
+    before = os.environ.get("PYTHONPATH")
+    path = os.pathsep.join([str(folder), str(root), *([before] if before else [])])
+    return {"PYTHONPATH": path, "PATH": "/usr/bin:/bin", "COLUMNS": "200"}

@@ -1,0 +1,308 @@
+"""`DeviceCheck`: what it says of drivers that are right and of each that is wrong in one way."""
+
+import itertools
+import math
+import re
+import time
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.devices import drivers
+from tests.ur.stalls import anew_after_stalls
+
+from haptether.bridge.devices.check.form import Reading, SampleForm, check_kinds
+from haptether.bridge.devices.check.push import GAP_S, MAX_PUSH, MAX_SPEED, MAX_TRAVEL, Push, profile
+from haptether.bridge.devices.check.report import DeviceCheck, SecondRun
+from haptether.bridge.devices.standalone import wait_until
+from haptether.master import MasterSample
+from haptether.slave import SlaveSample
+
+alone = pytest.mark.alone
+
+
+def checked(device: object, seconds: float = 1.2, side: str = "master") -> dict[str, tuple[str, str]]:
+    """Verdict and text of each finding, of a run that ends after that time."""
+    check = DeviceCheck(device, side)  # type: ignore[arg-type]  # one of two
+    wait_until(lambda: check.run.finished, seconds)
+    check.end()
+    return {finding.check: (finding.verdict, finding.text) for finding in check.findings()}
+
+
+@alone
+@pytest.mark.parametrize("make", [drivers.Stylus, drivers.Paced, drivers.Pose])
+@anew_after_stalls
+def test_a_driver_that_is_right_passes_and_is_written_zero_only(make: Callable[[], drivers.Stylus]) -> None:
+    device = make()
+    found = checked(device)
+    assert {name for name, (verdict, _) in found.items() if verdict != "pass"} == set()
+    assert {"velocity", "units", "jumps", "motion", "period", "close()", "zero at begin and end"} <= found.keys()
+    assert ("angular velocity" in found) == (make is drivers.Pose)
+    assert device.opened == device.closed == 1
+    assert len(device.forces) > 200
+    assert set(device.forces) == {(0.0, 0.0, 0.0)}
+
+
+WRONG = {
+    "RaisesInOpen": ("open()", r"RaisesInOpen: OSError: no such bus \(.*drivers.py:\d+, in open\)"),
+    "RaisesInRead": ("read()", r"KeyError: 'encoder' \(.*drivers.py:\d+, in read\)"),
+    "RaisesInWrite": ("write()", r"OSError: unplugged \(.*drivers.py:\d+, in write\)"),
+    "RaisesInEveryWrite": ("zero at begin and end", "KEEPS ITS LAST COMMAND"),
+    "RaisesInClose": ("close()", "OSError: busy"),
+    "NotANumber": ("finite numbers", r"position = \[nan, 0.0, 0.0\]: must be finite.*first in number 41"),
+    "WrongShape": ("shapes", r"velocity = \[0.0, 0.0\]: must be a sequence of 3 numbers"),
+    "TwoFields": ("fields", r"read\(\) gives 2 values: must be a MasterSample"),
+    "ChangingAxes": ("shapes", "position has 2 axes, that of the first sample 3"),
+    "Blocking": ("blocking calls", r"read\(\) took longer than 20 ms"),
+    "Millimetres": ("units", "given in mm"),
+    "MillimetresPerSecond": ("velocity", "it is in mm/s"),
+    "WrongSign": ("velocity", "its sign is wrong"),
+    "SometimesVelocity": ("velocity at every sample or none", "velocity is there at some samples"),
+    "Jumps": ("jumps", r"axis \d jumps by 0\.\d+ m"),
+    "WrongPeriod": ("period", r"period_s = 0.001: must be"),
+    "DoesNotWait": ("period", r"read\(\) does not wait for a sample"),
+    "TextKinds": ("kinds", "must be a tuple"),
+    "NotUnit": ("orientation", "its norm is 1.001"),
+    "OwnFrame": ("angular velocity", "in the device's own frame"),
+}  # fmt: skip
+
+
+@alone
+@pytest.mark.parametrize("name", WRONG)
+@anew_after_stalls
+def test_what_is_to_be_mended_is_named_with_the_remedy(name: str) -> None:
+    check, said = WRONG[name]
+    device = getattr(drivers, name)()
+    found = checked(device)
+    assert found[check][0] == "mend", found
+    assert re.search(said, found[check][1]), found[check]
+    assert device.closed == 1
+    # Whatever is wrong, no force but zero was ever written.
+    assert not any(any(force) for force in device.forces)
+
+
+@alone
+def test_a_driver_that_hangs_in_open_or_in_a_call_is_said_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("haptether.bridge.devices.standalone.LEAVE_S", 0.3)
+    found = checked(drivers.HungInOpen(), 0.2)
+    assert found["open()"] == ("mend", "does not return: nothing can be said of the rest")
+    device = drivers.HungInRead()
+    found = checked(device, 0.5)
+    assert found["read()"] == ("mend", "does not return: nobody can take the device's force away")
+    assert "KEEPS ITS LAST COMMAND" in found["zero at begin and end"][1]
+    assert device.closed == 1
+
+
+@alone
+@pytest.mark.parametrize("axes", [1, 3, 6])
+@anew_after_stalls
+def test_an_arm_is_read_and_stopped_and_never_moved(axes: int) -> None:
+    arm = drivers.Arm(axes)
+    check = DeviceCheck(arm, "slave", "joints")
+    wait_until(lambda: check.run.finished, 0.6)
+    check.end()
+    found = {finding.check: finding.verdict for finding in check.findings()}
+    assert arm.calls == ["open", "stop", "close"]
+    assert "mend" not in found.values()
+    assert found["stop at the end"] == found["axes"] == "pass"
+    assert found["motion"] == found["velocity"] == "unseen"
+    with pytest.raises(ValueError, match="must be of a master"):
+        check.push(0.5, 0)
+
+
+@alone
+@pytest.mark.parametrize(
+    ("make", "check", "said"),
+    [
+        (drivers.Drifting, "velocity", "at rest it says 0.5 m/s"),
+        (drivers.RaisesInStop, "stop at the end", "KEEPS ITS LAST COMMAND"),
+        (drivers.OtherAxes, "axes", "axes = 3, but a sample has 1"),
+    ],
+)
+@anew_after_stalls
+def test_what_is_wrong_with_an_arm_is_named(make: Callable[[], drivers.Arm], check: str, said: str) -> None:
+    found = checked(make(), 0.6, "slave")
+    assert found[check][0] == "mend", found
+    assert said in found[check][1]
+
+
+@alone
+@pytest.mark.parametrize(("make", "verdict"), [(drivers.Stylus, "pass"), (drivers.Turned, "mend")])
+@anew_after_stalls
+def test_a_push_is_ramped_bounded_ends_by_itself_and_shows_the_sign(
+    make: Callable[..., drivers.Stylus], verdict: str
+) -> None:
+    device = make(held=False)
+    check = DeviceCheck(device, "master")
+    wait_until(lambda: len(check.run.ticks) > 50, 5.0)
+    begun_s = time.monotonic()
+    push = check.push(0.5, 0)
+    wait_until(lambda: push.ended is not None, 5.0)
+    took_s = time.monotonic() - begun_s
+    wait_until(lambda: check.run.finished, 0.1)
+    check.end()
+    (found,) = [finding for finding in check.findings() if finding.check == "push"]
+    assert push.ended == "ended by itself"
+    assert 1.4 < took_s < 2.0
+    assert found.verdict == verdict, found
+    forces = [force[0] for force in device.forces]
+    assert max(forces) == pytest.approx(0.5)
+    assert min(forces) >= 0.0
+    # 1 N/s up and down, and a tick that may be late by 19 ms.
+    assert max(abs(after - before) for before, after in itertools.pairwise(forces)) < 0.021
+    assert not any(any(force) for force in device.forces[-20:])
+    assert not any(force[1] or force[2] for force in device.forces)
+
+
+@alone
+def test_a_push_is_refused_beyond_its_bound_and_void_where_it_comes_late() -> None:
+    check = DeviceCheck(drivers.Stylus(held=False), "master")
+    wait_until(lambda: len(check.run.ticks) > 20, 5.0)
+    for size, axis in ((1.01, 0), (-0.5, 0), (0.0, 0), (math.nan, 0), (0.5, 3), (0.5, -1)):
+        with pytest.raises(ValueError, match="must be"):
+            check.push(size, axis)
+    check.lead.push, check.lead._asked_s = Push(0.5, 0, "linear"), time.monotonic() - 3.0
+    wait_until(lambda: check.lead.push is not None and check.lead.push.ended is not None, 2.0)
+    check.end()
+    assert check.lead.push.ended == "it was asked for too long ago"
+    assert not any(any(force) for force in check.run.watched.device.forces)  # type: ignore[attr-defined]  # of the test
+
+
+AT_REST = Reading((0.0, 0.0), None, None, None, None, None)
+
+
+@given(
+    size=st.floats(0.01, 1.0),
+    moves=st.lists(st.tuples(st.floats(0.0, 0.03), st.floats(-0.01, 0.01)), min_size=1, max_size=200),
+    kind=st.sampled_from(["linear", "joints", "pose"]),
+)
+def test_whatever_moves_a_push_stays_in_its_bounds_and_once_ended_is_zero(
+    size: float, moves: list[tuple[float, float]], kind: str
+) -> None:
+    push, at_s, x = Push(size, 1, kind), 10.0, 0.0
+    for step_s, step in moves:
+        at_s, x = at_s + step_s, x + step
+        was_over = push.ended is not None
+        force = push.force(AT_REST._replace(position=(0.0, x)), at_s)
+        assert 0.0 <= force <= size
+        assert push.begun_s is not None
+        if was_over or (step_s > GAP_S and at_s > push.begun_s) or at_s - push.begun_s > 1.5:
+            assert force == 0.0
+        if abs(push.travel) > MAX_TRAVEL[kind]:
+            assert force == 0.0
+    assert push.force(None, at_s + 1e-3) == 0.0
+    assert push.force(AT_REST, at_s + 2e-3) == 0.0
+
+
+def test_a_push_ends_by_speed_travel_a_fault_and_a_late_tick() -> None:
+    def pushed(step_s: float, speed: float, last: Reading | None = None) -> Push:
+        push = Push(0.5, 0, "linear")
+        for tick in range(1500):
+            push.force(AT_REST._replace(position=(speed * tick * step_s, 0.0)), tick * step_s)
+            if push.ended is not None:
+                break
+            if last is not None and tick == 100:
+                push.force(last, tick * step_s + 1e-3)
+                break
+        return push
+
+    assert pushed(1e-3, 2.0 * MAX_SPEED["linear"]).ended == "it is faster than 0.25"
+    assert pushed(1e-3, 0.8 * MAX_SPEED["linear"]).ended == "it has moved by more than 0.05"
+    assert pushed(2e-3, 0.0).ended == "ended by itself"
+    assert pushed(0.03, 0.0).ended == "a tick came 30 ms after the one before"
+    assert pushed(1e-3, 0.0, AT_REST._replace(fault="hot")).ended == "the device reports: hot"
+
+
+def test_the_ramp_of_a_push() -> None:
+    assert [profile(time_s) for time_s in (0.0, 0.25, 0.5, 1.0, 1.25, 1.5, 9.0)] == [0.0, 0.5, 1.0, 1.0, 0.5, 0.0, 0.0]
+    assert MAX_PUSH == {"linear": 1.0, "pose": 1.0, "joints": 0.1}
+
+
+@alone
+def test_after_an_exception_in_the_loop_a_driver_is_at_rest_and_closed() -> None:
+    check = DeviceCheck(drivers.Stylus(), "master")
+    wait_until(lambda: len(check.run.ticks) > 5, 5.0)
+    check.end()
+    device = drivers.Stylus()
+    second = SecondRun(device, check)
+    wait_until(lambda: second.run.finished, 5.0)
+    assert second.finding().verdict == "pass"
+    assert "an exception in the middle of the loop" in str(second.run.error)
+    assert (device.opened, device.closed, device.forces[-1]) == (1, 1, (0.0, 0.0, 0.0))
+    for bad in (drivers.RaisesInClose(), drivers.RaisesInOpen()):
+        second = SecondRun(bad, check)
+        wait_until(lambda run=second.run: run.finished, 5.0)  # type: ignore[misc]  # bound at once
+        found = second.finding()
+        assert found.verdict == "mend"
+        assert "when it is opened again" in found.text
+
+
+NUMBERS = st.one_of(
+    st.none(), st.booleans(), st.text(max_size=3), st.floats(), st.integers(-5, 5), st.lists(st.floats(), max_size=8),
+    st.lists(st.one_of(st.floats(-1.0, 1.0), st.none(), st.text(max_size=2)), max_size=4), st.complex_numbers(),
+)  # fmt: skip
+
+
+@given(
+    parts=st.lists(NUMBERS, min_size=8, max_size=8),
+    side=st.sampled_from(["master", "slave"]),
+    kind=st.sampled_from(["linear", "joints", "pose"]),
+    count=st.integers(0, 9),
+)
+def test_no_sample_whatever_it_holds_ends_the_check_and_what_passes_is_finite(
+    parts: list[object], side: str, kind: str, count: int
+) -> None:
+    form = SampleForm(side, kind)  # type: ignore[arg-type]  # one of each
+    for sample in (tuple(parts), tuple(parts)[:count], parts[0], MasterSample(*parts)):  # type: ignore[arg-type]  # any
+        reading = form.take(sample)
+        assert len(form.findings()) == 6
+        if reading is None:
+            continue
+        assert form.axes == len(reading.position)
+        for numbers in reading[:5]:
+            assert numbers is None or all(map(math.isfinite, numbers))
+        if side == "slave":
+            assert reading.velocity is not None
+            assert reading.force is not None
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "check", "said"),
+    [
+        ("clutch", 1, "buttons and trigger", "clutch = 1: must be True, False or none"),
+        ("buttons", -1, "buttons and trigger", "buttons = -1: must be 0"),
+        ("buttons", 1.5, "buttons and trigger", "buttons = 1.5: must be a whole number"),
+        ("trigger", 1.5, "buttons and trigger", "trigger = 1.5: must be 0 (open) to 1 (closed)"),
+        ("fault", 3, "fields", "fault = 3: must be text"),
+        ("position", "0", "shapes", "position = '0': must be a number"),
+        ("position", [0.0] * 4, "shapes", 'position has 4 axes: a side of kind "linear" has 1, 2, 3'),
+        ("velocity", [math.inf], "finite numbers", "velocity = [inf]: must be finite"),
+    ],
+)
+def test_what_is_wrong_with_a_field_is_said(field: str, value: object, check: str, said: str) -> None:
+    form = SampleForm("master", "linear")
+    assert form.take(MasterSample(0.0)._replace(**{field: value})) is None  # type: ignore[arg-type]  # what is wrong
+    found = {finding.check: finding for finding in form.findings()}
+    assert found[check].verdict == "mend"
+    assert said in found[check].text
+
+
+def test_a_slave_of_pose_must_have_all_parts() -> None:
+    form = SampleForm("slave", "pose")
+    assert form.take(SlaveSample([0.0] * 3, [0.0] * 3, [0.0] * 3)) is None
+    assert form.problems["fields"].text == 'orientation is none: a slave of kind "pose" has it at every sample'
+
+
+@pytest.mark.parametrize("kinds", [("linear",), ["pose"], ("linear", "joints")])
+def test_kinds_that_there_are_pass(kinds: object) -> None:
+    class Device:
+        pass
+
+    device = Device()
+    assert check_kinds(device).verdict == "pass"
+    device.kinds = kinds  # type: ignore[attr-defined]  # as of a driver
+    assert check_kinds(device).verdict == "pass"
+    for bad in ("linear", (), ("line",), 3):
+        device.kinds = bad  # type: ignore[attr-defined]  # as of a driver
+        assert check_kinds(device).verdict == "mend"
