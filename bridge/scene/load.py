@@ -240,7 +240,11 @@ def toml_value(text: str, path: Path) -> Raw:
     """
     _refuse_long_keys(text)
     candidates = [text]
-    if text in {"true", "false"} and not any(isinstance(kind, inspect.BoolType) for kind in types_at(path)):
+    if text in {"true", "false"} and not any(
+        # Of the options of a driver, whose types nobody here knows, it is what TOML says.
+        isinstance(kind, inspect.BoolType | inspect.AnyType)
+        for kind in types_at(path)
+    ):
         # A choice that reads like a boolean, `safety.signals=true`.
         candidates = [f'"{text}"']
     elif re.fullmatch(r"[\w./-]+", text):

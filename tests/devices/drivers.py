@@ -373,3 +373,10 @@ def declared(folder: Path, group: str = "haptether.masters", **drivers: str) -> 
     before = os.environ.get("PYTHONPATH")
     path = os.pathsep.join([str(folder), str(root), *([before] if before else [])])
     return {"PYTHONPATH": path, "PATH": "/usr/bin:/bin", "COLUMNS": "200"}
+
+
+class RaisesWhenMade:
+    """Cannot be made."""
+
+    def __init__(self) -> None:
+        raise KeyError("counts per turn")

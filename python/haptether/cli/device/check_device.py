@@ -55,7 +55,7 @@ class CheckDevice(DriverOptions):
         Raises:
             ValueError: A driver that there is not, or an option out of its bounds.
         """
-        from haptether.bridge.devices.check.report import DeviceCheck, SecondRun
+        from haptether.bridge.devices.check.report import DeviceCheck, SecondRun, kind_of
         from haptether.bridge.devices.standalone import wait_until
         from haptether.cli.device.options import (
             await_open,
@@ -71,8 +71,9 @@ class CheckDevice(DriverOptions):
         self._check(side)
         with Stopped() as stopped:
             device = loaded_device(self, side)
-            check = DeviceCheck(device, side, self.kind, period_s=self.period_s, stopped=lambda: bool(stopped))
-            self._check_push(check.kind)
+            kind = self.kind or kind_of(device)
+            self._check_push(kind)
+            check = DeviceCheck(device, side, kind, period_s=self.period_s, stopped=lambda: bool(stopped))
             found: list[Finding] = []
             if await_open(self, check.run, stopped):
                 headline = f"{self.name}: open, a {side} of kind {check.kind}; "

@@ -1,0 +1,220 @@
+"""`haptether check-device` and `haptether list`, as processes: status, what is asked, what a device is written."""
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from tests.devices.drivers import WRITTEN, declared
+
+pytestmark = pytest.mark.live
+
+COMMAND = [sys.executable, "-m", "haptether"]
+QUESTION = "Type yes and press Enter"
+
+
+def run(environment: dict[str, str], *arguments: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+        timeout=timeout, check=False,
+    )  # fmt: skip
+
+
+class Terminal:
+    """A command on a terminal of its own, and what it has printed."""
+
+    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
+        self.master, slave = pty.openpty()
+        self.process = subprocess.Popen(
+            [*COMMAND, *arguments], env=environment, stdin=slave, stdout=slave, stderr=slave
+        )
+        os.close(slave)
+        self.printed = ""
+
+    def until(self, text: str, seconds: float = 30.0) -> None:
+        """Reads until a text was printed."""
+        end_s = time.monotonic() + seconds
+        while text not in self.printed:
+            assert time.monotonic() < end_s, self.printed
+            if not self.read(0.1):
+                assert text in self.printed, self.printed
+
+    def read(self, seconds: float) -> bool:
+        """Reads what there is; false at the end."""
+        if not select.select([self.master], [], [], seconds)[0]:
+            return True
+        try:
+            part = os.read(self.master, 65536)
+        except OSError:
+            return False
+        self.printed += part.decode(errors="replace")
+        return bool(part)
+
+    def answer(self, text: str) -> None:
+        """Types."""
+        os.write(self.master, text.encode())
+
+    def end(self) -> int:
+        """Waits for the command and returns its status."""
+        end_s = time.monotonic() + 30.0
+        try:
+            while self.read(0.1) and time.monotonic() < end_s:
+                pass
+            return self.process.wait(timeout=10.0)
+        finally:
+            self.process.kill()
+            self.process.wait()
+            os.close(self.master)
+
+
+def forces(path: Path) -> list[float]:
+    """Along the first axis, as the driver was told."""
+    return [float(line.split()[1]) for line in path.read_text().splitlines() if line.startswith("write")]
+
+
+def test_a_driver_that_is_right_is_status_0_and_one_that_is_not_is_status_1_with_its_line(tmp_path: Path) -> None:
+    environment = declared(tmp_path, stylus="Stylus", broken="RaisesInRead", closes="RaisesInClose")
+    good = run(environment, "check-device", "stylus", "--duration-s", "1", "--json", "-")
+    assert good.returncode == 0, good.stderr
+    report = json.loads(good.stdout)
+    assert (report["side"], report["kind"], report["axes"], report["passed"]) == ("master", "linear", 3, True)
+    assert report["timing"]["period_p99_s"] >= report["timing"]["period_p50_s"] > 0.0
+    assert {"close after an exception", "velocity"} <= {found["check"] for found in report["findings"]}
+    assert "stylus: open, a master of kind linear" in good.stderr
+    bad = run(environment, "check-device", "broken", "--duration-s", "1")
+    assert bad.returncode == 1
+    assert "KeyError: 'encoder'" in bad.stdout
+    assert "drivers.py" in bad.stdout
+    assert "Traceback" not in bad.stderr
+    assert "1 to mend" in bad.stdout
+    debug = run(environment, "check-device", "broken", "--duration-s", "1", "--debug")
+    assert "Traceback" in debug.stderr
+    assert "in read\n    raise KeyError(message)" in debug.stderr
+    closes = run(environment, "check-device", "closes", "--duration-s", "0.5", "--options", "held=false")
+    assert closes.returncode == 1
+    assert "close after an exception" in closes.stdout
+
+
+def test_an_arm_is_opened_read_stopped_and_closed_twice_and_never_written(tmp_path: Path) -> None:
+    environment = declared(tmp_path, "haptether.slaves", arm="Arm") | {WRITTEN: str(tmp_path / "written")}
+    ended = run(environment, "check-device", "arm", "--duration-s", "0.5", "--options", "axes=3", "--kind", "linear")
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert (tmp_path / "written").read_text().split() == ["open", "stop", "close"] * 2
+
+
+def test_a_driver_that_hangs_in_open_ends_with_status_1_in_bounded_time(tmp_path: Path) -> None:
+    begun_s = time.monotonic()
+    ended = run(declared(tmp_path, hung="HungInOpen"), "check-device", "hung", "--open-s", "0.5")
+    assert ended.returncode == 1
+    assert "does not return" in ended.stdout
+    assert time.monotonic() - begun_s < 30.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["check-device", "styluss"], "did you mean stylus? there is arm, both, stylus, ur"),
+        (["check-device", "both"], "--side master or --side slave"),
+        (["check-device", "stylus", "--options", "hold=1"], "it takes (*, held: bool = True"),
+        (["check-device", "stylus", "--options", "held"], "must be table.key=value"),
+        (["check-device", "stylus", "--kind", "pose"], "kind = pose: stylus is a driver of linear"),
+        (["check-device", "stylus", "--duration-s", "nan"], "duration-s = nan: must be between"),
+        (["check-device", "stylus", "--period-s", "1"], "period-s = 1: must be between 0.0001 and 0.1 s"),
+        (["check-device", "stylus", "--push-n", "0.5"], "a person must say yes on the terminal, and there is none"),
+        (["check-device", "stylus", "--push-n", "1.5", "--yes"], "push-n = 1.5: must be at most 1 N"),
+        (["check-device", "stylus", "--push-n", "-0.5", "--yes"], "push-n = -0.5: must be above 0"),
+        (["check-device", "arm", "--push-n", "0.5", "--yes"], "an arm is never moved"),
+    ],
+)
+def test_a_bad_request_is_one_line_and_status_2_and_opens_nothing(
+    tmp_path: Path, arguments: list[str], said: str
+) -> None:
+    environment = declared(tmp_path, stylus="Stylus", both="Stylus") | {WRITTEN: str(tmp_path / "written")}
+    package = tmp_path / "bench_drivers-1.0.dist-info" / "entry_points.txt"
+    drivers = "tests.devices.drivers"
+    package.write_text(package.read_text() + f"[haptether.slaves]\narm = {drivers}:Arm\nboth = {drivers}:Arm\n")
+    ended = run(environment, *arguments)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert said in ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert not (tmp_path / "written").exists()
+
+
+@pytest.mark.parametrize("answer", ["no\n", "\n", "y\n", "yes"])
+def test_nothing_but_a_yes_on_the_terminal_pushes(tmp_path: Path, answer: str) -> None:
+    environment = declared(tmp_path, stylus="Stylus") | {WRITTEN: str(tmp_path / "written")}
+    terminal = Terminal(environment, "check-device", "stylus", "--duration-s", "0.5", "--push-n", "0.5")
+    # What is typed before the question is no answer to it.
+    terminal.answer("yes\n")
+    terminal.until(QUESTION)
+    terminal.answer(answer)
+    if answer == "yes":
+        # Without Enter, until somebody ends it.
+        time.sleep(0.5)
+        terminal.process.send_signal(signal.SIGINT)
+    assert terminal.end() == (130 if answer == "yes" else 0), terminal.printed
+    assert set(forces(tmp_path / "written")) == {0.0}
+
+
+def test_a_yes_pushes_once_and_ends_at_zero(tmp_path: Path) -> None:
+    environment = declared(tmp_path, stylus="Stylus") | {WRITTEN: str(tmp_path / "written")}
+    arguments = ["--duration-s", "0.5", "--push-n", "0.3", "--options", "held=false"]
+    terminal = Terminal(environment, "check-device", "stylus", *arguments)
+    terminal.until(QUESTION)
+    terminal.answer("yes\n")
+    assert terminal.end() == 0, terminal.printed
+    told = forces(tmp_path / "written")
+    assert max(told) == pytest.approx(0.3, abs=1e-4)
+    assert min(told) == told[-1] == 0.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_takes_the_push_away_at_once(tmp_path: Path, number: signal.Signals) -> None:
+    written = tmp_path / "written"
+    environment = declared(tmp_path, stylus="Stylus") | {WRITTEN: str(written)}
+    arguments = ["--duration-s", "0.5", "--push-n", "0.5", "--options", "held=false"]
+    terminal = Terminal(environment, "check-device", "stylus", *arguments)
+    terminal.until(QUESTION)
+    terminal.answer("yes\n")
+    while not any(forces(written)[-5:]) or forces(written)[-1] < 0.2:
+        terminal.read(0.005)
+    at = len(forces(written))
+    terminal.process.send_signal(number)
+    assert terminal.end() == 130, terminal.printed
+    told = forces(written)
+    assert written.read_text().split()[-1] == "close"
+    assert told[-1] == 0.0
+    # 1 s of the push was left.
+    assert sum(force > 0.0 for force in told[at:]) < 400
+
+
+def test_a_driver_that_cannot_be_loaded_is_listed_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "broken_vendor.py").write_text("raise KeyError('no licence')\n")
+    environment = declared(
+        tmp_path, stylus="Stylus", vendor="broken_vendor:Device", gone="no_such_module:Device", number="math:pi"
+    )
+    ended = run(environment, "list", "--json", str(tmp_path / "list.json"))
+    assert ended.returncode == 0, ended.stderr
+    report = json.loads((tmp_path / "list.json").read_text())
+    assert report["[master] driver"] == ["gone", "number", "stylus", "vendor"]
+    assert report["cannot be loaded"] == {
+        "[master] driver": {
+            "gone": "no_such_module:Device of bench-drivers cannot be loaded: No module named 'no_such_module'",
+            "number": "math:pi of bench-drivers is no driver: must be a class or a function",
+            "vendor": "broken_vendor:Device of bench-drivers cannot be loaded: KeyError: 'no licence'",
+        }
+    }
+    shown = ended.stdout
+    assert "\n  stylus" in shown
+    for name, why in report["cannot be loaded"]["[master] driver"].items():
+        assert f"\n  {name}: {why}" in shown
+    named = run(environment, "check-device", "vendor", "--debug")
+    assert named.returncode == 2
+    assert "cannot be loaded: KeyError: 'no licence'" in named.stderr
+    assert 'broken_vendor.py", line 1' in named.stderr
