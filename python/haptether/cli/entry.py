@@ -22,6 +22,7 @@ import tyro
 from haptether import __version__
 from haptether.cli.demo import Demo
 from haptether.cli.device.check_device import CheckDevice
+from haptether.cli.device.identify import Identify
 from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
@@ -64,6 +65,7 @@ COMMANDS: dict[str, type[Any]] = {
     "dynamixel-emulator": DynamixelEmulator,
     "check-link": CheckLink,
     "check-device": CheckDevice,
+    "identify": Identify,
     "explain": Explain,
     "keygen": Keygen,
     "list": List,
@@ -88,7 +90,19 @@ MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
 """More digits than a number has: nobody counts the zeros of 1e300."""
 
-NEVER_WAITS = (Master, Slave, Demo, UrEmulator, DynamixelEmulator, CheckLink, CheckDevice, Proxy, Echo, Record)
+NEVER_WAITS = (
+    Master,
+    Slave,
+    Demo,
+    UrEmulator,
+    DynamixelEmulator,
+    CheckLink,
+    CheckDevice,
+    Identify,
+    Proxy,
+    Echo,
+    Record,
+)
 """Commands that go on, and end, whether anybody reads what they print or not."""
 
 

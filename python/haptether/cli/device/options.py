@@ -84,6 +84,21 @@ def side_of(name: str, side: Literal["master", "slave"] | None) -> Literal["mast
     raise ValueError(message)
 
 
+def driver_options(command: DriverOptions, side: Literal["master", "slave"]) -> dict[str, Any]:
+    """What the driver is called with, as `[master.options]` of a scene has it.
+
+    Raises:
+        ValueError: No `=`, or a value that TOML does not know.
+    """
+    from haptether.bridge.scene.load import overridden
+
+    raw: dict[str, Any] = {}
+    for option in command.options:
+        raw = overridden(raw, f"{side}.options.{option}")
+    options: dict[str, Any] = raw.get(side, {}).get("options", {})
+    return options
+
+
 def loaded_device(command: DriverOptions, side: Literal["master", "slave"]) -> object:
     """The driver, called with its options.
 
@@ -93,12 +108,8 @@ def loaded_device(command: DriverOptions, side: Literal["master", "slave"]) -> o
     """
     from haptether.bridge import load_master, load_slave
     from haptether.bridge.devices.open import POINT_KINDS
-    from haptether.bridge.scene.load import overridden
 
-    raw: dict[str, Any] = {}
-    for option in command.options:
-        raw = overridden(raw, f"{side}.options.{option}")
-    options = raw.get(side, {}).get("options", {})
+    options = driver_options(command, side)
     device = load_master(command.name, options) if side == "master" else load_slave(command.name, options)
     kinds = getattr(device, "kinds", POINT_KINDS)
     if command.kind is not None and isinstance(kinds, tuple | list) and command.kind not in kinds:

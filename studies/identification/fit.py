@@ -1,0 +1,277 @@
+"""`m A + b V + c sign(V) = F(t - delay) + F_0` along one axis, fitted in its weak form by least squares.
+
+Multiplied by a smooth function phi that is zero outside a window, and integrated by parts, no derivative of the
+measured position is left: `m int x phi'' - b int x phi' + c int sign(V) phi - F_0 int phi = int F(t - delay) phi`.
+Noise and quantisation of the position then average out instead of being amplified.
+
+Source: Shinbrot 1957 (method of moment functionals); Preisig and Rippin 1993 (modulating functions); intervals: the
+jackknife over blocks, Künsch 1989.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 0.12
+"""Length of phi: its spectrum reaches beyond the highest frequency of the motions."""
+WINDOWS = 8
+"""So many begin within the length of one."""
+DELAYS_S = np.arange(-0.004, 0.0301, 0.0005)
+"""Of force to position, among which the best is looked for."""
+BLOCKS = 12
+"""Of the jackknife."""
+STUDENT_95 = 2.201
+"""97.5 % quantile of Student's t with 11 degrees of freedom."""
+SMOOTH_S = 0.016
+"""Length over which the velocity is taken, of which only the sign is used."""
+STUCK_S = 0.025
+"""A device that is slower than `slow` for longer may stick: friction is then anything up to c, not c sign(V)."""
+TURN_S, MARGIN = 0.01, 1.2
+"""Within this time of a turn the force must be so much above c, or it rests there."""
+FEWEST = 100
+"""Windows, of which fewer determine nothing."""
+DETERMINED = 0.1
+"""Half an interval over its value, above which a number is said not to be determined."""
+MEANS_NOTHING = 0.3
+"""The share from which on its numbers are none."""
+EXPLAINED = 0.02
+"""Share of the squared force that the model may leave unexplained."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with the half width of its 95 % confidence interval."""
+
+    value: float
+    half: float
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the data say what it is, within a tenth."""
+        return self.half <= DETERMINED * abs(self.value)
+
+
+@dataclass(frozen=True)
+class IdentifiedAxis:
+    """What one axis is."""
+
+    mass_kg: Estimate
+    """m in kg (kg m²)."""
+    viscous: Estimate
+    """b in N s/m (N m s/rad)."""
+    coulomb: Estimate
+    """c in N (N m)."""
+    offset_n: Estimate
+    """F_0 in N (N m): a weight, or a motor that is off zero."""
+    delay_s: Estimate
+    """Of the force until it shows in the position, in s."""
+    unexplained: float
+    """Share of the squared force that is left over."""
+    peak_speed: float
+    """In m/s (rad/s)."""
+
+
+class NotDeterminedError(RuntimeError):
+    """The data do not determine the model of an axis: why, and what to do."""
+
+
+def fit_axis(time_s: Array, position: Array, written_s: Array, force: Array) -> IdentifiedAxis:
+    """The model of one axis from a recorded motion.
+
+    Args:
+        time_s: Of the samples, increasing, shape `(n,)`.
+        position: x in m (rad), shape `(n,)`.
+        written_s: When each force was written, shape `(k,)`; it lasts until the next.
+        force: F_device in N (N m), shape `(k,)`.
+
+    Raises:
+        NotDeterminedError: Too short, at rest, or no mass that can be.
+    """
+    period_s = float(np.median(np.diff(time_s))) if len(time_s) > 2 else math.nan
+    if not (len(time_s) > 2 and time_s[-1] - time_s[0] > 10.0 * WINDOW_S):
+        message = "too few samples: the motion was ended early"
+        raise NotDeterminedError(message)
+    grid = np.arange(time_s[0], time_s[-1], period_s)
+    x = np.interp(grid, time_s, position)
+    x -= x.mean()
+    held = _Held(written_s, force)
+    turns, is_stuck, speed = _turns(grid, x)
+    rows, targets, is_used = _moving(_weak(grid, x, turns.signs(grid), is_stuck, held), speed)
+    first, _ = _solved(rows[is_used], targets[is_used])
+    # Once more, with what its friction does to its turns.
+    turns, is_weak = turns.refined(grid, held, first)
+    rows, targets, is_used = _moving(_weak(grid, x, turns.signs(grid), is_stuck | is_weak, held), speed)
+    rows, targets = rows[is_used], targets[is_used]
+    values, left = _solved(rows, targets)
+    blocks = np.array_split(np.arange(len(rows)), BLOCKS)
+    others = [np.delete(np.arange(len(rows)), block) for block in blocks]
+    tries = np.array([_solved(rows[kept], targets[kept])[0] for kept in others])
+    deviation = np.sqrt((BLOCKS - 1) / BLOCKS * ((tries - tries.mean(axis=0)) ** 2).sum(axis=0))
+    mass, viscous, coulomb, offset, delay = (
+        Estimate(float(value), float(STUDENT_95 * sigma)) for value, sigma in zip(values, deviation, strict=True)
+    )
+    if left > MEANS_NOTHING:
+        message = (
+            f"m, b and c explain only {100.0 * (1.0 - left):.0f} % of the squared force: is the device held, at a stop, or"
+            " at rest? Nobody may hold it"
+        )
+        raise NotDeterminedError(message)
+    if not mass.value > mass.half:
+        message = f"a mass of {mass.value:.3g} +- {mass.half:.2g}: is the device held, or its force of the other sign?"
+        raise NotDeterminedError(message)
+    return IdentifiedAxis(mass, viscous, coulomb, offset, delay, left, speed)
+
+
+@dataclass(frozen=True)
+class _Turns:
+    """When the velocity changes its sign."""
+
+    time_s: Array
+    before: float
+    """Its sign before the first."""
+    half_s: float
+    """Half the length that the velocity was taken over."""
+
+    def signs(self, grid: Array) -> Array:
+        """Of the velocity, the mean over each step of a grid."""
+        step_s = float(grid[1] - grid[0])
+        knots = np.concatenate([[grid[0] - step_s], self.time_s, [grid[-1] + step_s]])
+        slopes = self.before * (-1.0) ** np.arange(len(knots) - 1)
+        total = np.concatenate([[0.0], np.cumsum(slopes * np.diff(knots))])
+        after, before = (np.interp(grid + side * step_s, knots, total) for side in (0.5, -0.5))
+        return np.asarray((after - before) / step_s)
+
+    def refined(self, grid: Array, held: "_Held", values: Array) -> "tuple[_Turns, NDArray[np.bool_]]":
+        """The same, earlier by what friction has done to the velocity; and where it rests, be it for a millisecond.
+
+        At a turn friction changes its side, and with it the acceleration, from `(F + c) / m` to `(F - c) / m`. The
+        slope of the line through x over 2 h is then zero later than V, by s with `s - 3 r s^2 / (4 h) = 3 r h / 8`,
+        `r = c / |F|`, to second order in s / h. Where |F| is not well above c, it rests.
+        """
+        _, _, coulomb, offset, delay_s = values
+        pushes = np.abs(held.at(self.time_s[:, None] - delay_s + np.linspace(-TURN_S, TURN_S, 9)) + offset)
+        is_weak = pushes.min(axis=1, initial=math.inf) < MARGIN * max(0.0, coulomb)
+        share = np.clip(max(0.0, coulomb) / np.maximum(pushes.mean(axis=1), 1e-12), 1e-9, 1.0 / MARGIN)
+        late_s = self.half_s * 2.0 / (3.0 * share) * (1.0 - np.sqrt(1.0 - 9.0 / 8.0 * share**2))
+        rests = np.zeros(len(grid), dtype=bool)
+        rests[np.clip(np.searchsorted(grid, self.time_s[is_weak]), 0, len(grid) - 1)] = True
+        return _Turns(np.maximum.accumulate(self.time_s - late_s), self.before, self.half_s), rests
+
+
+def _turns(grid: Array, x: Array) -> tuple[_Turns, NDArray[np.bool_], float]:
+    """When it turns, where it may stick, and the largest speed."""
+    period_s = float(grid[1] - grid[0])
+    half = max(2, round(0.5 * SMOOTH_S / period_s))
+    at = np.arange(-half, half + 1)
+    # Slope of the least-squares line, Savitzky and Golay 1964.
+    slope = at / float((at**2).sum()) / period_s
+    velocity = np.correlate(np.pad(x, half, mode="edge"), slope, mode="valid")
+    fastest = float(np.abs(velocity).max())
+    steps = np.abs(np.diff(x))
+    quantum = float(steps[steps > 1e-12].min(initial=math.inf))
+    slow = max(0.02 * fastest, min(quantum / SMOOTH_S, 0.1 * fastest))
+    is_slow = np.abs(velocity) < slow
+    is_stuck = np.zeros(len(x), dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_slow.astype(int), [0]])))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if (end - begin) * period_s > STUCK_S:
+            is_stuck[begin:end] = True
+    moving = np.flatnonzero(velocity)
+    signs = np.sign(velocity[moving])
+    changes = np.flatnonzero(np.diff(signs))
+    low, high = moving[changes], moving[changes + 1]
+    share = velocity[low] / (velocity[low] - velocity[high])
+    turns = _Turns(
+        grid[low] + share * (grid[high] - grid[low]), float(signs[0]) if len(signs) else 1.0, half * period_s
+    )
+    return turns, is_stuck, fastest
+
+
+class _Held:
+    """A force that is held from one write to the next."""
+
+    def __init__(self, written_s: Array, force: Array) -> None:
+        self.written_s, self.force = written_s, force
+        self._impulse = np.concatenate([[0.0], np.cumsum(force[:-1] * np.diff(written_s))])
+
+    def at(self, time_s: Array) -> Array:
+        """In N."""
+        return np.asarray(self.force[np.clip(np.searchsorted(self.written_s, time_s, "right") - 1, 0, None)])
+
+    def impulse(self, time_s: Array) -> Array:
+        """Its integral, which is a line between two writes, in N s."""
+        return np.asarray(np.interp(time_s, self.written_s, self._impulse))
+
+
+_Windows = tuple[Array, Array, NDArray[np.bool_]]
+"""Rows of m, b, c and F_0, the right side for each delay, and which windows may be used."""
+
+
+def _moving(windows: _Windows, speed: float) -> _Windows:
+    """The same, of a device that moved.
+
+    Raises:
+        NotDeterminedError: It hardly did.
+    """
+    count = int(windows[2].sum())
+    if count < FEWEST:
+        message = (
+            f"it moved freely in {count} of {len(windows[2])} windows, at most at {speed:.2g} per s: its force hardly"
+            " overcomes its friction: allow more speed, force or travel"
+        )
+        raise NotDeterminedError(message)
+    return windows
+
+
+def _weak(grid: Array, x: Array, sign: Array, is_stuck: NDArray[np.bool_], held: _Held) -> _Windows:
+    """The weak form of each window."""
+    period_s = float(grid[1] - grid[0])
+    count = max(16, round(WINDOW_S / period_s))
+    length_s = count * period_s
+    s = np.arange(count + 1) / count
+    wave = 2.0 * math.pi / length_s
+    # phi = sin^4(pi s) = 3/8 - cos(2 pi s)/2 + cos(4 pi s)/8, with its derivatives.
+    phi = 0.375 - 0.5 * np.cos(2.0 * math.pi * s) + 0.125 * np.cos(4.0 * math.pi * s)
+    first = wave * (0.5 * np.sin(2.0 * math.pi * s) - 0.25 * np.sin(4.0 * math.pi * s))
+    second = wave**2 * (0.5 * np.cos(2.0 * math.pi * s) - 0.5 * np.cos(4.0 * math.pi * s))
+    stride = max(1, count // WINDOWS)
+
+    def integral(signal: Array, kernel: Array) -> Array:
+        # phi and its derivatives vanish at both ends but for phi'', which does so, too: the trapezoid rule is this sum.
+        return np.asarray(period_s * np.correlate(signal, kernel, mode="valid")[::stride])
+
+    rows = np.stack(
+        [integral(x, second), -integral(x, first), integral(sign, phi), -integral(np.ones_like(x), phi)], axis=1
+    )
+    targets = np.stack([-integral(held.impulse(grid - delay_s), first) for delay_s in DELAYS_S], axis=1)
+    stuck = np.correlate(is_stuck.astype(float), np.ones(count + 1), mode="valid")[::stride]
+    begins = np.arange(len(stuck)) * stride
+    inside = (grid[begins] - DELAYS_S[-1] >= held.written_s[0]) & (
+        grid[begins + count] - DELAYS_S[0] <= held.written_s[-1]
+    )
+    return rows, targets, (stuck == 0.0) & inside
+
+
+def _solved(rows: Array, targets: Array) -> tuple[Array, float]:
+    """m, b, c, F_0 and the delay of least squares; and the share of the squared force that is left."""
+    solutions = np.linalg.lstsq(rows, targets, rcond=None)[0]
+    left = ((targets - rows @ solutions) ** 2).sum(axis=0) / np.maximum((targets**2).sum(axis=0), 1e-300)
+    best = int(np.argmin(left))
+    if 0 < best < len(DELAYS_S) - 1:
+        # The minimum of the parabola through three.
+        low, mid, high = left[best - 1 : best + 2]
+        share = 0.5 * (low - high) / max(low - 2.0 * mid + high, 1e-300)
+    else:
+        share = 0.0
+    share = float(np.clip(share, -0.5, 0.5))
+    # The right side is smooth in the delay: quadratic between three of them.
+    middle = min(max(best, 1), len(DELAYS_S) - 2)
+    u = best + share - middle
+    weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])
+    values = solutions[:, middle - 1 : middle + 2] @ weights
+    delay_s = float(DELAYS_S[middle] + u * (DELAYS_S[1] - DELAYS_S[0]))
+    return np.concatenate([values, [delay_s]]), float(left[best])
