@@ -116,8 +116,8 @@ def fit_axis(time_s: Array, position: Array, written_s: Array, force: Array) -> 
     )
     if left > MEANS_NOTHING:
         message = (
-            f"m, b and c explain only {100.0 * (1.0 - left):.0f} % of the squared force: is the device held, at a stop, or"
-            " at rest? Nobody may hold it"
+            f"m, b and c explain only {100.0 * (1.0 - left):.0f} % of the squared force: is the device held, at a"
+            " stop, or at rest? Nobody may hold it"
         )
         raise NotDeterminedError(message)
     if not mass.value > mass.half:

@@ -23,6 +23,7 @@ from haptether import __version__
 from haptether.cli.demo import Demo
 from haptether.cli.device.check_device import CheckDevice
 from haptether.cli.device.identify import Identify
+from haptether.cli.device.new_driver import NewDriver
 from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
@@ -66,6 +67,7 @@ COMMANDS: dict[str, type[Any]] = {
     "check-link": CheckLink,
     "check-device": CheckDevice,
     "identify": Identify,
+    "new-driver": NewDriver,
     "explain": Explain,
     "keygen": Keygen,
     "list": List,
