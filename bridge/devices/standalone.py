@@ -1,6 +1,8 @@
 """A driver run by itself, to look at it: no other side, no coupling, and the times of all its calls kept."""
 
 import atexit
+import contextlib
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -20,6 +22,10 @@ Written = tuple[tuple[float, ...], ...]
 """What `write` of a driver is called with: force, of a pose force and torque."""
 LEAVE_S = 5.0
 """How long the end waits for a driver that blocks, and a driver may take to close."""
+PRIORITY = 80
+"""Under SCHED_FIFO, where the system gives it, as of the loops of both sides."""
+SHORTEST_S = 1e-4
+"""No device has a period so short."""
 STAGES = ("open", "read", "write", "write_trigger", "stop", "close")
 
 
@@ -146,6 +152,7 @@ class StandaloneRun:
         self.failed_at: str | None = None
         """The driver's method that ended it; none of one that did not, and of an error of the lead."""
         self.is_open = False
+        self.has_real_time = False
         self.rests: bool | None = None
         """Whether it took zero, or its stop, at the end; none where it was never open or never written to."""
         self.ticks: list[Tick] = []
@@ -200,6 +207,11 @@ class StandaloneRun:
         try:
             with opened(self.watched, self.notes, "", None):  # type: ignore[arg-type]  # it calls those of the driver
                 self.period_s = getattr(self.watched.device, "period_s", None)
+                with contextlib.suppress(OSError, AttributeError):
+                    # Of this thread; `opened` takes it back.
+                    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+                    self.has_real_time = True
+                    QUIET.prioritise()
                 self.is_open = True
                 self._drive()
         except DeviceError as error:
@@ -237,7 +249,11 @@ class StandaloneRun:
                 self._rest = tuple((0.0,) * len(part) for part in force)
                 watched.write(*force)
             self.ticks.append(Tick(asked_s, read_s, time.monotonic(), sample, force))
-            if not paces:
+            if paces:
+                if time.monotonic() - asked_s < SHORTEST_S:
+                    # One that does not wait, as it says: in real time it would leave nobody else a processor.
+                    time.sleep(SHORTEST_S)
+            else:
                 due_s = max(due_s + self._loop_period_s, time.monotonic() - self._loop_period_s)
                 time.sleep(max(0.0, due_s - time.monotonic()))
 

@@ -48,6 +48,10 @@ SAMPLES_A_PERIOD = 40.0
 """A frequency with fewer is left out."""
 
 
+REMEDY = "allow less force, or more travel and speed"
+"""Where it has gone beyond a bound."""
+
+
 @dataclass(frozen=True)
 class Bounds:
     """What the motions stay within, for each axis."""
@@ -201,7 +205,7 @@ class Excitation:
         if reading.fault is not None:
             return f"the device reports: {reading.fault}"
         if at_s - self._last_s > GAP_S:
-            return f"a sample came {1e3 * (at_s - self._last_s):.0f} ms after the one before"
+            return f"a sample came {1e3 * (at_s - self._last_s):.0f} ms after the one before: let nothing else run here"
         self._trail.append((at_s, reading.position))
         while at_s - self._trail[0][0] > 1.5 * SPEED_OVER_S:
             self._trail.popleft()
@@ -211,9 +215,11 @@ class Excitation:
             self._velocity = [(x - old) / span_s for x, old in zip(reading.position, then, strict=True)]
         for axis, (x, begin) in enumerate(zip(reading.position, self._from, strict=True)):
             if not abs(x - begin) <= self.bounds.travel:
-                return f"axis {axis} is {abs(x - begin):.3g} from where it began: at most {self.bounds.travel:g}"
+                text = f"axis {axis} is {abs(x - begin):.3g} from where it began: at most {self.bounds.travel:g}"
+                return f"{text}; {REMEDY}"
             if not abs(self._velocity[axis]) <= self.bounds.speed:
-                return f"axis {axis} moves at {abs(self._velocity[axis]):.3g}: at most {self.bounds.speed:g}"
+                text = f"axis {axis} moves at {abs(self._velocity[axis]):.3g}: at most {self.bounds.speed:g}"
+                return f"{text}; {REMEDY}"
         return None
 
     def _force(self, reading: Reading, at_s: float, step_s: float) -> tuple[float, ...]:

@@ -33,7 +33,8 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_version_and_help() -> None:
     assert run("--version").stdout.startswith("haptether 0.")
     shown = run("--help").stdout
-    for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen", "explain", "check-link"):
+    for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen", "explain", "check-link",
+                 "check-device", "identify", "new-driver"):  # fmt: skip
         assert name in shown
         assert "Examples" in run(name, "--help").stdout
     for name in ("list", "sample", "proxy", "set", "echo", "record", "compare"):

@@ -1,11 +1,14 @@
 """Drivers for tests: one of a stylus and one of an arm that are right, and each wrong in one way."""
 
+import functools
 import math
 import os
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+
+from tests.devices.plant import Plant, VirtualDevice
 
 from haptether.master import MasterSample
 from haptether.slave import SlaveSample
@@ -14,11 +17,16 @@ WRITTEN = "WRITTEN"
 """Names a file that gets a line for each call but `read`."""
 
 
+@functools.cache
+def opened(path: str) -> int:
+    """A file to add lines to."""
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+
+
 def note(text: str) -> None:
     """Adds a line to that file, if one is named."""
     if path := os.environ.get(WRITTEN):
-        with Path(path).open("a") as file:
-            file.write(text + "\n")
+        os.write(opened(path), f"{text}\n".encode())
 
 
 class Stylus:
@@ -380,3 +388,33 @@ class RaisesWhenMade:
 
     def __init__(self) -> None:
         raise KeyError("counts per turn")
+
+
+class Free:
+    """A device of one axis that nobody holds: 0.1 kg, 0.5 N s/m, 0.1 N, an encoder of 0.023 mm."""
+
+    paces = False
+    kinds = ("linear",)
+
+    def __init__(self, coulomb: float = 0.1, hangs_at: int = 0) -> None:
+        self.coulomb, self.hangs_at, self.reads = coulomb, hangs_at, 0
+        self.closed = threading.Event()
+
+    def open(self) -> None:
+        self.device = VirtualDevice([Plant(0.1, 0.5, self.coulomb)], quantum=2.3e-5)
+        self.begun_s = time.monotonic()
+        note("open")
+
+    def read(self) -> MasterSample:
+        self.reads += 1
+        if self.reads == self.hangs_at:
+            self.closed.wait(30.0)
+        return self.device.read(time.monotonic() - self.begun_s)
+
+    def write(self, force: tuple[float, ...]) -> None:
+        self.device.write(force, time.monotonic() - self.begun_s)
+        note(f"write {force[0]:.4f}")
+
+    def close(self) -> None:
+        note("close")
+        self.closed.set()

@@ -1,22 +1,16 @@
 """`haptether check-device` and `haptether list`, as processes: status, what is asked, what a device is written."""
 
 import json
-import os
-import pty
-import select
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 from tests.devices.drivers import WRITTEN, declared
+from tests.devices.terminal import COMMAND, QUESTION, Terminal
 
 pytestmark = pytest.mark.live
-
-COMMAND = [sys.executable, "-m", "haptether"]
-QUESTION = "Type yes and press Enter"
 
 
 def run(environment: dict[str, str], *arguments: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
@@ -24,53 +18,6 @@ def run(environment: dict[str, str], *arguments: str, timeout: float = 60.0) -> 
         [*COMMAND, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
         timeout=timeout, check=False,
     )  # fmt: skip
-
-
-class Terminal:
-    """A command on a terminal of its own, and what it has printed."""
-
-    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
-        self.master, slave = pty.openpty()
-        self.process = subprocess.Popen(
-            [*COMMAND, *arguments], env=environment, stdin=slave, stdout=slave, stderr=slave
-        )
-        os.close(slave)
-        self.printed = ""
-
-    def until(self, text: str, seconds: float = 30.0) -> None:
-        """Reads until a text was printed."""
-        end_s = time.monotonic() + seconds
-        while text not in self.printed:
-            assert time.monotonic() < end_s, self.printed
-            if not self.read(0.1):
-                assert text in self.printed, self.printed
-
-    def read(self, seconds: float) -> bool:
-        """Reads what there is; false at the end."""
-        if not select.select([self.master], [], [], seconds)[0]:
-            return True
-        try:
-            part = os.read(self.master, 65536)
-        except OSError:
-            return False
-        self.printed += part.decode(errors="replace")
-        return bool(part)
-
-    def answer(self, text: str) -> None:
-        """Types."""
-        os.write(self.master, text.encode())
-
-    def end(self) -> int:
-        """Waits for the command and returns its status."""
-        end_s = time.monotonic() + 30.0
-        try:
-            while self.read(0.1) and time.monotonic() < end_s:
-                pass
-            return self.process.wait(timeout=10.0)
-        finally:
-            self.process.kill()
-            self.process.wait()
-            os.close(self.master)
 
 
 def forces(path: Path) -> list[float]:

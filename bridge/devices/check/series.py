@@ -100,7 +100,7 @@ def check_period(of: Timing | None, *, paces: bool, said_s: object, loop_s: floa
 
 def _paced(of: Timing, seen: str, said_s: object) -> Finding:
     """The period of a driver that waits for its samples."""
-    if of.read_p50_s < 5e-5 and of.period_p50_s < 2e-4:
+    if of.read_p50_s < 5e-5 and of.period_p50_s < 4e-4:
         return Finding("period", "mend", f"{seen}: read() does not wait for a sample: wait there, or set paces = False")
     if said_s is None:
         text = f"{seen}; without period_s a scene of another period is not refused: let the driver have period_s"

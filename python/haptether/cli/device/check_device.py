@@ -23,7 +23,8 @@ class CheckDevice(DriverOptions):
 
     A haptic device is written zero force all the time, and an arm is not moved. Nothing is coupled: there is no other
     side. Move the device by hand while it runs, along every axis: what does not move shows no velocity. It is opened a
-    second time, to see that it is closed after an exception. Times are those of a loop without real time.
+    second time, to see that it is closed after an exception. Its loop has real time where the system
+    gives it.
 
     --push-n has a haptic device push once, with at most 1 N (0.1 N m of joints), up and down a ramp within 1.5 s. A
     person is asked on the terminal first. It ends at once by Ctrl-C, a motion too far or too fast, a late sample or a
@@ -60,6 +61,7 @@ class CheckDevice(DriverOptions):
         from haptether.cli.device.options import (
             await_open,
             check_options,
+            is_over,
             loaded_device,
             show_tracebacks,
             side_of,
@@ -78,8 +80,8 @@ class CheckDevice(DriverOptions):
             if await_open(self, check.run, stopped):
                 headline = f"{self.name}: open, a {side} of kind {check.kind}; "
                 headline += "zero force: move it along every axis" if side == "master" else "it is not moved"
-                wait(headline, lambda: _status(check), lambda: check.run.finished, stopped, self.duration_s)
-                if self.push_n is not None and not check.run.finished:
+                wait(headline, lambda: _status(check), lambda: is_over(check.run), stopped, self.duration_s)
+                if self.push_n is not None and not is_over(check.run):
                     self._push(check, stopped)
             check.end()
             if stopped:
@@ -127,6 +129,7 @@ class CheckDevice(DriverOptions):
     def _push(self, check: "DeviceCheck", stopped: "Stopped") -> None:
         """Asks, and has it push."""
         from haptether.cli.device.consent import consents
+        from haptether.cli.device.options import is_over
         from haptether.cli.shared.stop import wait
 
         assert self.push_n is not None
@@ -138,7 +141,7 @@ class CheckDevice(DriverOptions):
         if not consents(question, stopped, yes=self.yes) or stopped:
             return
         push = check.push(self.push_n, self.push_axis)
-        wait("pushing", lambda: _status(check), lambda: push.ended is not None or check.run.finished, stopped, 5.0)
+        wait("pushing", lambda: _status(check), lambda: push.ended is not None or is_over(check.run), stopped, 5.0)
 
     def _report(self, check: "DeviceCheck", side: str, found: "list[Finding]") -> None:
         from rich.table import Table
@@ -164,7 +167,8 @@ class CheckDevice(DriverOptions):
             for name, values in rows.items():
                 shown = " / ".join(f"{1e3 * value:.3f}" for value in values)
                 console.print(f"{name}, p50 / p99 / max [ms]: {shown}", soft_wrap=True)
-            console.print(f"rate: {times.rate_hz:.1f} Hz")
+            without = "" if check.run.has_real_time else ", without real time: the system does not give it"
+            console.print(f"rate: {times.rate_hz:.1f} Hz{without}")
         wrong = sum(finding.verdict == "mend" for finding in found)
         unseen = [finding.check for finding in found if finding.verdict == "unseen"]
         if unseen:
@@ -180,6 +184,7 @@ class CheckDevice(DriverOptions):
                 "passed": not wrong,
                 "findings": found,
                 "timing": times,
+                "real_time": check.run.has_real_time,
             },
         )
 

@@ -63,6 +63,7 @@ class Identify(DriverOptions):
             await_open,
             check_options,
             driver_options,
+            is_over,
             loaded_device,
             show_tracebacks,
         )
@@ -87,7 +88,7 @@ class Identify(DriverOptions):
                 if consents(self._question(lead, count, kind), stopped, yes=self.yes):
                     lead.request()
                     most_s = lead.duration_s(count) + MARGIN_S
-                    wait("identifying: hands off", lambda: _status(lead, run), lambda: run.finished, stopped, most_s)
+                    wait("identifying: hands off", lambda: _status(lead, run), lambda: is_over(run), stopped, most_s)
             ended = run.end()
             if stopped and ended:
                 raise KeyboardInterrupt
@@ -154,7 +155,7 @@ class Identify(DriverOptions):
         else:
             why = lead.ended or "the time was over"
             why += f": {problem.text}" if problem else ""
-            message = f"the motion was ended: {why}; take less --max-force, or more --travel and --max-speed"
+            message = f"the motion was ended: {why}"
         raise RuntimeError(message)
 
     def _report(

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from haptether.cli.shared.stop import Stopped
 
 MAX_OPEN_S = 600.0
+BLOCKED_S = 2.0
+"""A call that has not returned for so long ends a run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +140,11 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
             os._exit(130)
         raise KeyboardInterrupt
     return run.is_open
+
+
+def is_over(run: "StandaloneRun") -> bool:
+    """Whether a run has ended, or its driver has not returned for so long that nothing more is to come of it."""
+    return run.finished or run.blocked_in(BLOCKED_S) is not None
 
 
 def show_tracebacks(command: DriverOptions, run: "StandaloneRun") -> None:

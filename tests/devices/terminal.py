@@ -1,0 +1,58 @@
+"""A command on a terminal of its own, as a person has it."""
+
+import os
+import pty
+import select
+import subprocess
+import sys
+import time
+
+COMMAND = [sys.executable, "-m", "haptether"]
+QUESTION = "Type yes and press Enter"
+
+
+class Terminal:
+    """A command on a terminal of its own, and what it has printed."""
+
+    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
+        self.master, slave = pty.openpty()
+        self.process = subprocess.Popen(
+            [*COMMAND, *arguments], env=environment, stdin=slave, stdout=slave, stderr=slave
+        )
+        os.close(slave)
+        self.printed = ""
+
+    def until(self, text: str, seconds: float = 30.0) -> None:
+        """Reads until a text was printed."""
+        end_s = time.monotonic() + seconds
+        while text not in self.printed:
+            assert time.monotonic() < end_s, self.printed
+            if not self.read(0.1):
+                assert text in self.printed, self.printed
+
+    def read(self, seconds: float) -> bool:
+        """Reads what there is; false at the end."""
+        if not select.select([self.master], [], [], seconds)[0]:
+            return True
+        try:
+            part = os.read(self.master, 65536)
+        except OSError:
+            return False
+        self.printed += part.decode(errors="replace")
+        return bool(part)
+
+    def answer(self, text: str) -> None:
+        """Types."""
+        os.write(self.master, text.encode())
+
+    def end(self) -> int:
+        """Waits for the command and returns its status."""
+        end_s = time.monotonic() + 30.0
+        try:
+            while self.read(0.1) and time.monotonic() < end_s:
+                pass
+            return self.process.wait(timeout=10.0)
+        finally:
+            self.process.kill()
+            self.process.wait()
+            os.close(self.master)
