@@ -164,6 +164,7 @@ class StandaloneRun:
         self._stopped = stopped
         self._rest: Written | None = None
         self._stopping = threading.Event()
+        self._quieted = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="haptether-standalone", daemon=True)
         QUIET.begin()
         # Whatever ends this process, the device is left at rest before its thread is.
@@ -194,10 +195,16 @@ class StandaloneRun:
         if not self._thread.is_alive():
             return True
         self.failed_at = self.watched.stage
+        self._unquiet()
         beside = threading.Thread(target=close_once, args=(self.watched, self.notes), daemon=True)
         beside.start()
         beside.join(LEAVE_S)
         return False
+
+    def _unquiet(self) -> None:
+        # Once: by its own end, or by who waits for it no longer.
+        if self._quieted.acquire(blocking=False):
+            QUIET.end()
 
     def _leave(self) -> None:
         self._stopping.set()
@@ -218,7 +225,7 @@ class StandaloneRun:
             self.error = error
             self.failed_at = self.failed_at or next((name for name in STAGES if name in self.watched.failed), None)
         finally:
-            QUIET.end()
+            self._unquiet()
 
     def _drive(self) -> None:
         try:
