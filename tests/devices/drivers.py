@@ -73,6 +73,12 @@ class Stylus:
         note("close")
 
 
+class OfAnyKind(Stylus):
+    """Says that it may be of joints as well."""
+
+    kinds = ("linear", "joints")
+
+
 class Turned(Stylus):
     """One that pushes the other way."""
 

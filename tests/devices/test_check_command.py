@@ -66,7 +66,7 @@ def test_a_driver_that_hangs_in_open_ends_with_status_1_in_bounded_time(tmp_path
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["check-device", "styluss"], "did you mean stylus? there is arm, both, stylus, ur"),
+        (["check-device", "styluss"], "did you mean stylus? there is any, arm, both, stylus, ur"),
         (["check-device", "both"], "--side master or --side slave"),
         (["check-device", "stylus", "--options", "hold=1"], "it takes (*, held: bool = True"),
         (["check-device", "stylus", "--options", "held"], "must be table.key=value"),
@@ -76,13 +76,18 @@ def test_a_driver_that_hangs_in_open_ends_with_status_1_in_bounded_time(tmp_path
         (["check-device", "stylus", "--push-n", "0.5"], "a person must say yes on the terminal, and there is none"),
         (["check-device", "stylus", "--push-n", "1.5", "--yes"], "push-n = 1.5: must be at most 1 N"),
         (["check-device", "stylus", "--push-n", "-0.5", "--yes"], "push-n = -0.5: must be above 0"),
+        (["check-device", "any", "--push-n", "0.1", "--yes"], "is of linear or joints: say which by --kind"),
+        (["identify", "any", "--yes"], "is of linear or joints: say which by --kind"),
+        (["check-device", "any", "--push-n", "0.2", "--yes", "--kind", "joints"], "must be at most 0.1 N m"),
         (["check-device", "arm", "--push-n", "0.5", "--yes"], "an arm is never moved"),
     ],
 )
 def test_a_bad_request_is_one_line_and_status_2_and_opens_nothing(
     tmp_path: Path, arguments: list[str], said: str
 ) -> None:
-    environment = declared(tmp_path, stylus="Stylus", both="Stylus") | {WRITTEN: str(tmp_path / "written")}
+    environment = declared(tmp_path, stylus="Stylus", both="Stylus", any="OfAnyKind") | {
+        WRITTEN: str(tmp_path / "written")
+    }
     package = tmp_path / "bench_drivers-1.0.dist-info" / "entry_points.txt"
     drivers = "tests.devices.drivers"
     package.write_text(package.read_text() + f"[haptether.slaves]\narm = {drivers}:Arm\nboth = {drivers}:Arm\n")
@@ -106,6 +111,16 @@ def test_nothing_but_a_yes_on_the_terminal_pushes(tmp_path: Path, answer: str) -
         time.sleep(0.5)
         terminal.process.send_signal(signal.SIGINT)
     assert terminal.end() == (130 if answer == "yes" else 0), terminal.printed
+    assert set(forces(tmp_path / "written")) == {0.0}
+    assert ("nobody said yes" in terminal.printed) == (answer != "yes")
+
+
+def test_a_push_along_an_axis_that_there_is_not_is_none(tmp_path: Path) -> None:
+    environment = declared(tmp_path, stylus="Stylus") | {WRITTEN: str(tmp_path / "written")}
+    ended = run(
+        environment, "check-device", "stylus", "--duration-s", "0.5", "--push-n", "0.5", "--push-axis", "3", "--yes"
+    )
+    assert "axis 3: there is 0 to 2" in ended.stdout
     assert set(forces(tmp_path / "written")) == {0.0}
 
 

@@ -1,6 +1,7 @@
 """`haptether check-device`."""
 
 import math
+import sys
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -56,10 +57,12 @@ class CheckDevice(DriverOptions):
         Raises:
             ValueError: A driver that there is not, or an option out of its bounds.
         """
-        from haptether.bridge.devices.check.report import DeviceCheck, SecondRun, kind_of
-        from haptether.bridge.devices.standalone import wait_until
+        from haptether.bridge.devices.check.finding import Finding
+        from haptether.bridge.devices.check.report import DeviceCheck, kind_of
+        from haptether.bridge.devices.open import KEEPS
         from haptether.cli.device.options import (
             await_open,
+            certain_kind,
             check_options,
             is_over,
             loaded_device,
@@ -74,29 +77,52 @@ class CheckDevice(DriverOptions):
         with Stopped() as stopped:
             device = loaded_device(self, side)
             kind = self.kind or kind_of(device)
-            self._check_push(kind)
+            if self.push_n is not None:
+                self._check_push(certain_kind(self, device))
             check = DeviceCheck(device, side, kind, period_s=self.period_s, stopped=lambda: bool(stopped))
             found: list[Finding] = []
+            unpushed = None
             if await_open(self, check.run, stopped):
                 headline = f"{self.name}: open, a {side} of kind {check.kind}; "
                 headline += "zero force: move it along every axis" if side == "master" else "it is not moved"
                 wait(headline, lambda: _status(check), lambda: is_over(check.run), stopped, self.duration_s)
                 if self.push_n is not None and not is_over(check.run):
-                    self._push(check, stopped)
+                    unpushed = self._push(check, stopped)
             check.end()
             if stopped:
+                if not check.ended:
+                    print(f"{self.name}: the driver does not return: {KEEPS.rstrip(': ')}", file=sys.stderr, flush=True)
                 # Of a part of what was requested there is no verdict.
                 raise KeyboardInterrupt
             found += check.findings()
+            if unpushed is not None:
+                found.append(Finding("push", "unseen", unpushed))
             show_tracebacks(self, check.run)
             if check.run.is_open and check.run.error is None and check.ended:
-                second = SecondRun(loaded_device(self, side), check)
-                await_open(self, second.run, stopped)
-                wait_until(lambda: second.run.finished or bool(stopped), 5.0)
-                found.append(second.finding())
-                show_tracebacks(self, second.run)
+                found.append(self._again(check, side, stopped))
+            if stopped:
+                raise KeyboardInterrupt
         self._report(check, side, found)
         return 1 if any(finding.verdict == "mend" for finding in found) else 0
+
+    def _again(self, check: "DeviceCheck", side: Literal["master", "slave"], stopped: "Stopped") -> "Finding":
+        """Opens it a second time, and has an exception end that run."""
+        from haptether.bridge import DeviceError
+        from haptether.bridge.devices.check.finding import Finding
+        from haptether.bridge.devices.check.report import SecondRun
+        from haptether.bridge.devices.standalone import wait_until
+        from haptether.cli.device.options import await_open, loaded_device, show_tracebacks
+
+        try:
+            device = loaded_device(self, side)
+        except (DeviceError, ValueError) as error:
+            return Finding("close after an exception", "mend", f"it cannot be made a second time: {error}")
+        second = SecondRun(device, check)
+        await_open(self, second.run, stopped)
+        wait_until(lambda: second.run.finished or bool(stopped), 5.0)
+        found = second.finding()
+        show_tracebacks(self, second.run)
+        return found
 
     def _check(self, side: str) -> None:
         """Refuses what cannot be, before anything is opened."""
@@ -126,22 +152,26 @@ class CheckDevice(DriverOptions):
             message = f"push-n = {self.push_n:g}: must be at most {MAX_PUSH[kind]:g} {unit} for kind {kind}"
             raise ValueError(message)
 
-    def _push(self, check: "DeviceCheck", stopped: "Stopped") -> None:
-        """Asks, and has it push."""
+    def _push(self, check: "DeviceCheck", stopped: "Stopped") -> str | None:
+        """Asks, and has it push; returns why it did not."""
         from haptether.cli.device.consent import consents
         from haptether.cli.device.options import is_over
         from haptether.cli.shared.stop import wait
 
         assert self.push_n is not None
+        axes = check.form.axes
+        if axes is None or self.push_axis >= axes:
+            return f"axis {self.push_axis}: there is {'no sample' if axes is None else f'0 to {axes - 1}'}"
         unit = "N m" if check.kind == "joints" else "N"
         question = (
             f"{self.name} will push with {self.push_n:g} {unit} along axis {self.push_axis} for 1.5 s. Hold it loosely;"
             " Ctrl-C ends it."
         )
         if not consents(question, stopped, yes=self.yes) or stopped:
-            return
+            return "nobody said yes"
         push = check.push(self.push_n, self.push_axis)
         wait("pushing", lambda: _status(check), lambda: push.ended is not None or is_over(check.run), stopped, 5.0)
+        return None
 
     def _report(self, check: "DeviceCheck", side: str, found: "list[Finding]") -> None:
         from rich.table import Table

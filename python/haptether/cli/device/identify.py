@@ -56,11 +56,11 @@ class Identify(DriverOptions):
             ValueError: A driver that there is not, or an option out of its bounds.
             RuntimeError: The motion did not come to its end.
         """
-        from haptether.bridge.devices.check.report import kind_of
         from haptether.bridge.devices.standalone import StandaloneRun, wait_until
         from haptether.cli.device.consent import check_terminal, consents
         from haptether.cli.device.options import (
             await_open,
+            certain_kind,
             check_options,
             driver_options,
             is_over,
@@ -74,7 +74,7 @@ class Identify(DriverOptions):
         check_terminal("identify moves the device", yes=self.yes)
         with Stopped() as stopped:
             device = loaded_device(self, "master")
-            kind = self.kind or kind_of(device)
+            kind = certain_kind(self, device)
             bounds = self._bounds(kind)
             paced_s = getattr(device, "period_s", None)
             period_s = paced_s if isinstance(paced_s, int | float) and paced_s > 0.0 else self.period_s

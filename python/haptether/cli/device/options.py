@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from haptether.bridge.devices.standalone import StandaloneRun
     from haptether.cli.shared.stop import Stopped
 
+Kind = Literal["linear", "joints", "pose"]
+
 MAX_OPEN_S = 600.0
 BLOCKED_S = 2.0
 """A call that has not returned for so long ends a run."""
@@ -29,7 +31,7 @@ class DriverOptions:
     """Of the driver, as `haptether list` has it."""
     options: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """What the driver is called with, as in [master.options] and [slave.options] of a scene; may be given often."""
-    kind: Literal["linear", "joints", "pose"] | None = None
+    kind: Kind | None = None
     """What its coordinates are, as in a scene; by default the first of the driver's own kinds."""
     period_s: float = 1e-3
     """Period of the loop in s, for a driver that does not pace it."""
@@ -118,6 +120,24 @@ def loaded_device(command: DriverOptions, side: Literal["master", "slave"]) -> o
         message = f"kind = {command.kind}: {command.name} is a driver of {' or '.join(map(str, kinds))}"
         raise ValueError(message)
     return device
+
+
+def certain_kind(command: DriverOptions, device: object) -> Kind:
+    """The kind of a device that is to exert a force, whose bounds are others in N and in N m.
+
+    Raises:
+        ValueError: The driver may be of joints as well as not, and the command does not say.
+    """
+    from haptether.bridge.devices.check.report import kind_of
+    from haptether.bridge.devices.open import POINT_KINDS
+
+    kinds = getattr(device, "kinds", POINT_KINDS)
+    if command.kind is None and isinstance(kinds, tuple | list) and "joints" in kinds and len(kinds) > 1:
+        message = (
+            f"{command.name}: its driver is of {' or '.join(map(str, kinds))}: say which by --kind, for the bounds"
+        )
+        raise ValueError(message)
+    return command.kind or kind_of(device)
 
 
 def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped") -> bool:
