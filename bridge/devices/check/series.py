@@ -268,7 +268,7 @@ def _agreement(check: str, of: Bounds, changes: Array, sums: Array) -> Finding:
         else:
             worst = max(worst, abs(float(change @ total / (change @ change)) - 1.0))
     if not len(changes) or len(unseen) == changes.shape[1]:
-        return Finding(check, "unseen", "it hardly moved: move it while it is checked")
+        return Finding(check, "unseen", "it hardly moved, and was at rest as it says")
     rest = f"; axis {', '.join(map(str, unseen))} hardly moved" if unseen else ""
     return Finding(check, "pass", f"is that of the positions within {100.0 * worst:.1f} %{rest}")
 
