@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     )
     from haptether.slave.ur.kinematics.inverse import UrInverse
     from haptether.slave.ur.kinematics.models import UR_MODELS, UrModel, WrenchSensor, ur_model
-    from haptether.slave.ur.kinematics.program import QuadraticProgram
+    from haptether.slave.ur.kinematics.quadratic import QuadraticProgram
     from haptether.slave.ur.kinematics.streaming import UrStreaming
     from haptether.slave.ur.options import UrOptions
 
@@ -75,7 +75,7 @@ WHERE: Final = {
         ),
         "ur.kinematics.inverse": ("UrInverse",),
         "ur.kinematics.models": ("UR_MODELS", "UrModel", "WrenchSensor", "ur_model"),
-        "ur.kinematics.program": ("QuadraticProgram",),
+        "ur.kinematics.quadratic": ("QuadraticProgram",),
         "ur.kinematics.streaming": ("UrStreaming",),
         "ur.options": ("UrOptions",),
     }.items()

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from haptether.slave import QuadraticProgram
-from haptether.slave.ur.kinematics.program import QuadraticSolver
+from haptether.slave.ur.kinematics.quadratic import QuadraticSolver
 
 Array = npt.NDArray[np.float64]
 Solve = Callable[[QuadraticProgram], Array | None]

@@ -17,7 +17,8 @@ import numpy as np
 from haptether.slave.ur.kinematics.arm import UrKinematics
 from haptether.slave.ur.kinematics.constraints import StreamingCost, StreamingLimits
 from haptether.slave.ur.kinematics.pose import Array, Numbers
-from haptether.slave.ur.kinematics.program import UNBOUNDED, BoundedProgram, QuadraticProgram, QuadraticSolver
+from haptether.slave.ur.kinematics.program import BoundedProgram
+from haptether.slave.ur.kinematics.quadratic import UNBOUNDED, QuadraticProgram, QuadraticSolver
 
 
 class UrStreaming:
