@@ -180,9 +180,7 @@ class ServoArm:
         np.abs(self._moved, out=self._moved)
         if self._moved.max() > math.pi:
             index = int(self._moved.argmax())
-            text = (
-                f"servo {self._ids[index]} went {self._moved[index]:.2f} rad between two reads: see encoder and supply"
-            )
+            text = f"servo {self._ids[index]} went {self._moved[index]:.2f} rad between two reads: see its supply"
             self._nothing()
             self._latch(ArmFaultError(FaultKind.JUMP, text))
             return False
@@ -247,7 +245,7 @@ class ServoArm:
         return self._recovery is not None
 
     def acknowledge(self) -> None:
-        """A person has seen to the fault: on a thread of its own the checklist runs again; `fault` says when it is over.
+        """A person has seen to the fault: the checklist runs again, on a thread of its own, until `fault` is none.
 
         Servos with a hardware error are started anew.
         """
@@ -418,7 +416,7 @@ class ServoArm:
 
     def _goal_ticks(self, wanted: Vector) -> bytes:
         ticks = (wanted - self._goal_shift) * self._ticks_per_rad
-        return np.rint(ticks).astype("<i4").tobytes()
+        return bytes(np.rint(ticks).astype("<i4"))
 
     def _rise(self, now_s: float) -> None:
         ramp_s = self.settings.ramp_s
@@ -613,8 +611,8 @@ class ServoArm:
         if self.kept and not quiet:
             names = ", ".join(map(str, self.kept))
             self._report(
-                f"{self.name}: servo {names} may KEEP torque: it does not say that it is off. Its bus watchdog ends it"
-                f" after {20 * self.settings.watchdog_units} ms of silence, where it was armed; if the arm is stiff, cut"
+                f"{self.name}: servo {names} may KEEP torque: it does not say that it is off. Its bus watchdog, where"
+                f" it was armed, ends it after {20 * self.settings.watchdog_units} ms of silence; if it is stiff, cut"
                 " its supply"
             )
 
