@@ -48,7 +48,8 @@ MOVED_RAD: Final = 0.2
 STILL_S: Final = 0.1
 """Between two looks at an arm with a fault."""
 RESTART_S: Final = 3.0
-PORT_S: Final = 1.0
+CLOSED_S: Final = 15.0
+"""Longest that a step of an `open` or a recovery takes, of many silent servos."""
 
 
 class ServoArm:
@@ -96,14 +97,12 @@ class ServoArm:
         self._position_ids = bytes(self._ids[i] for i in self._in_position)
         self._units_per_a = 1.0 / self._current_scale[self._in_current]
         self._current_cap = self._caps[self._in_current]
-        self._wanted_a = np.empty(len(self._in_current))
-        self._wanted_rad = np.empty(len(self._in_position))
+        self._wanted_a, self._wanted_rad = np.empty(len(self._in_current)), np.empty(len(self._in_position))
         self._ticks_per_rad = 1.0 / self._position_scale[self._in_position]
         self._goal_shift = self._shift[self._in_position]
         self._low_goal = np.array([servo.low_rad for servo in servos])[self._in_position]
         self._high_goal = np.array([servo.high_rad for servo in servos])[self._in_position]
-        self._before = np.empty(count)
-        self._moved = np.empty(count)
+        self._before, self._moved = np.empty(count), np.empty(count)
         self._bus: DynamixelBus | None = None
         self._read: SyncRead
         self._status = SyncRead(TORQUE_ENABLE, 7, list(self._ids))
@@ -111,6 +110,9 @@ class ServoArm:
         self._ramp = 0.0
         self._ramp_begin_s = self._heard_s = self._watch_at_s = 0.0
         self._fault: ArmFaultError | None = None
+        self._connecting = threading.Lock()
+        """Held by whoever opens or recovers: `close` may come from another thread meanwhile."""
+        self._ending = False
         self._recovery: threading.Thread | None = None
         self._recovered: BaseException | None = None
 
@@ -126,20 +128,25 @@ class ServoArm:
             message = f"{self.name}: is open"
             raise ValueError(message)
         self._fault = None
-        try:
-            self._connect()
-        except BaseException:
-            self._disconnect()
-            raise
+        self._ending = False
+        with self._connecting:
+            try:
+                self._connect()
+            except BaseException:
+                self._disconnect()
+                raise
 
     def close(self) -> None:
         """Lets the arm down where its modes allow it, ends all torque, and names each servo that keeps it.
 
         May be called again, and after any exception.
         """
-        if self._recovery is not None:
-            self._recovery.join(RESTART_S + PORT_S)
-            self._recovery = None
+        self._ending = True
+        if not self._connecting.acquire(timeout=CLOSED_S):
+            message = f"{self.name}: the bus does not let go of its port: its servos may KEEP torque, cut their supply"
+            raise RuntimeError(message)
+        self._connecting.release()
+        self._recovery = None
         if self._bus is None:
             return
         try:
@@ -264,7 +271,14 @@ class ServoArm:
             raise ValueError(message)
         return self._bus
 
+    def _go_on(self) -> None:
+        """Ends an `open` or a recovery whose arm is being closed."""
+        if self._ending:
+            message = f"{self.name}: closed before it was open"
+            raise ArmRefusedError(message)
+
     def _connect(self) -> None:
+        self._go_on()
         checklist = Checklist(self.name, self._report, ArmRefusedError)
         settings = self.settings
         check_port(settings.port, checklist)
@@ -299,6 +313,7 @@ class ServoArm:
         for servo in settings.servos:
             if servo.servo_id not in firmware:
                 continue
+            self._go_on()
             try:
                 check_servo(bus, servo, checklist)
                 registers = ServoRegisters(bus, servo)
@@ -350,6 +365,7 @@ class ServoArm:
         checklist.finish()
         before = self.position.copy()
         for servo_id in ids:
+            self._go_on()
             bus.write(servo_id, TORQUE_ENABLE, b"\1")
         self._take(bus.sync_read(self._read))
         # Torque may count the angle anew, by whole turns.
@@ -374,6 +390,7 @@ class ServoArm:
             remedy="support it, and do not move it meanwhile",
         )  # fmt: skip
         checklist.finish()
+        self._go_on()
         self._ramp = 0.0
         self._ramp_begin_s = self._heard_s = time.monotonic()
         self._watch_at_s = self._heard_s + self.settings.watch_s
@@ -554,14 +571,16 @@ class ServoArm:
         return True
 
     def _recover(self) -> None:
-        try:
-            if self.fault_kind == FaultKind.UNPLUGGED:
-                self._disconnect(quiet=True)
-            self._restart()
-            self._connect()
-        except Exception as error:  # whatever it is, the arm stays without torque and says it
-            self._end_torque()
-            self._recovered = error
+        with self._connecting:
+            try:
+                self._go_on()
+                if self.fault_kind == FaultKind.UNPLUGGED:
+                    self._disconnect(quiet=True)
+                self._restart()
+                self._connect()
+            except Exception as error:  # whatever it is, the arm stays without torque and says it
+                self._end_torque()
+                self._recovered = error
 
     def _restart(self) -> None:
         """Starts servos anew that have a hardware error, and waits until they answer."""
@@ -575,6 +594,7 @@ class ServoArm:
                     restarted.append(servo_id)
         end_s = time.monotonic() + RESTART_S
         while restarted and time.monotonic() < end_s:
+            self._go_on()
             with contextlib.suppress(OSError, RuntimeError):
                 self._bus.ping(restarted[0])
                 restarted.pop(0)

@@ -394,6 +394,40 @@ def test_the_end_says_who_keeps_torque(emulated: EmulatedBus) -> None:
     until(lambda: torques(emulated) == [False] * 3)
 
 
+def test_an_arm_that_is_closed_while_it_opens_has_no_torque(emulated: EmulatedBus) -> None:
+    arm = arm_of(emulated.port, verify_watchdog=True, watchdog_s=2.0)
+    refusals = []
+
+    def run() -> None:
+        try:
+            arm.open()
+        except ArmRefusedError as error:
+            refusals.append(str(error))
+
+    opening = threading.Thread(target=run)
+    opening.start()
+    # It waits for its watchdogs to fire.
+    until(lambda: all(torques(emulated)))
+    arm.close()
+    opening.join(PATIENCE_S)
+    assert not opening.is_alive()
+    assert "closed before it was open" in refusals[0]
+    assert torques(emulated) == [False] * 3
+
+
+def test_an_arm_that_is_closed_while_it_recovers_has_no_torque(emulated: EmulatedBus) -> None:
+    arm = arm_of(emulated.port, verify_watchdog=True, watchdog_s=1.0)
+    arm.open()
+    arm.stop(FaultKind.JUMP, "of a test")
+    until(lambda: not any(torques(emulated)))
+    arm.acknowledge()
+    until(lambda: all(torques(emulated)))
+    arm.close()
+    assert torques(emulated) == [False] * 3
+    time.sleep(0.3)
+    assert torques(emulated) == [False] * 3
+
+
 def test_an_arm_is_let_down(emulated: EmulatedBus) -> None:
     arm = arm_of(emulated.port, release_s=0.5)
     arm.open()
