@@ -59,7 +59,7 @@ use crate::{
 /// Magic bytes at the start of a frame.
 pub const MAGIC: [u8; 2] = *b"HT";
 /// Version of the frame.
-pub const VERSION: u8 = 5;
+pub const VERSION: u8 = 6;
 /// Bytes before the first axis.
 pub const HEADER: usize = 64;
 /// Bytes of the two energies.

@@ -472,9 +472,9 @@ fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
     type Wrong = fn(&mut Pair);
     let cases: [(&str, Wrong, usize, Reason); 7] = [
         ("released", |pair| pair.press(false), 11, Reason::ClutchReleased),
-        ("silence to the slave", |pair| pair.is_silent[0] = true, 22, Reason::SilentTooLong),
+        ("silence to the slave", |pair| pair.is_silent[0] = true, 22, Reason::TurnCut),
         // The master hears nothing and says so, a delay later.
-        ("silence to the master", |pair| pair.is_silent[1] = true, 32, Reason::SilentTooLong),
+        ("silence to the master", |pair| pair.is_silent[1] = true, 32, Reason::TurnCut),
         (
             "a late loop of the slave",
             |pair| {
@@ -511,6 +511,17 @@ fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
         pair.is_silent = [false; 2];
         pair.hand(set.start[0]);
         pair.comes_to_rest(300);
+        if reason == Reason::TurnCut {
+            for of_slave in [false, true] {
+                let cause = pair.cause(of_slave).unwrap();
+                assert!(
+                    cause.text.contains("the slave stopped turning to the master"),
+                    "{what}: {}",
+                    cause.text
+                );
+                assert_eq!(cause.steps.last().unwrap().remedy, Remedy::Press);
+            }
+        }
         if what == "the end of the master" {
             continue;
         }

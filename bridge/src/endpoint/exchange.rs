@@ -268,12 +268,12 @@ impl<const N: usize> Exchange<N> {
         })
     }
 
-    /// Whether the slave that sent `frame` has refused this master's last press, because it is turned too far from it.
+    /// Whether the slave that sent `frame` ended this master's last press because of the turn that it needs.
     fn is_refused_by(&self, now_ns: u64, frame: &Frame<N>) -> bool {
         let waits = self.ladder.state() == LadderState::Aligning || self.ladder.is_unanswered();
         waits
             && self.role == Role::Master
-            && Reason::from_code(frame.reason) == Some(Reason::TurnRefused)
+            && matches!(Reason::from_code(frame.reason), Some(Reason::TurnRefused | Reason::TurnCut))
             && self.inputs.knows_press(&self.peer_frame(now_ns, frame))
     }
 

@@ -144,14 +144,19 @@ impl Diagnosis {
             let text = format!("the {other} has ended");
             return self.explanation(other, text, vec![start(other, "start")]);
         }
-        if self.is_refused() {
-            let slave = Role::Slave.name();
-            let text = "the slave is turned further from the master than it may turn before it engages";
-            let turn = "turn the master's device until it points as the arm does".to_owned();
-            let step = Step { at: Role::Master.name(), remedy: Remedy::Turn, text: turn };
-            return self.explanation(slave, text.to_owned(), vec![step]);
-        }
-        let (at, text) = self.hold(own, other);
+        let (at, text) = match self.turn_end() {
+            Some(Reason::TurnRefused) => {
+                let text = "the slave is turned further from the master than it may turn before it engages";
+                let turn = "turn the master's device until it points as the arm does".to_owned();
+                let step = Step { at: Role::Master.name(), remedy: Remedy::Turn, text: turn };
+                return self.explanation(Role::Slave.name(), text.to_owned(), vec![step]);
+            }
+            Some(_) => {
+                let text = "the slave stopped turning to the master: the two did not hear one another, or the press was over";
+                (LINK, text.to_owned())
+            }
+            None => self.hold(own, other),
+        };
         let steps = if at == LINK || self.silent {
             let text = format!(
                 "wait until master and slave hear one another: is the {other} running, and the link up?"
@@ -163,16 +168,18 @@ impl Diagnosis {
         self.explanation(at, text, steps)
     }
 
-    /// Whether the slave has refused to turn to the master: either side says so.
-    fn is_refused(&self) -> bool {
-        let refused = Some(Reason::TurnRefused);
-        match self.role {
-            Role::Slave => self.reason == refused,
-            Role::Master => {
-                matches!(self.state, LadderState::Aligning | LadderState::Disengaged)
-                    && self.peer.and_then(|peer| Reason::from_code(peer.reason)) == refused
-            }
-        }
+    /// Why the slave did not turn to the master, or not to the end: either side says so.
+    fn turn_end(&self) -> Option<Reason> {
+        let reason = match self.role {
+            Role::Slave => self.reason,
+            Role::Master => match self.state {
+                LadderState::Aligning | LadderState::Disengaged => {
+                    self.peer.and_then(|peer| Reason::from_code(peer.reason))
+                }
+                _ => None,
+            },
+        };
+        reason.filter(|reason| matches!(reason, Reason::TurnRefused | Reason::TurnCut))
     }
 
     fn own_fault(&self, own: &'static str, other: &'static str) -> Explanation {
@@ -466,6 +473,18 @@ mod tests {
                 "slave",
                 "the slave is turned further from the master than it may turn before it engages",
                 vec![("master", Turn), ("master", Press)],
+            ),
+            (
+                Diagnosis {
+                    state: Aligning,
+                    reason: Some(Reason::ClutchPressed),
+                    peer: peer(LadderState::Disengaged, Reason::TurnCut.code(), 0, ""),
+                    silent: false,
+                    ..HELD
+                },
+                "link",
+                "the slave stopped turning to the master: the two did not hear one another, or the press was over",
+                vec![("link", Wait), ("master", Press)],
             ),
             (
                 // Of a press before: what led to the hold counts.

@@ -124,7 +124,8 @@ impl Ladder {
             .with(Reason::TurnRefused, may_engage && input.alignment == AlignmentState::TooFar)
             .with(Reason::FramesLate, self.excess_ns.is_some_and(|excess| excess > stale_after_ns))
             .with(Reason::FramesBack, self.excess_ns.is_some_and(|excess| excess <= stale_after_ns))
-            .with(Reason::SilentTooLong, silent_ns > stop_after_ns || is_cut)
+            .with(Reason::SilentTooLong, silent_ns > stop_after_ns)
+            .with(Reason::TurnCut, is_cut)
             .with(Reason::AlignTimedOut, aligning && now_ns.saturating_sub(self.aligning_ns) >= align_ns)
             .with(Reason::PeerDisengaged, stands(LadderState::Disengaged) && input.clutch);
         (facts, may_engage)

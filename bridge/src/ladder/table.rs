@@ -6,7 +6,7 @@ use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold, Stale, Stop};
 use Reason::{
     Acknowledged, AlignTimedOut, BadNumber, BothAligned, ClutchPressed, ClutchReleased, FramesBack,
     FramesLate, MasterStartedAnew, NewsOld, OwnDelay, PeerDeaf, PeerDisengaged, PeerEnded, PeerFaulted,
-    PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong, TurnRefused,
+    PeerHolds, PeerRestarted, PeerSilent, PeerStopped, SilentTooLong, TurnCut, TurnRefused,
 };
 
 /// Where an endpoint stands, in increasing order of what has gone wrong.
@@ -122,11 +122,13 @@ pub enum Reason {
     PeerDisengaged,
     /// The slave is turned further from the master than it may turn before it engages.
     TurnRefused,
+    /// While the slave turned to the master, the two ceased to hear one another, or the master to wait for it.
+    TurnCut,
 }
 
 impl Reason {
     /// All reasons in the order of their codes.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 22] = [
         BadNumber,
         OwnDelay,
         PeerRestarted,
@@ -148,6 +150,7 @@ impl Reason {
         AlignTimedOut,
         PeerDisengaged,
         TurnRefused,
+        TurnCut,
     ];
 
     /// Its number in records, from 1; 0 stands for none.
@@ -184,6 +187,7 @@ impl Reason {
             AlignTimedOut => "press not answered in time",
             PeerDisengaged => "peer is disengaged",
             TurnRefused => "arm is turned too far from the master",
+            TurnCut => "arm's turn to the master was cut off",
         }
     }
 }
@@ -228,6 +232,7 @@ pub const TABLE: &[Row] = &[
     row(Aligning, SilentTooLong, Disengaged),
     row(Aligning, AlignTimedOut, Disengaged),
     row(Aligning, TurnRefused, Disengaged),
+    row(Aligning, TurnCut, Disengaged),
     row(Aligning, BothAligned, Engaged),
     row(Engaged, BadNumber, Fault),
     row(Engaged, OwnDelay, Hold),
@@ -327,11 +332,11 @@ mod tests {
     use super::*;
 
     /// What ends a press that waits.
-    const ENDS: [Reason; 7] =
-        [OwnDelay, PeerRestarted, PeerFaulted, PeerEnded, SilentTooLong, AlignTimedOut, TurnRefused];
+    const ENDS: [Reason; 8] =
+        [OwnDelay, PeerRestarted, PeerFaulted, PeerEnded, SilentTooLong, AlignTimedOut, TurnRefused, TurnCut];
 
     fn all_facts() -> impl Iterator<Item = Facts> {
-        (0..1_u32 << 21).map(|bits| Facts(bits << 1))
+        (0..1_u32 << 22).map(|bits| Facts(bits << 1))
     }
 
     #[test]
@@ -351,7 +356,7 @@ mod tests {
         }
     }
 
-    /// Every state under every set of reasons: 7 times 2097152 cases.
+    /// Every state under every set of reasons: 7 times 4194304 cases.
     #[test]
     fn every_state_under_all_that_can_be_the_case_at_once() {
         for state in LadderState::ALL {
@@ -427,6 +432,7 @@ mod tests {
                     (SilentTooLong, Disengaged),
                     (AlignTimedOut, Disengaged),
                     (TurnRefused, Disengaged),
+                    (TurnCut, Disengaged),
                 ],
             ),
             (Engaged, engaged),
@@ -458,7 +464,7 @@ mod tests {
             assert_eq!(usize::from(reason.code()), index + 1);
             assert!(!Reason::ALL[..index].iter().any(|other| other.text() == reason.text()));
         }
-        assert_eq!((Reason::from_code(0), Reason::from_code(22)), (None, None));
+        assert_eq!((Reason::from_code(0), Reason::from_code(23)), (None, None));
     }
 
     /// The diagram in the documentation is that of the table.

@@ -37,7 +37,7 @@ fn bytes_are_those_of_the_table() {
     let mut buffer = [0; MAX_FRAME];
     let bytes = frame().encode(&mut buffer);
     let mut expected = Vec::new();
-    expected.extend_from_slice(b"HT\x05\x02\x11\x02\x0F\x00");
+    expected.extend_from_slice(b"HT\x06\x02\x11\x02\x0F\x00");
     expected.extend_from_slice(&[0x88, 0x77, 0x66, 0x55, 0x44, 0x33, 0x22, 0x11]);
     for number in [5_u64, 3, 1_000_000, 7, 9, 11] {
         expected.extend_from_slice(&number.to_le_bytes());
@@ -335,4 +335,22 @@ proptest! {
         bytes[bit / 8] ^= 1 << (bit % 8);
         prop_assert!(Frame::<1>::decode(&bytes, Role::Slave, LAYOUT).is_err());
     }
+}
+
+#[test]
+fn a_peer_of_another_version_is_refused_by_its_version() {
+    let ours = FrameLayout { kind: SideKind::Pose, has_gripper: true, has_buttons: false }.form(3);
+    assert_eq!(ours.to_string(), "of kind pose and 3 axes, with a gripper");
+    // Before version 5 the number was the length of a frame.
+    for (form, version) in
+        [(124, "4 or before"), (ours.0 & 0x0FFF | 5 << 12, "5"), (ours.0 & 0x0FFF | 7 << 12, "7")]
+    {
+        let wanted =
+            format!("of version {version}, must be of {VERSION}: install the same Haptether on both sides");
+        assert_eq!(FrameForm(form).to_string(), wanted);
+    }
+    let mut bytes = [0; MAX_FRAME];
+    let mut bytes = frame().encode(&mut bytes).to_vec();
+    bytes[2] = 5;
+    assert_eq!(Frame::<1>::decode(&bytes, Role::Slave, LAYOUT), Err(WireError::Version(5)));
 }
