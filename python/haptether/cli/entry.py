@@ -24,6 +24,7 @@ from haptether.cli.demo import Demo
 from haptether.cli.device.check_device import CheckDevice
 from haptether.cli.device.identify import Identify
 from haptether.cli.device.new_driver import NewDriver
+from haptether.cli.dynamixel import DYNAMIXEL_COMMANDS, Dynamixel
 from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
@@ -63,6 +64,7 @@ COMMANDS: dict[str, type[Any]] = {
     "slave": Slave,
     "netsim": Netsim,
     "ur-emulator": UrEmulator,
+    "dynamixel": Dynamixel,
     "dynamixel-emulator": DynamixelEmulator,
     "check-link": CheckLink,
     "check-device": CheckDevice,
@@ -72,7 +74,7 @@ COMMANDS: dict[str, type[Any]] = {
     "keygen": Keygen,
     "list": List,
 }
-GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS}
+GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS, "dynamixel": DYNAMIXEL_COMMANDS}
 """Commands that only name others."""
 
 
