@@ -4,6 +4,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Any, Final
 
+from haptether.dynamixel.emulator.joint import HeldBy
 from haptether.dynamixel.emulator.servo import HardwareError
 
 if TYPE_CHECKING:
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from haptether.dynamixel.emulator.servo import Servo
 
 MAX_TORQUE_NM: Final = 1000.0
+MAX_STIFFNESS: Final = 1e4
+"""Of a hand, N m/rad and N m s/rad."""
 MAX_COUNT: Final = 1_000_000
 MAX_DURATION_S: Final = 3600.0
 SHOWN_LINES: Final = 20
@@ -50,6 +53,7 @@ class ControlLine:
             "temperature": self._temperature,
             "push": self._push,
             "place": self._place,
+            "hand": self._hand,
         }
 
     def answer(self, line: str, now_s: float) -> str:
@@ -142,6 +146,31 @@ class ControlLine:
         servo.advance(now_s)
         servo.joint.position_rad, servo.joint.velocity_rad_s = position_rad, 0.0
         servo.advance(now_s)
+
+    def _hand(self, arguments: list[str], now_s: float) -> None:
+        if arguments == ["off"]:
+            for servo in self._bus.servos:
+                servo.joint.hand = None
+            return
+        servo = self._servo(arguments)
+        self._bus.advance(now_s)
+        if arguments[1:] == ["off"]:
+            servo.joint.hand = None
+            return
+        given = [*arguments[1:], "0"] if len(arguments) == 4 else arguments[1:]
+        goal_rad, stiffness, damping, duration_s = _numbers(given, 4)
+        if abs(goal_rad) > 1000.0:
+            _refuse(f"{goal_rad:g}: must be at most 1000 rad")
+        if not (0.0 <= stiffness <= MAX_STIFFNESS and 0.0 <= damping <= MAX_STIFFNESS):
+            _refuse(f"{stiffness:g} {damping:g}: stiffness and damping must be 0 to {MAX_STIFFNESS:g}")
+        if not 0.0 <= duration_s <= MAX_DURATION_S:
+            _refuse(f"{duration_s:g}: must be 0 to {MAX_DURATION_S:g} s")
+        joint = servo.joint
+        begun = joint.position_rad if joint.hand is None else joint.hand.place_rad(now_s)
+        joint.hand = HeldBy(
+            goal_rad=goal_rad, stiffness=stiffness, damping=damping,
+            from_rad=begun, begin_s=now_s, duration_s=duration_s,
+        )  # fmt: skip
 
     @property
     def _server(self) -> "Server":
