@@ -1,0 +1,8 @@
+"""An arm of servos on one bus: what a leader and a follower both stand on."""
+
+from haptether.dynamixel.arm.arm import ServoArm
+from haptether.dynamixel.arm.checks import ArmRefusedError
+from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind
+from haptether.dynamixel.arm.settings import ArmSettings, ServoSettings
+
+__all__ = ["ArmFaultError", "ArmRefusedError", "ArmSettings", "FaultKind", "ServoArm", "ServoSettings"]

@@ -1,0 +1,637 @@
+"""Servos as the joints of an arm: angles in, currents or angles out, and no torque where something is wrong."""
+
+import contextlib
+import errno
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from haptether._core import DynamixelBus, SyncRead
+from haptether.checklist import Checklist
+from haptether.dynamixel.arm.checks import (
+    ArmRefusedError,
+    ServoRegisters,
+    answering_rate,
+    check_place,
+    check_port,
+    check_present,
+    check_servo,
+    knows_fast_reads,
+)
+from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
+from haptether.dynamixel.arm.settings import ArmSettings
+from haptether.dynamixel.control_table import CENTRE, RAD_PER_TICK, RAD_S_PER_UNIT
+from haptether.dynamixel.models import OperatingMode
+
+Vector = NDArray[np.float64]
+
+TURN: Final = 2.0 * math.pi
+BROADCAST: Final = 254
+TORQUE_ENABLE, HARDWARE_STATUS, BUS_WATCHDOG, GOAL_PWM, GOAL_CURRENT, GOAL_POSITION = 64, 70, 98, 100, 102, 116
+PRESENT_CURRENT: Final = 126
+MEASURED: Final = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+"""Addresses 126 to 135 of every model; the first is a load in servos without current control."""
+STOPS: Final = 3
+"""So often a stop is sent: nobody answers it."""
+FIRED: Final = 0xFF
+"""Of the bus watchdog."""
+GONE: Final = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENOENT)
+"""What a port says that was unplugged."""
+MOVED_RAD: Final = 0.2
+"""At most so far a joint may move while its torque comes on with nothing commanded."""
+STILL_S: Final = 0.1
+"""Between two looks at an arm with a fault."""
+RESTART_S: Final = 3.0
+PORT_S: Final = 1.0
+
+
+class ServoArm:
+    """An arm of servos on one bus, for one thread.
+
+    Measured values are in the order and in the frame of the joints: q = sign (p - offset) + 2 pi k, and a current is
+    positive where its torque is. They are NaN until the first read, and after each that failed.
+
+    Args:
+        settings: Bus and servos.
+        report: Takes each line of the checklist and of what happens; by default they go to standard error.
+    """
+
+    def __init__(self, settings: ArmSettings, report: Callable[[str], None] | None = None) -> None:
+        self.settings = settings
+        self.name = f"dynamixel {settings.port}"
+        servos = settings.servos
+        count = len(servos)
+        self.position: Vector = np.full(count, np.nan)
+        """q in rad, shape (n,)."""
+        self.velocity: Vector = np.full(count, np.nan)
+        """In rad/s, shape (n,)."""
+        self.current: Vector = np.full(count, np.nan)
+        """In A, shape (n,); NaN of a servo without current control."""
+        self.kept: tuple[int, ...] = ()
+        """After `close`: ids of the servos whose torque is not known to be off."""
+        self._report = report or _to_stderr
+        self._ids = bytes(servo.servo_id for servo in servos)
+        sign = np.array([float(servo.sign) for servo in servos])
+        self._position_scale = sign * RAD_PER_TICK
+        # Of the first turn.
+        self._shift = -sign * np.array([CENTRE * RAD_PER_TICK + servo.offset_rad for servo in servos])
+        self._velocity_scale = sign * RAD_S_PER_UNIT
+        units = np.array([servo.servo.current_unit_a or math.nan for servo in servos])
+        self._current_scale = sign * units
+        self._in_current = np.array([i for i, s in enumerate(servos) if s.mode == OperatingMode.CURRENT], dtype=int)
+        self._in_position = np.array([i for i, s in enumerate(servos) if s.mode != OperatingMode.CURRENT], dtype=int)
+        self._capped = np.array([i for i, s in enumerate(servos) if s.limits_current], dtype=int)
+        self._limited = np.array([i for i in self._in_position if i in self._capped], dtype=int)
+        self._driven = np.array([i for i in self._in_position if i not in self._capped], dtype=int)
+        self._caps = np.array([servo.current_cap_a for servo in servos])
+        self._cap_units = np.array([math.floor(s.current_cap_a / (s.servo.current_unit_a or 1.0)) for s in servos])
+        self._pwm_units = np.zeros(count)
+        self._current_ids = bytes(self._ids[i] for i in self._in_current)
+        self._position_ids = bytes(self._ids[i] for i in self._in_position)
+        self._units_per_a = 1.0 / self._current_scale[self._in_current]
+        self._current_cap = self._caps[self._in_current]
+        self._wanted_a = np.empty(len(self._in_current))
+        self._wanted_rad = np.empty(len(self._in_position))
+        self._ticks_per_rad = 1.0 / self._position_scale[self._in_position]
+        self._goal_shift = self._shift[self._in_position]
+        self._low_goal = np.array([servo.low_rad for servo in servos])[self._in_position]
+        self._high_goal = np.array([servo.high_rad for servo in servos])[self._in_position]
+        self._before = np.empty(count)
+        self._moved = np.empty(count)
+        self._bus: DynamixelBus | None = None
+        self._read: SyncRead
+        self._status = SyncRead(TORQUE_ENABLE, 7, list(self._ids))
+        self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._ids))
+        self._ramp = 0.0
+        self._ramp_begin_s = self._heard_s = self._watch_at_s = 0.0
+        self._fault: ArmFaultError | None = None
+        self._recovery: threading.Thread | None = None
+        self._recovered: BaseException | None = None
+
+    # ----------------------------------------------------------------------------------------------- begin and end
+
+    def open(self) -> None:
+        """Goes through the checklist; then the servos have torque with nothing commanded, and their caps rise from 0.
+
+        Raises:
+            ArmRefusedError: What is wrong, all of it, each with what to do.
+        """
+        if self._bus is not None:
+            message = f"{self.name}: is open"
+            raise ValueError(message)
+        self._fault = None
+        try:
+            self._connect()
+        except BaseException:
+            self._disconnect()
+            raise
+
+    def close(self) -> None:
+        """Lets the arm down where its modes allow it, ends all torque, and names each servo that keeps it.
+
+        May be called again, and after any exception.
+        """
+        if self._recovery is not None:
+            self._recovery.join(RESTART_S + PORT_S)
+            self._recovery = None
+        if self._bus is None:
+            return
+        try:
+            if self._fault is None:
+                self._let_down()
+        finally:
+            self._disconnect()
+
+    # -------------------------------------------------------------------------------------------------- every tick
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong; the arm has no torque while there is something."""
+        return None if self._fault is None else str(self._fault)
+
+    @property
+    def fault_kind(self) -> FaultKind | None:
+        """Its name."""
+        return None if self._fault is None else self._fault.kind
+
+    @property
+    def ramp(self) -> float:
+        """Share of the caps that is in force, 0 to 1."""
+        return self._ramp
+
+    def read(self) -> bool:
+        """Measures; whether the values are those of now. It never raises for what an arm can do: see `fault`."""
+        if self._fault is not None:
+            return self._read_at_rest()
+        now_s = time.monotonic()
+        try:
+            self._take(self._opened.sync_read(self._read))
+        except (OSError, RuntimeError) as error:
+            self._nothing()
+            self._missed(error, now_s)
+            return False
+        np.subtract(self.position, self._before, out=self._moved)
+        np.abs(self._moved, out=self._moved)
+        if self._moved.max() > math.pi:
+            index = int(self._moved.argmax())
+            text = f"servo {self._ids[index]} went {self._moved[index]:.2f} rad between two reads: see its supply"
+            self._nothing()
+            self._latch(ArmFaultError(FaultKind.JUMP, text))
+            return False
+        np.copyto(self._before, self.position)
+        if self._read.alerts:
+            self._look_at_alert(self._read.alerts[0])
+        elif now_s > self._watch_at_s or now_s - self._heard_s > 0.5 * self.settings.watchdog_s:
+            self._watch(now_s)
+        self._heard_s = now_s
+        return self._fault is None
+
+    def write_currents(self, currents_a: Sequence[float] | Vector) -> None:
+        """Currents in A of the servos in mode 0, in their order, positive in the direction of q; kept within the caps.
+
+        Nothing is sent while there is a fault; a number that is none is one.
+        """
+        if self._fault is not None:
+            return
+        wanted = self._wanted_a
+        wanted[:] = currents_a
+        if not math.isfinite(wanted.sum()):
+            self._latch(ArmFaultError(FaultKind.NOT_FINITE, "a current was commanded that is no number"))
+            return
+        if self._ramp < 1.0:
+            self._rise(time.monotonic())
+        np.minimum(wanted, self._current_cap, out=wanted)
+        np.maximum(wanted, -self._current_cap, out=wanted)
+        wanted *= self._units_per_a
+        wanted *= self._ramp
+        # Toward zero: the cap is not rounded up.
+        self._send(GOAL_CURRENT, 2, self._current_ids, wanted.astype("<i2").tobytes())
+
+    def write_positions(self, positions_rad: Sequence[float] | Vector) -> None:
+        """Goals q in rad of the servos in modes 4 and 5, in their order; kept within the limits of the joints.
+
+        Nothing is sent while there is a fault; a number that is none is one.
+        """
+        if self._fault is not None:
+            return
+        wanted = self._wanted_rad
+        wanted[:] = positions_rad
+        if not math.isfinite(wanted.sum()):
+            self._latch(ArmFaultError(FaultKind.NOT_FINITE, "an angle was commanded that is no number"))
+            return
+        if self._ramp < 1.0:
+            self._rise(time.monotonic())
+            self._limit(self._ramp)
+        np.minimum(wanted, self._high_goal, out=wanted)
+        np.maximum(wanted, self._low_goal, out=wanted)
+        self._send(GOAL_POSITION, 4, self._position_ids, self._goal_ticks(wanted))
+
+    def stop(self, kind: FaultKind, text: str) -> None:
+        """Ends all torque for a reason of the driver's: a fault like the others."""
+        if self._fault is None:
+            self._latch(ArmFaultError(kind, text))
+
+    # ------------------------------------------------------------------------------------------------ after a fault
+
+    @property
+    def recovering(self) -> bool:
+        """Whether an acknowledged fault is being mended."""
+        return self._recovery is not None
+
+    def acknowledge(self) -> None:
+        """A person has seen to the fault: the checklist runs again, on a thread of its own, until `fault` is none.
+
+        Servos with a hardware error are started anew.
+        """
+        if self._fault is None or self._recovery is not None:
+            return
+        self._recovered = None
+        self._recovery = threading.Thread(target=self._recover, name="dynamixel-recovery", daemon=True)
+        self._recovery.start()
+
+    # ------------------------------------------------------------------------------------------------------ begin
+
+    @property
+    def _opened(self) -> DynamixelBus:
+        if self._bus is None:
+            message = f"{self.name}: is not open"
+            raise ValueError(message)
+        return self._bus
+
+    def _connect(self) -> None:
+        checklist = Checklist(self.name, self._report, ArmRefusedError)
+        settings = self.settings
+        check_port(settings.port, checklist)
+        checklist.finish()
+        if self._bus is None:
+            try:
+                self._bus = DynamixelBus(settings.port, baud=settings.baud, timeout_s=settings.timeout_s)
+            except OSError as error:
+                checklist.refuse("port", str(error), "end what else has it, and see that the adapter knows this rate")
+                checklist.finish()
+        try:
+            self._check(checklist)
+            checklist.finish()
+            self._place(checklist)
+            checklist.finish()
+            self._torque_on(checklist)
+        except (OSError, RuntimeError) as error:
+            if isinstance(error, ArmRefusedError):
+                raise
+            checklist.refuse("bus", str(error), "see cables and supply, then try again")
+        checklist.finish()
+
+    def _check(self, checklist: Checklist) -> None:
+        settings, bus = self.settings, self._opened
+        firmware = check_present(bus, settings, checklist)
+        if not firmware and not any("model" in line for line in checklist.refused):
+            bus.close()
+            self._bus = None
+            if (rate := answering_rate(settings)) is not None:
+                checklist.refuse("baud", f"servos answer at {rate} bit/s", f"set baud = {rate}, or address 8 of each")
+            return
+        for servo in settings.servos:
+            if servo.servo_id not in firmware:
+                continue
+            try:
+                check_servo(bus, servo, checklist)
+                registers = ServoRegisters(bus, servo)
+                self._pwm_units[self._ids.index(servo.servo_id)] = registers["PWM Limit"]
+            except (OSError, RuntimeError) as error:
+                checklist.refuse(f"servo {servo.servo_id}", str(error), "see its cables, then try again")
+        if len(firmware) < len(settings.servos):
+            return
+        fast = knows_fast_reads(settings, firmware)
+        self._read, self._status, self._watchdogs = (
+            SyncRead(address, length, list(self._ids), fast=fast)
+            for address, length in ((PRESENT_CURRENT, MEASURED.itemsize), (TORQUE_ENABLE, 7), (BUS_WATCHDOG, 1))
+        )
+        checklist.ok("reads", "fast" if fast else "not fast: the firmware of a servo is too old; update it for 1 kHz")
+
+    def _place(self, checklist: Checklist) -> None:
+        """Finds the turn of each servo, and whether the joints are within their limits."""
+        near = np.array([servo.middle_rad for servo in self.settings.servos])
+        self._take(self._opened.sync_read(self._read))
+        self._turn_towards(near)
+        for index, servo in enumerate(self.settings.servos):
+            q = float(self.position[index])
+            if servo.low_rad <= q <= servo.high_rad:
+                check_place(servo, q, checklist)
+                continue
+            # Another turn may fit better than the nearest to the middle.
+            options = (q - TURN, q, q + TURN)
+            best = min(options, key=lambda one: max(servo.low_rad - one, one - servo.high_rad))
+            self._shift[index] += best - q
+            self.position[index] = best
+            check_place(servo, best, checklist)
+
+    def _turn_towards(self, near: Vector) -> None:
+        turns = TURN * np.round((near - self.position) / TURN)
+        self._shift += turns
+        self.position += turns
+        self._before[:] = self.position
+        self._goal_shift = self._shift[self._in_position]
+
+    def _torque_on(self, checklist: Checklist) -> None:
+        bus, ids, units = self._opened, self._ids, self.settings.watchdog_units
+        self._arm_watchdogs(checklist)
+        for index, servo_id in enumerate(ids):
+            # A change of the mode has set them to their limits.
+            address = GOAL_CURRENT if index in self._capped else GOAL_PWM
+            bus.write(servo_id, address, b"\0\0")
+            if bus.read(servo_id, address, 2) != b"\0\0":
+                checklist.refuse(f"servo {servo_id}", "its goal is not 0", "it does not take it: see its firmware")
+        checklist.finish()
+        before = self.position.copy()
+        for servo_id in ids:
+            bus.write(servo_id, TORQUE_ENABLE, b"\1")
+        self._take(bus.sync_read(self._read))
+        # Torque may count the angle anew, by whole turns.
+        self._turn_towards(before)
+        self._hold()
+        if self.settings.verify_watchdog:
+            time.sleep(0.02 * units + 0.05)
+            fired = bus.sync_read(self._watchdogs)
+            self._arm_watchdogs(checklist, tried=fired)
+            checklist.finish()
+            self._take(bus.sync_read(self._read))
+            self._hold()
+        status = bus.sync_read(self._status)[::7]
+        for servo_id, torque in zip(ids, status, strict=True):
+            if not torque:
+                checklist.refuse(
+                    f"servo {servo_id}", "its torque does not stay on", "see hardware error and supply, then try again"
+                )
+        moved = float(np.abs(self.position - before).max())
+        checklist.check(
+            "arm", f"has torque, and moved {moved:.3f} rad meanwhile", good=moved <= MOVED_RAD,
+            remedy="support it, and do not move it meanwhile",
+        )  # fmt: skip
+        checklist.finish()
+        self._ramp = 0.0
+        self._ramp_begin_s = self._heard_s = time.monotonic()
+        self._watch_at_s = self._heard_s + self.settings.watch_s
+
+    def _arm_watchdogs(self, checklist: Checklist, tried: bytes | None = None) -> None:
+        bus, units = self._opened, self.settings.watchdog_units
+        for index, servo_id in enumerate(self._ids):
+            # Only 0 is taken by one that has fired.
+            bus.write(servo_id, BUS_WATCHDOG, b"\0")
+            bus.write(servo_id, BUS_WATCHDOG, bytes((units,)))
+            if bus.read(servo_id, BUS_WATCHDOG, 1)[0] != units:
+                checklist.refuse(
+                    f"servo {servo_id}", "its bus watchdog is not armed",
+                    "it would keep its torque when this process ends: see its firmware",
+                )  # fmt: skip
+            if tried is not None and tried[index] != FIRED:
+                checklist.refuse(f"servo {servo_id}", "its bus watchdog did not fire", "see its firmware")
+        checklist.finish()
+        checklist.ok("bus watchdogs", f"{20 * units} ms, {'armed' if tried is None else 'tried: they end the torque'}")
+
+    def _hold(self) -> None:
+        """Goals where the joints are, which the servos confirm."""
+        goals = self._goal_ticks(self.position[self._in_position])
+        for at, servo_id in enumerate(self._position_ids):
+            self._opened.write(servo_id, GOAL_POSITION, goals[4 * at : 4 * at + 4])
+
+    # ------------------------------------------------------------------------------------------------- every tick
+
+    def _take(self, received: bytes) -> None:
+        fields = np.frombuffer(received, MEASURED)
+        np.multiply(fields["position"], self._position_scale, out=self.position)
+        self.position += self._shift
+        np.multiply(fields["velocity"], self._velocity_scale, out=self.velocity)
+        np.multiply(fields["current"], self._current_scale, out=self.current)
+
+    def _nothing(self) -> None:
+        self.position.fill(np.nan)
+        self.velocity.fill(np.nan)
+        self.current.fill(np.nan)
+
+    def _goal_ticks(self, wanted: Vector) -> bytes:
+        ticks = (wanted - self._goal_shift) * self._ticks_per_rad
+        return bytes(np.rint(ticks).astype("<i4"))
+
+    def _rise(self, now_s: float) -> None:
+        ramp_s = self.settings.ramp_s
+        self._ramp = 1.0 if ramp_s <= 0.0 else min((now_s - self._ramp_begin_s) / ramp_s, 1.0)
+
+    def _limit(self, share: float) -> None:
+        """Of servos that hold positions: the share of their current, or of their supply, that they may take."""
+        for members, units, address in (
+            (self._limited, self._cap_units, GOAL_CURRENT),
+            (self._driven, self._pwm_units, GOAL_PWM),
+        ):
+            if len(members):
+                goals = (share * units[members]).astype("<i2").tobytes()
+                self._send(address, 2, bytes(self._ids[i] for i in members), goals)
+
+    def _send(self, address: int, length: int, ids: bytes, goals: bytes) -> None:
+        try:
+            self._opened.sync_write(address, length, ids, goals)
+        except (OSError, RuntimeError) as error:
+            self._missed(error, time.monotonic())
+
+    # ----------------------------------------------------------------------------------------------------- faults
+
+    def _missed(self, error: Exception, now_s: float) -> None:
+        if isinstance(error, OSError) and error.errno in GONE:
+            self._latch(ArmFaultError(FaultKind.UNPLUGGED, f"{error}: plug the adapter in, then acknowledge"))
+        elif now_s - self._heard_s > self.settings.lost_after_s:
+            self._end_torque()
+            self._latch(self._lost(error))
+
+    def _lost(self, error: Exception) -> ArmFaultError:
+        """Who does not answer any more."""
+        missing = []
+        for servo_id in self._ids:
+            try:
+                self._opened.ping(servo_id)
+            except TimeoutError:
+                missing.append(servo_id)
+            except OSError as gone:
+                return ArmFaultError(FaultKind.UNPLUGGED, f"{gone}: plug the adapter in, then acknowledge")
+            except RuntimeError as garbled:
+                return ArmFaultError(FaultKind.UNREADABLE, f"{garbled}: see cables and rate, then acknowledge")
+        if not missing:
+            if isinstance(error, TimeoutError):
+                return ArmFaultError(FaultKind.SILENT, f"{error}; it does again: see cables, then acknowledge")
+            return ArmFaultError(FaultKind.UNREADABLE, f"{error}: see cables and rate, then acknowledge")
+        if len(missing) == len(self._ids):
+            return ArmFaultError(
+                FaultKind.BROWN_OUT, "no servo answers any more: see the supply and the cable, then acknowledge"
+            )
+        names = ", ".join(map(str, missing))
+        return ArmFaultError(FaultKind.SILENT, f"of servo {names}: see its cable, then acknowledge")
+
+    def _look_at_alert(self, servo_id: int) -> None:
+        try:
+            status = self._opened.read(servo_id, HARDWARE_STATUS, 1)[0]
+        except (OSError, RuntimeError) as error:
+            self._missed(error, time.monotonic())
+            return
+        if status:
+            self._latch(hardware_error(servo_id, status))
+
+    def _watch(self, now_s: float) -> None:
+        """Whether each servo has torque, and its watchdog has not fired."""
+        self._watch_at_s = now_s + self.settings.watch_s
+        try:
+            watchdogs = self._opened.sync_read(self._watchdogs)
+            torque = self._opened.sync_read(self._status)[::7]
+        except (OSError, RuntimeError) as error:
+            self._missed(error, now_s)
+            return
+        units = self.settings.watchdog_units
+        for servo_id, watchdog, on in zip(self._ids, watchdogs, torque, strict=True):
+            if watchdog == FIRED:
+                text = (
+                    f"servo {servo_id} heard nothing for {20 * units} ms and ended its torque: this process was halted,"
+                    " or its cable is loose; acknowledge"
+                )
+                self._latch(ArmFaultError(FaultKind.WATCHDOG, text))
+            elif not on:
+                # What a servo forgets when it starts anew.
+                text = (
+                    "has started anew: see its supply" if watchdog != units else "ended its torque: see who else writes"
+                )
+                kind = FaultKind.REBOOTED if watchdog != units else FaultKind.TORQUE_OFF
+                self._latch(ArmFaultError(kind, f"servo {servo_id} {text}, then acknowledge"))
+            else:
+                continue
+            return
+
+    def _latch(self, error: ArmFaultError) -> None:
+        # First the arm: whoever reads the report may be slow.
+        self._end_torque()
+        self._fault = error
+        self._ramp = 0.0
+        self._watch_at_s = 0.0
+        self._report(f"{self.name}: fault: {error}")
+
+    def _end_torque(self) -> None:
+        """Zero currents and no torque, sent several times: it waits for no answer."""
+        if self._bus is None:
+            return
+        zeros = bytes(2 * len(self._ids))
+        for _ in range(STOPS):
+            with contextlib.suppress(OSError, RuntimeError):
+                if len(self._in_current):
+                    self._bus.sync_write(GOAL_CURRENT, 2, self._current_ids, zeros[: 2 * len(self._current_ids)])
+                self._bus.write(BROADCAST, TORQUE_ENABLE, b"\0")
+
+    def _read_at_rest(self) -> bool:
+        """With a fault: looks from time to time, and sends the stop again until all are known to be without torque."""
+        if self._recovery is not None:
+            if self._recovery.is_alive():
+                return False
+            self._recovery = None
+            if self._recovered is None:
+                self._fault = None
+                self._report(f"{self.name}: ready")
+                return self.read()
+            text = " ".join(str(self._recovered).split())
+            self._fault = ArmFaultError(FaultKind.NOT_READY, text)
+            self._report(f"{self.name}: fault: {self._fault}")
+        now_s = time.monotonic()
+        if self._bus is None or now_s < self._watch_at_s:
+            return False
+        self._watch_at_s = now_s + STILL_S
+        try:
+            if any(self._opened.sync_read(self._status)[::7]):
+                self._end_torque()
+            self._take(self._opened.sync_read(self._read))
+        except (OSError, RuntimeError):
+            self._nothing()
+            self._end_torque()
+            return False
+        return True
+
+    def _recover(self) -> None:
+        try:
+            if self.fault_kind == FaultKind.UNPLUGGED:
+                self._disconnect(quiet=True)
+            self._restart()
+            self._connect()
+        except Exception as error:  # whatever it is, the arm stays without torque and says it
+            self._end_torque()
+            self._recovered = error
+
+    def _restart(self) -> None:
+        """Starts servos anew that have a hardware error, and waits until they answer."""
+        if self._bus is None:
+            return
+        restarted = []
+        for servo_id in self._ids:
+            with contextlib.suppress(OSError, RuntimeError):
+                if self._bus.read(servo_id, HARDWARE_STATUS, 1) != b"\0":
+                    self._bus.reboot(servo_id)
+                    restarted.append(servo_id)
+        end_s = time.monotonic() + RESTART_S
+        while restarted and time.monotonic() < end_s:
+            with contextlib.suppress(OSError, RuntimeError):
+                self._bus.ping(restarted[0])
+                restarted.pop(0)
+
+    # -------------------------------------------------------------------------------------------------------- end
+
+    def _let_down(self) -> None:
+        """Joints in mode 0 are damped for a while; of the others current or supply falls to 0."""
+        begin_s = time.monotonic()
+        release_s = self.settings.release_s
+        self._ramp = min(self._ramp, 1.0)
+        begun, damping = self._ramp, self.settings.release_damping * self._current_cap
+        while self._fault is None and (passed_s := time.monotonic() - begin_s) < release_s:
+            if self.read():
+                self._ramp = 1.0
+                if len(self._in_current):
+                    self.write_currents(-damping * self.velocity[self._in_current])
+                if len(self._in_position):
+                    self._limit(begun * (1.0 - passed_s / release_s))
+            time.sleep(0.002)
+
+    def _disconnect(self, *, quiet: bool = False) -> None:
+        """Ends all torque, verifies it, and closes the port."""
+        if self._bus is None:
+            return
+        bus = self._bus
+        try:
+            self._end_torque()
+            self.kept = tuple(servo_id for servo_id in self._ids if not _is_off(bus, servo_id))
+        finally:
+            bus.close()
+            self._bus = None
+            self._nothing()
+        if self.kept and not quiet:
+            names = ", ".join(map(str, self.kept))
+            self._report(
+                f"{self.name}: servo {names} may KEEP torque: it does not say that it is off. Its bus watchdog, where"
+                f" it was armed, ends it after {20 * self.settings.watchdog_units} ms of silence; if it is stiff, cut"
+                " its supply"
+            )
+
+
+def _is_off(bus: DynamixelBus, servo_id: int) -> bool:
+    for _ in range(STOPS):
+        try:
+            bus.write(servo_id, TORQUE_ENABLE, b"\0")
+            if bus.read(servo_id, TORQUE_ENABLE, 1) == b"\0":
+                # Other software shall find none armed.
+                bus.write(servo_id, BUS_WATCHDOG, b"\0")
+                return True
+        except TimeoutError:
+            continue
+        except (OSError, RuntimeError) as error:
+            if isinstance(error, OSError) and error.errno in GONE:
+                return False
+    return False
+
+
+def _to_stderr(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,230 @@
+"""What must be so before an arm of servos has torque: a line each, with what to do where it is not."""
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Final
+
+from haptether._core import DynamixelBus
+from haptether.checklist import Checklist, RefusedError
+from haptether.dynamixel.arm.faults import HARDWARE_ERRORS
+from haptether.dynamixel.arm.settings import ArmSettings, ServoSettings
+from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER
+
+LATENCY_MS: Final = 1
+MARGIN_C: Final = 5
+"""Below the temperature limit, at the begin."""
+PROTECTS: Final = 1 << 2 | 1 << 5
+"""Of the shutdown mask: overheating and overload."""
+TORQUE_BY_GOAL: Final = 1 << 3
+"""Of the drive mode."""
+BESIDE_RAD: Final = 0.1
+"""How far beyond its limits a joint may stand at the begin."""
+SYSTEM: Final = Path("/sys")
+
+
+class ArmRefusedError(RefusedError):
+    """The arm is not to have torque now."""
+
+
+def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> None:
+    """Whether the port is there, may be used, and passes answers on at once.
+
+    Args:
+        port: Its path.
+        checklist: Takes the lines.
+        system: Where sysfs is.
+    """
+    path = Path(port)
+    if not path.exists():
+        checklist.refuse("port", "is not there", "plug the adapter in; /dev/serial/by-id names those that are")
+        return
+    if not os.access(path, os.R_OK | os.W_OK):
+        checklist.refuse(
+            "port", "may not be read and written", "add yourself to the group of the device (dialout), and log in anew"
+        )
+        return
+    checklist.ok("port", "may be read and written")
+    timer = system / "class/tty" / path.resolve().name / "device/latency_timer"
+    if not timer.exists():
+        checklist.ok("latency timer", "not checked: this port has none")
+        return
+    found_ms = int(timer.read_text())
+    checklist.check(
+        "latency timer", f"{found_ms} ms", good=found_ms <= LATENCY_MS,
+        remedy=f"echo {LATENCY_MS} | sudo tee {timer}, or the udev rule of docs/dynamixel.md",
+    )  # fmt: skip
+
+
+def answering_rate(settings: ArmSettings) -> int | None:
+    """Another rate at which a servo of the arm answers; none found: none."""
+    for baud in BAUD_RATES:
+        if baud == settings.baud:
+            continue
+        bus = None
+        try:
+            bus = DynamixelBus(settings.port, baud=baud, timeout_s=settings.timeout_s)
+            for servo in settings.servos:
+                with contextlib.suppress(TimeoutError, RuntimeError):
+                    bus.ping(servo.servo_id)
+                    return baud
+        except (OSError, ValueError):
+            continue
+        finally:
+            if bus is not None:
+                bus.close()
+    return None
+
+
+def check_present(bus: DynamixelBus, settings: ArmSettings, checklist: Checklist) -> dict[int, int]:
+    """Whether the servos are there and are those that are named; firmware of each that is, by id.
+
+    Raises:
+        OSError: The port is gone.
+    """
+    found = {}
+    for servo in settings.servos:
+        what = f"servo {servo.servo_id}"
+        try:
+            number, firmware = bus.ping(servo.servo_id)
+        except TimeoutError:
+            checklist.refuse(
+                what, f"does not answer at {settings.baud} bit/s",
+                "see its power and cable; its id and its rate are what haptether dynamixel calibrate finds",
+            )  # fmt: skip
+            continue
+        except RuntimeError as error:
+            checklist.refuse(what, str(error), "see cables and terminations, and that no two servos have one id")
+            continue
+        model = SERVO_MODELS_BY_NUMBER.get(number)
+        name = f"model {number}" if model is None else model.name
+        checklist.check(
+            what, f"{name}, firmware {firmware}", good=number == servo.servo.number,
+            remedy=f"the options have a {servo.model} there: mend them, or the id",
+        )  # fmt: skip
+        if number == servo.servo.number:
+            found[servo.servo_id] = firmware
+    return found
+
+
+def knows_fast_reads(settings: ArmSettings, firmware: dict[int, int]) -> bool:
+    """Whether all servos know fast sync read."""
+    return all(firmware[one.servo_id] >= one.servo.fast_read_firmware for one in settings.servos)
+
+
+class ServoRegisters:
+    """The table of one servo by name, each entry as a number.
+
+    Args:
+        bus: What it is on.
+        servo: Which it is.
+    """
+
+    def __init__(self, bus: DynamixelBus, servo: ServoSettings) -> None:
+        self._bus = bus
+        self._servo_id = servo.servo_id
+        self._table = servo.servo.table
+
+    def __getitem__(self, name: str) -> int:
+        item = self._table[name]
+        return item.decoded(self._bus.read(self._servo_id, item.address, item.size))
+
+    def __setitem__(self, name: str, value: int) -> None:
+        item = self._table[name]
+        self._bus.write(self._servo_id, item.address, item.encoded(value))
+
+    def scaled(self, name: str) -> float:
+        """In the unit of its entry."""
+        return self[name] * self._table[name].scale
+
+
+class _ServoLine:
+    """What is found at one servo: one line of what is good, and one of each thing that is not."""
+
+    def __init__(self, servo: ServoSettings, checklist: Checklist) -> None:
+        self._what = f"servo {servo.servo_id}"
+        self._checklist = checklist
+        self._good: list[str] = []
+
+    def check(self, found: str, *, good: bool = True, remedy: str = "") -> None:
+        if good:
+            self._good.append(found)
+        else:
+            self._checklist.refuse(self._what, found, remedy)
+
+    def finish(self) -> None:
+        self._checklist.ok(self._what, ", ".join(self._good))
+
+
+def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist) -> None:
+    """Takes the torque of a servo off, sets its mode and its return delay, and looks at what it says of itself.
+
+    Raises:
+        OSError: It does not answer, or the port is gone.
+        RuntimeError: It refuses, or its answer cannot be read.
+    """
+    line = _ServoLine(servo, checklist)
+    registers = ServoRegisters(bus, servo)
+    if registers["Torque Enable"]:
+        registers["Torque Enable"] = 0
+        line.check("had torque, and has none now")
+    _check_health(registers, servo, line)
+    if delay := registers["Return Delay Time"]:
+        registers["Return Delay Time"] = 0
+        line.check(f"return delay was {2 * delay} us, and is 0 now")
+    if registers["Operating Mode"] != servo.mode:
+        registers["Operating Mode"] = servo.mode
+    line.check(
+        f"operating mode {servo.mode.value}", good=registers["Operating Mode"] == servo.mode,
+        remedy="it does not take it: see its firmware",
+    )  # fmt: skip
+    drive_mode = registers["Drive Mode"]
+    line.check(
+        f"drive mode {drive_mode}", good=not drive_mode & TORQUE_BY_GOAL,
+        remedy="a goal must not switch torque on: clear bit 3 of address 10",
+    )  # fmt: skip
+    shutdown = registers["Shutdown"]
+    line.check(
+        f"shutdown {shutdown}", good=shutdown & PROTECTS == PROTECTS,
+        remedy=f"it must end its torque when overheated or overloaded: set address 63 to {shutdown | PROTECTS}",
+    )  # fmt: skip
+    if servo.servo.has_current_control:
+        limit_a = registers.scaled("Current Limit")
+        line.check(
+            f"cap {servo.current_cap_a:.3f} A of {limit_a:.3f} A", good=servo.current_cap_a <= limit_a + 1e-9,
+            remedy="lower cap_a, or raise address 38",
+        )  # fmt: skip
+    offset = registers["Homing Offset"]
+    if offset or drive_mode & 1:
+        # Present Position has both in it: whoever changes them calibrates anew.
+        line.check(
+            f"homing offset {offset} ticks{', reversed' if drive_mode & 1 else ''} (offset_rad counts from there)"
+        )
+    line.finish()
+
+
+def _check_health(registers: ServoRegisters, servo: ServoSettings, line: _ServoLine) -> None:
+    status = registers["Hardware Error Status"]
+    named = ", ".join(kind for bit, (kind, _) in HARDWARE_ERRORS.items() if status & (1 << bit)) or f"code {status}"
+    line.check(
+        f"hardware error: {named}" if status else "no hardware error", good=status == 0,
+        remedy="mend its cause, then take its supply away and give it again",
+    )  # fmt: skip
+    volts, low, high = (
+        registers.scaled(name) for name in ("Present Input Voltage", "Min Voltage Limit", "Max Voltage Limit")
+    )
+    line.check(
+        f"supply {volts:.1f} V", good=low <= volts <= high,
+        remedy=f"a {servo.model} must have {low:.1f} to {high:.1f} V",
+    )  # fmt: skip
+    degrees, limit = registers["Present Temperature"], registers["Temperature Limit"]
+    line.check(f"{degrees} of {limit} degC", good=degrees <= limit - MARGIN_C, remedy="let it cool down")
+
+
+def check_place(servo: ServoSettings, q: float, checklist: Checklist) -> None:
+    """Whether a joint stands within its limits."""
+    beyond = max(servo.low_rad - q, q - servo.high_rad, 0.0)
+    checklist.check(
+        f"servo {servo.servo_id}", f"stands at {q:+.3f} rad of {servo.low_rad:+.3f} to {servo.high_rad:+.3f}",
+        good=beyond <= BESIDE_RAD, remedy="move it within, or calibrate: haptether dynamixel calibrate",
+    )  # fmt: skip

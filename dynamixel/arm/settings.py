@@ -1,0 +1,159 @@
+"""What an arm of servos is: its bus, and of each servo how its angle becomes that of a joint."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from haptether.dynamixel.models import CURRENT_MODES, SERVO_MODELS, OperatingMode, ServoModel
+
+MAX_SERVOS: Final = 32
+MAX_ID: Final = 252
+MAX_ANGLE: Final = 512.0 * math.pi
+"""Where the multi-turn modes end, rad."""
+CAP_SHARE: Final = 0.3
+"""Of the greatest current of a model, where no cap is given: no maker states what a servo bears for long."""
+ARM_MODES: Final = frozenset(
+    {
+        OperatingMode.CURRENT,
+        OperatingMode.EXTENDED_POSITION,
+        OperatingMode.CURRENT_BASED_POSITION,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoSettings:
+    """One servo, and the joint that it turns.
+
+    q = sign (p - offset) + 2 pi k: p is Present Position in rad from the mechanical centre, with homing offset and
+    direction of the servo's own EEPROM; k is the turn in which q is within its limits, for a servo forgets turns with
+    its supply.
+
+    Raises:
+        ValueError: A setting that cannot be; names it with the id.
+    """
+
+    servo_id: int
+    model: str
+    """A name of `SERVO_MODELS`."""
+    sign: int = 1
+    """1 or -1."""
+    offset_rad: float = 0.0
+    """p where q is 0."""
+    low_rad: float = -math.pi
+    """Least q."""
+    high_rad: float = math.pi
+    """Greatest q."""
+    near_rad: float | None = None
+    """Where q is about at power-on: decides between turns that both fit; by default the middle of its limits."""
+    cap_a: float | None = None
+    """Greatest current in A; by default 0.3 of what the model can."""
+    mode: OperatingMode = OperatingMode.CURRENT
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.servo_id <= MAX_ID:
+            message = f"id {self.servo_id}: must be 0 to {MAX_ID}"
+            raise ValueError(message)
+        if self.model not in SERVO_MODELS:
+            self._refuse(f"model = {self.model!r}: must be one of {', '.join(SERVO_MODELS)}")
+        if self.sign not in {1, -1}:
+            self._refuse(f"sign = {self.sign}: must be 1 or -1")
+        for name, value in (
+            ("offset_rad", self.offset_rad), ("low_rad", self.low_rad), ("high_rad", self.high_rad),
+            ("near_rad", self.middle_rad),
+        ):  # fmt: skip
+            if not abs(value) <= MAX_ANGLE:
+                self._refuse(f"{name} = {value:g}: must be within {MAX_ANGLE:.0f} rad")
+        if not self.low_rad < self.high_rad:
+            self._refuse(f"low_rad = {self.low_rad:g}: must be below high_rad = {self.high_rad:g}")
+        if not self.low_rad <= self.middle_rad <= self.high_rad:
+            self._refuse(f"near_rad = {self.middle_rad:g}: must be {self.low_rad:g} to {self.high_rad:g}")
+        if self.mode not in ARM_MODES & self.servo.operating_modes:
+            allowed = ", ".join(f"{mode.value} ({mode.name.lower()})" for mode in sorted(self._modes))
+            self._refuse(f"mode = {int(self.mode)}: a {self.model} must have one of {allowed}")
+        most_a = self.servo.max_current_a
+        if self.cap_a is not None and (most_a is None or not 0.0 < self.cap_a <= most_a):
+            what = "has no current control" if most_a is None else f"must be above 0 and at most {most_a:g} A"
+            self._refuse(f"cap_a = {self.cap_a:g}: a {self.model} {what}")
+
+    @property
+    def servo(self) -> ServoModel:
+        """The model."""
+        return SERVO_MODELS[self.model]
+
+    @property
+    def middle_rad(self) -> float:
+        """Where q is about at power-on."""
+        return 0.5 * (self.low_rad + self.high_rad) if self.near_rad is None else self.near_rad
+
+    @property
+    def current_cap_a(self) -> float:
+        """Greatest current in A; 0 without current control."""
+        return CAP_SHARE * (self.servo.max_current_a or 0.0) if self.cap_a is None else self.cap_a
+
+    @property
+    def limits_current(self) -> bool:
+        """Whether its mode holds the current below Goal Current."""
+        return self.mode in CURRENT_MODES
+
+    @property
+    def _modes(self) -> frozenset[OperatingMode]:
+        return ARM_MODES & self.servo.operating_modes
+
+    def _refuse(self, what: str) -> None:
+        message = f"servo {self.servo_id}: {what}"
+        raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmSettings:
+    """Servos on one bus, in the order of the joints.
+
+    Raises:
+        ValueError: A setting that cannot be.
+    """
+
+    port: str
+    """Such as /dev/serial/by-id/usb-FTDI_..."""
+    servos: tuple[ServoSettings, ...]
+    baud: int = 4_000_000
+    """In bit/s."""
+    timeout_s: float = 0.02
+    """How long after its bytes an answer may come."""
+    watchdog_s: float = 0.1
+    """Silence after which the servos themselves end their torque; in steps of 20 ms."""
+    lost_after_s: float = 0.06
+    """For so long reads may fail until it is a fault."""
+    watch_s: float = 0.1
+    """Between two looks at torque, hardware errors and bus watchdog of all servos."""
+    ramp_s: float = 1.0
+    """In which the caps rise from 0 after torque is on."""
+    release_s: float = 1.0
+    """In which the arm is let down at the end, where its modes allow it."""
+    release_damping: float = 0.1
+    """Of a joint in mode 0 that is let down: share of its cap per rad/s."""
+    verify_watchdog: bool = True
+    """Let the bus watchdog bite once, with torque on and nothing commanded."""
+
+    def __post_init__(self) -> None:
+        ids = [servo.servo_id for servo in self.servos]
+        if not 1 <= len(ids) <= MAX_SERVOS:
+            message = f"servos: {len(ids)}: must be 1 to {MAX_SERVOS}"
+            raise ValueError(message)
+        for servo_id in ids:
+            if ids.count(servo_id) > 1:
+                message = f"servo {servo_id} is given twice: each must have its own id"
+                raise ValueError(message)
+        for name, low, high in (
+            ("timeout_s", 0.001, 1.0), ("watchdog_s", 0.02, 2.54), ("lost_after_s", 0.0, 1.0), ("watch_s", 0.02, 2.0),
+            ("ramp_s", 0.0, 10.0), ("release_s", 0.0, 5.0), ("release_damping", 0.0, 1.0),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not low <= value <= high:
+                message = f"{name} = {value:g}: must be {low:g} to {high:g}"
+                raise ValueError(message)
+
+    @property
+    def watchdog_units(self) -> int:
+        """Address 98, in 20 ms."""
+        return max(1, round(self.watchdog_s / 0.02))
