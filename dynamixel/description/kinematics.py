@@ -12,6 +12,7 @@ from haptether.dynamixel.description.tables import ArmDescription
 Symbol: TypeAlias = Any
 """A casadi.SX."""
 Array: TypeAlias = npt.NDArray[np.float64]
+Numbers: TypeAlias = Sequence[float] | Array
 
 
 class _Function:
@@ -32,9 +33,9 @@ class _Function:
         # CasADi has their addresses, and does not keep them alive.
         self._kept = (function, buffer, given, found)
         self._given = given
-        self.found = tuple(memoryview(array) for array in found)
+        self.found: tuple[Any, ...] = tuple(memoryview(array) for array in found)
 
-    def __call__(self, *vectors: Sequence[float]) -> None:
+    def __call__(self, *vectors: Numbers) -> None:
         for target, vector in zip(self._given, vectors, strict=True):
             target[:] = vector
         self._run()
@@ -85,26 +86,28 @@ class ArmKinematics:
         self._jacobian = _Function("jacobian", (q,), (jacobian, energy))
         self._reflect = _Function("reflect", (q, wrench), (casadi.mtimes(jacobian.T, wrench),))
 
-    def state(self, q: Sequence[float], dq: Sequence[float]) -> tuple[list[float], list[float], list[float]]:
-        """Position of the tool point in m, orientation w, x, y, z, and its velocity: linear over angular, base frame."""
+    def state(self, q: Numbers, dq: Numbers) -> tuple[list[float], list[float], list[float]]:
+        """Tool point in m, orientation w, x, y, z, and velocity, linear over angular, in the base frame."""
         self._state(q, dq)
         position, quat, twist = self._state.found
         return position.tolist(), quat.tolist(), twist.tolist()
 
-    def gravity(self, q: Sequence[float]) -> list[float]:
+    def gravity(self, q: Numbers) -> list[float]:
         """dV/dq in N m: what the joints must exert to hold the arm; links without a mass weigh nothing.
 
         Source: B. Siciliano et al., "Robotics: Modelling, Planning and Control", 2009, Eq. 7.39.
         """
         self._weight(q)
-        return self._weight.found[0].tolist()
+        weight: list[float] = self._weight.found[0].tolist()
+        return weight
 
-    def link_inertia(self, q: Sequence[float]) -> list[float]:
+    def link_inertia(self, q: Numbers) -> list[float]:
         """The mass matrix' diagonal in kg m^2, of the links as points of mass: without motors, gears, own inertias."""
         self._weight(q)
-        return self._weight.found[1].tolist()
+        inertia: list[float] = self._weight.found[1].tolist()
+        return inertia
 
-    def torques(self, q: Sequence[float], wrench: Sequence[float]) -> list[float]:
+    def torques(self, q: Numbers, wrench: Numbers) -> list[float]:
         """J^T w in N m, of a wrench at the tool point in the base frame: force over torque.
 
         It exists at singular configurations, too, and is no larger than the wrench and the arm's reach make it.
@@ -112,14 +115,15 @@ class ArmKinematics:
         Source: ibid., Eq. 3.111.
         """
         self._reflect(q, wrench)
-        return self._reflect.found[0].tolist()
+        torques: list[float] = self._reflect.found[0].tolist()
+        return torques
 
-    def jacobian(self, q: Sequence[float]) -> Array:
+    def jacobian(self, q: Numbers) -> Array:
         """Geometric, of the tool point in the base frame, shape (6, n): linear over angular. Not for loops."""
         self._jacobian(q)
         return np.array(self._jacobian.found[0]).reshape((6, self.joints), order="F")
 
-    def energy(self, q: Sequence[float]) -> float:
+    def energy(self, q: Numbers) -> float:
         """Potential energy V in J, 0 where all masses are at the base's origin."""
         self._jacobian(q)
         return float(self._jacobian.found[1][0])

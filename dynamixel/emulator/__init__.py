@@ -2,7 +2,7 @@
 
 from haptether.dynamixel.emulator.bus import Answer, Bus, Faults
 from haptether.dynamixel.emulator.control import ControlLine
-from haptether.dynamixel.emulator.joint import HeldBy, JointSettings
+from haptether.dynamixel.emulator.joint import HeldBy, Joint, JointSettings
 from haptether.dynamixel.emulator.load import ArmLoad, servos_of
 from haptether.dynamixel.emulator.server import Server
 from haptether.dynamixel.emulator.servo import HardwareError, Servo
@@ -15,6 +15,7 @@ __all__ = [
     "Faults",
     "HardwareError",
     "HeldBy",
+    "Joint",
     "JointSettings",
     "Server",
     "Servo",

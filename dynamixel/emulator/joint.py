@@ -83,9 +83,7 @@ class Joint:
         motors: n, servos that turn it together.
     """
 
-    def __init__(
-        self, model: ServoModel, settings: JointSettings, position_rad: float = 0.0, motors: int = 1
-    ) -> None:
+    def __init__(self, model: ServoModel, settings: JointSettings, position_rad: float = 0.0, motors: int = 1) -> None:
         self.settings = settings
         self.motors = motors
         self.position_rad = position_rad

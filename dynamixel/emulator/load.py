@@ -45,16 +45,24 @@ def servos_of(arm: ArmDescription, *, baud: int, firmware: int, start: Sequence[
         )
         servos.append(
             Servo(
-                joint.servo_model, joint.servo, baud=baud, firmware=firmware,
-                position_rad=joint.sign * angle + joint.offset_rad, joint=settings, motors=joint.motors,
-            )  # fmt: skip
+                joint.servo_model,
+                joint.servo,
+                baud=baud,
+                firmware=firmware,
+                position_rad=joint.sign * angle + joint.offset_rad,
+                joint=settings,
+                motors=joint.motors,
+            )
         )
     if arm.trigger is not None:
         servos.append(
             Servo(
-                arm.trigger.servo_model, arm.trigger.servo, baud=baud, firmware=firmware,
+                arm.trigger.servo_model,
+                arm.trigger.servo,
+                baud=baud,
+                firmware=firmware,
                 position_rad=arm.trigger.open_rad,
-            )  # fmt: skip
+            )
         )
     return servos
 
