@@ -1,8 +1,19 @@
 """An arm of servos on one bus: what a leader and a follower both stand on."""
 
-from haptether.dynamixel.arm.arm import ServoArm
+from haptether.dynamixel.arm.arm import ServoArm, Vector
+from haptether.dynamixel.arm.calibration import calibration_text, read_calibration
 from haptether.dynamixel.arm.checks import ArmRefusedError
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind
 from haptether.dynamixel.arm.settings import ArmSettings, ServoSettings
 
-__all__ = ["ArmFaultError", "ArmRefusedError", "ArmSettings", "FaultKind", "ServoArm", "ServoSettings"]
+__all__ = [
+    "ArmFaultError",
+    "ArmRefusedError",
+    "ArmSettings",
+    "FaultKind",
+    "ServoArm",
+    "ServoSettings",
+    "Vector",
+    "calibration_text",
+    "read_calibration",
+]

@@ -520,11 +520,11 @@ class ServoArm:
         if self._bus is None:
             return
         zeros = bytes(2 * len(self._ids))
-        for _ in range(STOPS):
-            with contextlib.suppress(OSError, RuntimeError):
-                if len(self._in_current):
-                    self._bus.sync_write(GOAL_CURRENT, 2, self._current_ids, zeros[: 2 * len(self._current_ids)])
-                self._bus.write(BROADCAST, TORQUE_ENABLE, b"\0")
+        with contextlib.suppress(OSError, RuntimeError):
+            if self._current_ids:
+                self._bus.stop(GOAL_CURRENT, 2, self._current_ids, zeros[: 2 * len(self._current_ids)])
+        with contextlib.suppress(OSError, RuntimeError):
+            self._bus.stop(TORQUE_ENABLE, 1, self._ids, zeros[: len(self._ids)])
 
     def _read_at_rest(self) -> bool:
         """With a fault: looks from time to time, and sends the stop again until all are known to be without torque."""

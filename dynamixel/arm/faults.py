@@ -21,6 +21,7 @@ class FaultKind(StrEnum):
     WATCHDOG = "bus watchdog"
     JUMP = "jump of a position"
     NOT_FINITE = "number that is none"
+    MISALIGNED = "misaligned start"
     NOT_READY = "not ready"
 
 

@@ -65,6 +65,8 @@ class Server:
         self._any_rate = any_rate
         self._descriptors: tuple[int, int] | None = None
         self._due: list[tuple[float, bytes]] = []
+        self._free_s = 0.0
+        """When the line is free of what was on it before."""
         self._lost_bytes = 0
         self.plug()
 
@@ -134,13 +136,14 @@ class Server:
         now_s = time.monotonic()
         baud = self._client_baud()
         answers = self.bus.receive(received, now_s, None if self._any_rate else baud)
-        due_s = now_s + self._latency_s
+        end_s = now_s
         if self._wire_time and baud:
-            due_s += BITS_PER_BYTE * len(received) / baud
+            end_s = max(now_s, self._free_s) + BITS_PER_BYTE * len(received) / baud
         for answer in answers:
             if self._wire_time and baud:
-                due_s += answer.delay_s + BITS_PER_BYTE * len(answer.sent) / baud
-            self._due.append((due_s, answer.sent))
+                end_s += answer.delay_s + BITS_PER_BYTE * len(answer.sent) / baud
+            self._due.append((end_s + self._latency_s, answer.sent))
+        self._free_s = end_s
         self._send(time.monotonic())
 
     def _send(self, now_s: float) -> None:

@@ -2554,6 +2554,14 @@ class DynamixelBus:
             ValueError: Bytes that do not fit the ids.
         """
 
+    def stop(self, address: int, length: int, ids: bytes, written: bytes) -> None:
+        """Sets `length` bytes of each servo, whatever the line does: sent three times, without waiting for its silence.
+
+        Raises:
+            ValueError: Bytes that do not fit the ids.
+            OSError: None of them could be sent.
+        """
+
     def close(self) -> None:
         """Gives the port back; any other call raises `ValueError` then."""
 

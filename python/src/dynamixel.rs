@@ -149,6 +149,17 @@ impl PyBus {
         self.with(py, |bus| bus.sync_write(address, length, ids, written))
     }
 
+    fn stop(
+        &mut self,
+        py: Python<'_>,
+        address: u16,
+        length: u16,
+        ids: &[u8],
+        written: &[u8],
+    ) -> PyResult<()> {
+        self.with(py, |bus| bus.stop(address, length, ids, written))
+    }
+
     fn close(&mut self) {
         self.bus = None;
     }

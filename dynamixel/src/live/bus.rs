@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rustix::io::Errno;
 
-use super::port::{SerialPort, now_ns};
+use super::port::{SerialPort, now_ns, sleep_ns};
 use crate::{
     error::StatusError,
     instruction::{BROADCAST, Instruction, Packet, RequestError},
@@ -17,6 +17,8 @@ const BITS_PER_BYTE: u64 = 10;
 /// Bytes of a status packet without parameters.
 const STATUS_OVERHEAD: usize = 11;
 const SECOND_NS: u64 = 1_000_000_000;
+/// So often a stop is sent: nobody answers it.
+const STOPS: u32 = 3;
 /// A line that does not fall silent after a failure is given up after so many timeouts.
 const MAX_SETTLING: u64 = 8;
 
@@ -89,6 +91,10 @@ pub struct Bus {
     packet: Packet,
     parser: StatusParser,
     unsettled: bool,
+    /// Until when the line has bytes that were sent already.
+    busy_until_ns: u64,
+    /// Until when the answer that was asked for last takes, where it is not known to be over.
+    answer_until_ns: u64,
 }
 
 impl Bus {
@@ -105,6 +111,8 @@ impl Bus {
             parser: StatusParser::default(),
             // Whoever had the port before may have asked for something.
             unsettled: true,
+            busy_until_ns: 0,
+            answer_until_ns: 0,
         })
     }
 
@@ -145,7 +153,7 @@ impl Bus {
         let expected = read.answer_size();
         self.port.discard()?;
         let request = read.begin();
-        let deadline_ns = self.deadline_ns(request.len() + expected);
+        let deadline_ns = self.begin(request.len(), expected);
         self.port.send(request, deadline_ns)?;
         let mut buffer = [0; 256];
         loop {
@@ -155,25 +163,48 @@ impl Bus {
                 return Err(self.silent(id));
             }
             if read.receive(&buffer[..count])? == Progress::Complete {
+                self.answer_until_ns = 0;
                 return Ok(());
             }
         }
     }
 
-    /// Sets the same bytes of several servos; none answers.
+    /// Sets the same bytes of several servos; none answers. The rest of a failed answer is let by, for as long as its
+    /// bytes take and at most the timeout.
     pub fn sync_write(&mut self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
         self.packet.encode(&Instruction::SyncWrite { address, length, ids, data })?;
-        let bytes = self.packet.bytes();
-        Ok(self.port.send(bytes, self.deadline_ns(bytes.len()))?)
+        self.let_by();
+        Ok(self.send_packet()?)
+    }
+
+    /// The same whatever the line does: it waits for no answer and for no silence, and is sent three times, as far apart
+    /// as the answer that it may have collided with. An error if none of them could be sent.
+    pub fn stop(&mut self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
+        self.packet.encode(&Instruction::SyncWrite { address, length, ids, data })?;
+        let gap_ns = self.answer_until_ns.saturating_sub(now_ns()).min(self.timeout_ns);
+        let mut result = Err(Errno::TIMEDOUT);
+        for index in 0..STOPS {
+            if index > 0 && gap_ns > 0 {
+                sleep_ns(gap_ns);
+            }
+            result = self.send_packet().or(result);
+        }
+        Ok(result?)
+    }
+
+    fn send_packet(&mut self) -> Result<(), Errno> {
+        let length = self.packet.bytes().len();
+        let deadline_ns = self.begin(length, 0);
+        self.port.send(self.packet.bytes(), deadline_ns)
     }
 
     /// One instruction with the answer of one servo.
     fn ask(&mut self, instruction: &Instruction<'_>, id: u8, answer: &mut [u8]) -> Result<bool, BusError> {
         self.packet.encode(instruction)?;
         if id == BROADCAST {
-            let bytes = self.packet.bytes();
             return if answer.is_empty() {
-                self.port.send(bytes, self.deadline_ns(bytes.len()))?;
+                self.let_by();
+                self.send_packet()?;
                 Ok(false)
             } else {
                 Err(RequestError::Id { seen: id }.into())
@@ -189,9 +220,8 @@ impl Bus {
     fn answered(&mut self, id: u8, answer: &mut [u8]) -> Result<bool, BusError> {
         self.parser.reset();
         self.port.discard()?;
-        let request = self.packet.bytes();
-        let deadline_ns = self.deadline_ns(request.len() + STATUS_OVERHEAD + 2 * answer.len());
-        self.port.send(request, deadline_ns)?;
+        let deadline_ns = self.begin(self.packet.bytes().len(), STATUS_OVERHEAD + 2 * answer.len());
+        self.port.send(self.packet.bytes(), deadline_ns)?;
         let silent = self.silent(id);
         let mut buffer = [0; 256];
         loop {
@@ -208,6 +238,7 @@ impl Bus {
             if status.id != id {
                 return Err(BusError::Id { seen: status.id, allowed: id });
             }
+            self.answer_until_ns = 0;
             if status.error.refusal().is_some() {
                 return Err(BusError::Refused { id, error: status.error });
             }
@@ -235,8 +266,28 @@ impl Bus {
         Ok(())
     }
 
-    fn deadline_ns(&self, bytes: usize) -> u64 {
-        now_ns() + self.timeout_ns + BITS_PER_BYTE * SECOND_NS * bytes as u64 / u64::from(self.baud.max(1))
+    /// Counts bytes that are sent now, and those of their answer; the deadline of both. What was sent before is still on
+    /// the line, and goes first.
+    fn begin(&mut self, sent: usize, answered: usize) -> u64 {
+        self.busy_until_ns = self.busy_until_ns.max(now_ns()) + self.wire_ns(sent);
+        let end_ns = self.busy_until_ns + self.wire_ns(answered);
+        if answered > 0 {
+            self.answer_until_ns = end_ns;
+        }
+        end_ns + self.timeout_ns
+    }
+
+    /// Waits for the end of an answer that failed before its last byte.
+    fn let_by(&mut self) {
+        let left_ns = self.answer_until_ns.saturating_sub(now_ns());
+        if left_ns > 0 {
+            sleep_ns(left_ns.min(self.timeout_ns));
+        }
+        self.answer_until_ns = 0;
+    }
+
+    fn wire_ns(&self, bytes: usize) -> u64 {
+        BITS_PER_BYTE * SECOND_NS * bytes as u64 / u64::from(self.baud.max(1))
     }
 
     fn silent(&self, id: u8) -> BusError {

@@ -8,7 +8,7 @@ use rustix::{
     fs::{FlockOperation, Mode, OFlags, flock, open},
     io::{Errno, read, write},
     termios::{ControlModes, OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr},
-    thread::ClockId,
+    thread::{ClockId, nanosleep},
     time::{Timespec, clock_gettime},
 };
 
@@ -20,6 +20,15 @@ pub(super) fn now_ns() -> u64 {
     #[allow(clippy::cast_sign_loss)] // the monotonic clock starts at boot
     let (seconds, nanoseconds) = (now.tv_sec as u64, now.tv_nsec as u64);
     seconds * SECOND_NS + nanoseconds
+}
+
+/// Waits for a while, or until a signal.
+pub(super) fn sleep_ns(duration_ns: u64) {
+    #[allow(clippy::cast_possible_wrap)] // 292 years
+    let duration =
+        Timespec { tv_sec: (duration_ns / SECOND_NS) as i64, tv_nsec: (duration_ns % SECOND_NS) as i64 };
+    // One that a signal ends is short: what follows is sent the sooner.
+    let _ = nanosleep(&duration);
 }
 
 /// A serial port: raw, 8 bits, no parity, one stop bit.

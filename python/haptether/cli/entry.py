@@ -21,6 +21,7 @@ import tyro
 
 from haptether import __version__
 from haptether.cli.demo import Demo
+from haptether.cli.dynamixel import DYNAMIXEL_COMMANDS, Dynamixel
 from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
 from haptether.cli.keygen import Keygen
@@ -60,13 +61,14 @@ COMMANDS: dict[str, type[Any]] = {
     "slave": Slave,
     "netsim": Netsim,
     "ur-emulator": UrEmulator,
+    "dynamixel": Dynamixel,
     "dynamixel-emulator": DynamixelEmulator,
     "check-link": CheckLink,
     "explain": Explain,
     "keygen": Keygen,
     "list": List,
 }
-GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS}
+GROUPS: dict[str, dict[str, type[Command]]] = {"netsim": NETSIM_COMMANDS, "dynamixel": DYNAMIXEL_COMMANDS}
 """Commands that only name others."""
 
 

@@ -1,0 +1,86 @@
+"""The file of an arm: its rate, and of each servo how its angle becomes that of a joint."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+from msgspec import Meta
+
+from haptether.dynamixel.arm.settings import ServoSettings
+from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS, OperatingMode
+
+Angle = Annotated[float, Meta(ge=-1608.0, le=1608.0)]
+
+
+class _Servo(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    id: int
+    model: str
+    sign: int = 1
+    offset_rad: Angle = 0.0
+    low_rad: Angle = -3.141592653589793
+    high_rad: Angle = 3.141592653589793
+    near_rad: Angle | None = None
+    cap_a: float | None = None
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    servo: list[_Servo]
+    baud: int = 4_000_000
+
+
+HEAD: Final = """\
+# The servos of an arm, in the order of its joints: docs/dynamixel.md.
+# Angle of a joint: sign * (Present Position in rad from the mechanical centre - offset_rad), in the turn within limits.
+"""
+
+
+def read_calibration(path: Path) -> tuple[int, tuple[ServoSettings, ...]]:
+    """Rate in bit/s and servos of a file.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no such file, or has a servo that cannot be; names the file.
+    """
+    try:
+        file = msgspec.toml.decode(path.read_text(encoding="utf-8"), type=_File)
+        if file.baud not in BAUD_RATES:
+            message = f"baud = {file.baud}: must be one of {', '.join(map(str, BAUD_RATES))}"
+            raise ValueError(message)
+        servos = []
+        for one in file.servo:
+            fields = msgspec.structs.asdict(one)
+            servo_id = fields.pop("id")
+            # Whose mode does not matter here: a follower and a leader each have their own.
+            servos.append(_settings(servo_id, fields))
+    except ValueError as error:
+        message = f"{path}: {error}"
+        raise ValueError(message) from None
+    return file.baud, tuple(servos)
+
+
+def _settings(servo_id: int, fields: dict[str, object]) -> ServoSettings:
+    model = SERVO_MODELS.get(str(fields["model"]))
+    modes = OperatingMode.CURRENT, OperatingMode.EXTENDED_POSITION
+    mode = modes[0] if model is None or model.has_current_control else modes[1]
+    return ServoSettings(servo_id=servo_id, mode=mode, **fields)  # type: ignore[arg-type]  # checked there
+
+
+def calibration_text(baud: int, servos: tuple[ServoSettings, ...]) -> str:
+    """The file of a rate and servos."""
+    lines = [HEAD, f"baud = {baud}\n"]
+    for servo in servos:
+        lines.append(
+            "\n[[servo]]\n"
+            f"id = {servo.servo_id}\n"
+            f"model = {json.dumps(servo.model)}\n"
+            f"sign = {servo.sign}\n"
+            f"offset_rad = {servo.offset_rad:.6f}\n"
+            f"low_rad = {servo.low_rad:.4f}\n"
+            f"high_rad = {servo.high_rad:.4f}\n"
+        )
+        if servo.near_rad is not None:
+            lines.append(f"near_rad = {servo.near_rad:.4f}\n")
+        if servo.cap_a is not None:
+            lines.append(f"cap_a = {servo.cap_a:.4f}\n")
+    return "".join(lines)

@@ -1,0 +1,118 @@
+"""`haptether dynamixel calibrate`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from haptether.dynamixel.arm import ServoSettings
+    from haptether.dynamixel.arm.guide import FoundServo
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate:
+    """Find where the zero of an arm is, which way its joints turn, and how far; a person moves it, without torque.
+
+    It writes the file of the arm, for the options of the drivers. Of each servo it keeps id, model, direction, offset
+    of the zero, and limits. A servo knows one turn: an offset counts from the mechanical centre of its output, with the
+    homing offset that it has, and the limits say which turn is meant. A joint that may turn more than once is to be
+    near the calibration's pose when its supply comes on.
+
+    Examples:
+
+    haptether dynamixel calibrate /dev/ttyUSB0 arm.toml --round
+
+    haptether dynamixel calibrate /dev/ttyUSB0 arm.toml --ids 1 2 3 4 5 6 --pose 0 -1.57 1.57 -1.57 -1.57 0
+    """
+
+    port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
+    """The serial port."""
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """Where the file of the arm is written."""
+    baud: int | None = None
+    """Rate of the servos in bit/s; by default all are tried."""
+    ids: tuple[int, ...] = ()
+    """The servos in the order of the joints; by default all of ids 1 to 20 that answer."""
+    pose: Annotated[tuple[float, ...], tyro.conf.arg(metavar="Q")] = ()
+    """Angles in rad of the pose that the arm is put into; by default 0."""
+    round: bool = False
+    """Round offsets to multiples of pi/2, where the horns are mounted so."""
+    margin: float = 0.05
+    """By which the limits are inside of what is shown, in rad."""
+    force: bool = False
+    """Replace a file that is there."""
+
+    def run(self) -> int:
+        """Asks step by step, and writes the file."""
+        import math
+
+        from haptether.cli.dynamixel.asking import Person
+        from haptether.dynamixel import DynamixelBus
+        from haptether.dynamixel.arm import calibration_text, read_calibration
+        from haptether.dynamixel.arm.guide import Guide, calibrated
+
+        if self.path.exists() and not self.force:
+            message = f"{self.path}: exists: name another, or take --force"
+            raise ValueError(message)
+        if not 0.0 <= self.margin <= 0.5:
+            message = f"margin = {self.margin:g}: must be 0 to 0.5 rad"
+            raise ValueError(message)
+        servos = self._servos()
+        pose = self.pose or (0.0,) * len(servos)
+        if len(pose) != len(servos) or not all(math.isfinite(q) and abs(q) <= 100.0 for q in pose):
+            message = f"pose: {' '.join(f'{q:g}' for q in pose)}: must be {len(servos)} angles in rad, within 100"
+            raise ValueError(message)
+        baud = servos[0].baud
+        person = Person()
+        bus = DynamixelBus(self.port, baud=baud, timeout_s=0.1)
+        try:
+            guide = Guide(bus, servos, person.say, person.answer)
+            person.say("the arm has no torque from now on: hold it; press Enter")
+            person.wait()
+            guide.loosen()
+            at_pose = guide.pose(pose)
+            signs = guide.directions()
+            ranges = guide.ranges()
+        finally:
+            bus.close()
+        arm, left = calibrated(
+            servos, pose, at_pose, signs, ranges, rounded=self.round, margin_rad=self.margin
+        )  # fmt: skip
+        self.path.write_text(calibration_text(baud, arm), encoding="utf-8")
+        read_calibration(self.path)
+        for joint, one in enumerate(arm):
+            self._print(joint, one, float(left[joint]))
+        print(f"{self.path}: written; [slave.options] arm = {str(self.path)!r}")
+        return 0
+
+    def _servos(self) -> "list[FoundServo]":
+        """Those that answer, all of known models and of one rate."""
+        from haptether.cli.dynamixel.search import found_servos
+
+        servos = found_servos(self.port, self.baud, self.ids or range(1, 21))
+        missing = [servo_id for servo_id in self.ids if servo_id not in {servo.servo_id for servo in servos}]
+        if missing or not servos:
+            message = f"{self.port}: servo {', '.join(map(str, missing)) or 'of any id'} does not answer"
+            raise RuntimeError(message)
+        if len({servo.baud for servo in servos}) > 1:
+            message = f"{self.port}: servos of several rates: give all the same, or name one by --baud"
+            raise RuntimeError(message)
+        for servo in servos:
+            print(f"id {servo.servo_id}: {servo.model.name if servo.model else f'model {servo.number}'}", flush=True)
+            if servo.model is None:
+                message = f"servo {servo.servo_id}: model {servo.number} is not known"
+                raise RuntimeError(message)
+        return servos
+
+    def _print(self, joint: int, one: "ServoSettings", left: float) -> None:
+        rest = f", {left:+.3f} rad rounded away" if self.round else ""
+        print(
+            f"joint {joint + 1}: servo {one.servo_id}, sign {one.sign:+d}, offset {one.offset_rad:+.4f} rad{rest},"
+            f" {one.low_rad:+.3f} to {one.high_rad:+.3f} rad"
+        )
+        if one.near_rad is not None:
+            print(f"  it turns more than once: have it near {one.near_rad:+.2f} rad when its supply comes on")
+        if abs(left) > 0.3:
+            print("  much is rounded away: the pose was another, or its horn is not mounted at a quarter turn")

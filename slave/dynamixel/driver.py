@@ -1,0 +1,144 @@
+"""The driver of an arm of Dynamixel servos as the slave: `device = "dynamixel"`."""
+
+import time
+from typing import Any, Final
+
+import numpy as np
+
+from haptether.dynamixel.arm import ArmSettings, FaultKind, ServoArm, Vector
+from haptether.slave.device import SlaveSample
+from haptether.slave.dynamixel.options import DynamixelSlaveOptions, dynamixel_slave_options
+from haptether.slave.dynamixel.torque import JointTorque
+
+MAX_STEP_S: Final = 0.02
+"""Of the speed limit, after a pause."""
+
+
+class DynamixelSlave:
+    """An arm of servos that holds its joints at what is commanded; see `SlaveDevice` and docs/dynamixel.md.
+
+    Args:
+        options: Those of `DynamixelSlaveOptions`.
+
+    Raises:
+        ValueError: Options that cannot be. From `open` also `ArmRefusedError`: the arm is not ready.
+    """
+
+    paces = False
+    kinds = ("joints",)
+
+    @property
+    def axes(self) -> int:
+        """Number of joints."""
+        return len(self.settings.servos)
+
+    @property
+    def max_speed(self) -> float:
+        """Largest speed of a joint in rad/s; behind a faster command the arm would go on after it was let go."""
+        return self.options.max_speed
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
+        self.options: DynamixelSlaveOptions = dynamixel_slave_options(options)
+        self.settings: ArmSettings = self.options.settings()
+        self._arm = ServoArm(self.settings)
+        self._torque = JointTorque(
+            self.settings.servos,
+            constant=self.options.torque_constant,
+            coulomb=self.options.coulomb,
+            viscous=self.options.viscous,
+            filter_hz=self.options.force_filter_hz,
+        )
+        count = len(self.settings.servos)
+        self._low: Vector = np.array([servo.low_rad for servo in self.settings.servos])
+        self._high: Vector = np.array([servo.high_rad for servo in self.settings.servos])
+        self._position: Vector = np.zeros(count)
+        self._velocity: Vector = np.zeros(count)
+        self._felt: Vector = np.zeros(count)
+        self._goal: Vector | None = None
+        """What was sent last; none until the joints are held."""
+        self._led = False
+        """Whether a command came since the last stop."""
+        self._shown: str | None = None
+        self._read_s = self._written_s = 0.0
+
+    def open(self) -> None:
+        """Goes through the checklist; then the arm takes up its own weight where it stands."""
+        self._goal, self._led = None, False
+        self._arm.open()
+        self._torque.reset()
+        self._read_s = self._written_s = time.monotonic()
+
+    def read(self) -> SlaveSample:
+        """The newest sample; where a read fails it is asked again, until there is one or a fault."""
+        arm = self._arm
+        fresh = arm.read()
+        while not fresh and arm.fault is None:
+            fresh = arm.read()
+        now_s = time.monotonic()
+        if fresh:
+            self._position, self._velocity = arm.position.copy(), arm.velocity.copy()
+        if arm.fault is not None:
+            self._goal, self._led = None, False
+            # Its servos have no torque: nothing is felt by their currents.
+            self._felt = np.zeros(len(self._felt))
+            self._torque.reset()
+        elif fresh:
+            self._felt = self._torque.of(arm.current, arm.velocity, now_s - self._read_s)
+            if self._goal is None:
+                self._goal = self._within(self._position)
+            if arm.ramp < 1.0:
+                # The caps rise as it is written to.
+                arm.write_positions(self._goal)
+        self._read_s = now_s
+        self._shown = arm.fault
+        return self._sample()
+
+    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:  # noqa: ARG002  # of SlaveDevice
+        """Sends the joints on, within their limits and their speed; nothing where there is a fault."""
+        if self._goal is None or self._arm.fault is not None:
+            return
+        now_s = time.monotonic()
+        wanted = np.array(position, dtype=float)
+        if not np.isfinite(wanted).all():
+            self._arm.stop(FaultKind.NOT_FINITE, "an angle was commanded that is no number")
+            return
+        wanted = self._within(wanted)
+        if not self._led:
+            away = np.abs(wanted - self._position)
+            if self.options.start == "refuse" and away.max() > self.options.max_jump:
+                joint = int(away.argmax())
+                self._arm.stop(
+                    FaultKind.MISALIGNED,
+                    f"the first command has joint {joint + 1} {away[joint]:.3f} rad from where it is, beyond max_jump"
+                    f" = {self.options.max_jump:g} rad: align both sides, then acknowledge",
+                )
+                return
+            self._led = True
+            self._written_s = now_s
+        step = self.options.max_speed * min(now_s - self._written_s, MAX_STEP_S)
+        self._written_s = now_s
+        self._goal = np.clip(wanted, self._goal - step, self._goal + step)
+        self._arm.write_positions(self._goal)
+
+    def stop(self) -> None:
+        """Holds the joints where they were sent last, which no command was faster than its limit to reach."""
+        self._led = False
+        if self._goal is not None and self._arm.fault is None:
+            self._arm.write_positions(self._goal)
+
+    def acknowledge(self) -> None:
+        """The operator has removed the fault: the checklist runs again, and says when the arm is ready."""
+        if self._arm.fault is not None and self._arm.fault == self._shown:
+            self._arm.acknowledge()
+
+    def close(self) -> None:
+        """Lets the arm down where its mode allows it, and ends all torque."""
+        self._arm.close()
+
+    def _within(self, angles: Vector) -> Vector:
+        return np.clip(angles, self._low, self._high)
+
+    def _sample(self) -> SlaveSample:
+        if len(self._position) == 1:
+            return SlaveSample(float(self._position[0]), float(self._velocity[0]), float(self._felt[0]), self._shown)
+        return SlaveSample(self._position.tolist(), self._velocity.tolist(), self._felt.tolist(), self._shown)
