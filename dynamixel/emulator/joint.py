@@ -1,6 +1,7 @@
 """What turns behind an emulated servo: one inertia with friction, and the servo's loops as simple as they can be."""
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Final
 
@@ -64,9 +65,19 @@ class HeldBy:
     from_rad: float = 0.0
     begin_s: float = 0.0
     duration_s: float = 0.0
+    path: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Times in s from the begin, and places in rad; straight between them, and at rest after the last."""
 
     def place_rad(self, now_s: float) -> float:
         """q_h at a time."""
+        if self.path is not None:
+            times, places = self.path
+            at_s = now_s - self.begin_s
+            index = bisect_right(times, at_s)
+            if index == 0 or index == len(times):
+                return places[max(index - 1, 0)]
+            share = (at_s - times[index - 1]) / (times[index] - times[index - 1])
+            return places[index - 1] + share * (places[index] - places[index - 1])
         if self.duration_s <= 0.0 or now_s >= self.begin_s + self.duration_s:
             return self.goal_rad
         r = max(0.0, now_s - self.begin_s) / self.duration_s

@@ -1,13 +1,14 @@
 """What the driver of a leader arm is called with: `[master.options]` of a scene."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
 from msgspec import Meta
 
 from haptether.dynamixel import BAUD_RATES
-from haptether.dynamixel.arm import ArmSettings, ServoSettings
+from haptether.dynamixel.arm import ArmSettings, ServoSettings, read_calibration
 from haptether.dynamixel.description import ArmDescription, load_arm
 from haptether.options import converted, refused
 
@@ -31,6 +32,8 @@ class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Angle of each joint's servo in rad where q is 0, of this unit; by default those of the description."""
     signs: tuple[Literal[-1, 1], ...] | None = None
     """Direction of each joint's servo; by default those of the description."""
+    calibration: str | None = None
+    """File of this unit that `haptether dynamixel calibrate` wrote: signs and offsets of its servos, by their ids."""
     gravity_gain: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     """Share of the described gravity that is compensated; by default 1 where the masses are known."""
     friction_gain: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0
@@ -87,8 +90,25 @@ def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescript
 
 
 def with_unit(options: LeaderOptions, arm: ArmDescription) -> ArmDescription:
-    """The description with the offsets and signs of this unit."""
+    """The description with the offsets and signs of this unit.
+
+    Raises:
+        ValueError: A calibration that cannot be read, or that lacks a servo or has another model of it.
+    """
     joints = list(arm.joints)
+    if options.calibration is not None:
+        try:
+            _, servos = read_calibration(Path(options.calibration))
+        except (OSError, ValueError) as error:
+            raise refused(DRIVER, "calibration", options.calibration, str(error)) from None
+        found = {servo.servo_id: servo for servo in servos}
+        for index, joint in enumerate(joints):
+            servo = found.get(joint.servo)
+            if servo is None or servo.model != joint.model:
+                seen = "lacks it" if servo is None else f"has it as a {servo.model}"
+                message = f"servo {joint.servo} must be a {joint.model}: the file {seen}"
+                raise refused(DRIVER, "calibration", options.calibration, message)
+            joints[index] = msgspec.structs.replace(joint, sign=servo.sign, offset_rad=servo.offset_rad)
     if options.offsets is not None:
         joints = [
             msgspec.structs.replace(joint, offset_rad=at) for joint, at in zip(joints, options.offsets, strict=True)
