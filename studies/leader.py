@@ -125,7 +125,7 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
     return leader
 
 
-def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest") -> Leader:
+def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", *more: str) -> Leader:
     """Starts an emulated bus with the leader's servos for `limit` s."""
     from haptether.studies.demo import child_process
 
@@ -133,7 +133,7 @@ def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest"
     port = free_port()
     process = stack.enter_context(child_process(
         "dynamixel-emulator", "--arm", LEADER, "--duration-s", limit, "--control", f"127.0.0.1:{port}",
-        "--link", str(folder / "bus"), says="servos ",
+        "--link", str(folder / "bus"), *more, says="servos ",
     ))  # fmt: skip
     process.headline(stopped)
     emulated = Emulated(f"127.0.0.1:{port}")
@@ -216,5 +216,3 @@ def turn_quat(turn: Array) -> Array:
     angle = float(np.linalg.norm(turn))
     axis = turn / angle if angle > 0.0 else np.zeros(3)
     return np.concatenate(([math.cos(0.5 * angle)], math.sin(0.5 * angle) * axis))
-
-
