@@ -45,12 +45,12 @@ coulomb = {coulomb}    # N m
 friction = "axis"
 encoder_quantum = 1.5339808e-3 # rad
 driver = "dynamixel"
-options = {{ port = "{leader}", arm = "{arm}" }}
+options = {{ port = "{leader}", arm = "{arm}", timeout_s = 0.1, watchdog_s = 0.5 }}
 
 [slave]
 device = "dynamixel"
 period_s = 0.002
-options = {{ port = "{follower}", arm = "{file}", max_speed = 6.0 }}
+options = {{ port = "{follower}", arm = "{file}", max_speed = 6.0, timeout_s = 0.1, watchdog_s = 0.5, lost_after_s = 0.3 }}
 
 [safety]
 controllers = {controllers}

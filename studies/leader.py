@@ -32,6 +32,8 @@ HAND: Final = (60.0, 60.0, 60.0, 15.0, 15.0, 15.0, 2.0)
 """Stiffness of the hand at each joint and at the trigger, N m/rad; chosen: 1 kN/m at the tool point's distance."""
 HAND_DAMPING: Final = (1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.02)
 """N m s/rad, chosen."""
+SLOW: Final = ("timeout_s=0.1", "watchdog_s=0.5")
+"""Options of drivers: several processes on one machine, which may be busy, answer late."""
 STEPS: Final = 20
 """Of Newton's method for one point."""
 NEAR: Final = 1e-9
@@ -114,7 +116,7 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
     links = ArmKinematics(arm).link_inertia([joint.start_rad for joint in arm.joints])
     options = [
         "master.driver=dynamixel", f"master.options.port={leader.port}", f"master.options.arm={LEADER}",
-        f"master.options.kind={kind}", "run.period_s=0.002",
+        f"master.options.kind={kind}", "run.period_s=0.004", *(f"master.options.{key}" for key in SLOW),
     ]  # fmt: skip
     if kind == "pose":
         model = pose_model(arm, inertia=[one - link for one, link in zip(own, links, strict=True)])

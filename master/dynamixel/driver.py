@@ -5,14 +5,18 @@ grasp takes for F_device. That estimate holds m A + b V + c sign(V) = F_device +
 with its compensation is not either. What is left of the two, and the springs before the limits, it takes for the hand.
 """
 
+import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from haptether.dynamixel.arm import FaultKind, ServoArm
 from haptether.dynamixel.description import ArmKinematics
 from haptether.master.device import MasterSample
 from haptether.master.dynamixel.compensation import Compensation
 from haptether.master.dynamixel.options import arm_settings, leader_options, with_unit
+
+PATIENT: Final = 0.4
+"""Share of the bus watchdog's time that may pass from `open` to the first `read`."""
 
 
 class DynamixelMaster:
@@ -57,6 +61,7 @@ class DynamixelMaster:
         self._q: list[float] = []
         self._w: list[float] = []
         self._sample: MasterSample | None = None
+        self._opened_s = 0.0
         if trigger is not None:
             self.write_trigger = self._write_trigger
 
@@ -69,6 +74,7 @@ class DynamixelMaster:
         self._sample = None
         self._trigger_nm = 0.0
         self.servos.open()
+        self._opened_s = time.monotonic()
 
     def close(self) -> None:
         """Damps the arm down and ends its torque."""
@@ -85,6 +91,10 @@ class DynamixelMaster:
             RuntimeError: A fault before anything was measured.
         """
         servos = self.servos
+        if self._sample is None and time.monotonic() - self._opened_s > PATIENT * self.options.watchdog_s:
+            # Between the two this process took its time, and the servos have ended their torque meanwhile.
+            servos.close()
+            servos.open()
         while not servos.read() and servos.fault is None:
             pass
         if servos.fault is None:

@@ -52,7 +52,7 @@ class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Of each joint's greatest torque, what compensation and springs leave to the reflected force."""
     ramp_s: Annotated[float, Meta(ge=0.1, le=10.0, extra={"unit": "s"})] = 1.0
     """In which all torque rises from 0 after the start, and after a fault, in s."""
-    timeout_s: Annotated[float, Meta(ge=0.001, le=0.02, extra={"unit": "s"})] = 0.02
+    timeout_s: Annotated[float, Meta(ge=0.001, le=0.1, extra={"unit": "s"})] = 0.02
     """How long an answer may take beyond its bytes, in s."""
     watchdog_s: Annotated[float, Meta(ge=0.02, le=0.5, extra={"unit": "s"})] = 0.1
     """Silence after which the servos end their torque themselves, in s."""
@@ -143,6 +143,6 @@ def arm_settings(options: LeaderOptions, arm: ArmDescription) -> ArmSettings:
         )
     return ArmSettings(
         port=options.port, servos=tuple(servos), baud=options.baud, timeout_s=options.timeout_s,
-        watchdog_s=options.watchdog_s, lost_after_s=min(0.06, 0.6 * options.watchdog_s), ramp_s=options.ramp_s,
+        watchdog_s=options.watchdog_s, lost_after_s=0.6 * options.watchdog_s, ramp_s=options.ramp_s,
         verify_watchdog=options.verify_watchdog,
     )  # fmt: skip
