@@ -10,7 +10,7 @@ class FaultKind(StrEnum):
     SILENT = "no answer"
     UNPLUGGED = "unplugged"
     UNREADABLE = "unreadable answers"
-    BROWN_OUT = "brown-out"
+    BROWN_OUT = "brown-out or cut cable"
     REBOOTED = "reboot"
     TORQUE_OFF = "torque off"
     INPUT_VOLTAGE = "input voltage"
@@ -21,7 +21,6 @@ class FaultKind(StrEnum):
     WATCHDOG = "bus watchdog"
     JUMP = "jump of a position"
     NOT_FINITE = "number that is none"
-    MISALIGNED = "misaligned start"
     NOT_READY = "not ready"
 
 

@@ -1,11 +1,12 @@
 """The driver of an arm of Dynamixel servos as the slave: `device = "dynamixel"`."""
 
+import sys
 import time
 from typing import Any, Final
 
 import numpy as np
 
-from haptether.dynamixel.arm import ArmSettings, FaultKind, ServoArm, Vector
+from haptether.dynamixel.arm import ArmSettings, ServoArm, Vector
 from haptether.slave.device import SlaveSample
 from haptether.slave.dynamixel.options import DynamixelSlaveOptions, dynamixel_slave_options
 from haptether.slave.dynamixel.torque import JointTorque
@@ -58,12 +59,14 @@ class DynamixelSlave:
         """What was sent last; none until the joints are held."""
         self._led = False
         """Whether a command came since the last stop."""
+        self._refused: str | None = None
+        """A command that was not obeyed; the arm holds its joints where they are."""
         self._shown: str | None = None
         self._read_s = self._written_s = 0.0
 
     def open(self) -> None:
         """Goes through the checklist; then the arm takes up its own weight where it stands."""
-        self._goal, self._led = None, False
+        self._goal, self._led, self._refused = None, False, None
         self._arm.open()
         self._torque.reset()
         self._read_s = self._written_s = time.monotonic()
@@ -90,27 +93,26 @@ class DynamixelSlave:
                 # The caps rise as it is written to.
                 arm.write_positions(self._goal)
         self._read_s = now_s
-        self._shown = arm.fault
+        self._shown = arm.fault or self._refused
         return self._sample()
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:  # noqa: ARG002  # of SlaveDevice
         """Sends the joints on, within their limits and their speed; nothing where there is a fault."""
-        if self._goal is None or self._arm.fault is not None:
+        if self._goal is None or self._refused is not None or self._arm.fault is not None:
             return
         now_s = time.monotonic()
         wanted = np.array(position, dtype=float)
         if not np.isfinite(wanted).all():
-            self._arm.stop(FaultKind.NOT_FINITE, "an angle was commanded that is no number")
+            self._refuse("an angle was commanded that is no number: see the other side, then acknowledge")
             return
         wanted = self._within(wanted)
         if not self._led:
             away = np.abs(wanted - self._position)
             if self.options.start == "refuse" and away.max() > self.options.max_jump:
                 joint = int(away.argmax())
-                self._arm.stop(
-                    FaultKind.MISALIGNED,
-                    f"the first command has joint {joint + 1} {away[joint]:.3f} rad from where it is, beyond max_jump"
-                    f" = {self.options.max_jump:g} rad: align both sides, then acknowledge",
+                self._refuse(
+                    f"misaligned start: the first command has joint {joint + 1} {away[joint]:.3f} rad from where it is,"
+                    f" beyond max_jump = {self.options.max_jump:g} rad: align both sides, then acknowledge"
                 )
                 return
             self._led = True
@@ -128,12 +130,20 @@ class DynamixelSlave:
 
     def acknowledge(self) -> None:
         """The operator has removed the fault: the checklist runs again, and says when the arm is ready."""
-        if self._arm.fault is not None and self._arm.fault == self._shown:
-            self._arm.acknowledge()
+        if self._shown is None or self._shown != (self._arm.fault or self._refused):
+            # One since the last sample was not shown to anybody.
+            return
+        self._refused, self._led = None, False
+        self._arm.acknowledge()
 
     def close(self) -> None:
         """Lets the arm down where its mode allows it, and ends all torque."""
         self._arm.close()
+
+    def _refuse(self, text: str) -> None:
+        self.stop()
+        self._refused = text
+        print(f"{self._arm.name}: fault: {text}", file=sys.stderr, flush=True)
 
     def _within(self, angles: Vector) -> Vector:
         return np.clip(angles, self._low, self._high)

@@ -80,7 +80,6 @@ def near(goal: tuple[float, ...]) -> Callable[[SlaveSample], bool]:
 def test_it_is_found_by_its_name() -> None:
     (found,) = entry_points(group="haptether.slaves", name="dynamixel")
     assert found.load() is DynamixelSlave
-    assert issubclass(DynamixelSlave, SlaveDevice)
     assert DynamixelSlave.kinds == ("joints",)
 
 
@@ -110,6 +109,7 @@ def test_options_that_cannot_be(tmp_path: Path, options: dict[str, Any], said: s
 @pytest.mark.parametrize("mode", ["current-position", "position"])
 def test_joints_follow_within_limits_and_speed(emulated: EmulatedBus, tmp_path: Path, mode: str) -> None:
     with opened(emulated, tmp_path, mode=mode, max_jump=0.5, start="ramp", max_speed=2.0) as driver:
+        assert isinstance(driver, SlaveDevice)
         assert driver.axes == 2
         sample = driver.read()
         # q = sign (p - offset).
@@ -133,12 +133,22 @@ def test_a_first_command_far_away_is_refused(emulated: EmulatedBus, tmp_path: Pa
         driver.write((0.8, 0.0), (0.0, 0.0))
         fault = str(driver.read().fault)
         assert fault.startswith("misaligned start: the first command has joint 1 0.4"), fault
-        without_torque(emulated)
+        # It holds its joints: nothing falls.
+        assert [servo["torque"] for servo in emulated.status()["servos"]] == [True, True]
         driver.write((0.35, 0.0), (0.0, 0.0))
         assert driver.read().fault == fault
+        assert driver.read().position == pytest.approx([0.35, 0.0], abs=0.03)
         driver.acknowledge()
-        led(driver, (0.35, 0.0), lambda sample: sample.fault is None)
-        led(driver, (0.45, 0.0), near((0.45, 0.0)))
+        assert driver.read().fault is None
+        led(driver, (0.4, 0.0), near((0.4, 0.0)))
+
+
+def test_a_number_that_is_none_is_not_obeyed(emulated: EmulatedBus, tmp_path: Path) -> None:
+    with opened(emulated, tmp_path) as driver:
+        led(driver, (0.3, 0.0), near((0.3, 0.0)))
+        driver.write((math.nan, 0.0), (0.0, 0.0))
+        assert "an angle was commanded that is no number" in str(driver.read().fault)
+        assert [servo["torque"] for servo in emulated.status()["servos"]] == [True, True]
 
 
 def test_a_push_is_felt_with_its_sign(emulated: EmulatedBus, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from tests.faults import (
     poses,
     presses,
     processes,
+    servos,
     stopping,
     virtual,
 )
@@ -28,6 +29,7 @@ GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "numbers": numbers.rows,
     "drivers": drivers.rows,
     "grippers": grippers.rows,
+    "dynamixel": servos.rows,
     "poses": poses.rows,
     "processes": lambda: list(processes.rows().values()),
     "presses": lambda: list(presses.rows().values()),

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, poses, processes, virtual
+from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, poses, processes, servos, virtual
 from tests.faults.rows import Row
 from tests.faults.running import Process, Recorded, Stage
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
@@ -54,6 +54,14 @@ GRIPPERS = grippers.rows(2.0)
 
 @pytest.mark.parametrize("measure", GRIPPERS, ids=names(GRIPPERS))
 def test_grippers_that_fail(measure: Callable[[], Row]) -> None:
+    judge(measure())
+
+
+SERVOS = servos.rows(patient=True)
+
+
+@pytest.mark.parametrize("measure", SERVOS, ids=names(SERVOS))
+def test_servos_that_fail(measure: Callable[[], Row]) -> None:
     judge(measure())
 
 

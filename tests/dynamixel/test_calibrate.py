@@ -1,0 +1,219 @@
+"""`haptether dynamixel find` and `calibrate`, with an emulated arm that answers as a person's would."""
+
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.dynamixel.emulated import EmulatedBus, emulated_bus
+from tests.ur.emulated import Emulated
+
+from haptether.dynamixel import DynamixelBus
+from haptether.dynamixel.arm import ServoSettings, calibration_text, read_calibration
+from haptether.dynamixel.arm.guide import FoundServo, calibrated
+
+pytestmark = pytest.mark.live
+
+PATIENCE_S = 60.0
+TURN = 2.0 * math.pi
+POSE = (0.0, -math.pi / 2)
+OFFSETS = (math.pi / 2, math.pi)
+SIGNS = (1, -1)
+
+
+@pytest.fixture
+def emulated() -> Iterator[EmulatedBus]:
+    with emulated_bus("--servos", "1=XM430-W350", "2=XL330-M288", "--baud", "1000000") as running:
+        yield running
+
+
+class Calibration:
+    """The command, and whoever answers it."""
+
+    def __init__(self, emulated: EmulatedBus, path: Path, *arguments: str) -> None:
+        command = [
+            sys.executable, "-m", "haptether", "dynamixel", "calibrate", emulated.port, str(path), "--ids", "1", "2",
+            *arguments,
+        ]  # fmt: skip
+        self.emulated = emulated
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        self.said = Emulated(self.process, "")
+
+    def until(self, begin: str) -> list[str]:
+        """The lines up to one that begins so."""
+        lines = [self.said.line(PATIENCE_S)]
+        while not lines[-1].startswith(begin):
+            lines.append(self.said.line(PATIENCE_S))
+        return lines
+
+    def enter(self) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(b"\n")
+        self.process.stdin.flush()
+
+    def place(self, *angles: float) -> None:
+        """Joint angles, by the offsets and directions that are to be found."""
+        for servo_id, q, offset, sign in zip((1, 2), angles, OFFSETS, SIGNS, strict=True):
+            self.emulated.do(f"place {servo_id} {sign * q + offset}")
+
+    def end(self) -> tuple[int, str]:
+        try:
+            out, _ = self.process.communicate(timeout=PATIENCE_S)
+            return self.process.returncode, out.decode()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout):
+            if stream is not None:
+                stream.close()
+
+
+def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0.0) -> tuple[int, str]:
+    """A calibration from begin to end."""
+    run = Calibration(emulated, path, *arguments, "--pose", *map(str, POSE))
+    try:
+        run.until("the arm has no torque")
+        run.enter()
+        run.until("put the arm into the pose (0, -1.5708)")
+        run.place(POSE[0] + beside, POSE[1] - beside)
+        run.enter()
+        run.until("turn joint 1")
+        # The wrong joint, too little, and then what was asked for.
+        run.place(POSE[0] + beside, POSE[1] - beside + 0.4)
+        run.enter()
+        run.until("joint 2 (servo 2) moved instead: once more")
+        run.until("turn joint 1")
+        run.place(POSE[0] + beside + 0.1, POSE[1] - beside + 0.4)
+        run.enter()
+        run.until("it moved 0.10 rad: must be 0.2 at least")
+        run.until("turn joint 1")
+        run.place(POSE[0] + beside + 0.5, POSE[1] - beside + 0.4)
+        run.enter()
+        run.until("turn joint 2")
+        run.place(POSE[0] + beside + 0.5, POSE[1] - beside + 0.8)
+        run.enter()
+        run.until("move each joint")
+        # Through the end of the turn of each servo.
+        for q1, q2 in ((-1.0, -2.0), (0.5, -1.0), (2.0, 0.0), (2.5, 0.5)):
+            run.place(q1, q2)
+            at_least_one_read()
+        run.enter()
+        return run.end()
+    finally:
+        run.close()
+
+
+def at_least_one_read() -> None:
+    time.sleep(0.3)
+
+
+def test_a_guided_calibration(emulated: EmulatedBus, tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    status, said = guided(emulated, path)
+    assert status == 0, said
+    baud, (first, second) = read_calibration(path)
+    assert baud == 1_000_000
+    assert (first.servo_id, first.model, first.sign) == (1, "XM430-W350", 1)
+    assert (second.servo_id, second.model, second.sign) == (2, "XL330-M288", -1)
+    # Whole turns are the limits' part.
+    assert math.remainder(first.offset_rad - OFFSETS[0], TURN) == pytest.approx(0.0, abs=3e-3)
+    assert math.remainder(second.offset_rad - OFFSETS[1], TURN) == pytest.approx(0.0, abs=3e-3)
+    assert (first.low_rad, first.high_rad) == pytest.approx((-0.95, 2.45), abs=0.01)
+    assert (second.low_rad, second.high_rad) == pytest.approx((-1.95, 0.45), abs=0.01)
+
+
+def test_offsets_rounded_to_quarter_turns(emulated: EmulatedBus, tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    status, said = guided(emulated, path, "--round", beside=0.08)
+    assert status == 0, said
+    _, servos = read_calibration(path)
+    for servo, offset in zip(servos, OFFSETS, strict=True):
+        assert math.remainder(servo.offset_rad - offset, TURN) == pytest.approx(0.0, abs=1e-5)
+    assert "rad rounded away" in said
+
+
+def test_a_file_is_not_replaced_unasked(emulated: EmulatedBus, tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_text("mine")
+    run = Calibration(emulated, path)
+    status, said = run.end()
+    assert status == 2
+    assert "exists: name another, or take --force" in said
+    assert path.read_text() == "mine"
+
+
+def test_nobody_there(emulated: EmulatedBus, tmp_path: Path) -> None:
+    bus = DynamixelBus(emulated.port, baud=1_000_000, timeout_s=0.1)
+    bus.write(1, 64, b"\1")
+    bus.close()
+    status, said = Calibration(emulated, tmp_path / "arm.toml").end()
+    assert status == 1
+    assert "standard input has ended: a person must answer" in said
+    # Nobody has said that the arm is held.
+    assert emulated.servo(1)["torque"] is True
+    assert not (tmp_path / "arm.toml").exists()
+
+
+def test_find(emulated: EmulatedBus) -> None:
+    command = [sys.executable, "-m", "haptether", "dynamixel", "find", emulated.port, "--ids", "2", "1", "9"]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert found.returncode == 0, found.stderr
+    assert found.stdout.splitlines() == [
+        "id 2: XL330-M288, firmware 52, 1000000 bit/s",
+        "id 1: XM430-W350, firmware 52, 1000000 bit/s",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("baud = 5\n[[servo]]\nid = 1\nmodel = 'XM430-W350'\n", "baud = 5: must be one of 9600"),
+        ("[[servo]]\nid = 1\nmodel = 'XM430'\n", "servo 1: model = 'XM430': must be one of"),
+        ("[[servo]]\nid = 1\nmodel = 'XM430-W350'\ncolour = 1\n", "unknown field `colour`"),
+        ("[[servo]]\nid = 1\nmodel = 'XM430-W350'\noffset_rad = nan\n", "offset_rad"),
+        ("[[servo", "arm.toml"),
+    ],
+)
+def test_files_that_are_none(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=said):
+        read_calibration(path)
+
+
+def test_a_file_comes_back(tmp_path: Path) -> None:
+    servos = (
+        ServoSettings(servo_id=4, model="XL330-M288", sign=-1, offset_rad=1.25, low_rad=-1.0, high_rad=9.0, cap_a=0.5),
+        ServoSettings(servo_id=2, model="XM430-W350", near_rad=0.5),
+    )
+    path = tmp_path / "arm.toml"
+    path.write_text(calibration_text(57_600, servos))
+    baud, found = read_calibration(path)
+    assert baud == 57_600
+    assert [(s.servo_id, s.model, s.sign, s.cap_a, s.near_rad) for s in found] == [
+        (4, "XL330-M288", -1, 0.5, None), (2, "XM430-W350", 1, None, 0.5),
+    ]  # fmt: skip
+    assert found[0].offset_rad == 1.25
+    assert (found[1].low_rad, found[1].high_rad) == pytest.approx((-math.pi, math.pi), abs=1e-4)
+
+
+def test_a_joint_of_several_turns_says_where_it_is_to_be() -> None:
+    found = [FoundServo(baud=1_000_000, servo_id=1, number=1020, firmware=52)]
+    (one,), _ = calibrated(
+        found, (0.3,), np.array([2.0]), [-1], (np.array([-4.0]), np.array([6.0])), rounded=False, margin_rad=0.0
+    )
+    # p = 2 is q = 0.3 with sign -1: offset 2.3, and q from 2.3 - 6 to 2.3 + 4.
+    assert one.offset_rad == pytest.approx(2.3)
+    assert (one.low_rad, one.high_rad) == pytest.approx((-3.7, 6.3))
+    assert one.near_rad == pytest.approx(0.3)
+    with pytest.raises(ValueError, match=r"joint 1 .servo 1. was moved 0\.010 rad: must be more than twice"):
+        calibrated(found, (0.0,), np.zeros(1), [1], (np.zeros(1), np.full(1, 0.01)), rounded=True, margin_rad=0.05)
