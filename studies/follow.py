@@ -33,7 +33,7 @@ schema = 1
 title = "A leader and a follower of servos"
 
 [run]
-period_s = 0.002
+period_s = 0.004
 duration_s = {duration_s}
 
 [master]
@@ -49,7 +49,7 @@ options = {{ port = "{leader}", arm = "{arm}", timeout_s = 0.1, watchdog_s = 0.5
 
 [slave]
 device = "dynamixel"
-period_s = 0.002
+period_s = 0.004
 options = {{ port = "{follower}", arm = "{file}", max_speed = 6.0, timeout_s = 0.1, watchdog_s = 0.5, lost_after_s = 0.3 }}
 
 [safety]

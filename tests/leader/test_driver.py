@@ -62,7 +62,7 @@ def test_it_is_found_by_its_name(two: Path) -> None:
     leader = load_master("dynamixel", {"port": "/dev/none", "arm": str(two)})
     assert isinstance(leader, DynamixelMaster)
     assert leader.kinds == ("joints",)
-    with pytest.raises(RuntimeError, match="/dev/none"):
+    with pytest.raises(RuntimeError, match="port: is not there"):
         leader.open()
     leader.close()
 
@@ -98,8 +98,8 @@ def test_a_pose_is_that_of_the_tool_and_its_wrench_is_transposed(two: Path) -> N
         sample = leader.read()
         q = [0.2, 0.5]
         place, quat, _ = ArmKinematics(leader.arm).state(q, (0.0, 0.0))
-        assert list(sample.position) == pytest.approx(place, abs=0.01)  # type: ignore[arg-type]
-        assert sample.orientation == pytest.approx(quat, abs=0.02)
+        assert list(sample.position) == pytest.approx(place, abs=0.02)  # type: ignore[arg-type]
+        assert sample.orientation == pytest.approx(quat, abs=0.03)
         assert sample.angular_velocity is not None
         assert sample.velocity is not None
         expected = ArmKinematics(leader.arm).jacobian(q).T @ (*force, *torque)
@@ -129,6 +129,7 @@ def test_the_trigger_leads_and_is_felt(two: Path) -> None:
         # 2 N at 40 mm open it, and closing is negative at this servo.
         assert motors(bus)[2] == pytest.approx(0.08, abs=0.01)
         leader.write_trigger(0.0)
+        time.sleep(0.05)
         assert abs(motors(bus)[2]) < 1e-6
 
 
