@@ -50,7 +50,14 @@ options = {{ port = "{leader}", arm = "{arm}", timeout_s = 0.1, watchdog_s = 0.5
 [slave]
 device = "dynamixel"
 period_s = 0.004
-options = {{ port = "{follower}", arm = "{file}", max_speed = 6.0, timeout_s = 0.1, watchdog_s = 0.5, lost_after_s = 0.3 }}
+
+[slave.options]
+port = "{follower}"
+arm = "{file}"
+max_speed = 6.0
+timeout_s = 0.1
+watchdog_s = 0.5
+lost_after_s = 0.3
 
 [safety]
 controllers = {controllers}

@@ -159,3 +159,29 @@ def test_arms_that_cannot_be_are_refused(arguments: list[str], said: str, capsys
     complaint = capsys.readouterr().err
     assert said in complaint
     assert complaint.count("\n") == 1
+
+
+def test_a_hand_follows_a_file(two: ArmDescription, tmp_path: Path) -> None:
+    world = World(two)
+    begun = world.servos[0].joint.position_rad
+    path = tmp_path / "hand.csv"
+    path.write_text(f"time_s,1\n0,{begun}\n1,{begun + 0.4}\n")
+    assert "no hand holds servo 1" in world.say(f"lead {path}")
+    world.say(f"hand 1 {begun} 200 2")
+    assert world.say(f"lead {path}") == "ok"
+    hand = world.servos[0].joint.hand
+    assert hand is not None
+    assert [hand.place_rad(world.now_s + at) for at in (-1.0, 0.5, 2.0)] == pytest.approx(
+        [begun, begun + 0.2, begun + 0.4]
+    )
+    world.run(1.5)
+    assert world.servos[0].joint.position_rad == pytest.approx(begun + 0.4, abs=0.02)
+    for text, said in (
+        ("", "its header must be time_s and ids of servos"),
+        ("time_s,9\n0,0\n", "id 9: must be one of 1, 2, 3"),
+        ("time_s,1\n0,0\n0,1\n", "its times must increase"),
+        ("time_s,1\n0,nan\n", "must be 2 finite numbers"),
+        ("time_s,1\n0,2000\n", "its angles must be at most 1000 rad"),
+    ):
+        path.write_text(text)
+        assert said in world.say(f"lead {path}")
