@@ -157,7 +157,8 @@ class Demo:
             f"an emulated follower arm - slave - network ({scene.delay_s * 1e3:g} ms, sigma "
             f"{scene.jitter_s * 1e3:g} ms, each way, {self.loss:.1%} loss) - master -\n"
             f"  an emulated leader arm, as processes on this machine; the hand leads a joint; at "
-            f"{scene.push_at_s:g} s\n  {scene.push_nm:g} N m push the follower, at {scene.release_at_s:g} s the hand lets go",
+            f"{scene.push_at_s:g} s\n  {scene.push_nm:g} N m push the follower, at "
+            f"{scene.release_at_s:g} s the hand lets go",
             highlight=False,
         )
         columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
