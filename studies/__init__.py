@@ -8,6 +8,7 @@ from haptether.studies.demo import (
     draw_demo,
     run_demo,
 )
+from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
 from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
 from haptether.studies.operator import Operator
 from haptether.studies.paper import PaperReport, PaperRow, reproduce_paper
@@ -19,9 +20,12 @@ from haptether.studies.remote_push import PushResult, measure_push, save_master_
 
 __all__ = [
     "DEMO_CONTROLLERS",
+    "FOLLOW_CONTROLLERS",
     "RAVEN_ATTACKS",
     "ContactLoop",
     "DemoScene",
+    "FollowResult",
+    "FollowScene",
     "Follower",
     "Interrupted",
     "LinkSummary",
@@ -36,6 +40,7 @@ __all__ = [
     "RavenReport",
     "RavenRow",
     "draw_demo",
+    "draw_follow",
     "draw_paper",
     "draw_pick",
     "judge_link",
@@ -45,6 +50,7 @@ __all__ = [
     "raven_suite",
     "reproduce_paper",
     "run_demo",
+    "run_follow",
     "run_pick",
     "save_master_trace",
     "summarise_link",

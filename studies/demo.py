@@ -151,7 +151,7 @@ def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: 
 def _follow(
     scene: DemoScene,
     controller: str,
-    master: "_Process",
+    master: "Process",
     show: Callable[[str, float], None],
     stopped: StopRequest,
 ) -> None:
@@ -174,7 +174,7 @@ def _follow(
         stopped.sleep(0.05)
 
 
-class _Process:
+class Process:
     """One of our own commands as a child process, and what it says."""
 
     def __init__(self, name: str, process: "Popen[str]", says: str) -> None:
@@ -242,7 +242,7 @@ class _Process:
 
 
 @contextlib.contextmanager
-def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[_Process]:
+def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[Process]:
     """One of our own commands as a child process, which is ended with the block; `says` begins its first line."""
     process = subprocess.Popen(
         [sys.executable, "-m", "haptether", name, *arguments],
@@ -251,7 +251,7 @@ def child_process(name: str, *arguments: str, says: str | None = None) -> Iterat
         stderr=subprocess.STDOUT,
         text=True,
     )
-    child = _Process(name, process, says or name)
+    child = Process(name, process, says or name)
     try:
         yield child
     finally:

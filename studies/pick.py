@@ -16,6 +16,7 @@ import numpy.typing as npt
 from haptether.bridge import load_scene, read_recording, write_key
 from haptether.private_file import private_file
 from haptether.studies.demo import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, StopRequest, child_process
+from haptether.studies.leader import LEADER_S, led_leader
 
 SCENE = "ur_pick"
 CARRIED_M = 0.1
@@ -35,6 +36,8 @@ class PickScene(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 1
     slave: Literal["simulated", "ur"] = "ur"
     """A model, or an emulated UR controller with a Robotiq gripper, led by the vendor's client library."""
+    master: Literal["simulated", "dynamixel"] = "simulated"
+    """A model, or an emulated leader arm of Dynamixel servos, whose joints a scripted hand leads."""
 
 
 class PickResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,19 +91,25 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
             "--duration-s", limit,
         ))  # fmt: skip
         netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
+        leader = None if scene.master == "simulated" else led_leader(limit, stack, stopped)
+        led = () if leader is None else leader.options
+        # Its driver goes through the checklist, and its torque rises, before the hand begins.
+        lasts_s = duration_s + (0.0 if leader is None else LEADER_S)
         master = stack.enter_context(child_process(
             "master", "--scene", SCENE, "--peer", netsim_address, "--listen", local, "--key", str(key),
-            "--duration-s", str(duration_s), "--trace", str(trace), *SIMULATED,
+            "--duration-s", str(lasts_s), "--trace", str(trace), *SIMULATED, *led,
         ))  # fmt: skip
         master.headline(stopped)
+        if leader is not None:
+            leader.lead(duration_s, stopped)
         begun_s = time.monotonic()
         while master.process.poll() is None:
             at_s = time.monotonic() - begun_s
             show("the hand leads arm and gripper", min(at_s, duration_s))
             if stopped:
                 raise Interrupted
-            if at_s > duration_s + START_TIMEOUT_S:
-                message = f"the master did not end within {duration_s + START_TIMEOUT_S:g} s"
+            if at_s > lasts_s + START_TIMEOUT_S:
+                message = f"the master did not end within {lasts_s + START_TIMEOUT_S:g} s"
                 raise RuntimeError(message)
             stopped.sleep(0.05)
         if stopped:

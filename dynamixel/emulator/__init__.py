@@ -2,8 +2,22 @@
 
 from haptether.dynamixel.emulator.bus import Answer, Bus, Faults
 from haptether.dynamixel.emulator.control import ControlLine
-from haptether.dynamixel.emulator.joint import JointSettings
+from haptether.dynamixel.emulator.joint import HeldBy, Joint, JointSettings
+from haptether.dynamixel.emulator.load import ArmLoad, servos_of
 from haptether.dynamixel.emulator.server import Server
 from haptether.dynamixel.emulator.servo import HardwareError, Servo
 
-__all__ = ["Answer", "Bus", "ControlLine", "Faults", "HardwareError", "JointSettings", "Server", "Servo"]
+__all__ = [
+    "Answer",
+    "ArmLoad",
+    "Bus",
+    "ControlLine",
+    "Faults",
+    "HardwareError",
+    "HeldBy",
+    "Joint",
+    "JointSettings",
+    "Server",
+    "Servo",
+    "servos_of",
+]

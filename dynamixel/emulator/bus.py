@@ -4,7 +4,7 @@ import random
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from haptether.dynamixel.emulator.protocol import (
     BROADCAST,
@@ -19,6 +19,9 @@ from haptether.dynamixel.emulator.protocol import (
     status,
 )
 from haptether.dynamixel.emulator.servo import REBOOT_S, Servo
+
+if TYPE_CHECKING:
+    from haptether.dynamixel.emulator.load import ArmLoad
 
 CLEAR_TURNS: Final = b"\x01\x44\x58\x4c\x22"
 """The parameters of a clear that is meant."""
@@ -62,13 +65,15 @@ class Bus:
     Args:
         servos: Of different ids.
         seed: Of which byte of an answer is lost or wrong.
+        load: The arm that they move, if they move one.
 
     Raises:
         ValueError: No servo, or two of one id.
     """
 
-    def __init__(self, servos: Iterable[Servo], seed: int = 0) -> None:
+    def __init__(self, servos: Iterable[Servo], seed: int = 0, load: "ArmLoad | None" = None) -> None:
         self.servos = list(servos)
+        self._load = load
         ids = [servo.id for servo in self.servos]
         if not ids:
             message = "servos: must be at least one"
@@ -111,6 +116,8 @@ class Bus:
 
     def advance(self, now_s: float) -> None:
         """Moves all servos on to a time."""
+        if self._load is not None:
+            self._load.advance(now_s)
         for servo in self.servos:
             servo.advance(now_s)
 

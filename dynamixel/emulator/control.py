@@ -2,8 +2,11 @@
 
 import json
 import math
+from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from haptether.dynamixel.emulator.joint import HeldBy
 from haptether.dynamixel.emulator.servo import HardwareError
 
 if TYPE_CHECKING:
@@ -14,6 +17,9 @@ if TYPE_CHECKING:
     from haptether.dynamixel.emulator.servo import Servo
 
 MAX_TORQUE_NM: Final = 1000.0
+MAX_STIFFNESS: Final = 1e4
+"""Of a hand, N m/rad and N m s/rad."""
+MAX_PATH_BYTES: Final = 1 << 22
 MAX_COUNT: Final = 1_000_000
 MAX_DURATION_S: Final = 3600.0
 SHOWN_LINES: Final = 20
@@ -50,6 +56,8 @@ class ControlLine:
             "temperature": self._temperature,
             "push": self._push,
             "place": self._place,
+            "hand": self._hand,
+            "lead": self._lead,
         }
 
     def answer(self, line: str, now_s: float) -> str:
@@ -143,6 +151,49 @@ class ControlLine:
         servo.joint.position_rad, servo.joint.velocity_rad_s = position_rad, 0.0
         servo.advance(now_s)
 
+    def _hand(self, arguments: list[str], now_s: float) -> None:
+        if arguments == ["off"]:
+            for servo in self._bus.servos:
+                servo.joint.hand = None
+            return
+        servo = self._servo(arguments)
+        self._bus.advance(now_s)
+        if arguments[1:] == ["off"]:
+            servo.joint.hand = None
+            return
+        given = [*arguments[1:], "0"] if len(arguments) == 4 else arguments[1:]
+        goal_rad, stiffness, damping, duration_s = _numbers(given, 4)
+        if abs(goal_rad) > 1000.0:
+            _refuse(f"{goal_rad:g}: must be at most 1000 rad")
+        if not (0.0 <= stiffness <= MAX_STIFFNESS and 0.0 <= damping <= MAX_STIFFNESS):
+            _refuse(f"{stiffness:g} {damping:g}: stiffness and damping must be 0 to {MAX_STIFFNESS:g}")
+        if not 0.0 <= duration_s <= MAX_DURATION_S:
+            _refuse(f"{duration_s:g}: must be 0 to {MAX_DURATION_S:g} s")
+        joint = servo.joint
+        begun = joint.position_rad if joint.hand is None else joint.hand.place_rad(now_s)
+        joint.hand = HeldBy(
+            goal_rad=goal_rad, stiffness=stiffness, damping=damping,
+            from_rad=begun, begin_s=now_s, duration_s=duration_s,
+        )  # fmt: skip
+
+    def _lead(self, arguments: list[str], now_s: float) -> None:
+        if len(arguments) != 1:
+            _refuse("must be the path of a file")
+        times, places = _path(Path(arguments[0]))
+        hands = {}
+        for servo_id in places:
+            joint = self._bus.servo(servo_id).joint
+            if joint.hand is None:
+                _refuse(f"no hand holds servo {servo_id}: must be held first, by `hand`")
+            hands[servo_id] = joint
+        self._bus.advance(now_s)
+        for servo_id, joint in hands.items():
+            assert joint.hand is not None
+            joint.hand = HeldBy(
+                goal_rad=places[servo_id][-1], stiffness=joint.hand.stiffness, damping=joint.hand.damping,
+                begin_s=now_s, path=(times, places[servo_id]),
+            )  # fmt: skip
+
     @property
     def _server(self) -> "Server":
         if self._process is None:
@@ -168,6 +219,25 @@ def _numbers(arguments: list[str], count: int) -> list[float]:
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         _refuse(f"{' '.join(arguments)!r}: must be {count} finite number{'s' if count > 1 else ''}")
     return numbers
+
+
+def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
+    """Times, and places of each servo, of a CSV with the header `time_s,ID,...`."""
+    with path.open(encoding="utf-8") as file:
+        text = file.read(MAX_PATH_BYTES + 1)
+    if len(text) > MAX_PATH_BYTES:
+        _refuse(f"{path}: must be at most {MAX_PATH_BYTES} bytes")
+    header, *lines = text.splitlines() or [""]
+    first, *ids = header.split(",")
+    if first != "time_s" or not ids or not all(one.isdecimal() for one in ids):
+        _refuse(f"{path}: its header must be time_s and ids of servos")
+    rows = [_numbers(line.split(","), 1 + len(ids)) for line in lines]
+    times = tuple(row[0] for row in rows)
+    if not rows or any(later <= earlier for earlier, later in pairwise(times)):
+        _refuse(f"{path}: its times must increase")
+    if any(abs(place) > 1000.0 for row in rows for place in row[1:]):
+        _refuse(f"{path}: its angles must be at most 1000 rad")
+    return times, {int(one): tuple(row[1 + at] for row in rows) for at, one in enumerate(ids)}
 
 
 def _count(arguments: list[str], default: int) -> int:

@@ -1,6 +1,7 @@
 """What turns behind an emulated servo: one inertia with friction, and the servo's loops as simple as they can be."""
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Final
 
@@ -49,23 +50,64 @@ class JointSettings:
         return cls(inertia=2e-3 * torque, viscous=0.1 * torque / model.no_load_rad_s, coulomb=0.02 * torque)
 
 
+@dataclass(slots=True, kw_only=True)
+class HeldBy:
+    """A hand at an output: K (q_h - q) - D w, whose q_h goes from one place to another without a jerk.
+
+    Source: T. Flash, N. Hogan, J. Neuroscience 5(7), 1985, minimum jerk: s = 10 r^3 - 15 r^4 + 6 r^5.
+    """
+
+    goal_rad: float
+    stiffness: float
+    """K, N m/rad."""
+    damping: float
+    """D, N m s/rad."""
+    from_rad: float = 0.0
+    begin_s: float = 0.0
+    duration_s: float = 0.0
+    path: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Times in s from the begin, and places in rad; straight between them, and at rest after the last."""
+
+    def place_rad(self, now_s: float) -> float:
+        """q_h at a time."""
+        if self.path is not None:
+            times, places = self.path
+            at_s = now_s - self.begin_s
+            index = bisect_right(times, at_s)
+            if index == 0 or index == len(times):
+                return places[max(index - 1, 0)]
+            share = (at_s - times[index - 1]) / (times[index] - times[index - 1])
+            return places[index - 1] + share * (places[index] - places[index - 1])
+        if self.duration_s <= 0.0 or now_s >= self.begin_s + self.duration_s:
+            return self.goal_rad
+        r = max(0.0, now_s - self.begin_s) / self.duration_s
+        return self.from_rad + (self.goal_rad - self.from_rad) * r**3 * (10.0 + r * (6.0 * r - 15.0))
+
+
 class Joint:
-    """Angle q and velocity w of the output: J dw/dt = K_t i - b w - c sign(w) + torque of whoever pushes.
+    """Angle q and velocity w of the output: J dw/dt = n K_t i - b w - c sign(w) + torque of load, hand and push.
 
     Args:
         model: The servo.
         settings: The load.
         position_rad: q at the begin, from the mechanical centre.
+        motors: n, servos that turn it together.
     """
 
-    def __init__(self, model: ServoModel, settings: JointSettings, position_rad: float = 0.0) -> None:
+    def __init__(self, model: ServoModel, settings: JointSettings, position_rad: float = 0.0, motors: int = 1) -> None:
         self.settings = settings
+        self.motors = motors
         self.position_rad = position_rad
         self.velocity_rad_s = 0.0
         self.torque_nm = 0.0
         """Of the motor, at the output."""
         self.pushed_nm = 0.0
         """Of whoever pushes."""
+        self.load_nm = 0.0
+        """Of what it carries."""
+        self.hand: HeldBy | None = None
+        self.hand_nm = 0.0
+        """Of the hand, in the last step."""
         self.constant_nm_per_a = model.torque_constant_nm_per_a or model.stall_ratio_nm_per_a
         self._stall_nm = model.recommended.torque_nm
         self._no_load_rad_s = model.no_load_rad_s
@@ -92,10 +134,21 @@ class Joint:
     def _step(self, drive: "Drive | None") -> None:
         J, b, c = self.settings.inertia, self.settings.viscous, self.settings.coulomb
         self.torque_nm = 0.0 if drive is None else self._motor(drive)
-        w = (self.velocity_rad_s + STEP_S / J * (self.torque_nm + self.pushed_nm)) / (1.0 + STEP_S * b / J)
+        torque = self.motors * self.torque_nm + self.pushed_nm + self.load_nm
+        before = self.velocity_rad_s
+        hand, stretched = self.hand, 0.0
+        if hand is not None:
+            # Of where the output will be: stable however stiff the hand is.
+            stretched = (hand.place_rad(self._time_s or 0.0) - self.position_rad) * hand.stiffness
+            torque += stretched
+            b += hand.damping + STEP_S * hand.stiffness
+        w = (before + STEP_S / J * torque) / (1.0 + STEP_S * b / J)
         # Dry friction takes away what it can, down to standing still.
         slowed = STEP_S / J * c
         self.velocity_rad_s = math.copysign(max(abs(w) - slowed, 0.0), w)
+        self.hand_nm = 0.0
+        if hand is not None:
+            self.hand_nm = stretched - (hand.damping + STEP_S * hand.stiffness) * self.velocity_rad_s
         self.position_rad += STEP_S * self.velocity_rad_s
 
     def _motor(self, drive: "Drive") -> float:

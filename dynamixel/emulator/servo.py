@@ -48,6 +48,7 @@ class Servo:
         firmware: Its version; fast reads are known from 45 or 46 on.
         position_rad: Where it stands, from the mechanical centre.
         joint: What it moves; by default a load that it moves well.
+        motors: How many servos turn the joint, of which this one answers for all.
 
     Raises:
         ValueError: An id, a rate or a version that no such servo has.
@@ -62,6 +63,7 @@ class Servo:
         firmware: int = FIRMWARE,
         position_rad: float = 0.0,
         joint: JointSettings | None = None,
+        motors: int = 1,
     ) -> None:
         rates = BAUD_RATES[: (model.table["Baud Rate"].maximum or 0) + 1]
         if not 0 <= servo_id <= MAX_ID:
@@ -74,7 +76,7 @@ class Servo:
             message = f"firmware = {firmware}: must be 0 to 255"
             raise ValueError(message)
         self.model = model
-        self.joint = Joint(model, JointSettings.of(model) if joint is None else joint, position_rad)
+        self.joint = Joint(model, JointSettings.of(model) if joint is None else joint, position_rad, motors)
         self.voltage_v = model.recommended.voltage_v
         self.temperature_c = ROOM_C
         self.silent = False
@@ -169,6 +171,8 @@ class Servo:
             "velocity_rad_s": self.joint.velocity_rad_s,
             "current_a": self.joint.current_a,
             "torque_nm": self.joint.torque_nm,
+            "load_nm": self.joint.load_nm,
+            "hand_nm": self.joint.hand_nm,
             "hardware_error": [error.name.lower() for error in HardwareError(self.value("Hardware Error Status"))],  # type: ignore[union-attr]
             "bus_watchdog": self.value("Bus Watchdog"),
             "voltage_v": self.voltage_v,
@@ -185,6 +189,11 @@ class Servo:
 
     def advance(self, now_s: float) -> None:
         """Moves on to a time."""
+        self.move(now_s)
+        self._show(now_s)
+
+    def move(self, now_s: float) -> None:
+        """Moves on to a time, of which its table does not show what is measured."""
         watchdog = self.model.table["Bus Watchdog"]
         allowed_s = self.value("Bus Watchdog") * watchdog.scale
         if self.torque and allowed_s > 0.0 and now_s - self._heard_s > allowed_s:
@@ -193,7 +202,6 @@ class Servo:
             self._stop()
         self._protect()
         self.joint.advance(now_s, self._drive() if self.torque and self.is_listening(now_s) else None)
-        self._show(now_s)
 
     def fail(self, error: HardwareError) -> None:
         """Has a hardware error, until it starts anew."""

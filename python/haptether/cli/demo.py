@@ -8,7 +8,7 @@ import tyro
 
 if TYPE_CHECKING:
     from haptether.cli.shared.screen import Screen
-    from haptether.studies import DemoScene, PickScene, PushResult
+    from haptether.studies import DemoScene, FollowScene, PickScene, PushResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +25,11 @@ class Demo:
     orientation and gripper of the arm, picks something up, turns it by 60 degrees and puts it down beside. Takes about
     15 s. Exit status 0 says that it did.
 
+    --master dynamixel: an emulated leader arm of servos, whose joints a scripted hand leads. With --slave ur or
+    simulated it picks something up, as --task pick; with --slave dynamixel, an emulated follower, that is pushed, and
+    the hand lets go, 20 ms each way. Exit status 0 of the latter says that the leader was thrown slower with HSC and
+    with WSC than without a controller.
+
     Examples:
 
     haptether demo
@@ -34,6 +39,10 @@ class Demo:
     haptether demo --slave ur
 
     haptether demo --slave ur --task pick
+
+    haptether demo --master dynamixel --slave ur
+
+    haptether demo --master dynamixel --slave dynamixel
     """
 
     delay_s: float | None = None
@@ -44,10 +53,13 @@ class Demo:
     """Share of packets lost."""
     seed: int = 1
     """Seed of jitter and loss, 0 to 2^64 - 1."""
-    slave: Literal["simulated", "ur"] = "simulated"
-    """The model of an arm; or an emulated UR controller, driven by the vendor's own client library (extra "ur")."""
-    task: Literal["push", "pick"] = "push"
-    """A push that reaches the hand; or something that a gripper picks up."""
+    master: Literal["simulated", "dynamixel"] = "simulated"
+    """The model of a device; or an emulated leader arm of Dynamixel servos, behind its driver."""
+    slave: Literal["simulated", "ur", "dynamixel"] = "simulated"
+    """The model of an arm; an emulated UR controller, driven by the vendor's own client library (extra "ur"); or an
+    emulated follower arm of Dynamixel servos."""
+    task: Literal["push", "pick"] | None = None
+    """A push that reaches the hand; or something that a gripper picks up. By default what the two arms can."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
     """Folder of the picture and of every tick (.npz)."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -55,6 +67,7 @@ class Demo:
 
     def run(self) -> int:
         """Runs all controllers; 0 if protection held, 1 if not, 130 on Ctrl-C."""
+        import msgspec
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from haptether.cli.shared.numbers import check_seed
@@ -62,18 +75,27 @@ class Demo:
         from haptether.cli.shared.screen import screen
         from haptether.cli.shared.stop import Stopped
         from haptether.netsim import LinkSettings, link_spec
-        from haptether.studies import DEMO_CONTROLLERS, DemoScene, Interrupted, PickScene, run_demo
+        from haptether.studies import DEMO_CONTROLLERS, DemoScene, FollowScene, Interrupted, PickScene, run_demo
 
         check_seed(self.seed)
         check_target(self.json)
         require_matplotlib()  # before the runs, not after them
-        kind = PickScene if self.task == "pick" else DemoScene
         times = {"delay_s": self.delay_s, "jitter_s": self.jitter_s}
         given = {name: value for name, value in times.items() if value is not None}
-        scene = kind(**given, loss=self.loss, seed=self.seed, slave=self.slave)
+        task = self._task()
+        scene: DemoScene | PickScene | FollowScene
+        if self.slave == "dynamixel":
+            scene = FollowScene(loss=self.loss, seed=self.seed)
+        elif task == "pick":
+            scene = PickScene(loss=self.loss, seed=self.seed, slave=self.slave, master=self.master)
+        else:
+            scene = DemoScene(loss=self.loss, seed=self.seed, slave=self.slave)
+        scene = msgspec.structs.replace(scene, **given)
         # Refuses early.
         link_spec(LinkSettings(delay_s=scene.delay_s, jitter_s=scene.jitter_s, loss=scene.loss), "forward")
         self.out.mkdir(parents=True, exist_ok=True)
+        if isinstance(scene, FollowScene):
+            return self._follow(scene)
         if isinstance(scene, PickScene):
             return self._pick(scene)
         console = screen(self.json)
@@ -103,6 +125,71 @@ class Demo:
             progress.update(bar, completed=len(DEMO_CONTROLLERS) * scene.duration_s)
         return self._report(console, scene, results)
 
+    def _task(self) -> str:
+        """What is shown.
+
+        Raises:
+            ValueError: Two arms, or an arm and a task, that do not go together.
+        """
+        if self.slave == "dynamixel":
+            if self.master != "dynamixel":
+                message = f"master = {self.master}: must be dynamixel with --slave dynamixel, joint for joint"
+                raise ValueError(message)
+            if self.task == "pick":
+                message = "task = pick: the follower of servos has no gripper: must be push, or --slave ur"
+                raise ValueError(message)
+            return "push"
+        if self.master == "dynamixel" and self.task == "push":
+            message = f"task = push: --master dynamixel leads --slave {self.slave} as a pose: must be pick"
+            raise ValueError(message)
+        return self.task or ("pick" if self.master == "dynamixel" else "push")
+
+    def _follow(self, scene: "FollowScene") -> int:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        from haptether.cli.shared.output import write_report
+        from haptether.cli.shared.screen import screen
+        from haptether.cli.shared.stop import Stopped
+        from haptether.studies import FOLLOW_CONTROLLERS, Interrupted, draw_follow, run_follow
+
+        console = screen(self.json)
+        console.print(
+            f"an emulated follower arm - slave - network ({scene.delay_s * 1e3:g} ms, sigma "
+            f"{scene.jitter_s * 1e3:g} ms, each way, {self.loss:.1%} loss) - master -\n"
+            f"  an emulated leader arm, as processes on this machine; the hand leads a joint; at "
+            f"{scene.push_at_s:g} s\n  {scene.push_nm:g} N m push the follower, at "
+            f"{scene.release_at_s:g} s the hand lets go",
+            highlight=False,
+        )
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+        results = []
+        with Stopped() as stopped, Progress(*columns, console=console) as progress:
+            bar = progress.add_task("", total=len(FOLLOW_CONTROLLERS) * scene.duration_s)
+            for number, controller in enumerate(FOLLOW_CONTROLLERS):
+
+                def show(stage: str, at_s: float, begun: float = number * scene.duration_s) -> None:
+                    progress.update(bar, completed=begun + at_s, description=f"{stage:<34}")
+
+                try:
+                    results.append(run_follow(scene, controller, self.out, show, stopped))
+                except Interrupted:
+                    console.print("interrupted: all processes have ended")
+                    return 130
+        picture = self.out / "follow.png"
+        draw_follow(scene, results, picture)
+        bare, *guarded = results
+        protected = all(one.thrown_rad_s < bare.thrown_rad_s for one in guarded) and not any(r.holds for r in results)
+        write_report(self.json, {"scene": scene, "protected": protected, "picture": str(picture), "results": results})
+        for one in results:
+            console.print(
+                f"{one.controller}: led by {one.led_rad:.3f} rad, the follower came {one.followed_rad:.3f} rad; the "
+                f"hand felt up to {one.felt_nm:.2f} N m; let go, the joint was thrown at {one.thrown_rad_s:.2f} rad/s; "
+                f"{one.holds} holds, {one.final_state} at the end",
+                highlight=False,
+            )
+        console.print(f"picture: {picture}", highlight=False)
+        return 0 if protected else 1
+
     def _pick(self, scene: "PickScene") -> int:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -114,9 +201,10 @@ class Demo:
 
         console = screen(self.json)
         arm = "an emulated UR controller with a Robotiq gripper - ur-rtde - " if self.slave == "ur" else ""
+        led = " - an emulated leader arm of servos" if self.master == "dynamixel" else ""
         console.print(
             f"{arm}slave - network ({scene.delay_s * 1e3:g} ms, sigma {scene.jitter_s * 1e3:g} ms, each way, "
-            f"{self.loss:.1%} loss) - master,\n  as processes on this machine; "
+            f"{self.loss:.1%} loss) - master{led},\n  as processes on this machine; "
             "the hand goes down, takes something, turns it by 60 degrees and puts it down beside",
             highlight=False,
         )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from haptether.dynamixel.emulator import Server, Servo
+    from haptether.dynamixel.emulator import ArmLoad, Server, Servo
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +22,8 @@ class DynamixelEmulator:
 
     haptether dynamixel-emulator --servos 1=XM430-W350 2=XL330-M288
 
+    haptether dynamixel-emulator --arm gello-ur --control 127.0.0.1:7001
+
     haptether dynamixel-emulator --link /tmp/leader --baud 1000000 --wire-time --control -
     """
 
@@ -29,6 +31,10 @@ class DynamixelEmulator:
         "1=XM430-W350", "2=XM430-W350", "3=XM430-W350", "4=XL330-M288", "5=XL330-M288", "6=XL330-M288", "7=XL330-M077",
     )  # fmt: skip
     """The servos, as ID=MODEL."""
+    arm: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """The servos of this description of an arm instead, which gravity pulls at; `--start` are then its joint angles."""
+    mass_scale: float = 1.0
+    """What the masses of `--arm` weigh, of what its description says."""
     baud: int = 4_000_000
     """Rate that the servos are set to, in bit/s: a client of another rate gets no answer."""
     any_rate: bool = False
@@ -73,7 +79,8 @@ class DynamixelEmulator:
         if not 0.0 <= self.latency_ms <= 1000.0:
             message = f"latency_ms = {self.latency_ms:g}: must be 0 to 1000 ms"
             raise ValueError(message)
-        bus = Bus(self._servos(), self.seed)
+        servos, load = self._servos()
+        bus = Bus(servos, self.seed, load)
         server = Server(
             bus, link=self.link, wire_time=self.wire_time, latency_s=1e-3 * self.latency_ms, any_rate=self.any_rate
         )
@@ -106,16 +113,14 @@ class DynamixelEmulator:
         names = ", ".join(f"{servo.id} {servo.model.name}" for servo in server.bus.servos)
         return f"servos {names} on {self.link or server.port} at {self.baud} bit/s"
 
-    def _servos(self) -> "list[Servo]":
+    def _servos(self) -> "tuple[list[Servo], ArmLoad | None]":
         from haptether.dynamixel import SERVO_MODELS
         from haptether.dynamixel.emulator import Servo
 
+        if self.arm is not None:
+            return self._arm(self.arm)
         if self.start and len(self.start) != len(self.servos):
             message = f"start: {len(self.start)} angles: must be {len(self.servos)}, one of each servo"
-            raise ValueError(message)
-        delay = SERVO_MODELS["XM430-W350"].table["Return Delay Time"]
-        if not 0 <= self.return_delay <= (delay.maximum or 0):
-            message = f"return_delay = {self.return_delay}: must be 0 to {delay.maximum}"
             raise ValueError(message)
         servos = []
         for index, text in enumerate(self.servos):
@@ -130,6 +135,29 @@ class DynamixelEmulator:
             servo = Servo(
                 SERVO_MODELS[name], int(number), baud=self.baud, firmware=self.firmware, position_rad=position_rad
             )
-            servo.write(delay.address, delay.encoded(self.return_delay), 0.0)
             servos.append(servo)
-        return servos
+        self._set_delay(servos)
+        return servos, None
+
+    def _arm(self, name: str) -> "tuple[list[Servo], ArmLoad | None]":
+        from haptether.dynamixel.description import load_arm
+        from haptether.dynamixel.emulator import ArmLoad, servos_of
+
+        if self.servos != type(self).servos:
+            message = f"arm = {name}: has servos of its own: leave --servos out"
+            raise ValueError(message)
+        if not 0.0 <= self.mass_scale <= 10.0:
+            message = f"mass_scale = {self.mass_scale:g}: must be 0 to 10"
+            raise ValueError(message)
+        arm = load_arm(name)
+        servos = servos_of(arm, baud=self.baud, firmware=self.firmware, start=self.start)
+        self._set_delay(servos)
+        return servos, ArmLoad(arm, servos, mass_scale=self.mass_scale)
+
+    def _set_delay(self, servos: "list[Servo]") -> None:
+        for servo in servos:
+            delay = servo.model.table["Return Delay Time"]
+            if not 0 <= self.return_delay <= (delay.maximum or 0):
+                message = f"return_delay = {self.return_delay}: must be 0 to {delay.maximum}"
+                raise ValueError(message)
+            servo.write(delay.address, delay.encoded(self.return_delay), 0.0)

@@ -1,0 +1,143 @@
+"""The driver `dynamixel`: a leader arm of 1 to 7 joints, and a trigger.
+
+The safety layer decides F_device; what `Compensation` adds comes after it, and is no part of what the estimate of the
+grasp takes for F_device. That estimate holds m A + b V + c sign(V) = F_device + F_h: gravity is not in it, and gravity
+with its compensation is not either. What is left of the two, and the springs before the limits, it takes for the hand.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+from haptether.dynamixel.arm import FaultKind, ServoArm
+from haptether.dynamixel.description import ArmKinematics
+from haptether.master.device import MasterSample
+from haptether.master.dynamixel.compensation import Compensation
+from haptether.master.dynamixel.options import arm_settings, leader_options, with_unit
+
+PATIENT: Final = 0.4
+"""Share of the bus watchdog's time that may pass from `open` to the first `read`."""
+
+
+class DynamixelMaster:
+    """A leader arm on a bus of Dynamixel servos in current mode; see `LeaderOptions`.
+
+    Raises:
+        ValueError: An option that there is not, or that cannot be.
+    """
+
+    paces = False
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401  # checked by leader_options
+        self.options, described = leader_options(options)
+        self.arm = arm = with_unit(self.options, described)
+        self.kinds = (self.options.kind,)
+        settings = arm_settings(self.options, arm)
+        self.servos = ServoArm(settings)
+        self._kinematics = ArmKinematics(arm)
+        self._poses = self.options.kind == "pose"
+        self._joints = len(arm.joints)
+        self._amperes = [
+            1.0 / (servo.servo.torque_constant_nm_per_a or servo.servo.stall_ratio_nm_per_a)
+            for servo in settings.servos
+        ]
+        for index, joint in enumerate(arm.joints):
+            self._amperes[index] /= joint.motors
+        greatest = [servo.current_cap_a / per_nm for servo, per_nm in zip(settings.servos, self._amperes, strict=True)]
+        self.most_nm = tuple(greatest)
+        """Greatest torque of each joint, and of the trigger, by the caps of current."""
+        left = 1.0 - self.options.force_share
+        bounds = [left * most for most in greatest[: self._joints]]
+        self.compensation = Compensation(self.options, arm, self._kinematics, bounds)
+        self.compensated_nm = [0.0] * self._joints
+        """What compensation and springs exerted with the last force."""
+        self.cut_ticks = 0
+        """How often a joint's sum was more than its cap, so that not all of the force was exerted."""
+        trigger = arm.trigger
+        self._range = 0.0 if trigger is None else abs(trigger.closed_rad - trigger.open_rad)
+        self._lever_m = 0.0 if trigger is None else trigger.lever_m
+        self._trigger_nm = 0.0
+        self._currents = [0.0] * len(settings.servos)
+        self._q: list[float] = []
+        self._w: list[float] = []
+        self._sample: MasterSample | None = None
+        self._opened_s = 0.0
+        if trigger is not None:
+            self.write_trigger = self._write_trigger
+
+    def open(self) -> None:
+        """Goes through the checklist of the bus; torque rises from 0 then.
+
+        Raises:
+            ArmRefusedError: What is wrong, each with what to do.
+        """
+        self._sample = None
+        self._trigger_nm = 0.0
+        self.servos.open()
+        self._opened_s = time.monotonic()
+
+    def close(self) -> None:
+        """Damps the arm down and ends its torque."""
+        self.servos.close()
+
+    def acknowledge(self) -> None:
+        """A person has mended the fault: the checklist runs again."""
+        self.servos.acknowledge()
+
+    def read(self) -> MasterSample:
+        """The newest sample; what is not measured now is not returned as if it were: it is measured, or a fault.
+
+        Raises:
+            RuntimeError: A fault before anything was measured.
+        """
+        servos = self.servos
+        if self._sample is None and time.monotonic() - self._opened_s > PATIENT * self.options.watchdog_s:
+            # Between the two this process took its time, and the servos have ended their torque meanwhile.
+            servos.close()
+            servos.open()
+        while not servos.read() and servos.fault is None:
+            pass
+        if servos.fault is None:
+            self._sample = self._measured()
+            return self._sample
+        if self._sample is None:
+            raise RuntimeError(servos.fault)
+        return self._sample._replace(fault=servos.fault)
+
+    def write(self, force: Sequence[float], torque: Sequence[float] | None = None) -> None:
+        """Exerts F_device, in N m at the joints, or in N and N m at the tool point, until the next call."""
+        reflected = self._kinematics.torques(self._q, (*force, *(torque or (0.0,) * 3))) if self._poses else force
+        if len(reflected) != self._joints:
+            message = f"force = {tuple(reflected)}: {self.arm.name} has {self._joints} joints: must be as many"
+            raise ValueError(message)
+        self.compensated_nm = self.compensation.torques(self._q, self._w)
+        currents, amperes, most = self._currents, self._amperes, self.most_nm
+        cut = False
+        for index in range(self._joints):
+            sum_nm = reflected[index] + self.compensated_nm[index]
+            cut = cut or abs(sum_nm) > most[index]
+            currents[index] = sum_nm * amperes[index]
+        self.cut_ticks += cut
+        if self._range:
+            currents[-1] = self._trigger_nm * amperes[-1]
+        self.servos.write_currents(currents)
+
+    def _write_trigger(self, force_n: float) -> None:
+        """Exerts a force in N at the finger, positive closing: with the next `write`, and none at once."""
+        before, self._trigger_nm = self._trigger_nm, force_n * self._lever_m
+        if force_n == 0.0 and before != 0.0:
+            self._currents[-1] = 0.0
+            self.servos.write_currents(self._currents)
+
+    def stop(self, text: str) -> None:
+        """Ends all torque, as a fault of this arm."""
+        self.servos.stop(FaultKind.NOT_READY, text)
+
+    def _measured(self) -> MasterSample:
+        position, velocity = self.servos.position.tolist(), self.servos.velocity.tolist()
+        trigger = min(max(position[-1] / self._range, 0.0), 1.0) if self._range else None
+        self._q, self._w = position[: self._joints], velocity[: self._joints]
+        if not self._poses:
+            return MasterSample(self._q, self._w, trigger=trigger)
+        place, quat, twist = self._kinematics.state(self._q, self._w)
+        return MasterSample(place, twist[:3], trigger=trigger, orientation=quat, angular_velocity=twist[3:])

@@ -1,0 +1,96 @@
+"""What the safety layer takes a leader for: m, b and c of `[master]`, from its description."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from haptether.dynamixel.description import ArmDescription, ArmKinematics
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointModel:
+    """Of each joint, for kind "joints"."""
+
+    mass_kg: tuple[float, ...]
+    """Inertia in kg m^2."""
+    viscous: tuple[float, ...]
+    """In N m s/rad."""
+    coulomb: tuple[float, ...]
+    """In N m."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseModel:
+    """At the tool point, for kind "pose"; of one posture, and another in each."""
+
+    mass_kg: tuple[float, float, float]
+    """Along x, y, z of the base."""
+    inertia_kg_m2: tuple[float, float, float]
+    """About them."""
+
+
+def joint_model(
+    arm: ArmDescription, q: Sequence[float] | None = None, *, inertia: Sequence[float] | None = None,
+    friction_gain: float = 0.0,
+) -> JointModel:  # fmt: skip
+    """Inertia and friction of the joints at a posture, of which compensation leaves the rest.
+
+    Args:
+        arm: The description.
+        q: The posture; by default where the arm is started.
+        inertia: Of each joint's motors and gears at the output, in kg m^2; by default the description's.
+        friction_gain: Share of the friction that is compensated.
+
+    Raises:
+        ValueError: The description lacks a number: no source is known, so it must be identified.
+    """
+    own = _motor_inertia(arm, inertia)
+    if not arm.knows_friction:
+        message = f"{arm.name}: its friction is not known: identify it, and write it to the description"
+        raise ValueError(message)
+    carried = ArmKinematics(arm).link_inertia(_posture(arm, q))
+    left = 1.0 - friction_gain
+    return JointModel(
+        mass_kg=tuple(one + link for one, link in zip(own, carried, strict=True)),
+        viscous=tuple(left * (joint.viscous_nm_s or 0.0) for joint in arm.joints),
+        coulomb=tuple(left * (joint.coulomb_nm or 0.0) for joint in arm.joints),
+    )
+
+
+def pose_model(
+    arm: ArmDescription, q: Sequence[float] | None = None, *, inertia: Sequence[float] | None = None
+) -> PoseModel:
+    """What a force or a torque at the tool point accelerates along its own direction: 1 / diag(J M^-1 J^T).
+
+    M is taken as diagonal, as in `ArmKinematics.link_inertia`.
+
+    Source: O. Khatib, IEEE J. Robotics and Automation 3(1), 1987, section IV: effective mass.
+
+    Raises:
+        ValueError: As `joint_model`, of inertia alone.
+    """
+    own = _motor_inertia(arm, inertia)
+    posture = _posture(arm, q)
+    kinematics = ArmKinematics(arm)
+    joints = np.array(own) + kinematics.link_inertia(posture)
+    jacobian = kinematics.jacobian(posture)
+    mobility = np.diag(jacobian @ np.diag(1.0 / joints) @ jacobian.T)
+    # A direction that no joint moves has no mobility: it is as heavy as the heaviest other.
+    lightest = np.maximum(mobility, 1e-3 * mobility.max())
+    x, y, z, rx, ry, rz = (1.0 / lightest).tolist()
+    return PoseModel(mass_kg=(x, y, z), inertia_kg_m2=(rx, ry, rz))
+
+
+def _posture(arm: ArmDescription, q: Sequence[float] | None) -> list[float]:
+    return [joint.start_rad for joint in arm.joints] if q is None else list(q)
+
+
+def _motor_inertia(arm: ArmDescription, inertia: Sequence[float] | None) -> list[float]:
+    if inertia is not None:
+        return list(inertia)
+    known = [joint.inertia_kg_m2 for joint in arm.joints if joint.inertia_kg_m2 is not None]
+    if len(known) < len(arm.joints):
+        message = f"{arm.name}: the inertia of its servos is not known: give it, or identify it"
+        raise ValueError(message)
+    return [joint.motors * one for joint, one in zip(arm.joints, known, strict=True)]

@@ -1,0 +1,108 @@
+"""Demonstrations with an emulated leader arm, as processes: something is picked up; a push and a hand that lets go."""
+
+import contextlib
+import time
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from tests.ur.stalls import STALL_S, Stalls
+
+from haptether.cli import main
+from haptether.dynamixel.description import ArmKinematics, load_arm
+from haptether.studies import FollowScene, PickScene, run_follow, run_pick
+from haptether.studies.leader import LEADER, Emulated, Leader, hand_path
+
+ATTEMPTS = 3
+STALLED = f"this machine stalled a loop in each of {ATTEMPTS} runs"
+
+
+class Never:
+    """Nobody asks to stop."""
+
+    def __bool__(self) -> bool:
+        return False
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+@pytest.mark.live
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("slave", ["simulated", "ur"])
+def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_path: Path) -> None:
+    if slave == "ur":
+        pytest.importorskip("rtde_control", reason="the extra ur is not installed")
+    scene = PickScene(slave=slave, master="dynamixel")
+    for _ in range(ATTEMPTS):
+        with Stalls() as stalls, contextlib.suppress(RuntimeError):
+            result = run_pick(scene, tmp_path, lambda *_: None, Never())
+            if result.holds == 0:
+                break
+        assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
+    else:
+        pytest.skip(STALLED)
+    assert result.is_done, result
+    assert result.lifted_m == pytest.approx(0.06, abs=3e-3)
+
+
+@pytest.mark.live
+@pytest.mark.timeout(400)
+def test_a_follower_is_led_and_a_push_reaches_the_hand_damped(tmp_path: Path) -> None:
+    scene = FollowScene(jitter_s=0.0, loss=0.0)
+    thrown = {}
+    for controller in ("none", "wsc"):
+        for _ in range(ATTEMPTS):
+            with Stalls() as stalls, contextlib.suppress(RuntimeError):
+                result = run_follow(scene, controller, tmp_path, lambda *_: None, Never())
+                if result.holds == 0:
+                    break
+            assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
+        else:
+            pytest.skip(STALLED)
+        assert result.followed_rad == pytest.approx(result.led_rad, abs=0.05)
+        assert result.felt_nm > 0.1
+        thrown[controller] = result.thrown_rad_s
+    assert thrown["wsc"] < thrown["none"], thrown
+
+
+def test_the_hand_leads_the_tool_as_the_scene_says() -> None:
+    """0.1 m aside and 60 degrees about z at the end, and down by 0.06 m twice."""
+    arm = load_arm(LEADER)
+    leader = Leader(arm, Emulated.__new__(Emulated), "", (), Path())
+    header, *lines = hand_path(leader, 8.0).splitlines()
+    assert header == "time_s,1,2,3,4,5,6,7"
+    rows = np.array([[float(number) for number in line.split(",")] for line in lines])
+    signs, kinematics = np.array([joint.sign for joint in arm.joints]), ArmKinematics(arm)
+    poses = [kinematics.state(signs * row[1:7], np.zeros(6)) for row in rows]
+    places = np.array([pose[0] for pose in poses])
+    moved = places - places[0]
+    np.testing.assert_allclose(moved[-1], (0.0, 0.1, 0.0), atol=1e-6)
+    assert moved[:, 2].min() == pytest.approx(-0.06, abs=1e-6)
+    between = abs(float(np.dot(poses[0][1], poses[-1][1])))
+    assert 2.0 * np.arccos(between) == pytest.approx(np.pi / 3.0, abs=1e-6)
+    assert arm.trigger is not None
+    assert rows[0, 7] == pytest.approx(arm.trigger.open_rad)
+    assert rows[:, 7].min() == pytest.approx(arm.trigger.closed_rad)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--slave", "dynamixel"], "master = simulated: must be dynamixel with --slave dynamixel"),
+        (
+            ["--master", "dynamixel", "--slave", "dynamixel", "--task", "pick"],
+            "task = pick: the follower of",
+        ),
+        (
+            ["--master", "dynamixel", "--task", "push"],
+            "task = push: --master dynamixel leads",
+        ),
+    ],
+)
+def test_arms_that_do_not_go_together_are_refused(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", *arguments]) == 2
+    assert said in capsys.readouterr().err

@@ -1,0 +1,261 @@
+"""The driver of a leader arm on an emulated bus: what it measures, what it exerts, what is a fault."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.dynamixel.emulated import EmulatedBus, emulated_bus
+from tests.dynamixel.test_description import TWO_LINKS
+
+from haptether.bridge import load_master
+from haptether.dynamixel.description import ArmKinematics, load_arm
+from haptether.master.dynamixel import DynamixelMaster, joint_model, leader_options, pose_model
+
+TICK_S = 0.004
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> Path:
+    """Two joints and a trigger."""
+    path = tmp_path / "two.toml"
+    path.write_text(TWO_LINKS)
+    return path
+
+
+@contextmanager
+def opened(arm: Path | str, *start: float, **given: object) -> Iterator[tuple[DynamixelMaster, EmulatedBus]]:
+    """A driver with torque on an emulated arm that a stiff hand holds."""
+    options: dict[str, Any] = {"ramp_s": 0.1, "timeout_s": 0.02, "watchdog_s": 0.5, "verify_watchdog": False, **given}
+    with emulated_bus("--arm", str(arm), *(("--start", *map(str, start)) if start else ())) as bus:
+        for servo in bus.status()["servos"]:
+            bus.do(f"hand {servo['id']} {servo['position_rad']} 40 1")
+        leader = DynamixelMaster(port=bus.port, arm=str(arm), **options)
+        try:
+            leader.open()
+            yield leader, bus
+        finally:
+            leader.close()
+
+
+def run(
+    leader: DynamixelMaster, duration_s: float, *force: tuple[float, ...], each: Callable[[], None] = lambda: None
+) -> None:
+    end_s = time.monotonic() + duration_s
+    while time.monotonic() < end_s:
+        leader.read()
+        leader.write(*force)
+        each()
+        time.sleep(TICK_S)
+
+
+def motors(bus: EmulatedBus) -> list[float]:
+    return [servo["torque_nm"] for servo in bus.status()["servos"]]
+
+
+@pytest.mark.live
+def test_it_is_found_by_its_name(two: Path) -> None:
+    leader = load_master("dynamixel", {"port": "/dev/none", "arm": str(two)})
+    assert isinstance(leader, DynamixelMaster)
+    assert leader.kinds == ("joints",)
+    with pytest.raises(RuntimeError, match="port: is not there"):
+        leader.open()
+    leader.close()
+
+
+@pytest.mark.live
+def test_joints_are_measured_and_feel_force_and_weight(two: Path) -> None:
+    with opened(two, 0.2, 0.5) as (leader, bus):
+        run(leader, 0.5, (0.0, 0.0))
+        sample = leader.read()
+        assert sample.fault is None
+        assert sample.orientation is None
+        assert list(sample.position) == pytest.approx([0.2, 0.5], abs=0.02)  # type: ignore[arg-type]
+        assert sample.trigger == pytest.approx(0.0, abs=0.02)
+        weight = ArmKinematics(leader.arm).gravity(leader.read().position)  # type: ignore[arg-type]
+        held = motors(bus)
+        # The sign of the second servo is -1.
+        assert held[0] == pytest.approx(weight[0], abs=0.01)
+        assert held[1] == pytest.approx(-weight[1], abs=0.01)
+        run(leader, 0.2, (-0.1, 0.05))
+        pushed = motors(bus)
+        assert pushed[0] - held[0] == pytest.approx(-0.1, abs=0.02)
+        assert pushed[1] - held[1] == pytest.approx(-0.05, abs=0.02)
+        assert leader.cut_ticks == 0
+
+
+@pytest.mark.live
+def test_a_pose_is_that_of_the_tool_and_its_wrench_is_transposed(two: Path) -> None:
+    with opened(two, 0.2, 0.5, kind="pose", gravity_gain=0.0) as (leader, bus):
+        run(leader, 0.3, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        before = motors(bus)
+        force, torque = (0.3, 0.0, -0.2), (0.0, 0.04, 0.0)
+        run(leader, 0.3, force, torque)
+        sample = leader.read()
+        q = [0.2, 0.5]
+        place, quat, _ = ArmKinematics(leader.arm).state(q, (0.0, 0.0))
+        assert list(sample.position) == pytest.approx(place, abs=0.02)  # type: ignore[arg-type]
+        assert sample.orientation == pytest.approx(quat, abs=0.03)
+        assert sample.angular_velocity is not None
+        assert sample.velocity is not None
+        expected = ArmKinematics(leader.arm).jacobian(q).T @ (*force, *torque)
+        seen = np.array(motors(bus))[:2] - before[:2]
+        assert seen[0] == pytest.approx(expected[0], abs=0.02)
+        assert seen[1] == pytest.approx(-expected[1], abs=0.02)
+
+
+@pytest.mark.live
+def test_a_stretched_arm_is_singular_and_nothing_is_large(two: Path) -> None:
+    with opened(two, 0.2, 0.0, kind="pose") as (leader, bus):
+        run(leader, 0.4, (5.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        assert leader.read().fault is None
+        reach = 0.45
+        for torque, weight in zip(motors(bus)[:2], leader.compensated_nm, strict=True):
+            assert abs(torque) <= 5.0 * reach + abs(weight) + 0.01
+
+
+@pytest.mark.live
+def test_the_trigger_leads_and_is_felt(two: Path) -> None:
+    with opened(two) as (leader, bus):
+        bus.do("hand 3 0.2 5 0.05")
+        run(leader, 0.4, (0.0, 0.0))
+        # Half of the way from 0.6 to -0.2.
+        assert leader.read().trigger == pytest.approx(0.5, abs=0.03)
+        run(leader, 0.2, (0.0, 0.0), each=lambda: leader.write_trigger(-2.0))
+        # 2 N at 40 mm open it, and closing is negative at this servo.
+        assert motors(bus)[2] == pytest.approx(0.08, abs=0.01)
+        leader.write_trigger(0.0)
+        time.sleep(0.05)
+        assert abs(motors(bus)[2]) < 1e-6
+
+
+@pytest.mark.live
+def test_a_force_beyond_the_caps_is_cut(two: Path) -> None:
+    with opened(two) as (leader, bus):
+        run(leader, 0.4, (50.0, -50.0))
+        assert leader.cut_ticks > 10
+        assert abs(motors(bus)[0]) <= leader.most_nm[0] + 1e-3
+        assert abs(motors(bus)[1]) <= leader.most_nm[1] + 1e-3
+
+
+@pytest.mark.live
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [("hardware-error 2 overload", "overload"), ("silent 1 on", "no answer"), ("unplug", "unplugged")],
+)
+def test_a_fault_of_the_bus_ends_all_torque(two: Path, line: str, said: str) -> None:
+    with opened(two, 0.2, 0.5) as (leader, bus):
+        run(leader, 0.3, (0.05, 0.05))
+        before = leader.read().position
+        bus.do(line)
+        end_s = time.monotonic() + 3.0
+        while (sample := leader.read()).fault is None:
+            leader.write((0.05, 0.05))
+            assert time.monotonic() < end_s
+        assert said in sample.fault
+        assert np.isfinite(np.asarray(sample.position)).all()
+        assert list(sample.position) == pytest.approx(list(before), abs=0.05)  # type: ignore[arg-type]
+        leader.write((0.05, 0.05))
+        time.sleep(0.6)
+        # An unplugged bus cannot be told: its watchdogs end the torque.
+        assert all(abs(torque) < 1e-6 for torque in motors(bus))
+        assert leader.read().fault is not None
+
+
+@pytest.mark.live
+def test_a_fault_is_acknowledged_by_a_person(two: Path) -> None:
+    with opened(two, 0.2, 0.5) as (leader, bus):
+        run(leader, 0.2, (0.0, 0.0))
+        bus.do("hardware-error 2 overload")
+        end_s = time.monotonic() + 15.0
+        while leader.read().fault is None:
+            assert time.monotonic() < end_s
+        time.sleep(0.3)
+        assert leader.read().fault is not None
+        leader.acknowledge()
+        while leader.read().fault is not None:
+            assert time.monotonic() < end_s
+            time.sleep(0.02)
+        run(leader, 0.5, (0.0, 0.0))
+        assert motors(bus)[0] == pytest.approx(leader.compensated_nm[0], abs=0.01)
+
+
+@pytest.mark.live
+def test_the_end_is_without_torque(two: Path) -> None:
+    with opened(two, 0.2, 0.5) as (leader, bus):
+        run(leader, 0.2, (0.0, 0.0))
+        leader.close()
+        assert not any(servo["torque"] for servo in bus.status()["servos"])
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"arm": "gello-ur"}, "port is missing: must be the port of the arm's adapter"),
+        ({"port": "x"}, "arm is missing"),
+        ({"port": "x", "arm": "gelo"}, "must be a file, or one of aloha-wx250s"),
+        ({"port": "x", "arm": "gello-ur", "gain": 2}, "is no option"),
+        ({"port": "x", "arm": "gello-ur", "gravity_gain": 1.2}, "gravity_gain = 1.2: must be 0 to 1"),
+        ({"port": "x", "arm": "koch-v1-1", "gravity_gain": 0.5}, "has joints without a mass: must be 0"),
+        ({"port": "x", "arm": "gello-ur", "friction_gain": 0.5}, "has joints without a friction: must be 0"),
+        ({"port": "x", "arm": "gello-ur", "offsets": [0.0, 1.0]}, "must be 6 numbers, one of each joint of gello-ur"),
+        ({"port": "x", "arm": "gello-ur", "signs": [1, 1, 1, 1, 1, 2]}, "signs"),
+        ({"port": "x", "arm": "gello-ur", "kind": "linear"}, "kind = 'linear': must be one of joints, pose"),
+        ({"port": "x", "arm": "gello-ur", "baud": 1234}, "baud = 1234: must be one of 9600"),
+        ({"port": "x", "arm": "gello-ur", "calibration": "/none.toml"}, "calibration = '/none.toml'"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match="driver = dynamixel") as refused:
+        DynamixelMaster(**given)
+    assert said in str(refused.value)
+
+
+def test_a_calibration_has_signs_and_offsets_of_a_unit(tmp_path: Path) -> None:
+    file = tmp_path / "unit.toml"
+    arm = load_arm("gello-ur")
+    servos = "".join(
+        f'[[servo]]\nid = {joint.servo}\nmodel = "{joint.model}"\nsign = -1\noffset_rad = {0.1 * joint.servo}\n'
+        for joint in reversed(arm.joints)
+    )
+    file.write_text(servos)
+    leader = DynamixelMaster(port="x", arm="gello-ur", calibration=str(file))
+    assert [joint.sign for joint in leader.arm.joints] == [-1] * 6
+    assert [joint.offset_rad for joint in leader.arm.joints] == pytest.approx([0.1 * n for n in range(1, 7)])
+    file.write_text(servos.replace("XM430-W350", "XM430-W210", 1))
+    with pytest.raises(ValueError, match="must be a XM430-W350: the file has it as a XM430-W210"):
+        DynamixelMaster(port="x", arm="gello-ur", calibration=str(file))
+    file.write_text(servos.partition("[[servo]]\nid = 1\n")[0])
+    with pytest.raises(ValueError, match="servo 1 must be a XM430-W350: the file lacks it"):
+        DynamixelMaster(port="x", arm="gello-ur", calibration=str(file))
+
+
+def test_an_arm_without_masses_is_not_compensated() -> None:
+    leader = DynamixelMaster(port="x", arm="koch-v1-1")
+    assert leader.compensation.gravity_gain == 0.0
+    assert DynamixelMaster(port="x", arm="factr").compensation.gravity_gain == 1.0
+
+
+def test_the_model_of_the_device_comes_from_the_description(two: Path) -> None:
+    arm = load_arm(two)
+    with pytest.raises(ValueError, match="the inertia of its servos is not known"):
+        joint_model(arm)
+    found = joint_model(arm, (0.3, -0.8), inertia=(0.01, 0.002), friction_gain=0.5)
+    links = ArmKinematics(arm).link_inertia((0.3, -0.8))
+    assert found.mass_kg == pytest.approx((0.01 + links[0], 0.002 + links[1]))
+    assert found.coulomb == pytest.approx((0.025, 0.01))
+    assert found.viscous == pytest.approx((0.01, 0.005))
+    with pytest.raises(ValueError, match="gello-ur: its friction is not known"):
+        joint_model(load_arm("gello-ur"), inertia=[0.01] * 6)
+    pose = pose_model(arm, (0.0, math.pi / 2), inertia=(0.01, 0.002))
+    # Bent by a right angle: x is moved by the first joint alone and not by the second, at 0.2 m.
+    links = ArmKinematics(arm).link_inertia((0.0, math.pi / 2))
+    first, second = 0.01 + links[0], 0.002 + links[1]
+    assert pose.mass_kg[0] == pytest.approx(1.0 / (0.2**2 / first + 0.2**2 / second))
+    assert pose.mass_kg[2] == pytest.approx(1.0 / (0.25**2 / first))
+    assert pose.inertia_kg_m2[1] == pytest.approx(1.0 / (1.0 / first + 1.0 / second))
+    assert leader_options({"port": "x", "arm": str(two)})[1] == arm
