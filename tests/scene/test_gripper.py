@@ -279,3 +279,32 @@ def test_a_trigger_that_is_felt_leads_a_gripper(felt: Scene) -> None:
     with pytest.raises(SceneError) as refused:
         simulate(without_gripper(override_scene(felt, ["operator.trigger=[]"])))
     assert "[master] gripper: leads no gripper" in str(refused.value)
+
+
+# ----------------------------------------------------------------------------------------------- the shipped scene
+
+WAY_M = TRAVEL_M - FINGER_N / STIFFNESS
+CLOSED_FORM = float(np.sqrt(2.0 * FINGER_N * WAY_M / MASS_KG))
+
+
+def test_the_shipped_trigger_feels_what_is_held_and_is_thrown_as_the_closed_form_says() -> None:
+    run = simulate("felt_trigger")
+    assert [kind for _, kind in events(run, "grip", "drop")] == ["grip", "drop"]
+    force, time_s = run.signals["trigger_device_force"], run.signals["time_s"]
+    held = (time_s > 1.4) & (time_s < 1.8)
+    assert force[held] == pytest.approx(-FINGER_N, abs=1e-9)
+    assert run.signals["trigger"][held] == pytest.approx(WAY_M / TRAVEL_M, abs=1e-3)
+    assert not force[time_s < events(run, "grip")[0][0]].any()
+    assert -run.signals["trigger_velocity"].min() == pytest.approx(CLOSED_FORM, abs=FINGER_N / MASS_KG * 1e-3)
+
+
+@pytest.mark.parametrize("controller", ["vfc", "hsc", "wsc", "pc"])
+def test_with_a_controller_the_shipped_trigger_is_slower(controller: str) -> None:
+    run = simulate("felt_trigger", overrides=[f"safety.gripper.controllers=[{controller}]"])
+    assert 0.1 < -run.signals["trigger_velocity"].min() < 0.5 * CLOSED_FORM
+    assert run.signals["trigger_tripped"].any()
+
+
+def test_a_force_that_grows_fast_throws_the_shipped_trigger_back() -> None:
+    run = simulate("felt_trigger", overrides=["master.gripper.max_slew_n_per_s=250"])
+    assert [kind for _, kind in events(run, "grip", "drop")] == ["grip", "drop"] * 2

@@ -7,6 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from haptether.bridge import Run, SceneError, load_scene, override_scene, simulate, sweep
+from haptether.cli.scene.picture import angle_apart
+from haptether.cli.scene.simulate import frame_of
 
 Array = npt.NDArray[np.float64]
 
@@ -270,6 +272,40 @@ def test_a_tool_is_turned_to_the_hand_before_the_two_engage() -> None:
     assert run.metrics.outcome == "complete"
 
 
+def test_the_shipped_alignment_turns_is_silent_engages_without_a_jump_and_follows() -> None:
+    run = simulate("alignment")
+    signals, time_s, dt = run.signals, run.signals["time_s"], 1e-3
+    command, torque = signals["slave_command_orientation"], signals["device_torque"]
+    apart = angle(product(signals["orientation"], conjugate(command)))
+    slave_s, master_s = sorted(event.time_s for event in run.events if event.kind == "engaged")
+    # There and back, and 0.8 rad at 0.5 rad/s; the news takes 20 ms more.
+    assert slave_s == pytest.approx(0.04 + 1.6, abs=2 * dt)
+    assert master_s == pytest.approx(slave_s + 0.02, abs=2 * dt)
+    steps = angle(product(command[1:], conjugate(command[:-1])))
+    assert steps[time_s[1:] < slave_s - dt].max() == pytest.approx(0.5 * dt, rel=1e-6)
+    assert not torque[time_s < master_s].any()
+    assert steps[np.abs(time_s[1:] - slave_s) < 5 * dt].max() <= 0.5 * dt * (1.0 + 1e-6)
+    # What turns the tool is felt in full once the force has faded in, at most 200 ms later.
+    felt = (time_s > master_s + 0.201) & (time_s < time_s[-1])
+    assert torque[felt, 2] == pytest.approx(0.05, abs=1e-9)
+    # The hand turns by 0.6 rad, and with it the tool: apart only by how fast it turns through 20 ms and a tick.
+    fastest = np.linalg.norm(signals["angular_velocity"], axis=1).max()
+    assert 0.3 < fastest < 1.875 * 0.6 / 1.2 + 0.05
+    assert apart[time_s > slave_s].max() == pytest.approx(0.021 * fastest, rel=0.05)
+    assert apart[-1] < 1e-6
+
+
+@pytest.mark.parametrize(("change", "engages"), [("coupling={}", True), ("coupling.alignment.max_angle=0.7", False)])
+def test_the_shipped_alignment_beside_none_and_beyond_its_bound(change: str, engages: bool) -> None:
+    run = simulate("alignment", overrides=[change])
+    apart = angle(product(run.signals["orientation"], conjugate(run.signals["slave_command_orientation"])))
+    assert ("engaged" in kinds(run)) == engages
+    assert apart[np.isfinite(apart)][0] == pytest.approx(0.8, abs=0.02)
+    # Nobody turns it: the tool keeps its start, or turns by what the hand turns.
+    assert np.ptp(run.signals["slave_command_orientation"][np.isfinite(apart)], axis=0).any() == engages
+    assert run.signals["device_torque"].any() == engages
+
+
 def test_a_tool_that_is_too_far_off_stays_and_never_engages() -> None:
     run = aligned(0.8, 0.7)
     command = run.signals["slave_command_orientation"]
@@ -408,3 +444,17 @@ def test_quaternions_of_the_signals_are_rotations() -> None:
         assert known.any()
         assert norms[known] == pytest.approx(1.0, abs=1e-9), name
     assert hypot(*signals["orientation"][-1]) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("quat_wxyz", [[1.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.8, 0.0], [0.5, 0.5, -0.5, 0.5]])
+def test_the_angle_that_a_picture_of_an_alignment_shows_falls_to_0_in_any_frame(quat_wxyz: list[float]) -> None:
+    """`|log(R_s (C R_m C')')|`: at first that of the tool, as the hand stands as its base frame does."""
+    override = f"coupling.quat_wxyz={quat_wxyz!r}"
+    run, scene = simulate("alignment", overrides=[override]), load_scene("alignment", [override])
+    frame = frame_of(scene)
+    assert frame == tuple(quat_wxyz)
+    apart = angle_apart(run.signals, np.array(frame))
+    assert apart[1] == pytest.approx(0.8, abs=1e-9)
+    assert np.diff(apart[50:1600]) == pytest.approx(-0.5e-3, abs=1e-9)
+    assert apart[1640] < 1e-6
+    assert frame_of(load_scene("valve", [])) is None

@@ -60,6 +60,9 @@ SHOWN: list[Shown] = [
     ("torque_release", ["safety.controllers=[hsc]"], (0.0, 0.0), (0.0, 0.0), (0.005, 0.02), 0),
     # 0.1 m in 2.2 s and 0.06 m in 0.8 s: 1.875 L / T = 0.085 and 0.141 m/s, less what the hand trails.
     ("ur_pick", [], (0.130, 0.141), (0.0, 0.0), None, 0),
+    ("alignment", [], (0.0, 0.0), (0.0, 0.0), None, 0),
+    # The hand holds still; its finger is held in test_gripper.py.
+    ("felt_trigger", [], (0.0, 0.0), (0.0, 0.0), None, 0),
     ("valve", [], (0.0, 0.0), (0.0, 0.0), None, 0),
     # Along the force: 40 mm in 3 s and 80 mm in 1.5 s, 1.875 L / T = 0.025 and 0.1 m/s, less what friction takes.
     ("peg_in_hole", [], (0.023, 0.0255), (1.6, 3.0), None, 0),

@@ -31,11 +31,18 @@ PANELS = {
     "body [m]": {"body_position": "body"},
     "gripper": {"trigger": "trigger", "gripper_command": "commanded", "gripper": "jaws"},
     "finger [N]": {"trigger_device_force": "on the finger", "finger_force": "of the finger"},
+    "finger [m/s]": {"trigger_velocity": "trigger"},
+    "ladder": {"state": "hand's side", "slave_state": "arm's side"},
     "tripped": {"tripped": "tripped"},
+    "finger\ntripped": {"trigger_tripped": "tripped"},
 }
 """What is drawn below one another: signals and their labels. A panel without any of them is left out."""
-HEIGHTS = {"gripper": 2, "tripped": 1}
+APART = "apart [rad]"
+"""The panel of an alignment: how far the arm's command is turned from the hand."""
+HEIGHTS = {"gripper": 2, "ladder": 2, "tripped": 1, "finger\ntripped": 1}
 """Of panels, beside 3 of the others."""
+LADDER = ["apart", "aligning", "engaged", "stale", "hold", "stop", "fault"]
+"""States of the ladder by their code."""
 TRIPPED = {1: "VFC", 2: "HSC", 4: "WSC", 8: "PC", 16: "held"}
 EVENTS_NAMED = 16
 NAME_LENGTH = 36
@@ -50,13 +57,16 @@ SLAVE_SIGNALS = ("slave_", "gripper", "handle_", "hole_", "body_")
 """How signals begin that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
 
 
-def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
+def draw_run(
+    run: "Run", events: list[tuple[float, str]], path: Path, frame_wxyz: tuple[float, ...] | None = None
+) -> None:
     """Draws positions, velocity, forces, what turns and interventions over time, with the events marked.
 
     Args:
         run: With its signals.
         events: Times in s and what is written there.
         path: Of the PNG file.
+        frame_wxyz: C, which turns the hand's frame into the arm's: draws how far the two are turned from one another.
 
     Raises:
         ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
@@ -68,6 +78,9 @@ def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
     # What a scene of one loop renders ticks with its master.
     slave_time_s = signals.get("slave_time_s", time_s)
     drawn = {label: lines for label, signals_of in PANELS.items() if (lines := _lines(signals, signals_of))}
+    if frame_wxyz is not None and "slave_command_orientation" in signals:
+        apart = angle_apart(signals, np.array(frame_wxyz))
+        drawn = {APART: [("slave_apart", "command from the hand", apart)]} | drawn
     figure = Figure(figsize=(10.0, max(9.0, 1.9 * len(drawn))), layout="constrained")
     # Names of files and reasons are no formulas.
     figure.suptitle(printable(f"{Path(run.scene).stem}, seed {run.seed}"), parse_math=False)
@@ -76,11 +89,22 @@ def draw_run(run: "Run", events: list[tuple[float, str]], path: Path) -> None:
     )[:, 0]
     for panel, (label, lines) in zip(panels, drawn.items(), strict=True):
         for name, described, values in lines:
+            if name == "trigger_tripped":
+                _draw_trips(panel, time_s, np.nan_to_num(signals[name]).astype(np.uint8))
+                continue
             if name == "tripped":
                 of_turn = signals.get("rotation_tripped", np.zeros_like(signals[name]))
                 _draw_trips(panel, time_s, signals[name] | of_turn)
                 continue
-            panel.plot(slave_time_s if name.startswith(SLAVE_SIGNALS) else time_s, values, lw=1.2, label=described)
+            of_time_s = slave_time_s if name.startswith(SLAVE_SIGNALS) else time_s
+            if label == "ladder":
+                # Which of the two comes first must be seen where they are alike.
+                dashes = "--" if name == "state" else "-"
+                panel.plot(of_time_s, values, lw=1.2, ls=dashes, label=described, drawstyle="steps-post")
+                reached = np.unique(np.concatenate([signals["state"], signals[name]]).astype(int))
+                panel.set_yticks(reached, [LADDER[code] for code in reached], fontsize=7)
+            else:
+                panel.plot(of_time_s, values, lw=1.2, label=described)
             panel.legend(fontsize=8 if len(lines) <= MAX_LINES else 6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         for time_of_event, _ in events:
             panel.axvline(time_of_event, color="k", lw=0.6, ls=":")
@@ -100,6 +124,9 @@ def _lines(signals: "Signals", of_panel: dict[str, str]) -> list[tuple[str, str,
     """
     lines = []
     turns = "orientation" in signals
+    if "trigger_device_force" in signals and not any(np.any(signals[name]) for name in of_panel if name in signals):
+        # Beside a finger, a hand that does nothing is not the subject.
+        of_panel = {name: described for name, described in of_panel.items() if name.endswith("tripped")}
     for name, described in of_panel.items():
         if name not in signals:
             continue
@@ -134,6 +161,30 @@ def angle_from_first(quat_wxyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float
     parts = quat_wxyz @ conjugate.T
     angle: npt.NDArray[np.float64] = 2.0 * np.arctan2(np.linalg.norm(parts[:, 1:], axis=1), np.abs(parts[:, 0]))
     return angle
+
+
+def angle_apart(signals: "Signals", frame_wxyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """`|log(R_s (C R_m C')')|` in rad at the times of the arm: of its command, and of the hand as it is at that time.
+
+    Args:
+        signals: Of a run of sides that turn.
+        frame_wxyz: Of C.
+    """
+    master_s, slave_s = signals["time_s"], signals.get("slave_time_s", signals["time_s"])
+    last = np.clip(np.searchsorted(master_s, slave_s, side="right") - 1, 0, None)
+    hand = signals["orientation"][last]
+    command = signals["slave_command_orientation"]
+    back = frame_wxyz * np.array([1.0, -1.0, -1.0, -1.0])
+    target = _product(_product(np.broadcast_to(frame_wxyz, hand.shape), hand), np.broadcast_to(back, hand.shape))
+    parts = _product(command, target * np.array([1.0, -1.0, -1.0, -1.0]))
+    angle: npt.NDArray[np.float64] = 2.0 * np.arctan2(np.linalg.norm(parts[:, 1:], axis=1), np.abs(parts[:, 0]))
+    return angle
+
+
+def _product(left: npt.NDArray[np.float64], right: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Of quaternions w, x, y, z, row by row."""
+    w, z, v, u = left[:, :1], right[:, :1], left[:, 1:], right[:, 1:]
+    return np.concatenate([w * z - np.sum(v * u, axis=1, keepdims=True), w * u + z * v + np.cross(v, u)], axis=1)
 
 
 def _name_events(panel: "Axes", events: list[tuple[float, str]], width_s: float) -> None:

@@ -11,7 +11,7 @@ import tyro
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptether.bridge import Event, Run
+    from haptether.bridge import Event, Run, Scene
 
 SPINNER_AFTER_S = 2.0
 EVENTS_SHOWN = 20
@@ -88,9 +88,9 @@ class Simulate:
                 console.print(
                     f"{key} = {name}: the model of [{table}] stands for it; `haptether {table} --scene` drives it live",
                 )
-        return self._report(console, run)
+        return self._report(console, run, frame_of(scene))
 
-    def _report(self, console: "Console", run: "Run") -> int:
+    def _report(self, console: "Console", run: "Run", frame_wxyz: tuple[float, ...] | None) -> int:
         from haptether.cli.shared.output import write_report
 
         self._print(console, run)
@@ -109,7 +109,7 @@ class Simulate:
             from haptether.cli.scene.picture import draw_run
 
             picture = self.plot / f"{Path(run.scene).stem}.png"
-            draw_run(run, merged_events(run.events), picture)
+            draw_run(run, merged_events(run.events), picture, frame_wxyz)
             console.print(f"picture: {picture}")
         if run.metrics.diverged:
             last = next((event for event in run.events if event.kind == "diverged"), None)
@@ -147,6 +147,14 @@ class Simulate:
         for name in scene_names():
             table.add_row(name, load_scene(name).shows)
         console.print(table)
+
+
+def frame_of(scene: "Scene") -> tuple[float, ...] | None:
+    """C of a scene whose arm is turned to the hand; none of others, and where it changes on the way."""
+    coupling = scene.coupling
+    if coupling is None or coupling.alignment is None:
+        return None
+    return None if any(change.quat_wxyz is not None for change in coupling.changes) else coupling.quat_wxyz
 
 
 REPEATED = {"trip", "recover"}, {"contact", "free"}
