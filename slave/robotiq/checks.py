@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator
 from statistics import median
 from typing import Final
 
-from haptether.slave.checklist import Checklist, RefusedError
+from haptether.checklist import Checklist, RefusedError
 from haptether.slave.robotiq.activation import ActivationError, activation
 from haptether.slave.robotiq.options import RobotiqOptions
 from haptether.slave.robotiq.protocol import (

@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from typing import Any, Final
 
-from haptether.slave.checklist import Checklist, RefusedError
+from haptether.checklist import Checklist, RefusedError
 from haptether.slave.gripper import GripperCommand, GripperSample
 from haptether.slave.robotiq.checks import check_address, check_gripper, choose, look
 from haptether.slave.robotiq.options import RobotiqOptions, robotiq_options

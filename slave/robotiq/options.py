@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from haptether.slave.options import converted, refused
+from haptether.options import converted, refused
 from haptether.slave.robotiq.models import ROBOTIQ_MODELS, Scale
 
 DEVICE: Final = "gripper = robotiq"

@@ -7,7 +7,7 @@ import math
 import time
 from typing import TYPE_CHECKING, Final
 
-from haptether.slave.checklist import Checklist, RefusedError
+from haptether.checklist import Checklist, RefusedError
 from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import (

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from msgspec.structs import replace
 
-from haptether.slave.checklist import Checklist
+from haptether.checklist import Checklist
 from haptether.slave.device import SlaveSample
 from haptether.slave.ur.checks import (
     NO_DASHBOARD_SINCE,

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from haptether.slave.options import converted, refused
+from haptether.options import converted, refused
 from haptether.slave.ur.kinematics.constraints import ToolCone, WorkspacePlane
 from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS, Six, ur_model
 

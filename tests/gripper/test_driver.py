@@ -10,8 +10,8 @@ import pytest
 from tests.gripper.serving import MISBEHAVIOURS, Misbehaviour, Served, served, silent
 from tests.gripper.virtual import gripper, move
 
+from haptether.checklist import RefusedError
 from haptether.slave import GripperSample, RobotiqGripper
-from haptether.slave.checklist import RefusedError
 from haptether.slave.robotiq.protocol import get
 from haptether.slave.robotiq.wire import Wire, WireError
 

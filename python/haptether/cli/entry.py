@@ -23,6 +23,7 @@ from haptether import __version__
 from haptether.cli.demo import Demo
 from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
+from haptether.cli.inverse3_emulator import Inverse3Emulator
 from haptether.cli.keygen import Keygen
 from haptether.cli.list import List
 from haptether.cli.live.check_link import CheckLink
@@ -61,6 +62,7 @@ COMMANDS: dict[str, type[Any]] = {
     "netsim": Netsim,
     "ur-emulator": UrEmulator,
     "dynamixel-emulator": DynamixelEmulator,
+    "inverse3-emulator": Inverse3Emulator,
     "check-link": CheckLink,
     "explain": Explain,
     "keygen": Keygen,
@@ -86,7 +88,7 @@ MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
 """More digits than a number has: nobody counts the zeros of 1e300."""
 
-NEVER_WAITS = (Master, Slave, Demo, UrEmulator, DynamixelEmulator, CheckLink, Proxy, Echo, Record)
+NEVER_WAITS = (Master, Slave, Demo, UrEmulator, DynamixelEmulator, Inverse3Emulator, CheckLink, Proxy, Echo, Record)
 """Commands that go on, and end, whether anybody reads what they print or not."""
 
 
