@@ -50,7 +50,7 @@ def test_commands_of_the_readme_exist() -> None:
     shown = re.findall(r"^haptether ((?:netsim )?[a-z-]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE)
     assert {name for name, _ in shown} == {
         "demo", "paper", "raven", "simulate", "sweep", "slave", "netsim list", "netsim sample", "netsim proxy",
-        "master", "keygen", "list", "explain", "check-link", "ur-emulator", "dynamixel-emulator",
+        "master", "keygen", "list", "explain", "check-link", "ur-emulator", "dynamixel-emulator", "inverse3-emulator",
         "check-device", "identify", "new-driver", "netsim set", "netsim echo", "netsim record", "netsim compare",
     }  # fmt: skip
     for name, arguments in shown:

@@ -60,7 +60,7 @@ CLASSIFIERS = {
     "The Unlicense (Unlicense)": "Unlicense",
 }
 
-EXTRAS = ("", "analysis", "record", "ur")
+EXTRAS = ("", "analysis", "haply", "record", "ur")
 """The optional dependencies that tools/requirements.txt holds, and none at all."""
 
 

@@ -27,6 +27,7 @@ from haptether.cli.device.new_driver import NewDriver
 from haptether.cli.dynamixel import DYNAMIXEL_COMMANDS, Dynamixel
 from haptether.cli.dynamixel_emulator import DynamixelEmulator
 from haptether.cli.interrupts import INTERRUPTED, INTERRUPTS
+from haptether.cli.inverse3_emulator import Inverse3Emulator
 from haptether.cli.keygen import Keygen
 from haptether.cli.list import List
 from haptether.cli.live.check_link import CheckLink
@@ -66,6 +67,7 @@ COMMANDS: dict[str, type[Any]] = {
     "ur-emulator": UrEmulator,
     "dynamixel": Dynamixel,
     "dynamixel-emulator": DynamixelEmulator,
+    "inverse3-emulator": Inverse3Emulator,
     "check-link": CheckLink,
     "check-device": CheckDevice,
     "identify": Identify,
@@ -100,6 +102,7 @@ NEVER_WAITS = (
     Demo,
     UrEmulator,
     DynamixelEmulator,
+    Inverse3Emulator,
     CheckLink,
     CheckDevice,
     Identify,

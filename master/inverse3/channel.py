@@ -1,0 +1,139 @@
+"""A WebSocket of the service, without a thread: frames come when they are asked for, within a time that is said."""
+
+import contextlib
+import socket
+import time
+from typing import Final
+
+try:
+    from websockets.client import ClientProtocol
+    from websockets.exceptions import WebSocketException
+    from websockets.frames import Frame, Opcode
+    from websockets.protocol import State
+    from websockets.uri import parse_uri
+except ImportError as error:
+    _message = f"the driver inverse3 needs the extra haply: pip install 'haptether[haply]' ({error})"
+    raise ImportError(_message) from None
+
+CONNECT_S: Final = 2.0
+RECEIVE: Final = 65536
+MAX_FRAME: Final = 1 << 20
+
+
+class ChannelError(ConnectionError):
+    """The connection cannot be used any more."""
+
+
+class Channel:
+    """A connection to the service; for one thread.
+
+    Args:
+        host: Of the service.
+        port: Of the service.
+
+    Raises:
+        ChannelError: Nobody is there, or nobody that speaks WebSocket.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/"), max_size=MAX_FRAME)
+        self._frames: list[bytes] = []
+        self._partial = b""
+        end_s = time.monotonic() + CONNECT_S
+        try:
+            self._socket = socket.create_connection((host, port), CONNECT_S)
+        except OSError as error:
+            message = f"{host}:{port}: {error.strerror or error}"
+            raise ChannelError(message) from None
+        try:
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._protocol.send_request(self._protocol.connect())
+            self._flush()
+            while self._protocol.state is State.CONNECTING:
+                self._receive(max(0.0, end_s - time.monotonic()))
+        except (OSError, WebSocketException) as error:
+            self._socket.close()
+            message = f"{host}:{port}: no WebSocket: {error or type(error).__name__}"
+            raise ChannelError(message) from None
+        if self._protocol.state is not State.OPEN:
+            self._socket.close()
+            message = f"{host}:{port}: no WebSocket: {self._protocol.handshake_exc}"
+            raise ChannelError(message)
+
+    def send(self, message: bytes) -> None:
+        """Sends a text frame.
+
+        Raises:
+            ChannelError: The connection is lost, or takes nothing.
+        """
+        try:
+            self._protocol.send_text(message)
+            self._flush()
+        except (OSError, WebSocketException) as error:
+            raise ChannelError(_text(error)) from None
+
+    def frame(self, limit_s: float) -> bytes | None:
+        """The next frame, or none within a time in s; 0 does not wait.
+
+        Raises:
+            ChannelError: The connection is lost.
+        """
+        end_s = time.monotonic() + limit_s
+        while not self._frames:
+            try:
+                self._receive(max(0.0, end_s - time.monotonic()))
+            except (TimeoutError, BlockingIOError):
+                return None
+            except (OSError, WebSocketException) as error:
+                raise ChannelError(_text(error)) from None
+        return self._frames.pop(0)
+
+    def close(self) -> None:
+        """Says goodbye, and does not wait for an answer."""
+        with contextlib.suppress(OSError, WebSocketException):
+            self._protocol.send_close()
+            self._flush()
+        self._socket.close()
+
+    def _flush(self) -> None:
+        sent = b"".join(self._protocol.data_to_send())
+        if sent:
+            # What does not fit into the socket's buffer at once goes to a service that reads nothing.
+            self._socket.settimeout(0.0)
+            if self._socket.send(sent) != len(sent):
+                message = "the service does not read"
+                raise BrokenPipeError(message)
+
+    def _receive(self, limit_s: float) -> None:
+        self._socket.settimeout(limit_s)
+        received = self._socket.recv(RECEIVE)
+        if not received:
+            message = "closed by the service"
+            raise ConnectionError(message)
+        self._protocol.receive_data(received)
+        for frame in self._protocol.events_received():
+            if isinstance(frame, Frame):
+                self._take(frame)
+        if self._protocol.parser_exc is not None:
+            # Of a kind of its own that need not be an OSError.
+            message = f"no WebSocket: {self._protocol.parser_exc}"
+            raise ConnectionError(message)
+        if self._protocol.state in {State.CLOSING, State.CLOSED}:
+            message = "closed by the service"
+            raise ConnectionError(message)
+        # An answer to a ping.
+        self._flush()
+
+    def _take(self, frame: Frame) -> None:
+        if frame.opcode in {Opcode.TEXT, Opcode.BINARY, Opcode.CONT}:
+            self._partial += bytes(frame.data)
+            if len(self._partial) > MAX_FRAME:
+                message = f"a message of more than {MAX_FRAME} bytes"
+                raise ConnectionError(message)
+            if frame.fin:
+                self._frames.append(self._partial)
+                self._partial = b""
+
+
+def _text(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) and error.strerror else str(error)) or type(error).__name__

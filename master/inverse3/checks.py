@@ -1,0 +1,214 @@
+"""The checklist before an Inverse3 exerts a force: what the service says of it, and what changes forces silently."""
+
+from typing import Any, Final
+
+from haptether.checklist import Checklist
+from haptether.master.inverse3.channel import Channel, ChannelError
+from haptether.master.inverse3.messages import (
+    GRIPS,
+    Event,
+    Grip,
+    InverseDevice,
+    InverseStatus,
+    MessageError,
+    Reply,
+    event,
+    reply,
+)
+from haptether.master.inverse3.options import Inverse3Options
+
+FIRST_S: Final = 1.0
+"""How long the frame that comes on connection may take."""
+STATUS: Final = (
+    ("power_supply", True, "no power", "is its supply plugged in?"),
+    ("started", True, "not started", "wake it up: press its power button"),
+    ("calibrated", True, "not calibrated", "put the arm into its calibration pose, as the vendor's hub shows"),
+    ("ready", True, "not ready", "see what the vendor's hub says of it"),
+    ("in_use", False, "in use", "another program moves it: end that"),
+)
+"""What each flag must be, the fault where it is not, and the remedy."""
+EBRAKE: Final = "e-brake"
+TRIPS: Final = {
+    "ebrake_triggered": f"{EBRAKE}: the emergency brake is on: see why, release it, acknowledge",
+    "stall_detected": "stall: a motor pushes and does not turn: let it go, acknowledge",
+    "stability_ceiling": "unstable: the service has bounded the force: lower stiffness or rate, acknowledge",
+    "fod_stage_changed": "overload: the service has changed what the motors may: let it cool, acknowledge",
+}
+"""Faults by `safety_type` of a `device-safety-triggered`."""
+
+
+def status_fault(status: InverseStatus) -> str | None:
+    """What is wrong with the device, if anything."""
+    for name, wanted, fault, remedy in STATUS:
+        if getattr(status, name) is not wanted:
+            return f"{fault}: {remedy}"
+    return None
+
+
+def grip_fault(grip: Grip, kind: str) -> str | None:
+    """What is wrong with the grip, if anything; one on a wire does not sleep."""
+    if grip.status.connected is False or grip.status.ready is False:
+        return "grip lost: is it charged, in reach and paired?"
+    if GRIPS[kind] != "verse_grip" and grip.status.awake is not True:
+        return "grip asleep: press one of its buttons, acknowledge"
+    if grip.state.orientation is None:
+        return "grip without an orientation: is it of the kind that the option says?"
+    return None
+
+
+def event_fault(told: Event, device_id: str, grip_id: str | None) -> str | None:
+    """The fault that an event is, if it is one of these devices."""
+    details = told.data or {}
+    about = details.get("device_id", device_id)
+    if about not in {device_id, grip_id}:
+        return None
+    which = "grip" if about == grip_id else "device"
+    if told.name == "device-disconnected":
+        return f"{which} disconnected: see its cable, acknowledge"
+    if told.name == "device-sleep":
+        return "grip asleep: press one of its buttons, acknowledge" if which == "grip" else "device asleep: wake it up"
+    if told.name == "device-busy":
+        return f"{which} in use: another program has it: end that, acknowledge"
+    if told.name == "device-safety-triggered":
+        trip = str(details.get("safety_type"))
+        return None if trip == "ebrake_released" else TRIPS.get(trip, f"safety stop: {trip}: see the vendor's hub")
+    return None
+
+
+def first_frame(channel: Channel) -> Reply:
+    """What the service says on connection.
+
+    Raises:
+        ChannelError: Nothing in time, or something else.
+    """
+    received = channel.frame(FIRST_S)
+    if received is None:
+        message = f"the service said nothing within {FIRST_S:g} s of the connection: is its version 3.5 or later?"
+        raise ChannelError(message)
+    try:
+        return reply(received)
+    except MessageError as error:
+        message = f"malformed frame: {error}"
+        raise ChannelError(message) from None
+
+
+def chosen_device(found: Reply, options: Inverse3Options, checklist: Checklist) -> InverseDevice:
+    """The Inverse3 that is meant, checked.
+
+    Raises:
+        RefusedError: There is none, it is not clear which, or it is not ready.
+    """
+    names = [device.device_id for device in found.inverse3]
+    wanted = [device for device in found.inverse3 if options.device_id in {"", device.device_id}]
+    shown = ", ".join(names) or "none"
+    checklist.check("Inverse3", shown, good=len(wanted) == 1, remedy=_which(options.device_id, names))
+    checklist.finish()
+    (device,) = wanted
+    fault = status_fault(device.status)
+    if fault is None:
+        checklist.ok("status", "calibrated, ready, free")
+    else:
+        what, _, remedy = fault.partition(": ")
+        checklist.refuse("status", what, remedy)
+    transform = device.state.transform
+    if transform is not None:
+        checklist.check(
+            "workspace", "as it is" if transform.is_identity else "moved, turned or scaled", good=transform.is_identity,
+            remedy="another program has set a transform of the device: reset it in the vendor's hub",
+        )  # fmt: skip
+    _tell_what_changes_force(device.config or {}, options, checklist)
+    checklist.finish()
+    return device
+
+
+def chosen_grip(found: Reply, options: Inverse3Options, checklist: Checklist) -> Grip | None:
+    """The VerseGrip that is meant, checked; none where the option is.
+
+    Raises:
+        RefusedError: There is none or more than one, or it sleeps.
+    """
+    if options.grip == "none":
+        checklist.ok("VerseGrip", "none: no orientation, no buttons")
+        return None
+    kind = GRIPS[options.grip]
+    grips = {grip.device_id: grip for grip in found.grips(kind)}
+    checklist.check(
+        "VerseGrip", ", ".join(grips) or "none", good=len(grips) == 1,
+        remedy=f"there must be one in {kind}: switch it on or pair it, or take the option grip that fits",
+    )  # fmt: skip
+    checklist.finish()
+    (grip,) = grips.values()
+    fault = grip_fault(grip, options.grip)
+    if fault is not None:
+        what, _, remedy = fault.partition(": ")
+        checklist.refuse("VerseGrip", what, remedy.removesuffix(", acknowledge"))
+    checklist.ok("torque", "none is exerted: the grip is turned and does not turn")
+    checklist.finish()
+    return grip
+
+
+def opened_events(options: Inverse3Options, checklist: Checklist) -> Channel:
+    """The channel of events, without which a brake is not seen.
+
+    Raises:
+        RefusedError: There is none.
+    """
+    try:
+        events = Channel(options.host, options.event_port)
+    except ChannelError as error:
+        checklist.refuse("events", str(error), "emergency brake and stall are told there only: is the service 3.5?")
+        checklist.finish()
+        raise
+    checklist.ok("events", f"port {options.event_port}")
+    return events
+
+
+def told(events: Channel) -> list[Event]:
+    """The events that have come.
+
+    Raises:
+        ChannelError: The channel is lost, or says something else.
+    """
+    found = []
+    while (received := events.frame(0.0)) is not None:
+        try:
+            found.append(event(received))
+        except MessageError as error:
+            message = f"malformed event: {error}"
+            raise ChannelError(message) from None
+    return found
+
+
+def _which(device_id: str, names: list[str]) -> str:
+    if device_id:
+        return f"must have {device_id}, as device_id says: is it on?"
+    return "give device_id, one of these" if names else "is it plugged in and on, and seen by the vendor's hub?"
+
+
+def _tell_what_changes_force(config: dict[str, Any], options: Inverse3Options, checklist: Checklist) -> None:
+    filters = _table(config, "filters")
+    gate = _table(filters, "force_gate").get("gain") if options.force_gate is None else options.force_gate
+    damping = _table(filters, "damping").get("scalar") if options.damping is None else options.damping
+    gravity = _table(config, "gravity_compensation")
+    scaling = _table(config, "torque_scaling").get("enabled")
+    checklist.ok("force gate", f"{_shown(gate)}: the service alters forces by it (option force_gate)")
+    checklist.ok("damping", f"{_shown(damping)}: the service adds it to the device's own (option damping)")
+    weight = gravity.get("scaling_factor") if gravity.get("enabled") else "off"
+    checklist.ok("gravity compensation", f"{_shown(weight)}: added to forces by the service")
+    checklist.ok("torque scaling", f"{_shown(scaling)}: where on, a force beyond the motors is scaled, not cut")
+    checklist.ok("handedness", _shown(config.get("handedness")))
+
+
+def _table(config: dict[str, Any], name: str) -> dict[str, Any]:
+    found = config.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _shown(value: object) -> str:
+    return (
+        "not stated"
+        if value is None
+        else {True: "on", False: "off"}.get(value, str(value))
+        if isinstance(value, bool)
+        else str(value)
+    )

@@ -1,0 +1,312 @@
+"""The driver of a Haply Inverse3: `inverse3`."""
+
+import contextlib
+import math
+import sys
+import threading
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+from haptether.checklist import Checklist, RefusedError
+from haptether.master.device import MasterSample
+from haptether.master.frame import clipped
+from haptether.master.inverse3.channel import Channel, ChannelError
+from haptether.master.inverse3.checks import (
+    EBRAKE,
+    chosen_device,
+    chosen_grip,
+    event_fault,
+    first_frame,
+    grip_fault,
+    opened_events,
+    status_fault,
+    told,
+)
+from haptether.master.inverse3.messages import GRIPS, ForceMessage, InverseDevice, MessageError, configuration, reply
+from haptether.master.inverse3.options import Inverse3Options, inverse3_options
+
+REST: Final = (0.0, 0.0, 0.0)
+ADDED_N: Final = 0.3
+ADDED_SHARE: Final = 0.1
+"""How much longer than what was sent a force may be said to be, in N and as a share."""
+ADDED_REPLIES: Final = 20
+"""So many replies in a row that say so are a fault: it may be told some ticks late."""
+JOIN_S: Final = 3.0
+
+
+class Session(NamedTuple):
+    """Two connections and the devices behind them."""
+
+    channel: Channel
+    events: Channel
+    device_id: str
+    grip_id: str | None
+    force: ForceMessage
+
+    def close(self) -> None:
+        """Ends both; the service then lets the device idle."""
+        self.channel.close()
+        self.events.close()
+
+
+class Inverse3:
+    """A Haply Inverse3, with a VerseGrip as pose; see `MasterDevice` and docs/haptic_devices.md.
+
+    A tick is one message: `write` sends the force, the next `read` takes the reply to it, whose state is a period old.
+    No reply in time ends the connection, so that none of before can be taken for one of after.
+
+    Args:
+        options: Those of `Inverse3Options`.
+
+    Raises:
+        ValueError: Options that cannot be. From `open` also `RefusedError`: it is not ready.
+    """
+
+    paces = False
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
+        self.options: Inverse3Options = inverse3_options(options)
+        self._frame = self.options.frame
+        self._name = f"inverse3 {self.options.host}"
+        grips = self.options.grip != "none" and len(self.options.axes) == 3
+        self.kinds: tuple[str, ...] = ("linear", "pose") if grips else ("linear",)
+        self._session: Session | None = None
+        self._owed = 0
+        """Replies that are still to come."""
+        self._sample: MasterSample | None = None
+        self._fresh = False
+        """Whether the newest sample is of this tick and nothing is wrong: only then a force is sent."""
+        self._fault: str | None = None
+        """Latched."""
+        self._shown: str | None = None
+        """The fault of the last sample."""
+        self._braked = False
+        self._sent: list[float] = [0.0, 0.0, 0.0]
+        """Norms of the forces that were sent last, in N."""
+        self._added = 0
+        self._mended: Session | str | None = None
+        """What a thread that connects anew has found: a session, or why there is none."""
+        self._mending: threading.Thread | None = None
+        self._ending = threading.Event()
+
+    # -------------------------------------------------------------------------------------------- MasterDevice
+
+    def open(self) -> None:
+        """Goes through the checklist and connects; no force."""
+        self._session = self._connected(Checklist(self._name))
+        self._owed = 0
+
+    def read(self) -> MasterSample:
+        """The reply to the last message; the last position and a fault where there is none."""
+        sample = self._read()
+        self._shown = sample.fault
+        return sample
+
+    def _read(self) -> MasterSample:
+        self._fresh = False
+        self._look_at_mending()
+        session = self._session
+        if session is None:
+            return self._faulty()
+        try:
+            for happened in told(session.events):
+                self._hear(event_fault(happened, session.device_id, session.grip_id), happened.data or {})
+            if self._owed == 0:
+                self._send(session, REST)
+            device, orientation, buttons = self._reply(session)
+        except ChannelError as error:
+            self._lose(str(error))
+            return self._faulty()
+        try:
+            position = self._frame.position(device.state.cursor_position.xyz)
+            velocity = self._frame.vector(device.state.cursor_velocity.xyz) if self.options.device_velocity else None
+            turned = None if orientation is None else self._frame.orientation(orientation)
+        except ValueError as error:
+            self._lose(f"malformed reply: {error}")
+            return self._faulty()
+        self._compare(device)
+        self._fresh = self._fault is None
+        self._sample = MasterSample(position, velocity, None, self._fault, None, turned, None, buttons)
+        return self._sample
+
+    def write(self, force: tuple[float, ...], torque: tuple[float, ...] | None = None) -> None:  # noqa: ARG002
+        """Sends the force, which the service exerts for a tick; zero unless this tick was read and nothing is wrong.
+
+        A torque is not exerted: the device has none to give.
+        """
+        session = self._session
+        if session is None:
+            return
+        wanted = clipped(self._frame.to_device(force), self.options.max_force_n) if self._fresh else REST
+        self._fresh = False
+        try:
+            self._drop_unasked(session)
+            self._send(session, wanted)
+        except ChannelError as error:
+            self._lose(str(error))
+
+    def acknowledge(self) -> None:
+        """The operator has removed the fault; a lost connection is made anew, on a thread of its own."""
+        if self._fault is not self._shown:
+            # One since the last sample was not shown to anybody.
+            return
+        self._fault = None
+        self._added = 0
+        if self._session is None and self._mending is None:
+            self._fault = "connecting anew: acknowledge again once it has"
+            self._mending = threading.Thread(target=self._mend, name="inverse3", daemon=True)
+            self._mending.start()
+
+    def close(self) -> None:
+        """Sends a zero force and disconnects."""
+        self._ending.set()
+        session, self._session = self._session, None
+        if session is not None:
+            with contextlib.suppress(ChannelError):
+                self._send(session, REST)
+            session.close()
+        if self._mending is not None:
+            self._mending.join(JOIN_S)
+        if isinstance(self._mended, Session):
+            self._mended.close()
+
+    # ----------------------------------------------------------------------------------------------- connection
+
+    def _connected(self, checklist: Checklist) -> Session:
+        options = self.options
+        try:
+            channel = Channel(options.host, options.port)
+        except ChannelError as error:
+            checklist.refuse("service", str(error), "is the Inverse Service running there, of version 3.5 or later?")
+            checklist.finish()
+            raise
+        events = None
+        try:
+            try:
+                found = first_frame(channel)
+            except ChannelError as error:
+                checklist.refuse("service", str(error), "is another program on this port?")
+                checklist.finish()
+                raise
+            checklist.ok("service", f"port {options.port}")
+            device = chosen_device(found, options, checklist)
+            grip = chosen_grip(found, options, checklist)
+            events = opened_events(options, checklist)
+            channel.send(configuration(device.device_id, force_gate=options.force_gate, damping=options.damping))
+            if channel.frame(1.0) is None:
+                checklist.refuse("reply", "none within 1 s", "does the service answer the vendor's own demos?")
+                checklist.finish()
+            if self._ending.is_set():
+                message = "closed before it was open"
+                raise RefusedError(message)
+        except BaseException:
+            channel.close()
+            if events is not None:
+                events.close()
+            raise
+        chosen = None if grip is None else (GRIPS[options.grip], grip.device_id)
+        grip_id = None if grip is None else grip.device_id
+        return Session(channel, events, device.device_id, grip_id, ForceMessage(device.device_id, chosen))
+
+    def _mend(self) -> None:
+        try:
+            self._mended = self._connected(Checklist(self._name))
+        except (RefusedError, ChannelError) as error:
+            self._mended = f"not ready: {error}"
+
+    def _look_at_mending(self) -> None:
+        mended = self._mended
+        if mended is None:
+            return
+        self._mended = self._mending = None
+        if isinstance(mended, str):
+            self._latch(mended, anew=True)
+            return
+        self._session, self._owed = mended, 0
+        self._braked = False
+        self._fault = "connected anew: acknowledge to go on"
+
+    def _send(self, session: Session, force: Sequence[float]) -> None:
+        self._owed += 1
+        session.channel.send(session.force(force))
+        self._sent = [*self._sent[1:], math.hypot(*force)]
+
+    def _reply(self, session: Session) -> tuple[InverseDevice, tuple[float, float, float, float] | None, int | None]:
+        """The newest reply, once all that are owed have come; orientation and buttons of the grip."""
+        received = b""
+        while self._owed > 0:
+            frame = session.channel.frame(self.options.reply_timeout_s)
+            if frame is None:
+                message = f"lost reply: none within {self.options.reply_timeout_s:g} s: is the service overloaded?"
+                raise ChannelError(message)
+            received = frame
+            self._owed -= 1
+        try:
+            state = reply(received)
+        except MessageError as error:
+            message = f"malformed reply: {error}"
+            raise ChannelError(message) from None
+        device = next((found for found in state.inverse3 if found.device_id == session.device_id), None)
+        if device is None:
+            message = f"device disconnected: the service has no {session.device_id} any more: see its cable"
+            raise ChannelError(message)
+        self._hear(status_fault(device.status), {})
+        if session.grip_id is None:
+            return device, None, None
+        grips = state.grips(GRIPS[self.options.grip])
+        grip = next((found for found in grips if found.device_id == session.grip_id), None)
+        if grip is None or grip.state.orientation is None:
+            message = f"grip lost: the service has no {session.grip_id} any more: is it charged and in reach?"
+            raise ChannelError(message)
+        self._hear(grip_fault(grip, self.options.grip), {})
+        return device, grip.state.orientation.wxyz, grip.buttons
+
+    def _drop_unasked(self, session: Session) -> None:
+        """A frame that nobody asked for would make each reply after it the one of the tick before."""
+        while self._owed == 0 and session.channel.frame(0.0) is not None:
+            self._latch("unasked frame: does another program use this session? acknowledge")
+
+    # --------------------------------------------------------------------------------------------------- faults
+
+    def _hear(self, fault: str | None, details: dict[str, Any]) -> None:
+        trip = details.get("safety_type")
+        if trip in {"ebrake_triggered", "ebrake_released"}:
+            self._braked = trip == "ebrake_triggered"
+        if fault is not None:
+            self._latch(fault)
+        elif self._braked:
+            self._latch(f"{EBRAKE}: the emergency brake is still on: release it, acknowledge")
+
+    def _compare(self, device: InverseDevice) -> None:
+        """Whether the service exerts more than it was sent: forces of several programs add."""
+        said = device.state.current_cursor_force
+        if said is None:
+            return
+        more = math.hypot(*said.xyz) > (1.0 + ADDED_SHARE) * max(self._sent) + ADDED_N
+        self._added = self._added + 1 if more else 0
+        if self._added >= ADDED_REPLIES:
+            self._latch(
+                f"force of another: the service exerts {math.hypot(*said.xyz):.2f} N where {max(self._sent):.2f} N were"
+                " sent: end other programs, and navigation and effects of the hub, acknowledge"
+            )
+
+    def _latch(self, fault: str, *, anew: bool = False) -> None:
+        if self._fault is None or anew:
+            self._fault = fault
+            print(f"{self._name}: fault: {fault}", file=sys.stderr, flush=True)
+
+    def _lose(self, fault: str) -> None:
+        """Nothing is sent any more, and the service lets the device idle."""
+        self._fresh = False
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+        self._latch(f"{fault}: acknowledge to connect anew", anew=True)
+
+    def _faulty(self) -> MasterSample:
+        fault = self._fault or "not connected: acknowledge to connect"
+        if self._sample is None:
+            unturned = (1.0, 0.0, 0.0, 0.0) if self.options.grip != "none" else None
+            return MasterSample((0.0,) * len(self.options.axes), None, None, fault, None, unturned)
+        velocity = None if self._sample.velocity is None else (0.0,) * len(self.options.axes)
+        return self._sample._replace(velocity=velocity, fault=fault, buttons=None)

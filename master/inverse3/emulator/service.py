@@ -1,0 +1,215 @@
+"""What the emulated service answers: one frame on connection, one for each message; time is an argument."""
+
+import json
+import math
+from collections import deque
+from typing import Any, Final
+
+import msgspec
+
+from haptether.master.inverse3.emulator.device import EmulatedInverse3, Vector
+
+DEVICE_ID: Final = "0E30"
+GRIP_ID: Final = "0E31"
+IDLE_S: Final = 0.02
+"""After so long without a message the device idles; the real time is not published: chosen."""
+MAX_LOG: Final = 100
+
+
+class Faults:
+    """What goes wrong on command."""
+
+    def __init__(self) -> None:
+        self.drop = 0
+        """So many replies are not sent."""
+        self.delay_s = 0.0
+        """Each reply comes so late."""
+        self.garble: str | None = None
+        """What the next reply is instead."""
+        self.twice = 0
+        """So many replies are sent twice."""
+        self.added: Vector = (0.0, 0.0, 0.0)
+        """What another program exerts, in N."""
+        self.gain = 1.0
+        """Of forces, as a force gate may have."""
+
+
+class Service:
+    """One Inverse3, one wireless VerseGrip, and sessions.
+
+    Args:
+        device: That it has.
+        grip: Whether there is a VerseGrip.
+    """
+
+    def __init__(self, device: EmulatedInverse3, *, grip: bool = True) -> None:
+        self.device = device
+        self.grip = grip
+        self.faults = Faults()
+        self.status = {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True}
+        self.awake = True
+        self.present = True
+        self.orientation = (1.0, 0.0, 0.0, 0.0)
+        self.buttons = {"a": False, "b": False, "c": False}
+        self.events: deque[str] = deque()
+        """Still to be told."""
+        self.log: deque[str] = deque(maxlen=MAX_LOG)
+        self.braked = False
+        self.asleep_after_s: float | None = None
+        self._received = 0
+        self._idles = True
+        self._commanded: Vector = (0.0, 0.0, 0.0)
+        self._last_s = -math.inf
+        self._config: dict[str, Any] = {"force_gate": {"gain": 0.3}, "damping": {"scalar": 0.0}}
+        self._transform = {
+            "position": {"x": 0.0, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+            "scale": {"x": 1.0, "y": 1.0, "z": 1.0},
+        }
+
+    def advance(self, now_s: float) -> None:
+        """Moves the device on; without messages it idles."""
+        if now_s - self._last_s > IDLE_S:
+            self._idle()
+        self.device.advance(now_s)
+
+    def first(self) -> str:
+        """The frame on connection, with what is configured."""
+        return json.dumps({"session_id": 1, **self._state(configured=True)})
+
+    def receive(self, text: bytes, now_s: float) -> list[str]:
+        """The replies to a message of a client."""
+        try:
+            message = msgspec.json.decode(text)
+            self._obey(message)
+        except (msgspec.MsgspecError, ValueError, TypeError, KeyError, AttributeError) as error:
+            self.log.append(f"refused: {error}: {text[:120]!r}")
+            self.tell("invalid-value", {"field": "", "reason": str(error), "context": ""}, "warning")
+        self._received += 1
+        self._last_s = now_s
+        self.device.advance(now_s)
+        faults = self.faults
+        if faults.drop > 0:
+            faults.drop -= 1
+            return []
+        if faults.garble is not None:
+            garbled, faults.garble = faults.garble, None
+            return [garbled]
+        state = json.dumps(self._state(configured=False))
+        if faults.twice > 0:
+            faults.twice -= 1
+            return [state, state]
+        return [state]
+
+    def tell(self, name: str, details: dict[str, Any], level: str = "info") -> None:
+        """Sends an event to whoever listens."""
+        self.events.append(
+            json.dumps({"name": name, "category": "device", "level": level, "data": details, "message": ""})
+        )
+
+    def brake(self, *, on: bool) -> None:
+        """The emergency brake."""
+        self.braked = on
+        self._exert()
+        self.tell("device-safety-triggered", {
+            "device_id": DEVICE_ID, "safety_type": "ebrake_triggered" if on else "ebrake_released",
+        }, "critical")  # fmt: skip
+
+    def sleep(self, *, awake: bool) -> None:
+        """The grip."""
+        self.awake = awake
+        if not awake:
+            self.tell("device-sleep", {"device_family": "wireless_verse_grip", "device_id": GRIP_ID})
+
+    def figures(self) -> dict[str, Any]:
+        """State and figures, for `status`."""
+        device = self.device
+        return {
+            "position": list(device.position),
+            "velocity": list(device.velocity),
+            "force": list(device.force),
+            "commanded": list(self._commanded),
+            "idle": self._idles,
+            "braked": self.braked,
+            "awake": self.awake,
+            "received": self._received,
+            **self.status,
+        }
+
+    def _obey(self, message: dict[str, Any]) -> None:
+        for device in message.get("inverse3", []):
+            if device["device_id"] != DEVICE_ID:
+                error = f"no device {device['device_id']}"
+                raise ValueError(error)
+            for name in ("force_gate", "damping"):
+                if name in device.get("configure", {}):
+                    self._config[name] = device["configure"][name]
+            commands = device.get("commands", {})
+            if "set_cursor_force" in commands:
+                vector = commands["set_cursor_force"]["vector"]
+                x, y, z = (float(vector[axis]) for axis in "xyz")
+                self._idles, self._commanded = False, (x, y, z)
+            else:
+                self._idle()
+            self._exert()
+
+    def _idle(self) -> None:
+        self._idles, self._commanded = True, (0.0, 0.0, 0.0)
+        self._exert()
+
+    def _exert(self) -> None:
+        works = not self.braked and all(self.status[name] for name in ("power_supply", "calibrated", "started"))
+        x, y, z = (
+            self.faults.gain * f + added if works else 0.0
+            for f, added in zip(self._commanded, self.faults.added, strict=True)
+        )
+        self.device.force = x, y, z
+
+    def _state(self, *, configured: bool) -> dict[str, Any]:
+        device = self.device
+        inverse3: dict[str, Any] = {
+            "device_id": DEVICE_ID,
+            "state": {
+                "angular_position": {"a0": 0.0, "a1": 0.0, "a2": 0.0},
+                "angular_velocity": {"a0": 0.0, "a1": 0.0, "a2": 0.0},
+                "body_orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+                "cursor_position": _xyz(device.position),
+                "cursor_velocity": _xyz(device.velocity),
+                "current_cursor_force": _xyz(device.force),
+                "control_domain": "undefined" if self._idles else "cartesian",
+                "control_mode": "idle" if self._idles else "force",
+                "transform": self._transform,
+            },
+            "status": self.status,
+        }
+        w, x, y, z = self.orientation
+        grip: dict[str, Any] = {
+            "device_id": GRIP_ID,
+            "state": {
+                "battery_level": 0.9,
+                "buttons": self.buttons,
+                "hall": 0,
+                "orientation": {"w": w, "x": x, "y": y, "z": z},
+            },
+            "status": {"connected": True, "awake": self.awake, "ready": True},
+        }
+        if configured:
+            inverse3["config"] = {
+                "type": "inverse3",
+                "gravity_compensation": {"enabled": True, "scaling_factor": 1.0},
+                "torque_scaling": {"enabled": True},
+                "handedness": "right",
+                "basis": {"permutation": "XYZ"},
+                "filters": self._config,
+            }
+        return {
+            "inverse3": [inverse3] if self.present else [],
+            "verse_grip": [],
+            "wireless_verse_grip": [grip] if self.grip else [],
+            "custom_verse_grip": [],
+        }
+
+
+def _xyz(vector: Vector) -> dict[str, float]:
+    x, y, z = vector
+    return {"x": x, "y": y, "z": z}

@@ -1,0 +1,220 @@
+"""What is said to the service and what it says: JSON of the service 3.5, as its public client crate `haply` has it."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import msgspec
+
+GRIPS: Final = {"wireless": "wireless_verse_grip", "wired": "verse_grip", "custom": "custom_verse_grip"}
+"""Lists of the service by the option `grip`."""
+PROFILE: Final = "haptether"
+
+
+class MessageError(ValueError):
+    """What the service said cannot be used."""
+
+
+class Triple(msgspec.Struct):
+    """A vector."""
+
+    x: float
+    y: float
+    z: float
+
+    @property
+    def xyz(self) -> tuple[float, float, float]:
+        """Its parts."""
+        return self.x, self.y, self.z
+
+
+class Turned(msgspec.Struct):
+    """An orientation."""
+
+    w: float
+    x: float
+    y: float
+    z: float
+
+    @property
+    def wxyz(self) -> tuple[float, float, float, float]:
+        """Its parts."""
+        return self.w, self.x, self.y, self.z
+
+
+class Transform(msgspec.Struct):
+    """Of the workspace: what positions and forces went through."""
+
+    position: Triple
+    rotation: Turned
+    scale: Triple
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether it changes nothing."""
+        wanted = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+        parts = (*self.position.xyz, *self.scale.xyz)
+        near = all(abs(part - is_) < 1e-6 for part, is_ in zip(parts, wanted, strict=True))
+        return near and abs(abs(self.rotation.w) - 1.0) < 1e-6
+
+
+class InverseState(msgspec.Struct):
+    """Of an Inverse3."""
+
+    cursor_position: Triple
+    cursor_velocity: Triple
+    current_cursor_force: Triple | None = None
+    control_mode: str | None = None
+    transform: Transform | None = None
+
+
+class InverseStatus(msgspec.Struct):
+    """Of an Inverse3; without one of these it is not known whether it is safe."""
+
+    calibrated: bool
+    in_use: bool
+    power_supply: bool
+    ready: bool
+    started: bool
+
+
+class InverseDevice(msgspec.Struct):
+    """An Inverse3."""
+
+    device_id: str
+    state: InverseState
+    status: InverseStatus
+    config: dict[str, Any] | None = None
+
+
+class Buttons(msgspec.Struct):
+    """Of a wireless grip."""
+
+    a: bool = False
+    b: bool = False
+    c: bool = False
+
+
+class GripState(msgspec.Struct):
+    """Of a VerseGrip of either kind."""
+
+    orientation: Turned | None = None
+    button: bool | None = None
+    buttons: Buttons | None = None
+
+
+class GripStatus(msgspec.Struct):
+    """Of a VerseGrip of either kind."""
+
+    ready: bool | None = None
+    connected: bool | None = None
+    awake: bool | None = None
+
+
+class Grip(msgspec.Struct):
+    """A VerseGrip."""
+
+    device_id: str
+    state: GripState
+    status: GripStatus
+
+    @property
+    def buttons(self) -> int | None:
+        """Bit 0, 1, 2 for a, b, c; bit 0 for the one of a wired grip."""
+        if self.state.buttons is not None:
+            pressed = self.state.buttons
+            return pressed.a + 2 * pressed.b + 4 * pressed.c
+        return None if self.state.button is None else int(self.state.button)
+
+
+class Reply(msgspec.Struct):
+    """A frame of the service."""
+
+    inverse3: list[InverseDevice] = []
+    verse_grip: list[Grip] = []
+    wireless_verse_grip: list[Grip] = []
+    custom_verse_grip: list[Grip] = []
+
+    def grips(self, kind: str) -> list[Grip]:
+        """The grips of a list of the service."""
+        found: list[Grip] = getattr(self, kind)
+        return found
+
+
+class Event(msgspec.Struct):
+    """A line of the event channel."""
+
+    name: str
+    level: str = ""
+    message: str | None = None
+    data: dict[str, Any] | None = None
+
+
+_REPLY: Final = msgspec.json.Decoder(Reply)
+_EVENT: Final = msgspec.json.Decoder(Event)
+
+
+def reply(received: bytes) -> Reply:
+    """A frame of the service.
+
+    Raises:
+        MessageError: No JSON, fields that are missing or of another type, or numbers that are not finite.
+    """
+    try:
+        return _REPLY.decode(received)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        message = f"{error}: {received[:80]!r}"
+        raise MessageError(message) from None
+
+
+def event(received: bytes) -> Event:
+    """A line of the event channel.
+
+    Raises:
+        MessageError: Something else.
+    """
+    try:
+        return _EVENT.decode(received)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        message = f"{error}: {received[:80]!r}"
+        raise MessageError(message) from None
+
+
+def configuration(device_id: str, *, force_gate: float | None, damping: float | None) -> bytes:
+    """The first message of a session: its name, the frame, what is set of the device; no force."""
+    device: dict[str, Any] = {"device_id": device_id, "commands": {"probe_position": {}}}
+    configure: dict[str, Any] = {}
+    if force_gate is not None:
+        configure["force_gate"] = {"gain": force_gate}
+    if damping is not None:
+        configure["damping"] = {"scalar": damping}
+    if configure:
+        device["configure"] = configure
+    session = {"configure": {"profile": {"name": PROFILE}, "basis": {"permutation": "XYZ"}}}
+    return msgspec.json.encode({"session": session, "inverse3": [device]})
+
+
+class ForceMessage:
+    """The message of each tick: the force, and a probe of the grip.
+
+    Args:
+        device_id: Of the Inverse3.
+        grip: List and id of the grip, if there is one.
+    """
+
+    def __init__(self, device_id: str, grip: tuple[str, str] | None) -> None:
+        probe = (
+            ""
+            if grip is None
+            else f',"{grip[0]}":[{{"device_id":"{grip[1]}","commands":{{"probe_orientation":{{}}}}}}]'
+        )
+        self._begin = f'{{"inverse3":[{{"device_id":"{device_id}","commands":{{"set_cursor_force":{{"vector":{{"x":'
+        self._end = f"}}}}}}}}]{probe}}}"
+
+    def __call__(self, force: Sequence[float]) -> bytes:
+        """With F in N, in the device's frame; finite."""
+        x, y, z = force
+        if not math.isfinite(x + y + z):
+            message = f"force {tuple(force)}: must be finite"
+            raise ValueError(message)
+        return f'{self._begin}{x:.9g},"y":{y:.9g},"z":{z:.9g}{self._end}'.encode()

@@ -1,0 +1,90 @@
+"""`haptether inverse3-emulator`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+MAX_PORT = 65535
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inverse3Emulator:
+    """Emulate the vendor's service of a Haply Inverse3 with a VerseGrip, for the driver and other clients.
+
+    It speaks the WebSocket and JSON of version 3.5, on this machine only: a frame on connection, then one for each
+    message, and events on a port of their own. Behind it a mass with friction moves, that a hand holds.
+    docs/haptic_devices.md has what is modelled, and the lines of --control that move the hand and make things go wrong.
+
+    Examples:
+
+    haptether inverse3-emulator
+
+    haptether inverse3-emulator --port 0 --event-port 0 --control -
+    """
+
+    port: int = 10001
+    """Of the states; 0 for any that is free, which the first line names."""
+    event_port: int = 10020
+    """Of the events; 0 for any that is free."""
+    no_grip: bool = False
+    """Leave the VerseGrip away."""
+    mass_kg: float = 0.157
+    """m in kg. The device's own numbers are not published: these are a stand-in."""
+    viscous: float = 0.0
+    """b in N s/m."""
+    coulomb: float = 0.038
+    """c in N."""
+    control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
+    """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """End after this time in s; without it, run until Ctrl-C."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write state and figures as JSON at the end; - for standard output."""
+
+    def run(self) -> int:
+        """Serves until it is stopped."""
+        import sys
+        import time
+
+        from haptether.cli.shared.numbers import check_duration
+        from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
+        from haptether.cli.shared.stop import Stopped
+        from haptether.control_channel import ControlChannel
+        from haptether.master.inverse3.emulator import ControlLine, EmulatedInverse3, EmulatedSettings, Server, Service
+
+        check_duration("duration_s", self.duration_s)
+        check_target(self.json)
+        for name in ("port", "event_port"):
+            if not 0 <= getattr(self, name) <= MAX_PORT:
+                message = f"{name} = {getattr(self, name)}: must be 0 to {MAX_PORT}"
+                raise ValueError(message)
+        settings = EmulatedSettings(mass_kg=self.mass_kg, viscous=self.viscous, coulomb=self.coulomb)
+        service = Service(EmulatedInverse3(settings), grip=not self.no_grip)
+        server = Server(service, "127.0.0.1", self.port, self.event_port)
+        line = ControlLine(service, server)
+        end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
+        with Stopped() as stopped:
+            channel = None
+            try:
+                if self.control is not None:
+                    try:
+                        channel = server.channel = ControlChannel(self.control, line)
+                    except OverflowError:
+                        message = f"control = {self.control}: the port must be 0 to 65535"
+                        raise ValueError(message) from None
+                # Whoever started this process reads the line to learn which ports they are.
+                stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
+                controlled = "" if channel is None else f", controlled by {channel.address}"
+                headline = f"an Inverse3 on 127.0.0.1:{server.port}, events on {server.event_port}{controlled}"
+                print(headline, file=stream, flush=True)
+                server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
+            finally:
+                figures = line.figures()
+                server.close()
+                if channel is not None:
+                    channel.close()
+        if self.json is not None:
+            write_report(self.json, figures)
+        return 0

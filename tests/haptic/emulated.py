@@ -1,0 +1,45 @@
+"""An emulated Inverse Service as a process, and its control line."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from tests.ur.emulated import START_S, Emulated
+
+
+class EmulatedInverse(Emulated):
+    """A service that runs."""
+
+    port = 0
+    event_port = 0
+
+    @property
+    def options(self) -> dict[str, object]:
+        """What a driver needs to find it; machines that tests run on may take more than 10 ms for a reply."""
+        return {"port": self.port, "event_port": self.event_port, "reply_timeout_s": 0.015}
+
+
+@contextmanager
+def emulated_service(*arguments: str) -> Iterator[EmulatedInverse]:
+    """Runs `haptether inverse3-emulator` with its control line on standard input, and ends it in any case."""
+    command = [sys.executable, "-m", "haptether", "inverse3-emulator", "--port", "0", "--event-port", "0"]
+    process = subprocess.Popen([*command, "--control", "-", *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    emulated = EmulatedInverse(process, "127.0.0.1")
+    try:
+        headline = emulated.line(START_S)
+        ports = re.fullmatch(r"an Inverse3 on 127\.0\.0\.1:(\d+), events on (\d+), controlled by -", headline)
+        assert ports is not None, headline
+        emulated.port, emulated.event_port = int(ports[1]), int(ports[2])
+        yield emulated
+    finally:
+        process.terminate()
+        try:
+            process.wait(5.0)
+        finally:
+            process.kill()
+            process.wait()
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    stream.close()

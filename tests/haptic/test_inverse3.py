@@ -1,0 +1,347 @@
+"""The driver of an Inverse3 against the emulated service: frames, forces, faults and the way back."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.haptic.emulated import EmulatedInverse, emulated_service
+
+from haptether.checklist import RefusedError
+from haptether.master import MasterSample
+from haptether.master.inverse3 import Inverse3
+from haptether.master.inverse3.messages import ForceMessage, MessageError, configuration, reply
+
+pytestmark = pytest.mark.live
+
+HOME = (0.0, -0.12, 0.15)
+
+
+@contextmanager
+def opened(service: EmulatedInverse, **options: Any) -> Iterator[Inverse3]:  # noqa: ANN401  # of the driver
+    driver = Inverse3(**{**service.options, **options})
+    driver.open()
+    try:
+        yield driver
+    finally:
+        driver.close()
+
+
+def step(driver: Inverse3, force: tuple[float, ...] = (0.0, 0.0, 0.0), ticks: int = 1) -> MasterSample:
+    """So many ticks with a force; the last sample."""
+    for _ in range(ticks):
+        sample = driver.read()
+        driver.write(force)
+        time.sleep(0.001)
+    return sample
+
+
+def until(
+    driver: Inverse3, done: Callable[[MasterSample], bool], force: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> MasterSample:
+    end_s = time.monotonic() + 10.0
+    while not done(sample := step(driver, force)):
+        assert time.monotonic() < end_s, sample
+    return sample
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[EmulatedInverse]:
+    with emulated_service() as service:
+        yield service
+
+
+@pytest.fixture
+def service(shared: EmulatedInverse) -> EmulatedInverse:
+    """The same process for each test, as it was at its begin."""
+    for line in ("ebrake off", "grip wake", "grip back", "plug", "drop 0", "twice 0", "delay 0", "push 0 0 0",
+                 "hand 0 -0.12 0.15", "turn 1 0 0 0", "buttons", "disconnect"):  # fmt: skip
+        shared.do(line)
+    for name in ("power_supply", "started", "calibrated", "ready"):
+        shared.do(f"set {name} on")
+    shared.do("set in_use off")
+    return shared
+
+
+# ------------------------------------------------------------------------------------------------ frames, signs, units
+
+
+@pytest.mark.parametrize(
+    ("axes", "ours"),
+    [(["x", "y", "z"], (0.02, 0.01, -0.03)), (["-y", "x", "z"], (-0.01, 0.02, -0.03)), (["z"], (-0.03,))],
+)
+def test_positions_and_forces_are_turned_into_our_frame(
+    service: EmulatedInverse, axes: list[str], ours: tuple[float, ...]
+) -> None:
+    service.do("hand 0.02 -0.11 0.12")
+    with opened(service, axes=axes) as driver:
+        # Friction of 0.038 N at 200 N/m leaves 0.2 mm.
+        sample = until(driver, lambda sample: np.allclose(sample.position, ours, atol=4e-4), (0.0,) * len(axes))
+        assert sample.fault is None
+        assert (sample.orientation, sample.buttons, sample.velocity) == (None, None, None)
+        # 2 N on the hand's spring of 200 N/m: 10 mm along the first of our axes.
+        pushed = (ours[0] + 0.01, *ours[1:])
+        force = (2.0, 0.0, 0.0)[: len(axes)]
+        until(driver, lambda sample: np.allclose(sample.position, pushed, atol=4e-4), force)
+        index = "xyz".index(axes[0].removeprefix("-"))
+        commanded = [0.0, 0.0, 0.0]
+        commanded[index] = -2.0 if axes[0].startswith("-") else 2.0
+        step(driver, force)
+        assert service.status()["commanded"] in (commanded, [0.0, 0.0, 0.0])
+
+
+def test_a_pose_has_the_grips_orientation_and_buttons(service: EmulatedInverse) -> None:
+    half = 0.5**0.5
+    # About the device's x; with -y, x, z as ours that is our y.
+    service.do(f"turn {half} {half} 0 0")
+    service.do("buttons a c")
+    with opened(service, grip="wireless", axes=["-y", "x", "z"]) as driver:
+        assert driver.kinds == ("linear", "pose")
+        sample = step(driver)
+        assert sample.orientation == pytest.approx((half, 0.0, half, 0.0))
+        assert sample.buttons == 0b101
+        # Torque is not exerted, and is no error.
+        driver.read()
+        driver.write((0.0, 0.0, 1.0), (0.0, 0.0, 0.3))
+
+
+def test_long_forces_are_shortened_and_bad_ones_are_none(service: EmulatedInverse) -> None:
+    with opened(service, max_force_n=1.0) as driver:
+        for force, sent in (((3.0, 0.0, 4.0), [0.6, 0.0, 0.8]), ((float("nan"), 0.0, 0.0), [0.0, 0.0, 0.0])):
+            seen = [[0.0, 0.0, 0.0]]
+            # A service that waits for 20 ms idles.
+            for _ in range(20):
+                step(driver, force, 20)
+                seen.append(service.status()["commanded"])
+            assert sent in seen
+            assert all(one in (sent, [0.0, 0.0, 0.0]) for one in seen)
+
+
+def test_velocity_of_the_service_is_taken_where_it_is_asked_for(service: EmulatedInverse) -> None:
+    with opened(service, device_velocity=True) as driver:
+        assert step(driver).velocity == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
+
+
+def test_forces_end_without_messages(service: EmulatedInverse) -> None:
+    with opened(service) as driver:
+        step(driver, (1.0, 0.0, 0.0), 10)
+        time.sleep(0.1)
+        assert service.wait_for("idle", value=True)["force"] == [0.0, 0.0, 0.0]
+        assert driver.read().fault is None
+
+
+def test_a_force_is_sent_only_for_a_tick_that_was_read(service: EmulatedInverse) -> None:
+    with opened(service) as driver:
+        driver.read()
+        driver.write((1.0, 0.0, 0.0))
+        driver.write((1.0, 0.0, 0.0))
+        assert service.status()["commanded"] == [0.0, 0.0, 0.0]
+
+
+# --------------------------------------------------------------------------------------------------------- checklist
+
+
+@pytest.mark.parametrize(
+    ("lines", "options", "said"),
+    [
+        (["set calibrated off"], {}, "status: not calibrated: put the arm into its calibration pose"),
+        (["set power_supply off"], {}, "status: no power"),
+        (["set in_use on"], {}, "status: in use: another program moves it"),
+        (["unplug"], {}, "Inverse3: none: is it plugged in"),
+        ([], {"device_id": "049D"}, "must have 049D"),
+        (["grip sleep"], {"grip": "wireless"}, "VerseGrip: grip asleep: press one of its buttons"),
+        (["grip gone"], {"grip": "wireless"}, "VerseGrip: none: there must be one in wireless_verse_grip"),
+        ([], {"grip": "wired"}, "VerseGrip: none: there must be one in verse_grip"),
+        ([], {"event_port": 1}, "events: 127.0.0.1:1: Connection refused"),
+        ([], {"port": 1}, "service: 127.0.0.1:1: Connection refused: is the Inverse Service running"),
+    ],
+)
+def test_a_device_that_is_not_ready_is_refused(
+    service: EmulatedInverse, lines: list[str], options: dict[str, object], said: str
+) -> None:
+    for line in lines:
+        service.do(line)
+    driver = Inverse3(**{**service.options, **options})
+    with pytest.raises(RefusedError) as refused:
+        driver.open()
+    driver.close()
+    assert said in str(refused.value)
+    service.wait_for("clients", 0)
+
+
+def test_the_checklist_says_what_changes_forces(service: EmulatedInverse, capfd: pytest.CaptureFixture[str]) -> None:
+    with opened(service, force_gate=0.0):
+        pass
+    told = capfd.readouterr().err
+    for line in ("force gate: 0", "damping: ", "gravity compensation: 1", "torque scaling: on", "handedness: right"):
+        assert line in told
+    with opened(service):
+        pass
+    # What was set before is what the service has now.
+    assert "force gate: 0.0: the service alters" in capfd.readouterr().err
+
+
+# ------------------------------------------------------------------------------------------------------------ faults
+
+
+STATE_FAULTS = [
+    (["ebrake on"], ["ebrake off"], "e-brake: the emergency brake is on"),
+    (["trip stall"], [], "stall: a motor pushes"),
+    (["trip ceiling"], [], "unstable: "),
+    (["trip overload"], [], "overload: "),
+    (["set calibrated off"], ["set calibrated on"], "not calibrated: "),
+    (["set in_use on"], ["set in_use off"], "in use: "),
+    (["set power_supply off"], ["set power_supply on"], "no power: "),
+    (["grip sleep"], ["grip wake"], "grip asleep: "),
+    (["push 0 5 0"], ["push 0 0 0"], "force of another: the service exerts "),
+]
+LINK_FAULTS = [
+    (["drop 1"], [], "lost reply: none within 0.015 s"),
+    (["delay 60"], ["delay 0"], "lost reply: "),
+    (["disconnect"], [], "closed by the service"),
+    (["garble text"], [], "malformed reply: "),
+    (["garble nan"], [], "malformed reply: "),
+    (["garble infinite"], [], "malformed reply: "),
+    (["garble statusless"], [], "malformed reply: Object missing required field `status`"),
+    (["grip gone"], ["grip back"], "grip lost: "),
+    (["turn 0.1 0 0 0"], ["turn 1 0 0 0"], "malformed reply: orientation (0.1, 0.0, 0.0, 0.0) has norm 0.1"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "mended", "said"), STATE_FAULTS + LINK_FAULTS)
+def test_a_fault_is_named_ends_the_force_and_stays_until_it_is_acknowledged(
+    service: EmulatedInverse, wrong: list[str], mended: list[str], said: str
+) -> None:
+    with opened(service, grip="wireless") as driver:
+        assert step(driver, (0.5, 0.0, 0.0), 20).fault is None
+        for line in wrong:
+            service.do(line)
+        sample = until(driver, lambda sample: sample.fault is not None, (0.5, 0.0, 0.0))
+        assert sample.fault is not None
+        assert said in sample.fault
+        # Whatever is asked for, no force; and the fault stays though its cause is gone.
+        for line in mended:
+            service.do(line)
+        step(driver, (0.5, 0.0, 0.0), 30)
+        assert service.status()["commanded"] == [0.0, 0.0, 0.0]
+        assert driver.read().fault is not None
+        # By one act, or by two where the connection was lost: what it finds there is to be seen first.
+        end_s = time.monotonic() + 10.0
+        while step(driver, (0.5, 0.0, 0.0)).fault is not None:
+            assert time.monotonic() < end_s, driver.read()
+            driver.acknowledge()
+            time.sleep(0.01)
+        assert step(driver, (0.5, 0.0, 0.0), 20).fault is None
+
+
+def test_a_reply_of_before_is_never_taken_for_a_new_one(service: EmulatedInverse) -> None:
+    """A reply that comes late belongs to a connection that is closed by then."""
+    with opened(service) as driver:
+        step(driver, ticks=5)
+        service.do("delay 100")
+        until(driver, lambda sample: sample.fault is not None)
+        service.do("hand 0.03 -0.12 0.15")
+        service.do("delay 0")
+        time.sleep(0.2)
+        sample = until(driver, lambda _: True)
+        while sample.fault is not None:
+            driver.acknowledge()
+            time.sleep(0.01)
+            sample = step(driver)
+        assert sample.position == pytest.approx((0.03, 0.0, 0.0), abs=5e-4)
+
+
+def test_a_frame_that_nobody_asked_for_is_a_fault(service: EmulatedInverse) -> None:
+    with opened(service) as driver:
+        step(driver, ticks=5)
+        service.do("twice 1")
+        sample = until(driver, lambda sample: sample.fault is not None)
+        assert sample.fault is not None
+        assert "unasked frame" in sample.fault
+        driver.acknowledge()
+        assert step(driver, ticks=5).fault is None
+
+
+def test_a_brake_that_is_still_on_is_a_fault_again(service: EmulatedInverse) -> None:
+    with opened(service) as driver:
+        service.do("ebrake on")
+        until(driver, lambda sample: sample.fault is not None)
+        driver.acknowledge()
+        sample = step(driver)
+        assert sample.fault is not None
+        assert "still on" in sample.fault
+
+
+def test_a_reply_that_does_not_come_holds_the_loop_for_less_than_20_ms(service: EmulatedInverse) -> None:
+    taken = []
+    for _ in range(5):
+        with opened(service) as driver:
+            step(driver, ticks=3)
+            service.do("drop 1")
+            driver.read()
+            driver.write((0.0, 0.0, 0.0))
+            begun_s = time.monotonic()
+            assert driver.read().fault is not None
+            taken.append(time.monotonic() - begun_s)
+    # The least of five: what the machine takes away is not the driver's.
+    assert min(taken) < 0.019
+
+
+def test_it_closes_whatever_it_was_in(service: EmulatedInverse) -> None:
+    driver = Inverse3(**service.options)
+    driver.close()
+    driver = Inverse3(**service.options)
+    driver.open()
+    step(driver, (1.0, 0.0, 0.0), 5)
+    driver.close()
+    driver.close()
+    assert service.wait_for("clients", 0)["commanded"] == [0.0, 0.0, 0.0]
+    driver.write((1.0, 0.0, 0.0))
+    assert driver.read().fault is not None
+
+
+# ------------------------------------------------------------------------------------------------- messages, options
+
+
+def test_messages_are_as_the_public_client_has_them() -> None:
+    message = ForceMessage("049D", ("wireless_verse_grip", "1102"))((0.5, -1e-7, 2.0))
+    assert message == (
+        b'{"inverse3":[{"device_id":"049D","commands":{"set_cursor_force":{"vector":{"x":0.5,"y":-1e-07,"z":2}}}}]'
+        b',"wireless_verse_grip":[{"device_id":"1102","commands":{"probe_orientation":{}}}]}'
+    )
+    with pytest.raises(ValueError, match="must be finite"):
+        ForceMessage("049D", None)((float("inf"), 0.0, 0.0))
+    assert configuration("049D", force_gate=0.0, damping=None) == (
+        b'{"session":{"configure":{"profile":{"name":"haptether"},"basis":{"permutation":"XYZ"}}},'
+        b'"inverse3":[{"device_id":"049D","commands":{"probe_position":{}},"configure":{"force_gate":{"gain":0.0}}}]}'
+    )
+
+
+@pytest.mark.parametrize("received", [b"", b"[]", b"{", b'{"inverse3":[{}]}', b"\xff", b"[" * 100_000, b"1e999"])
+def test_what_is_no_reply_is_refused(received: bytes) -> None:
+    with pytest.raises(MessageError):
+        reply(received)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"axes": ["x", "z", "y"]}, "left-handed"),
+        ({"axes": ["x", "x", "z"]}, "each once"),
+        ({"axes": []}, "one to three"),
+        ({"host": "ws://here"}, "host = 'ws://here': must be an IPv4 address or a name"),
+        ({"device_id": 'a"b'}, "must be letters and digits"),
+        ({"reply_timeout_s": 0.05}, "reply_timeout_s = 0.05: must be 0.002 to 0.015 s"),
+        ({"max_force_n": 0.0}, "must be above 0 and at most 20 N"),
+        ({"grip": "both"}, "must be one of none, wireless, wired, custom"),
+        ({"origin": [2.0, 0.0, 0.0]}, "must be within 1 m"),
+        ({"port": "nan"}, "must be finite"),
+        ({"speed": 1}, "is no option: must be one of host, port"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match="driver = inverse3") as refused:
+        Inverse3(**options)
+    assert said in str(refused.value)
