@@ -115,7 +115,9 @@ def _maker(group: str, name: str) -> tuple[EntryPoint, Callable[..., Any]]:
         # A model of an arm has a name; that of a haptic device is what a scene without a driver has.
         names = (*(("simulated",) if group == SLAVES else ()), *device_names(group))
         near = get_close_matches(name, names, 1)
-        there = f"there is {', '.join(names)}" if names else "none is installed; without the key it is a model"
+        there = f"there is {', '.join(names)}" if names else "none is installed"
+        if group == MASTERS:
+            there += "; without the key it is a model"
         hint = f"did you mean {near[0]}? {there}" if near else there
         message = f"{named} = {name}: no such driver ({group}): {hint}"
         raise ValueError(message)

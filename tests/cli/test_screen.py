@@ -385,13 +385,16 @@ def test_only_the_screen_makes_a_console() -> None:
         (
             ["master", "--insecure", "--peer", "127.0.0.1:9", "--scene", "remote_push", "--set", "master.driver=tuch"],
             (
-                "[master] driver = tuch: no such driver (haptether.masters): none is installed; "
+                "[master] driver = tuch: no such driver (haptether.masters): there is dynamixel, inverse3; "
                 "without the key it is a model"
             ),
         ),
         (
             ["slave", "--insecure", "--listen", "127.0.0.1:0", "--scene", "remote_push", "--set", "slave.device=urr"],
-            "[slave] device = urr: no such driver (haptether.slaves): did you mean ur? there is simulated, ur",
+            (
+                "[slave] device = urr: no such driver (haptether.slaves): did you mean ur? there is simulated, "
+                "dynamixel, ur"
+            ),
         ),
     ],
 )
@@ -413,6 +416,8 @@ REQUIRED = {
     "master": ["--peer", "127.0.0.1:9"],
     "slave": ["--listen", "127.0.0.1:0"],
     "check-link": ["--peer", "127.0.0.1:9"],
+    "check-device": ["ur"],
+    "identify": ["dynamixel"],
     "explain": ["master.flight"],
     "sweep": ["remote_push"],
 }

@@ -34,8 +34,10 @@ from haptether.studies import RAVEN_ATTACKS
 
 SHIPPED = {
     "active_force",
+    "alignment",
     "attack_replay",
     "driving_network",
+    "felt_trigger",
     "free_motion",
     "gripper",
     "moving_wall",
