@@ -88,11 +88,20 @@ class Channel:
                 raise ChannelError(_text(error)) from None
         return self._frames.pop(0)
 
-    def close(self) -> None:
-        """Says goodbye, and does not wait for an answer."""
+    def close(self, wait_s: float = 0.0) -> None:
+        """Says goodbye, and waits for the end of the other side for so many s at most.
+
+        A socket that is closed with bytes unread is reset, and what was sent last may be lost with that.
+        """
         with contextlib.suppress(OSError, WebSocketException):
             self._protocol.send_close()
             self._flush()
+            self._socket.shutdown(socket.SHUT_WR)
+            end_s = time.monotonic() + wait_s
+            while (left_s := end_s - time.monotonic()) > 0.0:
+                self._socket.settimeout(left_s)
+                if not self._socket.recv(RECEIVE):
+                    break
         self._socket.close()
 
     def _flush(self) -> None:

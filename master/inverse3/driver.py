@@ -32,6 +32,7 @@ ADDED_SHARE: Final = 0.1
 ADDED_REPLIES: Final = 20
 """So many replies in a row that say so are a fault: it may be told some ticks late."""
 JOIN_S: Final = 3.0
+CLOSE_S: Final = 0.1
 
 
 class Session(NamedTuple):
@@ -43,9 +44,9 @@ class Session(NamedTuple):
     grip_id: str | None
     force: ForceMessage
 
-    def close(self) -> None:
-        """Ends both; the service then lets the device idle."""
-        self.channel.close()
+    def close(self, wait_s: float = 0.0) -> None:
+        """Ends both, and waits for the service for so many s at most; it then lets the device idle."""
+        self.channel.close(wait_s)
         self.events.close()
 
 
@@ -164,7 +165,10 @@ class Inverse3:
         if session is not None:
             with contextlib.suppress(ChannelError):
                 self._send(session, REST)
-            session.close()
+                # Its reply says that it was taken.
+                while self._owed > 0 and session.channel.frame(self.options.reply_timeout_s) is not None:
+                    self._owed -= 1
+            session.close(CLOSE_S)
         if self._mending is not None:
             self._mending.join(JOIN_S)
         if isinstance(self._mended, Session):

@@ -47,7 +47,9 @@ def test_the_scene_of_the_readme_can_be_built(tmp_path: Path) -> None:
 
 
 def test_commands_of_the_readme_exist() -> None:
-    shown = re.findall(r"^haptether ((?:netsim )?[a-z-]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE)
+    shown = re.findall(
+        r"^haptether ((?:netsim )?[a-z0-9-]+)(.*?)(?:#|$)", (ROOT / "README.md").read_text(), re.MULTILINE
+    )
     assert {name for name, _ in shown} == {
         "demo", "paper", "raven", "simulate", "sweep", "slave", "netsim list", "netsim sample", "netsim proxy",
         "master", "keygen", "list", "explain", "check-link", "ur-emulator", "dynamixel-emulator", "inverse3-emulator",
