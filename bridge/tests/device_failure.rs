@@ -18,7 +18,7 @@ use haptether_bridge::{
 };
 use haptether_netsim::LinkSettings;
 use haptether_safety::{
-    DeviceModel, Fault, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
+    DeviceModel, Fault, LimiterSettings, Signal, controller::SafetySettings, estimator::EstimatorKind,
 };
 
 const MS: u64 = 1_000_000;
@@ -406,5 +406,29 @@ fn a_force_that_cannot_be_measured_stops_both_sides() {
         // The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
         assert!(most(&near[pushed..]) <= most(&near[..pushed]) + 1e-6, "{force_n}");
         assert!(most(&near[..pushed]) > 1.0, "the hand felt the wall");
+    }
+}
+
+/// At its tick: a tick later the estimators have spread it over their window, and a force has answered it.
+#[test]
+fn a_position_that_no_device_can_have_reached_is_a_fault_at_its_tick() {
+    let jumped = Fault::OutOfRange(Signal::Velocity).code();
+    // 1 m in 1 ms is 1000 m/s.
+    for (by, is_jump) in [(0.9, false), (-0.9, false), (1.1, true), (-5.0, true)] {
+        let mut side = master();
+        side.begin(0);
+        for n in 0..50 {
+            side.plant.position[0] = 1e-4 * n as f64;
+            assert_eq!(side.tick(TickTime::at(n * MS)).fault, 0);
+        }
+        side.plant.position[0] += by;
+        let record = side.tick(TickTime::at(50 * MS));
+        assert_eq!(record.fault == jumped, is_jump, "{by}: {}", record.fault);
+        if !is_jump {
+            continue;
+        }
+        assert_eq!((record.state, record.device_force[0]), (LadderState::Fault, 0.0));
+        side.command(51 * MS, OperatorCommand::Acknowledge).unwrap();
+        assert_eq!(side.tick(TickTime::at(51 * MS)).fault, 0, "where it is now it may stay");
     }
 }

@@ -1,7 +1,7 @@
 //! The master's endpoint: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, controller::SafetySettings,
+    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, Signal, controller::SafetySettings,
     estimator::EstimatorKind,
 };
 
@@ -158,6 +158,10 @@ impl<const N: usize> MasterEndpoint<N> {
             let _ = self.layer.restart(reading);
             self.trigger.iter_mut().for_each(|trigger| trigger.restart());
         } else {
+            // Before the estimators spread it over their window: no force answers a jump that no device makes.
+            if let Err(fault) = self.check_jump(missed, reading) {
+                self.layer.fail(fault);
+            }
             self.carry_over(missed, reading);
         }
         if device_failed {
@@ -185,6 +189,14 @@ impl<const N: usize> MasterEndpoint<N> {
         let values = [&reading.position, &safety.device_force, &safety.rendered_force];
         self.exchange.end_tick(now_ns, values, observed);
         MasterTick { safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
+    }
+
+    /// Refuses a position that is further from the last than any device moves in the time between.
+    fn check_jump(&self, missed: u64, reading: &MasterReading<N>) -> Result<(), Fault> {
+        let Some(last) = self.last else { return Ok(()) };
+        Signal::Position.check(&reading.position)?;
+        let elapsed_s = self.period_s * (missed + 1) as f64;
+        Signal::Velocity.check(&((reading.position - last.position) / elapsed_s))
     }
 
     /// Leaves what the next frame says of the device; the energy is that of the whole wrench, `f·v + tau·w`.
