@@ -137,6 +137,8 @@ def test_a_force_is_sent_only_for_a_tick_that_was_read(service: EmulatedInverse)
         driver.read()
         driver.write((1.0, 0.0, 0.0))
         driver.write((1.0, 0.0, 0.0))
+        # The service has answered both by then.
+        driver.read()
         assert service.status()["commanded"] == [0.0, 0.0, 0.0]
 
 
