@@ -19,6 +19,7 @@ from haptether.bridge.devices.open import (
     comes_to_rest,
     encodable,
     failure,
+    fault_text,
     opened,
     opened_gripper,
 )
@@ -70,7 +71,7 @@ def drive_master(
         nonlocal rest
         position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons = device.read()
         if fault is not None:
-            notes.fault = fault = encodable(fault)
+            notes.fault = fault = fault_text(fault)
         force = loop.step(
             position, velocity, clutch, fault=fault, trigger=trigger,
             orientation=orientation, angular_velocity=angular_velocity, buttons=buttons,
@@ -132,7 +133,7 @@ def drive_slave(
             measured, wrong = jaws.read()
             fault = wrong if fault is None else fault
         if fault is not None:
-            notes.fault = fault = encodable(fault)
+            notes.fault = fault = fault_text(fault)
         order = loop.step(
             position, velocity, force, fault=fault, gripper=measured,
             orientation=orientation, angular_velocity=angular_velocity, torque=torque,

@@ -204,6 +204,14 @@ def failure(device: object, error: BaseException, *, rests: bool = True) -> Devi
     )
 
 
+def fault_text(fault: object) -> str:
+    """What a device says is wrong with it, as the loop can take it."""
+    if not isinstance(fault, str):
+        message = f"fault = {fault!r}: must be a text, or None"
+        raise TypeError(message)
+    return encodable(fault)
+
+
 def encodable(text: str) -> str:
     """The text without what UTF-8 has not, as in names of files that are none."""
     return text.encode("utf-8", "backslashreplace").decode()

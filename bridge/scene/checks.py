@@ -176,6 +176,9 @@ def _felt_trigger(scene: Scene) -> Iterator[SceneError]:
     at: Path = ("master", "gripper")
     if scene.slave is None or scene.slave.gripper is None:
         yield contradiction(at, "leads no gripper: add [slave.gripper] or leave it out")
+    trigger = scene.master.gripper
+    if trigger.encoder_quantum > trigger.travel_m:
+        yield wrong((*at, "encoder_quantum"), trigger.encoder_quantum, f"at most travel_m, {trigger.travel_m:g}")
     if scene.master.buttons is not None and scene.master.buttons.gripper is not None:
         yield contradiction(("master", "buttons", "gripper"), "works what [master.gripper] leads: give one of the two")
     if scene.run.stop_early:
@@ -297,6 +300,8 @@ def _world(table: EnvironmentTable) -> Iterator[SceneError]:
     for index, hole in enumerate(table.holes):
         path = ("environment", "holes", index)
         yield from _direction(hole.axis, (*path, "axis"))
+        if hole.chamfer_m > hole.depth:
+            yield wrong((*path, "chamfer_m"), hole.chamfer_m, f"at most depth, {hole.depth:g}")
         yield from _contact(hole.contact, (*path, "contact"), 3)
     for index, handle in enumerate(table.handles):
         path = ("environment", "handles", index)
@@ -518,8 +523,10 @@ def _series(table: SeriesTable, path: Path) -> Iterator[SceneError]:
 
 
 def _safety(table: SafetyTable, period_s: float) -> Iterator[SceneError]:
-    if len(set(table.controllers)) != len(table.controllers):
-        yield wrong(("safety", "controllers"), table.controllers, "each at most once")
+    for path, own in {(): table, ("rotation",): table.rotation, ("gripper",): table.gripper}.items():
+        controllers = () if own is None else own.controllers or ()
+        if len(set(controllers)) != len(controllers):
+            yield wrong(("safety", *path, "controllers"), controllers, "each at most once")
     estimator, path = table.estimator, ("safety", "estimator")
     if isinstance(estimator, LowPass) and estimator.cutoff_hz > 0.5 / period_s:
         yield wrong((*path, "cutoff_hz"), estimator.cutoff_hz, f"at most half the sample rate, {0.5 / period_s:g}")

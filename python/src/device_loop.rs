@@ -16,8 +16,10 @@ use haptether_master::RotationSample;
 use haptether_safety::Axes;
 use haptether_slave::{GripperCommand, GripperSample};
 use pyo3::{
+    conversion::FromPyObjectOwned,
     exceptions::{PyRuntimeError, PyTypeError, PyValueError},
     prelude::*,
+    pybacked::PyBackedStr,
     types::{PyString, PyTuple},
 };
 
@@ -110,6 +112,23 @@ fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<A
     let of = if N == 1 { "a number".to_owned() } else { format!("a sequence of {N} numbers") };
     Err(PyTypeError::new_err(format!("{name} = {value}: must be {of}")))
 }
+
+/// What a driver may leave out of a sample.
+fn read_optional<'py, T: FromPyObjectOwned<'py>>(
+    name: &str,
+    value: Option<&Bound<'py, PyAny>>,
+    of: &str,
+) -> PyResult<Option<T>> {
+    let wrong = |value| PyTypeError::new_err(format!("{name} = {value}: must be {of}"));
+    value.map(|value| value.extract().map_err(|_| wrong(value))).transpose()
+}
+
+const TEXT: &str = "a text, or None";
+const NUMBER: &str = "a number, or None";
+const SWITCH: &str = "True, False or None";
+const QUATERNION: &str = "a sequence of 4 numbers, w, x, y, z, or None";
+const VECTOR: &str = "a sequence of 3 numbers, or None";
+const WORD: &str = "a whole number from 0 to 2^32 - 1, or None";
 
 /// What a driver of poses must read at each tick.
 fn read_part<T>(name: &str, value: Option<T>) -> PyResult<T> {
@@ -279,11 +298,30 @@ macro_rules! loop_methods {
     };
 }
 
+/// What a master's loop keeps from one tick for the next.
+#[derive(Clone, Copy, Default)]
+struct LastTick {
+    /// In N; none of a trigger that is not felt.
+    trigger_force: Option<f64>,
+    /// Whether the device measures them; none before the first sample.
+    has_velocity: Option<bool>,
+    has_angular_velocity: Option<bool>,
+}
+
+/// Refuses a sample that has what the others have not, or lacks it: an estimate in between would jump.
+fn steadily(name: &str, before: Option<bool>, is_given: bool) -> PyResult<()> {
+    if before.is_none_or(|before| before == is_given) {
+        return Ok(());
+    }
+    let now = if is_given { "given" } else { "missing" };
+    let text = format!("{name} is {now}, and was not so far: must be in every sample or in none");
+    Err(PyTypeError::new_err(text))
+}
+
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct MasterLoop {
     paced: Mutex<Box<dyn MasterSteps>>,
-    /// In N, after the last tick; none of a trigger that is not felt.
-    trigger_force: Mutex<Option<f64>>,
+    last: Mutex<LastTick>,
     pub(crate) watched: Watched<MasterRows>,
     kind: SideKind,
 }
@@ -308,8 +346,8 @@ constructor!(MasterLoop, peer,
             let side = driven_master::<N>(&scene, run_id, simulated_clutch).map_err(refuse)?;
             prepare_master(py, side, place, is_felt)?
         };
-        let trigger_force = Mutex::new(is_felt.then_some(0.0));
-        Ok(Self { paced: Mutex::new(paced), trigger_force, watched, kind: scene.master.kind })
+        let last = LastTick { trigger_force: is_felt.then_some(0.0), ..LastTick::default() };
+        Ok(Self { paced: Mutex::new(paced), last: Mutex::new(last), watched, kind: scene.master.kind })
     }
 );
 
@@ -323,25 +361,47 @@ impl MasterLoop {
         py: Python<'py>,
         position: &Bound<'py, PyAny>,
         velocity: Option<&Bound<'py, PyAny>>,
-        clutch: Option<bool>,
-        fault: Option<&str>,
-        trigger: Option<f64>,
-        orientation: Option<[f64; 4]>,
-        angular_velocity: Option<[f64; 3]>,
-        buttons: Option<u32>,
+        clutch: Option<&Bound<'py, PyAny>>,
+        fault: Option<&Bound<'py, PyAny>>,
+        trigger: Option<&Bound<'py, PyAny>>,
+        orientation: Option<&Bound<'py, PyAny>>,
+        angular_velocity: Option<&Bound<'py, PyAny>>,
+        buttons: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
-        let read =
-            MasterRead { position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons };
-        // What a step that fails leaves is no force.
-        let mut trigger_force = locked(&self.trigger_force).map(|_| 0.0);
-        let force = own(&self.paced)?.step(py, read, &mut trigger_force);
-        *locked(&self.trigger_force) = trigger_force;
-        force
+        let fault: Option<PyBackedStr> = read_optional("fault", fault, TEXT)?;
+        let mut trigger_force = {
+            let mut last = locked(&self.last);
+            // What a step that fails leaves is no force.
+            last.trigger_force = last.trigger_force.map(|_| 0.0);
+            if fault.is_none() {
+                steadily("velocity", last.has_velocity, velocity.is_some())?;
+                steadily("angular_velocity", last.has_angular_velocity, angular_velocity.is_some())?;
+            }
+            last.trigger_force
+        };
+        let read = MasterRead {
+            position,
+            velocity,
+            clutch: read_optional("clutch", clutch, SWITCH)?,
+            fault: fault.as_deref(),
+            trigger: read_optional("trigger", trigger, NUMBER)?,
+            orientation: read_optional("orientation", orientation, QUATERNION)?,
+            angular_velocity: read_optional("angular_velocity", angular_velocity, VECTOR)?,
+            buttons: read_optional("buttons", buttons, WORD)?,
+        };
+        let force = own(&self.paced)?.step(py, read, &mut trigger_force)?;
+        let mut last = locked(&self.last);
+        last.trigger_force = trigger_force;
+        if fault.is_none() {
+            last.has_velocity = Some(velocity.is_some());
+            last.has_angular_velocity = Some(angular_velocity.is_some());
+        }
+        Ok(force)
     }
 
     #[getter]
     fn trigger_force(&self) -> Option<f64> {
-        *locked(&self.trigger_force)
+        locked(&self.last).trigger_force
     }
 }
 
@@ -380,11 +440,11 @@ impl SlaveLoop {
         position: &Bound<'py, PyAny>,
         velocity: &Bound<'py, PyAny>,
         force: &Bound<'py, PyAny>,
-        fault: Option<&str>,
+        fault: Option<&Bound<'py, PyAny>>,
         gripper: Option<(f64, f64, f64, bool)>,
-        orientation: Option<[f64; 4]>,
-        angular_velocity: Option<[f64; 3]>,
-        torque: Option<[f64; 3]>,
+        orientation: Option<&Bound<'py, PyAny>>,
+        angular_velocity: Option<&Bound<'py, PyAny>>,
+        torque: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let gripper = gripper.map(|(position, velocity, force_n, holds_object)| GripperSample {
             position,
@@ -392,9 +452,18 @@ impl SlaveLoop {
             force_n,
             holds_object,
         });
+        let fault: Option<PyBackedStr> = read_optional("fault", fault, TEXT)?;
         let mut beside = Beside::NOTHING;
-        let read =
-            SlaveRead { position, velocity, force, fault, gripper, orientation, angular_velocity, torque };
+        let read = SlaveRead {
+            position,
+            velocity,
+            force,
+            fault: fault.as_deref(),
+            gripper,
+            orientation: read_optional("orientation", orientation, QUATERNION)?,
+            angular_velocity: read_optional("angular_velocity", angular_velocity, VECTOR)?,
+            torque: read_optional("torque", torque, VECTOR)?,
+        };
         let order = own(&self.paced)?.step(py, read, &mut beside);
         *locked(&self.beside) = beside;
         order

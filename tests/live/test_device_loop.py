@@ -211,6 +211,41 @@ def test_a_step_refuses_what_is_no_sample_and_stays_alive() -> None:
         loop.finish()
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"fault": 5}, "fault = 5: must be a text, or None"),
+        ({"clutch": "yes"}, "clutch = yes: must be True, False or None"),
+        ({"trigger": "0.5"}, "trigger = 0.5: must be a number, or None"),
+        ({"buttons": 1 << 40}, "buttons = 1099511627776: must be a whole number from 0 to 2.32 - 1, or None"),
+        ({"buttons": -1}, "buttons = -1: must be a whole number"),
+        ({"orientation": (1.0, 0.0)}, r"orientation = \(1.0, 0.0\): must be a sequence of 4 numbers"),
+        ({"angular_velocity": 1.0}, "angular_velocity = 1.0: must be a sequence of 3 numbers"),
+    ],
+)
+def test_a_step_names_the_part_of_a_sample_that_is_wrong(wrong: dict[str, Any], said: str) -> None:
+    loop = MasterLoop(ONE, peer="127.0.0.1:9", **how(realtime="off"))
+    loop.begin()
+    with pytest.raises(TypeError, match=said):
+        loop.step(0.0, **wrong)
+    assert loop.step(0.0) == (0.0,)
+    loop.stop()
+    loop.finish()
+
+
+@pytest.mark.parametrize(("first", "then"), [(1.0, None), (None, 1.0)])
+def test_a_velocity_is_in_every_sample_or_in_none(first: float | None, then: float | None) -> None:
+    loop = MasterLoop(ONE, peer="127.0.0.1:9", **how(realtime="off"))
+    loop.begin()
+    assert loop.step(0.0, first) is not None
+    # What a device says beside a fault is not known.
+    assert loop.step(0.0, then, fault="unplugged") is not None
+    with pytest.raises(TypeError, match="velocity is .* must be in every sample or in none"):
+        loop.step(0.0, then)
+    loop.stop()
+    loop.finish()
+
+
 def test_a_burst_of_samples_is_held_back_to_the_period() -> None:
     loop = MasterLoop(ONE, peer="127.0.0.1:9", **how(realtime="off"))
     loop.begin()

@@ -377,7 +377,11 @@ REFUSED = [
     ),
     ("torque_release", "slave.tool.inertia_kg_m2=[0.021, 0.01, 0.01]", "and 0.021 is above 0.02"),
     ("torque_release", "slave.tool.rotational_stiffness=1e9", "slave or environment: rate of tool and world"),
-    ("torque_release", "operator.rotation.stiffness=1e9", "master or operator: rate"),
+    ("torque_release", "operator.rotation.stiffness=1e9", "less stiffness or damping in [operator.rotation]"),
+    ("torque_release", "safety.rotation.controllers=[vfc, vfc]", "[safety.rotation] controllers = "),
+    ("felt_trigger", "safety.gripper.controllers=[wsc, wsc]", "[safety.gripper] controllers = "),
+    ("felt_trigger", "master.gripper.encoder_quantum=0.5", "must be at most travel_m"),
+    ("peg_in_hole", "environment.holes.0.chamfer_m=0.5", "[environment.holes.0] chamfer_m = 0.5: must be at most depth"),
     # Its world.
     (
         "torque_release",

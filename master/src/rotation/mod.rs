@@ -167,7 +167,8 @@ impl SimulatedRotation {
         let [stiffness, damping] =
             gains.fold([0.0, self.device.viscous], |[k, b], [more_k, more_b]| [k + more_k, b + more_b]);
         let rate = (stiffness / lightest).sqrt().max(damping / lightest);
-        let allowed = "at most 32768: less stiffness or damping, or more inertia";
+        let allowed = "at most 32768 1/s: less stiffness or damping in [operator.rotation], less viscous or more \
+                       inertia_kg_m2 in [master.rotation]";
         require("rate sqrt(K / I) or B / I", rate, rate <= RotationParameters::MAX_RATE, allowed)?;
         Ok(Self { rate, ..self })
     }

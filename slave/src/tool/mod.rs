@@ -158,7 +158,8 @@ impl SimulatedTool {
             grip: None,
         };
         let rate = world.rate();
-        let allowed = "at most 1e5 rad/s of the stiffest part: make contacts softer, or bodies heavier";
+        let allowed = "at most 1e5 rad/s of the stiffest part, sqrt(stiffness / mass_kg) or sqrt(rotational_stiffness / \
+                       inertia_kg_m2): make [slave.tool] or its contacts softer, or what moves heavier";
         require("rate of tool and world", rate, rate <= MAX_RATE, allowed)?;
         let tool_at = Rigid {
             position: finite("position", arm.position.into())?,

@@ -145,8 +145,8 @@ class Master(LiveOptions):
         if cause is not None:
             return f"the two sides never engaged: {cause.text}"
         return (
-            f"the slave at {self.peer} answered, but the clutch was not pressed since: `kill -USR1` of the master"
-            " presses it again"
+            f"the slave at {self.peer} answered, but the clutch was not pressed since: its button, or `kill -USR1`"
+            " of the master, presses it again"
         )
 
     def _report(self, result: "PushResult", link: "LinkSummary", cause: "Cause | None", *, answered: bool) -> None:

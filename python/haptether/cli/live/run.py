@@ -86,9 +86,7 @@ class SideWatch:
         side = self._side
         side.poll()
         if self._stopped.take_acknowledgement():
-            # One that has ended meanwhile has nothing to acknowledge.
-            with contextlib.suppress(RuntimeError):
-                side.acknowledge()
+            self._acknowledge()
         self._print_security()
         self._print_changes()
         self._flight.write(side.flight())
@@ -99,6 +97,16 @@ class SideWatch:
         recording = "" if end is None else f", recording ended: {end}"
         status = f"{self._name} {side.state}{answer}, {side.ticks} ticks{fault}{recording}"
         return marked(status, insecure=self._insecure)
+
+    def _acknowledge(self) -> None:
+        """Passes an acknowledgement on, and says whether there was anything to acknowledge."""
+        cause = self._current_cause()
+        awaited = cause is not None and ("acknowledge", self._name) in {(step.remedy, step.at) for step in cause.steps}
+        # One that has ended meanwhile has nothing to acknowledge.
+        with contextlib.suppress(RuntimeError):
+            self._side.acknowledge()
+        text = "acknowledged: what was wrong counts as mended" if awaited else "there was nothing to acknowledge here"
+        print(f"{self._name}: {text}", file=sys.stderr, flush=True)
 
     def _print_security(self) -> None:
         # A master that is refused tries again, and is refused again.
@@ -115,7 +123,8 @@ class SideWatch:
         if presses != self._ineffective_presses:
             self._ineffective_presses = presses
             if why is not None:
-                print(f"the clutch was pressed for nothing: {why}", file=sys.stderr, flush=True)
+                again = f"press anew by its button or kill -{self.SIGNALS['master', 'press']} {os.getpid()}"
+                print(f"the clutch was pressed for nothing: {why}; {again}", file=sys.stderr, flush=True)
             elif cause is not None:
                 self._print(f"the clutch does nothing yet: {cause.text}", cause)
         is_engaged = self._side.state == "engaged"
