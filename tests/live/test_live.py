@@ -160,6 +160,7 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
     assert master.process.returncode == 0, said
     trace = load(trace_path)
     held = trace["state"] == 4
+    assert "master: there was nothing to acknowledge here" in said
     assert np.count_nonzero(held) > 800, "the link was up again after 0.1 s, and it still held"
     begun = int(np.flatnonzero(held)[0])
     assert not trace["device_force"][begun + 120 :][held[begun + 120 :]].any()

@@ -154,6 +154,7 @@ def test_a_command_that_stood_still_while_it_loaded_couples_nobody() -> None:
         master.send_signal(signal.SIGINT)
         _, said = master.communicate(timeout=20.0)
         assert "the clutch was pressed for nothing: the start was more than 5 s ago" in said
+        assert f"press anew by its button or kill -USR1 {master.pid}" in said
     finally:
         master.kill()
         master.communicate()

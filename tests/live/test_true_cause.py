@@ -199,6 +199,7 @@ def test_a_fault_of_the_arm_is_shown_at_both_screens_with_what_to_do_in_order(
     # In that order it couples again.
     flag.unlink()
     slave.process.send_signal(signal.SIGUSR2)
+    assert slave.until("slave: acknowledged") == "slave: acknowledged: what was wrong counts as mended"
     time.sleep(0.5)
     master.process.send_signal(signal.SIGUSR1)
     time.sleep(1.0)
