@@ -119,7 +119,7 @@ class Bus:
         if self._load is not None:
             self._load.advance(now_s)
         for servo in self.servos:
-            servo.advance(now_s)
+            servo.move(now_s)
 
     def receive(self, received: bytes, now_s: float, baud: int | None = None) -> list[Answer]:
         """What the servos answer to bytes.

@@ -1,6 +1,7 @@
 """The process of an emulated bus: its pseudo-terminal and its clock; no other module has them."""
 
 import fcntl
+import gc
 import os
 import select
 import struct
@@ -104,6 +105,9 @@ class Server:
 
     def run(self, stopped: "Callable[[], bool]") -> None:
         """Serves until `stopped`."""
+        gc.collect()
+        # Objects of now live as long as the process: no collection need visit them.
+        gc.freeze()
         while not stopped():
             self._wait()
             now_s = time.monotonic()

@@ -26,6 +26,7 @@ FORMATS: Final = {(1, False): "B", (1, True): "b", (2, False): "H", (2, True): "
 """Of an entry, by its bytes and whether it is signed."""
 MEASURED: Final = struct.Struct("<HBBhhiiiiHB")
 """What stands at addresses 120 to 146 of every model."""
+SHOWN: Final = range(120, 147)
 
 
 class HardwareError(IntFlag):
@@ -94,6 +95,16 @@ class Servo:
             for item in model.table.items
             if item.name.startswith("Indirect Data ")
         }
+        self._indirect_from = min(self._indirect, default=len(self._memory))
+        self._is_changed = True
+        """Whether the table was written to since what follows was taken from it."""
+        self._driven: Drive | None = None
+        self._watchdog_s = 0.0
+        self._voltages = 0.0, 0.0
+        self._hottest_c = 0.0
+        self._moved_s = 0.0
+        self._is_shown = False
+        """Whether the table has what is measured now."""
         self._registered: tuple[int, bytes] | None = None
         self._silent_until_s = -float("inf")
         self._heard_s = 0.0
@@ -158,6 +169,8 @@ class Servo:
     def value(self, name: str) -> int:
         """An entry of its table."""
         unpack, address = self._decoded[name]
+        if not self._is_shown and address in SHOWN:
+            self._show(self._moved_s)
         return int(unpack(self._memory, address)[0])
 
     def figures(self) -> dict[str, Any]:
@@ -193,15 +206,17 @@ class Servo:
         self._show(now_s)
 
     def move(self, now_s: float) -> None:
-        """Moves on to a time, of which its table does not show what is measured."""
-        watchdog = self.model.table["Bus Watchdog"]
-        allowed_s = self.value("Bus Watchdog") * watchdog.scale
-        if self.torque and allowed_s > 0.0 and now_s - self._heard_s > allowed_s:
-            self.joint.advance(self._heard_s + allowed_s, self._drive())
-            self._set(watchdog, -1)
+        """Moves on to a time; its table shows what is measured when it is read."""
+        self._consult()
+        allowed_s = self._watchdog_s
+        if self._driven is not None and allowed_s > 0.0 and now_s - self._heard_s > allowed_s:
+            self.joint.advance(self._heard_s + allowed_s, self._driven)
+            self._set_named("Bus Watchdog", -1)
             self._stop()
         self._protect()
-        self.joint.advance(now_s, self._drive() if self.torque and self.is_listening(now_s) else None)
+        self._consult()
+        self.joint.advance(now_s, self._driven if now_s >= self._silent_until_s else None)
+        self._moved_s, self._is_shown = now_s, False
 
     def fail(self, error: HardwareError) -> None:
         """Has a hardware error, until it starts anew."""
@@ -232,11 +247,20 @@ class Servo:
         self._reset_loops()
 
     def _protect(self) -> None:
-        low, high = (self.value(f"{end} Voltage Limit") * 0.1 for end in ("Min", "Max"))
+        low, high = self._voltages
         if not low - 1e-9 <= self.voltage_v <= high + 1e-9:
             self.fail(HardwareError.INPUT_VOLTAGE)
-        if self.temperature_c > self.value("Temperature Limit"):
+        if self.temperature_c > self._hottest_c:
             self.fail(HardwareError.OVERHEATING)
+
+    def _consult(self) -> None:
+        """Takes from the table what each step needs, where it was written to."""
+        if self._is_changed:
+            self._is_changed = False
+            self._driven = self._drive()
+            self._watchdog_s = self._scaled("Bus Watchdog")
+            self._voltages = 0.1 * self.value("Min Voltage Limit"), 0.1 * self.value("Max Voltage Limit")
+            self._hottest_c = self.value("Temperature Limit")
 
     def _drive(self) -> Drive | None:
         if not self.torque:
@@ -271,6 +295,10 @@ class Servo:
             return ErrorNumber.DATA_LENGTH, b""
         if address + length > len(self._memory) or address not in self.model.table.by_address:
             return ErrorNumber.ACCESS, b""
+        if not self._is_shown:
+            self._show(self._moved_s)
+        if address + length <= self._indirect_from:
+            return ErrorNumber.NONE, bytes(self._memory[address : address + length])
         return ErrorNumber.NONE, bytes(self._memory[self._target(at)] for at in range(address, address + length))
 
     def write(self, address: int, written: bytes, now_s: float) -> ErrorNumber:
@@ -392,6 +420,7 @@ class Servo:
     def _wrap(self) -> None:
         """Forgets whole turns: the encoder knows one."""
         self._offset_turns = -(self._raw_ticks() // TICKS_PER_TURN)
+        self._is_changed = True
 
     def _goal_rad(self) -> float:
         ticks = self.value("Goal Position") - self.value("Homing Offset") - TICKS_PER_TURN * self._offset_turns
@@ -399,6 +428,7 @@ class Servo:
 
     def _show(self, now_s: float) -> None:
         """Writes what is measured into the table, from Realtime Tick to Present Temperature."""
+        self._is_shown = True
         joint, sign = self.joint, self._sign
         velocity, position, goal = (
             round(sign * joint.velocity_rad_s / RAD_S_PER_UNIT), self._ticks(), self.value("Goal Position")
@@ -430,6 +460,7 @@ class Servo:
         low = -(1 << (8 * item.size - 1)) if item.signed else 0
         high = (1 << (8 * item.size - item.signed)) - 1
         self._memory[item.address : item.address + item.size] = item.encoded(min(max(value, low), high))
+        self._is_changed = True
 
 
 def _word(value: float) -> int:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.robot.contact import ToolEnvironment, WrenchSensing
     from haptether.slave.ur_emulator.robot.safety import SafetyLimits
     from haptether.slave.ur_emulator.rtde.variables import ControllerVersion
-    from haptether.slave.ur_emulator.server import Server, realtime
+    from haptether.slave.ur_emulator.server import Server
 
 _MODULES = {
     "ControlLine": "control",
@@ -25,7 +25,6 @@ _MODULES = {
     "Server": "server",
     "ToolEnvironment": "robot.contact",
     "WrenchSensing": "robot.contact",
-    "realtime": "server",
 }
 
 __all__ = [
@@ -41,7 +40,6 @@ __all__ = [
     "Server",
     "ToolEnvironment",
     "WrenchSensing",
-    "realtime",
 ]
 
 

@@ -1,13 +1,11 @@
-"""The process of an emulated controller: its sockets, its clock and its scheduling; no other module has them."""
+"""The process of an emulated controller: its sockets and its clock; no other module has them."""
 
-import contextlib
 import gc
-import os
 import select
 import socket
 import time
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Final, Literal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
 
 from haptether.slave.ur_emulator.connections import GRIPPER_PORT, PORTS, Outbox, Peer, PeerFactory
 
@@ -29,8 +27,6 @@ MAX_PACKAGE_AGE_S: Final = 0.02
 """Age of a state above which it is skipped for a newer one: a stall of the machine costs packages."""
 MAX_CATCH_UP_S: Final = 0.5
 """Time that is made up for after a stall."""
-PRIORITY: Final = 80
-"""Under SCHED_FIFO: that of a bridge, so that a client that spins cannot hold the controller up."""
 
 
 class Connection:
@@ -297,29 +293,3 @@ def _listen(host: str, port: int) -> socket.socket:
         raise OSError(message) from None
     listening.setblocking(False)
     return listening
-
-
-@contextlib.contextmanager
-def realtime(wanted: Literal["auto", "off", "require"]) -> Iterator[str]:
-    """Runs under SCHED_FIFO where the system grants it, until the end; yields what was granted, for the screen.
-
-    Raises:
-        OSError: It is required and was not granted.
-    """
-    if wanted == "off":
-        yield "not asked for"
-        return
-    try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    except (OSError, AttributeError) as error:
-        reason = getattr(error, "strerror", None) or "this system has no SCHED_FIFO"
-        if wanted == "require":
-            message = f"real time: not granted: {reason}"
-            raise OSError(message) from None
-        yield f"not granted: {reason}"
-        return
-    try:
-        yield f"SCHED_FIFO {PRIORITY}"
-    finally:
-        os.sched_setscheduler(0, *before)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -55,6 +55,8 @@ class DynamixelEmulator:
     """Seed of which bytes are lost or wrong."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
     """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    realtime: Literal["auto", "off", "require"] = "auto"
+    """Ask for SCHED_FIFO and go on without (auto), do not ask (off), or fail without (require)."""
     duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """End after this time in s; without it, run until Ctrl-C."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -70,6 +72,7 @@ class DynamixelEmulator:
         from haptether.cli.shared.stop import Stopped
         from haptether.control_channel import ControlChannel
         from haptether.dynamixel.emulator import Bus, ControlLine, Server
+        from haptether.realtime import realtime
 
         check_duration("duration_s", self.duration_s)
         check_target(self.json)
@@ -95,11 +98,13 @@ class DynamixelEmulator:
                     except OverflowError:
                         message = f"control = {self.control}: the port must be 0 to 65535"
                         raise ValueError(message) from None
-                # Whoever started this process reads the line to learn which port it is.
-                stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
-                controlled = "" if channel is None else f", controlled by {channel.address}"
-                print(f"{self._headline(server)}{controlled}", file=stream, flush=True)
-                server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
+                with realtime(self.realtime) as granted:
+                    # Whoever started this process reads the line to learn which port it is.
+                    stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
+                    controlled = "" if channel is None else f", controlled by {channel.address}"
+                    headline = f"{self._headline(server)}{controlled}, real time: {granted}"
+                    print(headline, file=stream, flush=True)
+                    server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
             finally:
                 figures = line.status(time.monotonic())
                 server.close()

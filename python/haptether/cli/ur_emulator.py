@@ -88,7 +88,8 @@ class UrEmulator:
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_json
         from haptether.cli.shared.stop import Stopped
         from haptether.control_channel import ControlChannel
-        from haptether.slave.ur_emulator import ControlLine, Faults, Server, realtime
+        from haptether.realtime import realtime
+        from haptether.slave.ur_emulator import ControlLine, Faults, Server
 
         check_duration("duration_s", self.duration_s)
         if not 0 <= self.seed < 2**64:
