@@ -6,6 +6,7 @@ from haptether.dynamixel.emulator.joint import HeldBy, Joint, JointSettings
 from haptether.dynamixel.emulator.load import ArmLoad, servos_of
 from haptether.dynamixel.emulator.server import Server
 from haptether.dynamixel.emulator.servo import HardwareError, Servo
+from haptether.dynamixel.emulator.tcp import TcpLine
 
 __all__ = [
     "Answer",
@@ -19,5 +20,6 @@ __all__ = [
     "JointSettings",
     "Server",
     "Servo",
+    "TcpLine",
     "servos_of",
 ]

@@ -1,4 +1,4 @@
-"""The process of an emulated bus: its pseudo-terminal and its clock; no other module has them."""
+"""The process of an emulated bus: its pseudo-terminal, its TCP port and its clock."""
 
 import fcntl
 import gc
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from haptether.control_channel import ControlChannel
     from haptether.dynamixel.emulator.bus import Bus
+    from haptether.dynamixel.emulator.tcp import TcpLine
 
 RECEIVE: Final = 4096
 WATCH_S: Final = 0.01
@@ -37,6 +38,7 @@ class Server:
             the return delay of each servo says; without it they come at once.
         latency_s: Of the adapter's latency timer, added to each answer.
         any_rate: Have servos understand every rate of the client.
+        tcp: A second way to the same bus.
 
     Raises:
         OSError: No terminal, or a link that cannot be made.
@@ -51,6 +53,7 @@ class Server:
         wire_time: bool = False,
         latency_s: float = 0.0,
         any_rate: bool = False,
+        tcp: "TcpLine | None" = None,
     ) -> None:
         if not 0.0 <= latency_s <= 1.0:
             message = f"latency_s = {latency_s:g}: must be 0 to 1 s"
@@ -64,8 +67,10 @@ class Server:
         self._wire_time = wire_time
         self._latency_s = latency_s
         self._any_rate = any_rate
+        self._tcp = tcp
         self._descriptors: tuple[int, int] | None = None
-        self._due: list[tuple[float, bytes]] = []
+        self._due: list[tuple[float, bytes, Callable[[bytes], int]]] = []
+        """When, what, and to whom."""
         self._free_s = 0.0
         """When the line is free of what was on it before."""
         self._lost_bytes = 0
@@ -87,6 +92,8 @@ class Server:
                 os.close(terminal)
                 raise
             self._descriptors = adapter, terminal
+            if self._tcp is not None:
+                self._tcp.is_plugged = True
         return str(self._link or self.port)
 
     def unplug(self) -> None:
@@ -96,12 +103,16 @@ class Server:
                 os.close(descriptor)
             self._descriptors = self.port = None
             self._due = []
+            if self._tcp is not None:
+                self._tcp.is_plugged = False
+                self._tcp.hang_up()
             if self._link is not None:
                 self._link.unlink(missing_ok=True)
 
     def figures(self) -> dict[str, Any]:
         """The terminal, for `status`."""
-        return {"port": self.port, "baud": self._client_baud(), "lost_bytes": self._lost_bytes}
+        tcp = None if self._tcp is None else self._tcp.address
+        return {"port": self.port, "baud": self._client_baud(), "tcp": tcp, "lost_bytes": self._lost_bytes}
 
     def run(self, stopped: "Callable[[], bool]") -> None:
         """Serves until `stopped`."""
@@ -115,17 +126,23 @@ class Server:
             self.bus.advance(now_s)
 
     def close(self) -> None:
-        """Takes terminal and link away."""
+        """Takes terminal, link and port away."""
         self.unplug()
+        if self._tcp is not None:
+            self._tcp.close()
 
     def _wait(self) -> None:
         channel = self.channel.readers() if self.channel is not None else []
-        own = [] if self._descriptors is None else [self._descriptors[0]]
+        terminal = [] if self._descriptors is None else [self._descriptors[0]]
+        tcp = [] if self._tcp is None else self._tcp.readers()
         now_s = time.monotonic()
-        until_s = min([now_s + WATCH_S, *(due for due, _ in self._due)])
-        readable, _, _ = select.select([*channel, *own], [], [], max(0.0, until_s - now_s))
+        until_s = min([now_s + WATCH_S, *(due for due, *_ in self._due)])
+        readable, _, _ = select.select([*channel, *terminal, *tcp], [], [], max(0.0, until_s - now_s))
         for descriptor in readable:
-            if descriptor not in own:
+            if self._tcp is not None and descriptor in tcp:
+                received = self._tcp.read(descriptor)
+                self._take(received, self._tcp.baud, self._tcp.write, understood=True)
+            elif descriptor not in terminal:
                 if self.channel is not None:
                     self.channel.serve(descriptor)
             elif self._descriptors is not None and descriptor == self._descriptors[0]:
@@ -137,30 +154,37 @@ class Server:
             received = os.read(descriptor, RECEIVE)
         except OSError:
             return
+        self._take(received, self._client_baud(), self._write, understood=self._any_rate)
+
+    def _take(self, received: bytes, baud: int | None, write: "Callable[[bytes], int]", *, understood: bool) -> None:
+        """Hands bytes of a client to the servos, and queues what they answer it."""
+        if not received:
+            return
         now_s = time.monotonic()
-        baud = self._client_baud()
-        answers = self.bus.receive(received, now_s, None if self._any_rate else baud)
+        answers = self.bus.receive(received, now_s, None if understood else baud)
         end_s = now_s
         if self._wire_time and baud:
             end_s = max(now_s, self._free_s) + BITS_PER_BYTE * len(received) / baud
         for answer in answers:
             if self._wire_time and baud:
                 end_s += answer.delay_s + BITS_PER_BYTE * len(answer.sent) / baud
-            self._due.append((end_s + self._latency_s, answer.sent))
+            self._due.append((end_s + self._latency_s, answer.sent, write))
         self._free_s = end_s
         self._send(time.monotonic())
 
     def _send(self, now_s: float) -> None:
-        if self._descriptors is None:
-            return
         while self._due and self._due[0][0] <= now_s:
-            _, sent = self._due.pop(0)
-            try:
-                written = os.write(self._descriptors[0], sent)
-            except BlockingIOError:
-                written = 0
+            _, sent, write = self._due.pop(0)
             # A client that does not read loses what does not fit, as an adapter does.
-            self._lost_bytes += len(sent) - written
+            self._lost_bytes += len(sent) - write(sent)
+
+    def _write(self, sent: bytes) -> int:
+        if self._descriptors is None:
+            return 0
+        try:
+            return os.write(self._descriptors[0], sent)
+        except BlockingIOError:
+            return 0
 
     def _client_baud(self) -> int | None:
         if self._descriptors is None:

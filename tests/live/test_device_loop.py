@@ -240,7 +240,7 @@ def test_a_velocity_is_in_every_sample_or_in_none(first: float | None, then: flo
     assert loop.step(0.0, first) is not None
     # What a device says beside a fault is not known.
     assert loop.step(0.0, then, fault="unplugged") is not None
-    with pytest.raises(TypeError, match="velocity is .* must be in every sample or in none"):
+    with pytest.raises(TypeError, match=r"velocity is .* must be in every sample or in none"):
         loop.step(0.0, then)
     loop.stop()
     loop.finish()

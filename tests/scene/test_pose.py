@@ -381,7 +381,11 @@ REFUSED = [
     ("torque_release", "safety.rotation.controllers=[vfc, vfc]", "[safety.rotation] controllers = "),
     ("felt_trigger", "safety.gripper.controllers=[wsc, wsc]", "[safety.gripper] controllers = "),
     ("felt_trigger", "master.gripper.encoder_quantum=0.5", "must be at most travel_m"),
-    ("peg_in_hole", "environment.holes.0.chamfer_m=0.5", "[environment.holes.0] chamfer_m = 0.5: must be at most depth"),
+    (
+        "peg_in_hole",
+        "environment.holes.0.chamfer_m=0.5",
+        "holes.0] chamfer_m = 0.5: must be at most depth",
+    ),
     # Its world.
     (
         "torque_release",

@@ -25,6 +25,8 @@ class DynamixelEmulator:
     haptether dynamixel-emulator --arm gello-ur --control 127.0.0.1:7001
 
     haptether dynamixel-emulator --link /tmp/leader --baud 1000000 --wire-time --control -
+
+    haptether dynamixel-emulator --tcp 127.0.0.1:7000
     """
 
     servos: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=MODEL")] = (
@@ -51,6 +53,8 @@ class DynamixelEmulator:
     """Latency timer of the adapter, in ms: 16 is what many have out of the box."""
     link: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """A symbolic link to the terminal, which stays the same when it is unplugged and plugged."""
+    tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """The same bus over TCP besides, raw bytes for one client at a time; port 0 is any free one."""
     seed: int = 0
     """Seed of which bytes are lost or wrong."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
@@ -71,7 +75,7 @@ class DynamixelEmulator:
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
         from haptether.cli.shared.stop import Stopped
         from haptether.control_channel import ControlChannel
-        from haptether.dynamixel.emulator import Bus, ControlLine, Server
+        from haptether.dynamixel.emulator import Bus, ControlLine, Server, TcpLine
         from haptether.realtime import realtime
 
         check_duration("duration_s", self.duration_s)
@@ -84,8 +88,14 @@ class DynamixelEmulator:
             raise ValueError(message)
         servos, load = self._servos()
         bus = Bus(servos, self.seed, load)
+        tcp = None if self.tcp is None else TcpLine(self.tcp, self.baud)
         server = Server(
-            bus, link=self.link, wire_time=self.wire_time, latency_s=1e-3 * self.latency_ms, any_rate=self.any_rate
+            bus,
+            link=self.link,
+            wire_time=self.wire_time,
+            latency_s=1e-3 * self.latency_ms,
+            any_rate=self.any_rate,
+            tcp=tcp,
         )
         line = ControlLine(bus, server)
         end_s = time.monotonic() + (self.duration_s if self.duration_s is not None else float("inf"))
@@ -101,8 +111,9 @@ class DynamixelEmulator:
                 with realtime(self.realtime) as granted:
                     # Whoever started this process reads the line to learn which port it is.
                     stream = sys.stderr if table_goes_to_stderr(self.json) else sys.stdout
+                    reached = "" if tcp is None else f", TCP {tcp.address}"
                     controlled = "" if channel is None else f", controlled by {channel.address}"
-                    headline = f"{self._headline(server)}{controlled}, real time: {granted}"
+                    headline = f"{self._headline(server)}{reached}{controlled}, real time: {granted}"
                     print(headline, file=stream, flush=True)
                     server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)
             finally:
