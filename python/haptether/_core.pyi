@@ -26,6 +26,8 @@ __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
     "OBSERVERS",
+    "PRESS_S",
+    "ROUND_TRIP_S",
     "DeviceModel",
     "DirectionStatistics",
     "DynamixelBus",
@@ -94,6 +96,10 @@ _Rows: TypeAlias = tuple[Sequence[float], Sequence[float], Sequence[float], Sequ
 
 __version__: str
 
+PRESS_S: float
+"""For how long in s a press of the clutch counts, and waits in ALIGNING."""
+ROUND_TRIP_S: float
+"""What of `PRESS_S` a press takes over the slowest link, besides a turn: 500 ms each way."""
 CONTROLLERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety controller, in the order of the bits of `tripped`."""
 OBSERVERS: tuple[tuple[str, str, str], ...]

@@ -59,7 +59,8 @@ _bit = Annotated[int, Meta(ge=0, le=31)]
 class ButtonsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[master.buttons]`: what the buttons of a driven device do, each by its bit of `MasterSample.buttons`, 0 to 31.
 
-    With this table nothing but a press engages: neither the start nor a signal closes a clutch that a button works.
+    With this table nothing but a press engages: neither the start nor a signal closes a clutch that a button works. In
+    virtual time, where nobody presses, `[operator]` works clutch and gripper all the same.
     """
 
     clutch: _bit | None = None
