@@ -113,8 +113,7 @@ class ServoArm:
         self._read: SyncRead
         self._status = SyncRead(TORQUE_ENABLE, 7, list(self._members))
         self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
-        self._ramp = 0.0
-        self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
+        self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = 0.0
         self._fault: ArmFaultError | None = None
         self._connecting = threading.Lock()
         """Held by whoever opens or recovers: `close` may come from another thread meanwhile."""
