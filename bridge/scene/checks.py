@@ -191,7 +191,7 @@ def _felt_trigger(scene: Scene) -> Iterator[SceneError]:
         )
 
 
-AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 6, 7), "pose": (3,)}
+AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 4, 5, 6, 7), "pose": (3,)}
 
 
 def _kind(scene: Scene) -> Iterator[SceneError]:

@@ -4,7 +4,7 @@ Units are SI, angles in rad; a positive force pushes the device along +x. Arrays
 shape `(n_ticks, axes)`, for one axis also `(n_ticks,)`, and must hold float64; results have the shape
 of the first argument, and one number per tick the shape `(n_ticks,)`. Strides do not matter. One sample
 is a float for one axis, else a sequence of `axes` floats; it comes back as an array of shape `(axes,)`.
-Devices have 1, 2, 3, 6 or 7 axes.
+Devices have 1 to 7 axes.
 
 What every call refuses: another shape, length or range with `ValueError`, which says what was seen and
 what is allowed; another type, an array of another dtype among them, with `TypeError`; a negative
@@ -120,7 +120,7 @@ class DeviceModel:
         mass_kg: m in kg, above 0; one value serves all axes.
         viscous: b in N s/m, of any sign; the paper's device has b = -0.005.
         coulomb: c in N, 0 or more.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A parameter outside its range, values of another number than `axes`, or no such `axes`.
@@ -257,7 +257,7 @@ class Estimator:
     Args:
         kind: Which estimator; without it the default of `EstimatorKind`.
         period_s: dT in s, above 0.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A parameter of `kind` or `period_s` outside its range, or no such `axes`.
@@ -328,7 +328,7 @@ class VelocityForceObserver:
         velocity_threshold: V_t in m/s, above 0.
         force_threshold_n: F_t in N, above 0.
         form: Which reading of Eq. 1.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A threshold outside its range, no such `form` or no such `axes`.
@@ -375,7 +375,7 @@ class HandGraspObserver:
 
     Args:
         grasp_floor_n: alpha in N, above 0.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: alpha outside its range or no such `axes`.
@@ -517,7 +517,7 @@ class PassivityObserver:
     it took. Force times displacement is the exact work of a force that is held over a tick.
 
     Args:
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: No such `axes`.
@@ -785,7 +785,7 @@ class Limiter:
     Args:
         settings: Bounds; without them the defaults of `LimiterSettings`.
         period_s: dT in s, above 0.
-        axes: 1, 2, 3, 6 or 7.
+        axes: 1 to 7.
 
     Raises:
         ValueError: A bound or `period_s` outside its range, or no such `axes`.

@@ -63,10 +63,11 @@ class DynamixelSlave:
         """A command that was not obeyed; the arm holds its joints where they are."""
         self._shown: str | None = None
         self._read_s = self._written_s = 0.0
+        self._is_measured = False
 
     def open(self) -> None:
         """Goes through the checklist; then the arm takes up its own weight where it stands."""
-        self._goal, self._led, self._refused = None, False, None
+        self._goal, self._led, self._refused, self._is_measured = None, False, None, False
         self._arm.open()
         self._torque.reset()
         self._read_s = self._written_s = time.monotonic()
@@ -74,6 +75,9 @@ class DynamixelSlave:
     def read(self) -> SlaveSample:
         """The newest sample; where a read fails it is asked again, until there is one or a fault."""
         arm = self._arm
+        if not self._is_measured:
+            arm.reopen_if_late()
+            self._is_measured = True
         fresh = arm.read()
         while not fresh and arm.fault is None:
             fresh = arm.read()

@@ -264,7 +264,7 @@ def explained(tmp_path: Path, capsys: pytest.CaptureFixture[str], body: bytes, *
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize("axes", [1, 2, 3, 6, 7])
+@pytest.mark.parametrize("axes", [1, 2, 3, 4, 5, 6, 7])
 def test_explain_names_trips_and_cuts_no_number(
     axes: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -116,7 +116,7 @@ class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """What the coordinates are: "linear" (1 to 3 axes), "joints" (1 to 7) or "pose" (3 axes and an orientation); by
     default "linear" up to 3 axes, else "joints"."""
     axes: Axis = 1
-    """Number of axes: 1, 2, 3, 6 or 7."""
+    """Number of axes: 1 to 7."""
     mass_kg: PositivePerAxis | None = None
     """m in kg, above 0."""
     viscous: PerAxis | None = None
