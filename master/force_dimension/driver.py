@@ -172,9 +172,8 @@ class ForceDimension(VendorDevice[Session]):
     def _halt(self, session: Session) -> None:
         self._trigger_n = 0.0
         session.force = session.torque = REST
-        exerted, session.exerts = session.exerts, False
-        if exerted:
-            _stop(session.device, watchdog=session.found.watchdog)
+        if session.exerts:
+            session.exerts = not _stop(session.device, watchdog=session.found.watchdog)
 
     def _release(self, session: Session) -> None:
         self._trigger_n = 0.0
@@ -188,13 +187,17 @@ class ForceDimension(VendorDevice[Session]):
             session.device.call("dhdClose")
 
 
-def _stop(device: Dhd, *, watchdog: bool) -> None:
-    """Ends all force: the motors brake, so that it does not fall."""
-    with contextlib.suppress(DhdError):
+def _stop(device: Dhd, *, watchdog: bool) -> bool:
+    """Ends all force: the motors brake, so that it does not fall. Returns whether the device took it."""
+    try:
         device.call("dhdStop")
+    except DhdError:
+        # Its watchdog stays armed, which ends the force in its stead.
+        return False
     if watchdog:
         with contextlib.suppress(DhdError):
             device.call("dhdSetWatchdog", 0)
+    return True
 
 
 def _close(device: Dhd) -> None:

@@ -13,6 +13,8 @@ from haptether.master.device import MasterSample
 Session = TypeVar("Session")
 REST: Final = (0.0, 0.0, 0.0)
 JOIN_S: Final = 3.0
+HALTS: Final = 20
+"""So often a device that does not answer is told to end its force."""
 
 
 class LostError(Exception):
@@ -45,6 +47,7 @@ class VendorDevice(ABC, Generic[Session]):
         self._session: Session | None = None
         self._lost: Session | None = None
         """One that does not answer any more and has to be released yet."""
+        self._halts = 0
         self._sample: MasterSample | None = None
         self._fresh = False
         """Whether the newest sample is of this tick and nothing is wrong: only then a force is exerted."""
@@ -87,7 +90,7 @@ class VendorDevice(ABC, Generic[Session]):
 
     @abstractmethod
     def _halt(self, session: Session) -> None:
-        """Ends all force, now and until the next `_exert`; does not raise."""
+        """Ends all force, now and until the next `_exert`; does not raise. Called again, it tries what failed before."""
 
     @abstractmethod
     def _release(self, session: Session) -> None:
@@ -159,6 +162,10 @@ class VendorDevice(ABC, Generic[Session]):
         self._take_reopened()
         session = self._session
         if session is None:
+            if self._lost is not None and self._halts < HALTS:
+                # It may be back by now, and exert what it was told last.
+                self._halts += 1
+                self._halt(self._lost)
             if self.paces:
                 # Nobody else waits.
                 time.sleep(self.period_s or 1e-3)
@@ -186,7 +193,7 @@ class VendorDevice(ABC, Generic[Session]):
     def _lose(self, fault: str) -> None:
         self._latch(f"{fault}: acknowledge to open it anew", anew=True)
         # Closing it may take its time.
-        self._lost, self._session = self._session, None
+        self._lost, self._session, self._halts = self._session, None, 0
 
     def _take_lost(self) -> Session | None:
         session, self._lost = self._lost, None

@@ -1,8 +1,8 @@
 /* What both stand-ins share: numbers that a test sets and gets by name, a log of calls, and a clock.
  *
  * A function that a loop calls at each tick stands in the log once between two others. STANDIN_LOG names a file that gets
- * the same, STANDIN_SET sets numbers at the begin ("type=35;buttons=1"), STANDIN_AFTER some time after the first force
- * ("0.5:connected=0").
+ * the same, STANDIN_SET sets numbers at the begin ("type=35;buttons=1"), STANDIN_AFTER some time after the device was
+ * opened first ("0.5:hand_x=0.01|2:connected=0").
  */
 #ifndef STANDIN_H
 #define STANDIN_H
@@ -25,7 +25,7 @@ static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static number numbers[NUMBERS];
 static char calls[LOG_SIZE];
 static char seen_in_tick[LOG_SIZE];
-static double first_force_s = -1.0;
+static double opened_s = -1.0;
 
 static double now_s(void) {
     struct timespec now;
@@ -89,10 +89,15 @@ static void set_all(const char *text) {
 static void after_some_time(void) {
     static int done = 0;
     const char *text = getenv("STANDIN_AFTER");
-    if (!text || done || first_force_s < 0.0 || now_s() < first_force_s + atof(text)) return;
-    done = 1;
-    const char *colon = strchr(text, ':');
-    if (colon) set_all(colon + 1);
+    if (!text || opened_s < 0.0) return;
+    /* The one after those that are done. */
+    for (int i = 0; i < done && text; i++) text = strchr(text, '|') ? strchr(text, '|') + 1 : NULL;
+    if (!text || now_s() < opened_s + atof(text)) return;
+    done++;
+    char part[256];
+    snprintf(part, sizeof part, "%s", strchr(text, ':') + 1);
+    part[strcspn(part, "|")] = 0;
+    set_all(part);
 }
 
 static void defaults(void);
@@ -100,7 +105,7 @@ static void defaults(void);
 static void set_defaults(void) {
     for (int i = 0; i < NUMBERS; i++) numbers[i].value = 0.0;
     calls[0] = seen_in_tick[0] = 0;
-    first_force_s = -1.0;
+    opened_s = -1.0;
     defaults();
     if (getenv("STANDIN_SET")) set_all(getenv("STANDIN_SET"));
 }

@@ -23,7 +23,7 @@ static char failing[64];
 static int failures, failure_error;
 
 static void defaults(void) {
-    set_all("devices=1;type=35;serial=1234;power=1;connected=1;started=1;wrist_started=1;mass=0.2;hand_k=200;hand_b=8;"
+    set_all("devices=1;type=35;watchdog_slack=1;serial=1234;power=1;connected=1;started=1;wrist_started=1;mass=0.2;hand_k=200;hand_b=8;"
             "watchdog_there=1;fastest=2;finger_k=200;finger=0.03;gap_mass=0.05;qw=1;base_angle=0.7");
     memset(position, 0, sizeof position);
     memset(velocity, 0, sizeof velocity);
@@ -55,7 +55,7 @@ static void advance(void) {
     if (now - advanced_s > 1.0) advanced_s = now - 1.0;
     const char *axes[3] = {"hand_x", "hand_y", "hand_z"};
     for (; advanced_s + STEP_S <= now; advanced_s += STEP_S) {
-        double watchdog_s = 125e-6 * N("watchdog");
+        double watchdog_s = 125e-6 * N("watchdog") * N("watchdog_slack");
         if (N("force") && watchdog_s > 0.0 && advanced_s - last_force_s > watchdog_s) off(3);
         if (N("force") && N("force_button")) off(1);
         double speed = sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]);
@@ -125,6 +125,7 @@ static int open_device(void) {
     if (N("in_use")) return fail(20);
     if (!N("connected")) return fail(5);
     N("open") += 1;
+    if (opened_s < 0.0) opened_s = now_s();
     return 0;
 }
 int dhdOpenID(char id) {
@@ -276,7 +277,6 @@ static int set_wrench(const double wrench[7]) {
     if (sqrt(norm) > N("largest")) N("largest") = sqrt(norm);
     compensation = N("gravity") ? N("weight_kg") * GRAVITY : 0.0;
     last_force_s = now_s();
-    if (first_force_s < 0.0 && norm > 0.0) first_force_s = last_force_s;
     return N("saturated") ? 2 : 0;
 }
 int dhdSetForce(double fx, double fy, double fz, char id) {

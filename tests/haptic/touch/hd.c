@@ -117,6 +117,7 @@ unsigned hdInitDevice(const char *name) {
         handle = 0xFFFFFFFFu;
     } else {
         N("open") += 1;
+        if (opened_s < 0.0) opened_s = now_s();
     }
     pthread_mutex_unlock(&lock);
     return handle;
@@ -151,7 +152,6 @@ void hdEndFrame(unsigned device) {
     if (!in_frame) push(0x401);
     in_frame = 0;
     memcpy(exerted, requested, sizeof exerted);
-    if (first_force_s < 0.0 && (exerted[0] || exerted[1] || exerted[2])) first_force_s = now_s();
     pthread_mutex_unlock(&lock);
 }
 void hdEnable(unsigned what) {
