@@ -90,7 +90,7 @@ class VendorDevice(ABC, Generic[Session]):
 
     @abstractmethod
     def _halt(self, session: Session) -> None:
-        """Ends all force, now and until the next `_exert`; does not raise. Called again, it tries what failed before."""
+        """Ends all force, now and until the next `_exert`; does not raise. Called again, it tries what has failed."""
 
     @abstractmethod
     def _release(self, session: Session) -> None:

@@ -55,3 +55,18 @@ def built(source: str, folder: Path, *flags: str) -> Path:
     ended = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_S, check=False)
     assert ended.returncode == 0, ended.stderr
     return target
+
+
+class Failing:
+    """What leads a driver with a force, and fails after so many ticks."""
+
+    def __init__(self, force: tuple[float, ...], ticks: int) -> None:
+        self._force = force
+        self._left = ticks
+
+    def step(self, sample: object, at_s: float) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002
+        self._left -= 1
+        if self._left < 0:
+            message = "out of tune"
+            raise RuntimeError(message)
+        return (self._force,)

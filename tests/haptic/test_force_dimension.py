@@ -1,4 +1,4 @@
-"""The driver of Force Dimension devices against a stand-in of the vendor's SDK: calls, frames, units, forces, faults."""
+"""The driver of Force Dimension devices against a stand-in of the SDK: calls, frames, units, forces, faults."""
 
 import math
 import time
@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.haptic.standins import Standin, built
+from tests.haptic.standins import Failing, Standin, built
 
 from haptether.bridge import load_master
+from haptether.bridge.devices.standalone import StandaloneRun, wait_until
 from haptether.checklist import RefusedError
 from haptether.master import MasterSample
 from haptether.master.force_dimension import ForceDimension
@@ -396,11 +397,11 @@ def test_a_fault_that_nobody_has_seen_is_not_acknowledged(dhd: Standin) -> None:
         assert driver.read().fault is None
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_it_is_closed_after_whatever_ended_its_loop(dhd: Standin, error: type[BaseException]) -> None:
-    with pytest.raises(error), opened(dhd) as driver:
-        step(driver, (1.0, 0.0, 0.0), 3)
-        raise error
+def test_it_is_closed_without_force_after_an_exception_of_its_loop(dhd: Standin) -> None:
+    run = StandaloneRun(ForceDimension(library=str(dhd.path), **SLOW), Failing((1.0, 0.0, 0.0), 50))
+    assert wait_until(lambda: run.finished, 20.0)
+    assert (run.rests, "out of tune" in str(run.error)) == (True, True)
+    assert dhd.get("largest") == 1.0
     assert dhd.calls()[-1] == "dhdClose()"
     assert (dhd.force(), dhd.get("open")) == (REST, 0)
 

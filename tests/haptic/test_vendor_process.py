@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pytest
@@ -26,8 +27,13 @@ MOVES_S = 2.0
 # A wall of 100 N/m begins where the two sides engage.
 SCENE = """
 schema = 1
-master = { driver = "DRIVER", mass_kg = 0.2, max_force_n = 3.0, options = { library = "LIBRARY", axes = AXES, PATIENT } }
-slave = { control = "position" }
+[master]
+driver = "DRIVER"
+mass_kg = 0.2
+max_force_n = 3.0
+options = { library = "LIBRARY", axes = AXES, PATIENT }
+[slave]
+control = "position"
 [[environment.objects]]
 contact = { stiffness = 100.0 }
 [safety]
@@ -112,7 +118,7 @@ class Pair:
             env=here, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
 
-    def __enter__(self) -> "Pair":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -192,7 +198,7 @@ def test_an_unplugged_device_is_a_fault_of_the_run_and_is_closed(
 
 @pytest.mark.parametrize("driver", SOURCES)
 def test_nothing_of_ours_outlives_a_kill(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
-    """What ends the force then is the controller's watchdog, armed with the first force, or the vendor's thread's end."""
+    """What ends the force then is the controller's watchdog, armed with the first force, or the vendor's driver."""
     with Pair(driver, libraries[driver], tmp_path, duration_s=None, **hand(driver)) as pair:
         until_in_log(tmp_path, {"force-dimension": "dhdSetWatchdog(254)", "touch": "hdStartScheduler()"}[driver])
         time.sleep(MOVES_S + 0.5)
