@@ -178,13 +178,11 @@ class ForceDimension(VendorDevice[Session]):
     def _release(self, session: Session) -> None:
         self._trigger_n = 0.0
         session.force = session.torque = REST
-        if session.exerts:
-            with contextlib.suppress(DhdError):
+        with contextlib.suppress(Exception):
+            if session.exerts:
                 self._send(session)
-            session.exerts = False
-        _stop(session.device, watchdog=session.found.watchdog)
-        with contextlib.suppress(DhdError):
-            session.device.call("dhdClose")
+        session.exerts = False
+        _close(session.device, watchdog=session.found.watchdog)
 
 
 def _stop(device: Dhd, *, watchdog: bool) -> bool:
@@ -200,8 +198,9 @@ def _stop(device: Dhd, *, watchdog: bool) -> bool:
     return True
 
 
-def _close(device: Dhd) -> None:
-    _stop(device, watchdog=False)
+def _close(device: Dhd, *, watchdog: bool = False) -> None:
+    with contextlib.suppress(Exception):
+        _stop(device, watchdog=watchdog)
     with contextlib.suppress(DhdError):
         device.call("dhdClose")
 

@@ -1,5 +1,6 @@
 """The driver of a 3D Systems Touch: `touch`."""
 
+import contextlib
 import math
 import sys
 import time
@@ -159,13 +160,15 @@ class Touch(VendorDevice[Session]):
 
 
 def _close(library: CDLL, handle: int, callback: HdCallback | None, scheduled: int | None) -> None:
-    """Ends the force and the scheduler and closes the device."""
-    if callback is not None and scheduled is not None:
-        # Its last frame, where it still has one; else none is needed.
-        callback.end(END_S)
-        library.hdUnschedule(scheduled)
-        library.hdStopScheduler()
-    library.hdMakeCurrentDevice(handle)
-    library.hdDisable(FORCE_OUTPUT)
-    library.hdDisableDevice(handle)
-    first_error(library)
+    """Ends the force and the scheduler and closes the device; each step whatever the one before has raised."""
+    with contextlib.ExitStack() as steps:
+        # From the last to the first.
+        steps.callback(first_error, library)
+        steps.callback(library.hdDisableDevice, handle)
+        steps.callback(library.hdDisable, FORCE_OUTPUT)
+        steps.callback(library.hdMakeCurrentDevice, handle)
+        if callback is not None and scheduled is not None:
+            steps.callback(library.hdStopScheduler)
+            steps.callback(library.hdUnschedule, scheduled)
+            # Its last frame, where it still has one.
+            steps.callback(callback.end, END_S)

@@ -205,7 +205,7 @@ class VendorDevice(ABC, Generic[Session]):
             self._release(lost)
         try:
             self._reopened = self._connect(Checklist(self.name))
-        except RefusedError as error:
+        except Exception as error:  # whatever it is: the operator has to learn of it
             self._reopened = f"not ready: {error}"
 
     def _take_reopened(self) -> None:

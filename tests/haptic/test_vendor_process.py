@@ -63,17 +63,24 @@ def test_it_is_listed(driver: str) -> None:
     assert not listed["cannot be loaded"]
 
 
+TURNS = {"force-dimension": ["wrist=true", "gripper_open_m=0.03"], "touch": ["orientation=true"]}
+
+
+@pytest.mark.parametrize("kind", ["linear", "pose"])
 @pytest.mark.parametrize("driver", SOURCES)
-def test_check_device_passes_it_and_closes_it_twice(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
+def test_check_device_passes_it_and_closes_it_twice(
+    driver: str, kind: str, libraries: dict[str, Path], tmp_path: Path
+) -> None:
+    options = [f"library={libraries[driver]}", PATIENT[driver], *(TURNS[driver] if kind == "pose" else [])]
+    given = [word for option in options for word in ("--options", option)]
     ended = subprocess.run(
-        [*COMMAND, "check-device", driver, "--duration-s", "1", "--json", "-", "--options",
-         f"library={libraries[driver]}", "--options", PATIENT[driver]],
-        env=environment(tmp_path, set="hand_x=0.02;watchdog_slack=50"), stdin=subprocess.DEVNULL, capture_output=True,
-        text=True, timeout=60, check=False,
+        [*COMMAND, "check-device", driver, "--duration-s", "1", "--kind", kind, "--json", "-", *given],
+        env=environment(tmp_path, set="hand_x=0.02;watchdog_slack=50;qw=0.8;qz=0.6"), stdin=subprocess.DEVNULL,
+        capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert ended.returncode == 0, ended.stdout + ended.stderr
     report = json.loads(ended.stdout)
-    assert (report["driver"], report["kind"], report["axes"], report["passed"]) == (driver, "linear", 3, True)
+    assert (report["driver"], report["kind"], report["axes"], report["passed"]) == (driver, kind, 3, True)
     found = {finding["check"]: finding for finding in report["findings"]}
     assert found["close after an exception"]["verdict"] == "pass"
     assert found["zero at begin and end"]["verdict"] == "pass"
