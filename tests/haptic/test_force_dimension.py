@@ -72,7 +72,7 @@ def until(
 
 
 def at_rest(sample: MasterSample) -> bool:
-    return sample.velocity is not None and bool(np.allclose(sample.velocity, 0.0, atol=1e-3))
+    return sample.fault is None and sample.velocity is not None and bool(np.allclose(sample.velocity, 0.0, atol=1e-3))
 
 
 # ------------------------------------------------------------------------------------------------------ order of calls

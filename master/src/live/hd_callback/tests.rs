@@ -192,9 +192,11 @@ fn its_last_frame_is_of_zero_force() {
 fn who_waits_is_woken_by_the_frame() {
     let of = callback(LONG);
     std::thread::scope(|scope| {
-        let waiting = scope.spawn(|| of.wait(0, Duration::from_secs(20)));
-        thread::sleep(Duration::from_millis(20));
+        let begun = Instant::now();
+        let waiting = scope.spawn(|| of.wait(0, Duration::from_secs(60)));
+        thread::sleep(Duration::from_millis(50));
         tick(of);
         assert_eq!(waiting.join().unwrap().map(|sample| sample.tick), Some(1));
+        assert!(begun.elapsed() < Duration::from_secs(30));
     });
 }
