@@ -55,6 +55,7 @@ impl PyHdCallback {
     }
 
     #[getter]
+    #[allow(clippy::unused_self)] // as the stub has it, beside `context`
     fn address(&self) -> usize {
         HdCallback::address() as usize
     }
