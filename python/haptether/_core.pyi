@@ -38,6 +38,7 @@ __all__ = [
     "Hand",
     "HandGraspObserver",
     "HapticDevice",
+    "HdCallback",
     "Intervention",
     "Interventions",
     "Limiter",
@@ -2570,6 +2571,60 @@ class DynamixelBus:
 
     def close(self) -> None:
         """Gives the port back; any other call raises `ValueError` then."""
+
+# -------------------------------------------------------------------------------------------- OpenHaptics
+
+@final
+class HdCallback:
+    """What the scheduler of OpenHaptics calls: one frame of a device, in Rust and without the interpreter's lock.
+
+    It exerts the newest force, and zero before the first one, once that is older than the watchdog's time, after an
+    error until it is acknowledged, and in its last frame. Its memory is never given back.
+
+    Args:
+        functions: Addresses of hdMakeCurrentDevice, hdBeginFrame, hdEndFrame, hdGetDoublev, hdGetIntegerv, hdSetDoublev,
+            hdGetError and hdCheckCalibration, in this order; any others end the process.
+        device: Its handle.
+        watchdog_s: 0.001 to 0.1 s.
+        max_force_n: Longer forces are shortened to this.
+
+    Raises:
+        ValueError: An address of 0, or a number that cannot be.
+    """
+
+    def __new__(
+        cls, functions: Sequence[int], device: int, *, watchdog_s: float, max_force_n: float
+    ) -> HdCallback: ...
+    @property
+    def address(self) -> int:
+        """What hdScheduleAsynchronous is to call."""
+
+    @property
+    def context(self) -> int:
+        """What it is to be called with."""
+
+    @property
+    def starved(self) -> int:
+        """Frames without force because the newest one was too old."""
+
+    def write(self, force: Sequence[float]) -> None:
+        """The force in N from the next frame on, in the vendor's frame."""
+
+    def wait(
+        self, after: int, limit_s: float
+    ) -> tuple[int, list[float], list[float], int, int, int, int] | None:
+        """The newest sample after a frame, as soon as there is one; none within the time.
+
+        Returns:
+            Number of the frame, transform (column by column, mm), velocity (mm/s), buttons, what hdCheckCalibration
+            said, the first error since the last acknowledgement and its internal code.
+        """
+
+    def acknowledge(self) -> None:
+        """Forgets the first error."""
+
+    def end(self, limit_s: float) -> bool:
+        """Has the next frame be the last, of zero force; whether that was within the time."""
 
 # ---------------------------------------------------------------------------------------------- scenes
 

@@ -385,8 +385,8 @@ def test_only_the_screen_makes_a_console() -> None:
         (
             ["master", "--insecure", "--peer", "127.0.0.1:9", "--scene", "remote_push", "--set", "master.driver=tuch"],
             (
-                "[master] driver = tuch: no such driver (haptether.masters): there is dynamixel, inverse3; "
-                "without the key it is a model"
+                "[master] driver = tuch: no such driver (haptether.masters): did you mean touch? there is dynamixel, "
+                "force-dimension, inverse3, touch; without the key it is a model"
             ),
         ),
         (
