@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.haptic.standins import Failing, Standin, built
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.haptic.standins import RIGHT_HANDED, Failing, Standin, axes_matrix, built, rotation_matrix
 
 from haptether.bridge import load_master
 from haptether.bridge.devices.standalone import StandaloneRun, wait_until
@@ -151,6 +153,29 @@ def test_a_pose_is_turned_and_an_active_wrist_exerts_torque(dhd: Standin) -> Non
         assert dhd.get("tz") == pytest.approx(0.2)
         step(driver, REST, 3)
         assert dhd.get("tz") == 0.0
+
+
+@settings(max_examples=15)
+@given(st.sampled_from(RIGHT_HANDED), st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+def test_whatever_the_axes_and_the_turn_are_all_is_in_one_frame(
+    shared: Standin, axes: list[str], parts: list[float]
+) -> None:
+    """R is C R C^T, a point C x, a force C^T f: by matrices, of which the driver has none."""
+    norm = float(np.linalg.norm(parts))
+    quat = np.array(parts) / norm if norm > 0.1 else np.array([1.0, 0.0, 0.0, 0.0])
+    turn, dhd = axes_matrix(axes), shared
+    dhd.reset()
+    dhd.set(qw=quat[0], qx=quat[1], qy=quat[2], qz=quat[3], type=SIGMA_7, watchdog_slack=SLACK)
+    force = np.array([0.3, -0.2, 0.1])
+    with opened(dhd, wrist=True, axes=axes) as driver:
+        sample = until(driver, lambda sample: sample.fault is None)
+        assert sample.orientation is not None
+        seen = rotation_matrix(np.array(sample.orientation))
+        np.testing.assert_allclose(seen, turn @ rotation_matrix(quat) @ turn.T, atol=1e-9)
+        driver.read()
+        driver.write(tuple(force), tuple(0.1 * force))
+        np.testing.assert_allclose(dhd.force(), turn.T @ force, atol=1e-12)
+        np.testing.assert_allclose([dhd.get(name) for name in ("tx", "ty", "tz")], 0.1 * turn.T @ force, atol=1e-12)
 
 
 def test_a_passive_wrist_exerts_no_torque_and_says_so(dhd: Standin, capfd: pytest.CaptureFixture[str]) -> None:
