@@ -1,6 +1,7 @@
 """The driver of Force Dimension devices against a stand-in of the SDK: calls, frames, units, forces, faults."""
 
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,9 +15,10 @@ from tests.haptic.standins import RIGHT_HANDED, Failing, Standin, axes_matrix, b
 
 from haptether.bridge import load_master
 from haptether.bridge.devices.standalone import StandaloneRun, wait_until
-from haptether.checklist import RefusedError
+from haptether.checklist import Checklist, RefusedError
 from haptether.master import MasterSample
 from haptether.master.force_dimension import ForceDimension
+from haptether.master.force_dimension.driver import Session
 
 pytestmark = pytest.mark.live
 
@@ -453,6 +455,58 @@ def test_it_closes_whatever_it_was_in(dhd: Standin) -> None:
         until(driver, lambda sample: sample.fault is not None)
         driver.acknowledge()
     assert dhd.get("open") == 0
+
+
+def test_it_is_opened_again_as_new_and_not_twice(dhd: Standin) -> None:
+    driver = ForceDimension(library=str(dhd.path), **SLOW)
+    for _ in range(2):
+        driver.open()
+        with pytest.raises(ValueError, match="force-dimension: is open"):
+            driver.open()
+        assert step(driver, (1.0, 0.0, 0.0), 5).fault is None
+        assert dhd.force() == (1.0, 0.0, 0.0)
+        dhd.fail("dhdGetPosition", 2)
+        until(driver, lambda sample: sample.fault is not None)
+        driver.close()
+        assert dhd.get("open") == 0
+
+
+def test_what_is_closed_while_it_opens_is_closed(dhd: Standin, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = ForceDimension(library=str(dhd.path), **SLOW)
+    connect = driver._connect
+
+    def slowly(checklist: Checklist) -> Session:
+        session = connect(checklist)
+        # Another thread closes it just now.
+        driver.close()
+        return session
+
+    monkeypatch.setattr(driver, "_connect", slowly)
+    with pytest.raises(RefusedError, match="closed before it was open"):
+        driver.open()
+    assert dhd.get("open") == 0
+
+
+def test_what_is_opened_anew_after_the_end_is_closed(dhd: Standin, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("haptether.master.vendor.device.JOIN_S", 0.05)
+    goes_on = threading.Event()
+    with opened(dhd) as driver:
+        step(driver)
+        connect = driver._connect
+
+        def slowly(checklist: Checklist) -> Session:
+            goes_on.wait(20.0)
+            return connect(checklist)
+
+        monkeypatch.setattr(driver, "_connect", slowly)
+        dhd.fail("dhdGetPosition", 2)
+        until(driver, lambda sample: sample.fault is not None)
+        driver.acknowledge()
+        reopening = driver._reopening
+    goes_on.set()
+    assert reopening is not None
+    reopening.join(20.0)
+    assert (reopening.is_alive(), dhd.get("open"), dhd.calls()[-1]) == (False, 0, "dhdClose()")
 
 
 # ----------------------------------------------------------------------------------------------------------- options
